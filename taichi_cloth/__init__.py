@@ -1,0 +1,44 @@
+"""Interactive cloth and spring-mass simulator on Taichi.
+
+Public names are imported when they are first used: importing this package starts nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+
+__version__ = "0.1.0"
+
+_HOMES = {  # public name: (module, name in it; None: the module itself)
+    "InputError": ("errors", "InputError"),
+    "SimulationFailure": ("errors", "SimulationFailure"),
+    "Scene": ("scene", "Scene"),
+    "World": ("scene", "World"),
+    "Particles": ("scene", "Particles"),
+    "ParticleDefaults": ("scene", "ParticleDefaults"),
+    "Springs": ("scene", "Springs"),
+    "SpringDefaults": ("scene", "SpringDefaults"),
+    "validate": ("scene", "validate"),
+    "grid": ("cloth", "grid"),
+    "load_scene": ("scenefile", "load"),
+    "save_scene": ("scenefile", "save"),
+    "load_events": ("events", "load"),
+    "load_trajectory": ("results", "load"),
+    "Trajectory": ("results", "Trajectory"),
+    "Simulation": ("simulation", "Simulation"),
+    "start": ("runtime", "start"),
+    "scenes": ("scenes", None),
+}
+__all__ = ["__version__", *_HOMES]  # noqa: PLE0604
+
+
+def __getattr__(name: str):
+    if name not in _HOMES:
+        raise AttributeError(f"module 'taichi_cloth' has no attribute {name!r}")
+    module_name, attribute = _HOMES[name]
+    module = importlib.import_module(f"taichi_cloth.{module_name}")
+    return module if attribute is None else getattr(module, attribute)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

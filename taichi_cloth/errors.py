@@ -1,0 +1,44 @@
+"""What can end a run early: the user's input is refused, or the simulation fails.
+
+Both carry one line that says what was wrong, where, and what to do; the command
+line prints that line and nothing else (no traceback for a user's mistake).
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class InputError(ValueError):
+    """The user's input is refused (exit status 2). The message is one line."""
+
+    exit_status = 2
+
+
+class SimulationFailure(RuntimeError):
+    """The simulation left its bounds (exit status 3): who, when, why, and what to change.
+
+    particle: index of the first particle at fault.
+    frame: 1-based number of the frame that failed; the last good frame is ``frame - 1``.
+    cause, remedy: one clause each.
+    """
+
+    exit_status = 3
+
+    def __init__(self, particle: int, frame: int, what: str, cause: str, remedy: str):
+        self.particle, self.frame = particle, frame
+        self.what, self.cause, self.remedy = what, cause, remedy
+        super().__init__(
+            f"frame {frame}: particle {particle} {what}; likely cause: {cause}; "
+            f"remedy: {remedy} (the last good frame, {frame - 1}, is kept)"
+        )
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """'; did you mean X?' for the known word most like `word`, else a list of the known ones."""
+    known = sorted(known)
+    close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
+    if close:
+        return f"did you mean '{close[0]}'?"
+    return f"known: {', '.join(known)}"

@@ -1,0 +1,77 @@
+"""The physical laws, each written once, as functions on values.
+
+Letters as in the field's papers: x position, v velocity, k stiffness, c damping,
+w inverse mass (0 = fixed), e restitution, n unit normal.
+"""
+
+import taichi as ti
+
+# Inverse mass of a fixed particle in a collision: a mass that no free particle comes near. Exactly
+# zero would do as well, but the reference trajectories were computed with this mass, and
+# collisions amplify the difference of 1e-8 past their tolerance.
+FIXED_INVERSE_MASS = 1e-9
+
+
+@ti.func
+def spring_force(d, k, rest):
+    """Hooke's law along a spring: force on the near end, `d` the vector to the far end.
+
+    k*(|d| - rest) along d; zero when both ends coincide, where no direction exists.
+    """
+    length = ti.sqrt(d.dot(d))
+    inverse = 0.0
+    if length > 0.0:
+        inverse = 1.0 / length
+    return k * (length - rest) * (inverse * d)
+
+
+@ti.func
+def dashpot_force(d, dv, c):
+    """Damping along a spring's axis: c times the rate at which it lengthens, along d."""
+    length2 = d.dot(d)
+    scale = 0.0
+    if length2 > 0.0:
+        scale = c * dv.dot(d) / length2
+    return scale * d
+
+
+@ti.func
+def drag_force(v, viscous):
+    """Viscous (Stokes) drag on one particle."""
+    return -viscous * v
+
+
+@ti.func
+def blow_force(distance, displacement, reach, strength):
+    """Force of the moving pointer on a particle `distance` away from it.
+
+    It falls linearly to zero at `reach` and points along the pointer's displacement.
+    """
+    return strength * ti.max(reach - distance, 0.0) * displacement
+
+
+@ti.func
+def wall_bounce(gap, vn, e):
+    """Change of the velocity along a wall's outward normal; zero when the wall is not hit.
+
+    gap: how far the particle's surface is short of the wall (negative: past it);
+    vn: velocity along the outward normal.
+    """
+    return ti.select((gap < 0.0) and (vn > 0.0), -(1.0 + e) * vn, 0.0)
+
+
+@ti.func
+def pair_bounce(d, v1, v2, w1, w2, reach, e):
+    """Velocity change of particle 1 in a collision with particle 2; zero when they do not collide.
+
+    d: vector from 1 to 2; reach: sum of the radii. Newton's law of restitution: they collide when
+    they touch and do not move apart; coincident centres have no normal, so nothing happens.
+    """
+    distance2 = d.dot(d)
+    change = 0.0 * d
+    if distance2 <= reach * reach and distance2 > 0.0 and w1 > 0.0:
+        n = d / ti.sqrt(distance2)
+        closing = (v1 - v2).dot(n)
+        if closing >= 0.0:
+            change = -(1.0 + e) * closing * w1 / (w1 + ti.max(w2, FIXED_INVERSE_MASS)) * n
+    return change

@@ -1,0 +1,15 @@
+"""Time-integration methods, one file each, discovered by name.
+
+A method's file has a docstring with its formula and source, `CLAIMS`, and `step(features, state)`,
+a ti.func that advances the state by state.dt[None]. Adding a method is adding a file.
+"""
+
+import importlib
+import pkgutil
+
+METHODS = tuple(sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name != "claims"))
+
+
+def load(name):
+    """The module of the method `name`, out of `METHODS`. Importing it imports Taichi."""
+    return importlib.import_module(f"{__name__}.{name}")

@@ -1,0 +1,15 @@
+"""What a method promises; tests and reports read it and hold the method to it."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Claims:
+    """order: global order of accuracy; symplectic, implicit: as the words say;
+    stability_limit: largest stable dt*omega for an undamped oscillator (0: none is stable).
+    """
+
+    order: int
+    symplectic: bool
+    implicit: bool
+    stability_limit: float

@@ -1,0 +1,54 @@
+"""The two ways to run one method: whole frames in one launch, or loop by loop in parallel.
+
+`step` is a method's step, a ti.func over the containers. Inside the serial kernel its loops run on
+one thread, which for small scenes beats starting threads for each loop; in the parallel kernel
+they are top-level loops, each of them parallel.
+"""
+
+import taichi as ti
+
+from taichi_cloth.kernels.fracture import break_springs
+from taichi_cloth.kernels.watch import NO_FAULT, keep, watch
+
+
+@ti.func
+def substep(step: ti.template(), features: ti.template(), state: ti.template(), frame):
+    """One step of the method, then fracture from the positions it reached."""
+    step(features, state)
+    if ti.static(features.fracture):
+        break_springs(features, state, frame)
+
+
+@ti.kernel
+def frames_serial(
+    step: ti.template(),
+    features: ti.template(),
+    state: ti.template(),
+    first: ti.i32,
+    frames: ti.i32,
+    substeps: ti.i32,
+) -> ti.i32:
+    """Frames number first.., each kept and checked, in one launch; returns how many passed.
+
+    Nothing is computed after a frame that fails; its fault is in state.fault.
+    """
+    passed = 0
+    ti.loop_config(serialize=True)
+    for k in range(frames * substeps):
+        if passed == k // substeps:
+            if k % substeps == 0:
+                keep(state)
+            substep(step, features, state, first + k // substeps)
+            if (k + 1) % substeps == 0:
+                watch(state)
+                if state.fault[None] == NO_FAULT:
+                    passed += 1
+    return passed
+
+
+@ti.kernel
+def substep_parallel(
+    step: ti.template(), features: ti.template(), state: ti.template(), frame: ti.i32
+):
+    """One substep, every loop of it parallel."""
+    substep(step, features, state, frame)

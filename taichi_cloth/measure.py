@@ -1,0 +1,40 @@
+"""Energy and momentum of a state, in float64 on the host.
+
+m, v, x as in `scene.Particles`; fixed particles have no momentum and no kinetic energy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Energy:
+    """Kinetic, gravitational and elastic energy of a state, in the scene's units."""
+
+    kinetic: float
+    gravitational: float
+    elastic: float
+
+    @property
+    def total(self) -> float:
+        return self.kinetic + self.gravitational + self.elastic
+
+
+def energy(x, v, mass, fixed, gravity, between, stiffness, rest_length, alive) -> Energy:
+    """Energy of a state: x, v (n, dim), springs (s, ...) of which `alive` (s,) count."""
+    free = ~fixed
+    a, b = between[alive].T
+    stretch = np.linalg.norm(x[b] - x[a], axis=1) - rest_length[alive]
+    return Energy(
+        kinetic=float(0.5 * (mass[free, None] * v[free] ** 2).sum()),
+        gravitational=float(-(mass[free] * (x[free] @ np.asarray(gravity))).sum()),
+        elastic=float(0.5 * (stiffness[alive] * stretch**2).sum()),
+    )
+
+
+def momentum(v, mass, fixed) -> np.ndarray:
+    """Total linear momentum of the free particles, shape (dim,)."""
+    return (mass[~fixed, None] * v[~fixed]).sum(axis=0)

@@ -1,0 +1,180 @@
+"""Settings that a person can change: each says its unit, its limits and what it does.
+
+Flags of the command line are made from these declarations, so a setting is described once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+from taichi_cloth.errors import InputError, nearest
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One setting: its help, unit and limits; type and default are filled in where it is used.
+
+    minimum, maximum: inclusive limits; above: exclusive lower limit.
+    choices: the words allowed, if only some are.
+    metavar: stands for the value in help texts.
+    """
+
+    help: str
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    above: float | None = None
+    choices: tuple[str, ...] = ()
+    metavar: str = ""
+    type: type = str
+    default: Any = None
+
+    def of(self, type_: type, default: Any) -> Parameter:
+        """The same parameter with its type and default."""
+        return replace(self, type=type_, default=default)
+
+    def check(self, name: str, value: Any) -> Any:
+        """Return `value` if it is allowed for the setting called `name`, else raise InputError."""
+        if self.type in (int, float):
+            number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not number or (self.type is int and value != int(value)):
+                kind = "a whole number" if self.type is int else "a number"
+                raise InputError(f"{name} must be {kind}, is {value!r}")
+            for broken, says in (
+                (not math.isfinite(value), "must be a finite number"),
+                (
+                    self.above is not None and not value > self.above,
+                    f"must be above {self.above}" if self.above else "must be positive",
+                ),
+                (
+                    self.minimum is not None and not value >= self.minimum,
+                    f"must be at least {self.minimum}",
+                ),
+                (
+                    self.maximum is not None and not value <= self.maximum,
+                    f"must be at most {self.maximum}",
+                ),
+            ):
+                if broken:
+                    raise InputError(f"{name} {says}, is {value}")
+        elif self.choices and value not in self.choices:
+            raise InputError(f"{name}: unknown value '{value}'; {nearest(value, self.choices)}")
+        return value
+
+    def parse(self, name: str, text: str) -> Any:
+        """The value that `text` stands for; raises InputError if it is none or not allowed."""
+        if self.type in (int, float):
+            try:
+                value = self.type(text)
+            except ValueError:
+                kind = "a whole number" if self.type is int else "a number"
+                raise InputError(f"{name} must be {kind}, is '{text}'") from None
+            return self.check(name, value)
+        if self.type is tuple:
+            return _parse_size(name, text)
+        return self.check(name, text)
+
+    def describe(self) -> str:
+        """Help, unit, limits and default in one line."""
+        notes = [self.unit] if self.unit else []
+        if self.above is not None:
+            notes.append(f"above {self.above:g}" if self.above else "positive")
+        if self.minimum is not None and self.maximum is not None:
+            notes.append(f"{self.minimum:g} to {self.maximum:g}")
+        elif self.minimum is not None:
+            notes.append(f"at least {self.minimum:g}")
+        elif self.maximum is not None:
+            notes.append(f"at most {self.maximum:g}")
+        if self.default not in (None, False, True):
+            notes.append(f"default {self.default}")
+        return f"{self.help} ({', '.join(notes)})" if notes else self.help
+
+
+def _parse_size(name: str, text: str) -> tuple[int, int]:
+    """'800x600' as (800, 600); raises InputError for anything else, or a size no window has."""
+    parts = text.lower().split("x")
+    if len(parts) != 2 or not all(part.isdecimal() for part in parts):
+        raise InputError(f"{name} must be WIDTHxHEIGHT in pixels, such as 800x600; is '{text}'")
+    width, height = map(int, parts)
+    if not (min(width, height) >= 16 and max(width, height) <= 8192):
+        raise InputError(f"{name}: width and height must be 16 to 8192 pixels, are {text}")
+    return width, height
+
+
+def setting(default: Any, help_: str, type_: type | None = None, **limits: Any) -> Any:
+    """A dataclass field with its `Parameter` in its metadata."""
+    parameter = Parameter(help_, **limits).of(type_ or type(default), default)
+    return field(default=default, metadata={"parameter": parameter})
+
+
+def parameters_of(settings: type) -> dict[str, Parameter]:
+    """The declared parameters of a dataclass of settings, by field name."""
+    return {f.name: f.metadata["parameter"] for f in fields(settings)}
+
+
+ARCHS = ("cpu", "gpu", "cuda", "vulkan", "opengl", "metal")
+VIEWS = ("auto", "ggui", "gui", "none")
+HEADLESS_FRAMES = 600
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Settings of one run."""
+
+    arch: str = setting("cpu", "where to compute; gpu is the best there is", choices=ARCHS)
+    precision: str = setting("f32", "floating-point numbers", choices=("f32", "f64"))
+    method: str = setting("symplectic_euler", "time-integration method", metavar="NAME")
+    dt: float | None = setting(
+        None, "time of one frame (default: the scene's)", float, above=0, metavar="X"
+    )
+    substeps: int = setting(
+        1, "steps a frame, each of dt / N", minimum=1, maximum=1_000_000, metavar="N"
+    )
+    execution: str = setting(
+        "auto",
+        "one launch a frame, parallel loops, or the faster",
+        choices=("auto", "serial", "parallel"),
+    )
+    threads: int | None = setting(
+        None,
+        "CPU threads; 1 runs serially, more in parallel (default: all, where that is faster)",
+        int,
+        minimum=1,
+        maximum=1024,
+        metavar="N",
+    )
+    fast_math: bool | None = setting(
+        None,
+        "let the compiler reorder floating-point operations (default: in f32 only)",
+        bool,
+    )
+    view: str = setting("auto", "window to use; auto takes the best there is", choices=VIEWS)
+    headless: bool = setting(False, "no window, the same as --view none")
+    size: tuple | None = setting(
+        None, "window size in pixels (default: the scene's)", tuple, metavar="WxH"
+    )
+    frames: int | None = setting(
+        None,
+        f"stop after N frames (headless default {HEADLESS_FRAMES})",
+        int,
+        minimum=1,
+        metavar="N",
+    )
+    seed: int | None = setting(
+        None,
+        "seed of the velocities of clicked particles (default: the log's, else 0)",
+        int,
+        minimum=0,
+        maximum=2**63 - 1,
+        metavar="N",
+    )
+    events: str | None = setting(None, "replay an interaction log", str, metavar="FILE.jsonl")
+    record: str | None = setting(None, "write an interaction log", str, metavar="FILE.jsonl")
+    save: str | None = setting(None, "save the trajectory", str, metavar="FILE.npz")
+    every: int = setting(1, "save every Nth frame only", minimum=1, metavar="N")
+    image: str | None = setting(None, "save the last frame as a picture", str, metavar="FILE.png")
+    video: str | None = setting(None, "save all frames as a film", str, metavar="FILE.mp4|gif")
+    paused: bool = setting(False, "start paused")
+    quiet: bool = setting(False, "print nothing but errors")

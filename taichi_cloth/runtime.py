@@ -1,0 +1,162 @@
+"""The one caller of ti.init: picks the backend, precision and threads, and says what it got."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import ctypes.util
+import io
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+
+from taichi_cloth.errors import InputError, nearest
+
+BACKENDS = ("cpu", "cuda", "metal", "vulkan", "opengl")
+GPU_ORDER = ("cuda", "metal", "vulkan", "opengl")  # what `gpu` tries, best first
+PRECISIONS = ("f32", "f64")
+
+_NEEDS = {
+    "cuda": "an NVIDIA GPU with its driver",
+    "metal": "macOS on Apple hardware",
+    "vulkan": "a Vulkan driver (Mesa's lavapipe serves without a GPU: mesa-vulkan-drivers)",
+    "opengl": "an OpenGL 4.3 driver and a display (Xvfb serves)",
+}
+
+
+@dataclass(frozen=True)
+class Device:
+    """What a run computes on. threads: CPU worker threads (1 on other backends)."""
+
+    arch: str
+    precision: str
+    threads: int
+    fast_math: bool
+
+    def describe(self) -> str:
+        threads = f", {self.threads} thread{'s' * (self.threads > 1)}" if self.arch == "cpu" else ""
+        return f"{self.arch} {self.precision}{threads}"
+
+
+_device: Device | None = None
+
+
+def current_device() -> Device:
+    """The device of the last `start`. Starts the default one where there was none."""
+    return _device or start()
+
+
+def display_available() -> bool:
+    """Whether a window can open. Asked before Taichi is, which ends the process if it cannot."""
+    if not sys.platform.startswith("linux"):
+        return True
+    try:
+        x11 = ctypes.CDLL(ctypes.util.find_library("X11") or "libX11.so.6")
+    except OSError:
+        return False
+    x11.XOpenDisplay.restype = ctypes.c_void_p
+    display = x11.XOpenDisplay(None)
+    if display:
+        x11.XCloseDisplay(ctypes.c_void_p(display))
+    return bool(display)
+
+
+def vulkan_available() -> bool:
+    """Whether Taichi finds a Vulkan driver."""
+    _import_taichi()
+    from taichi._lib import core
+
+    return bool(core.GGUI_AVAILABLE and core.with_vulkan())
+
+
+def usable_backends() -> dict[str, str | None]:
+    """For every backend: None where it works here, else what it would need.
+
+    Each is tried in a process of its own, because a driver at fault may end the process.
+    """
+    probes = {name: _start_probe(name) for name in BACKENDS}
+    return {name: _finish_probe(name, probe) for name, probe in probes.items()}
+
+
+def start(
+    arch: str = "cpu",
+    precision: str = "f32",
+    threads: int | None = None,
+    fast_math: bool | None = None,
+) -> Device:
+    """Start Taichi on the backend `arch` ("gpu": the best there is) and say what it got.
+
+    threads: CPU worker threads, all cores when absent. fast_math: by default on in f32 and off
+    in f64, the reference precision. Fields of an earlier start are gone.
+
+    Raises InputError where the backend or precision is unknown or not usable here; it is never
+    replaced by another one.
+    """
+    if arch not in (*BACKENDS, "gpu"):
+        raise InputError(f"--arch {arch}: unknown backend; {nearest(arch, (*BACKENDS, 'gpu'))}")
+    if precision not in PRECISIONS:
+        raise InputError(f"--precision {precision}: unknown; {nearest(precision, PRECISIONS)}")
+    cores = os.cpu_count() or 1
+    if threads is not None and threads < 1:
+        raise InputError(f"--threads {threads}: must be at least 1")
+    threads = threads or cores
+    if fast_math is None:
+        fast_math = precision == "f32"
+    if arch == "gpu":
+        usable = usable_backends()
+        arch = next((name for name in GPU_ORDER if usable[name] is None), None)
+        if arch is None:
+            raise InputError("--arch gpu: no GPU backend is usable here; usable: cpu")
+    if not _initialize(arch, precision, threads, fast_math):
+        usable = [name for name, lack in usable_backends().items() if lack is None]
+        raise InputError(
+            f"--arch {arch}: not usable here (it needs {_NEEDS[arch]}); usable: {', '.join(usable)}"
+        )
+    global _device
+    _device = Device(arch, precision, threads if arch == "cpu" else 1, fast_math)
+    return _device
+
+
+def _import_taichi():
+    # Taichi prints a banner and asks for its newest version at import: neither is the user's.
+    os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+    os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
+    import taichi
+
+    return taichi
+
+
+def _initialize(arch: str, precision: str, threads: int, fast_math: bool) -> bool:
+    """Start Taichi; False where it starts something else, or would crash."""
+    if arch == "opengl" and not display_available():
+        return False
+    ti = _import_taichi()
+    ti.set_logging_level(ti.CRITICAL)  # it warns of the fallback that we refuse ourselves
+    with contextlib.redirect_stdout(io.StringIO()):  # it announces itself
+        ti.init(
+            arch=getattr(ti, arch),
+            default_fp=getattr(ti, precision),
+            cpu_max_num_threads=threads,
+            fast_math=fast_math,
+            log_level=ti.ERROR,
+            verbose=False,
+        )
+    return ti.cfg.arch in ((ti.x64, ti.arm64) if arch == "cpu" else (getattr(ti, arch),))
+
+
+def _start_probe(arch: str) -> subprocess.Popen:
+    start = f"runtime._initialize('{arch}', 'f32', 1, True)"
+    code = f"import sys; from taichi_cloth import runtime; sys.exit(not {start})"
+    return subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+    )
+
+
+def _finish_probe(arch: str, probe: subprocess.Popen) -> str | None:
+    if probe.wait() == 0:
+        return None
+    return _NEEDS.get(arch, "a supported processor")

@@ -1,0 +1,54 @@
+"""One device for the whole test process: the CPU in f64, where results are compared to round-off.
+
+Other precisions, backends and thread counts run through the command line, each in its own process.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+os.environ["TI_SKIP_VERSION_CHECK"] = "ON"
+
+import numpy as np
+import pytest
+
+GOLDEN = Path(__file__).parent / "golden"
+
+
+@pytest.fixture(scope="session")
+def device():
+    from taichi_cloth import runtime
+
+    return runtime.start("cpu", "f64", threads=2)
+
+
+@pytest.fixture(params=["serial", "parallel"])
+def execution(request):
+    return request.param
+
+
+def golden(name):
+    """The arrays of a golden .npz file, the contents of a .json, or the events of a .jsonl."""
+    path = GOLDEN / name
+    if path.suffix == ".npz":
+        with np.load(path) as file:
+            return dict(file)
+    if path.suffix == ".jsonl":
+        return [json.loads(line) for line in path.read_text().splitlines()]
+    return json.loads(path.read_text())
+
+
+def command(*arguments, check=0, env=None, cwd=None, timeout=300):
+    """Run `taichi-cloth` with arguments in a process of its own; return (stdout, stderr)."""
+    done = subprocess.run(
+        [sys.executable, "-m", "taichi_cloth", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        cwd=cwd,
+        env={**os.environ, **(env or {})},
+    )
+    assert done.returncode == check, f"exit {done.returncode}: {done.stdout}{done.stderr}"
+    return done.stdout, done.stderr

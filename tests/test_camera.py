@@ -1,0 +1,122 @@
+"""The camera: the golden projections, and what must hold for every camera and pixel."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.layout import Layout, default_window
+
+GOLDEN = json.loads((Path(__file__).parent / "golden" / "projection.json").read_text())
+
+angle = st.floats(-360, 360)
+length = st.floats(50, 2000)
+cameras = st.builds(
+    lambda w, h, d, distance, focal, a, b: Camera((w, h, d), distance, focal, a, b),
+    length, length, length, st.floats(300, 8000), st.floats(200, 3000), angle, angle,
+)  # fmt: skip
+pixels = st.tuples(st.floats(-2000, 3000), st.floats(-2000, 3000))
+
+
+@pytest.mark.parametrize("row", GOLDEN["rows"])
+def test_golden_projection(row):
+    camera = Camera(
+        GOLDEN["world_size"], row["camera_offset_z"], row["focal_len"], row["rot_x"], row["rot_y"]
+    )
+    pixel, radius, depth = camera.project([row["pos"]], row["radius"])
+    seen = [*pixel[0], radius[0], depth[0]]
+    np.testing.assert_allclose(seen, row["screen_x_y_radius_depth"], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        camera.unproject(row["pixel"]), row["unprojected"], rtol=0, atol=1e-9
+    )
+
+
+@given(cameras, pixels)
+def test_unprojected_pixels_project_back(camera, pixel):
+    pixel_again, _, depth = camera.project([camera.unproject(pixel)])
+    np.testing.assert_allclose(pixel_again[0], pixel, atol=1e-7)
+    np.testing.assert_allclose(depth, camera.distance)
+
+
+@given(cameras, pixels, st.floats(10, 5000))
+def test_points_on_a_ray_share_its_pixel(camera, pixel, far):
+    eye, direction = camera.ray(pixel)
+    assert np.linalg.norm(direction) == pytest.approx(1)
+    pixel_again, _, _ = camera.project([eye + far * direction])
+    np.testing.assert_allclose(pixel_again[0], pixel, atol=1e-5)
+
+
+@given(cameras, pixels)
+def test_a_ray_passes_through_the_unprojected_point(camera, pixel):
+    eye, direction = camera.ray(pixel)
+    to_point = camera.unproject(pixel) - eye
+    np.testing.assert_allclose(np.cross(to_point, direction), 0, atol=1e-6)
+
+
+@given(cameras)
+def test_rotation_keeps_lengths(camera):
+    np.testing.assert_allclose(camera.rotation() @ camera.rotation().T, np.eye(3), atol=1e-12)
+
+
+def test_rotate_and_zoom():
+    camera = Camera((600, 400, 500))
+    camera.rotate(10, -5)
+    assert (camera.rot_y, camera.rot_x) == (25, 10)
+    camera.zoom(2)
+    assert camera.distance == 1000
+    camera.zoom(0.5)
+    assert camera.distance == 2000
+
+
+@given(st.lists(st.floats(0.05, 20), max_size=30))
+def test_zoom_stays_outside_the_world(factors):
+    camera = Camera((600, 400, 500))
+    for factor in factors:
+        camera.zoom(factor)
+    corner = np.linalg.norm([300, 200, 250])
+    assert corner < camera.distance < 50 * corner
+
+
+def test_zoom_refuses_nonsense():
+    with pytest.raises(ValueError, match="positive"):
+        Camera((600, 400, 500)).zoom(0)
+
+
+sizes = st.tuples(st.integers(50, 3000), st.integers(50, 3000))
+
+
+@given(sizes, sizes, pixels)
+def test_layout_keeps_the_aspect_and_inverts(world, window, pixel):
+    layout = Layout(world, window)
+    np.testing.assert_allclose(layout.to_window(layout.to_world(pixel)), pixel, atol=1e-6)
+    low, high = layout.to_window([0, 0]), layout.to_window(world)
+    width, height = high - low
+    assert width / height == pytest.approx(world[0] / world[1])
+    assert (low > -1e-6).all() and (high < np.array(window) + 1e-6).all()
+    assert width == pytest.approx(window[0]) or height == pytest.approx(window[1])
+
+
+def test_one_pixel_is_one_unit_in_a_window_of_the_worlds_size():
+    assert default_window((600.0, 400.0, 500.0)) == (600, 400)
+    assert Layout((600, 400), (600, 400)).to_world((12.25, 7.5)).tolist() == [12.25, 7.5]
+
+
+@given(st.floats(1e-3, 1e6), st.floats(1e-3, 1e6))
+def test_default_windows_fit_a_screen(w, h):
+    width, height = default_window((w, h))
+    assert 120 <= height <= 1000 and 160 <= width <= 1600
+
+
+def test_camera_needs_no_taichi():
+    code = (
+        "import sys, taichi_cloth.ui.camera, taichi_cloth.ui.view, taichi_cloth.ui.app;"
+        "bad = {'taichi', 'matplotlib', 'imageio', 'scipy', 'rich', 'PIL'} & set(sys.modules);"
+        "sys.exit(str(bad) if bad else 0)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

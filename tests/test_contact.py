@@ -1,0 +1,112 @@
+"""Collisions through the grid against a loop over all pairs; walls; conservation."""
+
+import numpy as np
+import pytest
+
+from taichi_cloth.scene import ParticleDefaults, Particles, Scene, World
+
+pytestmark = pytest.mark.usefixtures("device")
+
+
+def crowd(dim, count, seed, *, radius=None, walls=False, size=100.0, restitution=0.9):
+    """Random particles, denser than anything that settles: many overlap and collide at once."""
+    rng = np.random.default_rng(seed)
+    names = ("left", "right", "top", "bottom", "front", "back")[: 2 * dim] if walls else ()
+    world = World(size=(size,) * dim, gravity=(0.0,) * dim, dt=0.01, walls=names, collisions=True)
+    fixed = rng.uniform(size=count) < 0.1
+    particles = Particles.build(
+        world.low + rng.uniform(0, 1, (count, dim)) * size,
+        np.where(fixed[:, None], 0.0, rng.normal(0, 5, (count, dim))),
+        mass=rng.uniform(0.5, 4, count),
+        radius=rng.uniform(0.5, 4, count) if radius is None else radius,
+        restitution=restitution,
+        fixed=fixed,
+    )
+    return Scene("crowd", world, particles)
+
+
+def brute_force_jump(scene):
+    """Velocity change of every particle from one step's pair collisions, by definition."""
+    p = scene.particles
+    d = p.position[None] - p.position[:, None]  # d[i, j]: from i to j
+    distance = np.linalg.norm(d, axis=2)
+    np.fill_diagonal(distance, np.inf)
+    n = d / distance[..., None]
+    closing = ((p.velocity[:, None] - p.velocity[None]) * n).sum(2)
+    hit = (distance <= p.radius[:, None] + p.radius[None]) & (closing >= 0)
+    w = np.where(p.fixed, 1e-9, 1 / p.mass)
+    e = p.restitution[:, None] * p.restitution[None]
+    impulse = np.where(hit, (1 + e) * closing / (w[:, None] + w[None]), 0.0)
+    jump = -(impulse[..., None] * n).sum(1) * w[:, None]
+    jump[p.fixed] = 0.0
+    return jump, int(hit.sum())
+
+
+@pytest.mark.parametrize("dim, count", [(2, 300), (3, 1200)])
+def test_grid_finds_the_same_collisions_as_all_pairs(dim, count, execution):
+    from taichi_cloth.simulation import Simulation
+
+    scene = crowd(dim, count, seed=dim)
+    expected, hits = brute_force_jump(scene)
+    sim = Simulation(scene, execution=execution)
+    sim.advance()
+    assert hits > 200
+    jump = sim.velocities() - scene.particles.velocity
+    np.testing.assert_allclose(jump, expected, rtol=0, atol=1e-11)
+
+
+def test_particles_far_outside_the_world_still_collide():
+    """The grid wraps around, so leaving the world neither loses nor doubles a collision."""
+    from taichi_cloth.simulation import Simulation
+
+    world = World(size=(100.0, 100.0), gravity=(0.0, 0.0), dt=1.0, collisions=True)
+    x = [[50.0, 50.0], [58.0, 50.0]]
+    v = [[1000.0, 0.0], [999.0, 0.0]]
+    sim = Simulation(Scene("pair", world, Particles.build(x, v, radius=3.0)), execution="serial")
+    sim.advance(7)  # the gap of 2 closes at 1 a frame, 7000 units away
+    np.testing.assert_allclose(sim.velocities(), [[999.0, 0.0], [1000.0, 0.0]], rtol=0, atol=1e-9)
+
+
+def test_elastic_crowd_keeps_momentum_and_energy():
+    """Equal spheres that only meet in pairs; no fixed ones, no walls."""
+    from taichi_cloth.simulation import Simulation
+
+    rng = np.random.default_rng(5)
+    grid = np.stack(np.meshgrid(*[np.arange(6)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    world = World(size=(120.0,) * 3, gravity=(0.0,) * 3, dt=0.05, collisions=True)
+    particles = Particles.build(
+        world.low + 20 + grid * 15.0,
+        rng.normal(0, 5, (216, 3)),
+        defaults=ParticleDefaults(mass=2.0, radius=3.0, restitution=1.0),
+    )
+    sim = Simulation(Scene("gas", world, particles), execution="serial")
+    momentum, energy = sim.momentum(), sim.energy().total
+    sim.advance(200)
+    assert np.abs(sim.velocities() - particles.velocity).max() > 1  # they did collide
+    np.testing.assert_allclose(sim.momentum(), momentum, rtol=0, atol=1e-9)
+    assert sim.energy().total == pytest.approx(energy, rel=1e-3)  # triple contacts are not exact
+
+
+def test_a_ball_bounces_to_the_height_its_restitution_allows(execution):
+    from taichi_cloth.simulation import Simulation
+
+    e, drop = 0.8, 50.0
+    world = World(size=(100.0, 100.0), gravity=(0.0, 10.0), dt=1e-3, walls=("bottom",))
+    particles = Particles.build([[50.0, 95.0 - drop]], radius=5.0, restitution=e)
+    sim = Simulation(Scene("ball", world, particles), substeps=1, execution=execution)
+    fall = int(np.sqrt(2 * drop / 10.0) / 1e-3)
+    heights = []
+    for _ in range(2 * fall // 20):
+        sim.advance(20)
+        heights.append(95.0 - sim.positions()[0, 1])
+    assert max(heights[fall // 20 + 5 :]) == pytest.approx(e**2 * drop, rel=0.01)
+
+
+def test_a_particle_at_rest_on_the_floor_stays_on_it():
+    from taichi_cloth.simulation import Simulation
+
+    world = World(size=(100.0, 100.0), gravity=(0.0, 0.5), dt=1.0, walls=("bottom",))
+    particles = Particles.build([[50.0, 95.0]], radius=5.0, restitution=0.0)
+    sim = Simulation(Scene("rest", world, particles), execution="serial")
+    sim.advance(500)
+    assert 95.0 - 1e-9 <= sim.positions()[0, 1] <= 95.0 + 0.5

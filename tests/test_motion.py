@@ -1,0 +1,196 @@
+"""Motion against closed forms, exact discrete solutions and conservation laws; one per method's claims."""
+
+import numpy as np
+import pytest
+
+from taichi_cloth.kernels import methods
+from taichi_cloth.scene import Particles, Scene, Springs, World
+from taichi_cloth.scenes import build
+
+pytestmark = pytest.mark.usefixtures("device")
+
+
+def oscillator(k=3.0, m=2.0, x0=1.5):
+    """One mass on a spring of rest length 10 to a fixed particle, along x; x0 its extension."""
+    world = World(size=(100.0, 100.0), gravity=(0.0, 0.0), dt=0.1)
+    x = [[50.0, 50.0], [60.0 + x0, 50.0]]
+    particles = Particles.build(x, mass=m, fixed=[True, False])
+    springs = Springs.build([[0, 1]], x, stiffness=k, rest_length=10.0)
+    return Scene("oscillator", world, particles, springs)
+
+
+# One step of each method on x'' = -omega^2 x, as a matrix on (x, v).
+DISCRETE = {
+    "symplectic_euler": lambda h, w2: np.array([[1 - h * h * w2, h], [-h * w2, 1]]),
+    "explicit_euler": lambda h, w2: np.array([[1, h], [-h * w2, 1]]),
+}
+
+
+@pytest.mark.parametrize("method", methods.METHODS)
+def test_oscillator_follows_the_exact_discrete_map(method, execution):
+    from taichi_cloth.simulation import Simulation
+
+    sim = Simulation(oscillator(), method, dt=0.1, execution=execution)
+    sim.advance(100)
+    x, v = np.linalg.matrix_power(DISCRETE[method](0.1, 1.5), 100) @ [1.5, 0.0]
+    assert sim.positions()[1, 0] - 60.0 == pytest.approx(x, abs=1e-11)
+    assert sim.velocities()[1, 0] == pytest.approx(v, abs=1e-11)
+
+
+@pytest.mark.parametrize("method", methods.METHODS)
+def test_measured_order_is_the_claimed_one(method):
+    """Global error on the nonlinear cloth against the same method at a 64th of the step."""
+    from taichi_cloth.simulation import Simulation
+
+    scene = build("cloth", columns=6, rows=5).with_world(mouse="none", walls=())
+
+    def final(substeps):
+        sim = Simulation(scene, method, dt=0.5, substeps=substeps, execution="serial")
+        sim.advance(16)
+        return sim.positions()
+
+    exact = final(4096)
+    coarse, fine = (np.abs(final(n) - exact).max() for n in (32, 64))
+    order = methods.load(method).CLAIMS.order
+    assert np.log2(coarse / fine) == pytest.approx(order, abs=0.1)
+
+
+def test_symplectic_euler_keeps_its_modified_energy():
+    """The quadratic form that the discrete map of an oscillator conserves exactly."""
+    from taichi_cloth.simulation import Simulation
+
+    h, k, m = 0.1, 3.0, 2.0
+    sim = Simulation(oscillator(k, m), dt=h, execution="serial")
+
+    def modified():
+        x, v = sim.positions()[1, 0] - 60.0, sim.velocities()[1, 0]
+        return 0.5 * m * v * v + 0.5 * k * x * x - 0.5 * h * k * x * v
+
+    start = modified()
+    sim.advance(200_000)
+    assert modified() == pytest.approx(start, rel=1e-10)
+
+
+def test_stability_limit_is_where_it_is_claimed():
+    from taichi_cloth.errors import SimulationFailure
+    from taichi_cloth.simulation import Simulation
+
+    omega = np.sqrt(1.5)
+    stable = Simulation(oscillator(x0=0.1), dt=0.995 * 2 / omega, execution="serial")
+    for _ in range(40):  # the exact amplitude is 0.1 / sqrt(1 - 0.995^2)
+        stable.advance(501)
+        assert np.abs(stable.positions()[1, 0] - 60.0) < 1.01
+    with pytest.raises(SimulationFailure, match="stable limit of symplectic_euler"):
+        Simulation(oscillator(), dt=1.01 * 2 / omega, execution="serial").advance(20_000)
+
+
+def test_a_free_body_falls_as_the_discrete_sum_says():
+    from taichi_cloth.simulation import Simulation
+
+    world = World(size=(100.0, 1e6), gravity=(0.0, 9.8), dt=0.01)
+    sim = Simulation(Scene("fall", world, Particles.build([[50.0, 0.0]])), execution="serial")
+    sim.advance(1000)
+    assert sim.positions()[0, 1] == pytest.approx(9.8 * 0.01**2 * 1000 * 1001 / 2, rel=1e-12)
+
+
+def test_drag_decays_as_a_power():
+    from taichi_cloth.simulation import Simulation
+
+    world = World(size=(1e4, 100.0), gravity=(0.0, 0.0), dt=0.5)
+    particles = Particles.build([[0.0, 50.0]], [[10.0, 0.0]], mass=4.0, viscous=0.8)
+    sim = Simulation(Scene("drag", world, particles), execution="serial")
+    sim.advance(50)
+    assert sim.velocities()[0, 0] == pytest.approx(10 * (1 - 0.5 * 0.8 / 4) ** 50, rel=1e-12)
+
+
+def test_axial_dashpot_damps_the_stretch_and_not_the_turning(execution):
+    """A free dumbbell: its spin keeps angular momentum, its vibration dies, momentum stays."""
+    from taichi_cloth.simulation import Simulation
+
+    world = World(size=(100.0,) * 3, gravity=(0.0,) * 3, dt=0.01)
+    x = np.array([[50.0, 50.0, 0.0], [53.0, 50.0, 0.0]])
+    v = np.array([[1.0, -1.0, 0.5], [1.0, 1.0, 0.5]])
+    springs = Springs.build([[0, 1]], x, stiffness=20.0, rest_length=2.0, damping=2.0)
+    sim = Simulation(Scene("dumbbell", world, Particles.build(x, v), springs), execution=execution)
+    spin = np.cross(x - x.mean(0), v - v.mean(0)).sum(0)
+    sim.advance(4000)
+    x1, v1 = sim.positions(), sim.velocities()
+    np.testing.assert_allclose(np.cross(x1 - x1.mean(0), v1 - v1.mean(0)).sum(0), spin, atol=1e-9)
+    np.testing.assert_allclose(sim.momentum(), [2.0, 0.0, 1.0], atol=1e-11)
+    lengths = []
+    for _ in range(50):
+        lengths.append(np.linalg.norm(np.diff(sim.positions(), axis=0)))
+        sim.advance()
+    assert np.ptp(lengths) < 1e-6 < np.linalg.norm(spin)  # the two turn on a circle
+
+
+def test_chain_follows_its_normal_mode():
+    """A linear chain in one normal mode: exact discrete frequency of symplectic Euler."""
+    from taichi_cloth.simulation import Simulation
+
+    scene = build("chain")
+    sim = Simulation(scene, substeps=4, execution="serial")
+    rest = scene.particles.position[[0, -1]]
+    n = len(scene.particles)
+    still = rest[0] + (rest[1] - rest[0]) * np.linspace(0, 1, n)[:, None]
+    shape = (scene.particles.position - still)[:, 0]
+    k, m = scene.springs.stiffness[0], scene.particles.mass[0]
+    # The mode is an eigenvector of the second difference; its eigenvalue gives omega^2.
+    inner = slice(1, -1)
+    second = 2 * shape[inner] - shape[:-2] - shape[2:]
+    omega2 = k / m * (second @ shape[inner]) / (shape[inner] @ shape[inner])
+    h = sim.dt / 4
+    sim.advance(50)
+    x = np.linalg.matrix_power(DISCRETE["symplectic_euler"](h, omega2), 200) @ [1.0, 0.0]
+    np.testing.assert_allclose((sim.positions() - still)[:, 0], x[0] * shape, atol=1e-9)
+
+
+def test_momentum_of_a_free_cloth_is_kept(execution):
+    from taichi_cloth.simulation import Simulation
+
+    scene = build("cloth", columns=7, rows=6)
+    rng = np.random.default_rng(3)
+    particles = Particles.build(scene.particles.position, rng.normal(0, 0.5, (42, 2)))
+    world = World(size=scene.world.size, gravity=(0.0, 0.0))
+    sim = Simulation(Scene("free", world, particles, scene.springs), execution=execution)
+    before = sim.momentum()
+    sim.advance(400)
+    np.testing.assert_allclose(sim.momentum(), before, rtol=0, atol=1e-12)
+
+
+def test_slinky_bottom_waits_for_the_wave():
+    """Until n*sqrt(m/k) has passed the bottom rests, while the centre of mass falls freely."""
+    from taichi_cloth.simulation import Simulation
+
+    scene = build("slinky")
+    sim = Simulation(scene, substeps=8, execution="serial")
+    start = scene.particles.position
+    n, k, m = len(scene.particles), scene.springs.stiffness[0], scene.particles.mass[0]
+    wait = int(0.8 * n * np.sqrt(m / k))
+    sim.advance(wait)
+    x = sim.positions()
+    fallen = 0.5 * scene.world.gravity[1] * wait**2
+    assert x[0, 1] - start[0, 1] > 2 * fallen > 10
+    assert abs(x[-1, 1] - start[-1, 1]) < 1e-3 * fallen
+    assert (x - start)[:, 1].mean() == pytest.approx(fallen, rel=2e-3)
+
+
+def test_two_and_three_dimensions_are_one_physics(execution):
+    """The 2-D cloth laid into a plane of 3-D space moves the same, bit for bit."""
+    from taichi_cloth.simulation import Simulation
+
+    flat = build("cloth", columns=6, rows=5).with_world(mouse="none")
+    p = flat.particles
+    world = World(size=(*flat.world.size, 100.0), gravity=(0.0, 0.05, 0.0), walls=flat.world.walls)
+    deep = Particles.build(
+        np.column_stack([p.position, np.zeros(len(p))]),
+        mass=p.mass, radius=p.radius, viscous=p.viscous, restitution=p.restitution, fixed=p.fixed,
+    )
+    sims = [
+        Simulation(flat, execution=execution),
+        Simulation(Scene("deep", world, deep, flat.springs), execution=execution),
+    ]
+    for sim in sims:
+        sim.advance(200)
+    np.testing.assert_array_equal(sims[0].positions(), sims[1].positions()[:, :2])
+    assert (sims[1].positions()[:, 2] == 0).all()

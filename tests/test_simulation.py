@@ -1,0 +1,247 @@
+"""Spawning, growth, fracture, the pointer, the two paths, the watchdog."""
+
+import numpy as np
+import pytest
+
+from taichi_cloth.errors import InputError, SimulationFailure
+from taichi_cloth.scene import ParticleDefaults, Particles, Scene, SpringDefaults, Springs, World
+from taichi_cloth.scenes import build
+
+pytestmark = pytest.mark.usefixtures("device")
+
+
+def pull(tension_steps):
+    """Two free particles drawn apart by hand: a spring whose force exceeds 2 in the second step."""
+    world = World(size=(100.0, 100.0), gravity=(0.0, 0.0), dt=1.0)
+    x = [[40.0, 50.0], [50.0, 50.0]]
+    springs = Springs.build([[0, 1]], x, stiffness=1.0, rest_length=10.0, break_force=2.0)
+    particles = Particles.build(x, [[0.0, 0.0], [tension_steps, 0.0]], mass=[1e6, 1.0])
+    return Scene("pull", world, particles, springs)
+
+
+def test_a_spring_over_its_limit_pulls_once_more_and_is_gone(execution):
+    from taichi_cloth.simulation import Simulation
+
+    sim = Simulation(pull(3.0), execution=execution)
+    sim.advance()  # stretch 3: force 3 > 2 from here on
+    assert not sim.springs_alive()[0]
+    v = sim.velocities()[1, 0]
+    sim.advance()  # it still pulls
+    assert sim.velocities()[1, 0] == pytest.approx(v - 3.0, abs=1e-4)
+    v = sim.velocities()[1, 0]
+    sim.advance(5)  # gone
+    assert sim.velocities()[1, 0] == v
+
+
+def test_a_spring_at_its_limit_holds(execution):
+    from taichi_cloth.simulation import Simulation
+
+    sim = Simulation(pull(1.9), execution=execution)
+    sim.advance(200)
+    assert sim.springs_alive().all()
+
+
+def test_a_spring_that_starts_over_its_limit_pulls_once():
+    from taichi_cloth.simulation import Simulation
+
+    scene = pull(0.0)
+    scene.springs.rest_length[:] = 5.0
+    sim = Simulation(scene, execution="serial")
+    assert not sim.springs_alive()[0]
+    sim.advance(10)
+    assert sim.velocities()[1, 0] == pytest.approx(-5.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("size", [(16, 12), (40, 33)])
+def test_serial_and_parallel_give_the_same_trajectory(size):
+    """One source, two ways to run it: equal to the last bit on the CPU."""
+    from taichi_cloth.simulation import Simulation
+
+    ends = []
+    for execution in ("serial", "parallel"):
+        sim = Simulation(build("cloth", columns=size[0], rows=size[1]), execution=execution)
+        for frame in range(60):
+            sim.blow((200.0 + 3 * frame, 150.0), (3.0, 1.0))
+            sim.advance()
+        ends.append((sim.positions(), sim.springs_alive()))
+    np.testing.assert_array_equal(ends[0][0], ends[1][0])
+    np.testing.assert_array_equal(ends[0][1], ends[1][1])
+
+
+def test_frames_advanced_one_by_one_or_in_one_call_are_the_same(execution):
+    from taichi_cloth.simulation import Simulation
+
+    ends = []
+    for batches in ([30], [1] * 30):
+        sim = Simulation(build("cloth"), substeps=3, execution=execution)
+        for frames in batches:
+            sim.advance(frames)
+        ends.append(sim.positions())
+        assert (sim.frame, sim.time) == (30, 30.0)
+    np.testing.assert_array_equal(*ends)
+
+
+def test_blow_pushes_by_distance_and_displacement():
+    from taichi_cloth.simulation import BLOW_REACH, BLOW_STRENGTH, Simulation
+
+    world = World(size=(200.0, 100.0), gravity=(0.0, 0.0), mouse="blow")
+    particles = Particles.build([[10.0, 50.0], [40.0, 50.0], [100.0, 50.0], [20.0, 50.0]],
+                                fixed=[False, False, False, True], mass=2.0)
+    sim = Simulation(Scene("blow", world, particles), execution="serial")
+    sim.blow((20.0, 50.0), (3.0, -4.0))
+    sim.advance()
+    distance = np.array([10.0, 20.0, 80.0])
+    force = BLOW_STRENGTH * np.maximum(BLOW_REACH - distance, 0)[:, None] * [3.0, -4.0]
+    np.testing.assert_allclose(sim.velocities()[:3], force / 2.0, atol=1e-12)
+    sim.advance()  # the push lasted one frame
+    np.testing.assert_allclose(sim.velocities()[:3], force / 2.0, atol=1e-12)
+    assert (sim.velocities()[3] == 0).all()
+
+
+def test_blow_in_space_reaches_along_the_ray():
+    from taichi_cloth.simulation import Simulation
+
+    world = World(size=(100.0,) * 3, gravity=(0.0,) * 3, mouse="blow")
+    particles = Particles.build([[50.0, 50.0, -40.0], [50.0, 60.0, 40.0], [50.0, 100.0, 0.0]])
+    sim = Simulation(Scene("blow", world, particles), execution="serial")
+    sim.blow_ray((50.0, 50.0, -1000.0), (0.0, 0.0, 2.0), (1.0, 0.0, 0.0))
+    sim.advance()
+    np.testing.assert_allclose(sim.velocities()[:, 0], [0.1, 0.08, 0.0], atol=1e-12)
+
+
+def test_a_scene_without_blowing_refuses_the_pointer():
+    from taichi_cloth.simulation import Simulation
+
+    with pytest.raises(InputError, match="does not blow"):
+        Simulation(build("oscillator"), execution="serial").blow((0, 0), (1, 1))
+
+
+def test_spawning_past_the_capacity_loses_nothing(execution):
+    """A sim that had to grow its fields moves on as one that had room from the start."""
+    from taichi_cloth import simulation
+    from taichi_cloth.simulation import Simulation
+
+    def spawn_all(sim, count):
+        rng = np.random.default_rng(0)
+        last = None
+        for k in range(count):
+            x = rng.uniform([40, 40, -200], [560, 360, 200])
+            last = sim.spawn(x, rng.uniform(-2, 2, 3), fixed=k % 7 == 0, tied_to=last)
+            if k % 3 == 0:
+                sim.advance()
+        sim.advance(20)
+        return sim
+
+    scene = build("box")
+    ends = []
+    for room in (4, simulation.SPAWN_CAPACITY):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(simulation, "SPAWN_CAPACITY", room)
+            ends.append(spawn_all(Simulation(scene, execution=execution), 40))
+    grown, roomy = ends
+    assert grown.particle_count == 40 and grown.spring_count == 39
+    np.testing.assert_array_equal(grown.springs_alive(), roomy.springs_alive())
+    # the grid's cells differ with the capacity, and with them the order of a collision's sums
+    np.testing.assert_allclose(grown.positions(), roomy.positions(), rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(grown.springs(), [[k, k + 1] for k in range(39)])
+
+
+def test_spawned_springs_break_at_the_scene_default():
+    from taichi_cloth.simulation import Simulation
+
+    world = World(size=(400.0, 400.0), gravity=(0.0, 0.0), mouse="spawn")
+    scene = Scene("spawn", world, Particles.none(2),
+                  particle_defaults=ParticleDefaults(mass=10.0),
+                  spring_defaults=SpringDefaults(stiffness=0.01, rest_length=20.0, break_force=2.0))
+    sim = Simulation(scene, execution="serial")
+    sim.advance(3)  # nothing there yet: nothing to go wrong
+    a = sim.spawn((10.0, 50.0))
+    b = sim.spawn((100.0, 50.0), tied_to=a)  # force 0.7
+    c = sim.spawn((390.0, 50.0), tied_to=b)  # force 2.7: over the limit at once
+    assert (a, b, c) == (0, 1, 2)
+    np.testing.assert_array_equal(sim.springs_alive(), [True, False])
+    sim.advance()
+    np.testing.assert_allclose(sim.velocities()[:, 0], [0.07, -0.07 + 0.27, -0.27], atol=1e-12)
+    sim.advance()
+    assert sim.velocities()[2, 0] == pytest.approx(-0.27, abs=1e-12)
+    sim.reset()
+    assert sim.particle_count == 0 and sim.frame == 0
+
+
+def test_spawn_refuses_what_cannot_be():
+    from taichi_cloth.simulation import Simulation
+
+    sim = Simulation(build("box"), execution="serial")
+    with pytest.raises(InputError, match="outside the world"):
+        sim.spawn((1e4, 0.0, 0.0))
+    with pytest.raises(InputError, match="does not exist"):
+        sim.spawn((100.0, 100.0, 0.0), tied_to=5)
+    assert sim.particle_count == 0
+
+
+def test_features_that_a_scene_lacks_have_no_fields():
+    from taichi_cloth.simulation import Simulation
+
+    def fields(scene):
+        return set(vars(Simulation(scene, execution="serial")._state))
+
+    bare = Scene("bare", World((9.0, 9.0), (0.0, 1.0)), Particles.build([[1.0, 1.0]]))
+    cloth, box = fields(build("cloth")), fields(build("box"))
+    optional = {"viscous", "push", "low", "radius", "k", "c", "status", "jump", "sorted_x"}
+    assert not optional & fields(bare)
+    assert optional & cloth == {"viscous", "push", "low", "radius", "k", "status"}
+    assert optional & box == {"viscous", "low", "radius", "k", "status", "jump", "sorted_x"}
+
+
+def test_watchdog_names_particle_frame_and_cause_and_keeps_the_last_good_frame(execution):
+    from taichi_cloth.simulation import Simulation
+
+    scene = build("cloth").with_world(mouse="none")
+    scene.particles.velocity[100] = (3.0, 1.0)  # something to amplify
+    sim = Simulation(scene, dt=3.0, execution=execution)
+    with pytest.raises(SimulationFailure) as failure:
+        sim.advance(500)
+    error = failure.value
+    assert sim.frame == error.frame - 1 > 3
+    assert "stable limit of symplectic_euler" in str(error) and "--substeps" in str(error)
+    good, alive = sim.positions(), sim.springs_alive()
+    assert np.isfinite(good).all()
+
+    again = Simulation(scene, dt=3.0, execution=execution)
+    again.advance(sim.frame)
+    np.testing.assert_array_equal(again.positions(), good)
+    np.testing.assert_array_equal(again.springs_alive(), alive)
+    with pytest.raises(SimulationFailure) as second:
+        again.advance()
+    assert (second.value.particle, second.value.frame) == (error.particle, error.frame)
+
+
+def test_watchdog_sees_a_nan_at_once():
+    """A force that overflows: inf - inf in the next step. Nothing of it reaches the user."""
+    from taichi_cloth.simulation import Simulation
+
+    world = World(size=(100.0, 100.0), gravity=(0.0, 0.0), dt=1.0)
+    x = [[10.0, 10.0], [90.0, 90.0], [50.0, 20.0]]
+    springs = Springs.build([[0, 1]], x, stiffness=1e308, rest_length=0.0)
+    sim = Simulation(Scene("huge", world, Particles.build(x), springs), execution="serial")
+    with pytest.raises(SimulationFailure, match="frame 1: particle 0 .*not a finite number"):
+        sim.advance(5)
+    assert sim.frame == 0
+    np.testing.assert_array_equal(sim.positions(), x)
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ({"method": "symplectic"}, "did you mean 'symplectic_euler'"),
+        ({"dt": 0.0}, "--dt"),
+        ({"dt": float("nan")}, "--dt"),
+        ({"substeps": 0}, "--substeps"),
+        ({"execution": "paralel"}, "did you mean 'parallel'"),
+    ],
+)
+def test_wrong_settings_are_refused(arguments, message):
+    from taichi_cloth.simulation import Simulation
+
+    with pytest.raises(InputError, match=message):
+        Simulation(build("oscillator"), **arguments)

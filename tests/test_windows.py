@@ -1,0 +1,640 @@
+"""Real windows, driven by a real pointer and keyboard: what the user does is what happens.
+
+The windows run in processes of their own under Xvfb, driven by xdotool; both are skipped where
+these programs are missing. What a window did is read from its interaction log and its picture.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import textwrap
+import time
+
+import numpy as np
+import pytest
+
+from taichi_cloth import runtime
+from taichi_cloth.events import Event
+from taichi_cloth.scene import Particles, Scene, World
+from taichi_cloth.ui import app, hud, text
+from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.tools import COLORS, Tools
+from taichi_cloth.ui.view import NullView, Picture
+
+needs_x = pytest.mark.skipif(
+    not (shutil.which("Xvfb") and shutil.which("xdotool")), reason="needs Xvfb and xdotool"
+)
+
+
+class FakeSimulation:
+    """What `app` and `Tools` use of a Simulation, remembering the calls."""
+
+    method, dt, substeps, execution = "symplectic_euler", 1.0, 1, "serial"
+
+    def __init__(self, scene):
+        self.scene, self.frame, self.calls = scene, 0, []
+        self.x, self.pairs = list(scene.particles.position), []
+
+    time = property(lambda self: self.frame * self.dt)
+    particle_count = property(lambda self: len(self.x))
+    spring_count = property(lambda self: len(self.pairs))
+
+    def advance(self, frames=1):
+        self.calls.append(("advance", frames))
+        self.frame += frames
+
+    def spawn(self, position, velocity=None, *, fixed=False, color=None, tied_to=None):
+        self.calls.append(("spawn", tuple(position), velocity, fixed, color, tied_to))
+        self.x.append(position)
+        if tied_to is not None:
+            self.pairs.append((tied_to, len(self.x) - 1))
+        return len(self.x) - 1
+
+    def blow(self, pointer, displacement):
+        self.calls.append(("blow", tuple(pointer), tuple(displacement)))
+
+    def blow_ray(self, origin, direction, displacement):
+        self.calls.append(("blow_ray", tuple(origin), tuple(direction), tuple(displacement)))
+
+    def reset(self):
+        self.frame, self.x, self.pairs = 0, list(self.scene.particles.position), []
+
+    def positions(self):
+        return np.array(self.x).reshape(-1, self.scene.world.dim)
+
+    def radii(self):
+        return np.full(len(self.x), 30.0)
+
+    def colors(self):
+        return np.full((len(self.x), 3), 200, np.uint8)
+
+    def springs(self):
+        return np.array(self.pairs, np.int64).reshape(-1, 2)
+
+    def springs_alive(self):
+        return np.ones(len(self.pairs), bool)
+
+
+def world(mouse, dim=2, size=(600.0, 400.0, 500.0)):
+    return World(size=size[:dim], gravity=(0.0,) * dim, mouse=mouse)
+
+
+def simulation(mouse, dim=2):
+    return FakeSimulation(Scene("fake", world(mouse, dim), Particles.none(dim)))
+
+
+def press(button=None, pos=None, key=None):
+    return Event("press", pos=pos, button=button, key=key)
+
+
+def calls(sim, kind):
+    return [call for call in sim.calls if call[0] == kind]
+
+
+# Tools
+
+
+def test_the_first_position_blows_nothing_and_later_ones_their_displacement():
+    sim = simulation("blow")
+    tools = Tools(sim, None, (600, 400))
+    for moves in [[(10, 20)], [(30, 25)], [], [(31, 26), (40, 30)]]:
+        for pos in moves:
+            tools.apply(Event("move", pos=pos))
+        tools.before_frame()
+    assert calls(sim, "blow") == [
+        ("blow", (30.0, 25.0), (20.0, 5.0)),
+        ("blow", (40.0, 30.0), (10.0, 5.0)),
+    ]
+
+
+def test_a_larger_window_scales_the_blow():
+    sim = simulation("blow")
+    tools = Tools(sim, None, (1200, 1000))  # scale 2, 100 pixels of surround above and below
+    for pos in [(100, 300), (120, 300)]:
+        tools.apply(Event("move", pos=pos))
+        tools.before_frame()
+    assert calls(sim, "blow") == [("blow", (60.0, 100.0), (10.0, 0.0))]
+
+
+def test_in_3d_the_pointers_ray_blows():
+    sim = simulation("blow", 3)
+    camera = Camera((600, 400, 500), rot_x=0, rot_y=0)
+    tools = Tools(sim, camera, (600, 400))
+    for pos in [(300, 200), (310, 200)]:
+        tools.apply(Event("move", pos=pos))
+        tools.before_frame()
+    ((_, origin, direction, displacement),) = calls(sim, "blow_ray")
+    assert origin == pytest.approx((300, 200, -2000))
+    assert displacement == pytest.approx((20, 0, 0))  # 10 pixels at twice the focal length
+    assert direction == pytest.approx(np.array([0.01, 0, 1]) / np.hypot(0.01, 1))
+
+
+def test_clicks_spawn_what_they_say():
+    sim = simulation("spawn", 3)
+    camera = Camera((600, 400, 500))
+    tools = Tools(sim, camera, (600, 400), seed=5)
+    tools.apply(press("left", (300, 200)))
+    tools.apply(press("right", (320, 210)))
+    tools.apply(press("middle", (320, 210)))
+    free, fixed = calls(sim, "spawn")
+    expected = np.random.default_rng(5).uniform((-10, -10, 0), (10, 0, 10))
+    np.testing.assert_array_equal(free[2], expected)
+    assert free[1] == pytest.approx((300, 200, 0)) and free[3] is False and free[4] == COLORS[0]
+    assert fixed[1] == pytest.approx(camera.unproject((320, 210)))
+    assert fixed[2] is None and fixed[3] is True and fixed[4] == (128, 128, 128)
+
+
+def test_space_ties_each_new_particle_to_the_one_before():
+    sim = simulation("spawn")
+    tools = Tools(sim, None, (600, 400))
+    tools.apply(press("left", (100, 100)))
+    assert tools.apply(press(key="space")) is None  # the chain key does not pause here
+    for x in (200, 300):
+        tools.apply(press("left", (x, 100)))
+    tools.apply(Event("release", key="space"))
+    tools.apply(press("left", (400, 100)))
+    spawned = calls(sim, "spawn")
+    assert [call[5] for call in spawned] == [None, 0, 1, None]
+    assert [call[4] for call in spawned] == list(COLORS[:4])
+
+
+def test_ctrl_turns_and_never_spawns():
+    sim = simulation("spawn", 3)
+    camera = Camera((600, 400, 500))
+    tools = Tools(sim, camera, (600, 400))
+    tools.apply(Event("move", pos=(300, 200)))
+    tools.apply(press(key="ctrl"))
+    tools.apply(Event("move", pos=(330, 190)))
+    tools.apply(press("left", (330, 190)))
+    tools.apply(Event("release", key="ctrl"))
+    tools.apply(Event("move", pos=(0, 0)))
+    assert (camera.rot_y, camera.rot_x) == pytest.approx((12.0, 14.0))
+    assert not calls(sim, "spawn")
+
+
+def test_wheel_and_keys_change_the_distance():
+    camera = Camera((600, 400, 500))
+    tools = Tools(simulation("spawn", 3), camera, (600, 400))
+    tools.apply(Event("wheel", pos=(1, 1), delta=1))
+    assert camera.distance == pytest.approx(2000 / 1.1)
+    tools.apply(press(key="-"))
+    tools.apply(press(key="down"))
+    tools.apply(press(key="+"))
+    assert camera.distance == pytest.approx(2000)
+
+
+def test_a_click_outside_the_world_is_said_and_ignored():
+    sim = simulation("spawn")
+    tools = Tools(sim, None, (1200, 1000))
+    tools.apply(press("left", (600, 50)))
+    assert not calls(sim, "spawn") and "outside" in tools.notice
+    tools.apply(press("left", (600, 500)))
+    assert calls(sim, "spawn") and tools.notice is None
+
+
+@pytest.mark.parametrize("mouse", ["none", "blow", "spawn"])
+def test_every_scene_lists_its_keys(mouse):
+    for dim in (2, 3):
+        sim = simulation(mouse, dim)
+        lines = hud.help_lines(sim.scene, has_wheel=True)
+        assert all(line.count("\t") == 1 for line in lines)
+        keys = " ".join(line.split("\t")[0] for line in lines)
+        assert ("space, p" in keys) == (mouse != "spawn")
+        assert ("ctrl" in keys) == (dim == 3)
+
+
+# The loop
+
+
+class Script:
+    """A view that plays prepared turns of events, and ends with the last."""
+
+    name, visible, has_wheel, camera = "script", True, True, None
+
+    def __init__(self, *turns, size=(600, 400)):
+        self.turns, self.size, self.pictures = list(turns), size, []
+
+    closed = property(lambda self: not self.turns)
+
+    def poll(self):
+        return self.turns.pop(0)
+
+    def draw(self, picture):
+        self.pictures.append(picture)
+
+    def grab(self):
+        return np.zeros((400, 600, 3), np.uint8)
+
+    def close(self):
+        pass
+
+
+class Log:
+    def __init__(self, by_frame, **header):
+        self.by_frame, self.header = by_frame, header
+
+
+class Recorded(list):
+    def write(self, frame, event):
+        self.append((frame, event))
+
+
+def test_pause_step_and_reset():
+    space, dot, r = press(key="space"), press(key="."), press(key="r")
+    sim = simulation("blow")
+    view = Script([], [space], [], [dot], [], [r], [space], [], [])
+    summary = app.run(sim, view, device="test")
+    # Turns advance: yes, paused, no, step, no, reset, resumed, yes; the last closes the window.
+    assert summary.frames == 4 and sim.frame == 2
+    assert "paused" in view.pictures[1].text[0]
+
+
+def test_help_hide_and_quit():
+    view = Script([press(key="f1")], [press(key="h")], [press(key="escape")], [], [])
+    summary = app.run(simulation("blow"), view, device="test")
+    assert summary.quit and summary.frames == 2
+    assert view.pictures[0].help and view.pictures[0].text
+    assert not view.pictures[1].text
+
+
+def test_a_recorded_run_replays_exactly():
+    clicks = [
+        [Event("move", pos=(100, 100)), press("left", (100, 100))],
+        [press(key="p")],
+        [press("left", (200, 50))],
+        [press(key=".")],
+        [press(key="p"), press(key="space")],
+        [press("left", (300, 50))],
+        [press(key="r")],
+        [press("right", (100, 60))],
+        [],
+        [],
+    ]
+    live, recorded = simulation("spawn"), Recorded()
+    summary = app.run(live, Script(*clicks), recorder=recorded, seed=3, device="test")
+    by_frame = {}
+    for frame, event in recorded:
+        by_frame.setdefault(frame, []).append(event)
+    again = simulation("spawn")
+    replay = Log(by_frame, window=[600, 400], seed=3)
+    app.run(again, NullView(again.scene.world), frames=summary.frames, replay=replay, device="test")
+    assert repr(again.calls) == repr(live.calls)
+
+
+def test_a_resized_window_records_in_the_first_windows_pixels():
+    recorded, sim = Recorded(), simulation("spawn")
+    view = Script([press("left", (100, 100))], [press("left", (200, 200))], [])
+    poll = view.poll
+
+    def resized():
+        events = poll()
+        if len(view.turns) == 1:
+            view.size = (1200, 800)
+        return events
+
+    view.poll = resized
+    app.run(sim, view, recorder=recorded, device="test")
+    assert [event.pos for _, event in recorded] == [(100, 100), (100.0, 100.0)]
+    assert [call[1] for call in calls(sim, "spawn")] == [(100.0, 100.0)] * 2
+
+
+def test_a_failure_pauses_a_window_and_is_raised_without_one():
+    from taichi_cloth.errors import SimulationFailure
+
+    def fail(frames=1):
+        raise SimulationFailure(3, 7, "is not finite", "dt too large", "halve dt")
+
+    sim = simulation("blow")
+    advance, sim.advance = sim.advance, fail
+    view = Script([], [press(key="p")], [press(key="r")], [], [])
+    poll = view.poll
+
+    def repaired():
+        if len(view.turns) == 3:
+            sim.advance = advance
+        return poll()
+
+    view.poll = repaired
+    summary = app.run(sim, view, device="test")
+    assert "particle 3" in view.pictures[0].banner and "r goes back" in view.pictures[1].banner
+    assert view.pictures[2].banner is None and summary.frames == 2
+    sim.advance = fail
+    with pytest.raises(SimulationFailure):
+        app.run(sim, NullView(sim.scene.world), frames=5, device="test")
+
+
+def test_the_meter_says_how_late_it_is():
+    now = [0.0]
+    meter = hud.Meter(clock=lambda: now[0])
+    for _ in range(31):
+        meter.frame(0.05, 0.04)
+        now[0] += 0.1
+    assert meter.frames_per_second == pytest.approx(10)
+    assert meter.behind == pytest.approx(3 - 30 / 60)
+    status = hud.status_lines(simulation("blow"), meter, "cpu", windowed=True, paused=False)
+    assert "behind real time (0.17x)" in status[0] and "50.00 ms" in status[0]
+
+
+# Text
+
+
+def test_runs_paint_the_panel():
+    picture = Picture(
+        np.zeros((0, 2)), np.zeros(0), np.zeros((0, 3), np.uint8), np.zeros((0, 2), int),
+        text=("60 frames/s", "cloth"), help=("r\treset", "escape\tquit"),
+        banner="a long message " * 20,
+    )  # fmt: skip
+    for size in ((600, 400), (1400, 900), (200, 150)):
+        for panel in text.panels(picture, size):
+            painted = np.zeros((size[1], size[0], 3))
+            corners, colors = text.runs(panel)
+            for (x0, y0, x1, y1), color in zip(corners, colors, strict=True):
+                painted[y0:y1, x0:x1] = color * 255
+            h, w = panel.pixels.shape[:2]
+            assert panel.x >= 0 and panel.y >= 0
+            assert panel.x + w <= size[0] and panel.y + h <= size[1]
+            seen = painted[panel.y : panel.y + h, panel.x : panel.x + w]
+            np.testing.assert_allclose(seen, panel.pixels, atol=0.51)
+
+
+# Real windows
+
+PROGRAM = """
+import json, sys
+from taichi_cloth import runtime
+from taichi_cloth.scene import Particles, ParticleDefaults, Scene, SpringDefaults, Springs, World
+from taichi_cloth.simulation import Simulation
+from taichi_cloth.ui import app
+from taichi_cloth.ui.view import open_view
+
+kind, mouse, dim, log, image = sys.argv[1:6]
+dim = int(dim)
+world = World(size=(600.0, 400.0, 500.0)[:dim], gravity=(0.0,) * dim, mouse=mouse)
+place = [(300.0, 200.0, 0.0)[:dim], (500.0, 300.0, 0.0)[:dim]]
+particles = Particles.build(place, radius=40.0, color=[(250, 20, 20), (20, 250, 20)])
+springs = Springs.build([(0, 1)], place)
+runtime.start()
+scene = Scene("probe", world, particles, springs, ParticleDefaults(radius=30.0))
+sim = Simulation(scene)
+view = open_view(kind, world, title="taichi-cloth probe")
+
+
+class Recorder:
+    def write(self, frame, event):
+        with open(log, "a") as file:
+            said = {k: v for k, v in vars(event).items() if v}
+            file.write(json.dumps({"frame": frame, "size": view.size, **said}) + "\\n")
+
+
+open(log, "w").close()
+app.run(sim, view, recorder=Recorder(), image=image)
+view.close()
+"""
+
+
+@pytest.fixture(scope="module")
+def display():
+    """An X server of our own; its name is found by Xvfb itself."""
+    read, write = os.pipe()
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1400x900x24", "-nolisten", "tcp"],
+        pass_fds=[write], stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    os.close(write)
+    number = os.read(read, 16).decode().strip()
+    os.close(read)
+    yield f":{number}"
+    server.terminate()
+    server.wait()
+
+
+class Window:
+    """A running probe window and the hands on it."""
+
+    def __init__(self, display, folder, kind, mouse, dim):
+        self.env = {**os.environ, "DISPLAY": display, "TI_SKIP_VERSION_CHECK": "ON"}
+        self.log, self.image = folder / "log.jsonl", folder / "last.png"
+        program = textwrap.dedent(PROGRAM)
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", program, kind, mouse, str(dim), self.log, self.image],
+            env=self.env,
+        )
+        self.wait(self.log.exists, 60)
+        self.find()
+        time.sleep(0.5)
+
+    def wait(self, done, seconds=10):
+        end = time.time() + seconds
+        while not done():
+            assert self.process.poll() is None, "the window's process ended"
+            assert time.time() < end, "nothing happened"
+            time.sleep(0.05)
+
+    def find(self):
+        def found():
+            said = self.ask("search", "--onlyvisible", "--name", "taichi-cloth probe")
+            self.id = said.split()[0] if said else None
+            return self.id
+
+        self.wait(found)
+
+    def ask(self, *words):
+        return subprocess.run(
+            ["xdotool", *map(str, words)], env=self.env, capture_output=True, text=True
+        ).stdout
+
+    def do(self, *words):
+        self.ask(*words)
+        time.sleep(0.12)
+
+    def point(self, x, y):
+        self.do("mousemove", "--window", self.id, x, y)
+
+    def events(self):
+        return [json.loads(line) for line in self.log.read_text().splitlines()]
+
+    def pressed(self):
+        return [e["key"] for e in self.events() if e["kind"] == "press" and "key" in e]
+
+    def quit(self):
+        self.do("key", "Escape")
+        assert self.process.wait(20) == 0
+
+
+@pytest.fixture(params=["ggui", "gui"])
+def window(request, display, tmp_path):
+    """Opens one probe window of each kind."""
+    if request.param == "ggui" and not runtime.vulkan_available():
+        pytest.skip("GGUI needs Vulkan")
+    opened = []
+
+    def open_window(mouse, dim):
+        opened.append(Window(display, tmp_path, request.param, mouse, dim))
+        return opened[-1]
+
+    yield open_window
+    for one in opened:
+        if one.process.poll() is None:
+            one.process.kill()
+
+
+@needs_x
+def test_keys_buttons_wheel_and_pointer_arrive(window):
+    w = window("none", 2)
+    for x, y in [(100, 50), (200, 150)]:
+        w.point(x, y)
+    for button in (1, 2, 3, 4, 5):
+        w.do("click", button)
+    for key in ("F1", "F1", "period", "plus", "minus", "KP_Add", "KP_Subtract"):
+        w.do("key", key)
+    for key in ("Up", "Down", "Left", "Right", "Tab", "Tab", "h", "h"):
+        w.do("key", key)
+    w.do("keydown", "Control_L")
+    w.do("keyup", "Control_L")
+    w.do("keydown", "h")
+    time.sleep(0.8)  # long enough to repeat
+    w.do("keyup", "h")
+    events = w.events()
+    moves = [tuple(e["pos"]) for e in events if e["kind"] == "move"]
+    assert moves[-1] == (200, 150)
+    buttons = [(e["kind"], e["button"]) for e in events if "button" in e]
+    assert buttons == [(k, b) for b in ("left", "middle", "right") for k in ("press", "release")]
+    assert [e["delta"] for e in events if e["kind"] == "wheel"] == [1, -1]
+    pressed = [key for key in w.pressed() if key != "shift"]
+    assert pressed == [
+        "f1", "f1", ".", "+", "-", "+", "-", "up", "down", "left", "right", "tab", "tab",
+        "h", "h", "ctrl", "h",
+    ]  # fmt: skip
+    w.quit()
+
+
+@needs_x
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_click_puts_a_particle_under_the_pointer(window, dim):
+    from PIL import Image
+
+    w = window("spawn", dim)
+    w.do("key", "p")  # so that it stays where it was put
+    w.point(250, 120)
+    w.do("click", "1")
+    w.do("key", "h")
+    w.quit()
+    assert [e["pos"] for e in w.events() if e.get("button")][0] == [250, 120]
+    pixels = np.asarray(Image.open(w.image).convert("RGB")).astype(int)
+    assert pixels.shape == (400, 600, 3)
+    red, green, blue = pixels[120, 250]
+    assert red > 100 and red > 2 * green and red > 2 * blue  # the first colour
+
+
+@needs_x
+def test_a_resized_window_keeps_the_aspect_and_cuts_nothing_off(window):
+    from PIL import Image
+
+    w = window("none", 2)
+    w.do("key", "h")
+    w.do("windowsize", w.id, 1000, 400)
+    time.sleep(1.0)
+    w.find()
+    w.point(501, 201)
+    w.point(500, 200)
+    w.do("key", "h")
+    w.do("key", "h")
+    assert w.events()[-1]["size"] == [1000, 400]
+    assert [e["pos"] for e in w.events() if e["kind"] == "move"][-1] == [300, 200]
+    w.quit()
+    pixels = np.asarray(Image.open(w.image).convert("RGB")).astype(int)
+    assert pixels.shape == (400, 1000, 3)
+    for (x, y), channel in (((500, 200), 0), ((700, 300), 1)):
+        blob = pixels[:, :, channel] - pixels.sum(axis=2) // 3 > 90
+        rows, columns = np.nonzero(blob)
+        assert columns.mean() == pytest.approx(x, abs=2) and rows.mean() == pytest.approx(y, abs=2)
+        assert np.ptp(columns) == pytest.approx(80, abs=5)
+        assert np.ptp(rows) == pytest.approx(80, abs=5)
+
+
+@needs_x
+@pytest.mark.parametrize("kind", ["ggui", "gui"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_picture_without_a_window_shows_the_scene(kind, dim, tmp_path):
+    """Drawn off-screen in a process without a display; the spheres are where the camera says."""
+    if kind == "ggui" and not runtime.vulkan_available():
+        pytest.skip("GGUI needs Vulkan")
+    from PIL import Image
+
+    code = textwrap.dedent(PROGRAM).replace(
+        "view = open_view(kind, world, title=\"taichi-cloth probe\")",
+        f"from taichi_cloth.ui.{kind}_view import {kind.capitalize()}View as View\n"
+        "view = View(world, (900, 600), 'probe', visible=False)",
+    ).replace("app.run(sim, view, recorder=Recorder(), ", "app.run(sim, view, frames=1, ")
+    image = tmp_path / "picture.png"
+    env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    arguments = [kind, "none", str(dim), tmp_path / "log", image]
+    subprocess.run([sys.executable, "-c", code, *arguments], env=env, check=True)
+    pixels = np.asarray(Image.open(image).convert("RGB")).astype(int)
+    assert pixels.shape == (600, 900, 3)
+    places = np.array([(300.0, 200.0, 0.0), (500.0, 300.0, 0.0)])
+    camera = Camera((600, 400, 500))
+    expected, radii, _ = camera.project(places, 40.0)
+    if dim == 2:
+        expected, radii = places[:, :2], np.full(2, 40.0)
+    for channel in (0, 1):
+        blob = pixels[:, :, channel] > 2.5 * np.delete(pixels, channel, axis=2).max(axis=2)
+        rows, columns = np.nonzero(blob)
+        middle = np.array([columns.min() + columns.max() + 1, rows.min() + rows.max() + 1]) / 2
+        np.testing.assert_allclose(middle, 1.5 * expected[channel], atol=2.5)
+        assert np.ptp(columns) + 1 == pytest.approx(2 * 1.5 * radii[channel], abs=4)
+
+
+def test_views_that_cannot_open_are_refused(monkeypatch):
+    from taichi_cloth.errors import InputError
+    from taichi_cloth.ui.view import open_view
+
+    monkeypatch.setattr(runtime, "display_available", lambda: False)
+    for kind in ("ggui", "gui"):
+        with pytest.raises(InputError, match="no display"):
+            open_view(kind, world("none"))
+    with pytest.raises(InputError, match="did you mean 'ggui'"):
+        open_view("gguy", world("none"))
+
+
+def test_without_a_display_auto_says_so_and_runs_headless(monkeypatch, capsys):
+    from taichi_cloth.ui.view import open_view
+
+    monkeypatch.setattr(runtime, "display_available", lambda: False)
+    assert open_view("auto", world("none")).name == "none"
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+# Films
+
+
+def test_films_and_pictures_appear_whole_or_not_at_all(tmp_path):
+    from PIL import Image
+
+    from taichi_cloth.errors import InputError
+    from taichi_cloth.ui import film
+
+    frame = np.zeros((51, 71, 3), np.uint8)
+    for name in ("a.mp4", "a.gif"):
+        made = film.Film(tmp_path / name)
+        kept = 0
+        for n in range(12):
+            if made.wants():
+                frame[:, :, 0] = 20 * n
+                made.add(frame)
+                kept += 1
+        assert not (tmp_path / name).exists()
+        made.save()
+        assert (tmp_path / name).stat().st_size > 100
+        if name == "a.gif":
+            with Image.open(tmp_path / name) as gif:
+                assert gif.n_frames == kept == 10 and gif.info["duration"] == 20
+    dropped = film.Film(tmp_path / "b.gif")
+    dropped.add(frame)
+    dropped.discard()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.gif", "a.mp4"]
+    for make, name in ((film.Film, "x.avi"), (film.Image, "x.jpg"), (film.Image, "no/x.png")):
+        with pytest.raises(InputError):
+            make(tmp_path / name)
