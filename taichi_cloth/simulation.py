@@ -242,6 +242,8 @@ class Simulation:
         ):
             room = SPAWN_CAPACITY if self.scene.world.mouse == "spawn" else 0
             grown = 0 if state is None else 2
+            if state is not None:
+                state.free()
             self._features = features
             self._state = State(
                 features, self._real, max(n + room, grown * n), max(s + room, grown * s)

@@ -52,3 +52,26 @@ def command(*arguments, check=0, env=None, cwd=None, timeout=300):
     )
     assert done.returncode == check, f"exit {done.returncode}: {done.stdout}{done.stderr}"
     return done.stdout, done.stderr
+
+
+@pytest.fixture(scope="session")
+def display():
+    """A virtual display for this test process, unless it has one. Needs Xvfb."""
+    from taichi_cloth import runtime
+
+    if runtime.display_available():
+        yield os.environ.get("DISPLAY")
+        return
+    read, write = os.pipe()
+    screen = ["-screen", "0", "1600x1000x24", "-nolisten", "tcp"]
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), *screen], pass_fds=[write], stderr=subprocess.DEVNULL
+    )
+    os.close(write)
+    with os.fdopen(read) as pipe:
+        name = f":{pipe.readline().strip()}"
+    os.environ["DISPLAY"] = name
+    yield name
+    del os.environ["DISPLAY"]
+    server.terminate()
+    server.wait()

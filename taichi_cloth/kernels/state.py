@@ -31,47 +31,69 @@ class State:
         dim, n, s = features.dim, max(particle_capacity, 1), max(spring_capacity, 1)
         self.real = real
         self.particle_capacity, self.spring_capacity = n, s
+        # Two trees, one per width of number: where both share a tree, Vulkan and OpenGL read f64
+        # at addresses that are no multiple of 8, which are not the ones that were written.
+        reals, integers = ti.FieldsBuilder(), ti.FieldsBuilder()
 
-        def vectors(*shape):
-            return ti.Vector.field(dim, real, shape)
+        def placed(tree, field, shape):
+            (tree.dense(ti.i, shape) if shape else tree).place(field)
+            return field
 
-        self.n = ti.field(ti.i32, ())
-        self.dt = ti.field(real, ())
+        def scalars(shape=None):
+            return placed(reals, ti.field(real), shape)
+
+        def vectors(shape=None):
+            return placed(reals, ti.Vector.field(dim, real), shape)
+
+        def counts(shape=None):
+            return placed(integers, ti.field(ti.i32), shape)
+
+        def count_vectors(size, shape=None):
+            return placed(integers, ti.Vector.field(size, ti.i32), shape)
+
+        self.n = counts()
+        self.dt = scalars()
         self.gravity = vectors()
         self.x, self.v, self.a = vectors(n), vectors(n), vectors(n)
-        self.w = ti.field(real, n)
+        self.w = scalars(n)
         self.good_x, self.good_v = vectors(n), vectors(n)
-        self.speed_limit = ti.field(real, ())
-        self.fault = ti.field(ti.i32, ())
+        self.speed_limit = scalars()
+        self.fault = counts()
 
         if features.drag:
-            self.viscous = ti.field(real, n)
+            self.viscous = scalars(n)
         if features.blow:
             self.push = vectors(n)
         if features.walls:
             self.low, self.high = vectors(), vectors()
         if features.walls or features.collisions:
-            self.radius, self.restitution = ti.field(real, n), ti.field(real, n)
+            self.radius, self.restitution = scalars(n), scalars(n)
         if features.springs:
-            self.row = ti.field(ti.i32, n + 1)
-            self.far = ti.field(ti.i32, 2 * s)
-            self.k, self.rest = ti.field(real, 2 * s), ti.field(real, 2 * s)
+            self.row = counts(n + 1)
+            self.far = counts(2 * s)
+            self.k, self.rest = scalars(2 * s), scalars(2 * s)
             if features.dashpots:
-                self.c = ti.field(real, 2 * s)
+                self.c = scalars(2 * s)
         if features.fracture:
-            self.n_springs = ti.field(ti.i32, ())
-            self.ends, self.half = ti.Vector.field(2, ti.i32, s), ti.Vector.field(2, ti.i32, s)
-            self.break_length2 = ti.field(real, s)
-            self.status, self.break_frame = ti.field(ti.i32, s), ti.field(ti.i32, s)
+            self.n_springs = counts()
+            self.ends, self.half = count_vectors(2, s), count_vectors(2, s)
+            self.break_length2 = scalars(s)
+            self.status, self.break_frame = counts(s), counts(s)
         if features.collisions:
             self.cell_capacity = 4 * n + 64
             self.block = 1024  # cells whose counts one loop iteration sums
-            self.grid_size = ti.Vector.field(dim, ti.i32, ())
-            self.cell_size = ti.field(real, ())
-            self.cell_start = ti.field(ti.i32, self.cell_capacity + 1)
-            self.cell_fill = ti.field(ti.i32, self.cell_capacity)
-            self.block_start = ti.field(ti.i32, self.cell_capacity // self.block + 2)
-            self.cell_of = ti.field(ti.i32, n)
-            self.sorted_index = ti.field(ti.i32, n)
-            self.sorted_x, self.sorted_radius = vectors(n), ti.field(real, n)
+            self.grid_size = count_vectors(dim)
+            self.cell_size = scalars()
+            self.cell_start = counts(self.cell_capacity + 1)
+            self.cell_fill = counts(self.cell_capacity)
+            self.block_start = counts(self.cell_capacity // self.block + 2)
+            self.cell_of = counts(n)
+            self.sorted_index = counts(n)
+            self.sorted_x, self.sorted_radius = vectors(n), scalars(n)
             self.jump = vectors(n)
+        self._trees = [reals.finalize(), integers.finalize()]
+
+    def free(self):
+        """Give the device memory back; no field of this container may be used afterwards."""
+        for tree in self._trees:
+            tree.destroy()

@@ -1,0 +1,82 @@
+"""The same run on every backend, thread count and precision, through the command line."""
+
+import os
+
+import numpy as np
+import pytest
+from conftest import GOLDEN, command, golden
+
+from taichi_cloth import runtime
+
+
+def save(folder, name, *arguments, **options):
+    path = folder / f"{name}.npz"
+    command("run", *arguments, "--headless", "--quiet", "--save", path, **options)
+    with np.load(path) as file:
+        return dict(file)
+
+
+BLOWN = ("cloth", "--precision", "f64", "--events", GOLDEN / "cloth_blow.jsonl")
+
+
+@pytest.mark.parametrize("arch", ["cpu", "vulkan", "opengl"])
+def test_blown_cloth_on_every_backend(arch, tmp_path, display):
+    saved = save(tmp_path, arch, *BLOWN, "--arch", arch, "--frames", 600, "--every", 10)
+    expected = golden("cloth_blow.npz")
+    np.testing.assert_array_equal(saved["frame"], np.arange(10, 601, 10))
+    np.testing.assert_array_equal(saved["time"], saved["frame"])
+    np.testing.assert_allclose(saved["position"], expected["position"], rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(saved["spring_alive"].sum(1), expected["springs_alive"])
+    np.testing.assert_array_equal(saved["spring_alive"][-1], expected["spring_alive_final"])
+
+
+@pytest.mark.parametrize("arch", ["cpu", "vulkan", "opengl"])
+def test_resting_cloth_in_f32_on_every_backend(arch, tmp_path, display):
+    saved = save(tmp_path, arch, "cloth", "--arch", arch, "--frames", 300, "--every", 10)
+    expected = golden("cloth_rest.npz")["position"]
+    np.testing.assert_allclose(saved["position"], expected, rtol=0, atol=0.02)
+
+
+@pytest.mark.parametrize("scene", [["cloth", "--columns", 60, "--rows", 50], ["box", "--particles", 400]])
+def test_same_bits_for_every_thread_count_and_on_every_run(scene, tmp_path):
+    runs = [("--threads", 1), ("--threads", 2), ("--threads", 2), ("--threads", 7)]
+    saved = [
+        save(tmp_path, f"run{k}", *scene, *run, "--execution", "parallel", "--frames", 60, "--every", 20)
+        for k, run in enumerate(runs)
+    ]
+    for other in saved[1:]:
+        np.testing.assert_array_equal(other["position"], saved[0]["position"])
+        np.testing.assert_array_equal(other["velocity"], saved[0]["velocity"])
+
+
+def test_a_missing_backend_is_refused_with_those_that_are_there(tmp_path):
+    missing = next(name for name, lack in runtime.usable_backends().items() if lack)
+    out, error = command("run", "cloth", "--arch", missing, "--save", tmp_path / "x.npz", check=2)
+    assert out == "" and len(error.splitlines()) == 1
+    assert f"--arch {missing}" in error and "usable: cpu" in error
+    assert os.listdir(tmp_path) == []
+
+
+def test_features_that_a_scene_lacks_are_not_compiled(tmp_path):
+    """The size of what the compiler wrote for one frame, read from an empty cache's files."""
+
+    def compiled(name, *arguments):
+        cache = tmp_path / name
+        env = {"TI_OFFLINE_CACHE_FILE_PATH": str(cache)}
+        command("run", *arguments, "--headless", "--frames", 1, "--threads", 1, env=env)
+        return sum(file.stat().st_size for file in cache.rglob("*.tic"))
+
+    oscillator, cloth, box = compiled("a", "oscillator"), compiled("b", "cloth"), compiled("c", "box")
+    assert 0 < 1.5 * oscillator < cloth < box
+
+
+@pytest.mark.parametrize("cache, limit", [("cold", 10.0), ("warm", 3.0)])
+def test_first_frame_comes_soon(cache, limit, tmp_path_factory):
+    """From an empty cache of compiled kernels and measured speeds, and again with them filled."""
+    import time
+
+    folder = tmp_path_factory.getbasetemp() / "caches"
+    env = {"TI_OFFLINE_CACHE_FILE_PATH": str(folder / "ti"), "XDG_CACHE_HOME": str(folder)}
+    begin = time.perf_counter()
+    command("run", "cloth", "--headless", "--frames", 1, env=env)
+    assert time.perf_counter() - begin < limit
