@@ -399,12 +399,13 @@ def display():
     """An X server of our own; its name is found by Xvfb itself."""
     read, write = os.pipe()
     server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1400x900x24", "-nolisten", "tcp"],
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1400x900x24", "-nolisten", "tcp",
+         "-noreset"],
         pass_fds=[write], stderr=subprocess.DEVNULL,
     )  # fmt: skip
     os.close(write)
-    number = os.read(read, 16).decode().strip()
-    os.close(read)
+    with os.fdopen(read) as said:
+        number = said.readline().strip()
     yield f":{number}"
     server.terminate()
     server.wait()
@@ -424,6 +425,8 @@ class Window:
         self.wait(self.log.exists, 60)
         self.find()
         time.sleep(0.5)
+        # Without a window manager, keys go to the window under the pointer.
+        self.point(10, 390)
 
     def wait(self, done, seconds=10):
         end = time.time() + seconds

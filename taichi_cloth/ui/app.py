@@ -1,0 +1,392 @@
+"""The loop: events, one frame, draw. The same for windows, pictures and plain runs."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from dataclasses import replace as changed
+
+import numpy as np
+
+from taichi_cloth import runtime
+from taichi_cloth.errors import SimulationFailure
+from taichi_cloth.events import Event
+from taichi_cloth.ui import film as films
+from taichi_cloth.ui import hud
+from taichi_cloth.ui.layout import Layout
+from taichi_cloth.ui.tools import HELP_KEYS, STEP_KEYS, Tools
+from taichi_cloth.ui.view import Picture, View
+
+# Keys that act on the window alone. They work while a log is replayed, too.
+WINDOW_KEYS = ("escape", "h", "p", *STEP_KEYS, *HELP_KEYS)
+
+NOTICE_SECONDS = 4.0  # how long a word about the last click stays
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a run did.
+
+    frames: advanced in this run. seconds: it took, from the first to the last. simulate, draw:
+    the part of these spent in each. quit: whether the user ended it.
+    """
+
+    frames: int
+    seconds: float
+    simulate: float
+    draw: float
+    quit: bool
+
+
+def log_header(sim, view: View, seed: int = 0, replay=None) -> dict:
+    """The first line of an interaction log: what a replay must know beside the events.
+
+    replay: the log that is being replayed while this one is recorded; its window is kept.
+    """
+    return {
+        "scene": sim.scene.name,
+        "window": list(_event_window(sim.scene.world, view, replay)),
+        "seed": seed,
+        "dt": sim.dt,
+        "substeps": sim.substeps,
+        "method": sim.method,
+    }
+
+
+def run(
+    sim,
+    view: View,
+    *,
+    frames: int | None = None,
+    replay=None,
+    recorder=None,
+    trajectory=None,
+    every: int = 1,
+    film=None,
+    image=None,
+    paused: bool = False,
+    quiet: bool = False,
+    seed: int = 0,
+    device: str | None = None,
+) -> Summary:
+    """Run `sim` in `view` until `frames` are done, the user quits, or (without both) for ever.
+
+    Each turn polls the user's events, records and applies them, advances one frame, and draws
+    it. A window shows at most 60 frames a second and never catches up what it was late.
+
+    replay: an `events.Log`; its events of frame f (0-based, counted over resets) are applied
+        before that frame is advanced. Until its last event the user's mouse is ignored.
+    recorder: an `events.Recorder` made with `log_header`; every applied event is written.
+    trajectory: a `results.Trajectory`; records every `every`-th frame. Saving it is the caller's.
+    film, image: paths of a film of the run and of a picture of its last frame; the view must
+        draw pictures for them. Refused paths raise InputError before anything is run.
+    paused: start paused (a window only). quiet: no progress bar.
+    seed: of thrown particles' velocities; a log's header overrides it.
+    device: from `Device.describe()`, for the status; absent: of the device that was started.
+
+    A SimulationFailure pauses a window with a banner until R. Without a window it is raised
+    again once film and image are saved with the last good frame.
+    """
+    with ExitStack() as stack:
+        picture_file = films.Image(image) if image else None
+        if picture_file:
+            stack.callback(picture_file.discard)
+        film_file = films.Film(film) if film else None
+        if film_file:
+            stack.callback(film_file.discard)
+        loop = _Loop(
+            sim, view, replay=replay, recorder=recorder, trajectory=trajectory, every=every,
+            film=film_file, paused=paused, seed=seed, device=device,
+        )  # fmt: skip
+        bar = stack.enter_context(_Progress(frames, quiet or view.visible))
+        failure = None
+        try:
+            while not view.closed and not loop.quit and (frames is None or loop.frames < frames):
+                loop.turn()
+                bar(loop.frames)
+        except SimulationFailure as error:
+            failure = error
+        except KeyboardInterrupt:
+            # What was filmed so far is worth keeping; the caller decides how to end.
+            loop.finish(picture_file)
+            raise
+        loop.finish(picture_file)
+        if failure:
+            raise failure
+        return loop.summary()
+
+
+class _Loop:
+    """The state of a run between turns."""
+
+    def __init__(
+        self, sim, view, *, replay, recorder, trajectory, every, film, paused, seed, device
+    ):
+        self.sim, self.view = sim, view
+        self._recorder, self._trajectory, self._every = recorder, trajectory, every
+        self._film = film
+        self._device = device or runtime.current_device().describe()
+        header = dict(getattr(replay, "header", None) or {})
+        self._log = {f: list(e) for f, e in sorted((replay.by_frame if replay else {}).items())}
+        self._log_end = max(self._log, default=-1)
+        # What the user does here is converted to the log's window before it is applied or
+        # recorded, so that resizing does not spoil a replay.
+        self._log_window = _event_window(sim.scene.world, view, replay)
+        seed = int(header.get("seed", seed))
+        self._tools = Tools(sim, view.camera, self._log_window, seed)
+        self._largest_disc = _largest_disc(sim.scene)
+        self._paused = paused and view.visible
+        self._step = False
+        self._show_status, self._show_help = True, False
+        self._failure: SimulationFailure | None = None
+        self._meter = hud.Meter()
+        self._status: tuple[str, ...] = ()
+        self._status_due = 0.0
+        self._notice, self._notice_until = None, 0.0
+        self._next_frame = 0.0
+        self._drawn = False
+        self._started: float | None = None
+        self._simulate = self._draw = 0.0
+        self.frames = 0
+        self.quit = False
+
+    # One turn
+
+    def turn(self) -> None:
+        """Events, at most one frame, draw, and the wait until the next frame is due."""
+        self._take_events()
+        if self.quit or self.view.closed:
+            return
+        simulate = 0.0
+        if (not self._paused or self._step) and self._failure is None:
+            begin = time.perf_counter()
+            if self._started is None:
+                self._started = begin
+            self._advance()
+            simulate = time.perf_counter() - begin
+            self._simulate += simulate
+            advanced = self._failure is None
+        else:
+            advanced = False
+        self._step = False
+        begin = time.perf_counter()
+        wanted = bool(self._film) and advanced and self._film.wants()
+        self._drawn = self.view.visible or wanted
+        if self._drawn:
+            self.view.draw(self._picture())
+        if wanted:
+            self._film.add(self.view.grab())
+        draw = time.perf_counter() - begin
+        self._draw += draw
+        if advanced:
+            self._meter.frame(simulate, draw)
+        if self.view.visible:
+            self._wait()
+
+    def _advance(self) -> None:
+        self._tools.before_frame()
+        try:
+            self.sim.advance(1)
+        except SimulationFailure as error:
+            if not self.view.visible:
+                raise
+            self._failure, self._status_due = error, 0.0
+            self._meter.interrupt()
+            return
+        self.frames += 1
+        if self._trajectory is not None and self.frames % self._every == 0:
+            self._trajectory.record(self.sim)
+
+    def _wait(self) -> None:
+        """Sleep until the next frame is due; a late frame moves the schedule, not the pace."""
+        period = 1 / hud.FRAME_RATE
+        now = time.perf_counter()
+        if self._next_frame > now:
+            time.sleep(self._next_frame - now)
+            self._next_frame += period
+        else:
+            self._next_frame = now + period
+
+    # Events
+
+    def _take_events(self) -> None:
+        replaying = self.frames <= self._log_end
+        for event in self._log.pop(self.frames, ()):
+            self._note(event)
+            # Pauses and steps only say when frames were made; a log says that itself.
+            command = self._tools.apply(event)
+            if command in ("reset", "status", "help", "quit"):
+                self._obey(command)
+        for event in self.view.poll():
+            if replaying:
+                if event.key in WINDOW_KEYS and event.kind == "press":
+                    self._obey(_WINDOW_COMMANDS[event.key])
+                continue
+            event = self._in_log_window(event)
+            if not (event.key == "escape" or self.quit):
+                self._note(event)
+            command = self._tools.apply(event)
+            if command:
+                self._obey(command)
+
+    def _in_log_window(self, event: Event) -> Event:
+        """`event` with its position converted from our window to the log's."""
+        if event.pos is None or tuple(self.view.size) == self._log_window:
+            return event
+        world = self.sim.scene.world.size[:2]
+        place = Layout(world, self.view.size).to_world(event.pos)
+        x, y = Layout(world, self._log_window).to_window(place)
+        return changed(event, pos=(float(x), float(y)))
+
+    def _note(self, event: Event) -> None:
+        if self._recorder is not None:
+            self._recorder.write(self.frames, event)
+
+    def _obey(self, command: str) -> None:
+        if command == "quit":
+            self.quit = True
+        elif command == "pause" and self._failure is None:
+            self._paused = not self._paused
+            self._meter.interrupt()
+        elif command == "step":
+            self._step = self._paused
+        elif command == "reset":
+            self.sim.reset()
+            self._tools.reset()
+            self._failure = None
+            self._meter.restart()
+        elif command == "status":
+            self._show_status = not self._show_status
+        elif command == "help":
+            self._show_help = not self._show_help
+        self._status_due = 0.0
+
+    # Pictures
+
+    def _picture(self) -> Picture:
+        sim, view = self.sim, self.view
+        now = time.perf_counter()
+        if self._tools.notice != self._notice:
+            self._notice, self._notice_until = self._tools.notice, now + NOTICE_SECONDS
+            self._status_due = 0.0
+        if now >= self._status_due:
+            self._status_due = now + hud.REFRESH
+            stopped = self._paused or self._failure is not None
+            self._status = hud.status_lines(
+                sim, self._meter, self._device, windowed=view.visible, paused=stopped,
+                notice=self._notice if now < self._notice_until else None,
+            )  # fmt: skip
+        banner = None
+        if self._failure is not None:
+            banner = f"Stopped: {self._failure}\nr goes back to the start, escape quits"
+        return Picture(
+            position=sim.positions(),
+            radius=np.minimum(sim.radii(), self._largest_disc),
+            color=sim.colors(),
+            segments=_alive(sim),
+            text=self._status if self._show_status else (),
+            help=hud.help_lines(sim.scene, view.has_wheel) if self._show_help else (),
+            banner=banner,
+        )
+
+    def finish(self, image: films.Image | None) -> None:
+        """Save the film, and the last frame as a picture."""
+        if image is not None:
+            if not self.view.closed:
+                if not self._drawn:
+                    self._status_due = 0.0
+                    self.view.draw(self._picture())
+                image.save(self.view.grab())
+            else:
+                print("no image: the window was closed before the end", file=sys.stderr)
+        if self._film is not None:
+            self._film.save()
+
+    def summary(self) -> Summary:
+        """What the run did so far."""
+        seconds = time.perf_counter() - self._started if self._started is not None else 0.0
+        return Summary(self.frames, seconds, self._simulate, self._draw, self.quit)
+
+
+_WINDOW_COMMANDS = {
+    "escape": "quit",
+    "h": "status",
+    "p": "pause",
+    **dict.fromkeys(STEP_KEYS, "step"),
+    **dict.fromkeys(HELP_KEYS, "help"),
+}
+
+
+def _alive(sim) -> np.ndarray:
+    """The springs that are alive, (s, 2)."""
+    if not sim.spring_count:
+        return np.zeros((0, 2), np.int64)
+    return sim.springs()[sim.springs_alive()]
+
+
+def _largest_disc(scene) -> float:
+    """The radius above which a particle is drawn smaller than it is, world units.
+
+    Particles that pass through each other may be larger than the mesh they sit in, and would
+    hide its springs. Where they collide, their size is what one looks at.
+    """
+    springs, position = scene.springs, scene.particles.position
+    if scene.world.collisions or len(springs) == 0:
+        return np.inf
+    a, b = springs.between.T
+    return 0.3 * float(np.median(np.linalg.norm(position[a] - position[b], axis=1))) or np.inf
+
+
+def _event_window(world, view: View, replay) -> tuple[int, int]:
+    """The window (width, height) that events' positions refer to.
+
+    That is the one a replayed log was recorded in, or where it does not say, the one in which
+    one pixel is one world unit; without a log, this view as it is now.
+    """
+    if replay is None:
+        return int(view.size[0]), int(view.size[1])
+    said = (replay.header or {}).get("window")
+    w, h = said or (max(round(world.size[0]), 1), max(round(world.size[1]), 1))
+    return int(w), int(h)
+
+
+class _Progress:
+    """A progress bar on a terminal's standard error; elsewhere nothing.
+
+    Used as a context whose value is called with the number of frames done.
+    """
+
+    def __init__(self, frames: int | None, quiet: bool):
+        self._bar, self._next = None, 0.0
+        if not quiet and frames and sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import (
+                BarColumn,
+                MofNCompleteColumn,
+                Progress,
+                TextColumn,
+                TimeRemainingColumn,
+            )
+
+            self._bar = Progress(
+                TextColumn("frames"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+                console=Console(stderr=True), transient=True,
+            )  # fmt: skip
+            self._task = self._bar.add_task("frames", total=frames)
+
+    def __enter__(self):
+        if self._bar:
+            self._bar.start()
+        return self._update
+
+    def _update(self, done: int) -> None:
+        # Terminals are slow next to a frame of a small scene.
+        if self._bar and time.perf_counter() >= self._next:
+            self._next = time.perf_counter() + 0.1
+            self._bar.update(self._task, completed=done)
+
+    def __exit__(self, *exc) -> None:
+        if self._bar:
+            self._bar.stop()

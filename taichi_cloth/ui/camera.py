@@ -1,0 +1,102 @@
+"""The 3-D camera: a turntable around the world's centre with a perspective projection.
+
+A point is moved so that the world's centre (w/2, h/2, 0) is the origin, turned about the y
+axis by `rot_y` and then about the x axis by `rot_x`, and projected with the scale
+``focal_length / (distance + z)``; the image of the world's centre is the pixel (w/2, h/2).
+Pixels here belong to a window of the world's own width and height (`layout` scales other
+windows); y points down, z away from the viewer.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+
+class Camera:
+    """Where a 3-D world is looked at from.
+
+    world_size: (w, h) or (w, h, d), world units.
+    distance: from the eye to the world's centre, world units.
+    focal_length: pixels per unit of x/z slope.
+    rot_x, rot_y: degrees.
+    """
+
+    def __init__(self, world_size, distance=2000.0, focal_length=1000.0, rot_x=15.0, rot_y=15.0):
+        self.world_size = tuple(float(length) for length in world_size)
+        self.distance = float(distance)
+        self.focal_length = float(focal_length)
+        self.rot_x = float(rot_x)
+        self.rot_y = float(rot_y)
+        # The eye stays outside the sphere around the world (with 5% to spare), so that a corner
+        # turned towards it never passes through it, and near enough that the world is visible.
+        radius = 0.5 * math.sqrt(sum(length**2 for length in self.world_size))
+        self.nearest, self.farthest = 1.05 * radius, 40.0 * radius
+
+    @property
+    def centre(self) -> np.ndarray:
+        """The world's centre, which the camera looks at, shape (3,), world units."""
+        return np.array([self.world_size[0] / 2, self.world_size[1] / 2, 0.0])
+
+    def rotation(self) -> np.ndarray:
+        """The matrix (3, 3) that turns world axes into the camera's: about y, then about x."""
+        a, b = math.radians(self.rot_x), math.radians(self.rot_y)
+        about_x = np.array(
+            [[1, 0, 0], [0, math.cos(a), -math.sin(a)], [0, math.sin(a), math.cos(a)]]
+        )
+        about_y = np.array(
+            [[math.cos(b), 0, math.sin(b)], [0, 1, 0], [-math.sin(b), 0, math.cos(b)]]
+        )
+        return about_x @ about_y
+
+    def rotate_points(self, positions) -> np.ndarray:
+        """World `positions` (n, 3) relative to the centre, in the camera's axes, shape (n, 3)."""
+        return (np.asarray(positions, np.float64).reshape(-1, 3) - self.centre) @ self.rotation().T
+
+    def project(self, positions, radius=0.0):
+        """Where spheres appear: ``(pixels (n, 2), radii (n,), depths (n,))``.
+
+        positions: (n, 3) world units; radius: one for all or (n,), world units.
+        depths are distances along the viewing direction, in world units; a point with a depth
+        of zero or less is behind the eye, and its pixel and radius mean nothing.
+        """
+        turned = self.rotate_points(positions)
+        depths = self.distance + turned[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            scale = self.focal_length / depths
+            pixels = turned[:, :2] * scale[:, None] + self.centre[:2]
+            radii = np.broadcast_to(np.asarray(radius, np.float64), depths.shape) * scale
+        return pixels, radii, depths
+
+    def unproject(self, pixel) -> np.ndarray:
+        """The world point (3,) under `pixel` (2,) on the plane through the centre that faces us."""
+        offset = (np.asarray(pixel, np.float64) - self.centre[:2]) * (
+            self.distance / self.focal_length
+        )
+        return np.array([offset[0], offset[1], 0.0]) @ self.rotation() + self.centre
+
+    def ray(self, pixel) -> tuple[np.ndarray, np.ndarray]:
+        """The line of sight through `pixel` (2,): eye (3,) and unit direction (3,), world axes."""
+        rotation = self.rotation()
+        eye = np.array([0.0, 0.0, -self.distance]) @ rotation + self.centre
+        slope = (np.asarray(pixel, np.float64) - self.centre[:2]) / self.focal_length
+        direction = np.array([slope[0], slope[1], 1.0]) @ rotation
+        return eye, direction / np.linalg.norm(direction)
+
+    def rotate(self, dx_deg: float, dy_deg: float) -> None:
+        """Add `dx_deg` to `rot_y` and `dy_deg` to `rot_x`, degrees (kept within -180..180)."""
+        self.rot_y = math.remainder(self.rot_y + dx_deg, 360.0)
+        self.rot_x = math.remainder(self.rot_x + dy_deg, 360.0)
+
+    def zoom(self, factor: float) -> None:
+        """Come nearer by `factor` (2: half the distance; below 1: farther), within limits.
+
+        The eye stays outside the world and closer than 40 of its radii. An eye that was put
+        beyond a limit by hand stays there until it is moved.
+        """
+        if not factor > 0:
+            raise ValueError(f"the zoom factor must be positive, is {factor}")
+        wanted = self.distance / factor
+        low, high = min(self.nearest, self.distance), max(self.farthest, self.distance)
+        self.distance = min(max(wanted, low), high)

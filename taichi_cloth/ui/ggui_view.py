@@ -1,0 +1,364 @@
+"""Drawing with GGUI, Taichi's Vulkan window: depth-buffered, fast, also off-screen.
+
+GGUI's Python layer copies Taichi fields into vertex buffers with one compiled kernel for every
+field. The buffers are NumPy arrays, so they are filled here directly: nothing is compiled, and
+the number of things drawn may change at every frame.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from taichi_cloth.events import Event
+from taichi_cloth.scene import World
+from taichi_cloth.ui import style, text, x11
+from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.layout import Layout
+from taichi_cloth.ui.view import Picture
+
+# Columns of a GGUI vertex: position, normal (a circle's or particle's radius in its first),
+# texture, colour.
+POSITION, NORMAL, RADIUS, COLOR, STRIDE = slice(0, 3), slice(3, 6), 3, slice(8, 11), 12
+KEYS = {
+    " ": "space",
+    "Escape": "escape",
+    "Control": "ctrl",
+    "Shift": "shift",
+    "Return": "return",
+    "Tab": "tab",
+    "BackSpace": "backspace",
+    "Up": "up",
+    "Down": "down",
+    "Left": "left",
+    "Right": "right",
+}
+BUTTONS = {"LMB": "left", "MMB": "middle", "RMB": "right"}
+MESH_VERTICES = 170_000  # spheres are meshes up to so many vertices (10-40 ms in software)
+SPHERES = ((10.0, 1), (45.0, 2), (math.inf, 3))  # up to this radius in pixels: subdivisions
+
+
+def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
+    """The unit sphere as triangles: vertices (v, 3) float32 and corners (t, 3) int32."""
+    p = (1 + 5**0.5) / 2
+    vertex = [
+        (-1, p, 0), (1, p, 0), (-1, -p, 0), (1, -p, 0), (0, -1, p), (0, 1, p),
+        (0, -1, -p), (0, 1, -p), (p, 0, -1), (p, 0, 1), (-p, 0, -1), (-p, 0, 1),
+    ]  # fmt: skip
+    triangle = [
+        (0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4),
+        (11, 10, 2), (10, 7, 6), (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8),
+        (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1),
+    ]  # fmt: skip
+    vertex = [np.array(v) / np.linalg.norm(v) for v in vertex]
+    for _ in range(subdivisions):
+        middles: dict[tuple[int, int], int] = {}
+
+        def middle(a, b, middles=middles):
+            key = (min(a, b), max(a, b))
+            if key not in middles:
+                point = vertex[a] + vertex[b]
+                vertex.append(point / np.linalg.norm(point))
+                middles[key] = len(vertex) - 1
+            return middles[key]
+
+        finer = []
+        for a, b, c in triangle:
+            ab, bc, ca = middle(a, b), middle(b, c), middle(c, a)
+            finer += [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
+        triangle = finer
+    return np.array(vertex, np.float32), np.array(triangle, np.int32)
+
+
+class GguiView:
+    """A GGUI window, or with `visible` False the same picture in memory."""
+
+    name = "ggui"
+
+    def __init__(self, world: World, size: tuple[int, int], title: str, *, visible: bool = True):
+        import taichi as ti
+        from taichi.ui.utils import get_field_info
+
+        self._ti, self._info = ti, get_field_info
+        self.world, self.visible = world, visible
+        self.camera = Camera(world.size) if world.dim == 3 else None
+        # The app paces itself; GGUI's own limit would count as time spent drawing.
+        self._window = ti.ui.Window(title, size, vsync=False, show_window=visible, fps_limit=1000)
+        self._canvas = self._window.get_canvas()
+        self._scene = self._window.get_scene() if self.camera else None
+        self._eye = ti.ui.Camera() if self.camera else None
+        self._tap = x11.connect(title, keys=True) if visible else None
+        self._pointer: tuple[float, float] | None = None
+        self._held: set[str] = set()
+        self._last: Picture | None = None
+        self._spheres: dict = {}
+        self._overlay_key, self._overlay = None, None
+        self.has_wheel = bool(self._tap and self._tap.has_wheel)
+        self.closed = False
+        self._size = size
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Current width and height in pixels."""
+        if self.closed or not self.visible:
+            return self._size
+        w, h = self._window.get_window_shape()
+        if w > 0 and h > 0:  # a minimised window reports zero
+            self._size = (int(w), int(h))
+        return self._size
+
+    # Events
+
+    def poll(self) -> list[Event]:
+        """The user's events since the last call; the pointer's motion first."""
+        if self.closed or not self.visible:
+            return []
+        if not self._window.running:
+            self.close()
+            return []
+        w, h = self.size
+        x, y = self._window.get_cursor_pos()
+        pointer = (round(x * w, 3), round((1 - y) * h, 3))  # to what a mouse resolves
+        out = []
+        if pointer != self._pointer and 0 <= x <= 1 and 0 <= y <= 1:
+            # The position at the start is where the pointer happens to be, not a motion.
+            if self._pointer is not None:
+                out.append(Event("move", pos=pointer))
+            self._pointer = pointer
+        elif self._pointer is None:
+            self._pointer = pointer
+        ui = self._ti.ui
+        # Presses come before releases: a click within one frame still arrives as a click.
+        for tag, kind in ((ui.PRESS, "press"), (ui.RELEASE, "release")):
+            for event in self._window.get_events(tag):
+                out += self._translated(kind, event.key, pointer)
+        for kind, value in self._tap.poll() if self._tap else ():
+            if kind == "wheel":
+                out.append(Event("wheel", pos=pointer, delta=value))
+            else:
+                out += self._changed(kind, value)
+        return out
+
+    def _translated(self, kind: str, key: str, pointer) -> list[Event]:
+        if key in BUTTONS:
+            return [Event(kind, pos=pointer, button=BUTTONS[key])]
+        name = KEYS.get(key) or (key.lower() if len(key) == 1 and key.isalpha() else None)
+        return self._changed(kind, name) if name else []
+
+    def _changed(self, kind: str, key: str) -> list[Event]:
+        """The event, unless it only repeats what the key already does (auto-repeat)."""
+        if (kind == "press") == (key in self._held):
+            return []
+        (self._held.add if kind == "press" else self._held.discard)(key)
+        return [Event(kind, key=key)]
+
+    # Drawing
+
+    def draw(self, picture: Picture) -> None:
+        """Draw and present one frame."""
+        if self.closed:
+            return
+        self._last = picture
+        self._compose(picture)
+        if self.visible:
+            self._window.show()
+
+    def grab(self) -> np.ndarray:
+        """The frame drawn last, (height, width, 3) uint8, row 0 on top."""
+        if self._last is None:
+            raise RuntimeError("nothing has been drawn yet")
+        if self.visible:
+            # What was shown is gone; the same picture is drawn again and taken instead.
+            self._compose(self._last)
+        pixels = self._window.get_image_buffer_as_numpy()[:, ::-1, :3]
+        return (np.clip(pixels.transpose(1, 0, 2), 0, 1) * 255 + 0.5).astype(np.uint8)
+
+    def close(self) -> None:
+        """Give the window back. May be called twice."""
+        if not self.closed:
+            self.closed = True
+            if self._tap:
+                self._tap.close()
+            self._window.destroy()
+
+    def _compose(self, picture: Picture) -> None:
+        if self.camera:
+            self._compose_3d(picture)
+        else:
+            self._compose_2d(picture)
+        self._compose_overlay(picture)
+
+    def _on_canvas(self, points) -> np.ndarray:
+        """Window pixels (k, 2) in the canvas's coordinates: 0..1, y up."""
+        return np.asarray(points) / self.size * [1, -1] + [0, 1]
+
+    def _compose_2d(self, picture: Picture) -> None:
+        layout = Layout(self.world.size[:2], self.size)
+        height = self.size[1]
+        self._canvas.set_background_color(style.unit(style.SURROUND))
+        low, high = layout.to_window([0, 0]), layout.to_window(self.world.size[:2])
+        self._rectangles(np.array([[*low, *high]]), np.array([style.unit(style.WORLD)]))
+        corners = {"left": (0, 3), "right": (1, 2), "top": (0, 1), "bottom": (3, 2)}
+        square = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
+        square += [[0.75, 0.75], [-0.75, 0.75], [-0.75, -0.75], [0.75, -0.75]]
+        walls = [square[list(corners[name])] for name in self.world.walls]
+        if walls:
+            color = np.array([style.unit(style.WALL)] * len(walls))
+            self._lines_2d(np.array(walls), color, 1.5 / height)
+        position = layout.to_window(picture.position)
+        alive = np.isfinite(position).all(axis=1)
+        segments = picture.segments[alive[picture.segments].all(axis=1)]
+        if len(segments):
+            width = max(1.6, 1.4 * layout.scale) / height
+            color = style.spring_colors(picture.color, segments)
+            self._lines_2d(position[segments], color, width)
+        if alive.any():
+            radius = np.maximum(picture.radius[alive] * layout.scale, 0.8)
+            color = picture.color[alive] / 255
+            # A darker rim under each disc keeps neighbours of one colour apart.
+            self._circles(position[alive], radius, 0.45 * color)
+            self._circles(position[alive], np.maximum(radius - 1.2, 0.6 * radius), color)
+
+    def _lines_2d(self, ends, color, width: float) -> None:
+        """Lines `ends` (k, 2, 2) window pixels with colours (k, 3); width in window heights."""
+        vertex = np.zeros((2 * len(ends), STRIDE), np.float32)
+        vertex[:, :2] = self._on_canvas(ends.reshape(-1, 2))
+        vertex[:, COLOR] = np.repeat(color, 2, axis=0)
+        vertex[:, 11] = 1
+        info = self._info(vertex)
+        self._canvas.canvas.lines(info, self._info(None), True, (1.0, 1.0, 1.0), width)
+
+    def _circles(self, centre, radius, color) -> None:
+        """Discs at `centre` (k, 2) with `radius` (k,), window pixels, and colours (k, 3)."""
+        vertex = np.zeros((len(centre), STRIDE), np.float32)
+        vertex[:, :2] = self._on_canvas(centre)
+        vertex[:, RADIUS] = radius / self.size[1]
+        vertex[:, COLOR] = color
+        vertex[:, 11] = 1
+        self._canvas.canvas.circles(self._info(vertex), True, True, (1.0, 1.0, 1.0), 0.01)
+
+    def _rectangles(self, corners, color) -> None:
+        """Rectangles (k, 4) x0, y0, x1, y1 in window pixels, with colours (k, 3)."""
+        vertex = self._rectangle_vertices(corners, color)
+        self._triangles(vertex)
+
+    def _rectangle_vertices(self, corners, color) -> np.ndarray:
+        x0, y0, x1, y1 = np.asarray(corners, np.float64).T
+        points = np.stack([x0, y0, x1, y0, x1, y1, x0, y0, x1, y1, x0, y1], axis=1)
+        vertex = np.zeros((6 * len(points), STRIDE), np.float32)
+        vertex[:, :2] = self._on_canvas(points.reshape(-1, 2))
+        vertex[:, COLOR] = np.repeat(color, 6, axis=0)
+        vertex[:, 11] = 1
+        return vertex
+
+    def _triangles(self, vertex) -> None:
+        info = self._info(vertex)
+        self._canvas.canvas.triangles(info, self._info(None), True, (1.0, 1.0, 1.0))
+
+    def _compose_overlay(self, picture: Picture) -> None:
+        panels = text.panels(picture, self.size)
+        if not panels:
+            return
+        if self._overlay_key != (panels, self.size):
+            parts = [self._rectangle_vertices(*text.runs(panel)) for panel in panels]
+            self._overlay = np.concatenate(parts)
+            self._overlay_key = (panels, self.size)
+        self._triangles(self._overlay)
+
+    def _compose_3d(self, picture: Picture) -> None:
+        camera, (w, h) = self.camera, self.size
+        focal = camera.focal_length * Layout(self.world.size[:2], (w, h)).scale
+        self._canvas.set_background_color(style.unit(style.WORLD))
+        eye, span = self._eye, camera.farthest
+        eye.position(0, 0, -camera.distance)
+        eye.lookat(0, 0, 0)
+        eye.up(0, -1, 0)
+        eye.fov(math.degrees(2 * math.atan(h / 2 / focal)))
+        eye.z_near(camera.distance / 100)
+        eye.z_far(camera.distance + span)
+        self._scene.set_camera(eye)
+        self._scene.ambient_light((style.AMBIENT,) * 3)
+        light = style.LIGHT * (2 * camera.distance)
+        self._scene.point_light(light, (1 - style.AMBIENT,) * 3)
+
+        edges = camera.rotate_points(style.box_edges(self.world.size).reshape(-1, 3))
+        self._lines_3d(edges, np.tile(style.unit(style.EDGE), (len(edges), 1)), 1.6)
+
+        position = camera.rotate_points(picture.position)
+        shown = np.isfinite(position).all(axis=1)
+        shown &= position[:, 2] + camera.distance > camera.distance / 50
+        segments = picture.segments[shown[picture.segments].all(axis=1)]
+        if len(segments):
+            color = np.repeat(style.spring_colors(picture.color, segments), 2, axis=0)
+            self._lines_3d(position[segments].reshape(-1, 3), color, max(2.0, h / 260))
+
+        origin = camera.rotate_points(np.zeros((1, 3)))
+        centre = np.concatenate([position[shown], origin])
+        dot = 3.5 * max(1.0, h / 600) * camera.distance / focal
+        radius = np.concatenate([picture.radius[shown], [dot]])
+        color = np.concatenate([picture.color[shown], [style.ORIGIN]])
+        self._spheres_3d(centre, radius, color, focal)
+        self._canvas.scene(self._scene)
+
+    def _lines_3d(self, ends, color, width: float) -> None:
+        """Lines between consecutive pairs of `ends` (2k, 3), camera axes; width in pixels."""
+        vertex = np.zeros((len(ends), STRIDE), np.float32)
+        vertex[:, POSITION] = ends
+        vertex[:, COLOR] = color
+        vertex[:, 11] = 1
+        count = len(ends)
+        self._scene.scene.lines(
+            self._info(vertex), self._info(None), True, (1.0, 1.0, 1.0), width, count, 0, count, 0
+        )
+
+    def _spheres_3d(self, centre, radius, color, focal: float) -> None:
+        """Shaded spheres at `centre` (k, 3) camera axes, world units; colours (k, 3) uint8."""
+        depth = centre[:, 2] + self.camera.distance
+        largest = float(np.max(radius * focal / depth))
+        level = next(n for limit, n in SPHERES if largest <= limit)
+        while level > 0 and len(centre) * (10 * 4**level + 2) > MESH_VERTICES:
+            level -= 1
+        if level == 0:
+            self._particles_3d(centre, radius, color, depth)
+            return
+        # Normals, colours and triangles stay from frame to frame; only positions are refilled.
+        n = len(centre)
+        if self._spheres.get("for") != (n, level):
+            unit, corner = icosphere(level)
+            vertex = np.zeros((n, len(unit), STRIDE), np.float32)
+            vertex[:, :, NORMAL] = unit
+            vertex[:, :, 11] = 1
+            index = corner.reshape(-1) + (len(unit) * np.arange(n, dtype=np.int32))[:, None]
+            self._spheres = {
+                "for": (n, level), "unit": unit, "vertex": vertex, "color": None,
+                "index": np.ascontiguousarray(index.reshape(-1), np.int32),
+            }  # fmt: skip
+        kept = self._spheres
+        if kept["color"] is None or not np.array_equal(kept["color"], color):
+            kept["vertex"][:, :, COLOR] = (color / 255)[:, None, :]
+            kept["color"] = color.copy()
+        vertex = kept["vertex"]
+        centre, radius = centre.astype(np.float32), radius.astype(np.float32)
+        vertex[:, :, POSITION] = centre[:, None, :] + radius[:, None, None] * kept["unit"]
+        count, indices = vertex.shape[0] * vertex.shape[1], kept["index"]
+        self._scene.scene.mesh(
+            self._info(vertex.reshape(count, STRIDE)), True, self._info(indices),
+            (1.0, 1.0, 1.0), False, len(indices), 0, count, 0, False,
+        )  # fmt: skip
+
+    def _particles_3d(self, centre, radius, color, depth) -> None:
+        """Many spheres as GGUI's particles: one quad each, with the depth of a sphere.
+
+        GGUI sizes them by width/height of the window and by the distance along the ray, not
+        along the axis; the radius is corrected for both.
+        """
+        w, h = self.size
+        ray = np.sqrt(centre[:, 0] ** 2 + centre[:, 1] ** 2 + depth**2)
+        vertex = np.zeros((len(centre), STRIDE), np.float32)
+        vertex[:, POSITION] = centre
+        vertex[:, RADIUS] = radius * (h / w) * ray / depth
+        vertex[:, COLOR] = color / 255
+        vertex[:, 11] = 1
+        white = (1.0, 1.0, 1.0)
+        self._scene.scene.particles(self._info(vertex), True, True, white, 1.0, len(vertex), 0)

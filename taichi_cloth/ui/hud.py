@@ -1,0 +1,125 @@
+"""What the status and the key list say, and the clock behind them."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+
+FRAME_RATE = 60.0  # frames a second that count as real time
+WINDOW = 0.75  # seconds over which rates are averaged
+REFRESH = 0.2  # seconds between changes of the text: faster cannot be read
+
+
+class Meter:
+    """Measures frames: how long they take to simulate and to draw, and how many a second."""
+
+    def __init__(self, clock=time.perf_counter):
+        self._clock = clock
+        self._frames: deque[tuple[float, float, float]] = deque()
+        self._busy = 0.0  # seconds since frames began to be due, pauses left out
+        self._done = 0
+        self._last: float | None = None
+
+    def frame(self, simulate: float, draw: float) -> None:
+        """One frame is done; it took `simulate` and `draw` seconds."""
+        now = self._clock()
+        self._frames.append((now, simulate, draw))
+        while now - self._frames[0][0] > WINDOW and len(self._frames) > 2:
+            self._frames.popleft()
+        if self._last is not None:
+            self._busy += now - self._last
+            self._done += 1
+        self._last = now
+
+    def interrupt(self) -> None:
+        """Frames are not due until the next one (a pause)."""
+        self._last = None
+        self._frames.clear()
+
+    def restart(self) -> None:
+        """Forget what was late (the scene starts anew)."""
+        self.interrupt()
+        self._busy, self._done = 0.0, 0
+
+    @property
+    def frames_per_second(self) -> float:
+        """Frames a second lately; 0 before the second frame."""
+        if len(self._frames) < 2:
+            return 0.0
+        span = self._frames[-1][0] - self._frames[0][0]
+        return (len(self._frames) - 1) / span if span > 0 else 0.0
+
+    @property
+    def simulate(self) -> float:
+        """Mean seconds a frame took to simulate lately."""
+        return sum(f[1] for f in self._frames) / max(len(self._frames), 1)
+
+    @property
+    def draw(self) -> float:
+        """Mean seconds a frame took to draw lately."""
+        return sum(f[2] for f in self._frames) / max(len(self._frames), 1)
+
+    @property
+    def behind(self) -> float:
+        """Seconds by which the scene lags behind `FRAME_RATE` frames a second (0: on time)."""
+        return max(0.0, self._busy - self._done / FRAME_RATE)
+
+
+def status_lines(
+    sim, meter: Meter, device: str, *, windowed: bool, paused: bool, notice: str | None = None
+) -> tuple[str, ...]:
+    """The status: rates, counts, time, settings, backend.
+
+    device: from `Device.describe()`. windowed: whether frames are due at `FRAME_RATE`.
+    """
+    rate = meter.frames_per_second
+    if paused:
+        pace = "paused"
+    elif not windowed or rate == 0 or rate > 0.95 * FRAME_RATE:
+        pace = f"{rate:.0f} frames/s"
+    else:
+        speed = rate / FRAME_RATE
+        pace = f"{rate:.0f} frames/s, {meter.behind:.1f} s behind real time ({speed:.2f}x)"
+    alive = int(sim.springs_alive().sum()) if sim.spring_count else 0
+    broken = sim.spring_count - alive
+    step = f"dt {sim.dt:g}" + (f" in {sim.substeps} substeps" if sim.substeps > 1 else "")
+    rows = (
+        (pace, f"simulate {1e3 * meter.simulate:.2f} ms", f"draw {1e3 * meter.draw:.1f} ms"),
+        (
+            f"{sim.particle_count} particles",
+            f"{alive} springs, {broken} broken",
+            f"time {sim.time:.10g}",
+            f"frame {sim.frame}",
+        ),
+        (sim.scene.name, sim.method, step, f"{device}, {sim.execution}", "f1 keys"),
+    )
+    lines = tuple("  \u00b7  ".join(row) for row in rows)
+    return (notice, *lines) if notice else lines
+
+
+def help_lines(scene, has_wheel: bool) -> tuple[str, ...]:
+    """Every key and mouse action of this scene, as "key<tab>action"."""
+    world = scene.world
+    lines = []
+    if world.mouse == "blow":
+        lines.append("move the mouse\tblow at the particles near the pointer")
+    elif world.mouse == "spawn":
+        chain = scene.spring_defaults
+        tear = "" if chain.break_force is None else f", tears at force {chain.break_force:g}"
+        lines += [
+            "left click\ta new particle, thrown at random",
+            "right click\ta new particle that stays where it is (grey)",
+            f"hold space\ttie each new particle to the one before{tear}",
+        ]
+    if world.dim == 3:
+        nearer = "wheel, + -, up down" if has_wheel else "+ -, up down"
+        lines += ["ctrl + mouse motion\tturn the scene", f"{nearer}\tcome nearer, go farther"]
+    lines += [
+        ("p" if world.mouse == "spawn" else "space, p") + "\tpause and go on",
+        ".  or right arrow\tone frame, while paused",
+        "r\tback to the start",
+        "h\thide or show the status",
+        "f1 or tab\tthis list",
+        "escape\tquit",
+    ]
+    return tuple(lines)

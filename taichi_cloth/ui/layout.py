@@ -1,0 +1,51 @@
+"""How the world's own pixels land in a window of any size: one scale, centred."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# A window opened for a world of this many units or fewer per pixel is used as it is; worlds
+# outside these limits are shown scaled, so that the window fits a screen and can be read.
+SMALLEST_WINDOW = (480, 320)
+LARGEST_WINDOW = (1600, 1000)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The map from a world-sized picture (w, h) to a window (width, height) in pixels.
+
+    In a window of the world's own size one pixel is one world unit; any other window shows the
+    same picture scaled by one factor and centred, so that a 2-D scene keeps its aspect.
+    """
+
+    world: tuple[float, float]
+    window: tuple[int, int]
+
+    @property
+    def scale(self) -> float:
+        """Window pixels per world unit."""
+        return min(self.window[0] / self.world[0], self.window[1] / self.world[1])
+
+    @property
+    def offset(self) -> np.ndarray:
+        """Window pixel of the world's corner (0, 0), shape (2,)."""
+        return (np.array(self.window) - self.scale * np.array(self.world)) / 2
+
+    def to_window(self, points) -> np.ndarray:
+        """World `points` (..., 2) in window pixels, origin top left."""
+        return np.asarray(points, np.float64) * self.scale + self.offset
+
+    def to_world(self, pixels) -> np.ndarray:
+        """Window `pixels` (..., 2) in world units."""
+        return (np.asarray(pixels, np.float64) - self.offset) / self.scale
+
+
+def default_window(world_size) -> tuple[int, int]:
+    """The window for a world of (w, h[, d]): its own size where that is usable on a screen."""
+    w, h = float(world_size[0]), float(world_size[1])
+    shrink = min(1.0, LARGEST_WINDOW[0] / w, LARGEST_WINDOW[1] / h)
+    grow = max(1.0, min(SMALLEST_WINDOW[0] / w, SMALLEST_WINDOW[1] / h))
+    scale = shrink if shrink < 1 else grow
+    return max(round(w * scale), 160), max(round(h * scale), 120)
