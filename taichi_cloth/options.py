@@ -82,14 +82,19 @@ class Parameter:
         if self.above is not None:
             notes.append(f"above {self.above:g}" if self.above else "positive")
         if self.minimum is not None and self.maximum is not None:
-            notes.append(f"{self.minimum:g} to {self.maximum:g}")
+            notes.append(f"{_plain(self.minimum)} to {_plain(self.maximum)}")
         elif self.minimum is not None:
-            notes.append(f"at least {self.minimum:g}")
+            notes.append(f"at least {_plain(self.minimum)}")
         elif self.maximum is not None:
-            notes.append(f"at most {self.maximum:g}")
+            notes.append(f"at most {_plain(self.maximum)}")
         if self.default not in (None, False, True):
             notes.append(f"default {self.default}")
         return f"{self.help} ({', '.join(notes)})" if notes else self.help
+
+
+def _plain(limit: float) -> str:
+    """A limit as one writes it: 100000, not 1e+05."""
+    return str(limit) if isinstance(limit, int) else f"{limit:g}"
 
 
 def _parse_size(name: str, text: str) -> tuple[int, int]:
@@ -167,7 +172,7 @@ class RunOptions:
         "seed of the velocities of clicked particles (default: the log's, else 0)",
         int,
         minimum=0,
-        maximum=2**63 - 1,
+        maximum=2**32 - 1,
         metavar="N",
     )
     events: str | None = setting(None, "replay an interaction log", str, metavar="FILE.jsonl")

@@ -1,0 +1,139 @@
+"""Interaction logs: what is written is read back; what is malformed is refused by its line."""
+
+import json
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taichi_cloth import events
+from taichi_cloth.errors import InputError
+from taichi_cloth.events import Event, Recorder
+
+# Once Taichi has started, the processor takes subnormal numbers for zero in the whole process.
+finite = st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=False)
+pos = st.tuples(finite, finite)
+any_event = st.one_of(
+    st.builds(Event, st.just("move"), pos),
+    st.builds(
+        Event, st.sampled_from(("press", "release")), pos, button=st.sampled_from(events.BUTTONS)
+    ),
+    st.builds(
+        Event,
+        st.sampled_from(("press", "release")),
+        st.none() | pos,
+        key=st.sampled_from(sorted(events.KEYS)),
+    ),
+    st.builds(Event, st.just("wheel"), st.none() | pos, delta=finite),
+)
+header = st.none() | st.fixed_dictionaries({"seed": st.integers(0, 2**63 - 1)})
+
+
+@settings(max_examples=150, deadline=None)
+@given(header, st.lists(st.tuples(st.integers(0, 9), any_event)))
+def test_what_is_recorded_is_read_back(tmp_path_factory, header, happened):
+    path = tmp_path_factory.mktemp("log") / "log.jsonl"
+    happened = sorted(happened, key=lambda entry: entry[0])
+    with Recorder(path, header) as recorder:
+        for frame, event in happened:
+            recorder.write(frame, event)
+    log = events.load(path)
+    assert log.header == (header or {})
+    assert [(f, e) for f, of_frame in log.by_frame.items() for e in of_frame] == happened
+
+
+def test_the_golden_log_is_read(request):
+    log = events.load(request.path.parent / "golden" / "cloth_blow.jsonl")
+    assert log.last_frame == 599 and len(log.by_frame) == 600
+    assert log.by_frame[1] == [Event("move", (327.445, 207.047))]
+
+
+GOOD = '{"frame": 3, "event": "move", "pos": [1, 2]}'
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("{", "is not JSON"),
+        ("[]", "must be an object"),
+        ("3", "must be an object"),
+        ('{"frame": 4}', "'event' is missing"),
+        ('{"event": "move"}', "'frame' is missing"),
+        ('{"frame": 4, "evnt": "move", "pos": [1, 2]}', "did you mean 'event'?"),
+        ('{"frame": 2, "event": "move", "pos": [1, 2]}', "after frame 3"),
+        ('{"frame": -1, "event": "move", "pos": [1, 2]}', "frame must be"),
+        ('{"frame": 3.5, "event": "move", "pos": [1, 2]}', "frame must be"),
+        ('{"frame": true, "event": "move", "pos": [1, 2]}', "frame must be"),
+        ('{"frame": 4, "event": "mvoe", "pos": [1, 2]}', "did you mean 'move'?"),
+        ('{"frame": 4, "event": [], "pos": [1, 2]}', "unknown event"),
+        ('{"frame": 4, "event": "move"}', "'pos' is missing"),
+        ('{"frame": 4, "event": "move", "pos": [1]}', "pos must be two"),
+        ('{"frame": 4, "event": "move", "pos": [1, null]}', "pos must be two"),
+        ('{"frame": 4, "event": "move", "pos": [NaN, 1]}', "found NaN"),
+        ('{"frame": 4, "event": "move", "pos": [1e999, 1]}', "pos must be two"),
+        ('{"frame": 4, "event": "move", "pos": [1' + "0" * 400 + ", 1]}", "pos must be two"),
+        ('{"frame": 4, "event": "move", "pos": [1, 2], "key": "a"}', "unknown key 'key'"),
+        ('{"frame": 4, "event": "move", "pos": [1, 2], "pos": [1, 2]}', "given twice"),
+        ('{"frame": 4, "event": "press", "pos": [1, 2]}', "either 'button' or 'key'"),
+        ('{"frame": 4, "event": "press", "pos": [1, 2], "button": "lft"}', "did you mean 'left'?"),
+        ('{"frame": 4, "event": "press", "button": "left"}', "'pos' is missing"),
+        ('{"frame": 4, "event": "press", "key": "spcae"}', "did you mean 'space'?"),
+        ('{"frame": 4, "event": "press", "key": 5}', "unknown key 5"),
+        ('{"frame": 4, "event": "wheel"}', "'delta' is missing"),
+        ('{"frame": 4, "event": "wheel", "delta": "x"}', "delta must be"),
+        ('{"header": {}}', "only be the first line"),
+        ("\xff\xfe", "is not JSON"),
+    ],
+)
+def test_a_malformed_line_is_refused_by_its_number(tmp_path, line, says):
+    path = tmp_path / "log.jsonl"
+    path.write_text(f'{{"header": {{}}}}\n{GOOD}\n\n{line}\n{GOOD}\n', encoding="utf-8")
+    with pytest.raises(InputError, match="log.jsonl line 4: ") as refused:
+        events.load(path)
+    assert says in str(refused.value) and "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "header", ["[]", '{"seed": -1}', '{"seed": "x"}', '{"window": [0, 3]}', '{"window": 5}']
+)
+def test_a_header_that_makes_no_sense_is_refused(tmp_path, header):
+    path = tmp_path / "log.jsonl"
+    path.write_text(f'{{"header": {header}}}\n')
+    with pytest.raises(InputError, match="log.jsonl line 1: "):
+        events.load(path)
+
+
+def test_bytes_that_are_no_text_are_refused(tmp_path):
+    path = tmp_path / "log.jsonl"
+    path.write_bytes(GOOD.encode() + b"\n\xff\n")
+    with pytest.raises(InputError, match="line 2: is not text in UTF-8"):
+        events.load(path)
+
+
+@pytest.mark.parametrize("name", ["missing.jsonl", "."])
+def test_a_log_that_is_not_there_is_refused(tmp_path, name):
+    with pytest.raises(InputError):
+        events.load(tmp_path / name)
+
+
+def test_a_log_appears_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "log.jsonl"
+    path.write_text("what was there before")
+    recorder = Recorder(path)
+    recorder.write(0, Event("move", (1.0, 2.0)))
+    assert path.read_text() == "what was there before"
+    recorder.discard()
+    assert [p.name for p in tmp_path.iterdir()] == ["log.jsonl"]
+    with pytest.raises(KeyboardInterrupt), Recorder(path) as recorder:
+        recorder.write(0, Event("move", (1.0, 2.0)))
+        raise KeyboardInterrupt
+    assert json.loads(path.read_text()) == {"frame": 0, "event": "move", "pos": [1.0, 2.0]}
+    assert [p.name for p in tmp_path.iterdir()] == ["log.jsonl"]
+
+
+def test_frames_cannot_go_back_while_recording(tmp_path):
+    recorder = Recorder(tmp_path / "log.jsonl")
+    recorder.write(5, Event("move", (1.0, 2.0)))
+    with pytest.raises(ValueError, match="after"):
+        recorder.write(4, Event("move", (1.0, 2.0)))
+    recorder.discard()

@@ -1,0 +1,75 @@
+"""The built-in scenes move as their closed forms say (CPU, f64)."""
+
+import inspect
+
+import numpy as np
+import pytest
+
+from taichi_cloth import scenes
+from taichi_cloth.simulation import Simulation
+
+
+@pytest.mark.parametrize("name", scenes.names())
+def test_every_scene_declares_itself_and_runs(name, device):
+    assert scenes.description(name).endswith(".")
+    for parameter in scenes.parameters(name).values():
+        assert parameter.help and parameter.check("it", parameter.default) == parameter.default
+    assert scenes.build(name).name == name
+    signature = inspect.signature(scenes.function(name))
+    assert all(p.kind is p.KEYWORD_ONLY for p in signature.parameters.values())
+    assert frames(scenes.build(name), 3).shape[0] == 4
+
+
+def frames(scene, count, substeps=1):
+    """Positions at the start and after each frame, (count + 1, n, dim)."""
+    sim = Simulation(scene, substeps=substeps, execution="serial")
+    positions = [sim.positions()]
+    for _ in range(count):
+        sim.advance()
+        positions.append(sim.positions())
+    return np.array(positions)
+
+
+def test_the_oscillator_is_a_cosine(device):
+    x = frames(scenes.build("oscillator", amplitude=40.0, stiffness=0.02, mass=2.0), 200, 200)
+    t = np.arange(201)
+    np.testing.assert_allclose(x[:, 1, 0], 250 + 40 * np.cos(0.1 * t), atol=0.05)
+    assert (x[:, 1, 1] == 100).all() and (x[:, 0] == (100, 100)).all()
+
+
+@pytest.mark.parametrize(("n", "mode"), [(1, 1), (7, 2), (16, 1), (16, 16)])
+def test_the_chain_swings_in_its_normal_mode(device, n, mode):
+    scene = scenes.build("chain", particles=n, mode=mode)
+    x = frames(scene, 100, 200)
+    omega = 2 * np.sqrt(0.1) * np.sin(np.pi * mode / (2 * (n + 1)))
+    at_rest = 50 + 500 * np.arange(n + 2) / (n + 1)
+    expected = at_rest + np.cos(omega * np.arange(101))[:, None] * (x[0, :, 0] - at_rest)
+    # Symplectic Euler with step h is off by A w h / 2 (a shift of half a step in time).
+    amplitude = np.abs(x[0, :, 0] - at_rest).max()
+    np.testing.assert_allclose(x[:, :, 0], expected, atol=0.6 * amplitude * omega / 200)
+
+
+@pytest.mark.parametrize("n", [20, 100])
+def test_the_slinkys_bottom_waits_for_the_collapse(device, n):
+    scene = scenes.build("slinky", particles=n)
+    y = frames(scene, 3 * n)[:, :, 1]
+    arrival = int(n * np.sqrt(1 / 0.25))  # frames: n sqrt(m/k)
+    # The ripple ahead of the front spreads like its cube root: a few particles' worth.
+    early = arrival - int(5 * n ** (1 / 3))
+    assert np.abs(y[:early, -1] - y[0, -1]).max() < 0.01 * (y[0, 1] - y[0, 0])
+    assert y[early, 0] - y[0, 0] > 100
+    assert y[3 * n, -1] - y[0, -1] > 10
+    assert (np.diff(y[:early], axis=1) > 0).all(), "no particle passes another"
+    # The centre of mass falls freely all the time; symplectic Euler adds g t dt / 2.
+    t, g = np.arange(3 * n + 1), scene.world.gravity[1]
+    np.testing.assert_allclose(y.mean(axis=1) - y[0].mean(), g * t * (t + 1) / 2, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["box", "sandbox"])
+@pytest.mark.parametrize("count", [1, 2, 25])
+def test_scattered_particles_touch_neither_each_other_nor_walls(name, count):
+    scene = scenes.build(name, particles=count, radius=20.0, seed=count)
+    position, world = scene.particles.position, scene.world
+    distance = np.linalg.norm(position[:, None] - position, axis=2) + 1e9 * np.eye(count)
+    assert len(position) == count and distance.min() >= 2 * 20
+    assert (position >= world.low + 20).all() and (position <= world.high - 20).all()
