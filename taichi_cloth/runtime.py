@@ -17,7 +17,7 @@ BACKENDS = ("cpu", "cuda", "metal", "vulkan", "opengl")
 GPU_ORDER = ("cuda", "metal", "vulkan", "opengl")  # what `gpu` tries, best first
 PRECISIONS = ("f32", "f64")
 
-_NEEDS = {
+NEEDS = {  # what a backend that is not usable would need
     "cuda": "an NVIDIA GPU with its driver",
     "metal": "macOS on Apple hardware",
     "vulkan": "a Vulkan driver (Mesa's lavapipe serves without a GPU: mesa-vulkan-drivers)",
@@ -111,7 +111,7 @@ def start(
     if not _initialize(arch, precision, threads, fast_math):
         usable = [name for name, lack in usable_backends().items() if lack is None]
         raise InputError(
-            f"--arch {arch}: not usable here (it needs {_NEEDS[arch]}); usable: {', '.join(usable)}"
+            f"--arch {arch}: not usable here (it needs {_need(arch)}); usable: {', '.join(usable)}"
         )
     global _device
     _device = Device(arch, precision, threads if arch == "cpu" else 1, fast_math)
@@ -159,4 +159,8 @@ def _start_probe(arch: str) -> subprocess.Popen:
 def _finish_probe(arch: str, probe: subprocess.Popen) -> str | None:
     if probe.wait() == 0:
         return None
-    return _NEEDS.get(arch, "a supported processor")
+    return _need(arch)
+
+
+def _need(arch: str) -> str:
+    return NEEDS.get(arch, "a supported processor")

@@ -225,12 +225,10 @@ class Simulation:
     # --- loading the device ----------------------------------------------------------------
 
     def _needed_features(self):
-        return replace(
-            self.scene, particles=self._particles, springs=self._springs
-        ).features()
+        return replace(self.scene, particles=self._particles, springs=self._springs).features()
 
     def _load(self, x, v):
-        """Put a whole state on the device, in a new container where the present one cannot hold it."""
+        """Put a whole state on the device, in a new container where the present is too small."""
         features = self._needed_features()
         n, s = self.particle_count, self.spring_count
         state = getattr(self, "_state", None)
@@ -283,7 +281,9 @@ class Simulation:
         """
         size = np.array(self.scene.world.size)
         n = max(len(particles), 1)
-        width = max(2.0 * float(particles.radius.max(initial=0.0)), (size.prod() / n) ** (1 / len(size)))
+        width = max(
+            2.0 * float(particles.radius.max(initial=0.0)), (size.prod() / n) ** (1 / len(size))
+        )
         limit = (4 * n + 64) ** (1 / len(size))
         return [int(max(3, min(math.ceil(a / width) + 1, limit))) for a in size], width
 
@@ -377,7 +377,7 @@ class Simulation:
         raise SimulationFailure(particle, frame, what, *self._likely_cause())
 
     def _likely_cause(self):
-        """(cause, remedy) of a failure, from the method's limit and the scene's stiffest particle."""
+        """(cause, remedy) of a failure, from the method's limit and the stiffest particle."""
         omega, stiffest = topology.largest_angular_frequency(
             self._springs, self._particles.mass, self._particles.fixed
         )

@@ -37,11 +37,24 @@ def test_resting_cloth_in_f32_on_every_backend(arch, tmp_path, display):
     np.testing.assert_allclose(saved["position"], expected, rtol=0, atol=0.02)
 
 
-@pytest.mark.parametrize("scene", [["cloth", "--columns", 60, "--rows", 50], ["box", "--particles", 400]])
+@pytest.mark.parametrize(
+    "scene", [["cloth", "--columns", 60, "--rows", 50], ["box", "--particles", 400]]
+)
 def test_same_bits_for_every_thread_count_and_on_every_run(scene, tmp_path):
     runs = [("--threads", 1), ("--threads", 2), ("--threads", 2), ("--threads", 7)]
     saved = [
-        save(tmp_path, f"run{k}", *scene, *run, "--execution", "parallel", "--frames", 60, "--every", 20)
+        save(
+            tmp_path,
+            f"run{k}",
+            *scene,
+            *run,
+            "--execution",
+            "parallel",
+            "--frames",
+            60,
+            "--every",
+            20,
+        )
         for k, run in enumerate(runs)
     ]
     for other in saved[1:]:
@@ -66,7 +79,11 @@ def test_features_that_a_scene_lacks_are_not_compiled(tmp_path):
         command("run", *arguments, "--headless", "--frames", 1, "--threads", 1, env=env)
         return sum(file.stat().st_size for file in cache.rglob("*.tic"))
 
-    oscillator, cloth, box = compiled("a", "oscillator"), compiled("b", "cloth"), compiled("c", "box")
+    oscillator, cloth, box = (
+        compiled("a", "oscillator"),
+        compiled("b", "cloth"),
+        compiled("c", "box"),
+    )
     assert 0 < 1.5 * oscillator < cloth < box
 
 

@@ -54,7 +54,9 @@ def test_spring_force_is_minus_the_gradient_of_its_energy(d, k, rest):
     energy = lambda d: 0.5 * k * (np.linalg.norm(d) - rest) ** 2  # noqa: E731
     gradient = [(energy(d - h * e) - energy(d + h * e)) / (2 * h) for e in np.eye(3)]
     scale = k * (abs(length - rest) + length + rest)
-    np.testing.assert_allclose(force, -np.array(gradient), atol=1e-7 * scale * max(1, rest / length))
+    np.testing.assert_allclose(
+        force, -np.array(gradient), atol=1e-7 * scale * max(1, rest / length)
+    )
 
 
 def test_spring_with_coincident_ends_pulls_nowhere():
@@ -72,9 +74,7 @@ def test_dashpot_resists_lengthening_only(d, u, c):
 
 
 @settings(max_examples=100, deadline=None)
-@given(
-    d=vectors, u=vectors, v=vectors, m1=positive, m2=positive, e=st.floats(0, 1)
-)
+@given(d=vectors, u=vectors, v=vectors, m1=positive, m2=positive, e=st.floats(0, 1))
 def test_pair_bounce_keeps_momentum_and_reverses_the_approach(d, u, v, m1, m2, e):
     reach = 60.0
     jump1 = value(2, d, u, v, (1 / m1, 1 / m2, reach, e))

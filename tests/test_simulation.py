@@ -85,8 +85,11 @@ def test_blow_pushes_by_distance_and_displacement():
     from taichi_cloth.simulation import BLOW_REACH, BLOW_STRENGTH, Simulation
 
     world = World(size=(200.0, 100.0), gravity=(0.0, 0.0), mouse="blow")
-    particles = Particles.build([[10.0, 50.0], [40.0, 50.0], [100.0, 50.0], [20.0, 50.0]],
-                                fixed=[False, False, False, True], mass=2.0)
+    particles = Particles.build(
+        [[10.0, 50.0], [40.0, 50.0], [100.0, 50.0], [20.0, 50.0]],
+        fixed=[False, False, False, True],
+        mass=2.0,
+    )
     sim = Simulation(Scene("blow", world, particles), execution="serial")
     sim.blow((20.0, 50.0), (3.0, -4.0))
     sim.advance()
@@ -150,9 +153,13 @@ def test_spawned_springs_break_at_the_scene_default():
     from taichi_cloth.simulation import Simulation
 
     world = World(size=(400.0, 400.0), gravity=(0.0, 0.0), mouse="spawn")
-    scene = Scene("spawn", world, Particles.none(2),
-                  particle_defaults=ParticleDefaults(mass=10.0),
-                  spring_defaults=SpringDefaults(stiffness=0.01, rest_length=20.0, break_force=2.0))
+    scene = Scene(
+        "spawn",
+        world,
+        Particles.none(2),
+        particle_defaults=ParticleDefaults(mass=10.0),
+        spring_defaults=SpringDefaults(stiffness=0.01, rest_length=20.0, break_force=2.0),
+    )
     sim = Simulation(scene, execution="serial")
     sim.advance(3)  # nothing there yet: nothing to go wrong
     a = sim.spawn((10.0, 50.0))

@@ -43,7 +43,7 @@ def of_layer(name):
 
 
 def test_imports_point_downwards():
-    """ui -> core -> kernels -> taichi; only the command line's `run` reaches up, when it opens one."""
+    """ui -> core -> kernels -> taichi; only commands reach up, inside the function in need."""
     upwards = [
         (str(path.relative_to(ROOT)), name)
         for path in FILES
@@ -69,7 +69,9 @@ def test_only_the_runtime_starts_taichi():
 
 def test_kernel_files_keep_their_annotations():
     """Taichi reads them as values; `from __future__ import annotations` would make them text."""
-    deferred = [p for p in (ROOT / "kernels").rglob("*.py") if "import annotations" in p.read_text()]
+    deferred = [
+        p for p in (ROOT / "kernels").rglob("*.py") if "import annotations" in p.read_text()
+    ]
     assert not deferred
 
 
@@ -78,7 +80,9 @@ def test_each_file_says_what_it_is_for():
     assert not silent
 
 
-@pytest.mark.parametrize("arguments", [["-c", "import taichi_cloth"], ["-m", "taichi_cloth", "--help"]])
+@pytest.mark.parametrize(
+    "arguments", [["-c", "import taichi_cloth"], ["-m", "taichi_cloth", "--help"]]
+)
 def test_start_up_is_quick_and_leaves_taichi_alone(arguments):
     def run(*more):
         begin = time.perf_counter()

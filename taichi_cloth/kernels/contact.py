@@ -150,7 +150,7 @@ def velocity_jump(features: ti.template(), state: ti.template(), i):
 
 @ti.func
 def kept_above_floor(features: ti.template(), state: ti.template(), i, x, v):
-    """Position x after the move, lifted onto the floor where the floor was hit and v still points down.
+    """Position x after the move; on the floor where that was hit and v still points down.
 
     Must be called before state.x[i] and state.v[i] are overwritten: the hit is the step's start's.
     """

@@ -10,8 +10,8 @@ from taichi_cloth.kernels.springs_graph import spring_forces
 def compute_acceleration(features: ti.template(), state: ti.template()):
     """a = g + w*f for every particle, from the positions and velocities as they stand.
 
-    Positions and velocities are only read, so the loop has no race. The order of the sums is that of
-    the reference trajectories: a pulled cloth amplifies round-off 1e8 times in 600 frames.
+    Positions and velocities are only read, so the loop has no race. The order of the sums is that
+    of the reference trajectories: a pulled cloth amplifies round-off 1e8 times in 600 frames.
     """
     for i in range(state.n[None]):
         x, v, w = state.x[i], state.v[i], state.w[i]

@@ -29,8 +29,9 @@ NOTICE_SECONDS = 4.0  # how long a word about the last click stays
 class Summary:
     """What a run did.
 
-    frames: advanced in this run. seconds: it took, from the first to the last. simulate, draw:
-    the part of these spent in each. quit: whether the user ended it.
+    frames: advanced in this run. seconds: it took, from the first to the last. simulate: the part
+    of these spent simulating, without the first frame, which compiles. draw: the part spent
+    drawing. quit: whether the user ended it.
     """
 
     frames: int
@@ -166,7 +167,8 @@ class _Loop:
                 self._started = begin
             self._advance()
             simulate = time.perf_counter() - begin
-            self._simulate += simulate
+            if self.frames > 1:
+                self._simulate += simulate
             advanced = self._failure is None
         else:
             advanced = False

@@ -8,6 +8,7 @@ the number of things drawn may change at every frame.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 
@@ -35,6 +36,7 @@ KEYS = {
     "Right": "right",
 }
 BUTTONS = {"LMB": "left", "MMB": "middle", "RMB": "right"}
+SETTINGS = Path("imgui.ini")  # of GGUI's text library, which we do not use
 MESH_VERTICES = 170_000  # spheres are meshes up to so many vertices (10-40 ms in software)
 SPHERES = ((10.0, 1), (45.0, 2), (math.inf, 3))  # up to this radius in pixels: subdivisions
 
@@ -83,6 +85,7 @@ class GguiView:
         self._ti, self._info = ti, get_field_info
         self.world, self.visible = world, visible
         self.camera = Camera(world.size) if world.dim == 3 else None
+        self._had_settings = SETTINGS.exists()
         # The app paces itself; GGUI's own limit would count as time spent drawing.
         self._window = ti.ui.Window(title, size, vsync=False, show_window=visible, fps_limit=1000)
         self._canvas = self._window.get_canvas()
@@ -181,6 +184,9 @@ class GguiView:
             if self._tap:
                 self._tap.close()
             self._window.destroy()
+            # The text library behind GGUI leaves its settings in the current folder.
+            if not self._had_settings:
+                SETTINGS.unlink(missing_ok=True)
 
     def _compose(self, picture: Picture) -> None:
         if self.camera:

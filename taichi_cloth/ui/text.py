@@ -98,9 +98,7 @@ def _panels(status, keys, banner, size) -> tuple[Panel, ...]:
         height = font_height(window_height)
         while height > 9 and max(map(_font(height).getlength, status)) > width - height:
             height -= 1
-        pixels = rasterise(
-            status, height, paper=style.PAPER, inks=(style.FAINT_INK, style.INK)
-        )
+        pixels = rasterise(status, height, paper=style.PAPER, inks=(style.FAINT_INK, style.INK))
         out.append(Panel(0, window_height - len(pixels), pixels))
     if keys:
         height = font_height(window_height)

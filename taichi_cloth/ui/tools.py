@@ -6,21 +6,11 @@ import numpy as np
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.events import Event
+from taichi_cloth.scatter import VELOCITY_HIGH, VELOCITY_LOW
+from taichi_cloth.scene import COLOR_CYCLE, FIXED_COLOR
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.layout import Layout
 
-# Colours of thrown particles, in turn: red, magenta, blue, cyan, green, yellow.
-COLORS = (
-    (232, 66, 66),
-    (224, 84, 214),
-    (82, 122, 250),
-    (64, 204, 220),
-    (84, 200, 104),
-    (242, 206, 74),
-)
-FIXED_COLOR = (128, 128, 128)
-# A thrown particle's velocity is drawn from between these, per axis (up, and away from us).
-SLOWEST, FASTEST = (-10.0, -10.0, 0.0), (10.0, 0.0, 10.0)
 DEGREES_A_PIXEL = 0.1
 ZOOM_STEP = 1.1  # factor a wheel notch or key press
 
@@ -122,8 +112,8 @@ class Tools:
         velocity, color = None, FIXED_COLOR
         if not fixed:
             dim = self._world.dim
-            velocity = self._rng.uniform(SLOWEST[:dim], FASTEST[:dim])
-            color = COLORS[self._thrown % len(COLORS)]
+            velocity = self._rng.uniform(VELOCITY_LOW[:dim], VELOCITY_HIGH[:dim])
+            color = COLOR_CYCLE[self._thrown % len(COLOR_CYCLE)]
             self._thrown += 1
         tied_to = self._newest if self._space else None
         try:

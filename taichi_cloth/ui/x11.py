@@ -238,9 +238,7 @@ class Connection:
             self._x.XNextEvent(self._display, ctypes.byref(event))
             if event.type in (KEY_PRESS, KEY_RELEASE):
                 symbol, text = _window(), ctypes.create_string_buffer(8)
-                self._x.XLookupString(
-                    ctypes.byref(event), text, 8, ctypes.byref(symbol), None
-                )
+                self._x.XLookupString(ctypes.byref(event), text, 8, ctypes.byref(symbol), None)
                 name = self._x.XKeysymToString(symbol.value)
                 key = KEYS.get(name.decode()) if name else None
                 if key:

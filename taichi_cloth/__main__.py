@@ -1,0 +1,8 @@
+"""``python -m taichi_cloth``: the same as the command ``taichi-cloth``."""
+
+import sys
+
+from taichi_cloth.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

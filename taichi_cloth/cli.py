@@ -1,0 +1,524 @@
+"""The command line: ``taichi-cloth run | list | doctor``.
+
+Settings of a run are declared in `options.RunOptions`, those of a scene by the scene itself; flags
+and help texts are made from both. Anything a user gets wrong ends in one line and exit status 2.
+Taichi is imported only once a run starts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from taichi_cloth import __version__
+from taichi_cloth.errors import InputError, SimulationFailure, nearest
+from taichi_cloth.options import HEADLESS_FRAMES, Parameter, RunOptions, parameters_of
+
+if TYPE_CHECKING:
+    from taichi_cloth.results import Trajectory
+    from taichi_cloth.runtime import Device
+    from taichi_cloth.scene import Scene
+    from taichi_cloth.simulation import Simulation
+
+PROGRAM = "taichi-cloth"
+DEFAULT_SCENE = "cloth"
+COMMANDS = {
+    "run": "run a scene, in a window or headless (the default command)",
+    "list": "show scenes, methods and the backends usable here",
+    "doctor": "show what this machine offers, and what each missing thing would need",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Do what the command line says; return the exit status."""
+    # Taichi's banner, and its question for a newer version, are not what the user asked for.
+    os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+    os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
+    # A terminated run ends like an interrupted one: with its files saved.
+    with contextlib.suppress(ValueError):  # not in the main thread
+        signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        status = _dispatch(list(sys.argv[1:] if arguments is None else arguments))
+        sys.stdout.flush()
+        return status
+    except (InputError, SimulationFailure) as error:
+        message = " ".join(str(error).split())
+        print(f"{PROGRAM}: error: {message}", file=sys.stderr)
+        return error.exit_status
+    except KeyboardInterrupt as interrupt:
+        print(f"{PROGRAM}: interrupted", file=sys.stderr)
+        return 143 if interrupt.args == (signal.SIGTERM,) else 130
+    except BrokenPipeError:
+        # The reader went away (`| head`). Python would complain once more at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+
+
+def _interrupt(*_):
+    raise KeyboardInterrupt(signal.SIGTERM)
+
+
+def _dispatch(arguments: list[str]) -> int:
+    if not arguments or (
+        arguments[0].startswith("-") and arguments[0] not in ("-h", "--help", "--version")
+    ):
+        return _run_command(arguments)
+    command, *rest = arguments
+    if command in ("-h", "--help"):
+        print(_help())
+    elif command == "--version":
+        print(f"{PROGRAM} {__version__}")
+    elif command == "run":
+        return _run_command(rest)
+    elif command in ("list", "doctor"):
+        if rest in (["-h"], ["--help"]):
+            print(f"usage: {PROGRAM} {command}\n\n{COMMANDS[command].capitalize()}.")
+            return 0
+        if rest:
+            raise InputError(f"{command}: unexpected '{rest[0]}'; it takes no arguments")
+        return _list() if command == "list" else _doctor()
+    else:
+        raise InputError(f"unknown command '{command}'; {_command_hint(command)}")
+    return 0
+
+
+def _command_hint(word: str) -> str:
+    from taichi_cloth import scenes
+
+    if word in scenes.names() or _names_file(word):
+        return f"did you mean '{PROGRAM} run {word}'?"
+    commands = {f"{PROGRAM} run {name}": name for name in scenes.names()}
+    commands |= {name: name for name in COMMANDS}
+    hint = nearest(word, commands.values())
+    meant = next((c for c, name in commands.items() if hint == f"did you mean '{name}'?"), None)
+    return f"did you mean '{meant}'?" if meant else f"known: {', '.join(COMMANDS)}"
+
+
+def _help() -> str:
+    commands = "\n".join(f"  {name:8} {says}" for name, says in COMMANDS.items())
+    return (
+        f"usage: {PROGRAM} [run] [SCENE | FILE.toml] [flags]\n"
+        f"       {PROGRAM} list | doctor | --version | --help\n\n"
+        "An interactive cloth and spring-mass simulator.\n\n"
+        f"commands:\n{commands}\n\n"
+        f"Without a command it runs the scene '{DEFAULT_SCENE}'.\n"
+        f"'{PROGRAM} run --help' shows all flags of a run, '{PROGRAM} run SCENE --help' those of "
+        "a scene, too.\n\n"
+        "exit status: 0 done, 2 the input was refused, 3 the simulation failed"
+    )
+
+
+# ------------------------------------------------------------------------------------------
+# Reading `run`'s arguments
+
+
+@dataclass(frozen=True)
+class _RunRequest:
+    """What a `run` command line asks for: a scene's name or file, its parameters, the settings."""
+
+    scene: str
+    scene_parameters: dict[str, Any]
+    options: RunOptions
+
+    @property
+    def is_file(self) -> bool:
+        return _names_file(self.scene)
+
+
+def _names_file(word: str) -> bool:
+    from taichi_cloth import scenes
+
+    if word in scenes.names() or not word:
+        return False
+    return word.endswith(".toml") or os.sep in word or "/" in word or Path(word).exists()
+
+
+def _flag(name: str) -> str:
+    return "--" + name.replace("_", "-")
+
+
+def _run_parameters() -> dict[str, Parameter]:
+    return parameters_of(RunOptions)
+
+
+def _parse_run(arguments: Sequence[str]) -> _RunRequest | None:
+    """The request on a `run` command line, checked; None if it asks for help (printed)."""
+    from taichi_cloth import scenes
+
+    of_scenes = {name: scenes.parameters(name) for name in scenes.names()}
+    of_run = _run_parameters()
+    known = {_flag(name): p for name, p in of_run.items()}
+    known |= {_flag(name): p for ps in of_scenes.values() for name, p in ps.items()} | known
+    switches = {flag for flag, p in known.items() if p.type is bool}
+    known |= {"--no-fast-math": of_run["fast_math"], "--help": None, "-h": None}
+    switches |= {"--no-fast-math", "--help", "-h"}
+
+    texts, scene, wants_help = _split(arguments, known, switches)
+    if scene is None:
+        scene = DEFAULT_SCENE
+    is_file = _names_file(scene)
+    if not is_file and scene not in of_scenes:
+        raise InputError(
+            f"unknown scene '{scene}'; {nearest(scene, of_scenes)} (or name a .toml file)"
+        )
+    declared = {} if is_file else of_scenes[scene]
+    if wants_help:
+        print(_run_help(scene, declared))
+        return None
+
+    values: dict[str, Any] = {}
+    scene_values: dict[str, Any] = {}
+    for flag, text in texts.items():
+        name = flag[2:].replace("-", "_")
+        if flag == "--no-fast-math":
+            values["fast_math"] = False
+        elif flag in switches:
+            values[name] = True
+        elif name in of_run or name in declared:
+            if name in of_run:
+                values[name] = of_run[name].parse(flag, text)
+            if name in declared:
+                scene_values[name] = declared[name].parse(flag, text)
+        elif is_file:
+            raise InputError(
+                f"{flag}: only built-in scenes take it; change the value in {scene} instead"
+            )
+        else:
+            has = f"has {', '.join(map(_flag, declared))}" if declared else "has no parameters"
+            others = [name_ for name_, ps in of_scenes.items() if name in ps]
+            raise InputError(
+                f"{flag}: scene '{scene}' does not take it (it {has}); "
+                f"it belongs to {', '.join(others)}"
+            )
+    options = RunOptions(**values)
+    return _RunRequest(scene, scene_values, _consistent(options))
+
+
+def _split(
+    arguments: Sequence[str], known: Mapping[str, Any], switches: Iterable[str]
+) -> tuple[dict[str, str], str | None, bool]:
+    """Flags with their texts, the scene's word if there is one, and whether help is wanted.
+
+    A flag's value is whatever follows it, so that values may begin with a minus sign.
+    """
+    texts: dict[str, str] = {}
+    scene = None
+    queue = list(arguments)
+    while queue:
+        word = queue.pop(0)
+        if not word.startswith("-") or word == "-":
+            if scene is not None:
+                raise InputError(f"unexpected '{word}': the scene is already '{scene}'")
+            scene = word
+            continue
+        flag, equals, text = word.partition("=")
+        if flag not in known:
+            raise InputError(f"unknown flag '{flag}'; {_flag_hint(flag, known)}")
+        if flag in switches:
+            if equals:
+                raise InputError(f"{flag} takes no value, got '{text}'")
+        elif not equals:
+            if not queue or queue[0].partition("=")[0] in known:
+                raise InputError(f"{flag} needs a value: {known[flag].describe()}")
+            text = queue.pop(0)
+        if not text and flag not in switches:
+            raise InputError(f"{flag} needs a value: {known[flag].describe()}")
+        texts[flag] = text
+    return texts, scene, bool({"-h", "--help"} & texts.keys())
+
+
+def _flag_hint(flag: str, known: Iterable[str]) -> str:
+    hint = nearest(flag, known)
+    return hint if hint.startswith("did") else f"'{PROGRAM} run --help' shows all flags"
+
+
+def _consistent(options: RunOptions) -> RunOptions:
+    """The options with what follows from them filled in; refuses those that exclude each other."""
+    from taichi_cloth.kernels.methods import METHODS
+
+    if options.method not in METHODS:
+        raise InputError(f"--method: unknown method '{options.method}'; "
+                         f"{nearest(options.method, METHODS)}")  # fmt: skip
+    if options.headless:
+        if options.view not in ("auto", "none"):
+            raise InputError(f"--headless and --view {options.view} exclude each other; give one")
+        options = replace(options, view="none")
+    if options.threads is not None:
+        if options.arch != "cpu":
+            raise InputError(f"--threads: only --arch cpu takes it, not {options.arch}")
+        if options.execution == "auto":
+            path = "serial" if options.threads == 1 else "parallel"
+            options = replace(options, execution=path)
+    written: dict[str, str] = {}
+    for name in ("record", "save", "image", "video"):
+        path = getattr(options, name)
+        if path is None:
+            continue
+        twin = written.setdefault(os.path.realpath(path), name)
+        if twin != name and os.path.isfile(path) | (not os.path.exists(path)):
+            raise InputError(f"--{twin} and --{name} would write the same file, {path}")
+    for name, kinds in (("image", (".png",)), ("video", (".mp4", ".gif"))):
+        path = getattr(options, name)
+        if path is not None and Path(path).suffix.lower() not in kinds:
+            raise InputError(f"--{name} {path}: the file's name must end in {' or '.join(kinds)}")
+    return options
+
+
+def _run_help(scene: str, declared: Mapping[str, Parameter]) -> str:
+    """Help of `run`, laid out by argparse from the declared settings."""
+    from taichi_cloth import scenes
+
+    parser = argparse.ArgumentParser(
+        prog=f"{PROGRAM} run",
+        usage=f"{PROGRAM} run [SCENE | FILE.toml] [flags]",
+        description=f"Scenes: {', '.join(scenes.names())}; default {DEFAULT_SCENE}.",
+        formatter_class=lambda prog: argparse.HelpFormatter(prog, max_help_position=28, width=100),
+        add_help=False,
+    )
+    groups = [("run", _run_parameters())]
+    if declared:
+        groups.insert(0, (f"scene '{scene}'", declared))
+    for title, parameters in groups:
+        group = parser.add_argument_group(title)
+        for name, parameter in parameters.items():
+            if title != "run" and name in _run_parameters():
+                continue  # one flag sets both, and is listed with the run
+            help_ = parameter.describe().replace("%", "%%")
+            if name == "fast_math":
+                group.add_argument("--fast-math", "--no-fast-math", action="store_true", help=help_)
+            elif parameter.type is bool:
+                group.add_argument(_flag(name), action="store_true", help=help_)
+            else:
+                words = "|".join(parameter.choices)
+                metavar = words or parameter.metavar or ("N" if parameter.type is int else "X")
+                group.add_argument(_flag(name), metavar=metavar, help=help_)
+    return parser.format_help().rstrip()
+
+
+# ------------------------------------------------------------------------------------------
+# Running
+
+
+def _run_command(arguments: Sequence[str]) -> int:
+    request = _parse_run(arguments)
+    if request is None:
+        return 0
+    options = request.options
+    scene = _scene_of(request)
+
+    # Everything that can be refused is refused before Taichi starts, and leaves no file.
+    from taichi_cloth import events
+    from taichi_cloth.atomic import PendingFile
+    from taichi_cloth.results import Trajectory
+
+    log = events.load(options.events) if options.events else None
+    for path in (options.image, options.video):
+        if path:
+            PendingFile(path).discard()
+    with contextlib.ExitStack() as unfinished:
+        trajectory = Trajectory(options.save, options.every) if options.save else None
+        if trajectory:
+            unfinished.callback(trajectory.discard)
+        recorder = events.Recorder(options.record) if options.record else None
+        if recorder:
+            unfinished.callback(recorder.discard)
+        return _run(scene, options, log, recorder, trajectory)
+
+
+def _scene_of(request: _RunRequest) -> Scene:
+    from taichi_cloth import scenefile, scenes
+
+    if request.is_file:
+        return scenefile.load(request.scene)
+    return scenes.build(request.scene, **request.scene_parameters)
+
+
+def _run(scene: Scene, options: RunOptions, log, recorder, trajectory: Trajectory | None) -> int:
+    """Run a checked scene; finishes the recorder and the trajectory however the run ends."""
+    from taichi_cloth import runtime
+    from taichi_cloth.simulation import Simulation
+    from taichi_cloth.ui import app
+    from taichi_cloth.ui.view import open_view
+
+    device = runtime.start(
+        options.arch, options.precision, options.threads, fast_math=options.fast_math
+    )
+    sim = Simulation(
+        scene,
+        method=options.method,
+        dt=options.dt,
+        substeps=options.substeps,
+        execution=options.execution,
+    )
+    view = open_view(
+        options.view,
+        scene.world,
+        size=options.size,
+        title=f"{PROGRAM}: {scene.name}",
+        pictures=bool(options.image or options.video),
+    )
+    with contextlib.closing(view):
+        frames = options.frames
+        if frames is None and not view.visible:
+            frames = HEADLESS_FRAMES
+        seed = options.seed
+        if seed is None:
+            seed = log.header.get("seed", 0) if log else 0
+        if log:
+            log.header["seed"] = seed
+            _note_differences(log.header, app.log_header(sim, view, seed))
+        if recorder:
+            recorder.write_header(app.log_header(sim, view, seed, replay=log))
+        if not options.quiet:
+            print(_first_line(sim, device, view), flush=True)
+
+        begin = time.perf_counter()
+        failure = None
+        try:
+            summary = app.run(
+                sim,
+                view,
+                frames=frames,
+                replay=log,
+                recorder=recorder,
+                trajectory=trajectory,
+                film=options.video,
+                image=options.image,
+                paused=options.paused,
+                quiet=options.quiet,
+                seed=seed,
+                device=device.describe(),
+            )
+        except (KeyboardInterrupt, SimulationFailure) as error:
+            failure = error
+        if trajectory:
+            if isinstance(failure, SimulationFailure):
+                trajectory.record(sim, last=True)
+            trajectory.save(_meta(sim, device))
+        if recorder:
+            recorder.close()
+        if failure:
+            raise failure
+        if not options.quiet:
+            print(_last_line(sim, summary, time.perf_counter() - begin))
+    return 0
+
+
+def _first_line(sim: Simulation, device: Device, view) -> str:
+    """Scene, method, dt, substeps, device, execution path and view."""
+    steps = f"{sim.substeps} substep{'s' * (sim.substeps > 1)}"
+    width, height = view.size
+    window = f"window {view.name} {width}x{height}" if view.visible else "headless"
+    return (
+        f"{sim.scene.name}: {sim.particle_count} particles, {sim.spring_count} springs; "
+        f"{sim.method}, dt {sim.dt:g}, {steps}; {device.describe()}, {sim.execution}; {window}"
+    )
+
+
+def _last_line(sim: Simulation, summary, seconds: float) -> str:
+    """Frames, time a frame, steps a second, and the execution path."""
+    frames = summary.frames
+    if not frames:
+        return f"0 frames in {seconds:.2f} s"
+    done = f"{frames} frame{'s' * (frames > 1)} in {seconds:.2f} s"
+    if frames == 1:
+        return done
+    a_frame = summary.simulate / (frames - 1)
+    return (
+        f"{done}: {1e3 * a_frame:.3g} ms a frame to simulate after the first, "
+        f"{sim.substeps / a_frame:.4g} steps/s, {sim.execution}"
+    )
+
+
+def _note_differences(recorded: Mapping[str, Any], present: Mapping[str, Any]):
+    """Say on standard error where a replay's settings are not those of the recording."""
+    notes = [
+        f"{key} {present[key]} (recorded: {recorded[key]})"
+        for key in ("scene", "dt", "substeps", "method")
+        if key in recorded and recorded[key] != present[key]
+    ]
+    if notes:
+        print(f"{PROGRAM}: note: replaying with {', '.join(notes)}", file=sys.stderr)
+
+
+def _meta(sim: Simulation, device: Device) -> dict[str, Any]:
+    """What a saved trajectory says about its run."""
+    import platform
+
+    import numpy
+    import taichi
+
+    return {
+        "scene": sim.scene.name,
+        "method": sim.method,
+        "dt": sim.dt,
+        "substeps": sim.substeps,
+        "precision": device.precision,
+        "arch": device.arch,
+        "device": device.describe(),
+        "execution": sim.execution,
+        "versions": {
+            "taichi_cloth": __version__,
+            "taichi": ".".join(map(str, taichi.__version__)),
+            "numpy": numpy.__version__,
+            "python": platform.python_version(),
+        },
+    }
+
+
+# ------------------------------------------------------------------------------------------
+# Other commands
+
+
+def _list() -> int:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    from taichi_cloth import runtime, scenes
+    from taichi_cloth.kernels import methods
+
+    # A pipe or a file has no width: give whole sentences a line where they fit.
+    console = Console() if sys.stdout.isatty() else Console(width=160)
+
+    def table(*headers: str) -> Table:
+        return Table(*headers, box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False)
+
+    shown = table("scene", "what it shows", "parameters")
+    for name in scenes.names():
+        parameters = (f"{_flag(k)} {p.default}" for k, p in scenes.parameters(name).items())
+        shown.add_row(name, scenes.description(name), "\n".join(parameters))
+    console.print(shown)
+
+    shown = table("method", "what it is")
+    for name in methods.METHODS:
+        shown.add_row(name, _summary_of(Path(methods.__path__[0], f"{name}.py")))
+    console.print(shown)
+
+    shown = table("backend", "usable here")
+    for name, lack in runtime.usable_backends().items():
+        shown.add_row(name, "yes" if lack is None else f"no: needs {lack}")
+    console.print(shown)
+    return 0
+
+
+def _summary_of(path: Path) -> str:
+    """The first line of a source file's docstring, read without running the file."""
+    import ast
+
+    docstring = ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
+    return docstring.partition("\n")[0]
+
+
+def _doctor() -> int:
+    from taichi_cloth import doctor
+
+    return doctor.main()

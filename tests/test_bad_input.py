@@ -1,0 +1,257 @@
+"""What a user gets wrong: one line that says what, where and what to do; status 2; no file left.
+
+Cases run `cli.main` in this process: they are refused before Taichi starts.
+"""
+
+import numpy as np
+import pytest
+
+from taichi_cloth import cli, scenefile, scenes
+from taichi_cloth.cloth import grid
+from taichi_cloth.errors import InputError
+from taichi_cloth.scene import Particles, Scene, SpringDefaults, Springs, World, validate
+
+COMMAND_LINES = [
+    # (arguments, what the line must say)
+    ("clth", "did you mean 'taichi-cloth run cloth'?"),
+    ("cloth", "did you mean 'taichi-cloth run cloth'?"),
+    ("lst", "did you mean 'list'?"),
+    ("zzzzzz", "known: run, list, doctor"),
+    ("list x", "unexpected 'x'"),
+    ("run clth", "did you mean 'cloth'?"),
+    ("run cloth box", "unexpected 'box'"),
+    ("run --framse 3", "did you mean '--frames'?"),
+    ("run --frames", "--frames needs a value"),
+    ("run --frames= --quiet", "--frames needs a value"),
+    ("run --frames --quiet", "--frames needs a value"),
+    ("run --frames 0", "--frames must be at least 1, is 0"),
+    ("run --frames -5", "--frames must be at least 1, is -5"),
+    ("run --frames 2.5", "--frames must be a whole number"),
+    ("run --every 0", "--every must be at least 1, is 0"),
+    ("run --substeps 0", "--substeps must be at least 1, is 0"),
+    ("run --threads 0", "--threads must be at least 1, is 0"),
+    ("run --dt 0", "--dt must be positive"),
+    ("run --dt -1e-3", "--dt must be positive"),
+    ("run --dt nan", "--dt must be a finite number"),
+    ("run --dt -inf", "--dt must be a finite number"),
+    ("run --dt soon", "--dt must be a number"),
+    ("run --seed -1", "--seed must be at least 0"),
+    ("run --method symplectic_eular", "did you mean 'symplectic_euler'?"),
+    ("run --arch vulcan", "did you mean 'vulkan'?"),
+    ("run --precision f16", "--precision: unknown value 'f16'"),
+    ("run --execution serail", "did you mean 'serial'?"),
+    ("run --view guii", "did you mean 'gui'?"),
+    ("run --size 800", "such as 800x600"),
+    ("run --size 800x0", "16 to 8192"),
+    ("run --headless=yes", "--headless takes no value"),
+    ("run --headless --view gui", "exclude each other"),
+    ("run --arch vulkan --threads 2", "only --arch cpu"),
+    ("run box --columns 3", "scene 'box' does not take it"),
+    ("run cloth --columns 0", "--columns must be at least 1"),
+    ("run cloth --spacing nan", "--spacing must be a finite number"),
+    ("run chain --mode 17", "mode must be at most"),
+    ("run box --particles 20000", "do not fit into the world"),
+    ("run missing.toml", "there is no such file"),
+    ("run here/", "there is no such file"),
+    ("run .", "is a folder"),
+    ("run binary.toml", "is not a text file in UTF-8"),
+    ("run broken.toml", "broken.toml line 2: is not TOML"),
+    ("run fine.toml --columns 3", "change the value in fine.toml"),
+    ("run --events missing.jsonl", "there is no such file"),
+    ("run --events broken.toml", "broken.toml line 1: is not JSON"),
+    ("run --save missing/x.npz", "there is no folder 'missing'"),
+    ("run --save .", "is a folder"),
+    ("run --record missing/x.jsonl", "there is no folder 'missing'"),
+    ("run --image missing/x.png", "there is no folder 'missing'"),
+    ("run --video missing/x.mp4", "there is no folder 'missing'"),
+    ("run --image x.jpg", "must end in .png"),
+    ("run --video x.avi", "must end in .mp4 or .gif"),
+    ("run --save x.npz --record ./x.npz", "would write the same file"),
+    ("run --save x.npz --record y.jsonl --image missing/x.png", "there is no folder"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "says"), COMMAND_LINES)
+def test_command_lines(arguments, says, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    (tmp_path / "broken.toml").write_text("[world]\nsize =")
+    (tmp_path / "fine.toml").write_text("[world]\nsize = [10, 10]")
+    before = sorted(tmp_path.iterdir())
+    assert cli.main(arguments.split()) == 2
+    out, error = capsys.readouterr()
+    assert out == "" and error.startswith("taichi-cloth: error: ")
+    assert error.count("\n") == 1 and says in error
+    assert sorted(tmp_path.iterdir()) == before
+
+
+SCENE = """\
+[world]
+size = [100.0, 100.0]
+gravity = [0.0, 1.0]
+dt = 1.0
+walls = ["top"]
+mouse = "blow"
+[particle]
+mass = 1.0
+radius = 2.0
+restitution = 0.5
+[spring]
+stiffness = 1.0
+[[particles]]
+position = [10.0, 10.0]
+[[particles]]
+position = [20.0, 10.0]
+velocity = [0.0, 0.0]
+[[springs]]
+between = [0, 1]
+[[cloths]]
+origin = [30.0, 30.0]
+columns = 3
+rows = 2
+spacing = 5.0
+pinned = [[0, 0]]
+links = ["structural"]
+"""
+EDITS = [
+    # (line replaced, new line, what the message says after the line number)
+    (2, "size = [100.0]", "[world]: size must be 2 or 3 lengths"),
+    (2, "size = [100.0, -1.0]", "[world]: size must be positive, is -1"),
+    (2, "size = 5", "[world]: size must be a list of numbers"),
+    (2, "siez = [100.0, 100.0]", "[world]: unknown key 'siez'; did you mean 'size'?"),
+    (3, "gravity = [0.0, 0.0, 1.0]", "[world]: gravity must have 2 numbers"),
+    (3, "gravity = [0.0, nan]", "[world]: gravity must be finite"),
+    (4, "dt = 0.0", "[world]: dt must be positive, is 0"),
+    (4, "dt = -inf", "[world]: dt must be a finite number"),
+    (4, "dt = true", "[world]: dt must be a number, is true"),
+    (5, 'walls = ["tpo"]', "[world]: unknown wall 'tpo'; did you mean 'top'?"),
+    (5, 'walls = ["front"]', "[world]: a 2-D world has no front wall"),
+    (5, "walls = 3", "[world]: walls must be true, false or a list of names"),
+    (6, 'mouse = "blwo"', "[world]: unknown mouse mode 'blwo'; did you mean 'blow'?"),
+    (7, "[particel]", "unknown key 'particel'; did you mean 'particle'?"),
+    (8, "mass = 0", "[particle]: mass must be positive, is 0"),
+    (8, "mass = nan", "[particle]: mass must be a finite number, is nan"),
+    (8, 'mass = "heavy"', "[particle]: mass must be a number, is the text 'heavy'"),
+    (9, "radius = -1", "[particle]: radius must not be negative, is -1"),
+    (9, "viscous = -0.5", "[particle]: viscous must not be negative"),
+    (10, "restitution = 1.5", "[particle]: restitution must be between 0 and 1, is 1.5"),
+    (12, "stiffness = -1", "[spring]: stiffness must not be negative"),
+    (12, "break_force = 0", "[spring]: break_force must be positive"),
+    (12, "break_force = inf", "[spring]: break_force must be finite"),
+    (12, "damping = -1", "[spring]: damping must not be negative"),
+    (12, "rest_length = -1", "[spring]: rest_length must not be negative"),
+    (14, "position = [10.0, 900.0]", "[[particles]] 0: position (10, 900) is outside the world"),
+    (14, "position = [10.0]", "[[particles]] 0: position must have 2 numbers"),
+    (16, "position = [inf, 0]", "[[particles]] 1: position must be finite"),
+    (17, "mass = -2", "[[particles]] 1: mass must be positive, is -2"),
+    (17, "fixed = 1", "[[particles]] 1: fixed must be true or false"),
+    (17, "color = [0, 0, 256]", "[[particles]] 1: color must be three whole numbers"),
+    (17, "restitution = -0.1", "[[particles]] 1: restitution must be between 0 and 1"),
+    (19, "between = [0, 8]", "[[springs]] 0: there is no particle 8; the scene's are 0 to 7"),
+    (19, "between = [-1, 0]", "[[springs]] 0: there is no particle -1"),
+    (19, "between = [1, 1]", "[[springs]] 0: it ties particle 1 to itself"),
+    (19, "between = [2, 3]", "[[cloths]] 0: it ties particles 2 and 3, as spring 0 already does"),
+    (19, "between = [0, 1, 2]", "[[springs]] 0: between must be a list of two whole numbers"),
+    (21, "origin = [95.0, 30.0]", "[[cloths]] 0 particle 2: position (105, 30) is outside"),
+    (22, "columns = 0", "[[cloths]] 0: columns and rows must be at least 1"),
+    (22, "columns = 100000000", "[[cloths]] 0: 100000000 columns x 2 rows"),
+    (24, "spacing = 0", "[[cloths]] 0: spacing must be positive"),
+    (25, "pinned = [[3, 0]]", "[[cloths]] 0: pinned [3, 0] is outside the grid"),
+    (25, "pinned = [[0, -1]]", "[[cloths]] 0: pinned [0, -1] is outside the grid"),
+    (25, "pinned = [0, 0]", "[[cloths]] 0: pinned must be a list of [column, row] pairs"),
+    (26, 'links = ["bned"]', "[[cloths]] 0: links: unknown kind 'bned'; did you mean 'bend'?"),
+    (26, "stiffness = { shear = 1 }", "[[cloths]] 0: stiffness: this cloth has no shear links"),
+    (26, "stiffness = { strucural = 1 }", "[[cloths]] 0: unknown kind 'strucural'; did you mean"),
+    (26, "damping = { structural = -1 }", "[[cloths]] 0: damping of structural links must be"),
+    (26, "across = [0.0, 2.0]", "[[cloths]] 0: across and down must not be parallel"),
+    (26, "down = [0.0, 0.0]", "[[cloths]] 0: down must be a finite direction"),
+]
+
+
+def test_the_scene_without_edits_is_accepted():
+    assert len(scenefile.parse(SCENE).particles) == 8
+
+
+@pytest.mark.parametrize(("number", "edit", "says"), EDITS)
+def test_scene_files(number, edit, says):
+    lines = SCENE.splitlines()
+    lines[number - 1] = edit
+    with pytest.raises(InputError) as refused:
+        scenefile.parse("\n".join(lines))
+    message = str(refused.value)
+    assert message.startswith("scene.toml line ") and says in message and "\n" not in message
+    # The line itself, except where two entries do not fit each other.
+    if "already does" not in says:
+        shown = int(message.split()[2].rstrip(":"))
+        assert shown == number or (number in (2, 21, 22) and shown in (1, 20)), message
+
+
+def test_a_value_that_came_from_the_defaults_is_blamed_on_them():
+    text = SCENE.replace("radius = 2.0", "radius = -2.0")
+    with pytest.raises(InputError, match=r"line 9: \[particle\]: radius"):
+        scenefile.parse(text)
+
+
+def test_duplicate_springs_are_found_in_both_directions():
+    for pair in ("[0, 1]", "[1, 0]"):
+        with pytest.raises(InputError, match=r"line 28: \[\[springs\]\] 1: it ties particles"):
+            scenefile.parse(SCENE + f"[[springs]]\nbetween = {pair}")
+
+
+def two_particles(**changes) -> Scene:
+    position = np.array([[1.0, 1.0], [2.0, 1.0]])
+    particles = Particles.build(position)
+    springs = Springs.build([(0, 1)], position)
+    for name, value in changes.items():
+        target = particles if name in vars(particles) else springs
+        vars(target)[name] = value  # a frozen dataclass still has a plain dictionary
+    return Scene("two", World((10.0, 10.0), (0.0, 0.0)), particles, springs)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"mass": np.array([1.0, 0.0])}, "particle 1: mass must be positive, is 0"),
+        ({"mass": np.array([1.0, np.nan])}, "particle 1: mass must be a finite number, is nan"),
+        ({"mass": np.array([1.0])}, "particles: mass must have shape (2,), has (1,)"),
+        ({"radius": np.array([-1.0, 0.0])}, "particle 0: radius must not be negative, is -1"),
+        ({"viscous": np.array([1.0, np.inf])}, "particle 1: viscous must be a finite number"),
+        ({"restitution": np.array([1.0, 1.1])}, "particle 1: restitution must be between 0 and 1"),
+        ({"velocity": np.array([[0, 0], [0, np.nan]])}, "particle 1: velocity must be finite"),
+        ({"position": np.array([[1.0, 1.0], [11.0, 1.0]])}, "particle 1: position (11, 1) is out"),
+        ({"position": np.zeros((2, 3))}, "particles: position has 3 numbers a particle in a 2-D"),
+        ({"between": np.array([[0, 2]])}, "spring 0: there is no particle 2"),
+        ({"between": np.array([[1, 1]])}, "spring 0: it ties particle 1 to itself"),
+        ({"stiffness": np.array([-1.0])}, "spring 0: stiffness must not be negative, is -1"),
+        ({"rest_length": np.array([np.inf])}, "spring 0: rest_length must be a finite number"),
+        ({"break_force": np.array([0.0])}, "spring 0: break_force must be positive, is 0"),
+        ({"break_force": np.array([np.nan])}, "spring 0: break_force must be positive, is nan"),
+        ({"damping": np.array([-1.0])}, "spring 0: damping must not be negative, is -1"),
+    ],
+)
+def test_scenes_built_by_hand(changes, says):
+    with pytest.raises(InputError) as refused:
+        validate(two_particles(**changes))
+    assert str(refused.value).startswith(says)
+
+
+def test_a_sound_scene_is_returned_as_it_is():
+    scene = two_particles()
+    assert validate(scene) is scene
+
+
+def test_scene_parameters_are_checked_in_python_too():
+    for name, values, says in (
+        ("clth", {}, "did you mean 'cloth'?"),
+        ("cloth", {"colums": 3}, "did you mean 'columns'?"),
+        ("cloth", {"columns": 2.5}, "whole number"),
+        ("cloth", {"spacing": float("nan")}, "finite"),
+    ):
+        with pytest.raises(InputError) as refused:
+            scenes.build(name, **values)
+        assert says in str(refused.value)
+
+
+def test_a_cloth_refuses_infinite_spacing():
+    with pytest.raises(InputError, match="spacing"):
+        grid((0, 0), 2, 2, np.inf, spring_defaults=SpringDefaults())

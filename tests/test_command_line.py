@@ -1,0 +1,287 @@
+"""The command line: what it prints, writes and returns, in processes of its own."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from taichi_cloth import cli, results, scenes
+from taichi_cloth.options import RunOptions, parameters_of
+
+COMMAND = [sys.executable, "-m", "taichi_cloth"]
+HEAVY = ("taichi", "matplotlib", "imageio", "scipy", "rich", "PIL")
+
+
+def run(*arguments, cwd=None, **options):
+    """Run the command; its standard output, standard error and exit status."""
+    root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    environment = {**os.environ, "PYTHONPATH": root, "DISPLAY": "", "TI_SKIP_VERSION_CHECK": "ON"}
+    return subprocess.run(
+        [*COMMAND, *map(str, arguments)],
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        **options,
+    )
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import taichi_cloth",
+        "from taichi_cloth import Scene, World, validate, grid, load_scene, scenes",
+        "from taichi_cloth import Trajectory, load_events, InputError, SimulationFailure",
+        "import taichi_cloth.cli, taichi_cloth.events, taichi_cloth.results, taichi_cloth.options",
+        "from taichi_cloth import cli; cli.main(['--help'])",
+        "from taichi_cloth import cli; cli.main(['run', 'box', '--help'])",
+        "from taichi_cloth import cli; assert cli.main(['run', '--frames', '0']) == 2",
+    ],
+)
+def test_nothing_heavy_is_imported_before_a_run(code):
+    heavy = f"[name for name in {HEAVY} if name in sys.modules]"
+    subprocess.run(
+        [sys.executable, "-c", f"import sys; {code}; assert not {heavy}, {heavy}"],
+        check=True,
+        capture_output=True,
+    )
+
+
+@pytest.mark.parametrize("code", ["import taichi_cloth", "from taichi_cloth.cli import main"])
+def test_importing_is_quick(code):
+    def seconds():
+        begin = time.perf_counter()
+        subprocess.run([sys.executable, "-c", code], check=True)
+        return time.perf_counter() - begin
+
+    assert min(seconds() for _ in range(3)) < 0.3
+
+
+def test_every_public_name_is_there():
+    import taichi_cloth
+
+    for name in taichi_cloth.__all__:
+        assert getattr(taichi_cloth, name) is not None
+    with pytest.raises(AttributeError):
+        taichi_cloth.no_such_name  # noqa: B018
+
+
+@pytest.mark.parametrize("name", scenes.names())
+def test_help_shows_every_flag_of_a_scene(name, capsys):
+    assert cli.main(["run", name, "--help"]) == 0
+    shown = capsys.readouterr().out
+    for parameters in (parameters_of(RunOptions), scenes.parameters(name)):
+        for flag in parameters:
+            assert "--" + flag.replace("_", "-") in shown
+
+
+def test_help_and_version(capsys):
+    assert cli.main(["--help"]) == 0 and "taichi-cloth run --help" in capsys.readouterr().out
+    assert cli.main(["--version"]) == 0 and capsys.readouterr().out.startswith("taichi-cloth ")
+
+
+def test_list_names_every_scene_method_and_backend():
+    done = run("list")
+    assert done.returncode == 0 and done.stderr == ""
+    for word in (*scenes.names(), "symplectic_euler", "explicit_euler", "--columns 16", "cuda"):
+        assert word in done.stdout
+
+
+def test_doctor_reports_and_succeeds():
+    done = run("doctor")
+    assert done.returncode == 0
+    for word in ("Python", "taichi", "numpy", "backend cpu", "display", "view gui", "video writer"):
+        assert word in done.stdout
+
+
+def test_a_run_prints_two_lines_and_saves_what_it_did(tmp_path):
+    arguments = ["--headless", "--frames", 25, "--every", 10, "--precision", "f64"]
+    done = run("run", "cloth", *arguments, "--save", "out.npz", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    first, last = done.stdout.splitlines()
+    for word in ("cloth", "symplectic_euler", "dt 1", "1 substep", "cpu f64", "headless"):
+        assert word in first
+    assert last.startswith("25 frames in ") and "ms a frame" in last
+    with np.load(tmp_path / "out.npz") as file:
+        arrays = dict(file)
+    assert arrays["frame"].tolist() == [10, 20] and arrays["time"].tolist() == [10.0, 20.0]
+    assert arrays["position"].shape == arrays["velocity"].shape == (2, 192, 2)
+    assert arrays["position"].dtype == np.float64
+    assert arrays["spring"].shape == (356, 2) and arrays["spring_alive"].shape == (2, 356)
+    meta = json.loads(str(arrays["meta"]))
+    assert meta["scene"] == "cloth" and meta["precision"] == "f64" and meta["arch"] == "cpu"
+    assert {"method", "dt", "substeps", "device", "versions"} <= meta.keys()
+    assert [p.name for p in tmp_path.iterdir()] == ["out.npz"]
+    assert results.load(tmp_path / "out.npz").meta == meta
+
+
+def test_quiet_prints_nothing():
+    done = run("run", "oscillator", "--headless", "--frames", 1, "--quiet")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_scene_parameters_and_files_run(tmp_path):
+    done = run("run", "cloth", "--columns", 3, "--rows=2", "--headless", "--frames", 1)
+    assert done.returncode == 0 and done.stdout.startswith("cloth: 6 particles, 7 springs")
+    (tmp_path / "drop.toml").write_text(
+        "[world]\nsize = [10, 10]\n[[particles]]\nposition = [1, 1]"
+    )
+    done = run("run", "drop.toml", "--headless", "--frames", 1, cwd=tmp_path)
+    assert done.returncode == 0 and done.stdout.startswith("drop: 1 particles, 0 springs")
+
+
+@pytest.mark.parametrize(
+    ("flags", "path"),
+    [
+        (("--threads", 1), "serial"),
+        (("--threads", 2), "parallel"),
+        (("--threads", 2, "--execution", "serial"), "serial"),
+        (("--execution", "parallel"), "parallel"),
+    ],
+)
+def test_threads_choose_the_execution_path(flags, path):
+    done = run("run", "oscillator", "--headless", "--frames", 1, *flags)
+    assert done.returncode == 0 and f", {path};" in done.stdout
+
+
+def test_a_recorded_log_replays_to_the_same_bits(tmp_path, request):
+    log = request.path.parent / "golden" / "cloth_blow.jsonl"
+    common = ["--headless", "--frames", 120, "--quiet"]
+    first = ["--events", log, "--record", "b.jsonl", "--save", "a.npz"]
+    assert run("run", *common, *first, cwd=tmp_path).returncode == 0
+    again = ["--events", "b.jsonl", "--save", "b.npz"]
+    assert run("run", *common, *again, cwd=tmp_path).returncode == 0
+    a, b = np.load(tmp_path / "a.npz"), np.load(tmp_path / "b.npz")
+    for name in a.files:
+        np.testing.assert_array_equal(a[name], b[name])
+    assert not a["spring_alive"][-1].all(), "the log should tear springs"
+
+
+def test_a_replay_with_other_settings_says_so(tmp_path):
+    (tmp_path / "log.jsonl").write_text('{"header": {"dt": 0.5}}\n')
+    arguments = ["--headless", "--frames", 1, "--events", "log.jsonl"]
+    done = run("run", "cloth", *arguments, cwd=tmp_path)
+    assert done.returncode == 0 and "dt 1.0 (recorded: 0.5)" in done.stderr
+
+
+def test_clicked_particles_are_nan_before_they_exist(tmp_path):
+    (tmp_path / "log.jsonl").write_text(
+        '{"frame": 0, "event": "press", "pos": [100, 100], "button": "left"}\n'
+        '{"frame": 2, "event": "press", "key": "space"}\n'
+        '{"frame": 2, "event": "press", "pos": [300, 100], "button": "left"}\n'
+    )
+    arguments = ["--headless", "--frames", 4, "--events", "log.jsonl", "--save", "a.npz"]
+    assert run("run", "sandbox", *arguments, cwd=tmp_path).returncode == 0
+    saved = results.load(tmp_path / "a.npz")
+    assert saved.position.shape == (4, 2, 2) and saved.spring.tolist() in ([[0, 1]], [[1, 0]])
+    assert np.isnan(saved.position[:2, 1]).all() and np.isfinite(saved.position[2:]).all()
+    assert np.isnan(saved.velocity[:2, 1]).all()
+    assert saved.spring_alive[:, 0].tolist() == [False, False, True, True]
+
+
+def test_a_failed_simulation_is_status_3_and_keeps_the_last_good_frame(tmp_path):
+    arguments = ["--headless", "--dt", 30, "--save", "a.npz", "--every", 1000]
+    done = run("run", "cloth", *arguments, cwd=tmp_path)
+    assert done.returncode == 3
+    assert done.stderr.startswith("taichi-cloth: error: frame ")
+    assert "Traceback" not in done.stderr and done.stderr.count("\n") == 1
+    saved = results.load(tmp_path / "a.npz")
+    assert len(saved.frame) == 1 and np.isfinite(saved.position).all()
+    assert f"the last good frame, {saved.frame[0]}, is kept" in done.stderr
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupted_run_keeps_its_files(tmp_path, number, status):
+    process = subprocess.Popen(
+        [*COMMAND, "run", "--headless", "--frames", str(10**9), "--every", "1000"]
+        + ["--save", str(tmp_path / "a.npz"), "--record", str(tmp_path / "a.jsonl")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell that runs the tests in the background would have SIGINT ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    assert process.stdout.readline().startswith("cloth")
+    time.sleep(0.5)
+    process.send_signal(number)
+    _, error = process.communicate(timeout=30)
+    assert process.returncode == status and error == "taichi-cloth: interrupted\n"
+    assert results.load(tmp_path / "a.npz").frame[0] == 1000
+    assert json.loads((tmp_path / "a.jsonl").read_text())["header"]["scene"] == "cloth"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.jsonl", "a.npz"]
+
+
+def test_a_reader_that_leaves_is_no_error():
+    process = subprocess.Popen(
+        [*COMMAND, "run", "oscillator", "--headless", "--frames", "1"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    process.stdout.close()
+    assert process.stderr.read() == "" and process.wait() == 141
+
+
+def test_an_unusable_backend_is_refused_with_those_that_are():
+    arch = "metal" if sys.platform != "darwin" else "cuda"
+    done = run("run", "--arch", arch, "--headless")
+    assert done.returncode == 2 and done.stdout == ""
+    assert "usable: cpu" in done.stderr and done.stderr.count("\n") == 1
+
+
+class FakeSimulation:
+    """As much of a simulation as a trajectory reads."""
+
+    class scene:
+        class world:
+            dim = 2
+
+    def __init__(self):
+        self.frame, self.n, self.pairs = 0, 1, []
+
+    time = property(lambda self: 0.5 * self.frame)
+
+    def positions(self):
+        return np.full((self.n, 2), float(self.frame))
+
+    def velocities(self):
+        return -self.positions()
+
+    def springs(self):
+        return np.array(self.pairs, np.int64).reshape(-1, 2)
+
+    def springs_alive(self):
+        return np.ones(len(self.pairs), bool)
+
+
+def test_a_reset_starts_the_trajectory_again(tmp_path):
+    sim, trajectory = FakeSimulation(), results.Trajectory(tmp_path / "a.npz", every=2)
+    for frame in (1, 2, 3, 4, 4, 1, 2):
+        sim.frame = frame
+        trajectory.record(sim)
+    trajectory.save({"scene": "x"})
+    trajectory.save({"scene": "y"})
+    saved = results.load(tmp_path / "a.npz")
+    assert saved.frame.tolist() == [2] and saved.meta == {"scene": "x"}
+
+
+def test_a_trajectory_without_frames_is_a_file_all_the_same(tmp_path):
+    trajectory = results.Trajectory(tmp_path / "a.npz")
+    trajectory.record(FakeSimulation())
+    trajectory.save()
+    assert results.load(tmp_path / "a.npz").position.shape == (0, 0, 2)
+
+
+def test_a_link_and_a_device_are_written_through(tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "target")
+    results.Trajectory(tmp_path / "link").save()
+    assert (tmp_path / "link").is_symlink() and results.load(tmp_path / "target")
+    if os.path.exists(os.devnull) and os.name == "posix":
+        results.Trajectory(os.devnull).save()
+        assert not os.path.isfile(os.devnull)
