@@ -1,0 +1,95 @@
+"""The seed cloth as a program of Python objects: the yardstick for the speed of the kernels.
+
+It does what the original does, one object per particle and per spring, without NumPy.
+"""
+
+import math
+
+
+class Particle:
+    def __init__(self, x, y, fixed):
+        self.x, self.y, self.fixed = x, y, fixed
+        self.vx = self.vy = self.fx = self.fy = 0.0
+        self.mass, self.radius, self.viscous, self.restitution = 1.0, 5.0, 0.05, 0.0
+
+    def accelerate(self, gravity):
+        self.fx = -self.viscous * self.vx
+        self.fy = self.mass * gravity - self.viscous * self.vy
+
+    def bounce(self, width, height):
+        """Velocity change from the four walls, and whether the floor was hit."""
+        jx = jy = 0.0
+        gain = 1.0 + self.restitution
+        if (self.x - self.radius < 0 and self.vx < 0) or (
+            self.x + self.radius > width and self.vx > 0
+        ):
+            jx = -gain * self.vx
+        floor = self.y + self.radius > height and self.vy > 0
+        if floor or (self.y - self.radius < 0 and self.vy < 0):
+            jy = -gain * self.vy
+        return jx, jy, floor
+
+    def move(self, dt, width, height):
+        if self.fixed:
+            return
+        jx, jy, floor = self.bounce(width, height)
+        self.vx += dt * self.fx / self.mass + jx
+        self.vy += dt * self.fy / self.mass + jy
+        self.x += dt * self.vx
+        self.y += dt * self.vy
+        if floor and self.vy > 0:
+            self.y = height - self.radius
+
+
+class Spring:
+    def __init__(self, a, b, stiffness, rest_length, break_force):
+        self.a, self.b = a, b
+        self.stiffness, self.rest_length, self.break_force = stiffness, rest_length, break_force
+        self.alive = True
+
+    def pull(self):
+        dx, dy = self.b.x - self.a.x, self.b.y - self.a.y
+        length = math.sqrt(dx * dx + dy * dy)
+        if length == 0:
+            return
+        force = self.stiffness * (length - self.rest_length)
+        fx, fy = force * dx / length, force * dy / length
+        self.a.fx += fx
+        self.a.fy += fy
+        self.b.fx -= fx
+        self.b.fy -= fy
+        self.alive = force <= self.break_force
+
+
+class Cloth:
+    """16 x 12 particles, 25 apart, three of the first row fixed, in a room of 600 x 400."""
+
+    def __init__(self, columns=16, rows=12, spacing=25.0):
+        self.width, self.height, self.gravity = 600.0, 400.0, 0.05
+        pinned = {0, columns // 2, columns - 1}
+        self.particles = [
+            Particle(100 + spacing * c, 20 + spacing * r, r == 0 and c in pinned)
+            for r in range(rows)
+            for c in range(columns)
+        ]
+        self.springs = []
+        for r in range(rows):
+            for c in range(columns):
+                here = self.particles[r * columns + c]
+                if c > 0:
+                    self.springs.append(
+                        Spring(here, self.particles[r * columns + c - 1], 0.5, spacing, 5.0)
+                    )
+                if r > 0:
+                    self.springs.append(
+                        Spring(here, self.particles[(r - 1) * columns + c], 0.5, spacing, 5.0)
+                    )
+
+    def step(self, dt=1.0):
+        for particle in self.particles:
+            particle.accelerate(self.gravity)
+        for spring in self.springs:
+            spring.pull()
+        self.springs = [spring for spring in self.springs if spring.alive]
+        for particle in self.particles:
+            particle.move(dt, self.width, self.height)
