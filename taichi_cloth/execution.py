@@ -20,16 +20,16 @@ from taichi_cloth.runtime import current_device
 PATHS = ("serial", "parallel")
 
 
-def run_frames(path, step, features, state, first, frames, substeps) -> int:
-    """Advance frames number first.. on a path; return how many passed the watchdog."""
+def run_frames(path, method, features, state, done, frames, substeps) -> int:
+    """Advance frames on a path, after `done` steps; return how many passed the watchdog."""
     if path == "serial":
-        return run.frames_serial(step, features, state, first, frames, substeps)
-    for k in range(frames):
+        return run.frames_serial(method, features, state, done, frames, substeps)
+    for frame in range(frames):
         watch.keep_parallel(state)
-        for _ in range(substeps):
-            run.substep_parallel(step, features, state, first + k)
+        for k in range(substeps):
+            run.substep_parallel(method, features, state, done + frame * substeps + k + 1)
         if watch.watch_parallel(state) != watch.NO_FAULT:
-            return k
+            return frame
     return frames
 
 

@@ -10,9 +10,8 @@ import taichi as ti
 
 from taichi_cloth import execution, measure, topology
 from taichi_cloth.errors import InputError, SimulationFailure, nearest
-from taichi_cloth.kernels import interaction, methods, transfer, watch
-from taichi_cloth.kernels.fracture import mark_overstretched
-from taichi_cloth.kernels.state import ALIVE, GONE, State
+from taichi_cloth.kernels import fracture, interaction, methods, transfer, watch
+from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE, State
 from taichi_cloth.runtime import current_device
 from taichi_cloth.scene import Particles, Scene, Springs, validate
 
@@ -59,6 +58,7 @@ class Simulation:
         self._real = getattr(ti, device.precision)
         self._numpy_real = np.float64 if device.precision == "f64" else np.float32
         self._requested_execution = execution
+        self.speed_limit = RUNAWAY_CROSSINGS * float(np.linalg.norm(scene.world.size)) / dt
         self.reset()
 
     # --- advancing -------------------------------------------------------------------------
@@ -66,11 +66,11 @@ class Simulation:
     def reset(self) -> None:
         """Back to the scene's start; what was spawned is gone."""
         self.frame = 0
-        self._particles, self._springs = self.scene.particles, self.scene.springs
-        self._status = np.full((len(self._springs), 2), (ALIVE, 0), np.int32)
         self._blowing = False
+        self._particles, self._springs = self.scene.particles, self.scene.springs
+        self._fracture = np.tile(np.int32([ALIVE, 0]), (len(self._springs), 1))
+        self._make_room()
         self._load(self._particles.position, self._particles.velocity)
-        self._mark_overstretched()
 
     def advance(self, frames: int = 1) -> None:
         """Advance by whole frames.
@@ -81,7 +81,7 @@ class Simulation:
         while frames > 0:
             # A push lasts one frame; without one, frames can share a launch.
             batch = 1 if self._blowing else min(frames, self._frames_per_launch())
-            passed = self._run(self.execution, self.frame + 1, batch)
+            passed = self._run(self.execution, batch)
             self.frame += passed
             if passed < batch:
                 self._fail(watch.last_fault(self._state))
@@ -94,9 +94,15 @@ class Simulation:
         work = self.substeps * max(self.particle_count + self.spring_count, 1)
         return max(1, LAUNCH_WORK // work)
 
-    def _run(self, path, first, frames):
+    def _run(self, path, frames):
         return execution.run_frames(
-            path, self._step, self._features, self._state, first, frames, self.substeps
+            path,
+            self._step,
+            self._features,
+            self._state,
+            self.frame * self.substeps,
+            frames,
+            self.substeps,
         )
 
     @property
@@ -106,12 +112,17 @@ class Simulation:
 
     def timed_frame(self, path: str):
         """A function that runs one frame on a path, for `execution` to time; the caller reloads."""
-        return lambda: self._run(path, first=0, frames=1)
+        return lambda: self._run(path, frames=1)
 
     def describe_size(self) -> str:
         """What decides a step's cost besides the device: features, and sizes by powers of two."""
         sizes = self.particle_count.bit_length(), self.spring_count.bit_length()
         return f"{self._features}, 2^{sizes[0]} particles, 2^{sizes[1]} springs"
+
+    def set_speed_limit(self, limit: float) -> None:
+        """The speed above which the watchdog says that a particle runs away (world units/time)."""
+        self.speed_limit = float(limit)
+        self._load_numbers()
 
     # --- interaction -----------------------------------------------------------------------
 
@@ -145,27 +156,16 @@ class Simulation:
             raise InputError(f"spawn: tied to particle {tied_to}, which does not exist")
         validate(replace(self.scene, particles=new, springs=Springs.none()))
         index = self.particle_count
-        x, v = self.positions(), self.velocities()
+        x, v = self._read_motion()
+        self._fracture = self._read_fracture()
         self._particles = self._particles.joined(new)
         x, v = np.concatenate([x, new.position]), np.concatenate([v, new.velocity])
         if tied_to is not None:
             tie = Springs.build([[tied_to, index]], x, defaults=self.scene.spring_defaults)
-            self._status = np.concatenate([self._fracture(), [[ALIVE, 0]]]).astype(np.int32)
             self._springs = self._springs.joined(tie)
-        fits = (
-            self.particle_count <= self._state.particle_capacity
-            and self.spring_count <= self._state.spring_capacity
-        )
-        if not fits or self._features != self._needed_features():
-            self._status = self._fracture() if tied_to is None else self._status
-            self._load(x, v)
-        else:
-            self._load_numbers()
-            self._load_particles(new.position, new.velocity, first=index)
-            if self._features.springs:
-                self._status = self._fracture() if tied_to is None else self._status
-                self._load_springs()
-        self._mark_overstretched()
+            self._fracture = np.concatenate([self._fracture, np.int32([[ALIVE, 0]])])
+        self._make_room()
+        self._load(x, v)
         return index
 
     # --- reading back ----------------------------------------------------------------------
@@ -180,11 +180,11 @@ class Simulation:
 
     def positions(self) -> np.ndarray:
         """Positions, (n, dim)."""
-        return self._motion()[0]
+        return self._read_motion()[0]
 
     def velocities(self) -> np.ndarray:
         """Velocities, (n, dim)."""
-        return self._motion()[1]
+        return self._read_motion()[1]
 
     def radii(self) -> np.ndarray:
         """Radii, (n,)."""
@@ -200,11 +200,11 @@ class Simulation:
 
     def springs_alive(self) -> np.ndarray:
         """Which springs hold, (s,) bool: those whose force has not exceeded their break force."""
-        return self._fracture()[:, 0] == ALIVE
+        return self._read_fracture()[:, 0] == ALIVE
 
     def energy(self) -> measure.Energy:
         """Kinetic, gravitational and elastic energy."""
-        x, v = self._motion()
+        x, v = self._read_motion()
         particles, springs = self._particles, self._springs
         return measure.energy(
             x,
@@ -215,7 +215,7 @@ class Simulation:
             springs.between,
             springs.stiffness,
             springs.rest_length,
-            self._fracture()[:, 0] != GONE,
+            self._read_fracture()[:, 0] != GONE,
         )
 
     def momentum(self) -> np.ndarray:
@@ -224,46 +224,46 @@ class Simulation:
 
     # --- loading the device ----------------------------------------------------------------
 
-    def _needed_features(self):
-        return replace(self.scene, particles=self._particles, springs=self._springs).features()
+    def _make_room(self):
+        """See that there is a container that fits particles, springs and features; empty if new.
 
-    def _load(self, x, v):
-        """Put a whole state on the device, in a new container where the present is too small."""
-        features = self._needed_features()
+        A new container compiles every kernel again, so it is made with room to spare.
+        """
+        features = replace(self.scene, particles=self._particles, springs=self._springs).features()
         n, s = self.particle_count, self.spring_count
         state = getattr(self, "_state", None)
-        if (
-            state is None
-            or features != self._features
-            or n > state.particle_capacity
-            or s > state.spring_capacity
-        ):
-            room = SPAWN_CAPACITY if self.scene.world.mouse == "spawn" else 0
-            grown = 0 if state is None else 2
-            if state is not None:
-                state.free()
-            self._features = features
-            self._state = State(
-                features, self._real, max(n + room, grown * n), max(s + room, grown * s)
-            )
-            self._load_everything(x, v)
-            self.execution = execution.choose(self._requested_execution, self)
-        self._load_everything(x, v)
+        if state is not None:
+            fits = n <= state.particle_capacity and s <= state.spring_capacity
+            if fits and features == self._features:
+                return
+            state.free()
+        room = SPAWN_CAPACITY if self.scene.world.mouse == "spawn" else 0
+        factor = 1 if state is None else 2
+        self._features = features
+        self._state = State(features, self._real, factor * n + room, factor * s + room)
+        self.execution = None
 
-    def _load_everything(self, x, v):
+    def _load(self, x, v):
+        """Put the whole state on the device: positions, velocities, and all else as it is here."""
+        self._load_all(x, v)
+        if self.execution is None:
+            self.execution = execution.choose(self._requested_execution, self)
+            self._load_all(x, v)  # choosing may have run frames
+        if self._features.fracture:
+            fracture.mark_new_springs(self._state, self.frame * self.substeps)
+
+    def _load_all(self, x, v):
         self._load_numbers()
-        self._load_particles(x, v, first=0)
+        self._load_particles(x, v)
         if self._features.springs:
             self._load_springs()
-        if self._features.blow:
+        if self._features.blow and not self._blowing:
             interaction.clear_push(self._state)
 
     def _load_numbers(self):
         world, particles = self.scene.world, self._particles
         grid_size, cell_size = self._grid(particles)
         counts = [self.particle_count, self.spring_count, *grid_size]
-        diagonal = float(np.linalg.norm(world.size))
-        self.speed_limit = RUNAWAY_CROSSINGS * diagonal / self.dt
         numbers = [self.dt / self.substeps, self.speed_limit, cell_size]
         numbers += [*world.gravity, *world.low, *world.high]
         transfer.load_numbers(
@@ -287,23 +287,19 @@ class Simulation:
         limit = (4 * n + 64) ** (1 / len(size))
         return [int(max(3, min(math.ceil(a / width) + 1, limit))) for a in size], width
 
-    def _load_particles(self, x, v, first):
-        """Copy particles first.. to the device; the rest of their row from self._particles."""
+    def _load_particles(self, x, v):
         p = self._particles
-        part = slice(first, first + len(x))
+        if len(p) == 0:
+            return  # a kernel takes no empty array
         w = np.where(p.fixed, 0.0, 1.0 / p.mass)
-        v = np.where(p.fixed[part, None], 0.0, v)  # a fixed particle never moves
-        columns = [w, p.radius, p.restitution, p.viscous]
-        rows = np.column_stack([x, v, *(c[part] for c in columns)])
-        if len(rows):
-            transfer.load_particles(
-                self._features, self._state, rows.astype(self._numpy_real), first
-            )
+        v = np.where(p.fixed[:, None], 0.0, v)  # a fixed particle never moves
+        rows = np.column_stack([x, v, w, p.radius, p.restitution, p.viscous])
+        transfer.load_particles(self._features, self._state, rows.astype(self._numpy_real))
 
     def _load_springs(self):
-        springs, status = self._springs, self._status
+        springs, marks = self._springs, self._fracture
         half = topology.half_springs(springs.between, self.particle_count)
-        gone = status[:, 0] == GONE
+        gone = marks[:, 0] == GONE
         numbers = np.column_stack([springs.stiffness, springs.rest_length, springs.damping])
         numbers[gone, 0] = numbers[gone, 2] = 0.0
         if len(springs) == 0:  # a kernel takes no empty array; row 0..0 says there are none
@@ -321,13 +317,9 @@ class Simulation:
                 break_length = springs.rest_length + springs.break_force / springs.stiffness
             transfer.load_springs(
                 self._state,
-                np.column_stack([springs.between, half.half, status]).astype(np.int32),
+                np.column_stack([springs.between, half.half, marks]).astype(np.int32),
                 (break_length**2).astype(self._numpy_real),
             )
-
-    def _mark_overstretched(self):
-        if self._features.fracture:
-            mark_overstretched(self._features, self._state, self.frame)
 
     def _push(self, origin, direction, displacement):
         if not self._features.blow:
@@ -341,18 +333,18 @@ class Simulation:
 
     # --- reading the device ----------------------------------------------------------------
 
-    def _motion(self):
+    def _read_motion(self):
         shape = (self.particle_count, self.scene.world.dim)
         x, v = np.zeros(shape, self._numpy_real), np.zeros(shape, self._numpy_real)
         if len(x):
             transfer.read_motion(self._state, x, v)
         return x.astype(np.float64), v.astype(np.float64)
 
-    def _fracture(self):
-        """Status and break frame of every spring, (s, 2) int32."""
+    def _read_fracture(self):
+        """Status and break step of every spring, (s, 2) int32."""
         if not self._features.fracture or self.spring_count == 0:
-            return self._status
-        out = np.zeros((len(self._status), 2), np.int32)
+            return self._fracture
+        out = np.zeros((self.spring_count, 2), np.int32)
         transfer.read_fracture(self._state, out)
         return out
 
@@ -360,13 +352,14 @@ class Simulation:
 
     def _fail(self, particle):
         """Put the last good frame back, and say who failed, why, and what to change."""
-        bad_x, bad_v = self._motion()
-        frame = self.frame + 1
+        bad_x, bad_v = self._read_motion()
+        frame, good_step = self.frame + 1, self.frame * self.substeps
         watch.put_back(self._state)
-        status = self._fracture()
-        status[(status[:, 0] != ALIVE) & (status[:, 1] == frame)] = (ALIVE, 0)
-        self._status = status
         if self._features.fracture:
+            status, step = self._read_fracture().T
+            status[step > good_step] = ALIVE
+            status[(step == good_step) & (status == GONE)] = BREAKING
+            self._fracture = np.column_stack([status, np.where(status == ALIVE, 0, step)])
             self._load_springs()
         finite = np.isfinite(bad_x[particle]).all() and np.isfinite(bad_v[particle]).all()
         if finite:

@@ -33,6 +33,35 @@ def test_a_spring_over_its_limit_pulls_once_more_and_is_gone(execution):
     assert sim.velocities()[1, 0] == v
 
 
+def test_spawning_beside_a_breaking_spring_leaves_it_its_last_pull(execution):
+    from taichi_cloth.simulation import Simulation
+
+    sim = Simulation(pull(3.0).with_world(mouse="spawn"), execution=execution)
+    sim.advance()
+    v = sim.velocities()[1, 0]
+    sim.spawn((10.0, 10.0))
+    sim.advance()
+    assert sim.velocities()[1, 0] == pytest.approx(v - 3.0, abs=1e-4)
+
+
+def test_an_undone_frame_gives_a_breaking_spring_its_last_pull_back(execution):
+    """A frame fails right after a spring went over its limit; repeated, it must fail the same."""
+    from taichi_cloth.simulation import Simulation
+
+    sim = Simulation(pull(3.0), execution=execution)
+    sim.advance()
+    before = sim.velocities()
+    limit = sim.speed_limit
+    sim.set_speed_limit(0.0)
+    with pytest.raises(SimulationFailure, match="runs away"):
+        sim.advance()
+    assert sim.frame == 1
+    np.testing.assert_array_equal(sim.velocities(), before)
+    sim.set_speed_limit(limit)
+    sim.advance()
+    assert sim.velocities()[1, 0] == pytest.approx(before[1, 0] - 3.0, abs=1e-4)
+
+
 def test_a_spring_at_its_limit_holds(execution):
     from taichi_cloth.simulation import Simulation
 

@@ -6,12 +6,22 @@ from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 
 
 @ti.func
-def break_springs(features: ti.template(), state: ti.template(), frame):
-    """End of a step: remove the springs that were breaking; mark those now over their limit.
+def mark_overstretched(state: ti.template(), s, step):
+    """Mark spring s where its force exceeds its break force at the present positions.
 
     The limit is compared as a squared length (force k*(l - rest) > limit means
     l > rest + limit/k), so no root is taken and both ends of a spring share one decision.
     """
+    if state.status[s] == ALIVE:
+        d = state.x[state.ends[s][1]] - state.x[state.ends[s][0]]
+        if d.dot(d) > state.break_length2[s]:
+            state.status[s] = BREAKING
+            state.break_step[s] = step
+
+
+@ti.func
+def break_springs(features: ti.template(), state: ti.template(), step):
+    """End of a step: remove the springs that were breaking; mark those now over their limit."""
     for s in range(state.n_springs[None]):
         if state.status[s] == BREAKING:
             state.status[s] = GONE
@@ -20,14 +30,12 @@ def break_springs(features: ti.template(), state: ti.template(), frame):
                 state.k[h] = 0.0
                 if ti.static(features.dashpots):
                     state.c[h] = 0.0
-        elif state.status[s] == ALIVE:
-            d = state.x[state.ends[s][1]] - state.x[state.ends[s][0]]
-            if d.dot(d) > state.break_length2[s]:
-                state.status[s] = BREAKING
-                state.break_frame[s] = frame
+        else:
+            mark_overstretched(state, s, step)
 
 
 @ti.kernel
-def mark_overstretched(features: ti.template(), state: ti.template(), frame: ti.i32):
-    """Before the first step: springs that start over their limit pull once and are gone."""
-    break_springs(features, state, frame)
+def mark_new_springs(state: ti.template(), step: ti.i32):
+    """Outside of steps: springs that are over their limit from the start pull once and are gone."""
+    for s in range(state.n_springs[None]):
+        mark_overstretched(state, s, step)

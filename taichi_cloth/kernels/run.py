@@ -1,7 +1,7 @@
 """The two ways to run one method: whole frames in one launch, or loop by loop in parallel.
 
-`step` is a method's step, a ti.func over the containers. Inside the serial kernel its loops run on
-one thread, which for small scenes beats starting threads for each loop; in the parallel kernel
+`method` is a method's step, a ti.func over the containers. Inside the serial kernel its loops run
+on one thread, which for small scenes beats starting threads for each loop; in the parallel kernel
 they are top-level loops, each of them parallel.
 """
 
@@ -12,23 +12,23 @@ from taichi_cloth.kernels.watch import NO_FAULT, keep, watch
 
 
 @ti.func
-def substep(step: ti.template(), features: ti.template(), state: ti.template(), frame):
-    """One step of the method, then fracture from the positions it reached."""
-    step(features, state)
+def substep(method: ti.template(), features: ti.template(), state: ti.template(), step):
+    """Step number `step` (from 1) of a method, then fracture from the positions it reached."""
+    method(features, state)
     if ti.static(features.fracture):
-        break_springs(features, state, frame)
+        break_springs(features, state, step)
 
 
 @ti.kernel
 def frames_serial(
-    step: ti.template(),
+    method: ti.template(),
     features: ti.template(),
     state: ti.template(),
-    first: ti.i32,
+    done: ti.i32,
     frames: ti.i32,
     substeps: ti.i32,
 ) -> ti.i32:
-    """Frames number first.., each kept and checked, in one launch; returns how many passed.
+    """Frames after `done` steps, each kept and checked, in one launch; returns how many passed.
 
     Nothing is computed after a frame that fails; its fault is in state.fault.
     """
@@ -38,7 +38,7 @@ def frames_serial(
         if passed == k // substeps:
             if k % substeps == 0:
                 keep(state)
-            substep(step, features, state, first + k // substeps)
+            substep(method, features, state, done + k + 1)
             if (k + 1) % substeps == 0:
                 watch(state)
                 if state.fault[None] == NO_FAULT:
@@ -48,7 +48,7 @@ def frames_serial(
 
 @ti.kernel
 def substep_parallel(
-    step: ti.template(), features: ti.template(), state: ti.template(), frame: ti.i32
+    method: ti.template(), features: ti.template(), state: ti.template(), step: ti.i32
 ):
-    """One substep, every loop of it parallel."""
-    substep(step, features, state, frame)
+    """Step number `step`, every loop of it parallel."""
+    substep(method, features, state, step)

@@ -21,7 +21,7 @@ class State:
     Springs in both directions, as compressed rows: particle i's half-springs are
         row[i] .. row[i+1], each with its far end, k, rest and c (dashpots).
     Springs once each (fracture): ends, break_length2 (square of the length at which the force
-        reaches the break force), status (ALIVE, BREAKING, GONE), break_frame, half (its two
+        reaches the break force), status (ALIVE, BREAKING, GONE), break_step, half (its two
         half-springs).
     Numbers a run may change are 0-D fields: n, n_springs, dt, gravity, low, high, ...
     """
@@ -78,7 +78,7 @@ class State:
             self.n_springs = counts()
             self.ends, self.half = count_vectors(2, s), count_vectors(2, s)
             self.break_length2 = scalars(s)
-            self.status, self.break_frame = counts(s), counts(s)
+            self.status, self.break_step = counts(s), counts(s)
         if features.collisions:
             self.cell_capacity = 4 * n + 64
             self.block = 1024  # cells whose counts one loop iteration sums

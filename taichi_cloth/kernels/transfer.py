@@ -34,22 +34,19 @@ def load_numbers(
 
 
 @ti.kernel
-def load_particles(
-    features: ti.template(), state: ti.template(), rows: ti.types.ndarray(), first: ti.i32
-):
-    """Fill particles first.. from `rows`: position, velocity, w, radius, restitution, viscous."""
+def load_particles(features: ti.template(), state: ti.template(), rows: ti.types.ndarray()):
+    """Fill the particles from `rows` (n, 2*dim + 4): x, v, w, radius, restitution, viscous."""
     dim = ti.static(features.dim)
-    for r in range(rows.shape[0]):
-        i = first + r
+    for i in range(rows.shape[0]):
         for axis in ti.static(range(dim)):
-            state.x[i][axis] = rows[r, axis]
-            state.v[i][axis] = rows[r, dim + axis]
-        state.w[i] = rows[r, 2 * dim]
+            state.x[i][axis] = rows[i, axis]
+            state.v[i][axis] = rows[i, dim + axis]
+        state.w[i] = rows[i, 2 * dim]
         if ti.static(len(features.walls) > 0 or features.collisions):
-            state.radius[i] = rows[r, 2 * dim + 1]
-            state.restitution[i] = rows[r, 2 * dim + 2]
+            state.radius[i] = rows[i, 2 * dim + 1]
+            state.restitution[i] = rows[i, 2 * dim + 2]
         if ti.static(features.drag):
-            state.viscous[i] = rows[r, 2 * dim + 3]
+            state.viscous[i] = rows[i, 2 * dim + 3]
 
 
 @ti.kernel
@@ -75,13 +72,13 @@ def load_half_springs(
 def load_springs(
     state: ti.template(), indices: ti.types.ndarray(), break_length2: ti.types.ndarray()
 ):
-    """Fill the springs: indices (s, 6): two ends, two half-springs, status, break_frame."""
+    """Fill the springs: indices (s, 6): two ends, two half-springs, status, break_step."""
     for s in range(indices.shape[0]):
         for end in ti.static(range(2)):
             state.ends[s][end] = indices[s, end]
             state.half[s][end] = indices[s, 2 + end]
         state.status[s] = indices[s, 4]
-        state.break_frame[s] = indices[s, 5]
+        state.break_step[s] = indices[s, 5]
         state.break_length2[s] = break_length2[s]
 
 
@@ -96,7 +93,7 @@ def read_motion(state: ti.template(), x: ti.types.ndarray(), v: ti.types.ndarray
 
 @ti.kernel
 def read_fracture(state: ti.template(), out: ti.types.ndarray()):
-    """Copy status and break_frame out, (s, 2)."""
+    """Copy status and break_step out, (s, 2)."""
     for s in range(out.shape[0]):
         out[s, 0] = state.status[s]
-        out[s, 1] = state.break_frame[s]
+        out[s, 1] = state.break_step[s]
