@@ -346,7 +346,7 @@ def _run(scene: Scene, options: RunOptions, log, recorder, trajectory: Trajector
     from taichi_cloth import runtime
     from taichi_cloth.simulation import Simulation
     from taichi_cloth.ui import app
-    from taichi_cloth.ui.view import open_view
+    from taichi_cloth.ui.opening import open_view
 
     device = runtime.start(
         options.arch, options.precision, options.threads, fast_math=options.fast_math

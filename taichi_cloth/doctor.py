@@ -62,7 +62,7 @@ def findings() -> Iterator[Finding]:
         yield Finding("display", "needs a running X server and DISPLAY (Xvfb serves)", False)
     device = _vulkan_device()
     yield Finding("Vulkan device", device or runtime.NEEDS["vulkan"], device is not None)
-    from taichi_cloth.ui.view import usable_views
+    from taichi_cloth.ui.opening import usable_views
 
     for name, lack in usable_views().items():
         yield Finding(f"view {name}", "usable" if lack is None else lack, lack is None)

@@ -11,7 +11,7 @@ import taichi as ti
 from taichi_cloth import execution, measure, topology
 from taichi_cloth.errors import InputError, SimulationFailure, nearest
 from taichi_cloth.kernels import fracture, interaction, methods, transfer, watch
-from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE, State
+from taichi_cloth.kernels.state import ALIVE, BREAKING, CELLS_PER_PARTICLE, GONE, State
 from taichi_cloth.runtime import current_device
 from taichi_cloth.scene import Particles, Scene, Springs, validate
 
@@ -274,18 +274,18 @@ class Simulation:
         )
 
     def _grid(self, particles):
-        """Cells per axis and their width for the collision grid.
+        """Cells per axis and their width, the largest diameter, for the collision grid.
 
-        A cell must be as wide as the largest diameter; it is wider where that would make more
-        cells than particles, so that clearing and scanning cells stays cheap.
+        The grid wraps around, so where the world has more cells than the container holds, it is
+        made smaller in proportion: far particles then share a cell, at the cost of comparisons.
         """
         size = np.array(self.scene.world.size)
-        n = max(len(particles), 1)
-        width = max(
-            2.0 * float(particles.radius.max(initial=0.0)), (size.prod() / n) ** (1 / len(size))
-        )
-        limit = (4 * n + 64) ** (1 / len(size))
-        return [int(max(3, min(math.ceil(a / width) + 1, limit))) for a in size], width
+        width = 2.0 * float(particles.radius.max(initial=0.0)) or float(size.max())
+        cells = np.ceil(size / width) + 1
+        capacity = CELLS_PER_PARTICLE * max(len(particles), 1) + 64
+        while cells.prod() > capacity:
+            cells = np.maximum(3, np.floor(cells * 0.97))
+        return [int(max(3, c)) for c in cells], width
 
     def _load_particles(self, x, v):
         p = self._particles

@@ -370,7 +370,7 @@ from taichi_cloth import runtime
 from taichi_cloth.scene import Particles, ParticleDefaults, Scene, SpringDefaults, Springs, World
 from taichi_cloth.simulation import Simulation
 from taichi_cloth.ui import app
-from taichi_cloth.ui.view import open_view
+from taichi_cloth.ui.opening import open_view
 
 kind, mouse, dim, log, image = sys.argv[1:6]
 dim = int(dim)
@@ -599,7 +599,7 @@ def test_the_picture_without_a_window_shows_the_scene(kind, dim, tmp_path):
 
 def test_views_that_cannot_open_are_refused(monkeypatch):
     from taichi_cloth.errors import InputError
-    from taichi_cloth.ui.view import open_view
+    from taichi_cloth.ui.opening import open_view
 
     monkeypatch.setattr(runtime, "display_available", lambda: False)
     for kind in ("ggui", "gui"):
@@ -610,7 +610,7 @@ def test_views_that_cannot_open_are_refused(monkeypatch):
 
 
 def test_without_a_display_auto_says_so_and_runs_headless(monkeypatch, capsys):
-    from taichi_cloth.ui.view import open_view
+    from taichi_cloth.ui.opening import open_view
 
     monkeypatch.setattr(runtime, "display_available", lambda: False)
     assert open_view("auto", world("none")).name == "none"

@@ -17,24 +17,11 @@ from taichi_cloth.scene import World
 from taichi_cloth.ui import style, text, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.layout import Layout
-from taichi_cloth.ui.view import Picture
+from taichi_cloth.ui.view import KEYS, Picture
 
 # Columns of a GGUI vertex: position, normal (a circle's or particle's radius in its first),
 # texture, colour.
 POSITION, NORMAL, RADIUS, COLOR, STRIDE = slice(0, 3), slice(3, 6), 3, slice(8, 11), 12
-KEYS = {
-    " ": "space",
-    "Escape": "escape",
-    "Control": "ctrl",
-    "Shift": "shift",
-    "Return": "return",
-    "Tab": "tab",
-    "BackSpace": "backspace",
-    "Up": "up",
-    "Down": "down",
-    "Left": "left",
-    "Right": "right",
-}
 BUTTONS = {"LMB": "left", "MMB": "middle", "RMB": "right"}
 SETTINGS = Path("imgui.ini")  # of GGUI's text library, which we do not use
 MESH_VERTICES = 170_000  # spheres are meshes up to so many vertices (10-40 ms in software)

@@ -12,33 +12,8 @@ from taichi_cloth.scene import World
 from taichi_cloth.ui import style, text, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.layout import Layout
-from taichi_cloth.ui.view import Picture
+from taichi_cloth.ui.view import KEYS, Picture
 
-KEYS = {
-    " ": "space",
-    "Escape": "escape",
-    "Control_L": "ctrl",
-    "Control_R": "ctrl",
-    "Control": "ctrl",
-    "Shift_L": "shift",
-    "Shift_R": "shift",
-    "Shift": "shift",
-    "Return": "return",
-    "Tab": "tab",
-    "BackSpace": "backspace",
-    "Up": "up",
-    "Down": "down",
-    "Left": "left",
-    "Right": "right",
-    "F1": "f1",
-    ".": ".",
-    "KP_Decimal": ".",
-    "+": "+",
-    "=": "+",
-    "KP_Add": "+",
-    "-": "-",
-    "KP_Subtract": "-",
-}
 BUTTONS = {"LMB": "left", "MMB": "middle", "RMB": "right"}
 SETTLED = 0.2  # seconds a new size must last before the window follows it
 LAYERS = 12  # discs that a large sphere is painted with
