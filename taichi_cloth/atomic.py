@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -17,7 +18,7 @@ class PendingFile:
     """A file being written beside `path`, under another name until `commit`.
 
     Made before a long run, it shows at once whether the path can be written: raises InputError
-    if not. file: binary, open for writing; seek in it only where the path is a regular file.
+    if not. file: binary, open for reading and writing.
     """
 
     def __init__(self, path: str | os.PathLike):
@@ -25,19 +26,23 @@ class PendingFile:
         # What a link points to is replaced, not the link.
         self._target = Path(os.path.realpath(self.path))
         self._temporary: str | None = None
-        if self._target.is_dir():
-            raise InputError(f"{self.path}: is a folder; name a file in it")
+        # A device or a pipe, such as /dev/null, is written to at the end, never replaced.
+        self._is_device = False
         try:
+            if self._target.is_dir():
+                raise InputError(f"{self.path}: is a folder; name a file in it")
             if self._target.exists() and not os.access(self._target, os.W_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
             if self._target.exists() and not self._target.is_file():
-                # A device or a pipe, such as /dev/null: it is written to, never replaced.
-                self.file: BinaryIO = open(self._target, "wb")  # noqa: SIM115
+                self._is_device = True
+                self.file: BinaryIO = tempfile.TemporaryFile()  # noqa: SIM115
                 return
             # Beside the target, so that both are on one disk and the last step is one renaming.
             handle, self._temporary = tempfile.mkstemp(
                 prefix=f"{self._target.name}.", suffix=".part", dir=self._target.parent
             )
+        except InputError:
+            raise
         except FileNotFoundError:
             raise InputError(
                 f"{self.path}: cannot be written: there is no folder '{self.path.parent}'"
@@ -52,10 +57,14 @@ class PendingFile:
         if self.file.closed:
             return
         try:
+            if self._is_device:
+                self.file.seek(0)
+                with open(self._target, "wb") as device:
+                    shutil.copyfileobj(self.file, device)
+                self.file.close()
+                return
             self.file.flush()
             self.file.close()
-            if self._temporary is None:
-                return
             # Temporary files are private; this one gets what any new file would get.
             mask = os.umask(0)
             os.umask(mask)
@@ -65,9 +74,19 @@ class PendingFile:
             self.discard()
             raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
 
+    def fill(self, write: Callable[[BinaryIO], None]) -> None:
+        """Let `write` write the file, then commit; a disk that is full raises InputError."""
+        try:
+            write(self.file)
+        except OSError as error:
+            self.discard()
+            raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
+        self.commit()
+
     def discard(self) -> None:
         """Leave nothing behind, unless already committed."""
-        self.file.close()
+        with contextlib.suppress(OSError):  # a full device refuses what was not written yet
+            self.file.close()
         if self._temporary is not None:
             with contextlib.suppress(OSError):
                 os.unlink(self._temporary)

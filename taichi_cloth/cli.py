@@ -127,6 +127,7 @@ class _RunRequest:
     scene: str
     scene_parameters: dict[str, Any]
     options: RunOptions
+    given: frozenset[str]  # names of the settings that the command line gives
 
     @property
     def is_file(self) -> bool:
@@ -138,7 +139,8 @@ def _names_file(word: str) -> bool:
 
     if word in scenes.names() or not word:
         return False
-    return word.endswith(".toml") or os.sep in word or "/" in word or Path(word).exists()
+    # os.path.exists takes a word too long for a file's name; Path.exists does not.
+    return word.endswith(".toml") or os.sep in word or "/" in word or os.path.exists(word)
 
 
 def _flag(name: str) -> str:
@@ -199,7 +201,7 @@ def _parse_run(arguments: Sequence[str]) -> _RunRequest | None:
                 f"it belongs to {', '.join(others)}"
             )
     options = RunOptions(**values)
-    return _RunRequest(scene, scene_values, _consistent(options))
+    return _RunRequest(scene, scene_values, _consistent(options), frozenset(values))
 
 
 def _split(
@@ -320,6 +322,8 @@ def _run_command(arguments: Sequence[str]) -> int:
     from taichi_cloth.results import Trajectory
 
     log = events.load(options.events) if options.events else None
+    if log:
+        options = _as_recorded(request, log.header)
     for path in (options.image, options.video):
         if path:
             PendingFile(path).discard()
@@ -333,6 +337,16 @@ def _run_command(arguments: Sequence[str]) -> int:
         return _run(scene, options, log, recorder, trajectory)
 
 
+def _as_recorded(request: _RunRequest, header: Mapping[str, Any]) -> RunOptions:
+    """The options with the recording's dt, substeps and method where none are given."""
+    recorded = {
+        name: header[name]
+        for name in ("dt", "substeps", "method")
+        if name in header and name not in request.given
+    }
+    return _consistent(replace(request.options, **recorded))
+
+
 def _scene_of(request: _RunRequest) -> Scene:
     from taichi_cloth import scenefile, scenes
 
@@ -343,11 +357,15 @@ def _scene_of(request: _RunRequest) -> Scene:
 
 def _run(scene: Scene, options: RunOptions, log, recorder, trajectory: Trajectory | None) -> int:
     """Run a checked scene; finishes the recorder and the trajectory however the run ends."""
+    import numpy
+
     from taichi_cloth import runtime
     from taichi_cloth.simulation import Simulation
     from taichi_cloth.ui import app
     from taichi_cloth.ui.opening import open_view
 
+    # Numbers that overflow are the watchdog's to report, in one line.
+    numpy.seterr(all="ignore")
     device = runtime.start(
         options.arch, options.precision, options.threads, fast_math=options.fast_math
     )

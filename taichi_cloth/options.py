@@ -5,7 +5,7 @@ Flags of the command line are made from these declarations, so a setting is desc
 
 from __future__ import annotations
 
-import math
+import sys
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -43,7 +43,7 @@ class Parameter:
                 kind = "a whole number" if self.type is int else "a number"
                 raise InputError(f"{name} must be {kind}, is {value!r}")
             for broken, says in (
-                (not math.isfinite(value), "must be a finite number"),
+                (not (abs(value) <= sys.float_info.max), "must be a finite number"),
                 (
                     self.above is not None and not value > self.above,
                     f"must be above {self.above}" if self.above else "must be positive",
@@ -58,7 +58,8 @@ class Parameter:
                 ),
             ):
                 if broken:
-                    raise InputError(f"{name} {says}, is {value}")
+                    shown = str(value)
+                    raise InputError(f"{name} {says}, is {shown[:30]}{'...' * (len(shown) > 30)}")
         elif self.choices and value not in self.choices:
             raise InputError(f"{name}: unknown value '{value}'; {nearest(value, self.choices)}")
         return value

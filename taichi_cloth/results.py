@@ -55,7 +55,7 @@ class Trajectory:
         self._velocities: list[np.ndarray] = []
         self._alive: list[np.ndarray] = []
         self._springs = np.zeros((0, 2), np.int64)
-        self._dim: int | None = None
+        self._shape = (0, 2)
 
     def record(self, sim, *, last: bool = False) -> None:
         """Take note of `sim`'s present frame if its number is a multiple of `every`.
@@ -68,7 +68,8 @@ class Trajectory:
         frame = sim.frame
         if self._frames and frame < self._frames[-1]:
             self._forget()
-        self._dim = sim.scene.world.dim
+        self._shape = (sim.particle_count, sim.scene.world.dim)
+        self._springs = sim.springs()
         wanted = last or (frame > 0 and frame % self.every == 0)
         if not wanted or (self._frames and frame == self._frames[-1]):
             return
@@ -77,15 +78,13 @@ class Trajectory:
         self._positions.append(sim.positions())
         self._velocities.append(sim.velocities())
         self._alive.append(sim.springs_alive())
-        self._springs = sim.springs()
 
     def save(self, meta: dict[str, Any] | None = None) -> None:
         """Write the file. May be called twice; only the first call writes.
 
         Particles and springs that came later have NaN rows, and False, in earlier frames.
         """
-        k, dim = len(self._frames), self._dim or 2
-        particles = max(map(len, self._positions), default=0)
+        k, (particles, dim) = len(self._frames), self._shape
         position = np.full((k, particles, dim), np.nan)
         velocity = np.full((k, particles, dim), np.nan)
         alive = np.zeros((k, len(self._springs)), bool)
@@ -95,10 +94,10 @@ class Trajectory:
             alive[i, : len(self._alive[i])] = self._alive[i]
         if self._pending.file.closed:
             return
-        try:
-            # Given an open file, np.savez adds no suffix to the name the user chose.
-            np.savez(
-                self._pending.file,
+        # Given an open file, np.savez adds no suffix to the name the user chose.
+        self._pending.fill(
+            lambda file: np.savez(
+                file,
                 frame=np.array(self._frames, np.int64),
                 time=np.array(self._times, np.float64),
                 position=position,
@@ -107,10 +106,7 @@ class Trajectory:
                 spring_alive=alive,
                 meta=np.array(json.dumps(meta or {})),
             )
-        except OSError as error:
-            self._pending.discard()
-            raise InputError(f"{self._pending.path}: cannot be written: {error.strerror}") from None
-        self._pending.commit()
+        )
 
     def discard(self) -> None:
         """Forget everything, unless already saved; what was at the path before stays."""

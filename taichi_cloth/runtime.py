@@ -67,7 +67,8 @@ def vulkan_available() -> bool:
     _import_taichi()
     from taichi._lib import core
 
-    return bool(core.GGUI_AVAILABLE and core.with_vulkan())
+    with _silence():
+        return bool(core.GGUI_AVAILABLE and core.with_vulkan())
 
 
 def usable_backends() -> dict[str, str | None]:
@@ -133,7 +134,7 @@ def _initialize(arch: str, precision: str, threads: int, fast_math: bool) -> boo
         return False
     ti = _import_taichi()
     ti.set_logging_level(ti.CRITICAL)  # it warns of the fallback that we refuse ourselves
-    with contextlib.redirect_stdout(io.StringIO()):  # it announces itself
+    with _silence():
         ti.init(
             arch=getattr(ti, arch),
             default_fp=getattr(ti, precision),
@@ -143,6 +144,22 @@ def _initialize(arch: str, precision: str, threads: int, fast_math: bool) -> boo
             verbose=False,
         )
     return ti.cfg.arch in ((ti.x64, ti.arm64) if arch == "cpu" else (getattr(ti, arch),))
+
+
+@contextlib.contextmanager
+def _silence():
+    """Neither what Taichi announces nor what its C++ parts complain of: callers check and say."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    null = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 2)
+        with contextlib.redirect_stdout(io.StringIO()):
+            yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(null)
 
 
 def _start_probe(arch: str) -> subprocess.Popen:

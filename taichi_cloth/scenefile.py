@@ -85,6 +85,8 @@ def parse(text: str, name: str = "scene.toml", default_scene_name: str = "scene"
         raise InputError(_parse_error(name, str(error), text)) from None
     except RecursionError:
         raise InputError(f"{name}: is nested too deeply to be a scene") from None
+    except ValueError:  # the one thing tomllib passes on: int() refuses thousands of digits
+        raise InputError(f"{name}: has a whole number with too many digits") from None
     return _Reader(name, text, default_scene_name).scene(table)
 
 
@@ -197,7 +199,10 @@ class _Reader:
     def known_keys(self, table: dict, kind: str, path: tuple):
         for key in table:
             if key not in _TABLES[kind]:
-                self.refuse((*path, key), f"unknown key '{key}'; {nearest(key, _TABLES[kind])}")
+                hint = nearest(key, _TABLES[kind])
+                if kind and key in _TABLES[""]:
+                    hint = f"'{key}' belongs above the first [table]"
+                self.refuse((*path, key), f"unknown key '{key}'; {hint}")
 
     def value(self, table: dict, path: tuple, key: str, read: Callable, default: Any = None) -> Any:
         """``read`` of the value at `key`, or `default` where the key is absent."""

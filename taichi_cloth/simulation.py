@@ -291,34 +291,54 @@ class Simulation:
         p = self._particles
         if len(p) == 0:
             return  # a kernel takes no empty array
-        w = np.where(p.fixed, 0.0, 1.0 / p.mass)
+        with np.errstate(all="ignore"):
+            w = np.where(p.fixed, 0.0, 1.0 / p.mass)
         v = np.where(p.fixed[:, None], 0.0, v)  # a fixed particle never moves
-        rows = np.column_stack([x, v, w, p.radius, p.restitution, p.viscous])
-        transfer.load_particles(self._features, self._state, rows.astype(self._numpy_real))
+        rows = self._as_real("particle", x, v, w, p.radius, p.restitution, p.viscous)
+        vanished = (w > 0) & (rows[:, 2 * x.shape[1]] == 0)
+        if vanished.any():
+            self._refuse_size("particle", vanished.argmax())
+        transfer.load_particles(self._features, self._state, rows)
+
+    def _as_real(self, what, *columns):
+        """Columns side by side in the device's precision; InputError where one does not fit."""
+        with np.errstate(all="ignore"):
+            rows = np.column_stack(columns).astype(self._numpy_real)
+        if not np.isfinite(rows).all():
+            self._refuse_size(what, np.isfinite(rows).all(axis=1).argmin())
+        return rows
+
+    def _refuse_size(self, what, index):
+        wider = "; use --precision f64" if self._numpy_real is np.float32 else ""
+        raise InputError(
+            f"{what} {index} has a number too large or too small for "
+            f"{self._numpy_real.__name__}{wider} or other units"
+        )
 
     def _load_springs(self):
         springs, marks = self._springs, self._fracture
         half = topology.half_springs(springs.between, self.particle_count)
         gone = marks[:, 0] == GONE
-        numbers = np.column_stack([springs.stiffness, springs.rest_length, springs.damping])
+        numbers = self._as_real("spring", springs.stiffness, springs.rest_length, springs.damping)
         numbers[gone, 0] = numbers[gone, 2] = 0.0
         if len(springs) == 0:  # a kernel takes no empty array; row 0..0 says there are none
             half = replace(half, far=np.zeros(1, np.int32), spring=np.zeros(1, np.int64))
-            numbers = np.zeros((1, 3))
+            numbers = np.zeros((1, 3), self._numpy_real)
         transfer.load_half_springs(
             self._features,
             self._state,
             half.row,
             half.far,
-            numbers[half.spring].astype(self._numpy_real),
+            numbers[half.spring],
         )
         if self._features.fracture and len(springs):
-            with np.errstate(divide="ignore"):
+            with np.errstate(all="ignore"):  # an infinite length never breaks
                 break_length = springs.rest_length + springs.break_force / springs.stiffness
+                break_length2 = (break_length**2).astype(self._numpy_real)
             transfer.load_springs(
                 self._state,
                 np.column_stack([springs.between, half.half, marks]).astype(np.int32),
-                (break_length**2).astype(self._numpy_real),
+                break_length2,
             )
 
     def _push(self, origin, direction, displacement):

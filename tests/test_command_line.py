@@ -163,11 +163,26 @@ def test_a_recorded_log_replays_to_the_same_bits(tmp_path, request):
     assert not a["spring_alive"][-1].all(), "the log should tear springs"
 
 
-def test_a_replay_with_other_settings_says_so(tmp_path):
-    (tmp_path / "log.jsonl").write_text('{"header": {"dt": 0.5}}\n')
+def test_a_replay_takes_the_recorded_settings_and_says_where_it_does_not(tmp_path):
+    (tmp_path / "log.jsonl").write_text('{"header": {"dt": 0.5, "substeps": 3}}\n')
     arguments = ["--headless", "--frames", 1, "--events", "log.jsonl"]
     done = run("run", "cloth", *arguments, cwd=tmp_path)
+    assert done.returncode == 0 and "dt 0.5, 3 substeps" in done.stdout and not done.stderr
+    done = run("run", "cloth", *arguments, "--dt", 1, cwd=tmp_path)
     assert done.returncode == 0 and "dt 1.0 (recorded: 0.5)" in done.stderr
+    assert "dt 1, 3 substeps" in done.stdout
+
+
+def test_picture_and_film_of_one_run_show_the_same(tmp_path):
+    from PIL import Image, ImageSequence
+
+    arguments = ["--headless", "--frames", 3, "--image", "a.png", "--video", "a.gif"]
+    assert run("run", "cloth", *arguments, cwd=tmp_path).returncode == 0
+    picture = np.asarray(Image.open(tmp_path / "a.png").convert("RGB"), int)
+    *_, last = ImageSequence.Iterator(Image.open(tmp_path / "a.gif"))
+    film = np.asarray(last.convert("RGB"), int)
+    assert picture.std() > 15
+    assert np.abs(picture - film).mean() < 4  # a film has fewer colours
 
 
 def test_clicked_particles_are_nan_before_they_exist(tmp_path):

@@ -110,3 +110,23 @@ def test_a_particle_at_rest_on_the_floor_stays_on_it():
     sim = Simulation(Scene("rest", world, particles), execution="serial")
     sim.advance(500)
     assert 95.0 - 1e-9 <= sim.positions()[0, 1] <= 95.0 + 0.5
+
+
+@pytest.mark.parametrize("radius", [5.0, 12.036362492426134, 0.1, 7.3])
+def test_floor_and_bounce_agree_on_a_hit_to_the_last_bit(radius):
+    """After a clamp the gap is zero but for rounding, and all that follows hangs on its sign."""
+    from taichi_cloth.simulation import Simulation
+
+    g, e, high = 0.1, 0.4, 200.0
+    world = World(size=(300.0, high), gravity=(0.0, g), walls=("bottom",))
+    particles = Particles.build([[150.0, 180.0]], radius=radius, restitution=e)
+    sim = Simulation(Scene("floor", world, particles), execution="serial")
+    y, v = 180.0, 0.0
+    for _ in range(300):
+        sim.advance()
+        hit = (y - high) + radius > 0 and v > 0
+        v = v + g + (-(1.0 + e) * v if hit else 0.0)
+        y = y + v
+        if hit and v > 0:
+            y = high - radius
+        assert sim.positions()[0, 1] == pytest.approx(y, abs=1e-9)

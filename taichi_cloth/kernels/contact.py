@@ -133,14 +133,23 @@ def compute_contacts(features: ti.template(), state: ti.template()):
 
 
 @ti.func
+def wall_gap(state: ti.template(), i, axis: ti.template(), side: ti.template()):
+    """How far the surface of particle i is short of a wall (negative: past it).
+
+    One formula for all that ask: where a particle rests on the floor, rounding decides.
+    """
+    bound = state.high[None][axis] if ti.static(side > 0) else state.low[None][axis]
+    return side * (bound - state.x[i][axis]) - state.radius[i]
+
+
+@ti.func
 def velocity_jump(features: ti.template(), state: ti.template(), i):
     """Change of particle i's velocity from walls and pairs, from its state at the step's start."""
     x, v = state.x[i], state.v[i]
     jump = 0.0 * x
     if ti.static(len(features.walls) > 0):
         for axis, side in ti.static(features.walls):
-            bound = state.high[None][axis] if ti.static(side > 0) else state.low[None][axis]
-            gap = side * (bound - x[axis]) - state.radius[i]
+            gap = wall_gap(state, i, axis, side)
             jump[axis] += side * laws.wall_bounce(gap, side * v[axis], state.restitution[i])
         jump = ti.select(state.w[i] > 0.0, jump, 0.0 * x)
     if ti.static(features.collisions):
@@ -156,7 +165,6 @@ def kept_above_floor(features: ti.template(), state: ti.template(), i, x, v):
     """
     y = x
     if ti.static(features.floor):
-        floor = state.high[None][1] - state.radius[i]
-        hit = (state.x[i][1] > floor) and (state.v[i][1] > 0.0) and (state.w[i] > 0.0)
-        y[1] = ti.select(hit and (v[1] > 0.0), floor, x[1])
+        hit = (wall_gap(state, i, 1, 1) < 0.0) and (state.v[i][1] > 0.0) and (state.w[i] > 0.0)
+        y[1] = ti.select(hit and (v[1] > 0.0), state.high[None][1] - state.radius[i], x[1])
     return y

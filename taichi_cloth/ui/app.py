@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from dataclasses import replace as changed
 
@@ -16,6 +16,7 @@ from taichi_cloth.events import Event
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import hud
 from taichi_cloth.ui.layout import Layout
+from taichi_cloth.ui.opening import offscreen
 from taichi_cloth.ui.tools import HELP_KEYS, STEP_KEYS, Tools
 from taichi_cloth.ui.view import Picture, View
 
@@ -87,8 +88,8 @@ def run(
     seed: of thrown particles' velocities; a log's header overrides it.
     device: from `Device.describe()`, for the status; absent: of the device that was started.
 
-    A SimulationFailure pauses a window with a banner until R. Without a window it is raised
-    again once film and image are saved with the last good frame.
+    A SimulationFailure pauses a window with a banner until R. Without a window, or where the user
+    quits at the banner, it is raised once film and image are saved with the last good frame.
     """
     with ExitStack() as stack:
         picture_file = films.Image(image) if image else None
@@ -114,6 +115,7 @@ def run(
             loop.finish(picture_file)
             raise
         loop.finish(picture_file)
+        failure = failure or loop.failure
         if failure:
             raise failure
         return loop.summary()
@@ -141,7 +143,7 @@ class _Loop:
         self._paused = paused and view.visible
         self._step = False
         self._show_status, self._show_help = True, False
-        self._failure: SimulationFailure | None = None
+        self.failure: SimulationFailure | None = None
         self._meter = hud.Meter()
         self._status: tuple[str, ...] = ()
         self._status_due = 0.0
@@ -161,7 +163,7 @@ class _Loop:
         if self.quit or self.view.closed:
             return
         simulate = 0.0
-        if (not self._paused or self._step) and self._failure is None:
+        if (not self._paused or self._step) and self.failure is None:
             begin = time.perf_counter()
             if self._started is None:
                 self._started = begin
@@ -169,7 +171,7 @@ class _Loop:
             simulate = time.perf_counter() - begin
             if self.frames > 1:
                 self._simulate += simulate
-            advanced = self._failure is None
+            advanced = self.failure is None
         else:
             advanced = False
         self._step = False
@@ -194,7 +196,7 @@ class _Loop:
         except SimulationFailure as error:
             if not self.view.visible:
                 raise
-            self._failure, self._status_due = error, 0.0
+            self.failure, self._status_due = error, 0.0
             self._meter.interrupt()
             return
         self.frames += 1
@@ -249,7 +251,7 @@ class _Loop:
     def _obey(self, command: str) -> None:
         if command == "quit":
             self.quit = True
-        elif command == "pause" and self._failure is None:
+        elif command == "pause" and self.failure is None:
             self._paused = not self._paused
             self._meter.interrupt()
         elif command == "step":
@@ -257,7 +259,7 @@ class _Loop:
         elif command == "reset":
             self.sim.reset()
             self._tools.reset()
-            self._failure = None
+            self.failure = None
             self._meter.restart()
         elif command == "status":
             self._show_status = not self._show_status
@@ -275,14 +277,14 @@ class _Loop:
             self._status_due = 0.0
         if now >= self._status_due:
             self._status_due = now + hud.REFRESH
-            stopped = self._paused or self._failure is not None
+            stopped = self._paused or self.failure is not None
             self._status = hud.status_lines(
                 sim, self._meter, self._device, windowed=view.visible, paused=stopped,
                 notice=self._notice if now < self._notice_until else None,
             )  # fmt: skip
         banner = None
-        if self._failure is not None:
-            banner = f"Stopped: {self._failure}\nr goes back to the start, escape quits"
+        if self.failure is not None:
+            banner = f"Stopped: {self.failure}\nr goes back to the start, escape quits"
         return Picture(
             position=sim.positions(),
             radius=np.minimum(sim.radii(), self._largest_disc),
@@ -296,15 +298,20 @@ class _Loop:
     def finish(self, image: films.Image | None) -> None:
         """Save the film, and the last frame as a picture."""
         if image is not None:
-            if not self.view.closed:
-                if not self._drawn:
-                    self._status_due = 0.0
-                    self.view.draw(self._picture())
-                image.save(self.view.grab())
-            else:
-                print("no image: the window was closed before the end", file=sys.stderr)
+            image.save(self._last_picture())
         if self._film is not None:
             self._film.save()
+
+    def _last_picture(self) -> np.ndarray:
+        """The last frame, (h, w, 3) uint8; drawn off-screen where the user closed the window."""
+        if self.view.closed:
+            with closing(offscreen(self.view, self.sim.scene.world)) as view:
+                view.draw(self._picture())
+                return view.grab()
+        if not self._drawn:
+            self._status_due = 0.0
+            self.view.draw(self._picture())
+        return self.view.grab()
 
     def summary(self) -> Summary:
         """What the run did so far."""
@@ -332,10 +339,10 @@ def _largest_disc(scene) -> float:
     """The radius above which a particle is drawn smaller than it is, world units.
 
     Particles that pass through each other may be larger than the mesh they sit in, and would
-    hide its springs. Where they collide, their size is what one looks at.
+    hide its springs. Where they collide, or hang in chains, their size is what one looks at.
     """
     springs, position = scene.springs, scene.particles.position
-    if scene.world.collisions or len(springs) == 0:
+    if scene.world.collisions or len(springs) <= len(position):
         return np.inf
     a, b = springs.between.T
     return 0.3 * float(np.median(np.linalg.norm(position[a] - position[b], axis=1))) or np.inf

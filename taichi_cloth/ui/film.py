@@ -45,8 +45,7 @@ class Image:
         """Write `pixels` (h, w, 3) uint8 to the file."""
         from PIL import Image as Pillow
 
-        Pillow.fromarray(pixels).save(self._file.file, format="PNG")
-        self._file.commit()
+        self._file.fill(lambda file: Pillow.fromarray(pixels).save(file, format="PNG"))
 
     def discard(self) -> None:
         """Leave no file behind, unless the picture was saved."""
@@ -123,15 +122,20 @@ class Film:
             self._writer.close()
             self._writer = None
             with open(self._raw, "rb") as made:
-                shutil.copyfileobj(made, self._file.file)
-            self._file.commit()
+                self._file.fill(lambda file: shutil.copyfileobj(made, file))
         elif self._pictures:
             first, *rest = self._pictures
-            first.save(
-                self._file.file, format="GIF", save_all=True, append_images=rest,
-                duration=10 * GIF_DELAY, loop=0, optimize=False,
-            )  # fmt: skip
-            self._file.commit()
+            self._file.fill(
+                lambda file: first.save(
+                    file,
+                    format="GIF",
+                    save_all=True,
+                    append_images=rest,
+                    duration=10 * GIF_DELAY,
+                    loop=0,
+                    optimize=False,
+                )  # fmt: skip
+            )
         self.discard()
 
     def discard(self) -> None:

@@ -153,14 +153,16 @@ class GguiView:
         self._compose(picture)
         if self.visible:
             self._window.show()
+        self._fresh = not self.visible
 
     def grab(self) -> np.ndarray:
         """The frame drawn last, (height, width, 3) uint8, row 0 on top."""
         if self._last is None:
             raise RuntimeError("nothing has been drawn yet")
-        if self.visible:
-            # What was shown is gone; the same picture is drawn again and taken instead.
+        if not self._fresh:
+            # What was shown or taken is gone; the same picture is drawn again.
             self._compose(self._last)
+        self._fresh = False
         pixels = self._window.get_image_buffer_as_numpy()[:, ::-1, :3]
         return (np.clip(pixels.transpose(1, 0, 2), 0, 1) * 255 + 0.5).astype(np.uint8)
 

@@ -19,10 +19,14 @@ class Meter:
         self._busy = 0.0  # seconds since frames began to be due, pauses left out
         self._done = 0
         self._last: float | None = None
+        self._skip = True
 
     def frame(self, simulate: float, draw: float) -> None:
         """One frame is done; it took `simulate` and `draw` seconds."""
         now = self._clock()
+        if self._skip:  # the first frame compiles: what it took says nothing of the next
+            self._skip, self._last = False, now
+            return
         self._frames.append((now, simulate, draw))
         while now - self._frames[0][0] > WINDOW and len(self._frames) > 2:
             self._frames.popleft()

@@ -25,6 +25,16 @@ def usable_views() -> dict[str, str | None]:
     }
 
 
+def offscreen(view: View, world: World) -> View:
+    """A view in memory that shows what `view` shows, also after its window was closed."""
+    from taichi_cloth.ui.gui_view import GuiView
+
+    # On ti.GUI, because a second GGUI window in a process ends it.
+    copy = GuiView(world, tuple(view.size), "", visible=False)
+    copy.camera = view.camera
+    return copy
+
+
 def open_view(
     kind: str,
     world: World,

@@ -96,7 +96,7 @@ class Tools:
 
     def _zoom(self, notches: float) -> None:
         if self._camera:
-            self._camera.zoom(ZOOM_STEP**notches)
+            self._camera.zoom(ZOOM_STEP ** float(np.clip(notches, -100, 100)))
 
     def _click(self, event: Event) -> None:
         if self._world.mouse != "spawn" or event.button not in ("left", "right"):
