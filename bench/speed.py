@@ -73,8 +73,12 @@ def seed():
         program.step()
     wrong = np.linalg.norm([[p.x, p.y] for p in program.particles] - golden, axis=1).max()
     sims = {
-        f"{path}, {batch} steps a launch": (Simulation(scene, execution=path), batch)
-        for path, batch in (("serial", 1000), ("serial", 1), ("parallel", 1))
+        f"{path}, {words} a launch": (Simulation(scene, execution=path), batch)
+        for path, batch, words in (
+            ("serial", 1000, "1000 steps"),
+            ("serial", 1, "1 step"),
+            ("parallel", 1, "1 step"),
+        )
     }
     errors = {}
     for name, (sim, _) in sims.items():
@@ -147,14 +151,18 @@ def large(size=1024):
     whole = Simulation(full, execution="parallel")
     for sim in (plain, each, whole):
         sim.advance(WARM_UP // sim.substeps)
-    rates = {"16 steps a frame": [], "1 step a frame": [], "1 step, walls, fracture, mouse": []}
+    rates = {
+        "16 steps a frame": [],
+        "1 step a frame": [],
+        "1 step a frame, walls, fracture, mouse": [],
+    }
     with tempfile.TemporaryDirectory() as folder:
         hand = compiled(Path(folder), structural)
         cpp = [] if hand else None
         for _ in range(ROUNDS):
             rates["16 steps a frame"].append(rate(plain, STEPS // 16))
             rates["1 step a frame"].append(rate(each, STEPS))
-            rates["1 step, walls, fracture, mouse"].append(rate(whole, STEPS))
+            rates["1 step a frame, walls, fracture, mouse"].append(rate(whole, STEPS))
             if hand:
                 cpp.append(n * STEPS / hand(1)[0] / 1e6)
         rows = []

@@ -28,7 +28,7 @@ def run_frames(path, method, features, state, done, frames, substeps) -> int:
         watch.keep_parallel(state)
         for k in range(substeps):
             run.substep_parallel(method, features, state, done + frame * substeps + k + 1)
-        if watch.watch_parallel(state) != watch.NO_FAULT:
+        if watch.last_fault(state) != watch.NO_FAULT:
             return frame
     return frames
 

@@ -134,6 +134,7 @@ def _initialize(arch: str, precision: str, threads: int, fast_math: bool) -> boo
         return False
     ti = _import_taichi()
     ti.set_logging_level(ti.CRITICAL)  # it warns of the fallback that we refuse ourselves
+    before = _own_threads()
     with _silence():
         ti.init(
             arch=getattr(ti, arch),
@@ -143,7 +144,33 @@ def _initialize(arch: str, precision: str, threads: int, fast_math: bool) -> boo
             log_level=ti.ERROR,
             verbose=False,
         )
+    if arch == "cpu":
+        _pin(sorted(_own_threads() - before)[-threads:], threads)
     return ti.cfg.arch in ((ti.x64, ti.arm64) if arch == "cpu" else (getattr(ti, arch),))
+
+
+def _own_threads() -> set[int]:
+    """The threads of this process, where the system tells (Linux)."""
+    try:
+        return {int(name) for name in os.listdir("/proc/self/task")}
+    except OSError:
+        return set()
+
+
+def _pin(workers: list[int], threads: int) -> None:
+    """Give each worker thread a core of its own, where there is one for each.
+
+    Taichi wakes its workers for every loop; left alone, two of them often share a core for the
+    first milliseconds, which is as long as a loop lasts. The workers are the threads that
+    Taichi made last; were one not, a pinned thread would be all that comes of it.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        return
+    cores = sorted(os.sched_getaffinity(0))
+    if threads == len(cores) == len(workers) > 1:
+        for worker, core in zip(workers, cores, strict=True):
+            with contextlib.suppress(OSError):
+                os.sched_setaffinity(worker, {core})
 
 
 @contextlib.contextmanager

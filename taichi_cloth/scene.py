@@ -226,6 +226,7 @@ class Features:
 
     dim: int
     springs: bool
+    uniform_springs: bool  # all springs share their numbers, which are then stored once
     fracture: bool
     dashpots: bool
     drag: bool
@@ -255,6 +256,7 @@ class Scene:
         return Features(
             dim=self.world.dim,
             springs=has_springs,
+            uniform_springs=self._uniform_springs(),
             fracture=bool(
                 np.isfinite(springs.break_force).any()
                 or (spawns and defaults.break_force is not None)
@@ -268,6 +270,20 @@ class Scene:
             collisions=self.world.collisions,
             blow=self.world.mouse == "blow",
         )
+
+    def _uniform_springs(self) -> bool:
+        """Whether all springs, also those that clicks add, have the same numbers."""
+        springs, defaults = self.springs, self.spring_defaults
+        numbers = np.column_stack(
+            [springs.stiffness, springs.rest_length, springs.damping, springs.break_force]
+        )
+        if self.world.mouse == "spawn":
+            if defaults.rest_length is None:
+                return False
+            force = np.inf if defaults.break_force is None else defaults.break_force
+            clicked = [defaults.stiffness, defaults.rest_length, defaults.damping, force]
+            numbers = np.vstack([numbers, clicked])
+        return bool((numbers == numbers[:1]).all())
 
     def with_world(self, **changes) -> Scene:
         """The same scene with some of its world's values changed."""

@@ -250,7 +250,7 @@ class Simulation:
             self.execution = execution.choose(self._requested_execution, self)
             self._load_all(x, v)  # choosing may have run frames
         if self._features.fracture:
-            fracture.mark_new_springs(self._state, self.frame * self.substeps)
+            fracture.mark_new_springs(self._features, self._state, self.frame * self.substeps)
 
     def _load_all(self, x, v):
         self._load_numbers()
@@ -317,29 +317,25 @@ class Simulation:
 
     def _load_springs(self):
         springs, marks = self._springs, self._fracture
+        if len(springs) == 0:  # a kernel takes no empty array; rows ending at 0 say there are none
+            rows = np.zeros(self.particle_count + 1, np.int32)
+            transfer.load_half_springs(self._features, self._state, rows, np.zeros(1, np.int32))
+            return
         half = topology.half_springs(springs.between, self.particle_count)
-        gone = marks[:, 0] == GONE
+        far = np.where(marks[half.spring, 0] == GONE, half.near, half.far)
         numbers = self._as_real("spring", springs.stiffness, springs.rest_length, springs.damping)
-        numbers[gone, 0] = numbers[gone, 2] = 0.0
-        if len(springs) == 0:  # a kernel takes no empty array; row 0..0 says there are none
-            half = replace(half, far=np.zeros(1, np.int32), spring=np.zeros(1, np.int64))
-            numbers = np.zeros((1, 3), self._numpy_real)
-        transfer.load_half_springs(
-            self._features,
-            self._state,
-            half.row,
-            half.far,
-            numbers[half.spring],
-        )
-        if self._features.fracture and len(springs):
-            with np.errstate(all="ignore"):  # an infinite length never breaks
-                break_length = springs.rest_length + springs.break_force / springs.stiffness
-                break_length2 = (break_length**2).astype(self._numpy_real)
-            transfer.load_springs(
-                self._state,
-                np.column_stack([springs.between, half.half, marks]).astype(np.int32),
-                break_length2,
-            )
+        with np.errstate(all="ignore"):  # an infinite length never breaks
+            break_length = springs.rest_length + springs.break_force / springs.stiffness
+            break_length2 = (break_length**2).astype(self._numpy_real)
+        if self._features.uniform_springs:
+            numbers, break_length2 = numbers[:1], break_length2[:1]
+        else:
+            numbers = numbers[half.spring]
+        transfer.load_half_springs(self._features, self._state, half.row, far)
+        transfer.load_spring_numbers(self._features, self._state, numbers)
+        if self._features.fracture:
+            indices = np.column_stack([springs.between, half.half, marks]).astype(np.int32)
+            transfer.load_springs(self._features, self._state, indices, break_length2)
 
     def _push(self, origin, direction, displacement):
         if not self._features.blow:

@@ -14,11 +14,13 @@ class HalfSprings:
     """Every spring seen from both of its ends, grouped by particle (compressed rows).
 
     Particle i's half-springs are row[i] .. row[i + 1], in the order of the springs' numbers.
-    row: (n + 1,) int32; far: (2s,) int32, the particle at the other end; spring: (2s,) int64,
-    the spring's number; half: (s, 2) int32, a spring's two half-springs, in the order of its ends.
+    row: (n + 1,) int32; near, far: (2s,) int32, the particle i and the one at the other end;
+    spring: (2s,) int64, the spring's number; half: (s, 2) int32, a spring's two half-springs, in
+    the order of its ends.
     """
 
     row: np.ndarray
+    near: np.ndarray
     far: np.ndarray
     spring: np.ndarray
     half: np.ndarray
@@ -35,6 +37,7 @@ def half_springs(between: np.ndarray, particle_count: int) -> HalfSprings:
     np.cumsum(np.bincount(near, minlength=particle_count), out=row[1:])
     return HalfSprings(
         row=row,
+        near=near[order].astype(np.int32),
         far=far[order].astype(np.int32),
         spring=order // 2,
         half=half.reshape(s, 2),

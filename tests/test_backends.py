@@ -70,21 +70,41 @@ def test_a_missing_backend_is_refused_with_those_that_are_there(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
+BARE = """
+[world]
+size = [100.0, 100.0]
+[[particles]]
+position = [20.0, 50.0]
+[[particles]]
+position = [60.0, 50.0]
+"""
+WITH = {
+    "drag": ("[[particles]]", "[particle]\nviscous = 0.1\n[[particles]]"),
+    "walls": ("size", "walls = true\nsize"),
+    "collisions": ("size", "collisions = true\nsize"),
+    "mouse": ("size", "mouse = 'blow'\nsize"),
+    "springs": ("[world]", "springs = [{ between = [0, 1] }]\n[world]"),
+    "fracture": ("[world]", "springs = [{ between = [0, 1], break_force = 9.0 }]\n[world]"),
+}
+
+
 def test_features_that_a_scene_lacks_are_not_compiled(tmp_path):
-    """The size of what the compiler wrote for one frame, read from an empty cache's files."""
+    """The size of what the compiler wrote, from an empty cache: each feature adds to it."""
 
-    def compiled(name, *arguments):
-        cache = tmp_path / name
-        env = {"TI_OFFLINE_CACHE_FILE_PATH": str(cache)}
-        command("run", *arguments, "--headless", "--frames", 1, "--threads", 1, env=env)
-        return sum(file.stat().st_size for file in cache.rglob("*.tic"))
+    def compiled(name, text):
+        (tmp_path / f"{name}.toml").write_text(text)
+        env = {"TI_OFFLINE_CACHE_FILE_PATH": str(tmp_path / name)}
+        command(
+            *("run", tmp_path / f"{name}.toml", "--headless", "--frames", 2, "--threads", 1),
+            env=env,
+        )
+        return sum(file.stat().st_size for file in (tmp_path / name).rglob("*.tic"))
 
-    oscillator, cloth, box = (
-        compiled("a", "oscillator"),
-        compiled("b", "cloth"),
-        compiled("c", "box"),
-    )
-    assert 0 < 1.5 * oscillator < cloth < box
+    bare = compiled("bare", BARE)
+    sizes = {name: compiled(name, BARE.replace(*edit, 1)) for name, edit in WITH.items()}
+    assert bare > 0
+    assert all(size > bare + 500 for size in sizes.values()), (bare, sizes)
+    assert sizes["fracture"] > sizes["springs"]
 
 
 @pytest.mark.parametrize("cache, limit", [("cold", 10.0), ("warm", 3.0)])

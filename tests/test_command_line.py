@@ -261,6 +261,7 @@ class FakeSimulation:
         self.frame, self.n, self.pairs = 0, 1, []
 
     time = property(lambda self: 0.5 * self.frame)
+    particle_count = property(lambda self: self.n)
 
     def positions(self):
         return np.full((self.n, 2), float(self.frame))
@@ -290,7 +291,7 @@ def test_a_trajectory_without_frames_is_a_file_all_the_same(tmp_path):
     trajectory = results.Trajectory(tmp_path / "a.npz")
     trajectory.record(FakeSimulation())
     trajectory.save()
-    assert results.load(tmp_path / "a.npz").position.shape == (0, 0, 2)
+    assert results.load(tmp_path / "a.npz").position.shape == (0, 1, 2)
 
 
 def test_a_link_and_a_device_are_written_through(tmp_path):

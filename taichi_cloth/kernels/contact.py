@@ -143,15 +143,24 @@ def wall_gap(state: ti.template(), i, axis: ti.template(), side: ti.template()):
 
 
 @ti.func
+def touches_wall(features: ti.template(), state: ti.template(), i):
+    """Whether particle i is past any wall: for most it is not, and that is all they pay."""
+    touches = False
+    for axis, side in ti.static(features.walls):
+        touches = touches or wall_gap(state, i, axis, side) < 0.0
+    return touches
+
+
+@ti.func
 def velocity_jump(features: ti.template(), state: ti.template(), i):
     """Change of particle i's velocity from walls and pairs, from its state at the step's start."""
-    x, v = state.x[i], state.v[i]
-    jump = 0.0 * x
+    v = state.v[i]
+    jump = 0.0 * v
     if ti.static(len(features.walls) > 0):
-        for axis, side in ti.static(features.walls):
-            gap = wall_gap(state, i, axis, side)
-            jump[axis] += side * laws.wall_bounce(gap, side * v[axis], state.restitution[i])
-        jump = ti.select(state.w[i] > 0.0, jump, 0.0 * x)
+        if touches_wall(features, state, i) and state.w[i] > 0.0:
+            for axis, side in ti.static(features.walls):
+                gap = wall_gap(state, i, axis, side)
+                jump[axis] += side * laws.wall_bounce(gap, side * v[axis], state.restitution[i])
     if ti.static(features.collisions):
         jump += state.jump[i]
     return jump
@@ -165,6 +174,7 @@ def kept_above_floor(features: ti.template(), state: ti.template(), i, x, v):
     """
     y = x
     if ti.static(features.floor):
-        hit = (wall_gap(state, i, 1, 1) < 0.0) and (state.v[i][1] > 0.0) and (state.w[i] > 0.0)
-        y[1] = ti.select(hit and (v[1] > 0.0), state.high[None][1] - state.radius[i], x[1])
+        hit = wall_gap(state, i, 1, 1) < 0.0 and state.v[i][1] > 0.0 and state.w[i] > 0.0
+        if hit and v[1] > 0.0:
+            y[1] = state.high[None][1] - state.radius[i]
     return y

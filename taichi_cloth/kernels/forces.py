@@ -22,5 +22,6 @@ def compute_acceleration(features: ti.template(), state: ti.template()):
         if ti.static(features.springs):
             f += spring_forces(features, state, i, x, v)
         if ti.static(features.blow):
-            f += state.push[i]
+            if state.pushing[None] == 1:
+                f += state.push[i]
         state.a[i] = ti.select(w > 0.0, field + w * f, 0.0 * x)

@@ -2,11 +2,12 @@
 
 import taichi as ti
 
+from taichi_cloth.kernels.springs_graph import number
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 
 
 @ti.func
-def mark_overstretched(state: ti.template(), s, step):
+def mark_overstretched(features: ti.template(), state: ti.template(), s, step):
     """Mark spring s where its force exceeds its break force at the present positions.
 
     The limit is compared as a squared length (force k*(l - rest) > limit means
@@ -14,7 +15,7 @@ def mark_overstretched(state: ti.template(), s, step):
     """
     if state.status[s] == ALIVE:
         d = state.x[state.ends[s][1]] - state.x[state.ends[s][0]]
-        if d.dot(d) > state.break_length2[s]:
+        if d.dot(d) > number(features, state.break_length2, s):
             state.status[s] = BREAKING
             state.break_step[s] = step
 
@@ -26,16 +27,14 @@ def break_springs(features: ti.template(), state: ti.template(), step):
         if state.status[s] == BREAKING:
             state.status[s] = GONE
             for end in ti.static(range(2)):
-                h = state.half[s][end]
-                state.k[h] = 0.0
-                if ti.static(features.dashpots):
-                    state.c[h] = 0.0
+                # A spring from a particle to itself pulls nowhere.
+                state.far[state.half[s][end]] = state.ends[s][end]
         else:
-            mark_overstretched(state, s, step)
+            mark_overstretched(features, state, s, step)
 
 
 @ti.kernel
-def mark_new_springs(state: ti.template(), step: ti.i32):
+def mark_new_springs(features: ti.template(), state: ti.template(), step: ti.i32):
     """Outside of steps: springs that are over their limit from the start pull once and are gone."""
     for s in range(state.n_springs[None]):
-        mark_overstretched(state, s, step)
+        mark_overstretched(features, state, s, step)

@@ -13,6 +13,8 @@ def compute_push(state: ti.template(), numbers: ti.types.ndarray()):
     2-D), the pointer's displacement; then reach and strength.
     """
     dim = ti.static(state.x.n)
+    for _ in range(1):
+        state.pushing[None] = 1
     for i in range(state.n[None]):
         x = state.x[i]
         d, ray, displacement = 0.0 * x, 0.0 * x, 0.0 * x
@@ -30,5 +32,5 @@ def compute_push(state: ti.template(), numbers: ti.types.ndarray()):
 @ti.kernel
 def clear_push(state: ti.template()):
     """No pointer force."""
-    for i in range(state.n[None]):
-        state.push[i].fill(0.0)
+    for _ in range(1):
+        state.pushing[None] = 0

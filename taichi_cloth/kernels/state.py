@@ -21,7 +21,8 @@ class State:
         viscous (drag); push (blow): force of the pointer, held through a frame;
         good_x, good_v: the state at the start of the frame under way, the last good one.
     Springs in both directions, as compressed rows: particle i's half-springs are
-        row[i] .. row[i+1], each with its far end, k, rest and c (dashpots).
+        row[i] .. row[i+1], each with its far end, and k, rest and c (dashpots), which are 0-D
+        where all springs have the same. What is gone has its own particle as its far end.
     Springs once each (fracture): ends, break_length2 (square of the length at which the force
         reaches the break force), status (ALIVE, BREAKING, GONE), break_step, half (its two
         half-springs).
@@ -60,12 +61,13 @@ class State:
         self.w = scalars(n)
         self.good_x, self.good_v = vectors(n), vectors(n)
         self.speed_limit = scalars()
-        self.fault = counts()
+        self.fault, self.watching = counts(), counts()
 
         if features.drag:
             self.viscous = scalars(n)
         if features.blow:
             self.push = vectors(n)
+            self.pushing = counts()
         if features.walls:
             self.low, self.high = vectors(), vectors()
         if features.walls or features.collisions:
@@ -73,13 +75,14 @@ class State:
         if features.springs:
             self.row = counts(n + 1)
             self.far = counts(2 * s)
-            self.k, self.rest = scalars(2 * s), scalars(2 * s)
+            each = None if features.uniform_springs else 2 * s
+            self.k, self.rest = scalars(each), scalars(each)
             if features.dashpots:
-                self.c = scalars(2 * s)
+                self.c = scalars(each)
         if features.fracture:
             self.n_springs = counts()
             self.ends, self.half = count_vectors(2, s), count_vectors(2, s)
-            self.break_length2 = scalars(s)
+            self.break_length2 = scalars(None if features.uniform_springs else s)
             self.status, self.break_step = counts(s), counts(s)
         if features.collisions:
             self.cell_capacity = CELLS_PER_PARTICLE * n + 64

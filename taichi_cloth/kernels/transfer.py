@@ -55,31 +55,52 @@ def load_half_springs(
     state: ti.template(),
     row: ti.types.ndarray(),
     far: ti.types.ndarray(),
-    numbers: ti.types.ndarray(),
 ):
-    """Fill the compressed rows: row (n + 1,), far (2s,), numbers (2s, 3): k, rest, c."""
+    """Fill the compressed rows: row (n + 1,), far (2s,)."""
     for i in range(row.shape[0]):
         state.row[i] = row[i]
     for h in range(far.shape[0]):
         state.far[h] = far[h]
-        state.k[h] = numbers[h, 0]
-        state.rest[h] = numbers[h, 1]
-        if ti.static(features.dashpots):
-            state.c[h] = numbers[h, 2]
+
+
+@ti.kernel
+def load_spring_numbers(features: ti.template(), state: ti.template(), rows: ti.types.ndarray()):
+    """Fill k, rest and c from rows (2s, 3), or from (1, 3) where all springs have the same."""
+    for h in range(rows.shape[0]):
+        if ti.static(features.uniform_springs):
+            state.k[None] = rows[h, 0]
+            state.rest[None] = rows[h, 1]
+            if ti.static(features.dashpots):
+                state.c[None] = rows[h, 2]
+        else:
+            state.k[h] = rows[h, 0]
+            state.rest[h] = rows[h, 1]
+            if ti.static(features.dashpots):
+                state.c[h] = rows[h, 2]
 
 
 @ti.kernel
 def load_springs(
-    state: ti.template(), indices: ti.types.ndarray(), break_length2: ti.types.ndarray()
+    features: ti.template(),
+    state: ti.template(),
+    indices: ti.types.ndarray(),
+    break_length2: ti.types.ndarray(),
 ):
-    """Fill the springs: indices (s, 6): two ends, two half-springs, status, break_step."""
+    """Fill the springs: indices (s, 6): two ends, two half-springs, status, break_step.
+
+    break_length2: (s,), or (1,) where all springs have the same.
+    """
     for s in range(indices.shape[0]):
         for end in ti.static(range(2)):
             state.ends[s][end] = indices[s, end]
             state.half[s][end] = indices[s, 2 + end]
         state.status[s] = indices[s, 4]
         state.break_step[s] = indices[s, 5]
-        state.break_length2[s] = break_length2[s]
+    for s in range(break_length2.shape[0]):
+        if ti.static(features.uniform_springs):
+            state.break_length2[None] = break_length2[s]
+        else:
+            state.break_length2[s] = break_length2[s]
 
 
 @ti.kernel

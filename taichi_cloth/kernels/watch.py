@@ -19,21 +19,35 @@ def is_finite(a):
 @ti.func
 def keep(state: ti.template()):
     """Before a frame: copy the state, so that a frame that fails can be undone."""
+    for _ in range(1):
+        state.fault[None] = NO_FAULT
+        state.watching[None] = 1
     for i in range(state.n[None]):
         state.good_x[i] = state.x[i]
         state.good_v[i] = state.v[i]
 
 
 @ti.func
-def watch(state: ti.template()):
-    """After a frame: fault = lowest index of a particle not finite or too fast, else NO_FAULT."""
+def look_up(state: ti.template()):
+    """Before a step: once there is a fault, what it spreads to is no longer noted."""
     for _ in range(1):
-        state.fault[None] = NO_FAULT
-    for i in range(state.n[None]):
-        x, v = state.x[i], state.v[i]
-        speed2 = v.dot(v)
-        limit = state.speed_limit[None]
-        if not (is_finite(speed2) and is_finite(x.sum())) or speed2 > limit * limit:
+        if state.fault[None] != NO_FAULT:
+            state.watching[None] = 0
+
+
+@ti.func
+def store(state: ti.template(), i, x, v):
+    """End of a particle's step: store its state, and note it where that is at fault.
+
+    fault is the lowest index of a particle that was not finite or too fast in the first step
+    that had one. The values are at hand here; a pass of its own would read them all again.
+    """
+    state.x[i] = x
+    state.v[i] = v
+    speed2 = v.dot(v)
+    limit = state.speed_limit[None]
+    if not (is_finite(speed2) and is_finite(x.sum())) or speed2 > limit * limit:
+        if state.watching[None] == 1:
             ti.atomic_min(state.fault[None], i)
 
 
@@ -43,15 +57,8 @@ def keep_parallel(state: ti.template()):
 
 
 @ti.kernel
-def watch_parallel(state: ti.template()) -> ti.i32:
-    """The check at a frame's end; returns the fault."""
-    watch(state)
-    return state.fault[None]
-
-
-@ti.kernel
 def last_fault(state: ti.template()) -> ti.i32:
-    """The fault of the check before."""
+    """Lowest index of a particle at fault in the frame before, or NO_FAULT."""
     return state.fault[None]
 
 

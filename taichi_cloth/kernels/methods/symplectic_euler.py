@@ -9,6 +9,7 @@ import taichi as ti
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
 from taichi_cloth.kernels.forces import compute_acceleration
 from taichi_cloth.kernels.methods.claims import Claims
+from taichi_cloth.kernels.watch import store
 
 CLAIMS = Claims(order=1, symplectic=True, implicit=False, stability_limit=2.0)
 
@@ -21,4 +22,4 @@ def step(features: ti.template(), state: ti.template()):
     for i in range(state.n[None]):
         v = state.v[i] + dt * state.a[i] + velocity_jump(features, state, i)
         x = kept_above_floor(features, state, i, state.x[i] + dt * v, v)
-        state.x[i], state.v[i] = x, v
+        store(state, i, x, v)
