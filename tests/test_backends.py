@@ -78,8 +78,7 @@ position = [20.0, 50.0]
 [[particles]]
 position = [60.0, 50.0]
 """
-WITH = {
-    "drag": ("[[particles]]", "[particle]\nviscous = 0.1\n[[particles]]"),
+WITH = {  # without drag: its two instructions are fewer than the names in a file vary by
     "walls": ("size", "walls = true\nsize"),
     "collisions": ("size", "collisions = true\nsize"),
     "mouse": ("size", "mouse = 'blow'\nsize"),
