@@ -1,4 +1,4 @@
-"""The watchdog: is every particle finite and inside its bound at a frame's end?"""
+"""The watchdog: is every particle finite and inside its bound at each step?"""
 
 import taichi as ti
 
