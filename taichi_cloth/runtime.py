@@ -9,6 +9,7 @@ import io
 import os
 import subprocess
 import sys
+import time
 from dataclasses import dataclass
 
 from taichi_cloth.errors import InputError, nearest
@@ -40,6 +41,9 @@ class Device:
 
 
 _device: Device | None = None
+# Connections to X servers by name, never closed: a server whose only client leaves starts anew,
+# and a window that opens meanwhile would fail.
+_displays: dict[str, int] = {}
 
 
 def current_device() -> Device:
@@ -51,15 +55,23 @@ def display_available() -> bool:
     """Whether a window can open. Asked before Taichi is, which ends the process if it cannot."""
     if not sys.platform.startswith("linux"):
         return True
-    try:
-        x11 = ctypes.CDLL(ctypes.util.find_library("X11") or "libX11.so.6")
-    except OSError:
+    name = os.environ.get("DISPLAY")
+    if not name:
         return False
-    x11.XOpenDisplay.restype = ctypes.c_void_p
-    display = x11.XOpenDisplay(None)
-    if display:
-        x11.XCloseDisplay(ctypes.c_void_p(display))
-    return bool(display)
+    if name not in _displays:
+        try:
+            x11 = ctypes.CDLL(ctypes.util.find_library("X11") or "libX11.so.6")
+        except OSError:
+            return False
+        x11.XOpenDisplay.restype = ctypes.c_void_p
+        # A server may be starting anew at this moment, because its last client just left.
+        for pause in (0.0, 0.1, 0.2, 0.4):
+            time.sleep(pause)
+            display = x11.XOpenDisplay(None)
+            if display:
+                _displays[name] = display
+                break
+    return name in _displays
 
 
 def vulkan_available() -> bool:

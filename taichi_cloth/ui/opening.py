@@ -71,6 +71,9 @@ def open_view(
         elif usable[kind] is not None:
             raise InputError(f"--view {kind}: {usable[kind]}; --view none runs without a window")
     visible = kind != "none"
-    if kind == "ggui" or (kind == "none" and runtime.vulkan_available()):
-        return GguiView(world, size, title, visible=visible)
-    return GuiView(world, size, title, visible=visible)
+    of = GguiView if kind == "ggui" or (not visible and runtime.vulkan_available()) else GuiView
+    try:
+        return of(world, size, title, visible=visible)
+    except RuntimeError as error:  # of Taichi: a display or driver that fails after all
+        reason = str(error).strip().partition("\n")[0]
+        raise InputError(f"--view {kind}: the window could not open: {reason}") from None
