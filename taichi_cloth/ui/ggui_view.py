@@ -104,7 +104,7 @@ class GguiView:
         """The user's events since the last call; the pointer's motion first."""
         if self.closed or not self.visible:
             return []
-        if not self._window.running:
+        if not self._window.running or (self._tap and self._tap.is_gone()):
             self.close()
             return []
         w, h = self.size
@@ -151,7 +151,9 @@ class GguiView:
             return
         self._last = picture
         self._compose(picture)
-        if self.visible:
+        if self.visible and self._tap and self._tap.is_gone():
+            self.close()  # Vulkan ends the process where the window is not there any more
+        elif self.visible:
             self._window.show()
         self._fresh = not self.visible
 

@@ -80,6 +80,9 @@ class GuiView:
         """The user's events since the last call, oldest first."""
         if self.closed or not self.visible:
             return []
+        if self._tap and self._tap.is_gone():
+            self.close()
+            return []
         gui, out = self._gui, []
         for event in gui.get_events():
             pointer = self._pixel(*event.pos)

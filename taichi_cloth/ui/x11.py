@@ -51,6 +51,16 @@ class _KeyEvent(ctypes.Structure):
     ]
 
 
+class _Error(ctypes.Structure):
+    _fields_ = [
+        ("type", _int),
+        ("display", _pointer),
+        ("resource", ctypes.c_ulong),
+        ("serial", ctypes.c_ulong),
+        ("code", ctypes.c_ubyte),
+    ]
+
+
 class _Cookie(ctypes.Structure):
     _fields_ = [
         ("type", _int),
@@ -92,6 +102,7 @@ class _EventMask(ctypes.Structure):
     _fields_ = [("deviceid", _int), ("mask_len", _int), ("mask", ctypes.c_char_p)]
 
 
+BAD_WINDOW, BAD_DRAWABLE = 3, 9
 _ErrorHandler = ctypes.CFUNCTYPE(_int, _pointer, _pointer)
 
 
@@ -161,14 +172,15 @@ class Connection:
         x.XSync(self._display, 0)
 
     def _install_error_handler(self) -> None:
-        """Ignore errors of this connection only (the window may go at any moment).
+        """Ignore errors of this connection, and everybody's where a window was destroyed.
 
-        Xlib's own handler would end the process.
+        Xlib's own handler would end the process before its files are saved.
         """
         ours, previous = self._display, None
 
         def handle(display, event):
-            if display == ours or previous is None:
+            error = ctypes.cast(event, ctypes.POINTER(_Error))[0].code
+            if display == ours or previous is None or error in (BAD_WINDOW, BAD_DRAWABLE):
                 return 0
             return previous(display, event)
 
@@ -262,6 +274,10 @@ class Connection:
         if not self._x.XGetGeometry(self._display, self.window, *out):
             return None
         return w.value, h.value
+
+    def is_gone(self) -> bool:
+        """Whether the window no longer exists (closing it by its frame only asks it to go)."""
+        return self.size() is None
 
     def position(self) -> tuple[int, int]:
         """The window's top left corner on the screen."""
