@@ -3,6 +3,7 @@
 Other precisions, backends and thread counts run through the command line, each in its own process.
 """
 
+import contextlib
 import json
 import os
 import shutil
@@ -55,26 +56,38 @@ def command(*arguments, check=0, env=None, cwd=None, timeout=300):
     return done.stdout, done.stderr
 
 
+@contextlib.contextmanager
+def virtual_screen():
+    """An X server of our own, as long as the context lasts; its name. CI must have Xvfb.
+
+    A plain one, which starts anew whenever its last client leaves.
+    """
+    if not (shutil.which("Xvfb") or os.environ.get("CI")):
+        pytest.skip("needs Xvfb")
+    read, write = os.pipe()
+    screen = ["-screen", "0", "1400x900x24", "-nolisten", "tcp"]
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), *screen], pass_fds=[write], stderr=subprocess.DEVNULL
+    )
+    os.close(write)
+    with os.fdopen(read) as said:
+        number = said.readline().strip()
+    try:
+        yield f":{number}"
+    finally:
+        server.terminate()
+        server.wait()
+
+
 @pytest.fixture(scope="session")
 def display():
-    """A virtual display for this test process, unless it has one. CI must have Xvfb."""
+    """A virtual display for this test process, unless it has one."""
     from taichi_cloth import runtime
 
     if runtime.display_available():
         yield os.environ.get("DISPLAY")
         return
-    if not (shutil.which("Xvfb") or os.environ.get("CI")):
-        pytest.skip("needs Xvfb")
-    read, write = os.pipe()
-    screen = ["-screen", "0", "1600x1000x24", "-nolisten", "tcp"]
-    server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), *screen], pass_fds=[write], stderr=subprocess.DEVNULL
-    )
-    os.close(write)
-    with os.fdopen(read) as pipe:
-        name = f":{pipe.readline().strip()}"
-    os.environ["DISPLAY"] = name
-    yield name
-    del os.environ["DISPLAY"]
-    server.terminate()
-    server.wait()
+    with virtual_screen() as name:
+        os.environ["DISPLAY"] = name
+        yield name
+        del os.environ["DISPLAY"]

@@ -14,6 +14,7 @@ import time
 
 import numpy as np
 import pytest
+from conftest import command, virtual_screen
 
 from taichi_cloth import runtime
 from taichi_cloth.events import Event
@@ -399,19 +400,9 @@ view.close()
 
 @pytest.fixture(scope="module")
 def display():
-    """An X server of our own; its name is found by Xvfb itself."""
-    read, write = os.pipe()
-    server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1400x900x24", "-nolisten", "tcp",
-         "-noreset"],
-        pass_fds=[write], stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    os.close(write)
-    with os.fdopen(read) as said:
-        number = said.readline().strip()
-    yield f":{number}"
-    server.terminate()
-    server.wait()
+    """A screen for this file's windows only, so that no other window covers them."""
+    with virtual_screen() as name:
+        yield name
 
 
 class Window:
@@ -648,3 +639,25 @@ def test_films_and_pictures_appear_whole_or_not_at_all(tmp_path):
     for make, name in ((film.Film, "x.avi"), (film.Image, "x.jpg"), (film.Image, "no/x.png")):
         with pytest.raises(InputError):
             make(tmp_path / name)
+
+
+@needs_x
+@pytest.mark.parametrize("kind", ["ggui", "gui"])
+def test_a_window_opens_also_while_the_server_starts_anew(kind, display, tmp_path):
+    """Every run here is the server's only client, so between two runs it begins from scratch."""
+    for _ in range(3):
+        out, error = command(
+            *("run", "cloth", "--view", kind, "--frames", 5),
+            env={"DISPLAY": display},
+            cwd=tmp_path,
+        )
+        assert f"window {kind}" in out and "5 frames in" in out and error == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+@needs_x
+def test_a_window_destroyed_from_outside_ends_the_run_with_its_files(window, display):
+    w = window("none", 2)
+    w.ask("windowclose", w.id)
+    assert w.process.wait(20) == 0
+    assert w.image.exists() and w.log.exists()
