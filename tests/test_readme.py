@@ -59,7 +59,7 @@ def test_python_example_runs_and_is_short(tmp_path):
     (example,) = blocks("python")
     assert len(example.splitlines()) <= 15
     out = shell(f"{sys.executable} -c '{example}'", tmp_path, environment())
-    assert re.search(r"\(600, 2\) 11\d\d -?\d+\.\d+", out)
+    assert re.search(r"\(384, 2\) 7\d\d -?\d+\.\d+", out)
 
 
 @pytest.mark.skipif(shutil.which("git") is None, reason="needs git to copy what is tracked")
