@@ -121,6 +121,8 @@ def start(
         arch = next((name for name in GPU_ORDER if usable[name] is None), None)
         if arch is None:
             raise InputError("--arch gpu: no GPU backend is usable here; usable: cpu")
+    if arch == "metal" and precision == "f64":
+        raise InputError("--precision f64: Metal has no f64; use --precision f32 or --arch cpu")
     if not _initialize(arch, precision, threads, fast_math):
         usable = [name for name, lack in usable_backends().items() if lack is None]
         raise InputError(

@@ -7,6 +7,7 @@ import pytest
 from conftest import GOLDEN, command, golden
 
 from taichi_cloth import runtime
+from taichi_cloth.errors import InputError
 
 
 def save(folder, name, *arguments, **options):
@@ -60,6 +61,11 @@ def test_same_bits_for_every_thread_count_and_on_every_run(scene, tmp_path):
     for other in saved[1:]:
         np.testing.assert_array_equal(other["position"], saved[0]["position"])
         np.testing.assert_array_equal(other["velocity"], saved[0]["velocity"])
+
+
+def test_metal_has_no_f64():
+    with pytest.raises(InputError, match="Metal has no f64"):
+        runtime.start("metal", "f64")
 
 
 def test_a_missing_backend_is_refused_with_those_that_are_there(tmp_path):
