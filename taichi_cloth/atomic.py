@@ -7,7 +7,7 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
@@ -30,7 +30,7 @@ class PendingFile:
         self._is_device = False
         try:
             if self._target.is_dir():
-                raise InputError(f"{self.path}: is a folder; name a file in it")
+                raise IsADirectoryError
             if self._target.exists() and not os.access(self._target, os.W_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
             if self._target.exists() and not self._target.is_file():
@@ -41,8 +41,8 @@ class PendingFile:
             handle, self._temporary = tempfile.mkstemp(
                 prefix=f"{self._target.name}.", suffix=".part", dir=self._target.parent
             )
-        except InputError:
-            raise
+        except IsADirectoryError:
+            raise InputError(f"{self.path}: is a folder; name a file in it") from None
         except FileNotFoundError:
             raise InputError(
                 f"{self.path}: cannot be written: there is no folder '{self.path.parent}'"
@@ -90,15 +90,3 @@ class PendingFile:
         if self._temporary is not None:
             with contextlib.suppress(OSError):
                 os.unlink(self._temporary)
-
-
-@contextlib.contextmanager
-def replacing(path: str | os.PathLike) -> Iterator[BinaryIO]:
-    """A binary file that takes the place of `path` at the end, or vanishes on an exception."""
-    pending = PendingFile(path)
-    try:
-        yield pending.file
-    except BaseException:
-        pending.discard()
-        raise
-    pending.commit()

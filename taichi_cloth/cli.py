@@ -267,10 +267,6 @@ def _consistent(options: RunOptions) -> RunOptions:
         twin = written.setdefault(os.path.realpath(path), name)
         if twin != name and os.path.isfile(path) | (not os.path.exists(path)):
             raise InputError(f"--{twin} and --{name} would write the same file, {path}")
-    for name, kinds in (("image", (".png",)), ("video", (".mp4", ".gif"))):
-        path = getattr(options, name)
-        if path is not None and Path(path).suffix.lower() not in kinds:
-            raise InputError(f"--{name} {path}: the file's name must end in {' or '.join(kinds)}")
     return options
 
 
@@ -318,15 +314,15 @@ def _run_command(arguments: Sequence[str]) -> int:
 
     # Everything that can be refused is refused before Taichi starts, and leaves no file.
     from taichi_cloth import events
-    from taichi_cloth.atomic import PendingFile
     from taichi_cloth.results import Trajectory
+    from taichi_cloth.ui import film
 
     log = events.load(options.events) if options.events else None
     if log:
         options = _as_recorded(request, log.header)
-    for path in (options.image, options.video):
+    for path, kind in ((options.image, film.Image), (options.video, film.Film)):
         if path:
-            PendingFile(path).discard()
+            kind(path).discard()
     with contextlib.ExitStack() as unfinished:
         trajectory = Trajectory(options.save, options.every) if options.save else None
         if trajectory:

@@ -15,9 +15,8 @@ from pathlib import Path
 
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.kernels import run, watch
+from taichi_cloth.options import PATHS
 from taichi_cloth.runtime import current_device
-
-PATHS = ("serial", "parallel")
 
 
 def run_frames(path, method, features, state, done, frames, substeps) -> int:

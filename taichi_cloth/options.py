@@ -121,6 +121,8 @@ def parameters_of(settings: type) -> dict[str, Parameter]:
 
 
 ARCHS = ("cpu", "gpu", "cuda", "vulkan", "opengl", "metal")
+PRECISIONS = ("f32", "f64")
+PATHS = ("serial", "parallel")
 VIEWS = ("auto", "ggui", "gui", "none")
 HEADLESS_FRAMES = 600
 
@@ -130,7 +132,7 @@ class RunOptions:
     """Settings of one run."""
 
     arch: str = setting("cpu", "where to compute; gpu is the best there is", choices=ARCHS)
-    precision: str = setting("f32", "floating-point numbers", choices=("f32", "f64"))
+    precision: str = setting("f32", "floating-point numbers", choices=PRECISIONS)
     method: str = setting("symplectic_euler", "time-integration method", metavar="NAME")
     dt: float | None = setting(
         None, "time of one frame (default: the scene's)", float, above=0, metavar="X"
@@ -141,7 +143,7 @@ class RunOptions:
     execution: str = setting(
         "auto",
         "one launch a frame, parallel loops, or the faster",
-        choices=("auto", "serial", "parallel"),
+        choices=("auto", *PATHS),
     )
     threads: int | None = setting(
         None,

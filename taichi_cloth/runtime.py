@@ -13,10 +13,10 @@ import time
 from dataclasses import dataclass
 
 from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.options import ARCHS, PRECISIONS
 
-BACKENDS = ("cpu", "cuda", "metal", "vulkan", "opengl")
+BACKENDS = tuple(name for name in ARCHS if name != "gpu")
 GPU_ORDER = ("cuda", "metal", "vulkan", "opengl")  # what `gpu` tries, best first
-PRECISIONS = ("f32", "f64")
 
 NEEDS = {  # what a backend that is not usable would need
     "cuda": "an NVIDIA GPU with its driver",
@@ -106,8 +106,8 @@ def start(
     Raises InputError where the backend or precision is unknown or not usable here; it is never
     replaced by another one.
     """
-    if arch not in (*BACKENDS, "gpu"):
-        raise InputError(f"--arch {arch}: unknown backend; {nearest(arch, (*BACKENDS, 'gpu'))}")
+    if arch not in ARCHS:
+        raise InputError(f"--arch {arch}: unknown backend; {nearest(arch, ARCHS)}")
     if precision not in PRECISIONS:
         raise InputError(f"--precision {precision}: unknown; {nearest(precision, PRECISIONS)}")
     cores = os.cpu_count() or 1

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_cloth.atomic import replacing
+from taichi_cloth.atomic import PendingFile
 from taichi_cloth.cloth import LINKS, grid
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene import (
@@ -92,8 +92,8 @@ def parse(text: str, name: str = "scene.toml", default_scene_name: str = "scene"
 
 def save(scene: Scene, path: str | Path) -> None:
     """Write `scene` to `path`, whole or not at all. Raises InputError if that cannot be written."""
-    with replacing(path) as file:
-        file.write(dump(scene).encode())
+    text = dump(scene).encode()
+    PendingFile(path).fill(lambda file: file.write(text))
 
 
 def _similar_file(path: Path) -> str:

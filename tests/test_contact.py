@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from taichi_cloth.scene import ParticleDefaults, Particles, Scene, World
+from taichi_cloth.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("device")
 
@@ -44,8 +45,6 @@ def brute_force_jump(scene):
 
 @pytest.mark.parametrize("dim, count", [(2, 300), (3, 1200)])
 def test_grid_finds_the_same_collisions_as_all_pairs(dim, count, execution):
-    from taichi_cloth.simulation import Simulation
-
     scene = crowd(dim, count, seed=dim)
     expected, hits = brute_force_jump(scene)
     sim = Simulation(scene, execution=execution)
@@ -57,8 +56,6 @@ def test_grid_finds_the_same_collisions_as_all_pairs(dim, count, execution):
 
 def test_particles_far_outside_the_world_still_collide():
     """The grid wraps around, so leaving the world neither loses nor doubles a collision."""
-    from taichi_cloth.simulation import Simulation
-
     world = World(size=(100.0, 100.0), gravity=(0.0, 0.0), dt=1.0, collisions=True)
     x = [[50.0, 50.0], [58.0, 50.0]]
     v = [[1000.0, 0.0], [999.0, 0.0]]
@@ -69,8 +66,6 @@ def test_particles_far_outside_the_world_still_collide():
 
 def test_elastic_crowd_keeps_momentum_and_energy():
     """Equal spheres that only meet in pairs; no fixed ones, no walls."""
-    from taichi_cloth.simulation import Simulation
-
     rng = np.random.default_rng(5)
     grid = np.stack(np.meshgrid(*[np.arange(6)] * 3, indexing="ij"), -1).reshape(-1, 3)
     world = World(size=(120.0,) * 3, gravity=(0.0,) * 3, dt=0.05, collisions=True)
@@ -88,8 +83,6 @@ def test_elastic_crowd_keeps_momentum_and_energy():
 
 
 def test_a_ball_bounces_to_the_height_its_restitution_allows(execution):
-    from taichi_cloth.simulation import Simulation
-
     e, drop = 0.8, 50.0
     world = World(size=(100.0, 100.0), gravity=(0.0, 10.0), dt=1e-3, walls=("bottom",))
     particles = Particles.build([[50.0, 95.0 - drop]], radius=5.0, restitution=e)
@@ -103,8 +96,6 @@ def test_a_ball_bounces_to_the_height_its_restitution_allows(execution):
 
 
 def test_a_particle_at_rest_on_the_floor_stays_on_it():
-    from taichi_cloth.simulation import Simulation
-
     world = World(size=(100.0, 100.0), gravity=(0.0, 0.5), dt=1.0, walls=("bottom",))
     particles = Particles.build([[50.0, 95.0]], radius=5.0, restitution=0.0)
     sim = Simulation(Scene("rest", world, particles), execution="serial")
@@ -115,8 +106,6 @@ def test_a_particle_at_rest_on_the_floor_stays_on_it():
 @pytest.mark.parametrize("radius", [5.0, 12.036362492426134, 0.1, 7.3])
 def test_floor_and_bounce_agree_on_a_hit_to_the_last_bit(radius):
     """After a clamp the gap is zero but for rounding, and all that follows hangs on its sign."""
-    from taichi_cloth.simulation import Simulation
-
     g, e, high = 0.1, 0.4, 200.0
     world = World(size=(300.0, high), gravity=(0.0, g), walls=("bottom",))
     particles = Particles.build([[150.0, 180.0]], radius=radius, restitution=e)

@@ -6,6 +6,7 @@ from conftest import golden
 
 from taichi_cloth.scene import ParticleDefaults, Particles, Scene, World
 from taichi_cloth.scenes import build
+from taichi_cloth.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("device")
 
@@ -38,8 +39,6 @@ def box_scene():
 
 
 def test_cloth_at_rest(execution):
-    from taichi_cloth.simulation import Simulation
-
     sim = Simulation(cloth_at_rest(), execution=execution)
     for expected in golden("cloth_rest.npz")["position"]:
         sim.advance(10)
@@ -48,8 +47,6 @@ def test_cloth_at_rest(execution):
 
 def test_cloth_blown_and_torn(execution):
     """Pulling amplifies round-off 1e8 times here, so this holds only if the sums' order does."""
-    from taichi_cloth.simulation import Simulation
-
     sim = Simulation(build("cloth"), execution=execution)
     expected = golden("cloth_blow.npz")
     pointer = None
@@ -66,8 +63,6 @@ def test_cloth_blown_and_torn(execution):
 
 
 def test_box_of_bouncing_particles(execution):
-    from taichi_cloth.simulation import Simulation
-
     sim = Simulation(box_scene(), execution=execution)
     for expected in golden("box_bounce.npz")["position"][:20]:
         sim.advance(10)

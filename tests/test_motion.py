@@ -6,6 +6,7 @@ import pytest
 from taichi_cloth.kernels import methods
 from taichi_cloth.scene import Particles, Scene, Springs, World
 from taichi_cloth.scenes import build
+from taichi_cloth.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("device")
 
@@ -28,8 +29,6 @@ DISCRETE = {
 
 @pytest.mark.parametrize("method", methods.METHODS)
 def test_oscillator_follows_the_exact_discrete_map(method, execution):
-    from taichi_cloth.simulation import Simulation
-
     sim = Simulation(oscillator(), method, dt=0.1, execution=execution)
     sim.advance(100)
     x, v = np.linalg.matrix_power(DISCRETE[method](0.1, 1.5), 100) @ [1.5, 0.0]
@@ -40,8 +39,6 @@ def test_oscillator_follows_the_exact_discrete_map(method, execution):
 @pytest.mark.parametrize("method", methods.METHODS)
 def test_measured_order_is_the_claimed_one(method):
     """Global error on the nonlinear cloth against the same method at a 64th of the step."""
-    from taichi_cloth.simulation import Simulation
-
     scene = build("cloth", columns=6, rows=5).with_world(mouse="none", walls=())
 
     def final(substeps):
@@ -57,8 +54,6 @@ def test_measured_order_is_the_claimed_one(method):
 
 def test_symplectic_euler_keeps_its_modified_energy():
     """The quadratic form that the discrete map of an oscillator conserves exactly."""
-    from taichi_cloth.simulation import Simulation
-
     h, k, m = 0.1, 3.0, 2.0
     sim = Simulation(oscillator(k, m), dt=h, execution="serial")
 
@@ -73,7 +68,6 @@ def test_symplectic_euler_keeps_its_modified_energy():
 
 def test_stability_limit_is_where_it_is_claimed():
     from taichi_cloth.errors import SimulationFailure
-    from taichi_cloth.simulation import Simulation
 
     omega = np.sqrt(1.5)
     stable = Simulation(oscillator(x0=0.1), dt=0.995 * 2 / omega, execution="serial")
@@ -85,8 +79,6 @@ def test_stability_limit_is_where_it_is_claimed():
 
 
 def test_a_free_body_falls_as_the_discrete_sum_says():
-    from taichi_cloth.simulation import Simulation
-
     world = World(size=(100.0, 1e6), gravity=(0.0, 9.8), dt=0.01)
     sim = Simulation(Scene("fall", world, Particles.build([[50.0, 0.0]])), execution="serial")
     sim.advance(1000)
@@ -94,8 +86,6 @@ def test_a_free_body_falls_as_the_discrete_sum_says():
 
 
 def test_drag_decays_as_a_power():
-    from taichi_cloth.simulation import Simulation
-
     world = World(size=(1e4, 100.0), gravity=(0.0, 0.0), dt=0.5)
     particles = Particles.build([[0.0, 50.0]], [[10.0, 0.0]], mass=4.0, viscous=0.8)
     sim = Simulation(Scene("drag", world, particles), execution="serial")
@@ -105,8 +95,6 @@ def test_drag_decays_as_a_power():
 
 def test_axial_dashpot_damps_the_stretch_and_not_the_turning(execution):
     """A free dumbbell: its spin keeps angular momentum, its vibration dies, momentum stays."""
-    from taichi_cloth.simulation import Simulation
-
     world = World(size=(100.0,) * 3, gravity=(0.0,) * 3, dt=0.01)
     x = np.array([[50.0, 50.0, 0.0], [53.0, 50.0, 0.0]])
     v = np.array([[1.0, -1.0, 0.5], [1.0, 1.0, 0.5]])
@@ -125,8 +113,6 @@ def test_axial_dashpot_damps_the_stretch_and_not_the_turning(execution):
 
 
 def test_momentum_of_a_free_cloth_is_kept(execution):
-    from taichi_cloth.simulation import Simulation
-
     scene = build("cloth", columns=7, rows=6)
     rng = np.random.default_rng(3)
     particles = Particles.build(scene.particles.position, rng.normal(0, 0.5, (42, 2)))
@@ -139,8 +125,6 @@ def test_momentum_of_a_free_cloth_is_kept(execution):
 
 def test_two_and_three_dimensions_are_one_physics(execution):
     """The 2-D cloth laid into a plane of 3-D space moves the same, bit for bit."""
-    from taichi_cloth.simulation import Simulation
-
     flat = build("cloth", columns=6, rows=5).with_world(mouse="none")
     p = flat.particles
     world = World(size=(*flat.world.size, 100.0), gravity=(0.0, 0.05, 0.0), walls=flat.world.walls)

@@ -6,6 +6,7 @@ import pytest
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.scene import ParticleDefaults, Particles, Scene, SpringDefaults, Springs, World
 from taichi_cloth.scenes import build
+from taichi_cloth.simulation import BLOW_REACH, BLOW_STRENGTH, Simulation
 
 pytestmark = pytest.mark.usefixtures("device")
 
@@ -20,8 +21,6 @@ def pull(tension_steps):
 
 
 def test_a_spring_over_its_limit_pulls_once_more_and_is_gone(execution):
-    from taichi_cloth.simulation import Simulation
-
     sim = Simulation(pull(3.0), execution=execution)
     sim.advance()  # stretch 3: force 3 > 2 from here on
     assert not sim.springs_alive()[0]
@@ -34,8 +33,6 @@ def test_a_spring_over_its_limit_pulls_once_more_and_is_gone(execution):
 
 
 def test_spawning_beside_a_breaking_spring_leaves_it_its_last_pull(execution):
-    from taichi_cloth.simulation import Simulation
-
     sim = Simulation(pull(3.0).with_world(mouse="spawn"), execution=execution)
     sim.advance()
     v = sim.velocities()[1, 0]
@@ -46,8 +43,6 @@ def test_spawning_beside_a_breaking_spring_leaves_it_its_last_pull(execution):
 
 def test_an_undone_frame_gives_a_breaking_spring_its_last_pull_back(execution):
     """A frame fails right after a spring went over its limit; repeated, it must fail the same."""
-    from taichi_cloth.simulation import Simulation
-
     sim = Simulation(pull(3.0), execution=execution)
     sim.advance()
     before = sim.velocities()
@@ -63,16 +58,12 @@ def test_an_undone_frame_gives_a_breaking_spring_its_last_pull_back(execution):
 
 
 def test_a_spring_at_its_limit_holds(execution):
-    from taichi_cloth.simulation import Simulation
-
     sim = Simulation(pull(1.9), execution=execution)
     sim.advance(200)
     assert sim.springs_alive().all()
 
 
 def test_a_spring_that_starts_over_its_limit_pulls_once():
-    from taichi_cloth.simulation import Simulation
-
     scene = pull(0.0)
     scene.springs.rest_length[:] = 5.0
     sim = Simulation(scene, execution="serial")
@@ -84,8 +75,6 @@ def test_a_spring_that_starts_over_its_limit_pulls_once():
 @pytest.mark.parametrize("size", [(16, 12), (40, 33)])
 def test_serial_and_parallel_give_the_same_trajectory(size):
     """One source, two ways to run it: equal to the last bit on the CPU."""
-    from taichi_cloth.simulation import Simulation
-
     ends = []
     for execution in ("serial", "parallel"):
         sim = Simulation(build("cloth", columns=size[0], rows=size[1]), execution=execution)
@@ -98,8 +87,6 @@ def test_serial_and_parallel_give_the_same_trajectory(size):
 
 
 def test_frames_advanced_one_by_one_or_in_one_call_are_the_same(execution):
-    from taichi_cloth.simulation import Simulation
-
     ends = []
     for batches in ([30], [1] * 30):
         sim = Simulation(build("cloth"), substeps=3, execution=execution)
@@ -111,8 +98,6 @@ def test_frames_advanced_one_by_one_or_in_one_call_are_the_same(execution):
 
 
 def test_blow_pushes_by_distance_and_displacement():
-    from taichi_cloth.simulation import BLOW_REACH, BLOW_STRENGTH, Simulation
-
     world = World(size=(200.0, 100.0), gravity=(0.0, 0.0), mouse="blow")
     particles = Particles.build(
         [[10.0, 50.0], [40.0, 50.0], [100.0, 50.0], [20.0, 50.0]],
@@ -131,8 +116,6 @@ def test_blow_pushes_by_distance_and_displacement():
 
 
 def test_blow_in_space_reaches_along_the_ray():
-    from taichi_cloth.simulation import Simulation
-
     world = World(size=(100.0,) * 3, gravity=(0.0,) * 3, mouse="blow")
     particles = Particles.build([[50.0, 50.0, -40.0], [50.0, 60.0, 40.0], [50.0, 100.0, 0.0]])
     sim = Simulation(Scene("blow", world, particles), execution="serial")
@@ -142,8 +125,6 @@ def test_blow_in_space_reaches_along_the_ray():
 
 
 def test_a_scene_without_blowing_refuses_the_pointer():
-    from taichi_cloth.simulation import Simulation
-
     with pytest.raises(InputError, match="does not blow"):
         Simulation(build("oscillator"), execution="serial").blow((0, 0), (1, 1))
 
@@ -151,7 +132,6 @@ def test_a_scene_without_blowing_refuses_the_pointer():
 def test_spawning_past_the_capacity_loses_nothing(execution):
     """A sim that had to grow its fields moves on as one that had room from the start."""
     from taichi_cloth import simulation
-    from taichi_cloth.simulation import Simulation
 
     def spawn_all(sim, count):
         rng = np.random.default_rng(0)
@@ -179,8 +159,6 @@ def test_spawning_past_the_capacity_loses_nothing(execution):
 
 
 def test_spawned_springs_break_at_the_scene_default():
-    from taichi_cloth.simulation import Simulation
-
     world = World(size=(400.0, 400.0), gravity=(0.0, 0.0), mouse="spawn")
     scene = Scene(
         "spawn",
@@ -205,8 +183,6 @@ def test_spawned_springs_break_at_the_scene_default():
 
 
 def test_spawn_refuses_what_cannot_be():
-    from taichi_cloth.simulation import Simulation
-
     sim = Simulation(build("box"), execution="serial")
     with pytest.raises(InputError, match="outside the world"):
         sim.spawn((1e4, 0.0, 0.0))
@@ -216,8 +192,6 @@ def test_spawn_refuses_what_cannot_be():
 
 
 def test_features_that_a_scene_lacks_have_no_fields():
-    from taichi_cloth.simulation import Simulation
-
     def fields(scene):
         return set(vars(Simulation(scene, execution="serial")._state))
 
@@ -230,8 +204,6 @@ def test_features_that_a_scene_lacks_have_no_fields():
 
 
 def test_watchdog_names_particle_frame_and_cause_and_keeps_the_last_good_frame(execution):
-    from taichi_cloth.simulation import Simulation
-
     scene = build("cloth").with_world(mouse="none")
     scene.particles.velocity[100] = (3.0, 1.0)  # something to amplify
     sim = Simulation(scene, dt=3.0, execution=execution)
@@ -254,8 +226,6 @@ def test_watchdog_names_particle_frame_and_cause_and_keeps_the_last_good_frame(e
 
 def test_watchdog_sees_a_nan_at_once():
     """A force that overflows: inf - inf in the next step. Nothing of it reaches the user."""
-    from taichi_cloth.simulation import Simulation
-
     world = World(size=(100.0, 100.0), gravity=(0.0, 0.0), dt=1.0)
     x = [[10.0, 10.0], [90.0, 90.0], [50.0, 20.0]]
     springs = Springs.build([[0, 1]], x, stiffness=1e308, rest_length=0.0)
@@ -277,7 +247,5 @@ def test_watchdog_sees_a_nan_at_once():
     ],
 )
 def test_wrong_settings_are_refused(arguments, message):
-    from taichi_cloth.simulation import Simulation
-
     with pytest.raises(InputError, match=message):
         Simulation(build("oscillator"), **arguments)

@@ -19,9 +19,8 @@ def is_finite(a):
 @ti.func
 def keep(state: ti.template()):
     """Before a frame: copy the state, so that a frame that fails can be undone."""
-    for _ in range(1):
-        state.fault[None] = NO_FAULT
-        state.watching[None] = 1
+    state.fault[None] = NO_FAULT
+    state.watching[None] = 1
     for i in range(state.n[None]):
         state.good_x[i] = state.x[i]
         state.good_v[i] = state.v[i]
@@ -30,9 +29,8 @@ def keep(state: ti.template()):
 @ti.func
 def look_up(state: ti.template()):
     """Before a step: once there is a fault, what it spreads to is no longer noted."""
-    for _ in range(1):
-        if state.fault[None] != NO_FAULT:
-            state.watching[None] = 0
+    if state.fault[None] != NO_FAULT:
+        state.watching[None] = 0
 
 
 @ti.func

@@ -65,7 +65,6 @@ def run(
     replay=None,
     recorder=None,
     trajectory=None,
-    every: int = 1,
     film=None,
     image=None,
     paused: bool = False,
@@ -81,7 +80,7 @@ def run(
     replay: an `events.Log`; its events of frame f (0-based, counted over resets) are applied
         before that frame is advanced. Until its last event the user's mouse is ignored.
     recorder: an `events.Recorder` made with `log_header`; every applied event is written.
-    trajectory: a `results.Trajectory`; records every `every`-th frame. Saving it is the caller's.
+    trajectory: a `results.Trajectory`; is shown every frame. Saving it is the caller's.
     film, image: paths of a film of the run and of a picture of its last frame; the view must
         draw pictures for them. Refused paths raise InputError before anything is run.
     paused: start paused (a window only). quiet: no progress bar.
@@ -99,7 +98,7 @@ def run(
         if film_file:
             stack.callback(film_file.discard)
         loop = _Loop(
-            sim, view, replay=replay, recorder=recorder, trajectory=trajectory, every=every,
+            sim, view, replay=replay, recorder=recorder, trajectory=trajectory,
             film=film_file, paused=paused, seed=seed, device=device,
         )  # fmt: skip
         bar = stack.enter_context(_Progress(frames, quiet or view.visible))
@@ -124,11 +123,9 @@ def run(
 class _Loop:
     """The state of a run between turns."""
 
-    def __init__(
-        self, sim, view, *, replay, recorder, trajectory, every, film, paused, seed, device
-    ):
+    def __init__(self, sim, view, *, replay, recorder, trajectory, film, paused, seed, device):
         self.sim, self.view = sim, view
-        self._recorder, self._trajectory, self._every = recorder, trajectory, every
+        self._recorder, self._trajectory = recorder, trajectory
         self._film = film
         self._device = device or runtime.current_device().describe()
         header = dict(getattr(replay, "header", None) or {})
@@ -200,7 +197,7 @@ class _Loop:
             self._meter.interrupt()
             return
         self.frames += 1
-        if self._trajectory is not None and self.frames % self._every == 0:
+        if self._trajectory is not None:
             self._trajectory.record(self.sim)
 
     def _wait(self) -> None:

@@ -188,7 +188,7 @@ class GguiView:
 
     def _on_canvas(self, points) -> np.ndarray:
         """Window pixels (k, 2) in the canvas's coordinates: 0..1, y up."""
-        return np.asarray(points) / self.size * [1, -1] + [0, 1]
+        return Layout(self.world.size[:2], self.size).to_canvas(points)
 
     def _compose_2d(self, picture: Picture) -> None:
         layout = Layout(self.world.size[:2], self.size)
@@ -196,13 +196,10 @@ class GguiView:
         self._canvas.set_background_color(style.unit(style.SURROUND))
         low, high = layout.to_window([0, 0]), layout.to_window(self.world.size[:2])
         self._rectangles(np.array([[*low, *high]]), np.array([style.unit(style.WORLD)]))
-        corners = {"left": (0, 3), "right": (1, 2), "top": (0, 1), "bottom": (3, 2)}
-        square = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
-        square += [[0.75, 0.75], [-0.75, 0.75], [-0.75, -0.75], [0.75, -0.75]]
-        walls = [square[list(corners[name])] for name in self.world.walls]
-        if walls:
+        walls = layout.walls(self.world.walls)
+        if len(walls):
             color = np.array([style.unit(style.WALL)] * len(walls))
-            self._lines_2d(np.array(walls), color, 1.5 / height)
+            self._lines_2d(walls, color, 1.5 / height)
         position = layout.to_window(picture.position)
         alive = np.isfinite(position).all(axis=1)
         segments = picture.segments[alive[picture.segments].all(axis=1)]

@@ -165,7 +165,7 @@ class GuiView:
 
     def _on_canvas(self, points) -> np.ndarray:
         """Window pixels (k, 2) in the canvas's coordinates: 0..1, y up."""
-        return np.asarray(points) / self.size * [1, -1] + [0, 1]
+        return Layout(self.world.size[:2], self.size).to_canvas(points)
 
     def _lines(self, ends, color, width: float) -> None:
         """Lines `ends` (k, 2, 2) window pixels with packed colours (k,); width in pixels."""
@@ -180,10 +180,7 @@ class GuiView:
         layout = Layout(self.world.size[:2], self.size)
         low, high = layout.to_window([0, 0]), layout.to_window(self.world.size[:2])
         self._surround(low, high)
-        square = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
-        square += [[0.75, 0.75], [-0.75, 0.75], [-0.75, -0.75], [0.75, -0.75]]
-        corners = {"left": (0, 3), "right": (1, 2), "top": (0, 1), "bottom": (3, 2)}
-        walls = np.array([square[list(corners[name])] for name in self.world.walls])
+        walls = layout.walls(self.world.walls)
         if len(walls):
             self._lines(walls, style.packed_one(style.WALL), 1.5)
         position = layout.to_window(picture.position)

@@ -41,6 +41,18 @@ class Layout:
         """Window `pixels` (..., 2) in world units."""
         return (np.asarray(pixels, np.float64) - self.offset) / self.scale
 
+    def to_canvas(self, pixels) -> np.ndarray:
+        """Window `pixels` (..., 2) in Taichi's canvas coordinates: 0..1, y up."""
+        return np.asarray(pixels) / self.window * [1, -1] + [0, 1]
+
+    def walls(self, names) -> np.ndarray:
+        """Lines of the walls called `names`, just inside the world, (k, 2, 2) window pixels."""
+        low, high = self.to_window([0, 0]), self.to_window(self.world)
+        square = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
+        square += [[0.75, 0.75], [-0.75, 0.75], [-0.75, -0.75], [0.75, -0.75]]
+        ends = {"left": (0, 3), "right": (1, 2), "top": (0, 1), "bottom": (3, 2)}
+        return square[[ends[name] for name in names]].reshape(-1, 2, 2)
+
 
 def default_window(world_size) -> tuple[int, int]:
     """The window for a world of (w, h[, d]): its own size where that is usable on a screen."""

@@ -6,11 +6,11 @@ import sys
 
 from taichi_cloth import runtime
 from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.options import VIEWS
 from taichi_cloth.scene import World
 from taichi_cloth.ui.layout import default_window
 from taichi_cloth.ui.view import NullView, View
 
-KINDS = ("auto", "ggui", "gui", "none")
 _DISPLAY = "there is no display (is DISPLAY set, and is its X server running?)"
 _VULKAN = "GGUI needs Vulkan, which is not there (install a Vulkan driver, such as Mesa's)"
 
@@ -53,8 +53,8 @@ def open_view(
 
     Raises InputError where the kind that was asked for cannot be had.
     """
-    if kind not in KINDS:
-        raise InputError(f"unknown view '{kind}'; {nearest(kind, KINDS)}")
+    if kind not in VIEWS:
+        raise InputError(f"unknown view '{kind}'; {nearest(kind, VIEWS)}")
     if kind == "none" and not pictures:
         return NullView(world, size)
     size = tuple(size or default_window(world.size))

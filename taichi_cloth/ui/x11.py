@@ -31,12 +31,17 @@ WHEEL = {4: 1.0, 5: -1.0}  # X's button numbers of the wheel -> notches away fro
 _pointer, _window, _int = ctypes.c_void_p, ctypes.c_ulong, ctypes.c_int
 
 
+_HEAD = (  # what every event of X begins with
+    ("type", _int),
+    ("serial", ctypes.c_ulong),
+    ("send_event", _int),
+    ("display", _pointer),
+)
+
+
 class _KeyEvent(ctypes.Structure):
     _fields_ = [
-        ("type", _int),
-        ("serial", ctypes.c_ulong),
-        ("send_event", _int),
-        ("display", _pointer),
+        *_HEAD,
         ("window", _window),
         ("root", _window),
         ("subwindow", _window),
@@ -63,10 +68,7 @@ class _Error(ctypes.Structure):
 
 class _Cookie(ctypes.Structure):
     _fields_ = [
-        ("type", _int),
-        ("serial", ctypes.c_ulong),
-        ("send_event", _int),
-        ("display", _pointer),
+        *_HEAD,
         ("extension", _int),
         ("evtype", _int),
         ("cookie", ctypes.c_uint),
@@ -76,10 +78,7 @@ class _Cookie(ctypes.Structure):
 
 class _RawEvent(ctypes.Structure):
     _fields_ = [
-        ("type", _int),
-        ("serial", ctypes.c_ulong),
-        ("send_event", _int),
-        ("display", _pointer),
+        *_HEAD,
         ("extension", _int),
         ("evtype", _int),
         ("time", ctypes.c_ulong),
