@@ -1,4 +1,4 @@
-"""The command line: ``taichi-cloth run | list | doctor``.
+"""The command line: ``taichi-cloth run | list | doctor | bench``.
 
 Settings of a run are declared in `options.RunOptions`, those of a scene by the scene itself; flags
 and help texts are made from both. Anything a user gets wrong ends in one line and exit status 2.
@@ -34,6 +34,7 @@ COMMANDS = {
     "run": "run a scene, in a window or headless (the default command)",
     "list": "show scenes, methods and the backends usable here",
     "doctor": "show what this machine offers, and what each missing thing would need",
+    "bench": "measure speed, and beside it the error, here and beside other programs",
 }
 
 
@@ -78,6 +79,8 @@ def _dispatch(arguments: list[str]) -> int:
         print(f"{PROGRAM} {__version__}")
     elif command == "run":
         return _run_command(rest)
+    elif command == "bench":
+        return _bench(rest)
     elif command in ("list", "doctor"):
         if rest in (["-h"], ["--help"]):
             print(f"usage: {PROGRAM} {command}\n\n{COMMANDS[command].capitalize()}.")
@@ -106,6 +109,7 @@ def _help() -> str:
     commands = "\n".join(f"  {name:8} {says}" for name, says in COMMANDS.items())
     return (
         f"usage: {PROGRAM} [run] [SCENE | FILE.toml] [flags]\n"
+        f"       {PROGRAM} bench [PART ...] [flags]\n"
         f"       {PROGRAM} list | doctor | --version | --help\n\n"
         "An interactive cloth and spring-mass simulator.\n\n"
         f"commands:\n{commands}\n\n"
@@ -163,9 +167,10 @@ def _parse_run(arguments: Sequence[str]) -> _RunRequest | None:
     known |= {"--no-fast-math": of_run["fast_math"], "--help": None, "-h": None}
     switches |= {"--no-fast-math", "--help", "-h"}
 
-    texts, scene, wants_help = _split(arguments, known, switches)
-    if scene is None:
-        scene = DEFAULT_SCENE
+    texts, words, wants_help = _split(arguments, known, switches, "run")
+    if len(words) > 1:
+        raise InputError(f"unexpected '{words[1]}': the scene is already '{words[0]}'")
+    scene = words[0] if words else DEFAULT_SCENE
     is_file = _names_file(scene)
     if not is_file and scene not in of_scenes:
         raise InputError(
@@ -205,25 +210,23 @@ def _parse_run(arguments: Sequence[str]) -> _RunRequest | None:
 
 
 def _split(
-    arguments: Sequence[str], known: Mapping[str, Any], switches: Iterable[str]
-) -> tuple[dict[str, str], str | None, bool]:
-    """Flags with their texts, the scene's word if there is one, and whether help is wanted.
+    arguments: Sequence[str], known: Mapping[str, Any], switches: Iterable[str], command: str
+) -> tuple[dict[str, str], list[str], bool]:
+    """Flags with their texts, the words that are none, and whether help is wanted.
 
     A flag's value is whatever follows it, so that values may begin with a minus sign.
     """
     texts: dict[str, str] = {}
-    scene = None
+    words = []
     queue = list(arguments)
     while queue:
         word = queue.pop(0)
         if not word.startswith("-") or word == "-":
-            if scene is not None:
-                raise InputError(f"unexpected '{word}': the scene is already '{scene}'")
-            scene = word
+            words.append(word)
             continue
         flag, equals, text = word.partition("=")
         if flag not in known:
-            raise InputError(f"unknown flag '{flag}'; {_flag_hint(flag, known)}")
+            raise InputError(f"unknown flag '{flag}'; {_flag_hint(flag, known, command)}")
         if flag in switches:
             if equals:
                 raise InputError(f"{flag} takes no value, got '{text}'")
@@ -234,12 +237,12 @@ def _split(
         if not text and flag not in switches:
             raise InputError(f"{flag} needs a value: {known[flag].describe()}")
         texts[flag] = text
-    return texts, scene, bool({"-h", "--help"} & texts.keys())
+    return texts, words, bool({"-h", "--help"} & texts.keys())
 
 
-def _flag_hint(flag: str, known: Iterable[str]) -> str:
+def _flag_hint(flag: str, known: Iterable[str], command: str) -> str:
     hint = nearest(flag, known)
-    return hint if hint.startswith("did") else f"'{PROGRAM} run --help' shows all flags"
+    return hint if hint.startswith("did") else f"'{PROGRAM} {command} --help' shows all flags"
 
 
 def _consistent(options: RunOptions) -> RunOptions:
@@ -274,21 +277,30 @@ def _run_help(scene: str, declared: Mapping[str, Parameter]) -> str:
     """Help of `run`, laid out by argparse from the declared settings."""
     from taichi_cloth import scenes
 
+    groups = {"run": _run_parameters()}
+    if declared:
+        # One flag sets both where a name is in both, and is listed with the run.
+        own = {name: p for name, p in declared.items() if name not in _run_parameters()}
+        groups = {f"scene '{scene}'": own, **groups}
+    return _flags_help(
+        f"{PROGRAM} run [SCENE | FILE.toml] [flags]",
+        f"Scenes: {', '.join(scenes.names())}; default {DEFAULT_SCENE}.",
+        groups,
+    )
+
+
+def _flags_help(usage: str, description: str, groups: Mapping[str, Mapping[str, Parameter]]) -> str:
     parser = argparse.ArgumentParser(
-        prog=f"{PROGRAM} run",
-        usage=f"{PROGRAM} run [SCENE | FILE.toml] [flags]",
-        description=f"Scenes: {', '.join(scenes.names())}; default {DEFAULT_SCENE}.",
-        formatter_class=lambda prog: argparse.HelpFormatter(prog, max_help_position=28, width=100),
+        usage=usage,
+        description=description,
+        formatter_class=lambda prog: argparse.RawDescriptionHelpFormatter(
+            prog, max_help_position=28, width=100
+        ),
         add_help=False,
     )
-    groups = [("run", _run_parameters())]
-    if declared:
-        groups.insert(0, (f"scene '{scene}'", declared))
-    for title, parameters in groups:
+    for title, parameters in groups.items():
         group = parser.add_argument_group(title)
         for name, parameter in parameters.items():
-            if title != "run" and name in _run_parameters():
-                continue  # one flag sets both, and is listed with the run
             help_ = parameter.describe().replace("%", "%%")
             if name == "fast_math":
                 group.add_argument("--fast-math", "--no-fast-math", action="store_true", help=help_)
@@ -334,10 +346,10 @@ def _run_command(arguments: Sequence[str]) -> int:
 
 
 def _as_recorded(request: _RunRequest, header: Mapping[str, Any]) -> RunOptions:
-    """The options with the recording's dt, substeps and method where none are given."""
+    """The options with the recording's dt, substeps and so on where none are given."""
     recorded = {
         name: header[name]
-        for name in ("dt", "substeps", "method")
+        for name in ("dt", "substeps", "method", "topology")
         if name in header and name not in request.given
     }
     return _consistent(replace(request.options, **recorded))
@@ -371,6 +383,7 @@ def _run(scene: Scene, options: RunOptions, log, recorder, trajectory: Trajector
         dt=options.dt,
         substeps=options.substeps,
         execution=options.execution,
+        topology=options.topology,
     )
     view = open_view(
         options.view,
@@ -433,7 +446,8 @@ def _first_line(sim: Simulation, device: Device, view) -> str:
     window = f"window {view.name} {width}x{height}" if view.visible else "headless"
     return (
         f"{sim.scene.name}: {sim.particle_count} particles, {sim.spring_count} springs; "
-        f"{sim.method}, dt {sim.dt:g}, {steps}; {device.describe()}, {sim.execution}; {window}"
+        f"{sim.method}, dt {sim.dt:g}, {steps}; "
+        f"{device.describe()}, {sim.execution} {sim.topology}; {window}"
     )
 
 
@@ -448,7 +462,7 @@ def _last_line(sim: Simulation, summary, seconds: float) -> str:
     a_frame = summary.simulate / (frames - 1)
     return (
         f"{done}: {1e3 * a_frame:.3g} ms a frame to simulate after the first, "
-        f"{sim.substeps / a_frame:.4g} steps/s, {sim.execution}"
+        f"{sim.substeps / a_frame:.4g} steps/s, {sim.execution} {sim.topology}"
     )
 
 
@@ -456,7 +470,7 @@ def _note_differences(recorded: Mapping[str, Any], present: Mapping[str, Any]):
     """Say on standard error where a replay's settings are not those of the recording."""
     notes = [
         f"{key} {present[key]} (recorded: {recorded[key]})"
-        for key in ("scene", "dt", "substeps", "method")
+        for key in ("scene", "dt", "substeps", "method", "topology")
         if key in recorded and recorded[key] != present[key]
     ]
     if notes:
@@ -479,6 +493,7 @@ def _meta(sim: Simulation, device: Device) -> dict[str, Any]:
         "arch": device.arch,
         "device": device.describe(),
         "execution": sim.execution,
+        "topology": sim.topology,
         "versions": {
             "taichi_cloth": __version__,
             "taichi": ".".join(map(str, taichi.__version__)),
@@ -536,3 +551,30 @@ def _doctor() -> int:
     from taichi_cloth import doctor
 
     return doctor.main()
+
+
+def _bench(arguments: Sequence[str]) -> int:
+    from taichi_cloth import benchmarks
+    from taichi_cloth.options import BenchOptions
+
+    parameters = parameters_of(BenchOptions)
+    known = {_flag(name): parameter for name, parameter in parameters.items()}
+    switches = {flag for flag, parameter in known.items() if parameter.type is bool}
+    known |= {"--help": None, "-h": None}
+    texts, parts, wants_help = _split(arguments, known, {*switches, "--help", "-h"}, "bench")
+    if wants_help:
+        listed = "\n".join(f"  {part:10} {benchmarks.summary(part)}" for part in benchmarks.PARTS)
+        usage = f"{PROGRAM} bench [PART ...] [flags]"
+        print(_flags_help(usage, f"Parts (default: all):\n{listed}", {"flags": parameters}))
+        return 0
+    for part in parts:
+        if part not in benchmarks.PARTS:
+            raise InputError(f"bench: unknown part '{part}'; {nearest(part, benchmarks.PARTS)}")
+    values = {
+        flag[2:]: True if flag in switches else known[flag].parse(flag, text)
+        for flag, text in texts.items()
+    }
+
+    from taichi_cloth.benchmarks import command
+
+    return command.main(parts, BenchOptions(**values))

@@ -14,6 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taichi_cloth import __version__, runtime
+from taichi_cloth.options import PATHS, TOPOLOGIES
+
+MEASUREMENTS = 8  # shown of those kept
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,37 @@ def main() -> int:
     # A pipe or a file has no width: give whole sentences a line where they fit.
     console = Console() if sys.stdout.isatty() else Console(width=160)
     console.print(table)
+    _print_choices(console)
     return 0
+
+
+def _print_choices(console) -> None:
+    """How scenes are run here: what a step took in each way, the newest measurements first."""
+    from rich import box
+    from rich.table import Table
+
+    from taichi_cloth import execution
+
+    measured = [kind for kind in reversed(execution.measurements()) if kind.seconds]
+    if not measured:
+        console.print("Fastest way to run a scene: nothing measured yet; the first run does it.")
+        return
+    ways = [f"{topology} {path}" for topology in TOPOLOGIES for path in PATHS]
+    title = "Microseconds a step, as measured at a scene's first start; * is what runs by itself"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("device; method; features and size of the scene", overflow="fold")
+    for way in ways:
+        table.add_column(way.replace(" ", "\n"), justify="right")
+    for kind in measured[:MEASUREMENTS]:
+        best = execution.fastest(kind.seconds)
+        times = [
+            f"{'*' * (way == best)}{1e6 * kind.seconds[way]:.3g}" if way in kind.seconds else "-"
+            for way in ways
+        ]
+        table.add_row(kind.what.replace("/", "; "), *times)
+    console.print(table)
+    if len(measured) > MEASUREMENTS:
+        console.print(f"{len(measured) - MEASUREMENTS} older ones: {execution.cache_file()}")
 
 
 def findings() -> Iterator[Finding]:
@@ -52,7 +85,7 @@ def findings() -> Iterator[Finding]:
     for package in ("taichi", "numpy"):
         yield _package(package)
     yield Finding("system", platform.platform())
-    yield Finding("processor", f"{_processor()}, {os.cpu_count()} cores")
+    yield Finding("processor", f"{processor()}, {os.cpu_count()} cores")
     for name, lack in runtime.usable_backends().items():
         yield Finding(f"backend {name}", "usable" if lack is None else f"needs {lack}", not lack)
 
@@ -60,7 +93,7 @@ def findings() -> Iterator[Finding]:
         yield Finding("display", os.environ.get("DISPLAY", "") or platform.system())
     else:
         yield Finding("display", "needs a running X server and DISPLAY (Xvfb serves)", False)
-    device = _vulkan_device()
+    device = vulkan_device()
     yield Finding("Vulkan device", device or runtime.NEEDS["vulkan"], device is not None)
     from taichi_cloth.ui.opening import usable_views
 
@@ -77,7 +110,8 @@ def _package(name: str) -> Finding:
         return Finding(name, f"needs installing: pip install {name}", False)
 
 
-def _processor() -> str:
+def processor() -> str:
+    """The processor's name, as the system tells it."""
     try:
         lines = Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines()
     except OSError:
@@ -86,7 +120,7 @@ def _processor() -> str:
     return model or platform.machine()
 
 
-def _vulkan_device() -> str | None:
+def vulkan_device() -> str | None:
     """Name of the first Vulkan device, or None. Asked in a process of its own: drivers crash."""
     code = "from taichi_cloth import doctor; print(doctor.first_vulkan_device() or '')"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}

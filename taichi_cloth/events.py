@@ -116,7 +116,7 @@ def _check_header(where: str, header: dict[str, Any]):
         raise InputError(f"{where}: window must be [width, height] in pixels, is {_show(window)}")
     if seed != 0 and not _is_count(seed):
         raise InputError(f"{where}: seed must be a whole number from 0, is {_show(seed)}")
-    for key in ("scene", "method"):
+    for key in ("scene", "method", "topology"):
         if not isinstance(header.get(key, ""), str):
             raise InputError(f"{where}: {key} must be a name, is {_show(header[key])}")
     dt, substeps = header.get("dt", 1.0), header.get("substeps", 1)

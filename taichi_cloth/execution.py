@@ -1,4 +1,4 @@
-"""Serial or parallel: which of the two ways to run a frame is faster for a scene on this machine.
+"""Lanes or graph, serial or parallel: which is fastest for a scene on this machine.
 
 Measured once on the scene itself, then kept in a file in the user's cache folder, by machine,
 device, method, features and size.
@@ -9,60 +9,124 @@ from __future__ import annotations
 import json
 import os
 import platform
-import statistics
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
+from taichi_cloth import __version__
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.kernels import run, watch
-from taichi_cloth.options import PATHS
+from taichi_cloth.options import PATHS, TOPOLOGIES
 from taichi_cloth.runtime import current_device
 
+# Seconds in which one thread has done a frame before the others are awake: to measure all of them
+# would only cost the time to compile.
+WAKING = 50e-6
 
-def run_frames(path, method, features, state, done, frames, substeps) -> int:
-    """Advance frames on a path, after `done` steps; return how many passed the watchdog."""
-    if path == "serial":
-        return run.frames_serial(method, features, state, done, frames, substeps)
+
+def run_frames(method, plan, state, done, frames, substeps) -> int:
+    """Advance frames as planned, after `done` steps; return how many passed the watchdog."""
+    if not plan.spread:
+        return run.frames_in_one_launch(method, plan, state, done, frames, substeps)
     for frame in range(frames):
-        watch.keep_parallel(state)
+        watch.keep_spread(plan, state)
         for k in range(substeps):
-            run.substep_parallel(method, features, state, done + frame * substeps + k + 1)
+            run.substep_spread(method, plan, state, done + frame * substeps + k + 1)
         if watch.last_fault(state) != watch.NO_FAULT:
             return frame
     return frames
 
 
-def choose(requested: str, sim) -> str:
-    """The path to use for the simulation `sim`: the requested one, or the measured best.
+@dataclass(frozen=True)
+class Choice:
+    """How a scene is run. alone: seconds a step takes on one thread, where that was measured."""
 
-    On a GPU the serial path would be one slow thread, so "auto" is parallel there.
-    Raises InputError for an unknown word.
+    topology: str
+    execution: str
+    alone: float | None = None
+
+
+def choose(topology: str, execution: str, sim, x, v) -> Choice:
+    """How to run the simulation `sim` from x, v: as requested, else the fastest way.
+
+    On a GPU one thread would be slow, so "auto" is parallel there. Raises InputError for an unknown
+    word, and for lanes where the scene has no regular grid.
     """
-    if requested not in (*PATHS, "auto"):
-        raise InputError(f"--execution {requested}: {nearest(requested, (*PATHS, 'auto'))}")
-    if requested != "auto":
-        return requested
-    device = current_device()
-    if device.arch != "cpu":
-        return "parallel"
-    key = "/".join([_machine(), device.describe(), sim.method, sim.describe_size()])
+    for flag, word, words in (
+        ("--topology", topology, TOPOLOGIES),
+        ("--execution", execution, PATHS),
+    ):
+        if word not in (*words, "auto"):
+            raise InputError(f"{flag} {word}: {nearest(word, (*words, 'auto'))}")
+    topologies, paths = sim.topologies(), PATHS
+    if topology == "lanes" and "lanes" not in topologies:
+        raise InputError(
+            f"--topology lanes: the springs of scene '{sim.scene.name}' form no regular grid; "
+            "use --topology graph"
+        )
+    if topology != "auto":
+        topologies = [topology]
+    if execution != "auto":
+        paths = [execution]
+    elif current_device().arch != "cpu":
+        paths = ["parallel"]
+    choices = [f"{t} {p}" for t in topologies for p in paths]
+    if len(choices) == 1:
+        return Choice(*choices[0].split())
+    key = "/".join([_machine(), current_device().describe(), sim.method, sim.describe_size()])
     table = _read()
-    if key not in table:
-        table[key] = {path: measure_path(sim, path) for path in PATHS}
+    measured = table.setdefault(key, {})
+    before = dict(measured)
+    for choice in choices:
+        where, path = choice.split()
+        alone = measured.get(f"{where} serial", 1.0)
+        hopeless = path == "parallel" and alone * sim.substeps < WAKING
+        if choice not in measured and not hopeless:
+            sim.load_as(where, path, x, v)
+            measured[choice] = _measure(sim)
+    if measured != before:
         _write(table)
-    return min(PATHS, key=lambda path: table[key][path])
+    best = fastest({choice: measured[choice] for choice in choices if choice in measured}).split()
+    alone = measured.get(f"{best[0]} serial") if execution == "auto" else None
+    return Choice(*best, alone)
 
 
-def measure_path(sim, path: str) -> float:
-    """Seconds a step takes on a path: median of at least three frames after a warm-up."""
-    frame = sim.timed_frame(path)
-    frame()  # compiles
+def fastest(seconds: dict[str, float]) -> str:
+    """The fastest of "topology execution"; of those within a tenth of it lanes before the graph,
+    one thread before several: launches hide what they gain, and they gain where frames share one.
+    """
+    near = [choice for choice in seconds if seconds[choice] <= 1.1 * min(seconds.values())]
+    order = [f"{t} {p}" for t in TOPOLOGIES for p in PATHS]
+    return min(near, key=order.index)
+
+
+def _measure(sim) -> float:
+    """Seconds a step takes, undisturbed: the least of at least three frames after a warm-up."""
+    sim.timed_frame()  # compiles
     seconds, deadline = [], time.perf_counter() + 0.15
     while len(seconds) < 3 or (time.perf_counter() < deadline and len(seconds) < 50):
         begin = time.perf_counter()
-        frame()
+        sim.timed_frame()
         seconds.append(time.perf_counter() - begin)
-    return statistics.median(seconds) / sim.substeps
+    return min(seconds) / sim.substeps
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What was measured for one kind of scene: seconds a step by 'topology execution'."""
+
+    what: str
+    seconds: dict[str, float]
+
+
+def measurements() -> list[Measured]:
+    """What the cache holds for this machine and version, the newest last."""
+    prefix = _machine() + "/"
+    return [
+        Measured(key.removeprefix(prefix), seconds)
+        for key, seconds in _read().items()
+        if key.startswith(prefix)
+    ]
 
 
 def cache_file() -> Path:
@@ -72,7 +136,7 @@ def cache_file() -> Path:
 
 
 def _machine() -> str:
-    return f"{platform.node()}, {platform.machine()}, {os.cpu_count()} cores"
+    return f"{__version__}, {platform.node()}, {platform.machine()}, {os.cpu_count()} cores"
 
 
 def _read() -> dict:
@@ -87,7 +151,7 @@ def _write(table: dict) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}.part")
-        part.write_text(json.dumps(table, indent=1, sort_keys=True))
+        part.write_text(json.dumps(table, indent=1))
         part.replace(path)
     except OSError:
         pass  # a cache that cannot be written costs a measurement at the next start

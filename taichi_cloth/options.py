@@ -123,6 +123,7 @@ def parameters_of(settings: type) -> dict[str, Parameter]:
 ARCHS = ("cpu", "gpu", "cuda", "vulkan", "opengl", "metal")
 PRECISIONS = ("f32", "f64")
 PATHS = ("serial", "parallel")
+TOPOLOGIES = ("lanes", "graph")
 VIEWS = ("auto", "ggui", "gui", "none")
 HEADLESS_FRAMES = 600
 
@@ -142,8 +143,13 @@ class RunOptions:
     )
     execution: str = setting(
         "auto",
-        "one launch a frame, parallel loops, or the faster",
+        "one thread, all of them, or the faster",
         choices=("auto", *PATHS),
+    )
+    topology: str = setting(
+        "auto",
+        "regular grids in vector lanes, all springs as a graph, or the faster",
+        choices=("auto", *TOPOLOGIES),
     )
     threads: int | None = setting(
         None,
@@ -186,3 +192,31 @@ class RunOptions:
     video: str | None = setting(None, "save all frames as a film", str, metavar="FILE.mp4|gif")
     paused: bool = setting(False, "start paused")
     quiet: bool = setting(False, "print nothing but errors")
+
+
+@dataclass(frozen=True)
+class BenchOptions:
+    """Settings of the benchmark."""
+
+    rounds: int | None = setting(
+        None,
+        "counted rounds of each contest (default: 7, with --quick 3)",
+        int,
+        minimum=2,
+        maximum=1000,
+        metavar="N",
+    )
+    quick: bool = setting(False, "smaller sizes and fewer rounds: about a minute")
+    output: str = setting("bench/results", "folder of the results", metavar="DIR")
+    arch: str | None = setting(
+        None,
+        "backend of the part gpu (default: cuda and vulkan)",
+        str,
+        choices=tuple(arch for arch in ARCHS if arch not in ("cpu", "gpu")),
+    )
+    tables: str | None = setting(
+        None,
+        "fill a document's tables from the results; without a PART nothing is measured",
+        str,
+        metavar="FILE.md",
+    )

@@ -215,6 +215,10 @@ class Springs:
     def none(cls) -> Springs:
         return cls.build(np.zeros((0, 2)), np.zeros((0, 2)), rest_length=0.0)
 
+    def of(self, chosen) -> Springs:
+        """Some of these springs: a mask (s,) bool, or their numbers."""
+        return Springs(**{k: v[chosen] for k, v in vars(self).items()})
+
     def joined(self, other: Springs) -> Springs:
         """These springs followed by `other`."""
         return Springs(**{k: np.concatenate([v, vars(other)[k]]) for k, v in vars(self).items()})
@@ -234,6 +238,14 @@ class Features:
     floor: bool
     collisions: bool
     blow: bool
+
+    def describe(self) -> str:
+        """In words, such as '2-D, springs, fracture, drag, 4 walls, floor'."""
+        words = {name.replace("_", " "): has for name, has in vars(self).items()}
+        words["walls"] = None
+        if self.walls:
+            words[f"{len(self.walls)} walls"] = True
+        return ", ".join([f"{self.dim}-D", *(word for word, has in words.items() if has is True)])
 
 
 @dataclass(frozen=True)

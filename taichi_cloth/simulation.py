@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
 
 import numpy as np
 import taichi as ti
 
-from taichi_cloth import execution, measure, topology
+from taichi_cloth import execution, layout, measure, topology
 from taichi_cloth.errors import InputError, SimulationFailure, nearest
-from taichi_cloth.kernels import fracture, interaction, methods, transfer, watch
-from taichi_cloth.kernels.state import ALIVE, BREAKING, CELLS_PER_PARTICLE, GONE, State
+from taichi_cloth.kernels import drawing, fracture, interaction, methods, transfer, watch
+from taichi_cloth.kernels.plan import Plan
+from taichi_cloth.kernels.state import (
+    ALIVE,
+    BREAKING,
+    CELLS_PER_PARTICLE,
+    GONE,
+    Capacity,
+    State,
+)
+from taichi_cloth.options import TOPOLOGIES
 from taichi_cloth.runtime import current_device
 from taichi_cloth.scene import Particles, Scene, Springs, validate
 
@@ -22,6 +32,9 @@ RUNAWAY_CROSSINGS = 100.0
 # Particles and springs times steps in one launch: some tenths of a second, so that Ctrl-C is heard.
 LAUNCH_WORK = 20_000_000
 SPAWN_CAPACITY = 256  # room for clicks before the fields must grow
+# Particles in a cell on CPUs. Taichi 1.7 packs straight-line code into vectors of 16 bytes on
+# processors that its LLVM (15) does not know; docs/speed.md has the measurement.
+LANES = 4
 
 
 class Simulation:
@@ -29,8 +42,11 @@ class Simulation:
 
     scene: validated here (InputError). method: a name out of `kernels.methods.METHODS`.
     dt: time of a frame, the scene's own when absent; substeps: steps a frame is cut into.
-    execution: "serial" (a frame is one launch on one thread), "parallel" (a launch per step, its
-    loops parallel), or "auto": the one that measured faster on this machine for such a scene.
+    execution: "serial" (on one thread) or "parallel" (on all threads, or a GPU).
+    topology: "lanes" (the regular grids among the springs without index lists, in cells of several
+    particles; the rest on the graph), or "graph" (all springs by lists of neighbours).
+    "auto" is, for both, what measured fastest on this machine for such a scene.
+    lanes: particles in a cell of that topology; LANES on CPUs and 1 on GPUs where absent.
 
     Arrays are returned as float64 copies, one row per particle in the order of creation.
     """
@@ -42,6 +58,8 @@ class Simulation:
         dt: float | None = None,
         substeps: int = 1,
         execution: str = "auto",
+        topology: str = "auto",
+        lanes: int | None = None,
     ):
         if method not in methods.METHODS:
             raise InputError(f"--method {method}: unknown; {nearest(method, methods.METHODS)}")
@@ -57,7 +75,10 @@ class Simulation:
         self.claims, self._step = module.CLAIMS, module.step
         self._real = getattr(ti, device.precision)
         self._numpy_real = np.float64 if device.precision == "f64" else np.float32
-        self._requested_execution = execution
+        self._requested = topology, execution
+        self._lanes = lanes or (LANES if device.arch == "cpu" else 1)
+        self._drawn = np.zeros((0, 0))
+        self.topology = self.execution = self._pace = None
         self.speed_limit = RUNAWAY_CROSSINGS * float(np.linalg.norm(scene.world.size)) / dt
         self.reset()
 
@@ -69,7 +90,6 @@ class Simulation:
         self._blowing = False
         self._particles, self._springs = self.scene.particles, self.scene.springs
         self._fracture = np.tile(np.int32([ALIVE, 0]), (len(self._springs), 1))
-        self._make_room()
         self._load(self._particles.position, self._particles.velocity)
 
     def advance(self, frames: int = 1) -> None:
@@ -81,7 +101,7 @@ class Simulation:
         while frames > 0:
             # A push lasts one frame; without one, frames can share a launch.
             batch = 1 if self._blowing else min(frames, self._frames_per_launch())
-            passed = self._run(self.execution, batch)
+            passed = self._run(batch)
             self.frame += passed
             if passed < batch:
                 self._fail(watch.last_fault(self._state))
@@ -94,30 +114,30 @@ class Simulation:
         work = self.substeps * max(self.particle_count + self.spring_count, 1)
         return max(1, LAUNCH_WORK // work)
 
-    def _run(self, path, frames):
-        return execution.run_frames(
-            path,
+    def _run(self, frames):
+        begin = time.perf_counter()
+        passed = execution.run_frames(
             self._step,
-            self._features,
+            self._plan,
             self._state,
             self.frame * self.substeps,
             frames,
             self.substeps,
         )
+        if self._pace and self._pace.lost(time.perf_counter() - begin, frames * self.substeps):
+            self.execution, self._pace = "serial", None
+            self._plan = self._plan_for("serial")
+        return passed
 
     @property
     def time(self) -> float:
         """Simulated time, in the scene's units."""
         return self.frame * self.dt
 
-    def timed_frame(self, path: str):
-        """A function that runs one frame on a path, for `execution` to time; the caller reloads."""
-        return lambda: self._run(path, frames=1)
-
     def describe_size(self) -> str:
         """What decides a step's cost besides the device: features, and sizes by powers of two."""
         sizes = self.particle_count.bit_length(), self.spring_count.bit_length()
-        return f"{self._features}, 2^{sizes[0]} particles, 2^{sizes[1]} springs"
+        return f"{self._features().describe()}, 2^{sizes[0]} particles, 2^{sizes[1]} springs"
 
     def set_speed_limit(self, limit: float) -> None:
         """The speed above which the watchdog says that a particle runs away (world units/time)."""
@@ -164,7 +184,6 @@ class Simulation:
             tie = Springs.build([[tied_to, index]], x, defaults=self.scene.spring_defaults)
             self._springs = self._springs.joined(tie)
             self._fracture = np.concatenate([self._fracture, np.int32([[ALIVE, 0]])])
-        self._make_room()
         self._load(x, v)
         return index
 
@@ -202,6 +221,29 @@ class Simulation:
         """Which springs hold, (s,) bool: those whose force has not exceeded their break force."""
         return self._read_fracture()[:, 0] == ALIVE
 
+    def drawn_positions(self) -> np.ndarray:
+        """Positions for a window, (n, dim) in the device's precision.
+
+        Without a copy: the next call fills the same array anew.
+        """
+        shape = self.particle_count, self.scene.world.dim
+        if self._drawn.shape != shape:
+            self._drawn = np.zeros(shape, self._numpy_real)
+        if len(self._drawn):
+            drawing.read_positions(self._spread_plan, self._state, self._drawn)
+        return self._drawn
+
+    def drawn_springs(self) -> np.ndarray:
+        """The particles that each spring that holds ties, (alive, 2).
+
+        The same array until a spring breaks, comes or is whole again: all that the device is asked
+        for at every frame is how many are broken.
+        """
+        broken = drawing.count_broken(self._spread_plan, self._state) if self._plan.fracture else 0
+        if self._drawn_springs is None or broken != self._broken:
+            self._broken, self._drawn_springs = broken, self.springs()[self.springs_alive()]
+        return self._drawn_springs
+
     def energy(self) -> measure.Energy:
         """Kinetic, gravitational and elastic energy."""
         x, v = self._read_motion()
@@ -224,50 +266,113 @@ class Simulation:
 
     # --- loading the device ----------------------------------------------------------------
 
-    def _make_room(self):
-        """See that there is a container that fits particles, springs and features; empty if new.
-
-        A new container compiles every kernel again, so it is made with room to spare.
-        """
-        features = replace(self.scene, particles=self._particles, springs=self._springs).features()
-        n, s = self.particle_count, self.spring_count
-        state = getattr(self, "_state", None)
-        if state is not None:
-            fits = n <= state.particle_capacity and s <= state.spring_capacity
-            if fits and features == self._features:
-                return
-            state.free()
-        room = SPAWN_CAPACITY if self.scene.world.mouse == "spawn" else 0
-        factor = 1 if state is None else 2
-        self._features = features
-        self._state = State(features, self._real, factor * n + room, factor * s + room)
-        self.execution = None
+    def _features(self):
+        return replace(self.scene, particles=self._particles, springs=self._springs).features()
 
     def _load(self, x, v):
         """Put the whole state on the device: positions, velocities, and all else as it is here."""
-        self._load_all(x, v)
         if self.execution is None:
-            self.execution = execution.choose(self._requested_execution, self)
-            self._load_all(x, v)  # choosing may have run frames
-        if self._features.fracture:
-            fracture.mark_new_springs(self._features, self._state, self.frame * self.substeps)
+            choice = execution.choose(*self._requested, self, x, v)
+            self.topology, self.execution = choice.topology, choice.execution
+            self._pace = Pace(choice.alone) if choice.execution == "parallel" else None
+        self.load_as(self.topology, self.execution, x, v)
+        if self._plan.fracture:
+            fracture.mark_new_springs(self._spread_plan, self._state)
 
-    def _load_all(self, x, v):
+    def topologies(self) -> list[str]:
+        """The topologies that this scene can be stored in."""
+        return [name for name in TOPOLOGIES if self._lay_out(name) is not None]
+
+    def load_as(self, topology: str, path: str, x, v) -> None:
+        """Store the state in a topology, to be run on a path; for `execution` to measure both."""
+        self._layout = self._lay_out(topology)
+        if self._layout is None:  # what was spawned may have undone the last grid
+            self.topology = topology = "graph"
+            self._layout = self._lay_out(topology)
+        self._links = np.flatnonzero(self._layout.kind >= 0)  # the springs that are links of grids
+        kind, owner = self._layout.kind[self._links], self._layout.owner[self._links]
+        self._link_places = np.column_stack([kind, owner]).astype(np.int32)
+        self._drawn_springs = None
+        self._make_room(topology)
+        self._plan = self._plan_for(path)
         self._load_numbers()
         self._load_particles(x, v)
-        if self._features.springs:
+        if self._plan.springs:
             self._load_springs()
-        if self._features.blow and not self._blowing:
+        if self._plan.links:
+            self._load_links()
+        if self._plan.blow and not self._blowing:
             interaction.clear_push(self._state)
+
+    def timed_frame(self):
+        """Run one frame, for `execution` to time; the state must be loaded anew afterwards."""
+        self._run(1)
+
+    def _lay_out(self, topology):
+        """The layout in a topology, None where there is none."""
+        if topology == "graph":
+            # Collisions add up in the order of the particles, which is then that of memory too.
+            position = None if self.scene.world.collisions else self._particles.position
+            return layout.on_graph(self._springs, position, self.particle_count)
+        return layout.on_grids(self._springs, self.particle_count, self._lanes)
+
+    def _springs_on_graph(self):
+        """Which springs no grid holds, (s,) bool."""
+        return self._layout.kind < 0
+
+    def _plan_for(self, path):
+        """What to compile for a path: its threads, or loops that Taichi spreads."""
+        device = current_device()
+        features = dict(vars(self._features()))
+        spawns = self.scene.world.mouse == "spawn"
+        features["springs"] &= spawns or self._springs_on_graph().any()
+        return Plan(
+            **features,
+            lanes=self._layout.lanes,
+            links=self._layout.links,
+            threads=1 if path == "serial" else device.threads,
+            spread=path == "spread"
+            or (path == "parallel" and (device.arch != "cpu" or features["collisions"])),
+        )
+
+    def _make_room(self, topology):
+        """See that there is a container that fits particles, springs and plan; empty if new.
+
+        A new container compiles every kernel again, so it is made with room to spare.
+        """
+        self._spread_plan = plan = self._plan_for("spread")
+        needed = Capacity(
+            particles=self.particle_count,
+            springs=int(self._springs_on_graph().sum()),
+            cells=self._layout.n_cells,
+            grids=len(self._layout.grid),
+            row=self._layout.row,
+        )
+        state = getattr(self, "_state", None)
+        factor = 1
+        if state is not None:
+            if (plan, topology) == self._stored and state.capacity.holds(needed):
+                return
+            factor = 2 if (plan, topology) == self._stored else 1
+            state.free()
+        room = SPAWN_CAPACITY if self.scene.world.mouse == "spawn" else 0
+        self._stored = plan, topology
+        capacity = replace(
+            needed,
+            particles=factor * needed.particles + room,
+            springs=factor * needed.springs + room,
+            cells=factor * needed.cells + room,
+        )
+        self._state = State(plan, self._real, capacity)
 
     def _load_numbers(self):
         world, particles = self.scene.world, self._particles
         grid_size, cell_size = self._grid(particles)
-        counts = [self.particle_count, self.spring_count, *grid_size]
+        counts = [self.particle_count, *grid_size]
         numbers = [self.dt / self.substeps, self.speed_limit, cell_size]
         numbers += [*world.gravity, *world.low, *world.high]
         transfer.load_numbers(
-            self._features,
+            self._plan,
             self._state,
             np.array(counts, np.int32),
             np.array(numbers, self._numpy_real),
@@ -288,7 +393,10 @@ class Simulation:
         return [int(max(3, c)) for c in cells], width
 
     def _load_particles(self, x, v):
-        p = self._particles
+        p, layout = self._particles, self._layout
+        transfer.load_cells(
+            self._spread_plan, self._state, layout.n_cells, layout.grid, layout.grid_of
+        )
         if len(p) == 0:
             return  # a kernel takes no empty array
         with np.errstate(all="ignore"):
@@ -298,7 +406,7 @@ class Simulation:
         vanished = (w > 0) & (rows[:, 2 * x.shape[1]] == 0)
         if vanished.any():
             self._refuse_size("particle", vanished.argmax())
-        transfer.load_particles(self._features, self._state, rows)
+        transfer.load_particles(self._spread_plan, self._state, layout.site, rows)
 
     def _as_real(self, what, *columns):
         """Columns side by side in the device's precision; InputError where one does not fit."""
@@ -316,35 +424,61 @@ class Simulation:
         )
 
     def _load_springs(self):
-        springs, marks = self._springs, self._fracture
-        if len(springs) == 0:  # a kernel takes no empty array; rows ending at 0 say there are none
-            rows = np.zeros(self.particle_count + 1, np.int32)
-            transfer.load_half_springs(self._features, self._state, rows, np.zeros(1, np.int32))
-            return
-        half = topology.half_springs(springs.between, self.particle_count)
+        """The springs that are on the graph, as rows of half-springs."""
+        on_graph, site = self._springs_on_graph(), self._layout.site
+        springs, marks = self._springs.of(on_graph), self._fracture[on_graph]
+        sites = self._layout.n_cells * self._layout.lanes
+        half = topology.half_springs(site[springs.between], sites)
+        near, row = np.arange(sites), half.row
+        if self._plan.links:  # only those that have any
+            near = np.flatnonzero(np.diff(half.row))
+            row = np.append(half.row[near], len(half.far))
         far = np.where(marks[half.spring, 0] == GONE, half.near, half.far)
         numbers = self._as_real("spring", springs.stiffness, springs.rest_length, springs.damping)
-        with np.errstate(all="ignore"):  # an infinite length never breaks
-            break_length = springs.rest_length + springs.break_force / springs.stiffness
-            break_length2 = (break_length**2).astype(self._numpy_real)
-        if self._features.uniform_springs:
+        break_length2 = layout.break_length2(springs).astype(self._numpy_real)
+        if self._plan.uniform_springs:
             numbers, break_length2 = numbers[:1], break_length2[:1]
         else:
             numbers = numbers[half.spring]
-        transfer.load_half_springs(self._features, self._state, half.row, far)
-        transfer.load_spring_numbers(self._features, self._state, numbers)
-        if self._features.fracture:
-            indices = np.column_stack([springs.between, half.half, marks]).astype(np.int32)
-            transfer.load_springs(self._features, self._state, indices, break_length2)
+        transfer.load_half_springs(
+            self._state,
+            _not_empty(near.astype(np.int32)),
+            row.astype(np.int32),
+            _not_empty(far.astype(np.int32)),
+            len(near),
+            len(far),
+        )
+        if len(springs):
+            transfer.load_spring_numbers(self._plan, self._state, numbers)
+        if self._plan.fracture:
+            ends = site[springs.between]
+            indices = np.column_stack([ends, half.half, marks]).astype(np.int32)
+            transfer.load_springs(
+                self._spread_plan,
+                self._state,
+                len(springs),
+                _not_empty(indices),
+                _not_empty(break_length2),
+            )
+
+    def _load_links(self):
+        """The springs that are links of grids."""
+        layout, springs = self._layout, self._springs
+        numbers = np.stack([layout.rest_length, layout.damping, layout.break_length2], axis=2)
+        # The largest number instead of infinity, which f32 kernels may assume not to occur.
+        numbers = np.minimum(numbers, np.finfo(self._numpy_real).max).astype(self._numpy_real)
+        stiffness = self._as_real("spring", springs.stiffness)[self._links, 0]
+        links = np.column_stack([self._link_places, self._fracture[self._links]])
+        transfer.load_links(self._spread_plan, self._state, numbers, links, stiffness)
 
     def _push(self, origin, direction, displacement):
-        if not self._features.blow:
+        if not self._plan.blow:
             raise InputError(
                 f"scene '{self.scene.name}': the mouse does not blow here "
                 f"([world] mouse is '{self.scene.world.mouse}'; set it to 'blow')"
             )
         numbers = np.concatenate([origin, direction, displacement, [BLOW_REACH, BLOW_STRENGTH]])
-        interaction.compute_push(self._state, numbers.astype(self._numpy_real))
+        interaction.compute_push(self._spread_plan, self._state, numbers.astype(self._numpy_real))
         self._blowing = True
 
     # --- reading the device ----------------------------------------------------------------
@@ -353,15 +487,23 @@ class Simulation:
         shape = (self.particle_count, self.scene.world.dim)
         x, v = np.zeros(shape, self._numpy_real), np.zeros(shape, self._numpy_real)
         if len(x):
-            transfer.read_motion(self._state, x, v)
+            transfer.read_motion(self._spread_plan, self._state, x, v)
         return x.astype(np.float64), v.astype(np.float64)
 
     def _read_fracture(self):
         """Status and break step of every spring, (s, 2) int32."""
-        if not self._features.fracture or self.spring_count == 0:
+        if not self._plan.fracture or self.spring_count == 0:
             return self._fracture
-        out = np.zeros((self.spring_count, 2), np.int32)
-        transfer.read_fracture(self._state, out)
+        out = self._fracture.copy()
+        on_graph = np.flatnonzero(self._springs_on_graph())
+        if len(on_graph):
+            part = np.zeros((len(on_graph), 2), np.int32)
+            transfer.read_fracture(self._state, part)
+            out[on_graph] = part
+        if self._plan.links:
+            part = np.zeros((len(self._links), 2), np.int32)
+            transfer.read_link_fracture(self._spread_plan, self._state, self._link_places, part)
+            out[self._links] = part
         return out
 
     # --- failure ---------------------------------------------------------------------------
@@ -370,13 +512,13 @@ class Simulation:
         """Put the last good frame back, and say who failed, why, and what to change."""
         bad_x, bad_v = self._read_motion()
         frame, good_step = self.frame + 1, self.frame * self.substeps
-        watch.put_back(self._state)
-        if self._features.fracture:
+        watch.put_back(self._spread_plan, self._state)
+        if self._plan.fracture:
             status, step = self._read_fracture().T
             status[step > good_step] = ALIVE
             status[(step == good_step) & (status == GONE)] = BREAKING
             self._fracture = np.column_stack([status, np.where(status == ALIVE, 0, step)])
-            self._load_springs()
+            self.load_as(self.topology, self.execution, *self._read_motion())
         finite = np.isfinite(bad_x[particle]).all() and np.isfinite(bad_v[particle]).all()
         if finite:
             speed = float(np.linalg.norm(bad_v[particle]))
@@ -399,6 +541,18 @@ class Simulation:
             )
         if not math.isfinite(omega):
             return f"springs too stiff for {self._numpy_real.__name__}", "use softer springs"
+        dashpots, damped = topology.largest_angular_frequency(
+            replace(self._springs, stiffness=self._springs.damping),
+            self._particles.mass,
+            self._particles.fixed,
+        )
+        # Of a damped oscillator under symplectic Euler: h^2 omega^2 + 2 h (c/m) < 4.
+        stiff, viscid = (dt * omega) ** 2, 2.0 * dt * dashpots**2
+        if dashpots > 0 and stiff + viscid > 4.0 and viscid > 0.1 * stiff:
+            return (
+                f"a step of {dt:.3g} is too long for the springs' dashpots at particle {damped}",
+                "use more --substeps, a smaller --dt, or less damping",
+            )
         if omega > 0 and dt * omega > limit:
             needed = math.ceil(self.dt * omega / limit / 0.9)
             return (
@@ -407,10 +561,46 @@ class Simulation:
                 f"use --substeps {needed}, a smaller --dt, or softer springs",
             )
         viscous = self._particles.viscous / self._particles.mass
-        if self._features.drag and dt * viscous.max() > 2.0:
+        if self._plan.drag and dt * viscous.max() > 2.0:
             return (
                 f"a step of {dt:.3g} is above {2.0 / viscous.max():.3g}, the stable limit of the "
                 f"drag on particle {viscous.argmax()}",
                 f"use --substeps {math.ceil(self.dt * viscous.max() / 1.8)} or a smaller --dt",
             )
         return "forces or starting speeds too large for the step", "use more --substeps"
+
+
+class Pace:
+    """Whether all threads together are slower than one alone would be.
+
+    They wait for each other several times a step, so where other programs want the cores they may
+    be. Both ways give the same bits, so a run may change over.
+
+    alone: seconds a step takes on one thread; None: not known, and never lost.
+    """
+
+    PATIENCE = 0.3  # seconds that are looked at together
+    SLOWER = 1.5  # times slower than alone
+
+    def __init__(self, alone: float | None):
+        self.alone = alone
+        self._seconds = self._steps = None  # the first launch compiles, and does not count
+
+    def lost(self, seconds: float, steps: int) -> bool:
+        """Note a launch; True when it is time to change over."""
+        if self.alone is None:
+            return False
+        if self._steps is None:
+            self._seconds, self._steps = 0.0, 0
+            return False
+        self._seconds, self._steps = self._seconds + seconds, self._steps + steps
+        if self._seconds < self.PATIENCE:
+            return False
+        slow = self._seconds > self.SLOWER * self.alone * self._steps
+        self._seconds, self._steps = 0.0, 0
+        return slow
+
+
+def _not_empty(array):
+    """The array, or one row of zeros where it is empty: a kernel takes no empty array."""
+    return array if len(array) else np.zeros((1, *array.shape[1:]), array.dtype)

@@ -63,3 +63,63 @@ def largest_angular_frequency(
         omega2 = np.where(fixed, 0.0, row_sum / mass)
     worst = int(omega2.argmax())
     return float(np.sqrt(omega2[worst])), worst
+
+
+def z_order(position: np.ndarray) -> np.ndarray:
+    """Numbers of the particles at `position` (n, dim) along a Z-order curve: near ones together.
+
+    Morton, "A computer oriented geodetic data base", 1966; 16 bits per axis.
+    """
+    low, high = position.min(axis=0), position.max(axis=0)
+    size = np.where(high > low, high - low, 1.0)
+    place = ((position - low) / size * 65535).astype(np.uint64)
+    code = np.zeros(len(position), np.uint64)
+    for bit in range(16):
+        for axis in range(position.shape[1]):
+            digit = (place[:, axis] >> np.uint64(bit)) & np.uint64(1)
+            code |= digit << np.uint64(bit * position.shape[1] + axis)
+    return np.argsort(code, kind="stable")
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Particles first .. first + rows * columns, numbered row by row, tied to their neighbours."""
+
+    first: int
+    columns: int
+    rows: int
+
+
+def find_grids(between: np.ndarray, particle_count: int) -> list[Grid]:
+    """The regular grids among the particles, in order: blocks of consecutive numbers.
+
+    A grid has at least two rows and two columns; in each row every particle is tied to the next
+    one and the last is not, in each column every particle to the one below. Further springs, to
+    whatever particle, are no obstacle.
+    """
+    low, high = between.min(axis=1, initial=particle_count), between.max(axis=1, initial=0)
+    apart = high - low
+    tied_to_next = np.zeros(particle_count + 1, bool)
+    tied_to_next[low[apart == 1]] = True
+    # Rows are runs of particles, each tied to the next.
+    ends = np.flatnonzero(~tied_to_next[:particle_count])
+    starts = np.concatenate([[0], ends + 1])[:-1]
+    lengths = ends + 1 - starts
+    columns_at = np.zeros(particle_count, np.int64)  # length of the run that starts here
+    columns_at[starts] = lengths
+    grids, free = [], 0
+    for start, columns in zip(starts[lengths > 1], lengths[lengths > 1], strict=True):
+        if start < free:
+            continue
+        # Rows follow each other while runs are of the same length, and all columns are tied.
+        most = (particle_count - start) // columns
+        same = columns_at[start : start + most * columns : columns] == columns
+        tied_down = np.zeros(most * columns, bool)
+        inside = (apart == columns) & (low >= start) & (low < start + most * columns)
+        tied_down[low[inside] - start] = True
+        joined = same[1:] & tied_down.reshape(most, columns)[:-1].all(axis=1)
+        rows = 1 + (len(joined) if joined.all() else int(joined.argmin()))
+        if rows > 1:
+            grids.append(Grid(int(start), int(columns), rows))
+            free = start + rows * columns
+    return grids

@@ -31,6 +31,20 @@ def execution(request):
     return request.param
 
 
+@pytest.fixture(params=["lanes", "graph"])
+def topology(request):
+    return request.param
+
+
+@pytest.fixture(
+    scope="module", params=["lanes serial", "lanes parallel", "graph serial", "graph parallel"]
+)
+def way(request):
+    """How a scene with a regular grid can be run: what holds for one way holds for all four."""
+    topology, execution = request.param.split()
+    return {"topology": topology, "execution": execution}
+
+
 def golden(name):
     """The arrays of a golden .npz file, the contents of a .json, or the events of a .jsonl."""
     path = GOLDEN / name

@@ -20,9 +20,13 @@ def save(folder, name, *arguments, **options):
 BLOWN = ("cloth", "--precision", "f64", "--events", GOLDEN / "cloth_blow.jsonl")
 
 
-@pytest.mark.parametrize("arch", ["cpu", "vulkan", "opengl"])
-def test_blown_cloth_on_every_backend(arch, tmp_path, display):
-    saved = save(tmp_path, arch, *BLOWN, "--arch", arch, "--frames", 600, "--every", 10)
+ON = [(arch, topology) for arch in ("cpu", "vulkan", "opengl") for topology in ("lanes", "graph")]
+
+
+@pytest.mark.parametrize(("arch", "topology"), ON)
+def test_blown_cloth_on_every_backend(arch, topology, tmp_path, display):
+    where = ("--arch", arch, "--topology", topology)
+    saved = save(tmp_path, arch, *BLOWN, *where, "--frames", 600, "--every", 10)
     expected = golden("cloth_blow.npz")
     np.testing.assert_array_equal(saved["frame"], np.arange(10, 601, 10))
     np.testing.assert_array_equal(saved["time"], saved["frame"])
@@ -31,18 +35,21 @@ def test_blown_cloth_on_every_backend(arch, tmp_path, display):
     np.testing.assert_array_equal(saved["spring_alive"][-1], expected["spring_alive_final"])
 
 
-@pytest.mark.parametrize("arch", ["cpu", "vulkan", "opengl"])
-def test_resting_cloth_in_f32_on_every_backend(arch, tmp_path, display):
-    saved = save(tmp_path, arch, "cloth", "--arch", arch, "--frames", 300, "--every", 10)
+@pytest.mark.parametrize(("arch", "topology"), ON)
+def test_resting_cloth_in_f32_on_every_backend(arch, topology, tmp_path, display):
+    where = ("--arch", arch, "--topology", topology)
+    saved = save(tmp_path, arch, "cloth", *where, "--frames", 300, "--every", 10)
     expected = golden("cloth_rest.npz")["position"]
     np.testing.assert_allclose(saved["position"], expected, rtol=0, atol=0.02)
 
 
 @pytest.mark.parametrize(
-    "scene", [["cloth", "--columns", 60, "--rows", 50], ["box", "--particles", 400]]
+    "scene",
+    [["cloth", "--columns", 60, "--rows", 50, "--topology", "graph"], ["box", "--particles", 400]],
 )
 def test_same_bits_for_every_thread_count_and_on_every_run(scene, tmp_path):
-    runs = [("--threads", 1), ("--threads", 2), ("--threads", 2), ("--threads", 7)]
+    """`test_topologies.py` does the same in lanes."""
+    runs = [("--threads", 1), ("--threads", 2), ("--threads", 2), ("--threads", 3)]
     saved = [
         save(
             tmp_path,

@@ -40,6 +40,7 @@ COMMAND_LINES = [
     ("run --arch vulcan", "did you mean 'vulkan'?"),
     ("run --precision f16", "--precision: unknown value 'f16'"),
     ("run --execution serail", "did you mean 'serial'?"),
+    ("run --topology lanse", "did you mean 'lanes'?"),
     ("run --view guii", "did you mean 'gui'?"),
     ("run --size 800", "such as 800x600"),
     ("run --size 800x0", "16 to 8192"),

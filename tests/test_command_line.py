@@ -10,8 +10,9 @@ import time
 import numpy as np
 import pytest
 
-from taichi_cloth import cli, results, scenes
-from taichi_cloth.options import RunOptions, parameters_of
+from taichi_cloth import cli, doctor, results, scenes
+from taichi_cloth.options import PATHS, TOPOLOGIES, RunOptions, parameters_of
+from taichi_cloth.simulation import Simulation
 
 COMMAND = [sys.executable, "-m", "taichi_cloth"]
 HEAVY = ("taichi", "matplotlib", "imageio", "scipy", "rich", "PIL")
@@ -100,6 +101,22 @@ def test_doctor_reports_and_succeeds():
         assert word in done.stdout
 
 
+def test_doctor_shows_what_was_measured(tmp_path, monkeypatch, capsys, device):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(doctor, "findings", lambda: ())
+    assert doctor.main() == 0 and "nothing measured yet" in capsys.readouterr().out
+    sim = Simulation(scenes.build("cloth", columns=5, rows=4))
+    doctor.main()
+    (row,) = [line for line in capsys.readouterr().out.splitlines() if "cpu f64" in line]
+    assert "2-D, springs" in row and "fracture" in row and "4 walls" in row
+    times = row.split()[-4:]
+    starred = [time.startswith("*") for time in times].index(True)
+    ways = [f"{topology} {path}" for topology in TOPOLOGIES for path in PATHS]
+    assert ways[starred] == f"{sim.topology} {sim.execution}"
+    numbers = [float(time.strip("*")) for time in times if time != "-"]
+    assert float(times[starred][1:]) <= 1.15 * min(numbers)
+
+
 def test_a_run_prints_two_lines_and_saves_what_it_did(tmp_path):
     arguments = ["--headless", "--frames", 25, "--every", 10, "--precision", "f64"]
     done = run("run", "cloth", *arguments, "--save", "out.npz", cwd=tmp_path)
@@ -147,7 +164,7 @@ def test_scene_parameters_and_files_run(tmp_path):
 )
 def test_threads_choose_the_execution_path(flags, path):
     done = run("run", "oscillator", "--headless", "--frames", 1, *flags)
-    assert done.returncode == 0 and f", {path};" in done.stdout
+    assert done.returncode == 0 and f", {path} graph;" in done.stdout
 
 
 def test_a_recorded_log_replays_to_the_same_bits(tmp_path, request):
@@ -223,7 +240,7 @@ def test_an_interrupted_run_keeps_its_files(tmp_path, number, status):
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     assert process.stdout.readline().startswith("cloth")
-    time.sleep(0.5)
+    time.sleep(1.5)  # the first frame is compiled
     process.send_signal(number)
     _, error = process.communicate(timeout=30)
     assert process.returncode == status and error == "taichi-cloth: interrupted\n"

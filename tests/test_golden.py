@@ -38,16 +38,16 @@ def box_scene():
     )
 
 
-def test_cloth_at_rest(execution):
-    sim = Simulation(cloth_at_rest(), execution=execution)
+def test_cloth_at_rest(way):
+    sim = Simulation(cloth_at_rest(), **way)
     for expected in golden("cloth_rest.npz")["position"]:
         sim.advance(10)
         np.testing.assert_allclose(sim.positions(), expected, rtol=0, atol=1e-9)
 
 
-def test_cloth_blown_and_torn(execution):
+def test_cloth_blown_and_torn(way):
     """Pulling amplifies round-off 1e8 times here, so this holds only if the sums' order does."""
-    sim = Simulation(build("cloth"), execution=execution)
+    sim = Simulation(build("cloth"), **way)
     expected = golden("cloth_blow.npz")
     pointer = None
     for event in golden("cloth_blow.jsonl"):

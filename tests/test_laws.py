@@ -24,9 +24,11 @@ def evaluate(law: ti.template(), a: ti.types.ndarray(), out: ti.types.ndarray())
         v = ti.Vector([a[6], a[7], a[8]])
         f = 0.0 * d
         if ti.static(law == 0):
-            f = laws.spring_force(d, a[9], a[10])
+            length = laws.length(d)
+            f = laws.spring_tension(length, a[9], a[10]) * laws.unit(d, length)
         if ti.static(law == 1):
-            f = laws.dashpot_force(d, u, a[9])
+            along = laws.unit(d, laws.length(d))
+            f = laws.dashpot_tension(u, along, a[9]) * along
         if ti.static(law == 2):
             f = laws.pair_bounce(d, u, v, a[9], a[10], a[11], a[12])
         for axis in ti.static(range(3)):

@@ -37,12 +37,12 @@ def test_oscillator_follows_the_exact_discrete_map(method, execution):
 
 
 @pytest.mark.parametrize("method", methods.METHODS)
-def test_measured_order_is_the_claimed_one(method):
+def test_measured_order_is_the_claimed_one(method, topology):
     """Global error on the nonlinear cloth against the same method at a 64th of the step."""
     scene = build("cloth", columns=6, rows=5).with_world(mouse="none", walls=())
 
     def final(substeps):
-        sim = Simulation(scene, method, dt=0.5, substeps=substeps, execution="serial")
+        sim = Simulation(scene, method, 0.5, substeps, execution="serial", topology=topology)
         sim.advance(16)
         return sim.positions()
 
@@ -112,18 +112,19 @@ def test_axial_dashpot_damps_the_stretch_and_not_the_turning(execution):
     assert np.ptp(lengths) < 1e-6 < np.linalg.norm(spin)  # the two turn on a circle
 
 
-def test_momentum_of_a_free_cloth_is_kept(execution):
+def test_momentum_of_a_free_cloth_is_kept(topology):
     scene = build("cloth", columns=7, rows=6)
     rng = np.random.default_rng(3)
     particles = Particles.build(scene.particles.position, rng.normal(0, 0.5, (42, 2)))
     world = World(size=scene.world.size, gravity=(0.0, 0.0))
-    sim = Simulation(Scene("free", world, particles, scene.springs), execution=execution)
+    scene = Scene("free", world, particles, scene.springs)
+    sim = Simulation(scene, topology=topology, execution="parallel")
     before = sim.momentum()
     sim.advance(400)
     np.testing.assert_allclose(sim.momentum(), before, rtol=0, atol=1e-12)
 
 
-def test_two_and_three_dimensions_are_one_physics(execution):
+def test_two_and_three_dimensions_are_one_physics(topology):
     """The 2-D cloth laid into a plane of 3-D space moves the same, bit for bit."""
     flat = build("cloth", columns=6, rows=5).with_world(mouse="none")
     p = flat.particles
@@ -137,8 +138,8 @@ def test_two_and_three_dimensions_are_one_physics(execution):
         fixed=p.fixed,
     )
     sims = [
-        Simulation(flat, execution=execution),
-        Simulation(Scene("deep", world, deep, flat.springs), execution=execution),
+        Simulation(scene, topology=topology, execution="parallel")
+        for scene in (flat, Scene("deep", world, deep, flat.springs))
     ]
     for sim in sims:
         sim.advance(200)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from taichi_cloth import scenes
+from taichi_cloth.errors import InputError
 from taichi_cloth.simulation import Simulation
 
 
@@ -73,3 +74,35 @@ def test_scattered_particles_touch_neither_each_other_nor_walls(name, count):
     distance = np.linalg.norm(position[:, None] - position, axis=2) + 1e9 * np.eye(count)
     assert len(position) == count and distance.min() >= 2 * 20
     assert (position >= world.low + 20).all() and (position <= world.high - 20).all()
+
+
+def test_the_cloth_takes_shear_and_bend_springs_and_dashpots(device):
+    plain = scenes.build("cloth").springs
+    assert len(plain) == 356 and (plain.damping == 0).all() and (plain.rest_length == 25).all()
+    fuller = scenes.build("cloth", shear=0.1, bend=0.05, damping=0.02)
+    springs, (a, b) = fuller.springs, fuller.springs.between.T
+    assert {k: int((springs.stiffness == k).sum()) for k in (0.5, 0.1, 0.05)} == {
+        0.5: 356,
+        0.1: 2 * 15 * 11,
+        0.05: 14 * 12 + 16 * 10,
+    }
+    assert len(springs) == 1014 and (springs.damping == 0.02).all()
+    apart = np.linalg.norm(fuller.particles.position[a] - fuller.particles.position[b], axis=1)
+    np.testing.assert_allclose(springs.rest_length, apart, rtol=1e-12)
+    one_kind = scenes.build("cloth", columns=3, rows=3, bend=0.05).springs
+    assert set(one_kind.stiffness) == {0.5, 0.05} and len(one_kind) == 12 + 6
+    # It hangs whole, and less than the plain one, which diagonals do not hold in shape.
+    hung = {}
+    for name, scene in (("plain", scenes.build("cloth")), ("fuller", fuller)):
+        sim = Simulation(scene, execution="serial")
+        sim.advance(300)
+        assert sim.springs_alive().all()
+        hung[name] = sim.positions()[:, 1].max()
+    assert fuller.particles.position[:, 1].max() < hung["fuller"] < hung["plain"] - 10
+
+
+@pytest.mark.parametrize("name", ["shear", "bend", "damping"])
+def test_the_cloths_springs_are_checked(name):
+    for wrong in (-0.1, float("inf"), "much"):
+        with pytest.raises(InputError, match=name):
+            scenes.build("cloth", **{name: wrong})

@@ -1,5 +1,7 @@
 """Spawning, growth, fracture, the pointer, the two paths, the watchdog."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -11,17 +13,40 @@ from taichi_cloth.simulation import BLOW_REACH, BLOW_STRENGTH, Simulation
 pytestmark = pytest.mark.usefixtures("device")
 
 
-def pull(tension_steps):
-    """Two free particles drawn apart by hand: a spring whose force exceeds 2 in the second step."""
+def pull(speed):
+    """Two columns of a small grid drawn apart at `speed`: springs whose force may exceed 2.
+
+    The springs between rows, which hold and are at rest, make it a grid. Spring 0 ties particles 0
+    and 1, spring 2 the two of the other row.
+    """
     world = World(size=(100.0, 100.0), gravity=(0.0, 0.0), dt=1.0)
-    x = [[40.0, 50.0], [50.0, 50.0]]
-    springs = Springs.build([[0, 1]], x, stiffness=1.0, rest_length=10.0, break_force=2.0)
-    particles = Particles.build(x, [[0.0, 0.0], [tension_steps, 0.0]], mass=[1e6, 1.0])
-    return Scene("pull", world, particles, springs)
+    x = [[40.0, 50.0], [50.0, 50.0], [40.0, 60.0], [50.0, 60.0]]
+    springs = Springs.build(
+        [[0, 1], [0, 2], [2, 3], [1, 3]],
+        x,
+        stiffness=1.0,
+        rest_length=10.0,
+        break_force=[2.0, np.inf, 2.0, np.inf],
+    )
+    v = [[0.0, 0.0], [speed, 0.0]] * 2
+    return Scene("pull", world, Particles.build(x, v, mass=[1e6, 1.0] * 2), springs)
 
 
-def test_a_spring_over_its_limit_pulls_once_more_and_is_gone(execution):
-    sim = Simulation(pull(3.0), execution=execution)
+@pytest.fixture(scope="module")
+def pulled(way):
+    """A simulation of `pull`, to be started with others of its kind: it compiles but once."""
+    return Simulation(pull(3.0), **way)
+
+
+def started(sim, scene):
+    """The simulation at the start of another scene with the same features and size."""
+    sim.scene = scene
+    sim.reset()
+    return sim
+
+
+def test_a_spring_over_its_limit_pulls_once_more_and_is_gone(pulled):
+    sim = started(pulled, pull(3.0))
     sim.advance()  # stretch 3: force 3 > 2 from here on
     assert not sim.springs_alive()[0]
     v = sim.velocities()[1, 0]
@@ -32,8 +57,8 @@ def test_a_spring_over_its_limit_pulls_once_more_and_is_gone(execution):
     assert sim.velocities()[1, 0] == v
 
 
-def test_spawning_beside_a_breaking_spring_leaves_it_its_last_pull(execution):
-    sim = Simulation(pull(3.0).with_world(mouse="spawn"), execution=execution)
+def test_spawning_beside_a_breaking_spring_leaves_it_its_last_pull(way):
+    sim = Simulation(pull(3.0).with_world(mouse="spawn"), **way)
     sim.advance()
     v = sim.velocities()[1, 0]
     sim.spawn((10.0, 10.0))
@@ -41,9 +66,9 @@ def test_spawning_beside_a_breaking_spring_leaves_it_its_last_pull(execution):
     assert sim.velocities()[1, 0] == pytest.approx(v - 3.0, abs=1e-4)
 
 
-def test_an_undone_frame_gives_a_breaking_spring_its_last_pull_back(execution):
+def test_an_undone_frame_gives_a_breaking_spring_its_last_pull_back(pulled):
     """A frame fails right after a spring went over its limit; repeated, it must fail the same."""
-    sim = Simulation(pull(3.0), execution=execution)
+    sim = started(pulled, pull(3.0))
     sim.advance()
     before = sim.velocities()
     limit = sim.speed_limit
@@ -57,39 +82,42 @@ def test_an_undone_frame_gives_a_breaking_spring_its_last_pull_back(execution):
     assert sim.velocities()[1, 0] == pytest.approx(before[1, 0] - 3.0, abs=1e-4)
 
 
-def test_a_spring_at_its_limit_holds(execution):
-    sim = Simulation(pull(1.9), execution=execution)
+def test_a_spring_at_its_limit_holds(pulled):
+    sim = started(pulled, pull(1.9))
     sim.advance(200)
     assert sim.springs_alive().all()
 
 
-def test_a_spring_that_starts_over_its_limit_pulls_once():
+def test_a_spring_that_starts_over_its_limit_pulls_once(pulled):
     scene = pull(0.0)
-    scene.springs.rest_length[:] = 5.0
-    sim = Simulation(scene, execution="serial")
+    scene.springs.rest_length[[0, 2]] = 5.0
+    sim = started(pulled, scene)
     assert not sim.springs_alive()[0]
     sim.advance(10)
     assert sim.velocities()[1, 0] == pytest.approx(-5.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("size", [(16, 12), (40, 33)])
-def test_serial_and_parallel_give_the_same_trajectory(size):
-    """One source, two ways to run it: equal to the last bit on the CPU."""
+def test_the_four_ways_give_the_same_trajectory():
+    """One source, two ways to store it and two to run it: equal to the last bit on the CPU."""
     ends = []
-    for execution in ("serial", "parallel"):
-        sim = Simulation(build("cloth", columns=size[0], rows=size[1]), execution=execution)
+    scene = build("cloth", columns=41, rows=33)
+    for topology, execution in itertools.product(("lanes", "graph"), ("serial", "parallel")):
+        sim = Simulation(scene, execution=execution, topology=topology)
         for frame in range(60):
-            sim.blow((200.0 + 3 * frame, 150.0), (3.0, 1.0))
+            sim.blow((200.0 + 3 * frame, 150.0), (30.0, 10.0))
             sim.advance()
-        ends.append((sim.positions(), sim.springs_alive()))
-    np.testing.assert_array_equal(ends[0][0], ends[1][0])
-    np.testing.assert_array_equal(ends[0][1], ends[1][1])
+        ends.append((sim.positions(), sim.velocities(), sim.springs_alive()))
+    assert not ends[0][2].all()
+    for end in ends[1:]:
+        for a, b in zip(end, ends[0], strict=True):
+            np.testing.assert_array_equal(a, b)
 
 
-def test_frames_advanced_one_by_one_or_in_one_call_are_the_same(execution):
+def test_frames_advanced_one_by_one_or_in_one_call_are_the_same(way):
     ends = []
+    sim = Simulation(build("cloth"), substeps=3, **way)
     for batches in ([30], [1] * 30):
-        sim = Simulation(build("cloth"), substeps=3, execution=execution)
+        sim.reset()
         for frames in batches:
             sim.advance(frames)
         ends.append(sim.positions())
@@ -97,14 +125,18 @@ def test_frames_advanced_one_by_one_or_in_one_call_are_the_same(execution):
     np.testing.assert_array_equal(*ends)
 
 
-def test_blow_pushes_by_distance_and_displacement():
+def slack_grid(x):
+    """Springs that hardly pull, and make a grid of the particles at x, in rows of two."""
+    between = [[0, 1], [2, 3], [0, 2], [1, 3]]
+    return Springs.build(between, np.array(x), stiffness=1e-15)
+
+
+def test_blow_pushes_by_distance_and_displacement(topology):
     world = World(size=(200.0, 100.0), gravity=(0.0, 0.0), mouse="blow")
-    particles = Particles.build(
-        [[10.0, 50.0], [40.0, 50.0], [100.0, 50.0], [20.0, 50.0]],
-        fixed=[False, False, False, True],
-        mass=2.0,
-    )
-    sim = Simulation(Scene("blow", world, particles), execution="serial")
+    x = [[10.0, 50.0], [40.0, 50.0], [100.0, 50.0], [20.0, 50.0]]
+    particles = Particles.build(x, fixed=[False, False, False, True], mass=2.0)
+    scene = Scene("blow", world, particles, slack_grid(x))
+    sim = Simulation(scene, topology=topology, execution="parallel")
     sim.blow((20.0, 50.0), (3.0, -4.0))
     sim.advance()
     distance = np.array([10.0, 20.0, 80.0])
@@ -115,13 +147,14 @@ def test_blow_pushes_by_distance_and_displacement():
     assert (sim.velocities()[3] == 0).all()
 
 
-def test_blow_in_space_reaches_along_the_ray():
+def test_blow_in_space_reaches_along_the_ray(topology):
     world = World(size=(100.0,) * 3, gravity=(0.0,) * 3, mouse="blow")
-    particles = Particles.build([[50.0, 50.0, -40.0], [50.0, 60.0, 40.0], [50.0, 100.0, 0.0]])
-    sim = Simulation(Scene("blow", world, particles), execution="serial")
+    x = [[50.0, 50.0, -40.0], [50.0, 60.0, 40.0], [50.0, 100.0, 0.0], [30.0, 50.0, 0.0]]
+    scene = Scene("blow", world, Particles.build(x), slack_grid(x))
+    sim = Simulation(scene, topology=topology, execution="parallel")
     sim.blow_ray((50.0, 50.0, -1000.0), (0.0, 0.0, 2.0), (1.0, 0.0, 0.0))
     sim.advance()
-    np.testing.assert_allclose(sim.velocities()[:, 0], [0.1, 0.08, 0.0], atol=1e-12)
+    np.testing.assert_allclose(sim.velocities()[:, 0], [0.1, 0.08, 0.0, 0.06], atol=1e-12)
 
 
 def test_a_scene_without_blowing_refuses_the_pointer():
@@ -192,21 +225,24 @@ def test_spawn_refuses_what_cannot_be():
 
 
 def test_features_that_a_scene_lacks_have_no_fields():
-    def fields(scene):
-        return set(vars(Simulation(scene, execution="serial")._state))
+    def fields(scene, topology="graph"):
+        return set(vars(Simulation(scene, execution="serial", topology=topology)._state))
 
     bare = Scene("bare", World((9.0, 9.0), (0.0, 1.0)), Particles.build([[1.0, 1.0]]))
-    cloth, box = fields(build("cloth")), fields(build("box"))
-    optional = {"viscous", "push", "low", "radius", "k", "c", "status", "jump", "sorted_x"}
+    on_graph, on_grid = {"k", "near", "status"}, {"link_k", "given", "link_status", "breaking"}
+    optional = {"viscous", "push", "low", "radius", "c", "jump", "sorted_x", *on_graph, *on_grid}
+    cloth = {"viscous", "push", "low", "radius"}
     assert not optional & fields(bare)
-    assert optional & cloth == {"viscous", "push", "low", "radius", "k", "status"}
-    assert optional & box == {"viscous", "low", "radius", "k", "status", "jump", "sorted_x"}
+    assert optional & fields(build("cloth")) == cloth | on_graph
+    assert optional & fields(build("cloth"), "lanes") == cloth | on_grid
+    box = {"viscous", "low", "radius", "jump", "sorted_x"}
+    assert optional & fields(build("box")) == box | on_graph
 
 
-def test_watchdog_names_particle_frame_and_cause_and_keeps_the_last_good_frame(execution):
+def test_watchdog_names_particle_frame_and_cause_and_keeps_the_last_good_frame(way):
     scene = build("cloth").with_world(mouse="none")
     scene.particles.velocity[100] = (3.0, 1.0)  # something to amplify
-    sim = Simulation(scene, dt=3.0, execution=execution)
+    sim = Simulation(scene, dt=3.0, **way)
     with pytest.raises(SimulationFailure) as failure:
         sim.advance(500)
     error = failure.value
@@ -215,12 +251,13 @@ def test_watchdog_names_particle_frame_and_cause_and_keeps_the_last_good_frame(e
     good, alive = sim.positions(), sim.springs_alive()
     assert np.isfinite(good).all()
 
-    again = Simulation(scene, dt=3.0, execution=execution)
-    again.advance(sim.frame)
-    np.testing.assert_array_equal(again.positions(), good)
-    np.testing.assert_array_equal(again.springs_alive(), alive)
+    frames = sim.frame
+    sim.reset()
+    sim.advance(frames)
+    np.testing.assert_array_equal(sim.positions(), good)
+    np.testing.assert_array_equal(sim.springs_alive(), alive)
     with pytest.raises(SimulationFailure) as second:
-        again.advance()
+        sim.advance()
     assert (second.value.particle, second.value.frame) == (error.particle, error.frame)
 
 
@@ -244,6 +281,8 @@ def test_watchdog_sees_a_nan_at_once():
         ({"dt": float("nan")}, "--dt"),
         ({"substeps": 0}, "--substeps"),
         ({"execution": "paralel"}, "did you mean 'parallel'"),
+        ({"topology": "graf"}, "did you mean 'graph'"),
+        ({"topology": "lanes"}, "--topology lanes: .* scene 'oscillator' form no regular grid"),
     ],
 )
 def test_wrong_settings_are_refused(arguments, message):

@@ -16,13 +16,14 @@ import numpy as np
 import pytest
 from conftest import command, virtual_screen
 
-from taichi_cloth import runtime
+from taichi_cloth import runtime, scenes
 from taichi_cloth.events import Event
 from taichi_cloth.scene import COLOR_CYCLE, Particles, Scene, World
+from taichi_cloth.simulation import Simulation
 from taichi_cloth.ui import app, hud, text
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.tools import Tools
-from taichi_cloth.ui.view import NullView, Picture
+from taichi_cloth.ui.view import Kept, NullView, Picture
 
 needs_x = pytest.mark.skipif(
     not (shutil.which("Xvfb") and shutil.which("xdotool") or os.environ.get("CI")),
@@ -34,6 +35,7 @@ class FakeSimulation:
     """What `app` and `Tools` use of a Simulation, remembering the calls."""
 
     method, dt, substeps, execution = "symplectic_euler", 1.0, 1, "serial"
+    topology = "graph"
 
     def __init__(self, scene):
         self.scene, self.frame, self.calls = scene, 0, []
@@ -63,7 +65,7 @@ class FakeSimulation:
     def reset(self):
         self.frame, self.x, self.pairs = 0, list(self.scene.particles.position), []
 
-    def positions(self):
+    def drawn_positions(self):
         return np.array(self.x).reshape(-1, self.scene.world.dim)
 
     def radii(self):
@@ -72,11 +74,8 @@ class FakeSimulation:
     def colors(self):
         return np.full((len(self.x), 3), 200, np.uint8)
 
-    def springs(self):
+    def drawn_springs(self):
         return np.array(self.pairs, np.int64).reshape(-1, 2)
-
-    def springs_alive(self):
-        return np.ones(len(self.pairs), bool)
 
 
 def world(mouse, dim=2, size=(600.0, 400.0, 500.0)):
@@ -207,6 +206,48 @@ def test_every_scene_lists_its_keys(mouse):
         keys = " ".join(line.split("\t")[0] for line in lines)
         assert ("space, p" in keys) == (mouse != "spawn")
         assert ("ctrl" in keys) == (dim == 3)
+
+
+# What is drawn
+
+
+@pytest.mark.parametrize("topology", ["lanes", "graph"])
+def test_what_is_drawn_is_the_simulations(topology, device):
+    sim = Simulation(scenes.build("cloth"), topology=topology, execution="serial")
+    x, whole = sim.drawn_positions(), sim.drawn_springs()
+    assert len(whole) == 356
+    for frame in range(40):
+        sim.blow((200 + 5 * frame, 150), (90, 30))
+        sim.advance()
+        assert sim.drawn_positions() is x
+        np.testing.assert_array_equal(x, sim.positions())
+        drawn = sim.drawn_springs()
+        np.testing.assert_array_equal(drawn, sim.springs()[sim.springs_alive()])
+        assert sim.drawn_springs() is drawn, "read again only when a spring broke"
+    assert len(drawn) < 356
+    sim.reset()
+    np.testing.assert_array_equal(sim.drawn_springs(), whole)
+
+
+def test_what_clicks_add_is_drawn(device):
+    sim = Simulation(scenes.build("sandbox"), execution="serial")
+    assert sim.drawn_positions().shape == (0, 2) and len(sim.drawn_springs()) == 0
+    for count in (1, 2, 3):
+        sim.spawn((100.0 * count, 100.0), tied_to=count - 2 if count > 1 else None)
+        assert sim.drawn_positions().tolist()[-1] == [100.0 * count, 100.0]
+        assert sim.drawn_springs().tolist() == [[i, i + 1] for i in range(count - 1)]
+
+
+def test_kept_values_follow_what_they_are_made_of():
+    made, kept, color = [], Kept(), np.zeros(2)
+
+    def make(*of):
+        made.append(of)
+        return len(made)
+
+    assert [kept.get(make, color, 2.0), kept.get(make, color, 1.0 + 1.0)] == [1, 1]
+    assert kept.get(make, color, 3.0) == 2
+    assert kept.get(make, np.zeros(2), 3.0) == 3  # an equal array is another one
 
 
 # The loop

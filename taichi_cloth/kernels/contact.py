@@ -11,6 +11,15 @@ order of accumulation.
 import taichi as ti
 
 from taichi_cloth.kernels import laws
+from taichi_cloth.kernels.lanes import (
+    any_lane,
+    component,
+    set_site_value,
+    site_number,
+    site_value,
+    where,
+    with_component,
+)
 
 
 @ti.func
@@ -39,18 +48,28 @@ def cell_index(state: ti.template(), c):
 @ti.func
 def cell_count(state: ti.template()):
     count = 1
-    for axis in ti.static(range(state.x.n)):
+    for axis in ti.static(range(state.grid_size.n)):
         count *= state.grid_size[None][axis]
     return count
 
 
 @ti.func
-def sort_into_cells(state: ti.template()):
+def site_of(plan: ti.template(), state: ti.template(), i):
+    """Where particle i is stored."""
+    if ti.static(len(plan.links) > 0):
+        return state.site[i]
+    else:
+        return i
+
+
+@ti.func
+def sort_into_cells(plan: ti.template(), state: ti.template()):
     """Counting sort of the particles by cell: cell_start, sorted_index, sorted_x, sorted_radius."""
     for c in range(cell_count(state)):
         state.cell_fill[c] = 0
     for i in range(state.n[None]):
-        c = cell_index(state, cell_coordinates(state, state.x[i]))
+        x = site_value(plan, state.x, site_of(plan, state, i))
+        c = cell_index(state, cell_coordinates(state, x))
         state.cell_of[i] = c
         ti.atomic_add(state.cell_fill[c], 1)
 
@@ -89,13 +108,13 @@ def sort_into_cells(state: ti.template()):
                 to -= 1
             state.sorted_index[to] = i
     for at in range(state.n[None]):
-        i = state.sorted_index[at]
-        state.sorted_x[at] = state.x[i]
-        state.sorted_radius[at] = state.radius[i]
+        site = site_of(plan, state, state.sorted_index[at])
+        state.sorted_x[at] = site_value(plan, state.x, site)
+        state.sorted_radius[at] = site_number(plan, state.radius, site)
 
 
 @ti.func
-def bounce_off_cell(state: ti.template(), c, i, x, v, w, radius, e):
+def bounce_off_cell(plan: ti.template(), state: ti.template(), c, i, x, v, w, radius, e):
     """Sum of the velocity changes of particle i from colliding with the particles of one cell."""
     change = 0.0 * x
     for at in range(state.cell_start[c], state.cell_start[c + 1]):
@@ -104,77 +123,92 @@ def bounce_off_cell(state: ti.template(), c, i, x, v, w, radius, e):
         if d.dot(d) <= reach * reach:
             j = state.sorted_index[at]
             if j != i:
+                site = site_of(plan, state, j)
                 change += laws.pair_bounce(
-                    d, v, state.v[j], w, state.w[j], reach, e * state.restitution[j]
+                    d,
+                    v,
+                    site_value(plan, state.v, site),
+                    w,
+                    site_number(plan, state.w, site),
+                    reach,
+                    e * site_number(plan, state.restitution, site),
                 )
     return change
 
 
 @ti.func
-def compute_pair_bounces(state: ti.template()):
-    """jump[i]: change of particle i's velocity from all its collisions, equal time for all."""
-    sort_into_cells(state)
-    for i in range(state.n[None]):
-        x, v, w = state.x[i], state.v[i], state.w[i]
+def compute_pair_bounces(plan: ti.template(), state: ti.template()):
+    """jump: change of each particle's velocity from all its collisions, equal time for all."""
+    sort_into_cells(plan, state)
+    for at in range(state.n[None]):  # cell by cell: one after the other looks at the same memory
+        i = state.sorted_index[at]
+        site = site_of(plan, state, i)
+        x, v = state.sorted_x[at], site_value(plan, state.v, site)
+        w = site_number(plan, state.w, site)
         jump = 0.0 * x
         if w > 0.0:
             centre = cell_coordinates(state, x)
-            for offset in ti.grouped(ti.ndrange(*((-1, 2),) * state.x.n)):
+            radius, e = state.sorted_radius[at], site_number(plan, state.restitution, site)
+            for offset in ti.grouped(ti.ndrange(*((-1, 2),) * plan.dim)):
                 c = cell_index(state, centre + offset)
-                jump += bounce_off_cell(state, c, i, x, v, w, state.radius[i], state.restitution[i])
-        state.jump[i] = jump
+                jump += bounce_off_cell(plan, state, c, i, x, v, w, radius, e)
+        set_site_value(plan, state.jump, site, jump)
 
 
 @ti.func
-def compute_contacts(features: ti.template(), state: ti.template()):
+def compute_contacts(plan: ti.template(), state: ti.template()):
     """Prepare the step's contacts; nothing for a scene without collisions."""
-    if ti.static(features.collisions):
-        compute_pair_bounces(state)
+    if ti.static(plan.collisions):
+        compute_pair_bounces(plan, state)
 
 
 @ti.func
-def wall_gap(state: ti.template(), i, axis: ti.template(), side: ti.template()):
-    """How far the surface of particle i is short of a wall (negative: past it).
+def wall_gap(state: ti.template(), c, axis: ti.template(), side: ti.template()):
+    """How far the surfaces of cell c's particles are short of a wall (negative: past it).
 
     One formula for all that ask: where a particle rests on the floor, rounding decides.
     """
     bound = state.high[None][axis] if ti.static(side > 0) else state.low[None][axis]
-    return side * (bound - state.x[i][axis]) - state.radius[i]
+    return side * (bound - component(state.x[c], axis)) - state.radius[c]
 
 
 @ti.func
-def touches_wall(features: ti.template(), state: ti.template(), i):
-    """Whether particle i is past any wall: for most it is not, and that is all they pay."""
-    touches = False
-    for axis, side in ti.static(features.walls):
-        touches = touches or wall_gap(state, i, axis, side) < 0.0
-    return touches
+def touches_wall(plan: ti.template(), state: ti.template(), c):
+    """Whether a particle of cell c is past any wall: most are not, and that is all they pay."""
+    least = 0.0 * state.radius[c]
+    for axis, side in ti.static(plan.walls):
+        least = ti.min(least, wall_gap(state, c, axis, side))
+    return any_lane(plan, least < 0.0)
 
 
 @ti.func
-def velocity_jump(features: ti.template(), state: ti.template(), i):
-    """Change of particle i's velocity from walls and pairs, from its state at the step's start."""
-    v = state.v[i]
+def velocity_jump(plan: ti.template(), state: ti.template(), c):
+    """Change of the velocities in cell c from walls and pairs, by the state at the step's start."""
+    v = state.v[c]
     jump = 0.0 * v
-    if ti.static(len(features.walls) > 0):
-        if touches_wall(features, state, i) and state.w[i] > 0.0:
-            for axis, side in ti.static(features.walls):
-                gap = wall_gap(state, i, axis, side)
-                jump[axis] += side * laws.wall_bounce(gap, side * v[axis], state.restitution[i])
-    if ti.static(features.collisions):
-        jump += state.jump[i]
+    if ti.static(len(plan.walls) > 0):
+        if touches_wall(plan, state, c):
+            for axis, side in ti.static(plan.walls):
+                gap, vn = wall_gap(state, c, axis, side), side * component(v, axis)
+                bounce = side * laws.wall_bounce(gap, vn, state.restitution[c])
+                jump = with_component(jump, axis, component(jump, axis) + bounce)
+            jump = where(state.w[c] > 0.0, jump, 0.0 * v)
+    if ti.static(plan.collisions):
+        jump += state.jump[c]
     return jump
 
 
 @ti.func
-def kept_above_floor(features: ti.template(), state: ti.template(), i, x, v):
-    """Position x after the move; on the floor where that was hit and v still points down.
+def kept_above_floor(plan: ti.template(), state: ti.template(), c, x, v):
+    """Positions x after the move; on the floor where that was hit and v still points down.
 
-    Must be called before state.x[i] and state.v[i] are overwritten: the hit is the step's start's.
+    Must be called before x and v of the cell are overwritten: the hit is the step's start's.
     """
     y = x
-    if ti.static(features.floor):
-        hit = wall_gap(state, i, 1, 1) < 0.0 and state.v[i][1] > 0.0 and state.w[i] > 0.0
-        if hit and v[1] > 0.0:
-            y[1] = state.high[None][1] - state.radius[i]
+    if ti.static(plan.floor):
+        hit = ti.min(-wall_gap(state, c, 1, 1), component(state.v[c], 1))  # where positive
+        sinks = ti.min(ti.min(hit, component(v, 1)), state.w[c]) > 0.0
+        if any_lane(plan, sinks):
+            floor = state.high[None][1] - state.radius[c]
+            y = with_component(x, 1, ti.select(sinks, floor, component(x, 1)))
     return y

@@ -1,40 +1,115 @@
-"""Springs that break: over its break force a spring pulls for one more step, then it is gone."""
+"""Springs that break: over its break force a spring pulls for one more step, then it is gone.
+
+The limit is compared as a squared length (force k*(l - rest) > limit means l > rest + limit/k), so
+no root is taken and both ends of a spring share one decision.
+"""
 
 import taichi as ti
 
-from taichi_cloth.kernels.springs_graph import number
+from taichi_cloth.kernels.lanes import (
+    any_lane,
+    dot,
+    set_site_number,
+    site_number,
+    site_value,
+)
+from taichi_cloth.kernels.loops import each, each_cell
+from taichi_cloth.kernels.springs import number
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 
 
 @ti.func
-def mark_overstretched(features: ti.template(), state: ti.template(), s, step):
-    """Mark spring s where its force exceeds its break force at the present positions.
+def break_springs(plan: ti.template(), state: ti.template(), t):
+    """End of a step: remove the springs that were breaking; mark those now over their limit."""
+    if ti.static(len(plan.links) > 0):
+        each_cell(plan, state, t, _break_links)
+    if ti.static(plan.springs):
+        each(plan, state, t, state.n_springs[None], _break_spring)
 
-    The limit is compared as a squared length (force k*(l - rest) > limit means
-    l > rest + limit/k), so no root is taken and both ends of a spring share one decision.
-    """
-    if state.status[s] == ALIVE:
-        d = state.x[state.ends[s][1]] - state.x[state.ends[s][0]]
-        if d.dot(d) > number(features, state.break_length2, s):
-            state.status[s] = BREAKING
-            state.break_step[s] = step
+
+# --- on a graph ------------------------------------------------------------------------------
 
 
 @ti.func
-def break_springs(features: ti.template(), state: ti.template(), step):
-    """End of a step: remove the springs that were breaking; mark those now over their limit."""
-    for s in range(state.n_springs[None]):
-        if state.status[s] == BREAKING:
-            state.status[s] = GONE
-            for end in ti.static(range(2)):
-                # A spring from a particle to itself pulls nowhere.
-                state.far[state.half[s][end]] = state.ends[s][end]
-        else:
-            mark_overstretched(features, state, s, step)
+def _break_spring(plan: ti.template(), state: ti.template(), s):
+    if state.status[s] == BREAKING:
+        state.status[s] = GONE
+        for end in ti.static(range(2)):
+            # A spring from a particle to itself pulls nowhere.
+            state.far[state.half[s][end]] = state.ends[s][end]
+    else:
+        _mark_spring(plan, state, s)
+
+
+@ti.func
+def _mark_spring(plan: ti.template(), state: ti.template(), s):
+    if state.status[s] == ALIVE:
+        near, far = state.ends[s][0], state.ends[s][1]
+        d = site_value(plan, state.x, far) - site_value(plan, state.x, near)
+        if d.dot(d) > number(plan, state.break_length2, s):
+            state.status[s] = BREAKING
+            state.break_step[s] = state.step[None]
+
+
+# --- on grids --------------------------------------------------------------------------------
+
+
+@ti.func
+def _far(plan: ti.template(), state: ti.template(), s: ti.template(), c):
+    """The cell at the other end of cell c's links of kind s."""
+    pitch = state.grid[state.grid_of[c]][2] + 2 * plan.halo
+    return c + plan.links[s][0] + plan.links[s][1] * pitch
+
+
+@ti.func
+def _break_links(plan: ti.template(), state: ti.template(), c):
+    """One test for a whole cell: in most none breaks, and that is all they pay."""
+    g = state.grid_of[c]
+    if g >= 0:
+        none = -1.0 + 0.0 * state.w[c]
+        most = none
+        for s in ti.static(range(len(plan.links))):
+            d = state.x[_far(plan, state, s, c)] - state.x[c]
+            excess = dot(d, d) - state.link_limit2[s, g]
+            most = ti.max(most, ti.select(state.link_k[s][c] > 0.0, excess, none))
+        if any_lane(plan, most > 0.0) or state.breaking[c] > 0:
+            for lane in range(plan.lanes):
+                for s in ti.static(range(len(plan.links))):
+                    site = c * plan.lanes + lane
+                    if site_number(plan, state.link_status[s], site) == BREAKING:
+                        set_site_number(plan, state.link_status[s], site, GONE)
+                        set_site_number(plan, state.link_k[s], site, 0.0)
+                        state.breaking[c] -= 1
+                    else:
+                        _mark_link(plan, state, s, g, c, lane)
+
+
+@ti.func
+def _mark_link(plan: ti.template(), state: ti.template(), s: ti.template(), g, c, lane):
+    site = c * plan.lanes + lane
+    alive = site_number(plan, state.link_status[s], site) == ALIVE
+    if alive and site_number(plan, state.link_k[s], site) > 0.0:
+        far = _far(plan, state, s, c) * plan.lanes + lane
+        d = site_value(plan, state.x, far) - site_value(plan, state.x, site)
+        if d.dot(d) > state.link_limit2[s, g]:
+            set_site_number(plan, state.link_status[s], site, BREAKING)
+            set_site_number(plan, state.link_step[s], site, state.step[None])
+            state.breaking[c] += 1
+
+
+@ti.func
+def _mark_links(plan: ti.template(), state: ti.template(), c):
+    g = state.grid_of[c]
+    if g >= 0:
+        for lane in range(plan.lanes):
+            for s in ti.static(range(len(plan.links))):
+                _mark_link(plan, state, s, g, c, lane)
 
 
 @ti.kernel
-def mark_new_springs(features: ti.template(), state: ti.template(), step: ti.i32):
+def mark_new_springs(plan: ti.template(), state: ti.template()):
     """Outside of steps: springs that are over their limit from the start pull once and are gone."""
-    for s in range(state.n_springs[None]):
-        mark_overstretched(features, state, s, step)
+    if ti.static(len(plan.links) > 0):
+        each_cell(plan, state, 0, _mark_links)
+    if ti.static(plan.springs):
+        each(plan, state, 0, state.n_springs[None], _mark_spring)

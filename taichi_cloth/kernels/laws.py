@@ -1,10 +1,12 @@
-"""The physical laws, each written once, as functions on values.
+"""The physical laws, each written once, as functions on values: of one particle, or of a cell's.
 
 Letters as in the field's papers: x position, v velocity, k stiffness, c damping,
 w inverse mass (0 = fixed), e restitution, n unit normal.
 """
 
 import taichi as ti
+
+from taichi_cloth.kernels.lanes import dot, scaled
 
 # Inverse mass of a fixed particle in a collision: a mass that no free particle comes near. Exactly
 # zero would do as well, but the reference trajectories were computed with this mass, and
@@ -13,37 +15,41 @@ FIXED_INVERSE_MASS = 1e-9
 
 
 @ti.func
-def spring_force(d, k, rest):
-    """Hooke's law along a spring: force on the near end, `d` the vector to the far end.
-
-    k*(|d| - rest) along d; zero when both ends coincide, where no direction exists.
-    """
-    length = ti.sqrt(d.dot(d))
-    inverse = 0.0
-    if length > 0.0:
-        inverse = 1.0 / length
-    return k * (length - rest) * (inverse * d)
+def length(d):
+    """Length of the vectors d."""
+    return ti.sqrt(dot(d, d))
 
 
 @ti.func
-def dashpot_force(d, dv, c):
-    """Damping along a spring's axis: c times the rate at which it lengthens, along d."""
-    length2 = d.dot(d)
-    scale = 0.0
-    if length2 > 0.0:
-        scale = c * dv.dot(d) / length2
-    return scale * d
+def unit(d, length):
+    """The vectors d at length 1; zero where both ends coincide, where no direction exists."""
+    return scaled(ti.select(length > 0.0, 1.0 / length, 0.0 * length), d)
+
+
+@ti.func
+def spring_tension(length, k, rest):
+    """Hooke's law: the force with which a spring pulls its ends together."""
+    return k * (length - rest)
+
+
+@ti.func
+def dashpot_tension(dv, along, c):
+    """Damping along a spring's axis: c times the rate at which it lengthens.
+
+    dv: velocity of the far end relative to the near one; along: unit vector to the far end.
+    """
+    return c * dot(dv, along)
 
 
 @ti.func
 def drag_force(v, viscous):
     """Viscous (Stokes) drag on one particle."""
-    return -viscous * v
+    return scaled(-viscous, v)
 
 
 @ti.func
 def blow_force(distance, displacement, reach, strength):
-    """Force of the moving pointer on a particle `distance` away from it.
+    """Force of the moving pointer, along an axis, on a particle `distance` away from it.
 
     It falls linearly to zero at `reach` and points along the pointer's displacement.
     """
@@ -57,7 +63,7 @@ def wall_bounce(gap, vn, e):
     gap: how far the particle's surface is short of the wall (negative: past it);
     vn: velocity along the outward normal.
     """
-    return ti.select((gap < 0.0) and (vn > 0.0), -(1.0 + e) * vn, 0.0)
+    return ti.select(ti.min(-gap, vn) > 0.0, -(1.0 + e) * vn, 0.0 * vn)
 
 
 @ti.func

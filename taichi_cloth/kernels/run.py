@@ -1,53 +1,71 @@
-"""The two ways to run one method: whole frames in one launch, or loop by loop in parallel.
+"""How one method is run: whole frames in one launch, or a launch for each step.
 
-`method` is a method's step, a ti.func over the containers. Inside the serial kernel its loops run
-on one thread, which for small scenes beats starting threads for each loop; in the parallel kernel
-they are top-level loops, each of them parallel.
+`method` is a method's step, a ti.func over the containers; `loops.py` says how its loops run.
 """
 
 import taichi as ti
 
 from taichi_cloth.kernels.fracture import break_springs
-from taichi_cloth.kernels.watch import NO_FAULT, keep, look_up
+from taichi_cloth.kernels.loops import COUNTER, PIECE, barrier
+from taichi_cloth.kernels.watch import all_well, begin_step, keep
 
 
 @ti.func
-def substep(method: ti.template(), features: ti.template(), state: ti.template(), step):
+def substep(method: ti.template(), plan: ti.template(), state: ti.template(), t, step):
     """Step number `step` (from 1) of a method, then fracture from the positions it reached."""
-    look_up(state)
-    method(features, state)
-    if ti.static(features.fracture):
-        break_springs(features, state, step)
+    begin_step(state, step)
+    method(plan, state, t)
+    if ti.static(plan.fracture):
+        break_springs(plan, state, t)
+
+
+@ti.func
+def frames_as_thread(
+    method: ti.template(), plan: ti.template(), state: ti.template(), t, done, frames, substeps
+):
+    """Frames after `done` steps, each kept and checked; state.passed counts those that passed.
+
+    Nothing is computed after a frame that fails; its fault is in state.fault.
+    """
+    passed = 0
+    for k in range(frames * substeps):
+        if passed == k // substeps:
+            if k % substeps == 0:
+                keep(plan, state, t)
+            substep(method, plan, state, t, done + k + 1)
+            if (k + 1) % substeps == 0:
+                if all_well(state):
+                    passed += 1
+                barrier(plan, state)  # before the next frame forgets the fault
+    if t == 0:
+        state.passed[None] = passed
 
 
 @ti.kernel
-def frames_serial(
+def frames_in_one_launch(
     method: ti.template(),
-    features: ti.template(),
+    plan: ti.template(),
     state: ti.template(),
     done: ti.i32,
     frames: ti.i32,
     substeps: ti.i32,
 ) -> ti.i32:
-    """Frames after `done` steps, each kept and checked, in one launch; returns how many passed.
-
-    Nothing is computed after a frame that fails; its fault is in state.fault.
-    """
-    passed = 0
-    ti.loop_config(serialize=True)
-    for k in range(frames * substeps):
-        if passed == k // substeps:
-            if k % substeps == 0:
-                keep(state)
-            substep(method, features, state, done + k + 1)
-            if (k + 1) % substeps == 0 and state.fault[None] == NO_FAULT:
-                passed += 1
-    return passed
+    """Frames after `done` steps on plan.threads threads; returns how many passed."""
+    if ti.static(plan.threads == 1):
+        ti.loop_config(serialize=True)
+        for t in range(1):
+            frames_as_thread(method, plan, state, t, done, frames, substeps)
+    else:
+        state.arrivals[COUNTER] = 0
+        # Else Taichi starts no more threads than there are cores, and the others wait forever.
+        ti.loop_config(parallelize=plan.threads)
+        for i in range(plan.threads * PIECE):
+            if i % PIECE == 0:
+                frames_as_thread(method, plan, state, i // PIECE, done, frames, substeps)
+    return state.passed[None]
 
 
 @ti.kernel
-def substep_parallel(
-    method: ti.template(), features: ti.template(), state: ti.template(), step: ti.i32
-):
-    """Step number `step`, every loop of it parallel."""
-    substep(method, features, state, step)
+def substep_spread(method: ti.template(), plan: ti.template(), state: ti.template(), step: ti.i32):
+    """Step number `step`, every loop of it a parallel one."""
+    substep(method, plan, state, 0, step)

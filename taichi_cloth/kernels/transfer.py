@@ -2,119 +2,230 @@
 
 import taichi as ti
 
+from taichi_cloth.kernels.lanes import (
+    set_site_number,
+    set_site_value,
+    site_number,
+    site_value,
+)
+from taichi_cloth.kernels.loops import each_cell
+from taichi_cloth.kernels.state import BREAKING, GONE
+from taichi_cloth.kernels.watch import NO_FAULT
+
 
 @ti.kernel
 def load_numbers(
-    features: ti.template(),
+    plan: ti.template(),
     state: ti.template(),
     counts: ti.types.ndarray(),
     numbers: ti.types.ndarray(),
 ):
     """Fill the 0-D fields.
 
-    counts: n, n_springs, then the grid's size per axis; numbers: dt, speed limit, cell size,
-    then per axis gravity, low, high.
+    counts: n, then the collision grid's size per axis; numbers: dt, speed limit, cell size, then
+    per axis gravity, low, high.
     """
-    dim = ti.static(features.dim)
+    dim = ti.static(plan.dim)
     for _ in range(1):
         state.n[None] = counts[0]
         state.dt[None] = numbers[0]
         state.speed_limit[None] = numbers[1]
-        if ti.static(features.fracture):
-            state.n_springs[None] = counts[1]
-        if ti.static(features.collisions):
+        if ti.static(plan.collisions):
             state.cell_size[None] = numbers[2]
         for axis in ti.static(range(dim)):
             state.gravity[None][axis] = numbers[3 + axis]
-            if ti.static(len(features.walls) > 0):
+            if ti.static(len(plan.walls) > 0):
                 state.low[None][axis] = numbers[3 + dim + axis]
                 state.high[None][axis] = numbers[3 + 2 * dim + axis]
-            if ti.static(features.collisions):
-                state.grid_size[None][axis] = counts[2 + axis]
+            if ti.static(plan.collisions):
+                state.grid_size[None][axis] = counts[1 + axis]
 
 
 @ti.kernel
-def load_particles(features: ti.template(), state: ti.template(), rows: ti.types.ndarray()):
+def load_cells(
+    plan: ti.template(),
+    state: ti.template(),
+    n_cells: ti.i32,
+    grid: ti.types.ndarray(),
+    grid_of: ti.types.ndarray(),
+):
+    """Empty all cells, and fill grid (g, 4) and, where there are links, grid_of (cells,)."""
+    for _ in range(1):
+        state.n_cells[None] = n_cells
+        state.n_grids[None] = grid.shape[0]
+        for g in range(grid.shape[0]):
+            for i in ti.static(range(4)):
+                state.grid[g][i] = grid[g, i]
+    for c in range(n_cells):
+        if ti.static(plan.links):
+            state.grid_of[c] = grid_of[c]
+        for site in range(c * plan.lanes, (c + 1) * plan.lanes):
+            set_site_number(plan, state.w, site, 0.0)
+            set_site_number(plan, state.particle, site, NO_FAULT)
+            for s in ti.static(range(len(plan.links))):
+                set_site_number(plan, state.link_k[s], site, 0.0)
+                if ti.static(plan.fracture):
+                    set_site_number(plan, state.link_status[s], site, 0)
+        if ti.static(len(plan.links) > 0 and plan.fracture):
+            state.breaking[c] = 0
+
+
+@ti.kernel
+def load_particles(
+    plan: ti.template(),
+    state: ti.template(),
+    sites: ti.types.ndarray(),
+    rows: ti.types.ndarray(),
+):
     """Fill the particles from `rows` (n, 2*dim + 4): x, v, w, radius, restitution, viscous."""
-    dim = ti.static(features.dim)
+    dim = ti.static(plan.dim)
     for i in range(rows.shape[0]):
+        site = sites[i]
+        state.site[i] = site
+        set_site_number(plan, state.particle, site, i)
+        x, v = ti.Vector.zero(state.real, dim), ti.Vector.zero(state.real, dim)
         for axis in ti.static(range(dim)):
-            state.x[i][axis] = rows[i, axis]
-            state.v[i][axis] = rows[i, dim + axis]
-        state.w[i] = rows[i, 2 * dim]
-        if ti.static(len(features.walls) > 0 or features.collisions):
-            state.radius[i] = rows[i, 2 * dim + 1]
-            state.restitution[i] = rows[i, 2 * dim + 2]
-        if ti.static(features.drag):
-            state.viscous[i] = rows[i, 2 * dim + 3]
+            x[axis] = rows[i, axis]
+            v[axis] = rows[i, dim + axis]
+        set_site_value(plan, state.x, site, x)
+        set_site_value(plan, state.v, site, v)
+        set_site_number(plan, state.w, site, rows[i, 2 * dim])
+        if ti.static(len(plan.walls) > 0 or plan.collisions):
+            set_site_number(plan, state.radius, site, rows[i, 2 * dim + 1])
+            set_site_number(plan, state.restitution, site, rows[i, 2 * dim + 2])
+        if ti.static(plan.drag):
+            set_site_number(plan, state.viscous, site, rows[i, 2 * dim + 3])
+    if ti.static(plan.halo > 0):
+        each_cell(plan, state, 0, _leave_cell)
+
+
+@ti.func
+def _leave_cell(plan: ti.template(), state: ti.template(), c):
+    """Nothing: the loop over cells is wanted for the halos that it renews."""
 
 
 @ti.kernel
 def load_half_springs(
-    features: ti.template(),
     state: ti.template(),
+    near: ti.types.ndarray(),
     row: ti.types.ndarray(),
     far: ti.types.ndarray(),
+    near_count: ti.i32,
+    far_count: ti.i32,
 ):
-    """Fill the compressed rows: row (n + 1,), far (2s,)."""
+    """Fill the compressed rows: near (near_count,), row (near_count + 1,), far (far_count,)."""
+    for _ in range(1):
+        state.n_near[None] = near_count
+    for i in range(near_count):
+        state.near[i] = near[i]
     for i in range(row.shape[0]):
-        state.row[i] = row[i]
-    for h in range(far.shape[0]):
+        state.near_row[i] = row[i]
+    for h in range(far_count):
         state.far[h] = far[h]
 
 
 @ti.kernel
-def load_spring_numbers(features: ti.template(), state: ti.template(), rows: ti.types.ndarray()):
+def load_spring_numbers(plan: ti.template(), state: ti.template(), rows: ti.types.ndarray()):
     """Fill k, rest and c from rows (2s, 3), or from (1, 3) where all springs have the same."""
     for h in range(rows.shape[0]):
-        if ti.static(features.uniform_springs):
+        if ti.static(plan.uniform_springs):
             state.k[None] = rows[h, 0]
             state.rest[None] = rows[h, 1]
-            if ti.static(features.dashpots):
+            if ti.static(plan.dashpots):
                 state.c[None] = rows[h, 2]
         else:
             state.k[h] = rows[h, 0]
             state.rest[h] = rows[h, 1]
-            if ti.static(features.dashpots):
+            if ti.static(plan.dashpots):
                 state.c[h] = rows[h, 2]
 
 
 @ti.kernel
 def load_springs(
-    features: ti.template(),
+    plan: ti.template(),
     state: ti.template(),
+    count: ti.i32,
     indices: ti.types.ndarray(),
     break_length2: ti.types.ndarray(),
 ):
-    """Fill the springs: indices (s, 6): two ends, two half-springs, status, break_step.
+    """Fill `count` springs: indices (s, 6): two ends, two half-springs, status, break_step.
 
     break_length2: (s,), or (1,) where all springs have the same.
     """
-    for s in range(indices.shape[0]):
+    for _ in range(1):
+        state.n_springs[None] = count
+    for s in range(count):
         for end in ti.static(range(2)):
             state.ends[s][end] = indices[s, end]
             state.half[s][end] = indices[s, 2 + end]
         state.status[s] = indices[s, 4]
         state.break_step[s] = indices[s, 5]
     for s in range(break_length2.shape[0]):
-        if ti.static(features.uniform_springs):
+        if ti.static(plan.uniform_springs):
             state.break_length2[None] = break_length2[s]
         else:
             state.break_length2[s] = break_length2[s]
 
 
 @ti.kernel
-def read_motion(state: ti.template(), x: ti.types.ndarray(), v: ti.types.ndarray()):
+def load_links(
+    plan: ti.template(),
+    state: ti.template(),
+    numbers: ti.types.ndarray(),
+    links: ti.types.ndarray(),
+    stiffness: ti.types.ndarray(),
+):
+    """Fill the grids' links.
+
+    numbers: (kinds, grids, 3): rest, c, limit2. links: (l, 4): kind, site of the earlier end,
+    status, break_step; stiffness: (l,).
+    """
+    for s, g in ti.ndrange(numbers.shape[0], numbers.shape[1]):
+        state.link_rest[s, g] = numbers[s, g, 0]
+        state.link_c[s, g] = numbers[s, g, 1]
+        state.link_limit2[s, g] = numbers[s, g, 2]
+    for i in range(links.shape[0]):
+        site, status = links[i, 1], links[i, 2]
+        for s in ti.static(range(len(plan.links))):
+            if s == links[i, 0]:
+                set_site_number(
+                    plan, state.link_k[s], site, ti.select(status == GONE, 0.0, stiffness[i])
+                )
+                if ti.static(plan.fracture):
+                    set_site_number(plan, state.link_status[s], site, status)
+                    set_site_number(plan, state.link_step[s], site, links[i, 3])
+                    if status == BREAKING:
+                        ti.atomic_add(state.breaking[site // plan.lanes], 1)
+
+
+@ti.kernel
+def read_motion(
+    plan: ti.template(), state: ti.template(), x: ti.types.ndarray(), v: ti.types.ndarray()
+):
     """Copy positions and velocities out, both (n, dim)."""
     for i in range(x.shape[0]):
-        for axis in ti.static(range(state.x.n)):
-            x[i, axis] = state.x[i][axis]
-            v[i, axis] = state.v[i][axis]
+        x_i = site_value(plan, state.x, state.site[i])
+        v_i = site_value(plan, state.v, state.site[i])
+        for axis in ti.static(range(plan.dim)):
+            x[i, axis] = x_i[axis]
+            v[i, axis] = v_i[axis]
 
 
 @ti.kernel
 def read_fracture(state: ti.template(), out: ti.types.ndarray()):
-    """Copy status and break_step out, (s, 2)."""
+    """Copy status and break_step of the graph's springs out, (s, 2)."""
     for s in range(out.shape[0]):
         out[s, 0] = state.status[s]
         out[s, 1] = state.break_step[s]
+
+
+@ti.kernel
+def read_link_fracture(
+    plan: ti.template(), state: ti.template(), links: ti.types.ndarray(), out: ti.types.ndarray()
+):
+    """Copy status and break_step of links out, (l, 2); links: (l, 2): kind, site."""
+    for i in range(links.shape[0]):
+        for s in ti.static(range(len(plan.links))):
+            if s == links[i, 0]:
+                out[i, 0] = site_number(plan, state.link_status[s], links[i, 1])
+                out[i, 1] = site_number(plan, state.link_step[s], links[i, 1])

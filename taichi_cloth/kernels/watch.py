@@ -2,6 +2,9 @@
 
 import taichi as ti
 
+from taichi_cloth.kernels.lanes import component, dot, over_lanes, site_number, site_value
+from taichi_cloth.kernels.loops import each_cell
+
 NO_FAULT = 2147483647
 EXPONENT_F32 = 0x7F800000  # all ones: infinity or NaN
 
@@ -17,41 +20,65 @@ def is_finite(a):
 
 
 @ti.func
-def keep(state: ti.template()):
+def keep(plan: ti.template(), state: ti.template(), t):
     """Before a frame: copy the state, so that a frame that fails can be undone."""
-    state.fault[None] = NO_FAULT
-    state.watching[None] = 1
-    for i in range(state.n[None]):
-        state.good_x[i] = state.x[i]
-        state.good_v[i] = state.v[i]
+    if t == 0:
+        state.fault[None] = NO_FAULT
+        state.watching[None] = 1
+    each_cell(plan, state, t, _keep_cell)
 
 
 @ti.func
-def look_up(state: ti.template()):
-    """Before a step: once there is a fault, what it spreads to is no longer noted."""
+def _keep_cell(plan: ti.template(), state: ti.template(), c):
+    state.good_x[c] = state.x[c]
+    state.good_v[c] = state.v[c]
+
+
+@ti.func
+def begin_step(state: ti.template(), step):
+    """Before step number `step`: once there is a fault, what it spreads to is no longer noted."""
+    state.step[None] = step
     if state.fault[None] != NO_FAULT:
         state.watching[None] = 0
 
 
 @ti.func
-def store(state: ti.template(), i, x, v):
-    """End of a particle's step: store its state, and note it where that is at fault.
+def all_well(state: ti.template()):
+    """Whether no particle is at fault so far; read so that no compiler keeps an older answer."""
+    return ti.atomic_max(state.fault[None], -1) == NO_FAULT
+
+
+@ti.func
+def store(plan: ti.template(), state: ti.template(), c, x, v):
+    """End of a step for a cell: store its state, and note it where that is at fault.
 
     fault is the lowest index of a particle that was not finite or too fast in the first step
     that had one. The values are at hand here; a pass of its own would read them all again.
     """
-    state.x[i] = x
-    state.v[i] = v
+    state.x[c] = x
+    state.v[c] = v
+    limit2 = state.speed_limit[None] * state.speed_limit[None]
+    # Sums are finite only if all of their parts are, and small only if no part is large.
+    speed2, place = over_lanes(plan, dot(v, v)), component(x, 0)
+    for axis in ti.static(range(1, plan.dim)):
+        place += component(x, axis)
+    if not is_finite(speed2 + over_lanes(plan, place)) or speed2 > limit2:
+        for lane in range(plan.lanes):
+            _note_fault(plan, state, c * plan.lanes + lane, limit2)
+
+
+@ti.func
+def _note_fault(plan: ti.template(), state: ti.template(), site, limit2):
+    x, v = site_value(plan, state.x, site), site_value(plan, state.v, site)
     speed2 = v.dot(v)
-    limit = state.speed_limit[None]
-    if not (is_finite(speed2) and is_finite(x.sum())) or speed2 > limit * limit:
+    if not (is_finite(speed2) and is_finite(x.sum())) or speed2 > limit2:
         if state.watching[None] == 1:
-            ti.atomic_min(state.fault[None], i)
+            ti.atomic_min(state.fault[None], site_number(plan, state.particle, site))
 
 
 @ti.kernel
-def keep_parallel(state: ti.template()):
-    keep(state)
+def keep_spread(plan: ti.template(), state: ti.template()):
+    keep(plan, state, 0)
 
 
 @ti.kernel
@@ -61,8 +88,12 @@ def last_fault(state: ti.template()) -> ti.i32:
 
 
 @ti.kernel
-def put_back(state: ti.template()):
+def put_back(plan: ti.template(), state: ti.template()):
     """Undo a frame: the state is again the one that was kept."""
-    for i in range(state.n[None]):
-        state.x[i] = state.good_x[i]
-        state.v[i] = state.good_v[i]
+    each_cell(plan, state, 0, _put_back_cell)
+
+
+@ti.func
+def _put_back_cell(plan: ti.template(), state: ti.template(), c):
+    state.x[c] = state.good_x[c]
+    state.v[c] = state.good_v[c]

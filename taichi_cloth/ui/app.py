@@ -18,7 +18,7 @@ from taichi_cloth.ui import hud
 from taichi_cloth.ui.layout import Layout
 from taichi_cloth.ui.opening import offscreen
 from taichi_cloth.ui.tools import HELP_KEYS, STEP_KEYS, Tools
-from taichi_cloth.ui.view import Picture, View
+from taichi_cloth.ui.view import Kept, Picture, View
 
 # Keys that act on the window alone. They work while a log is replayed, too.
 WINDOW_KEYS = ("escape", "h", "p", *STEP_KEYS, *HELP_KEYS)
@@ -54,6 +54,7 @@ def log_header(sim, view: View, seed: int = 0, replay=None) -> dict:
         "dt": sim.dt,
         "substeps": sim.substeps,
         "method": sim.method,
+        "topology": sim.topology,
     }
 
 
@@ -136,7 +137,7 @@ class _Loop:
         self._log_window = _event_window(sim.scene.world, view, replay)
         seed = int(header.get("seed", seed))
         self._tools = Tools(sim, view.camera, self._log_window, seed)
-        self._largest_disc = _largest_disc(sim.scene)
+        self._largest_disc, self._radius = _largest_disc(sim.scene), Kept()
         self._paused = paused and view.visible
         self._step = False
         self._show_status, self._show_help = True, False
@@ -283,14 +284,18 @@ class _Loop:
         if self.failure is not None:
             banner = f"Stopped: {self.failure}\nr goes back to the start, escape quits"
         return Picture(
-            position=sim.positions(),
-            radius=np.minimum(sim.radii(), self._largest_disc),
+            position=sim.drawn_positions(),
+            radius=self._radius.get(self._disc_radius, sim.radii()),
             color=sim.colors(),
-            segments=_alive(sim),
+            segments=sim.drawn_springs(),
             text=self._status if self._show_status else (),
             help=hud.help_lines(sim.scene, view.has_wheel) if self._show_help else (),
             banner=banner,
         )
+
+    def _disc_radius(self, radius) -> np.ndarray:
+        """Radii to draw, (n,) float32."""
+        return np.minimum(radius, self._largest_disc).astype(np.float32)
 
     def finish(self, image: films.Image | None) -> None:
         """Save the film, and the last frame as a picture."""
@@ -323,13 +328,6 @@ _WINDOW_COMMANDS = {
     **dict.fromkeys(STEP_KEYS, "step"),
     **dict.fromkeys(HELP_KEYS, "help"),
 }
-
-
-def _alive(sim) -> np.ndarray:
-    """The springs that are alive, (s, 2)."""
-    if not sim.spring_count:
-        return np.zeros((0, 2), np.int64)
-    return sim.springs()[sim.springs_alive()]
 
 
 def _largest_disc(scene) -> float:

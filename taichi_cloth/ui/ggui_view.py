@@ -2,7 +2,8 @@
 
 GGUI's Python layer copies Taichi fields into vertex buffers with one compiled kernel for every
 field. The buffers are NumPy arrays, so they are filled here directly: nothing is compiled, and
-the number of things drawn may change at every frame.
+the number of things drawn may change at every frame. They are kept: a frame fills in positions,
+and colours and sizes only where these changed. GGUI has copied them when a call returns.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from taichi_cloth.scene import World
 from taichi_cloth.ui import style, text, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.layout import Layout
-from taichi_cloth.ui.view import KEYS, Picture
+from taichi_cloth.ui.view import KEYS, Kept, Picture, are_numbers, between_shown
 
 # Columns of a GGUI vertex: position, normal (a circle's or particle's radius in its first),
-# texture, colour.
-POSITION, NORMAL, RADIUS, COLOR, STRIDE = slice(0, 3), slice(3, 6), 3, slice(8, 11), 12
+# texture, colour with its opacity.
+POSITION, NORMAL, RADIUS, COLOR, ALPHA, STRIDE = slice(0, 3), slice(3, 6), 3, slice(8, 11), 11, 12
 BUTTONS = {"LMB": "left", "MMB": "middle", "RMB": "right"}
 SETTINGS = Path("imgui.ini")  # of GGUI's text library, which we do not use
 MESH_VERTICES = 170_000  # spheres are meshes up to so many vertices (10-40 ms in software)
@@ -60,6 +61,18 @@ def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(vertex, np.float32), np.array(triangle, np.int32)
 
 
+def vertices(color) -> np.ndarray:
+    """Vertices (k, STRIDE) float32 in the colours (k, 3), floats 0..1, nowhere yet."""
+    vertex = np.zeros((len(color), STRIDE), np.float32)
+    vertex[:, COLOR], vertex[:, ALPHA] = color, 1
+    return vertex
+
+
+def spring_vertices(segments, color) -> np.ndarray:
+    """Vertices of the springs' ends (2s, STRIDE), nowhere yet; color: of the particles."""
+    return vertices(np.repeat(style.spring_colors(color, segments), 2, axis=0))
+
+
 class GguiView:
     """A GGUI window, or with `visible` False the same picture in memory."""
 
@@ -83,6 +96,7 @@ class GguiView:
         self._held: set[str] = set()
         self._last: Picture | None = None
         self._spheres: dict = {}
+        self._springs, self._discs = Kept(), Kept()
         self._overlay_key, self._overlay = None, None
         self.has_wheel = bool(self._tap and self._tap.has_wheel)
         self.closed = False
@@ -198,39 +212,39 @@ class GguiView:
         self._rectangles(np.array([[*low, *high]]), np.array([style.unit(style.WORLD)]))
         walls = layout.walls(self.world.walls)
         if len(walls):
-            color = np.array([style.unit(style.WALL)] * len(walls))
-            self._lines_2d(walls, color, 1.5 / height)
-        position = layout.to_window(picture.position)
-        alive = np.isfinite(position).all(axis=1)
-        segments = picture.segments[alive[picture.segments].all(axis=1)]
+            vertex = vertices(np.tile(style.unit(style.WALL), (2 * len(walls), 1)))
+            vertex[:, :2] = self._on_canvas(walls.reshape(-1, 2))
+            self._lines_2d(vertex, 1.5 / height)
+        place = layout.world_to_canvas(picture.position)
+        shown = are_numbers(place)
+        segments = between_shown(picture.segments, shown)
         if len(segments):
-            width = max(1.6, 1.4 * layout.scale) / height
-            color = style.spring_colors(picture.color, segments)
-            self._lines_2d(position[segments], color, width)
-        if alive.any():
-            radius = np.maximum(picture.radius[alive] * layout.scale, 0.8)
-            color = picture.color[alive] / 255
-            # A darker rim under each disc keeps neighbours of one colour apart.
-            self._circles(position[alive], radius, 0.45 * color)
-            self._circles(position[alive], np.maximum(radius - 1.2, 0.6 * radius), color)
+            vertex = self._springs.get(spring_vertices, segments, picture.color)
+            vertex[:, :2] = place.take(segments.reshape(-1), axis=0)
+            self._lines_2d(vertex, max(1.6, 1.4 * layout.scale) / height)
+        if shown.any():
+            radius, color = picture.radius, picture.color
+            if not shown.all():
+                place, radius, color = place[shown], radius[shown], color[shown]
+            for vertex in self._discs.get(self._disc_vertices, radius, color, layout.scale, height):
+                vertex[:, :2] = place
+                self._canvas.canvas.circles(self._info(vertex), True, True, (1.0, 1.0, 1.0), 0.01)
 
-    def _lines_2d(self, ends, color, width: float) -> None:
-        """Lines `ends` (k, 2, 2) window pixels with colours (k, 3); width in window heights."""
-        vertex = np.zeros((2 * len(ends), STRIDE), np.float32)
-        vertex[:, :2] = self._on_canvas(ends.reshape(-1, 2))
-        vertex[:, COLOR] = np.repeat(color, 2, axis=0)
-        vertex[:, 11] = 1
+    def _lines_2d(self, vertex, width: float) -> None:
+        """Lines between consecutive pairs of vertices; width in window heights."""
         info = self._info(vertex)
         self._canvas.canvas.lines(info, self._info(None), True, (1.0, 1.0, 1.0), width)
 
-    def _circles(self, centre, radius, color) -> None:
-        """Discs at `centre` (k, 2) with `radius` (k,), window pixels, and colours (k, 3)."""
-        vertex = np.zeros((len(centre), STRIDE), np.float32)
-        vertex[:, :2] = self._on_canvas(centre)
-        vertex[:, RADIUS] = radius / self.size[1]
-        vertex[:, COLOR] = color
-        vertex[:, 11] = 1
-        self._canvas.canvas.circles(self._info(vertex), True, True, (1.0, 1.0, 1.0), 0.01)
+    def _disc_vertices(self, radius, color, scale: float, height: int):
+        """Vertices of the particles' rims and, to be drawn over them, of their discs.
+
+        A darker rim under each disc keeps neighbours of one colour apart.
+        """
+        radius, color = np.maximum(radius * scale, 0.8), color / 255
+        rim, disc = vertices(0.45 * color), vertices(color)
+        rim[:, RADIUS] = radius / height
+        disc[:, RADIUS] = np.maximum(radius - 1.2, 0.6 * radius) / height
+        return rim, disc
 
     def _rectangles(self, corners, color) -> None:
         """Rectangles (k, 4) x0, y0, x1, y1 in window pixels, with colours (k, 3)."""
@@ -240,10 +254,8 @@ class GguiView:
     def _rectangle_vertices(self, corners, color) -> np.ndarray:
         x0, y0, x1, y1 = np.asarray(corners, np.float64).T
         points = np.stack([x0, y0, x1, y0, x1, y1, x0, y0, x1, y1, x0, y1], axis=1)
-        vertex = np.zeros((6 * len(points), STRIDE), np.float32)
+        vertex = vertices(np.repeat(color, 6, axis=0))
         vertex[:, :2] = self._on_canvas(points.reshape(-1, 2))
-        vertex[:, COLOR] = np.repeat(color, 6, axis=0)
-        vertex[:, 11] = 1
         return vertex
 
     def _triangles(self, vertex) -> None:
@@ -277,15 +289,18 @@ class GguiView:
         self._scene.point_light(light, (1 - style.AMBIENT,) * 3)
 
         edges = camera.rotate_points(style.box_edges(self.world.size).reshape(-1, 3))
-        self._lines_3d(edges, np.tile(style.unit(style.EDGE), (len(edges), 1)), 1.6)
+        vertex = vertices(np.tile(style.unit(style.EDGE), (len(edges), 1)))
+        vertex[:, POSITION] = edges
+        self._lines_3d(vertex, 1.6)
 
         position = camera.rotate_points(picture.position)
-        shown = np.isfinite(position).all(axis=1)
+        shown = are_numbers(position)
         shown &= position[:, 2] + camera.distance > camera.distance / 50
-        segments = picture.segments[shown[picture.segments].all(axis=1)]
+        segments = between_shown(picture.segments, shown)
         if len(segments):
-            color = np.repeat(style.spring_colors(picture.color, segments), 2, axis=0)
-            self._lines_3d(position[segments].reshape(-1, 3), color, max(2.0, h / 260))
+            vertex = self._springs.get(spring_vertices, segments, picture.color)
+            vertex[:, POSITION] = position.take(segments.reshape(-1), axis=0)
+            self._lines_3d(vertex, max(2.0, h / 260))
 
         origin = camera.rotate_points(np.zeros((1, 3)))
         centre = np.concatenate([position[shown], origin])
@@ -295,13 +310,9 @@ class GguiView:
         self._spheres_3d(centre, radius, color, focal)
         self._canvas.scene(self._scene)
 
-    def _lines_3d(self, ends, color, width: float) -> None:
-        """Lines between consecutive pairs of `ends` (2k, 3), camera axes; width in pixels."""
-        vertex = np.zeros((len(ends), STRIDE), np.float32)
-        vertex[:, POSITION] = ends
-        vertex[:, COLOR] = color
-        vertex[:, 11] = 1
-        count = len(ends)
+    def _lines_3d(self, vertex, width: float) -> None:
+        """Lines between consecutive pairs of vertices; width in pixels."""
+        count = len(vertex)
         self._scene.scene.lines(
             self._info(vertex), self._info(None), True, (1.0, 1.0, 1.0), width, count, 0, count, 0
         )
@@ -322,7 +333,7 @@ class GguiView:
             unit, corner = icosphere(level)
             vertex = np.zeros((n, len(unit), STRIDE), np.float32)
             vertex[:, :, NORMAL] = unit
-            vertex[:, :, 11] = 1
+            vertex[:, :, ALPHA] = 1
             index = corner.reshape(-1) + (len(unit) * np.arange(n, dtype=np.int32))[:, None]
             self._spheres = {
                 "for": (n, level), "unit": unit, "vertex": vertex, "color": None,
@@ -349,10 +360,8 @@ class GguiView:
         """
         w, h = self.size
         ray = np.sqrt(centre[:, 0] ** 2 + centre[:, 1] ** 2 + depth**2)
-        vertex = np.zeros((len(centre), STRIDE), np.float32)
+        vertex = vertices(color / 255)
         vertex[:, POSITION] = centre
         vertex[:, RADIUS] = radius * (h / w) * ray / depth
-        vertex[:, COLOR] = color / 255
-        vertex[:, 11] = 1
         white = (1.0, 1.0, 1.0)
         self._scene.scene.particles(self._info(vertex), True, True, white, 1.0, len(vertex), 0)

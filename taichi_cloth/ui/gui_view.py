@@ -12,7 +12,7 @@ from taichi_cloth.scene import World
 from taichi_cloth.ui import style, text, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.layout import Layout
-from taichi_cloth.ui.view import KEYS, Picture
+from taichi_cloth.ui.view import KEYS, Kept, Picture, are_numbers, between_shown
 
 BUTTONS = {"LMB": "left", "MMB": "middle", "RMB": "right"}
 SETTLED = 0.2  # seconds a new size must last before the window follows it
@@ -34,6 +34,7 @@ class GuiView:
         self._gui, self._tap = None, None
         self._pointer: tuple[float, float] | None = None
         self._held: set[str] = set()
+        self._springs, self._discs = Kept(), Kept()
         self._wanted: tuple[tuple[int, int], float] | None = None
         self._open(size)
 
@@ -167,11 +168,6 @@ class GuiView:
         """Window pixels (k, 2) in the canvas's coordinates: 0..1, y up."""
         return Layout(self.world.size[:2], self.size).to_canvas(points)
 
-    def _lines(self, ends, color, width: float) -> None:
-        """Lines `ends` (k, 2, 2) window pixels with packed colours (k,); width in pixels."""
-        a, b = self._on_canvas(ends[:, 0]), self._on_canvas(ends[:, 1])
-        self._gui.lines(a, b, radius=width / 2, color=color)
-
     def _circles(self, centre, radius, color) -> None:
         """Discs at `centre` (k, 2) with `radius` (k,), window pixels, packed colours (k,)."""
         self._gui.circles(self._on_canvas(centre), radius=radius, color=color)
@@ -182,19 +178,21 @@ class GuiView:
         self._surround(low, high)
         walls = layout.walls(self.world.walls)
         if len(walls):
-            self._lines(walls, style.packed_one(style.WALL), 1.5)
-        position = layout.to_window(picture.position)
-        alive = np.isfinite(position).all(axis=1)
-        segments = picture.segments[alive[picture.segments].all(axis=1)]
+            a, b = self._on_canvas(walls[:, 0]), self._on_canvas(walls[:, 1])
+            self._gui.lines(a, b, radius=0.75, color=style.packed_one(style.WALL))
+        place = layout.world_to_canvas(picture.position)
+        shown = are_numbers(place)
+        segments = between_shown(picture.segments, shown)
         if len(segments):
-            color = style.packed(style.spring_colors(picture.color, segments))
-            self._lines(position[segments], color, max(2.0, 1.5 * layout.scale))
-        if alive.any():
-            radius = np.maximum(picture.radius[alive] * layout.scale, 0.8)
-            color = picture.color[alive] / 255
-            self._circles(position[alive], radius, style.packed(0.45 * color))
-            inner = np.maximum(radius - 1.2, 0.6 * radius)
-            self._circles(position[alive], inner, style.packed(color))
+            first, second, color = self._springs.get(_prepared_springs, segments, picture.color)
+            a, b = place.take(first, axis=0), place.take(second, axis=0)
+            self._gui.lines(a, b, radius=max(1.0, 0.75 * layout.scale), color=color)
+        if shown.any():
+            radius, color = picture.radius, picture.color
+            if not shown.all():
+                place, radius, color = place[shown], radius[shown], color[shown]
+            for disc in self._discs.get(_prepared_discs, radius, color, layout.scale):
+                self._gui.circles(place, *disc)
 
     def _surround(self, low, high) -> None:
         """Darken what lies outside the world's rectangle (the canvas is the world's colour)."""
@@ -287,6 +285,19 @@ class GuiView:
             self._pixels[panel.x : panel.x + w, top - h : top, :3] = block
         if panels:
             self._gui.core.set_img(self._pixels.ctypes.data)
+
+
+def _prepared_springs(segments, color):
+    """First ends, second ends, packed colours; color: of the particles."""
+    first, second = np.ascontiguousarray(segments.T)
+    return first, second, style.packed(style.spring_colors(color, segments))
+
+
+def _prepared_discs(radius, color, scale: float):
+    """(radius in pixels, packed colour) of the particles' darker rims, then of their discs."""
+    radius, color = np.maximum(radius * scale, 0.8), color / 255
+    inner = np.maximum(radius - 1.2, 0.6 * radius)
+    return (radius, style.packed(0.45 * color)), (inner, style.packed(color))
 
 
 def shading(layers: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -84,7 +84,7 @@ def status_lines(
     else:
         speed = rate / FRAME_RATE
         pace = f"{rate:.0f} frames/s, {meter.behind:.1f} s behind real time ({speed:.2f}x)"
-    alive = int(sim.springs_alive().sum()) if sim.spring_count else 0
+    alive = len(sim.drawn_springs())
     broken = sim.spring_count - alive
     step = f"dt {sim.dt:g}" + (f" in {sim.substeps} substeps" if sim.substeps > 1 else "")
     rows = (
@@ -95,7 +95,7 @@ def status_lines(
             f"time {sim.time:.10g}",
             f"frame {sim.frame}",
         ),
-        (sim.scene.name, sim.method, step, f"{device}, {sim.execution}", "f1 keys"),
+        (sim.scene.name, sim.method, step, f"{device}, {sim.execution} {sim.topology}", "f1 keys"),
     )
     lines = tuple("  \u00b7  ".join(row) for row in rows)
     return (notice, *lines) if notice else lines

@@ -45,6 +45,11 @@ class Layout:
         """Window `pixels` (..., 2) in Taichi's canvas coordinates: 0..1, y up."""
         return np.asarray(pixels) / self.window * [1, -1] + [0, 1]
 
+    def world_to_canvas(self, points: np.ndarray) -> np.ndarray:
+        """World `points` (n, 2) in canvas coordinates and in their precision, in two passes."""
+        scale, offset = self.scale / np.array(self.window) * [1, -1], self.to_canvas(self.offset)
+        return points * scale.astype(points.dtype) + offset.astype(points.dtype)
+
     def walls(self, names) -> np.ndarray:
         """Lines of the walls called `names`, just inside the world, (k, 2, 2) window pixels."""
         low, high = self.to_window([0, 0]), self.to_window(self.world)

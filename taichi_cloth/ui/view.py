@@ -44,8 +44,10 @@ KEYS = {
 class Picture:
     """One frame's contents, as NumPy arrays.
 
-    position: (n, dim) particle positions [world]; radius: (n,) [world]; color: (n, 3) uint8.
-    segments: (s, 2) int, particle pairs of the springs that are alive.
+    position: (n, dim) particle positions [world], an array that the next frame may overwrite;
+    radius: (n,) [world]; color: (n, 3) uint8. segments: (s, 2) int, particle pairs of the springs
+    that are alive. Radius, color and segments are the same objects as before while they are equal,
+    so that a view need not prepare them anew (`Kept`).
     text: lines of the status, bottom left, where the scenes leave most room (empty: hidden);
     help: lines of the key list (empty: hidden), "key<tab>action" for two columns;
     banner: a message across the top, wrapped as needed (None: no banner).
@@ -58,6 +60,33 @@ class Picture:
     text: tuple[str, ...] = ()
     help: tuple[str, ...] = ()
     banner: str | None = None
+
+
+class Kept:
+    """A value that is made anew only when what it is made of changed."""
+
+    def __init__(self):
+        self._of, self._value = None, None
+
+    def get(self, make, *of):
+        """make(*of), or what it made last where `of` are the same arrays and equal other things."""
+        if self._of is None or not all(map(_unchanged, self._of, of)):
+            self._of, self._value = of, make(*of)
+        return self._value
+
+
+def _unchanged(before, now) -> bool:
+    return before is now or (not isinstance(now, np.ndarray) and before == now)
+
+
+def are_numbers(points: np.ndarray) -> np.ndarray:
+    """Which of the points (n, dim) are finite, (n,) bool."""
+    return np.isfinite(points @ np.ones(points.shape[1], points.dtype))
+
+
+def between_shown(segments: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """The segments whose two particles are shown; shown: (n,) bool."""
+    return segments if shown.all() else segments[shown[segments].all(axis=1)]
 
 
 class View(Protocol):

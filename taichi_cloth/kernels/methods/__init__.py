@@ -1,7 +1,8 @@
 """Time-integration methods, one file each, discovered by name.
 
-A method's file has a docstring with its formula and source, `CLAIMS`, and `step(features, state)`,
-a ti.func that advances the state by state.dt[None]. Adding a method is adding a file.
+A method's file has a docstring with its formula and source, `CLAIMS`, and `step(plan, state, t)`,
+a ti.func that advances the state by state.dt[None], as thread t of those that share the work.
+Adding a method is adding a file.
 """
 
 import importlib

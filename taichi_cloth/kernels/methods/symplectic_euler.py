@@ -7,7 +7,7 @@ drag, so the energy error stays bounded; stable while dt*omega < 2.
 import taichi as ti
 
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
-from taichi_cloth.kernels.forces import compute_acceleration
+from taichi_cloth.kernels.forces import accelerate_then
 from taichi_cloth.kernels.methods.claims import Claims
 from taichi_cloth.kernels.watch import store
 
@@ -15,11 +15,14 @@ CLAIMS = Claims(order=1, symplectic=True, implicit=False, stability_limit=2.0)
 
 
 @ti.func
-def step(features: ti.template(), state: ti.template()):
+def move(plan: ti.template(), state: ti.template(), c, a):
     dt = state.dt[None]
-    compute_acceleration(features, state)
-    compute_contacts(features, state)
-    for i in range(state.n[None]):
-        v = state.v[i] + dt * state.a[i] + velocity_jump(features, state, i)
-        x = kept_above_floor(features, state, i, state.x[i] + dt * v, v)
-        store(state, i, x, v)
+    v = state.v[c] + dt * a + velocity_jump(plan, state, c)
+    x = kept_above_floor(plan, state, c, state.x[c] + dt * v, v)
+    store(plan, state, c, x, v)
+
+
+@ti.func
+def step(plan: ti.template(), state: ti.template(), t):
+    compute_contacts(plan, state)
+    accelerate_then(plan, state, t, move)

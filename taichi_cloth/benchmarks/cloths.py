@@ -1,0 +1,58 @@
+"""The cloths that contestants simulate, as scenes of ours."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taichi_cloth.cloth import grid
+from taichi_cloth.scene import ParticleDefaults, Scene, SpringDefaults, Springs, World
+from taichi_cloth.scenes import build
+
+# Warp's benchmark (warp/examples/benchmarks/benchmark_cloth.py), in metres, kilograms and seconds.
+WARP_SPACING, WARP_MASS, WARP_STIFFNESS, WARP_DAMPING = 0.1, 0.1, 1000.0, 10.0
+WARP_FRAME, WARP_SUBSTEPS, WARP_GRAVITY = 1 / 60, 16, 9.81
+
+# The structural cloth is advanced in frames of this many steps of 1, its scene's unit of time.
+STRUCTURAL_SUBSTEPS = 16
+
+
+def structural(columns: int, rows: int) -> Scene:
+    """The scene `cloth` without walls, fracture and mouse, disturbed by velocities of 0.3."""
+    full = build("cloth", columns=columns, rows=rows)
+    velocity = np.random.default_rng(0).normal(0, 0.3, full.particles.velocity.shape)
+    full.particles.velocity[:] = np.where(full.particles.fixed[:, None], 0.0, velocity)
+    springs = full.springs
+    return Scene(
+        name="structural",
+        world=full.with_world(mouse="none", walls=()).world,
+        particles=full.particles,
+        springs=Springs.build(
+            springs.between,
+            full.particles.position,
+            stiffness=springs.stiffness,
+            rest_length=springs.rest_length,
+        ),
+    )
+
+
+def warp_cloth(size: int, gravity: float = WARP_GRAVITY) -> Scene:
+    """Warp's cloth: flat in x and z, two corners pinned; all three kinds of link, y points up."""
+    particles, springs = grid(
+        (0.0, 0.0, 0.0),
+        size,
+        size,
+        WARP_SPACING,
+        pinned=[(0, 0), (size - 1, 0)],
+        links=("structural", "shear", "bend"),
+        across=(1.0, 0.0, 0.0),
+        down=(0.0, 0.0, 1.0),
+        particle_defaults=ParticleDefaults(mass=WARP_MASS, radius=0.0),
+        spring_defaults=SpringDefaults(stiffness=WARP_STIFFNESS, damping=WARP_DAMPING),
+    )
+    reach = 4 * WARP_SPACING * size
+    return Scene(
+        name="warp",
+        world=World(size=(reach,) * 3, gravity=(0.0, -gravity, 0.0), dt=WARP_FRAME),
+        particles=particles,
+        springs=springs,
+    )

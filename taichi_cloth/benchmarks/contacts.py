@@ -1,0 +1,122 @@
+"""Colliding spheres at constant density: a step, the grid's build, and its query.
+
+The radius falls with the cube root of the count, so that a sphere always has as many neighbours.
+Build: sorting all spheres into cells. Query: finding and resolving the collisions with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from taichi_cloth.benchmarks import ours
+from taichi_cloth.benchmarks.contest import Bench
+from taichi_cloth.benchmarks.report import Row
+
+PART = "contacts"
+COUNTS = (1_000, 3_000, 10_000, 30_000, 100_000, 200_000)
+QUICK_COUNTS = (1_000, 10_000)
+DENSE = (100_000, 1.8)  # a count and the radius of its spheres, which set the density
+SUBSTEPS = 2  # of a frame
+WORK = 100_000  # spheres times frames in a round, at least
+FITTED = 10_000  # from this count on, starting threads for the loops no longer shows
+WHOLE, SORT, QUERY = "whole step", "build", "query"
+SCENE = "taichi_cloth.scenes:build"
+
+
+def measure(bench: Bench) -> Iterator[Row]:
+    """One contest a count: whole steps, building alone, building and querying."""
+    rows = []
+    for count in QUICK_COUNTS if bench.quick else COUNTS:
+        rows += _measure_count(bench, count)
+    yield from rows
+    for name in (WHOLE, SORT, QUERY):
+        exponent = fitted_exponent([row for row in rows if row.contestant == name])
+        if exponent is not None:
+            yield Row(
+                part=PART,
+                contestant=f"{name}: exponent of the time's growth from {FITTED} spheres on",
+                rate=exponent,
+                target="<= 1.2",
+            )
+    for row in rows:
+        if row.contestant == WHOLE and row.size == f"{DENSE[0]}":
+            yield Row(
+                part=PART,
+                contestant=f"frames of {SUBSTEPS} steps",
+                size=row.size,
+                rate=1 / (SUBSTEPS * row.seconds),
+                unit="frames/s",
+                target=">= 10",
+            )
+
+
+def _measure_count(bench: Bench, count: int) -> list[Row]:
+    radius = DENSE[1] * (DENSE[0] / count) ** (1 / 3)
+    scene = (SCENE, {"name": "box", "particles": count, "radius": radius})
+    settings = {"substeps": SUBSTEPS, "topology": "graph", "execution": "parallel"}
+    reference = ours.reference(bench, PART, scene, count, frames=[1], **settings)
+    frames = ours.enter(
+        bench,
+        PART,
+        WHOLE,
+        scene,
+        precision="f32",
+        size=f"{count}",
+        particles=count,
+        units=max(1, WORK // count),
+        kind="taichi_cloth.benchmarks.contestants:Collisions",
+        **settings,
+    )
+    if not bench.mark_after(PART, [frames], 1):
+        return []
+    units = SUBSTEPS * frames.units
+    build, query = (
+        replace(frames, name=name, method=method, steps=1, units=units, seconds=[], marks={})
+        for name, method in ((SORT, "build"), (QUERY, "build_and_query"))
+    )
+    finished = bench.race(PART, [frames, build, query])
+    if query in finished and build in finished:  # what querying takes is the difference
+        pairs = zip(query.seconds, build.seconds, strict=True)
+        query.seconds = [both - sorting for both, sorting in pairs]
+    against = "an f64 run at a sixteenth of the step, after the first frame"
+    rows = bench.rows(PART, finished, reference, against)
+    frames.drop()
+    return rows
+
+
+def fitted_exponent(rows: Sequence[Row]) -> float | None:
+    """p in time ~ count**p, fitted to the logarithms; None for less than two counts."""
+    points = [(int(row.size), row.seconds) for row in rows if int(row.size) >= FITTED]
+    if len(points) < 2:
+        return None
+    counts, seconds = np.log(np.array(points)).T
+    return float(np.polyfit(counts, seconds, 1)[0])
+
+
+def plot(rows: Sequence[Row], path: Path) -> None:
+    """Time a step by the number of spheres, both logarithmic. Raises ImportError, InputError."""
+    import matplotlib
+
+    from taichi_cloth.atomic import PendingFile
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(6, 4), layout="constrained")
+    for name in (WHOLE, SORT, QUERY):
+        mine = [row for row in rows if row.contestant == name and row.seconds is not None]
+        counts, seconds = [int(row.size) for row in mine], [1e3 * row.seconds for row in mine]
+        exponent = fitted_exponent(mine)
+        label = name if exponent is None else f"{name} (~ n^{exponent:.2f})"
+        axes.loglog(counts, seconds, "o-", label=label)
+    axes.set(xlabel="spheres", ylabel="ms a step", title="Collisions at constant density, f32")
+    axes.grid(which="both", alpha=0.3)
+    axes.legend()
+    PendingFile(path).fill(
+        lambda file: figure.savefig(file, format="png", dpi=120, metadata={"Software": None})
+    )
+    pyplot.close(figure)

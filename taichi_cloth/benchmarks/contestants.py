@@ -1,0 +1,162 @@
+"""What runs on Taichi, in the contestants' processes: ours, and kernels of the benchmark's own."""
+
+import functools
+import importlib
+
+import numpy as np
+import taichi as ti
+
+from taichi_cloth import runtime, topology
+from taichi_cloth.benchmarks.cloths import STRUCTURAL_SUBSTEPS, structural
+from taichi_cloth.kernels.contact import compute_pair_bounces, sort_into_cells
+from taichi_cloth.scene import Scene
+from taichi_cloth.simulation import Simulation
+
+
+@functools.cache
+def started(arch: str, precision: str, threads: int | None) -> runtime.Device:
+    """Start Taichi once in a process."""
+    return runtime.start(arch, precision, threads)
+
+
+def scene_of(words: str, arguments: dict) -> Scene:
+    """The scene that the function "module:name" makes of its arguments."""
+    module, _, name = words.partition(":")
+    return getattr(importlib.import_module(module), name)(**arguments)
+
+
+class Ours:
+    """A unit of work is a frame.
+
+    scene: "module:function" and its arguments. batch: frames in one call, None for all of a
+    round's. The other arguments are `Simulation`'s and `runtime.start`'s.
+    """
+
+    def __init__(
+        self,
+        scene: tuple[str, dict],
+        precision: str,
+        threads: int | None = None,
+        arch: str = "cpu",
+        batch: int | None = None,
+        **settings,
+    ):
+        device = started(arch, precision, threads)
+        self.sim = Simulation(scene_of(*scene), **settings)
+        self.batch = batch
+        serial = self.sim.execution == "serial"
+        self.about = {
+            "threads": 1 if serial else device.threads,
+            "execution": self.sim.execution,
+            "topology": self.sim.topology,
+        }
+
+    def advance(self, units: int) -> None:
+        for done in range(0, units, self.batch or units):
+            self.sim.advance(min(self.batch or units, units - done))
+        ti.sync()
+
+    def positions(self) -> np.ndarray:
+        return self.sim.positions()
+
+
+STRIDES = 16  # numbers that one thread of a copy moves: some drivers limit how many there are
+
+
+@ti.data_oriented
+class PlainGather:
+    """The structural cloth as one writes it first: compressed rows, an array of vectors.
+
+    One particle at a time sums over its springs; a unit of work is 16 steps, f32.
+    """
+
+    def __init__(self, side: int, threads: int):
+        started("cpu", "f32", threads)
+        scene = structural(side, side)
+        p, s = scene.particles, scene.springs
+        half = topology.half_springs(s.between, len(p))
+        self.dt, self.viscous = scene.world.dt, float(p.viscous[0])
+        self.gravity = ti.Vector(list(scene.world.gravity))
+        self.x, self.v = (ti.Vector.field(2, ti.f32, len(p)) for _ in range(2))
+        self.w = ti.field(ti.f32, len(p))
+        self.row, self.far = ti.field(ti.i32, len(p) + 1), ti.field(ti.i32, len(half.far))
+        self.k, self.rest = (ti.field(ti.f32, len(half.far)) for _ in range(2))
+        for field, values in (
+            (self.x, p.position),
+            (self.v, p.velocity),
+            (self.w, np.where(p.fixed, 0, 1 / p.mass)),
+            (self.k, s.stiffness[half.spring]),
+            (self.rest, s.rest_length[half.spring]),
+        ):
+            field.from_numpy(values.astype(np.float32))
+        self.row.from_numpy(half.row)
+        self.far.from_numpy(half.far)
+        self.about = {"execution": "parallel", "topology": "graph"}
+
+    @ti.kernel
+    def step(self):
+        for i in self.x:
+            x, v, w = self.x[i], self.v[i], self.w[i]
+            f = -self.viscous * v
+            for h in range(self.row[i], self.row[i + 1]):
+                d = self.x[self.far[h]] - x
+                length = d.norm()
+                if length > 0.0:
+                    f += self.k[h] * (length - self.rest[h]) * d / length
+            if w > 0.0:
+                self.v[i] = v + self.dt * (self.gravity + w * f)
+        for i in self.x:
+            self.x[i] += self.dt * self.v[i]
+
+    def advance(self, units: int):
+        for _ in range(units * STRUCTURAL_SUBSTEPS):
+            self.step()
+        ti.sync()
+
+    def positions(self):
+        return self.x.to_numpy()
+
+
+@ti.kernel
+def sort(plan: ti.template(), state: ti.template()):
+    sort_into_cells(plan, state)
+
+
+@ti.kernel
+def sort_and_bounce(plan: ti.template(), state: ti.template()):
+    compute_pair_bounces(plan, state)
+
+
+class Collisions(Ours):
+    """Ours, of which also the search for collisions can be run alone."""
+
+    def build(self, units: int):
+        for _ in range(units):
+            sort(self.sim._plan, self.sim._state)
+        ti.sync()
+
+    def build_and_query(self, units: int):
+        for _ in range(units):
+            sort_and_bounce(self.sim._plan, self.sim._state)
+        ti.sync()
+
+
+class Copy:
+    """A copy of `count` floats (a multiple of STRIDES) on a backend: two numbers moved for each."""
+
+    def __init__(self, arch: str, count: int):
+        started(arch, "f32", None)
+        self.a, self.b = ti.field(ti.f32, count), ti.field(ti.f32, count)
+
+    def advance(self, units: int):
+        for _ in range(units):
+            copy(self.a, self.b)
+        ti.sync()
+
+
+@ti.kernel
+def copy(a: ti.template(), b: ti.template()):
+    stride = ti.static(a.shape[0] // STRIDES)
+    for i in range(stride):
+        for k in ti.static(range(STRIDES)):
+            b[i + k * stride] = a[i + k * stride]

@@ -1,0 +1,123 @@
+"""The structural cloth on a GPU, beside the bandwidth of its memory.
+
+A step must read and write each particle's position and velocity and read its inverse mass: 36
+bytes in f32 and two dimensions; whatever else a topology moves counts against it. The bandwidth is
+that of a copy of 256 MiB on the same backend.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+
+from taichi_cloth import doctor, runtime
+from taichi_cloth.benchmarks import ours
+from taichi_cloth.benchmarks.cloths import STRUCTURAL_SUBSTEPS
+from taichi_cloth.benchmarks.contest import Bench
+from taichi_cloth.benchmarks.report import Row
+from taichi_cloth.benchmarks.structural import SCENE
+
+PART = "gpu"
+SIDES = (128, 512, 2048)
+QUICK_SIDES = (128,)
+BACKENDS = ("cuda", "vulkan")
+WORK = 30_000_000  # particle-steps in a round, about
+FRAMES = 1  # of 16 steps: when the error is measured
+BYTES = 36  # that must move for a step of a particle
+COPIED = 2**26  # floats
+SOFTWARE = re.compile("llvmpipe|lavapipe|swiftshader|softpipe|basic render", re.I)
+
+
+def measure(bench: Bench) -> Iterator[Row]:
+    """Each backend that is there, one after the other."""
+    bench.tell("looking for GPUs", 0, 1)
+    usable = runtime.usable_backends()
+    for arch in [bench.arch] if bench.arch else BACKENDS:
+        if usable[arch]:
+            bench.leave_out(PART, arch, "", f"not usable here; it needs {usable[arch]}")
+            continue
+        device = _device(arch)
+        software = bool(device and SOFTWARE.search(device))
+        if software and not bench.arch:
+            why = f"only a software driver here ({device}); --arch vulkan times that"
+            bench.leave_out(PART, arch, "", why)
+            continue
+        note = f"a software driver, on the processor: {device}" if software else device or ""
+        yield from _measure_backend(bench, arch, note)
+
+
+def _device(arch: str) -> str | None:
+    """The name of a backend's device, where the system tells."""
+    if arch == "vulkan":
+        return doctor.vulkan_device()
+    if arch == "cuda" and shutil.which("nvidia-smi"):
+        command = ["nvidia-smi", "--query-gpu=name", "--format=csv,noheader"]
+        done = subprocess.run(command, capture_output=True, text=True)
+        return done.stdout.partition("\n")[0].strip() or None
+    return None
+
+
+def _measure_backend(bench: Bench, arch: str, note: str) -> Iterator[Row]:
+    shared = {"library": f"ours {arch}", "precision": "f32", "threads": 1}
+    copy = bench.enter(
+        PART,
+        f"{arch}: copy",
+        "taichi_cloth.benchmarks.contestants:Copy",
+        {"arch": arch, "count": COPIED},
+        size=f"2 x {COPIED}",
+        particles=COPIED,
+        steps=1,
+        units=4,
+        packages=ours.PACKAGES,
+        **shared,
+    )
+    bandwidth = None
+    for row in bench.rows(PART, bench.race(PART, [copy]), {}, ""):
+        bandwidth = 8 * COPIED / row.seconds
+        row.rate, row.unit, row.threads, row.note = bandwidth / 1e9, "GB/s", None, note
+        yield row
+    if copy:
+        copy.drop()
+    for side in QUICK_SIDES if bench.quick else SIDES:
+        yield from _measure_size(bench, arch, side, note, bandwidth)
+
+
+def _measure_size(
+    bench: Bench, arch: str, side: int, note: str, bandwidth: float | None
+) -> Iterator[Row]:
+    size, scene = f"{side} x {side}", (SCENE, {"columns": side, "rows": side})
+    settings = {"dt": float(STRUCTURAL_SUBSTEPS), "substeps": STRUCTURAL_SUBSTEPS}
+    reference = ours.reference(bench, PART, scene, side * side, frames=[FRAMES], **settings)
+    contestants = [
+        ours.enter(
+            bench,
+            PART,
+            f"{arch}: ours, {layout}",
+            scene,
+            precision="f32",
+            arch=arch,
+            size=size,
+            particles=side * side,
+            units=max(1, WORK // (side * side * STRUCTURAL_SUBSTEPS)),
+            topology=layout,
+            **settings,
+        )
+        for layout in ours.TOPOLOGIES
+    ]
+    finished = bench.race(PART, bench.mark_after(PART, contestants, FRAMES))
+    against = f"an f64 run on the CPU at a sixteenth of the step, after {STRUCTURAL_SUBSTEPS} steps"
+    for row in bench.rows(PART, finished, reference, against):
+        row.threads, row.note = None, note
+        yield row
+        if bandwidth:
+            yield Row(
+                part=PART,
+                contestant=f"{row.contestant}: {BYTES} bytes a particle-step, of the copy's speed",
+                size=size,
+                rate=100 * BYTES * row.rate / bandwidth,
+                unit="%",
+            )
+    for contestant in finished:
+        contestant.drop()

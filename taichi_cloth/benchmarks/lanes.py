@@ -1,0 +1,49 @@
+"""How many particles a cell should hold, by precision.
+
+The structural cloth on the grid topology, in parallel. Lanes of 1 take no vectors at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from taichi_cloth.benchmarks import ours
+from taichi_cloth.benchmarks.cloths import STRUCTURAL_SUBSTEPS
+from taichi_cloth.benchmarks.contest import Bench
+from taichi_cloth.benchmarks.report import Row
+from taichi_cloth.benchmarks.structural import SCENE
+
+PART = "lanes"
+SIDE, QUICK_SIDE = 512, 128
+LANES = (1, 2, 4, 8, 16)
+FRAMES = 6  # of 16 steps: when the error is measured
+
+
+def measure(bench: Bench) -> Iterator[Row]:
+    """All widths in both precisions, against each other."""
+    side = QUICK_SIDE if bench.quick else SIDE
+    scene, particles = (SCENE, {"columns": side, "rows": side}), side * side
+    settings = {"dt": float(STRUCTURAL_SUBSTEPS), "substeps": STRUCTURAL_SUBSTEPS}
+    reference = ours.reference(bench, PART, scene, particles, frames=[FRAMES], **settings)
+    contestants = [
+        ours.enter(
+            bench,
+            PART,
+            f"{lanes} lane{'s' * (lanes > 1)}",
+            scene,
+            precision=precision,
+            size=f"{side} x {side}",
+            particles=particles,
+            units=2,
+            topology="lanes",
+            execution="parallel",
+            lanes=lanes,
+            **settings,
+        )
+        for precision in ("f32", "f64")
+        for lanes in LANES
+    ]
+    finished = bench.race(PART, contestants, marks=[FRAMES])
+    steps = FRAMES * STRUCTURAL_SUBSTEPS
+    against = f"an f64 run at a sixteenth of the step, after {steps} steps"
+    yield from bench.rows(PART, finished, reference, against)

@@ -1,0 +1,90 @@
+"""Our own contestants, as the parts enter them: a simulation on a topology, in a precision."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taichi_cloth.benchmarks.contest import FINER, Bench, Contestant, ContestantFailed
+
+KIND = "taichi_cloth.benchmarks.contestants:Ours"
+PACKAGES = ("taichi-cloth", "taichi")
+TOPOLOGIES = ("lanes", "graph")
+SERIAL_BEST = 5000  # particles up to which one thread does as well as several
+
+
+def enter(
+    bench: Bench,
+    part: str,
+    name: str,
+    scene: tuple[str, dict],
+    *,
+    precision: str,
+    size: str,
+    particles: int,
+    units: int,
+    substeps: int = 1,
+    threads: int | None = None,
+    arch: str = "cpu",
+    kind: str = KIND,
+    **settings,
+) -> Contestant | None:
+    """Enter a simulation of ours, `units` frames a round."""
+    threads = threads or bench.threads
+    arguments = {"scene": scene, "precision": precision, "arch": arch, "substeps": substeps}
+    if arch == "cpu":
+        arguments["threads"] = threads
+    return bench.enter(
+        part,
+        name,
+        kind,
+        arguments | settings,
+        library=f"ours {arch}",
+        precision=precision,
+        threads=threads,
+        size=size,
+        particles=particles,
+        steps=substeps,
+        units=units,
+        packages=PACKAGES,
+    )
+
+
+def reference(
+    bench: Bench,
+    part: str,
+    scene: tuple[str, dict],
+    particles: int,
+    substeps: int,
+    frames: list[int],
+    **settings,
+) -> dict[int, np.ndarray]:
+    """Positions after each of `frames` (ascending) in f64 with steps FINER times shorter."""
+    # Measuring what is fastest would itself take many of its long frames.
+    settings = {
+        "topology": "lanes",
+        "execution": "parallel" if particles > SERIAL_BEST else "serial",
+    } | settings
+    contestant = enter(
+        bench,
+        part,
+        "the reference",
+        scene,
+        precision="f64",
+        size="",
+        particles=particles,
+        units=1,
+        substeps=substeps * FINER,
+        **settings,
+    )
+    if contestant is None:
+        return {}
+    try:
+        for frame in frames:
+            while contestant.done < frame:
+                bench.tell("the reference, f64 at a sixteenth of the step", contestant.done, frame)
+                contestant.advance(1)
+            contestant.mark()
+    except ContestantFailed as failure:
+        bench.leave_out(part, "the reference", "", str(failure))
+    contestant.drop()
+    return contestant.marks

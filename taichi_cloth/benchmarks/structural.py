@@ -1,0 +1,218 @@
+"""A structural cloth of 1024 x 1024 against C++ compiled here, beside the memory's speed.
+
+C++ is compiled here and now. Its state is the same, in f32; it has no watchdog. `csr` goes over
+the particles and, for each, over compressed rows; `grid` knows that the cloth is a grid, keeps an
+array for each number and a stiffness for each link, and is vectorised. The plain gather is the
+same as `csr`, in Taichi: what one writes first.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from taichi_cloth import topology
+from taichi_cloth.benchmarks import machine, ours
+from taichi_cloth.benchmarks.cloths import STRUCTURAL_SUBSTEPS, structural
+from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
+from taichi_cloth.benchmarks.report import Row
+
+PART = "structural"
+FLAGS = ("-O3", "-march=native", "-ffast-math", "-fopenmp", "-shared", "-fPIC")
+MARGIN = 16  # numbers before and after an array, so that a neighbour beyond it can be read
+FRAMES = 6  # of 16 steps: when the error is measured
+SCENE = "taichi_cloth.benchmarks.cloths:structural"
+
+
+def measure(bench: Bench) -> Iterator[Row]:
+    """Time all contestants on one cloth, then the triad."""
+    side = 256 if bench.quick else 1024
+    size, scene = f"{side} x {side}", (SCENE, {"columns": side, "rows": side})
+    shared = {"size": size, "particles": side * side, "units": 2}
+    dt = float(STRUCTURAL_SUBSTEPS)
+    reference = ours.reference(
+        bench, PART, scene, side * side, STRUCTURAL_SUBSTEPS, [FRAMES], dt=dt
+    )
+    entered: dict[tuple[str, str], Contestant | None] = {}
+    for precision in ("f32", "f64"):
+        for layout in ours.TOPOLOGIES:
+            entered[layout, precision] = ours.enter(
+                bench,
+                PART,
+                f"ours, {layout}",
+                scene,
+                precision=precision,
+                substeps=STRUCTURAL_SUBSTEPS,
+                dt=dt,
+                topology=layout,
+                execution="parallel",
+                **shared,
+            )
+    gather = bench.enter(
+        PART,
+        "plain gather in Taichi (yardstick)",
+        "taichi_cloth.benchmarks.contestants:PlainGather",
+        {"side": side, "threads": bench.threads},
+        library="gather",
+        precision="f32",
+        threads=bench.threads,
+        steps=STRUCTURAL_SUBSTEPS,
+        packages=("taichi",),
+        **shared,
+    )
+    cpp = {
+        kind: _enter_compiled(bench, f"C++, {kind}", kind, {"side": side}, **shared)
+        for kind in ("csr", "grid")
+    }
+    racing = [*entered.values(), gather, *cpp.values()]
+    finished = bench.race(PART, racing, marks=[FRAMES])
+    steps = FRAMES * STRUCTURAL_SUBSTEPS
+    against = f"an f64 run at a sixteenth of the step, after {steps} steps"
+    yield from bench.rows(PART, finished, reference, against)
+
+    def ratio(name, fast, slow, target):
+        return compare(PART, size, name, fast, slow, target)
+
+    lanes, graph = entered["lanes", "f32"], entered["graph", "f32"]
+    yield from ratio("ours, lanes, to C++ grid", lanes, cpp["grid"], ">= 0.75")
+    yield from ratio("ours, lanes, to the plain gather", lanes, gather, ">= 4")
+    yield from ratio("ours, graph, to C++ csr", graph, cpp["csr"], ">= 0.9")
+    yield from ratio("ours, lanes, f64 to f32", entered["lanes", "f64"], lanes, ">= 0.45")
+    for other in (entered["graph", "f64"], cpp["grid"], cpp["csr"], gather):
+        yield from separation(PART, lanes, other, FRAMES, "px")
+    yield from _triad(bench, side)
+
+
+def _triad(bench: Bench, side: int) -> Iterator[Row]:
+    """How fast the machine moves numbers: arrays of the cloth's size, and larger than caches."""
+    numbers = {"the cloth's size": side * side, "64 MiB": 2**24}
+    contestants = [
+        _enter_compiled(
+            bench,
+            f"STREAM triad, arrays of {words}",
+            "stream",
+            {"count": count},
+            size=f"3 x {count}",
+            particles=count,
+            units=max(1, 2**26 // count),
+            steps=1,
+        )
+        for words, count in numbers.items()
+    ]
+    finished = bench.race(PART, contestants)
+    for row, contestant in zip(bench.rows(PART, finished, {}, ""), finished, strict=True):
+        row.rate, row.unit = 12e-9 * contestant.particles / row.seconds, "GB/s"
+        yield row
+
+
+def _enter_compiled(
+    bench: Bench, name: str, kind: str, arguments: dict, steps=STRUCTURAL_SUBSTEPS, **shared
+) -> Contestant | None:
+    if not machine.installed("g++"):
+        bench.leave_out(PART, name, shared["size"], "no g++ here; install a C++ compiler")
+        return None
+    return bench.enter(
+        PART,
+        name,
+        f"{__name__}:{kind.capitalize()}",
+        {"folder": str(bench.folder), **arguments},
+        library="C++",
+        precision="f32",
+        threads=bench.threads,
+        steps=steps,
+        packages=("g++",),
+        **shared,
+    )
+
+
+# ------------------------------------------------------------------------------------------
+# In the contestants' process
+
+
+def compiled(folder: str) -> ctypes.CDLL:
+    """The C++ functions, compiled for this processor; RuntimeError with the compiler's words."""
+    library = Path(folder, "yardsticks.so")
+    if not library.exists():
+        sources = sorted(Path(__file__).with_name("cpp").glob("*.cpp"))
+        command = ["g++", *FLAGS, *map(str, sources), "-o", str(library)]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode:
+            raise RuntimeError(f"g++: {done.stderr.strip().splitlines()[0]}")
+    return ctypes.CDLL(str(library))
+
+
+def _call(function, *arguments) -> None:
+    """Call a C function: int as int, float as float, arrays as pointers; the first is a long."""
+    converted = [ctypes.c_long(arguments[0])]
+    for value in arguments[1:]:
+        if isinstance(value, np.ndarray):
+            converted.append(value.ctypes.data_as(ctypes.c_void_p))
+        else:
+            converted.append((ctypes.c_float if isinstance(value, float) else ctypes.c_int)(value))
+    function(*converted)
+
+
+class Csr:
+    """Compressed rows; positions and velocities as arrays of (x, y)."""
+
+    def __init__(self, folder: str, side: int, rows: int | None = None):
+        self.step = compiled(folder).csr_steps
+        scene = structural(side, rows or side)
+        p, s = scene.particles, scene.springs
+        half = topology.half_springs(s.between, len(p))
+        self.x, v = (np.ascontiguousarray(a, np.float32) for a in (p.position, p.velocity))
+        k, rest = (a[half.spring].astype(np.float32) for a in (s.stiffness, s.rest_length))
+        w = np.where(p.fixed, 0, 1 / p.mass).astype(np.float32)
+        numbers = scene.world.dt, scene.world.gravity[1], float(p.viscous[0])
+        self.arguments = (len(p), *numbers, half.row, half.far, k, rest, w, self.x, v)
+
+    def advance(self, units: int) -> None:
+        _call(self.step, units * STRUCTURAL_SUBSTEPS, *self.arguments)
+
+    def positions(self) -> np.ndarray:
+        return self.x
+
+
+class Grid:
+    """A regular grid; an array for each number."""
+
+    def __init__(self, folder: str, side: int, rows: int | None = None):
+        self.step = compiled(folder).grid_steps
+        scene = structural(side, rows or side)
+        p, s = scene.particles, scene.springs
+        a, b = s.between.T  # to the left neighbour b = a - 1, or the upper one
+        k = np.zeros((2, len(p)))
+        k[np.where(a - b == 1, 0, 1), b] = s.stiffness
+        w = np.where(p.fixed, 0, 1 / p.mass)
+        numbers = scene.world.dt, scene.world.gravity[1], float(p.viscous[0])
+        arrays = [self._padded(c) for c in (*k, w, *p.position.T, *p.velocity.T)]
+        self.x, self.y = arrays[3:5]
+        shape = (side, len(p) // side)
+        self.arguments = (*shape, *numbers, float(s.rest_length[0]), *arrays)
+
+    @staticmethod
+    def _padded(values: np.ndarray) -> np.ndarray:
+        return np.pad(values.astype(np.float32), MARGIN)[MARGIN:-MARGIN]
+
+    def advance(self, units: int) -> None:
+        _call(self.step, units * STRUCTURAL_SUBSTEPS, *self.arguments)
+
+    def positions(self) -> np.ndarray:
+        return np.stack([self.x, self.y], axis=1)
+
+
+class Stream:
+    """Three arrays of `count` floats."""
+
+    def __init__(self, folder: str, count: int):
+        self.triad = compiled(folder).stream_triad
+        self.arrays = [np.full(count, value, np.float32) for value in (0, 1, 2)]
+
+    def advance(self, units: int) -> None:
+        count = ctypes.c_long(len(self.arrays[0]))
+        pointers = (a.ctypes.data_as(ctypes.c_void_p) for a in self.arrays)
+        self.triad(ctypes.c_long(units), count, ctypes.c_float(3.0), *pointers)

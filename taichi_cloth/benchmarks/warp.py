@@ -1,0 +1,204 @@
+"""Warp's cloth benchmark, by ours and by Warp's own versions of it.
+
+Structural, shear and bend springs with k 1000 and axial dashpots 10, mass 0.1, spacing 0.1, two
+pinned corners, 16 steps a frame, 60 frames a second. The others are the files of the installed
+`warp-lang` (warp/examples/benchmarks/benchmark_cloth_*.py), unchanged. Warp on the CPU has one
+thread; the Taichi version copies the positions out after each frame, as written there.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+
+from taichi_cloth.benchmarks import machine, ours
+from taichi_cloth.benchmarks.cloths import WARP_FRAME, WARP_SUBSTEPS
+from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
+from taichi_cloth.benchmarks.report import Row
+
+PART = "warp"
+SCENE = "taichi_cloth.benchmarks.cloths:warp_cloth"
+SECOND = 60  # frames: when trajectories are compared
+# Side of the cloth: frames in a round, and the frame at which the error is measured.
+SIZES = {32: (30, 60), 128: (12, 60), 512: (6, 12)}
+PEERS = {  # name: file, class, argument besides the cloth, largest size
+    "Warp": ("warp", "WpIntegrator", ("cpu",), 512),
+    "Warp's Taichi version": ("taichi", "TiIntegrator", ("cpu",), 512),
+    "Warp's NumPy version": ("numpy", "NpIntegrator", (), 32),
+}
+NUMPY_GRAVITY = 9.8  # theirs has 9.8 where the others have 9.81
+
+
+def measure(bench: Bench) -> Iterator[Row]:
+    """One contest a size."""
+    for side, (frames, checked) in SIZES.items():
+        if side == 512 and bench.quick:
+            continue
+        yield from _measure_size(bench, side, frames, checked)
+    if not machine.installed("warp-lang"):
+        for name in PEERS:
+            why = 'pip install "taichi-cloth[bench]" (or warp-lang)'
+            bench.leave_out(PART, name, "all sizes", why)
+
+
+def _measure_size(bench: Bench, side: int, frames: int, checked: int) -> Iterator[Row]:
+    size = f"{side} x {side}"
+    scene = (SCENE, {"size": side})
+    entered = {
+        (layout, precision): ours.enter(
+            bench,
+            PART,
+            f"ours, {layout}",
+            scene,
+            precision=precision,
+            substeps=WARP_SUBSTEPS,
+            topology=layout,
+            size=size,
+            particles=side * side,
+            units=frames,
+            batch=1,
+        )
+        for precision in ("f32", "f64")
+        for layout in ours.TOPOLOGIES
+    }
+    shared = ours.enter(
+        bench,
+        PART,
+        "ours, lanes, a round's frames in one call",
+        scene,
+        precision="f32",
+        substeps=WARP_SUBSTEPS,
+        topology="lanes",
+        size=size,
+        particles=side * side,
+        units=frames,
+    )
+    peers = {name: _enter_peer(bench, name, side, size, frames) for name in PEERS}
+    reference = ours.reference(bench, PART, scene, side * side, WARP_SUBSTEPS, [checked])
+    rounds = max(bench.rounds, -(-SECOND // frames) - 1)
+    everyone = [*entered.values(), shared, *peers.values()]
+    finished = bench.race(PART, everyone, marks={checked, SECOND}, rounds=rounds)
+    against = f"an f64 run at a sixteenth of the step, {checked / SECOND:g} s after the start"
+    numpy_version = peers["Warp's NumPy version"]
+    rows = bench.rows(PART, finished, reference, against)
+    if numpy_version in finished:
+        lighter = (SCENE, {"size": side, "gravity": NUMPY_GRAVITY})
+        reference = ours.reference(bench, PART, lighter, side * side, WARP_SUBSTEPS, [checked])
+        (row,) = bench.rows(PART, [numpy_version], reference, against)
+        row.note = f"its gravity is {NUMPY_GRAVITY}, and so is that of what it is compared to"
+        rows[finished.index(numpy_version)] = row
+    yield from rows
+
+    lanes, graph = entered["lanes", "f32"], entered["graph", "f32"]
+    warp, taichi = peers["Warp"], peers["Warp's Taichi version"]
+    yield from compare(PART, size, "ours, lanes, f32, to Warp", lanes, warp, ">= 6")
+    yield from compare(PART, size, "ours, lanes, f32, in one call, to Warp", shared, warp)
+    yield from compare(PART, size, "ours, graph, f32, to Warp", graph, warp)
+    name = "ours, lanes, f32, to Warp's Taichi version"
+    yield from compare(PART, size, name, lanes, taichi, ">= 12")
+    if numpy_version:
+        name = "ours, lanes, f32, to Warp's NumPy version"
+        yield from compare(PART, size, name, lanes, numpy_version)
+    yield from separation(PART, lanes, warp, SECOND, "m", "<= 1e-4")
+    yield from separation(PART, graph, warp, SECOND, "m", "<= 1e-4")
+    yield from separation(PART, lanes, taichi, SECOND, "m")
+    for contestant in filter(None, everyone):
+        contestant.drop()
+
+
+def _enter_peer(bench: Bench, name: str, side: int, size: str, frames: int) -> Contestant | None:
+    file, class_name, arguments, largest = PEERS[name]
+    if side > largest or not machine.installed("warp-lang"):
+        return None
+    return bench.enter(
+        PART,
+        name,
+        f"{__name__}:Theirs",
+        {
+            "file": file,
+            "class_name": class_name,
+            "arguments": arguments,
+            "side": side,
+            "folder": str(bench.folder),
+        },
+        library=file,
+        precision="f32",
+        threads=bench.threads if file == "taichi" else 1,
+        size=size,
+        particles=side * side,
+        steps=WARP_SUBSTEPS,
+        units=frames,
+        packages=("warp-lang", "numpy" if file == "numpy" else "taichi")[: 1 + (file != "warp")],
+    )
+
+
+# ------------------------------------------------------------------------------------------
+# In the contestants' process
+
+
+class Theirs:
+    """One of the package's integrators, driven as its benchmark drives it; a unit is a frame."""
+
+    def __init__(self, file: str, class_name: str, arguments: list, side: int, folder: str):
+        cloth = their_cloth(side, Path(folder))
+        module = _their_module(f"benchmark_cloth_{file}")
+        self.integrator = getattr(module, class_name)(cloth, *arguments)
+
+    def advance(self, units: int) -> None:
+        for _ in range(units):
+            self.at = self.integrator.simulate(WARP_FRAME, WARP_SUBSTEPS)
+
+    def positions(self) -> np.ndarray:
+        return self.at
+
+
+def _their_path(name: str) -> Path:
+    package = importlib.util.find_spec("warp").submodule_search_locations[0]
+    return Path(package, "examples", "benchmarks", f"{name}.py")
+
+
+def _their_module(name: str) -> ModuleType:
+    """A file of the package's, imported once."""
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, _their_path(name))
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
+
+
+def their_cloth(side: int, folder: Path) -> SimpleNamespace:
+    """The cloth of Warp's benchmark, as its class `Cloth` makes it; kept in `folder`.
+
+    The class is taken out of its file, which as a whole would run the benchmark. At 512 x 512
+    it takes seconds, so the first contestant saves its arrays for the others.
+    """
+    saved = folder / f"cloth-{side}.npz"
+    if not saved.exists():
+        source = ast.parse(_their_path("benchmark_cloth").read_text("utf-8"))
+        source.body = [node for node in source.body if getattr(node, "name", "") == "Cloth"]
+        names = {"np": np}
+        exec(compile(source, "benchmark_cloth.py", "exec"), names)
+        k = 1000.0
+        cloth = names["Cloth"](
+            lower=(0.0, 0.0, 0.0),
+            dx=side,
+            dy=side,
+            radius=0.1,
+            stretch_stiffness=k,
+            bend_stiffness=k,
+            shear_stiffness=k,
+            mass=0.1,
+            fix_corners=True,
+        )
+        arrays = {name: a for name, a in vars(cloth).items() if isinstance(a, np.ndarray)}
+        np.savez(saved, **arrays)
+    with np.load(saved) as file:
+        cloth = SimpleNamespace(**dict(file))
+    cloth.num_particles, cloth.num_springs = len(cloth.positions), len(cloth.spring_lengths)
+    return cloth

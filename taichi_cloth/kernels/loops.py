@@ -1,0 +1,90 @@
+"""Loops over cells, run in one of three ways by one source.
+
+serial: a launch holds whole frames, on one thread.
+threads: a launch holds whole frames, on all CPU threads; each takes its share of every loop, and
+    they meet at a barrier after it. Starting a parallel loop takes Taichi some 50 us, a barrier
+    less than one.
+spread: a launch is one step, every loop in it a top-level loop that Taichi makes parallel: GPUs,
+    and scenes with collisions, whose sorting needs more than shares and barriers.
+
+`t` is the number of the thread that runs a loop, 0 where one runs all of it.
+"""
+
+import taichi as ti
+
+from taichi_cloth.kernels.lanes import renew_left_halo, renew_right_halo
+
+# Taichi hands a top-level CPU loop out in pieces of at least 512 iterations, one piece a thread.
+# A loop of 512 iterations a thread, of which one does the work, gives each thread its share.
+PIECE = 512
+# The counter at which threads wait has a cache line to itself.
+COUNTER, COUNTER_SIZE = 32, 64
+
+
+@ti.func
+def share(plan: ti.template(), count, t):
+    """First of thread t's share of `count` things; share(.., t + 1) is its end."""
+    if ti.static(plan.threads == 1):
+        return count * t
+    else:
+        return ti.cast(ti.cast(count, ti.i64) * t // plan.threads, ti.i32)
+
+
+@ti.func
+def barrier(plan: ti.template(), state: ti.template()):
+    """Wait until all threads of a launch are here; nothing where there is but one, or loops are
+    spread.
+
+    Each adds its arrival to a count, and a round is over when the count is a multiple of the
+    number of threads. Reading by an atomic maximum keeps compilers from reading only once.
+    """
+    if ti.static(plan.threads > 1 and not plan.spread):
+        arrived = ti.atomic_add(state.arrivals[COUNTER], 1)
+        goal = (arrived // plan.threads + 1) * plan.threads
+        while ti.atomic_max(state.arrivals[COUNTER], 0) < goal:
+            pass
+
+
+@ti.func
+def each(plan: ti.template(), state: ti.template(), t, count, body: ti.template()):
+    """Run body(plan, state, i) for every i below `count`."""
+    if ti.static(plan.spread):
+        for i in range(count):
+            body(plan, state, i)
+    else:
+        for i in range(share(plan, count, t), share(plan, count, t + 1)):
+            body(plan, state, i)
+    barrier(plan, state)
+
+
+@ti.func
+def each_cell(plan: ti.template(), state: ti.template(), t, body: ti.template()):
+    """Run body(plan, state, c) for every cell c that holds particles, then renew the halos."""
+    if ti.static(plan.lanes == 1):
+        each(plan, state, t, state.n_cells[None], body)
+    elif ti.static(plan.spread):
+        for i in range(plan.threads * PIECE):
+            if i % PIECE == 0:
+                _each_cell_of_rows(plan, state, i // PIECE, body)
+    else:
+        _each_cell_of_rows(plan, state, t, body)
+        barrier(plan, state)
+
+
+@ti.func
+def _each_cell_of_rows(plan: ti.template(), state: ti.template(), t, body: ti.template()):
+    for g in range(state.n_grids[None]):
+        first, rows, width = state.grid[g][0], state.grid[g][1], state.grid[g][2]
+        for r in range(share(plan, rows, t), share(plan, rows, t + 1)):
+            begin = first + r * (width + 2 * plan.halo)
+            for c in range(begin, begin + width):
+                body(plan, state, c)
+            renew_halos(plan, state, begin, width)
+
+
+@ti.func
+def renew_halos(plan: ti.template(), state: ti.template(), begin, width):
+    """Of all that neighbours read, beside the row of cells at `begin`."""
+    for of in ti.static(state.haloed):
+        renew_left_halo(plan, of, begin, width, plan.left_reach)
+        renew_right_halo(plan, of, begin, width, plan.right_reach)

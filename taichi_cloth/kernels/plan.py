@@ -1,0 +1,60 @@
+"""What is compiled for a run: the scene's features, its topology, and how loops are run."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The switches of one compilation; equal plans share their kernels.
+
+    dim, uniform_springs, fracture, dashpots, drag, walls, floor, collisions, blow: the scene's
+        features, as in `scene.Features`.
+    springs: whether there are springs on the graph: all of them, or those that no grid holds.
+    lanes: particles in a cell (`lanes.py`); 1 on a graph and on GPUs.
+    links: (columns, rows) offsets of the grid's links to later particles; empty on a graph.
+    threads, spread: how loops are run (`loops.py`).
+    """
+
+    dim: int
+    springs: bool
+    uniform_springs: bool
+    fracture: bool
+    dashpots: bool
+    drag: bool
+    walls: tuple[tuple[int, int], ...]
+    floor: bool
+    collisions: bool
+    blow: bool
+    lanes: int = 1
+    links: tuple[tuple[int, int], ...] = ()
+    threads: int = 1
+    spread: bool = False
+
+    @property
+    def halo(self) -> int:
+        """Cells beside each row that repeat its other strips' ends; none where a cell is one."""
+        return max((abs(c) for c, _ in self.links), default=0) if self.lanes > 1 else 0
+
+    @property
+    def left_reach(self) -> int:
+        """Columns that links reach to the left; `right_reach`: to the right."""
+        return max((-c for c, _ in self.links), default=0) if self.halo else 0
+
+    @property
+    def right_reach(self) -> int:
+        return max((c for c, _ in self.links), default=0) if self.halo else 0
+
+    @property
+    def depth(self) -> int:
+        """Rows that a link reaches down."""
+        return max((r for _, r in self.links), default=0)
+
+    @property
+    def ring(self) -> int:
+        """Rows of link forces that a sweep remembers: a power of two above the depth."""
+        return 1 << self.depth.bit_length()
+
+    @property
+    def forward(self) -> tuple[int, ...]:
+        """The links in the order in which their far ends are numbered."""
+        return tuple(sorted(range(len(self.links)), key=lambda s: self.links[s][::-1]))

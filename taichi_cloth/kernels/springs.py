@@ -1,0 +1,264 @@
+"""Spring forces, on both topologies: a graph (half-springs in rows) and regular grids (links).
+
+Whatever a spring between two particles contributes is a ti.func `between(plan, state, value, i, j,
+k, rest, c)`: what particle i gets from the spring to j, of which j gets the opposite. It reads
+fields by `value(plan, field, i)`: of whole cells of a grid, or of single particles of a graph.
+`accumulate` sums it over the springs of each cell and hands the sum to `receive(plan, state, c,
+sum)`. Forces are one such contribution, a product with the stiffness matrix is another. No atomics:
+the same bits on every run, for every number of threads.
+"""
+
+import taichi as ti
+
+from taichi_cloth.kernels import laws
+from taichi_cloth.kernels.lanes import (
+    cell_value,
+    renew_left_halo,
+    renew_right_halo,
+    scaled,
+    site_value,
+)
+from taichi_cloth.kernels.loops import PIECE, barrier, renew_halos, share
+
+
+@ti.func
+def accumulate(
+    plan: ti.template(),
+    state: ti.template(),
+    t,
+    between: ti.template(),
+    receive: ti.template(),
+    receive_more: ti.template(),
+):
+    """For every cell c: receive(plan, state, c, sum over its springs).
+
+    In lanes `receive` may already move its cell (see `sweep`); elsewhere it must leave what others
+    read. receive_more(plan, state, site, sum): for the springs that no grid holds, in scenes with
+    grids; it comes after all `receive`.
+    """
+    if ti.static(plan.lanes > 1):
+        if ti.static(plan.spread):
+            for phase in ti.static(range(2)):
+                for i in range(plan.threads * PIECE):
+                    if i % PIECE == 0:
+                        sweep(plan, state, i // PIECE, phase, between, receive)
+        elif ti.static(plan.threads == 1):
+            sweep(plan, state, t, 1, between, receive)
+        else:
+            for phase in range(2):
+                if phase == 1:
+                    barrier(plan, state)
+                sweep(plan, state, t, phase, between, receive)
+    elif ti.static(plan.spread):
+        for c in range(state.n_cells[None]):
+            receive(plan, state, c, sum_at_cell(plan, state, between, c))
+    else:
+        for c in range(
+            share(plan, state.n_cells[None], t), share(plan, state.n_cells[None], t + 1)
+        ):
+            receive(plan, state, c, sum_at_cell(plan, state, between, c))
+    barrier(plan, state)
+    if ti.static(plan.springs and len(plan.links) > 0):
+        if ti.static(plan.spread):
+            for p in range(state.n_near[None]):
+                total = sum_of_half_springs(plan, state, site_value, between, p, state.near[p])
+                receive_more(plan, state, state.near[p], total)
+        else:
+            for p in range(
+                share(plan, state.n_near[None], t), share(plan, state.n_near[None], t + 1)
+            ):
+                total = sum_of_half_springs(plan, state, site_value, between, p, state.near[p])
+                receive_more(plan, state, state.near[p], total)
+        barrier(plan, state)
+
+
+@ti.func
+def sum_at_cell(plan: ti.template(), state: ti.template(), between: ti.template(), c):
+    """Sum over the springs of cell c, each computed from both of its ends."""
+    if ti.static(len(plan.links) > 0):
+        return sum_of_links(plan, state, between, c)
+    elif ti.static(plan.springs):
+        return sum_of_half_springs(plan, state, cell_value, between, c, c)
+    else:
+        return 0.0 * state.x[c]
+
+
+@ti.func
+def force_between(
+    plan: ti.template(), state: ti.template(), value: ti.template(), i, j, k, rest, c
+):
+    """Force of a spring, with its dashpot, on i."""
+    d = value(plan, state.x, j) - value(plan, state.x, i)
+    length = laws.length(d)
+    along = laws.unit(d, length)
+    tension = laws.spring_tension(length, k, rest)
+    if ti.static(plan.dashpots):
+        dv = value(plan, state.v, j) - value(plan, state.v, i)
+        tension += laws.dashpot_tension(dv, along, c)
+    return scaled(tension, along)
+
+
+# --- on a graph ------------------------------------------------------------------------------
+
+
+@ti.func
+def number(plan: ti.template(), of: ti.template(), s):
+    """A (half-)spring's k, rest, c or limit: its own, or the one that all of them share."""
+    if ti.static(plan.uniform_springs):
+        return of[None]
+    else:  # without it, Taichi would read both
+        return of[s]
+
+
+@ti.func
+def sum_of_half_springs(
+    plan: ti.template(), state: ti.template(), value: ti.template(), between: ti.template(), p, i
+):
+    """Sum over the half-springs of the p-th row, which are those of particle i, in their order."""
+    total = 0.0 * value(plan, state.x, i)
+    for h in range(state.near_row[p], state.near_row[p + 1]):
+        c = ti.cast(0.0, state.real)
+        if ti.static(plan.dashpots):
+            c = number(plan, state.c, h)
+        total += between(
+            plan,
+            state,
+            value,
+            i,
+            state.far[h],
+            number(plan, state.k, h),
+            number(plan, state.rest, h),
+            c,
+        )
+    return total
+
+
+# --- on grids --------------------------------------------------------------------------------
+
+
+@ti.func
+def link_value(
+    plan: ti.template(), state: ti.template(), between: ti.template(), s: ti.template(), g, c, pitch
+):
+    """What cell c gets from its links of kind s to later particles.
+
+    A link that is absent or broken has no stiffness, and its dashpot is gone with it.
+    """
+    k = state.link_k[s][c]
+    damping = 0.0 * k
+    if ti.static(plan.dashpots):
+        damping = ti.select(k > 0.0, state.link_c[s, g], 0.0 * k)
+    far = c + plan.links[s][0] + plan.links[s][1] * pitch
+    return between(plan, state, cell_value, c, far, k, state.link_rest[s, g], damping)
+
+
+@ti.func
+def grid_share(plan: ti.template(), rows, t):
+    """First row of thread t's share of a grid; too few rows for all threads are the first one's."""
+    first = share(plan, rows, t)
+    if rows < plan.threads * plan.depth:
+        first = ti.select(t == 0, 0, rows)
+    return first
+
+
+@ti.func
+def tail(plan: ti.template(), state: ti.template(), g, t):
+    """Where the links of the last rows of thread t's share of grid g are kept; before thread 0's
+    there are rows of zeros, for a grid's first rows: they come first, where a run with another
+    number of threads has written nothing.
+    """
+    rows = plan.depth + plan.threads * plan.ring + (g * plan.threads + t) * plan.depth
+    return ti.select(t < 0, 0, rows) * state.row + plan.halo
+
+
+@ti.func
+def give_row(
+    plan: ti.template(), state: ti.template(), between: ti.template(), g, begin, width, here
+):
+    """Compute the links of the row of cells at `begin`, into state.given from `here` on."""
+    for i in range(width):
+        for s in ti.static(range(len(plan.links))):
+            state.given[s][here + i] = link_value(
+                plan, state, between, s, g, begin + i, width + 2 * plan.halo
+            )
+    for s in ti.static(range(len(plan.links))):
+        columns = ti.static(plan.links[s][0])
+        renew_left_halo(plan, state.given[s], here, width, max(columns, 0))
+        renew_right_halo(plan, state.given[s], here, width, max(-columns, 0))
+
+
+@ti.func
+def sweep(
+    plan: ti.template(),
+    state: ti.template(),
+    t,
+    phase,
+    between: ti.template(),
+    receive: ti.template(),
+):
+    """Each link once, row by row, in thread t's share of every grid.
+
+    The links of a row are computed first, into a ring of rows; then the row's cells add up what
+    they give and, negated, what is given to them. Rows above are never looked at again: `receive`
+    may change what `between` reads of its cell. So that no thread changes what another one needs,
+    the last rows of a share, whose links reach into the next one, are computed before all else:
+    that is phase 0, and phase 1 the rest; with one thread there is only phase 1.
+    """
+    for g in range(state.n_grids[None]):
+        first, rows, width = state.grid[g][0], state.grid[g][1], state.grid[g][2]
+        linked = state.grid[g][3] == 1
+        begin, end = grid_share(plan, rows, t), grid_share(plan, rows, t + 1)
+        start = begin
+        if ti.static(plan.threads > 1):
+            if phase == 0:
+                start = end
+                if linked and begin < end:
+                    start = end - plan.depth
+        for r in range(start, end):
+            row = first + r * (width + 2 * plan.halo)
+            here = given_row(plan, state, g, t, begin, end, r)
+            if linked and (phase == 0 or plan.threads == 1 or r < end - plan.depth):
+                give_row(plan, state, between, g, row, width, here)
+            if phase == 1:
+                if linked:
+                    above = ti.Vector([0 for _ in range(ti.static(len(plan.links)))])
+                    for s in ti.static(range(len(plan.links))):
+                        giver = given_row(plan, state, g, t, begin, end, r - plan.links[s][1])
+                        above[s] = giver - plan.links[s][0]
+                    for i in range(width):
+                        total = 0.0 * state.x[row + i]
+                        for s in ti.static(range(len(plan.links))):
+                            total -= state.given[s][above[s] + i]
+                        for s in ti.static(plan.forward):
+                            total += state.given[s][here + i]
+                        receive(plan, state, row + i, total)
+                else:  # particles on no grid
+                    for i in range(width):
+                        receive(plan, state, row + i, 0.0 * state.x[row + i])
+                renew_halos(plan, state, row, width)
+
+
+@ti.func
+def given_row(plan: ti.template(), state: ti.template(), g, t, begin, end, r):
+    """Where the links of row r are kept while thread t sweeps rows begin .. end of grid g."""
+    at = (plan.depth + t * plan.ring + (r & (plan.ring - 1))) * state.row + plan.halo
+    if r < begin:
+        at = tail(plan, state, g, t - 1) + (r - begin + plan.depth) * state.row
+    elif plan.threads > 1 and r >= end - plan.depth:
+        at = tail(plan, state, g, t) + (r - end + plan.depth) * state.row
+    return at
+
+
+@ti.func
+def sum_of_links(plan: ti.template(), state: ti.template(), between: ti.template(), c):
+    """Sum over the links of cell c, each computed from both of its ends: for GPUs."""
+    g = state.grid_of[c]
+    pitch = state.grid[ti.max(g, 0)][2]
+    total = 0.0 * state.x[c]
+    if g >= 0:  # not an empty row, beyond which there may be nothing
+        for s in ti.static(range(len(plan.links))):
+            giver = c - plan.links[s][0] - plan.links[s][1] * pitch
+            total -= link_value(plan, state, between, s, g, giver, pitch)
+        for s in ti.static(plan.forward):
+            total += link_value(plan, state, between, s, g, c, pitch)
+    return total

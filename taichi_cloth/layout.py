@@ -1,0 +1,196 @@
+"""Where particles and springs are stored: on a graph, or in the cells of regular grids (NumPy).
+
+`kernels/lanes.py` draws how a grid lies in its cells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_cloth import topology
+from taichi_cloth.cloth import LINKS
+from taichi_cloth.scene import Springs
+
+# Offsets (columns, rows) from a particle to those that come later and are tied to it.
+FORWARD = tuple((-column, -row) for kind in LINKS.values() for column, row in kind)
+WORTH_SORTING = 4096  # particles; fewer are in the processor's fastest caches anyway
+LOOSE_WIDTH = 16  # cells in a row of particles that are on no grid
+# Rest lengths of links of one kind may differ by the rounding of the positions they come from.
+SAME = 1e-11
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Places of n particles and s springs.
+
+    lanes: particles in a cell; links: offsets of the kinds of link, empty on a graph.
+    n_cells: cells in use, empty ones included; site: (n,) int32, each particle's cell * lanes +
+    lane. grid: (g, 4) int32, first cell, rows, width and whether it has links; grid_of: (n_cells,)
+    int32. kind: (s,) int, a spring's kind of link, -1 for one on the graph; owner: (s,) int, site
+    of a link's earlier particle. rest_length, damping, break_length2: (kinds, g), of links.
+    row: cells in the widest row with its halos.
+    """
+
+    lanes: int
+    links: tuple[tuple[int, int], ...]
+    n_cells: int
+    site: np.ndarray
+    grid: np.ndarray
+    grid_of: np.ndarray
+    kind: np.ndarray
+    owner: np.ndarray
+    rest_length: np.ndarray
+    damping: np.ndarray
+    break_length2: np.ndarray
+    row: int
+
+
+def break_length2(springs: Springs) -> np.ndarray:
+    """Square of the length at which a spring's force reaches its break force, (s,)."""
+    with np.errstate(all="ignore"):  # an infinite length never breaks
+        return (springs.rest_length + springs.break_force / springs.stiffness) ** 2
+
+
+def on_graph(springs: Springs, position: np.ndarray | None, particle_count: int) -> Layout:
+    """Particles one by one, all springs on the graph.
+
+    In the order of their numbers, or, where springs reach far between those and `position` is
+    given, along a curve through space, so that neighbours are near in memory.
+    """
+    site = np.arange(particle_count, dtype=np.int32)
+    if position is not None and particle_count >= WORTH_SORTING:
+        curve = np.empty_like(site)
+        curve[topology.z_order(position)] = site
+        if _reach(springs, curve) < 0.5 * _reach(springs, site):
+            site = curve
+    none = np.zeros((0, 0))
+    return Layout(
+        lanes=1,
+        links=(),
+        n_cells=particle_count,
+        site=site,
+        grid=np.array([[0, 1, particle_count, 0]], np.int32),
+        grid_of=np.zeros(1, np.int32),
+        kind=np.full(len(springs), -1),
+        owner=np.zeros(len(springs), np.int64),
+        rest_length=none,
+        damping=none,
+        break_length2=none,
+        row=1,
+    )
+
+
+def _reach(springs: Springs, site) -> float:
+    """Mean distance in memory between the ends of springs."""
+    a, b = site[springs.between].astype(np.int64).T
+    return float(np.abs(a - b).mean()) if len(a) else 0.0
+
+
+def on_grids(springs: Springs, particle_count: int, lanes: int) -> Layout | None:
+    """Regular grids in cells of `lanes`, what else there is besides; None without a grid.
+
+    A spring that differs from the others of its kind in its grid, in more than its stiffness,
+    stays on the graph.
+    """
+    grids = topology.find_grids(springs.between, particle_count)
+    if not grids:
+        return None
+    grid = np.full(particle_count, -1)
+    column, row = np.zeros((2, particle_count), np.int64)
+    for g, of in enumerate(grids):
+        block = slice(of.first, of.first + of.rows * of.columns)
+        grid[block] = g
+        row[block], column[block] = np.divmod(np.arange(of.rows * of.columns), of.columns)
+
+    kind = _kinds(springs, grid, column, row)
+    rest_length, damping, limit, kind = _shared_numbers(springs, kind, grid, len(grids))
+    used = np.unique(kind[kind >= 0])
+    renumbered = np.full(len(FORWARD) + 1, -1)
+    renumbered[used] = np.arange(len(used))
+    kind = renumbered[kind]
+    links = tuple(FORWARD[k] for k in used)
+
+    halo = max(abs(c) for c, _ in links) if lanes > 1 else 0
+    depth = max(r for _, r in links)
+    # Before the first cell: what the links of a row above the first one reach back to.
+    table, next_cell = [], halo + 2
+    cell, lane = np.zeros((2, particle_count), np.int64)
+    for g, of in enumerate(grids):
+        width = max(-(-of.columns // lanes), halo, 1)
+        pitch = width + 2 * halo
+        first = next_cell + depth * pitch + halo
+        table.append([first, of.rows, width, 1])
+        mine = grid == g
+        lane[mine], place = np.divmod(column[mine], width)
+        cell[mine] = first + row[mine] * pitch + place
+        next_cell = first + (of.rows + depth) * pitch
+    loose = np.flatnonzero(grid < 0)
+    if len(loose):
+        pitch = LOOSE_WIDTH + 2 * halo
+        first = next_cell + halo
+        place, lane[loose] = np.divmod(np.arange(len(loose)), lanes)
+        at_row, at = np.divmod(place, LOOSE_WIDTH)
+        table.append([first, at_row.max() + 1, LOOSE_WIDTH, 0])
+        cell[loose] = first + at_row * pitch + at
+        next_cell = first + (at_row.max() + 1) * pitch
+    n_cells = next_cell + halo + 2
+
+    grid_of = np.full(n_cells, -1, np.int32)
+    for g, (first, rows, width, linked) in enumerate(table):
+        if linked:
+            cells = first + np.arange(rows)[:, None] * (width + 2 * halo) + np.arange(width)
+            grid_of[cells] = g
+    site = (cell * lanes + lane).astype(np.int32)
+    return Layout(
+        lanes=lanes,
+        links=links,
+        n_cells=n_cells,
+        site=site,
+        grid=np.array(table, np.int32),
+        grid_of=grid_of,
+        kind=kind,
+        owner=site[springs.between.min(axis=1)].astype(np.int64),
+        rest_length=rest_length[used],
+        damping=damping[used],
+        break_length2=limit[used],
+        row=max(width for _, _, width, _ in table) + 2 * halo,
+    )
+
+
+def _kinds(springs: Springs, grid, column, row) -> np.ndarray:
+    """Each spring's kind, an index into FORWARD, or -1 where it is no link of a grid.
+
+    A link without stiffness cannot be told from an absent one, and stays on the graph.
+    """
+    a, b = springs.between.min(axis=1), springs.between.max(axis=1)
+    offset = np.stack([column[b] - column[a], row[b] - row[a]], axis=1)
+    inside = (grid[a] == grid[b]) & (grid[a] >= 0) & (springs.stiffness > 0)
+    kind = np.full(len(springs), -1)
+    for k, forward in enumerate(FORWARD):
+        kind[inside & (offset == forward).all(axis=1)] = k
+    return kind
+
+
+def _shared_numbers(springs: Springs, kind, grid, grid_count: int):
+    """(rest length, damping, break length squared), each (kinds, grids), and the kinds again.
+
+    A spring with other numbers than the first of its kind and grid gets kind -1.
+    """
+    shape = len(FORWARD), grid_count
+    limit2 = break_length2(springs)
+    linked = np.flatnonzero(kind >= 0)
+    group = kind[linked] * grid_count + grid[springs.between[linked, 0]]
+    groups, first = np.unique(group, return_index=True)
+    tables, same = [], np.ones(len(linked), bool)
+    for of in (springs.rest_length, springs.damping, limit2):
+        table = np.zeros(shape)
+        table.flat[groups] = of[linked[first]]
+        mine = table.flat[group]
+        with np.errstate(invalid="ignore"):
+            same &= (of[linked] == mine) | (np.abs(of[linked] - mine) <= SAME * mine)
+        tables.append(table)
+    kind = kind.copy()
+    kind[linked[~same]] = -1
+    return (*tables, kind)
