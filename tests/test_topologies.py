@@ -629,7 +629,7 @@ WAYS = [f"{t} {path}" for t in ("lanes", "graph") for path in ("serial", "parall
 
 
 def test_what_is_fastest_is_measured_once(measured):
-    sim = Simulation(build("cloth"))
+    sim = Simulation(build("cloth"), substeps=64)
     (of,) = execution.measurements()
     assert sorted(measured) == sorted(of.seconds) == sorted(WAYS)
     assert all(0 < seconds < 1 for seconds in of.seconds.values())
@@ -639,9 +639,15 @@ def test_what_is_fastest_is_measured_once(measured):
     assert sim.frame == 0
 
     measured.clear()
-    again = Simulation(build("cloth"))
+    again = Simulation(build("cloth"), substeps=64)
     assert (again.topology, again.execution) == (sim.topology, sim.execution)
     assert measured == []
+
+
+def test_threads_are_not_tried_where_one_is_done_before_they_wake(measured, monkeypatch):
+    monkeypatch.setattr(execution, "WAKING", 1.0)
+    assert Simulation(build("cloth", columns=4, rows=3)).execution == "serial"
+    assert sorted(measured) == ["graph serial", "lanes serial"]
 
 
 @pytest.mark.parametrize("path", ["serial", "parallel"])
