@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from dataclasses import replace
@@ -11,7 +12,7 @@ import taichi as ti
 
 from taichi_cloth import execution, layout, measure, topology
 from taichi_cloth.errors import InputError, SimulationFailure, nearest
-from taichi_cloth.kernels import drawing, fracture, interaction, methods, transfer, watch
+from taichi_cloth.kernels import fracture, interaction, methods, transfer, watch
 from taichi_cloth.kernels.plan import Plan
 from taichi_cloth.kernels.state import (
     ALIVE,
@@ -78,6 +79,7 @@ class Simulation:
         self._requested = topology, execution
         self._lanes = lanes or (LANES if device.arch == "cpu" else 1)
         self._drawn = np.zeros((0, 0))
+        self._lay_out = functools.cache(self._find_layout)  # until something is spawned or reset
         self.topology = self.execution = self._pace = None
         self.speed_limit = RUNAWAY_CROSSINGS * float(np.linalg.norm(scene.world.size)) / dt
         self.reset()
@@ -176,7 +178,7 @@ class Simulation:
             raise InputError(f"spawn: tied to particle {tied_to}, which does not exist")
         validate(replace(self.scene, particles=new, springs=Springs.none()))
         index = self.particle_count
-        x, v = self._read_motion()
+        x, v = self.positions(), self.velocities()
         self._fracture = self._read_fracture()
         self._particles = self._particles.joined(new)
         x, v = np.concatenate([x, new.position]), np.concatenate([v, new.velocity])
@@ -199,11 +201,11 @@ class Simulation:
 
     def positions(self) -> np.ndarray:
         """Positions, (n, dim)."""
-        return self._read_motion()[0]
+        return self._read(self._state.x)
 
     def velocities(self) -> np.ndarray:
         """Velocities, (n, dim)."""
-        return self._read_motion()[1]
+        return self._read(self._state.v)
 
     def radii(self) -> np.ndarray:
         """Radii, (n,)."""
@@ -230,7 +232,7 @@ class Simulation:
         if self._drawn.shape != shape:
             self._drawn = np.zeros(shape, self._numpy_real)
         if len(self._drawn):
-            drawing.read_positions(self._spread_plan, self._state, self._drawn)
+            transfer.read_vectors(self._spread_plan, self._state, self._state.x, self._drawn)
         return self._drawn
 
     def drawn_springs(self) -> np.ndarray:
@@ -239,14 +241,14 @@ class Simulation:
         The same array until a spring breaks, comes or is whole again: all that the device is asked
         for at every frame is how many are broken.
         """
-        broken = drawing.count_broken(self._spread_plan, self._state) if self._plan.fracture else 0
+        broken = transfer.count_broken(self._spread_plan, self._state) if self._plan.fracture else 0
         if self._drawn_springs is None or broken != self._broken:
             self._broken, self._drawn_springs = broken, self.springs()[self.springs_alive()]
         return self._drawn_springs
 
     def energy(self) -> measure.Energy:
         """Kinetic, gravitational and elastic energy."""
-        x, v = self._read_motion()
+        x, v = self.positions(), self.velocities()
         particles, springs = self._particles, self._springs
         return measure.energy(
             x,
@@ -271,6 +273,7 @@ class Simulation:
 
     def _load(self, x, v):
         """Put the whole state on the device: positions, velocities, and all else as it is here."""
+        self._lay_out.cache_clear()
         if self.execution is None:
             choice = execution.choose(*self._requested, self, x, v)
             self.topology, self.execution = choice.topology, choice.execution
@@ -308,7 +311,7 @@ class Simulation:
         """Run one frame, for `execution` to time; the state must be loaded anew afterwards."""
         self._run(1)
 
-    def _lay_out(self, topology):
+    def _find_layout(self, topology):
         """The layout in a topology, None where there is none."""
         if topology == "graph":
             # Collisions add up in the order of the particles, which is then that of memory too.
@@ -322,17 +325,11 @@ class Simulation:
 
     def _plan_for(self, path):
         """What to compile for a path: its threads, or loops that Taichi spreads."""
-        device = current_device()
-        features = dict(vars(self._features()))
-        spawns = self.scene.world.mouse == "spawn"
-        features["springs"] &= spawns or self._springs_on_graph().any()
-        return Plan(
-            **features,
-            lanes=self._layout.lanes,
-            links=self._layout.links,
+        device, plan = current_device(), self._spread_plan
+        return replace(
+            plan,
             threads=1 if path == "serial" else device.threads,
-            spread=path == "spread"
-            or (path == "parallel" and (device.arch != "cpu" or features["collisions"])),
+            spread=path == "parallel" and (device.arch != "cpu" or plan.collisions),
         )
 
     def _make_room(self, topology):
@@ -340,7 +337,16 @@ class Simulation:
 
         A new container compiles every kernel again, so it is made with room to spare.
         """
-        self._spread_plan = plan = self._plan_for("spread")
+        features = dict(vars(self._features()))
+        spawns = self.scene.world.mouse == "spawn"
+        features["springs"] &= spawns or self._springs_on_graph().any()
+        self._spread_plan = plan = Plan(
+            **features,
+            lanes=self._layout.lanes,
+            links=self._layout.links,
+            threads=current_device().threads,
+            spread=True,
+        )
         needed = Capacity(
             particles=self.particle_count,
             springs=int(self._springs_on_graph().sum()),
@@ -483,12 +489,12 @@ class Simulation:
 
     # --- reading the device ----------------------------------------------------------------
 
-    def _read_motion(self):
-        shape = (self.particle_count, self.scene.world.dim)
-        x, v = np.zeros(shape, self._numpy_real), np.zeros(shape, self._numpy_real)
-        if len(x):
-            transfer.read_motion(self._spread_plan, self._state, x, v)
-        return x.astype(np.float64), v.astype(np.float64)
+    def _read(self, of):
+        """The vectors of a field of cells, (n, dim) float64."""
+        out = np.zeros((self.particle_count, self.scene.world.dim), self._numpy_real)
+        if len(out):
+            transfer.read_vectors(self._spread_plan, self._state, of, out)
+        return out.astype(np.float64)
 
     def _read_fracture(self):
         """Status and break step of every spring, (s, 2) int32."""
@@ -510,7 +516,7 @@ class Simulation:
 
     def _fail(self, particle):
         """Put the last good frame back, and say who failed, why, and what to change."""
-        bad_x, bad_v = self._read_motion()
+        bad_x, bad_v = self.positions(), self.velocities()
         frame, good_step = self.frame + 1, self.frame * self.substeps
         watch.put_back(self._spread_plan, self._state)
         if self._plan.fracture:
@@ -518,7 +524,7 @@ class Simulation:
             status[step > good_step] = ALIVE
             status[(step == good_step) & (status == GONE)] = BREAKING
             self._fracture = np.column_stack([status, np.where(status == ALIVE, 0, step)])
-            self.load_as(self.topology, self.execution, *self._read_motion())
+            self.load_as(self.topology, self.execution, self.positions(), self.velocities())
         finite = np.isfinite(bad_x[particle]).all() and np.isfinite(bad_v[particle]).all()
         if finite:
             speed = float(np.linalg.norm(bad_v[particle]))

@@ -16,7 +16,7 @@ from taichi_cloth.benchmarks import machine, ours
 from taichi_cloth.benchmarks.cloths import WARP_FRAME, WARP_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
 from taichi_cloth.benchmarks.report import Row
-from taichi_cloth.benchmarks.warp import SCENE, SECOND, their_cloth
+from taichi_cloth.benchmarks.warp import SCENE, SECOND, enter_ours, their_cloth
 
 PART = "newton"
 SIZES = {32: 15, 128: 6}  # side of the cloth: frames in a round
@@ -39,19 +39,7 @@ def measure(bench: Bench) -> Iterator[Row]:
 def _measure_size(bench: Bench, side: int, frames: int) -> Iterator[Row]:
     size = f"{side} x {side}"
     scene = (SCENE, {"size": side})
-    lanes = ours.enter(
-        bench,
-        PART,
-        "ours, lanes",
-        scene,
-        precision="f32",
-        substeps=WARP_SUBSTEPS,
-        topology="lanes",
-        size=size,
-        particles=side * side,
-        units=frames,
-        batch=1,
-    )
+    lanes = enter_ours(bench, PART, "ours, lanes", side, frames, "lanes", "f32")
     peers = [_enter(bench, name, side, size, frames) for name in SOLVERS]
     checked = 2 * frames
     reference = ours.reference(bench, PART, scene, side * side, WARP_SUBSTEPS, [checked])

@@ -51,34 +51,14 @@ def _measure_size(bench: Bench, side: int, frames: int, checked: int) -> Iterato
     size = f"{side} x {side}"
     scene = (SCENE, {"size": side})
     entered = {
-        (layout, precision): ours.enter(
-            bench,
-            PART,
-            f"ours, {layout}",
-            scene,
-            precision=precision,
-            substeps=WARP_SUBSTEPS,
-            topology=layout,
-            size=size,
-            particles=side * side,
-            units=frames,
-            batch=1,
+        (layout, precision): enter_ours(
+            bench, PART, f"ours, {layout}", side, frames, layout, precision
         )
         for precision in ("f32", "f64")
         for layout in ours.TOPOLOGIES
     }
-    shared = ours.enter(
-        bench,
-        PART,
-        "ours, lanes, a round's frames in one call",
-        scene,
-        precision="f32",
-        substeps=WARP_SUBSTEPS,
-        topology="lanes",
-        size=size,
-        particles=side * side,
-        units=frames,
-    )
+    name = "ours, lanes, a round's frames in one call"
+    shared = enter_ours(bench, PART, name, side, frames, "lanes", "f32", batch=None)
     peers = {name: _enter_peer(bench, name, side, size, frames) for name in PEERS}
     reference = ours.reference(bench, PART, scene, side * side, WARP_SUBSTEPS, [checked])
     rounds = max(bench.rounds, -(-SECOND // frames) - 1)
@@ -110,6 +90,32 @@ def _measure_size(bench: Bench, side: int, frames: int, checked: int) -> Iterato
     yield from separation(PART, lanes, taichi, SECOND, "m")
     for contestant in filter(None, everyone):
         contestant.drop()
+
+
+def enter_ours(
+    bench: Bench,
+    part: str,
+    name: str,
+    side: int,
+    frames: int,
+    topology: str,
+    precision: str,
+    batch: int | None = 1,
+) -> Contestant | None:
+    """Enter ours on Warp's cloth, `frames` a round, `batch` in a call (None: all of them)."""
+    return ours.enter(
+        bench,
+        part,
+        name,
+        (SCENE, {"size": side}),
+        precision=precision,
+        substeps=WARP_SUBSTEPS,
+        topology=topology,
+        size=f"{side} x {side}",
+        particles=side * side,
+        units=frames,
+        batch=batch,
+    )
 
 
 def _enter_peer(bench: Bench, name: str, side: int, size: str, frames: int) -> Contestant | None:

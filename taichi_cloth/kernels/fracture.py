@@ -9,6 +9,8 @@ import taichi as ti
 from taichi_cloth.kernels.lanes import (
     any_lane,
     dot,
+    far_end,
+    pitch_of,
     set_site_number,
     site_number,
     site_value,
@@ -55,13 +57,6 @@ def _mark_spring(plan: ti.template(), state: ti.template(), s):
 
 
 @ti.func
-def _far(plan: ti.template(), state: ti.template(), s: ti.template(), c):
-    """The cell at the other end of cell c's links of kind s."""
-    pitch = state.grid[state.grid_of[c]][2] + 2 * plan.halo
-    return c + plan.links[s][0] + plan.links[s][1] * pitch
-
-
-@ti.func
 def _break_links(plan: ti.template(), state: ti.template(), c):
     """One test for a whole cell: in most none breaks, and that is all they pay."""
     g = state.grid_of[c]
@@ -69,7 +64,7 @@ def _break_links(plan: ti.template(), state: ti.template(), c):
         none = -1.0 + 0.0 * state.w[c]
         most = none
         for s in ti.static(range(len(plan.links))):
-            d = state.x[_far(plan, state, s, c)] - state.x[c]
+            d = state.x[far_end(plan, s, c, pitch_of(plan, state, g))] - state.x[c]
             excess = dot(d, d) - state.link_limit2[s, g]
             most = ti.max(most, ti.select(state.link_k[s][c] > 0.0, excess, none))
         if any_lane(plan, most > 0.0) or state.breaking[c] > 0:
@@ -89,7 +84,7 @@ def _mark_link(plan: ti.template(), state: ti.template(), s: ti.template(), g, c
     site = c * plan.lanes + lane
     alive = site_number(plan, state.link_status[s], site) == ALIVE
     if alive and site_number(plan, state.link_k[s], site) > 0.0:
-        far = _far(plan, state, s, c) * plan.lanes + lane
+        far = far_end(plan, s, c, pitch_of(plan, state, g)) * plan.lanes + lane
         d = site_value(plan, state.x, far) - site_value(plan, state.x, site)
         if d.dot(d) > state.link_limit2[s, g]:
             set_site_number(plan, state.link_status[s], site, BREAKING)

@@ -160,6 +160,18 @@ def set_site_number(plan: ti.template(), of: ti.template(), site, value):
 
 
 @ti.func
+def pitch_of(plan: ti.template(), state: ti.template(), g):
+    """Cells from a row of grid g to the next."""
+    return state.grid[g][2] + 2 * plan.halo
+
+
+@ti.func
+def far_end(plan: ti.template(), s: ti.template(), c, pitch):
+    """The cell at the other end of cell c's links of kind s."""
+    return c + plan.links[s][0] + plan.links[s][1] * pitch
+
+
+@ti.func
 def renew_left_halo(plan: ti.template(), of: ti.template(), first, width, reach: ti.template()):
     """Left of a row that begins at cell `first`: the columns before each strip's first one."""
     for h in ti.static(range(1, reach + 1)):

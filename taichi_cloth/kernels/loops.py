@@ -12,7 +12,7 @@ spread: a launch is one step, every loop in it a top-level loop that Taichi make
 
 import taichi as ti
 
-from taichi_cloth.kernels.lanes import renew_left_halo, renew_right_halo
+from taichi_cloth.kernels.lanes import pitch_of, renew_left_halo, renew_right_halo
 
 # Taichi hands a top-level CPU loop out in pieces of at least 512 iterations, one piece a thread.
 # A loop of 512 iterations a thread, of which one does the work, gives each thread its share.
@@ -75,8 +75,9 @@ def each_cell(plan: ti.template(), state: ti.template(), t, body: ti.template())
 def _each_cell_of_rows(plan: ti.template(), state: ti.template(), t, body: ti.template()):
     for g in range(state.n_grids[None]):
         first, rows, width = state.grid[g][0], state.grid[g][1], state.grid[g][2]
+        pitch = pitch_of(plan, state, g)
         for r in range(share(plan, rows, t), share(plan, rows, t + 1)):
-            begin = first + r * (width + 2 * plan.halo)
+            begin = first + r * pitch
             for c in range(begin, begin + width):
                 body(plan, state, c)
             renew_halos(plan, state, begin, width)

@@ -8,17 +8,21 @@ sum)`. Forces are one such contribution, a product with the stiffness matrix is 
 the same bits on every run, for every number of threads.
 """
 
+import functools
+
 import taichi as ti
 
 from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.lanes import (
     cell_value,
+    far_end,
+    pitch_of,
     renew_left_halo,
     renew_right_halo,
     scaled,
     site_value,
 )
-from taichi_cloth.kernels.loops import PIECE, barrier, renew_halos, share
+from taichi_cloth.kernels.loops import PIECE, barrier, each, renew_halos, share
 
 
 @ti.func
@@ -45,31 +49,35 @@ def accumulate(
         elif ti.static(plan.threads == 1):
             sweep(plan, state, t, 1, between, receive)
         else:
-            for phase in range(2):
+            for phase in range(2):  # at run time: unrolled, it takes twice as long to compile
                 if phase == 1:
                     barrier(plan, state)
                 sweep(plan, state, t, phase, between, receive)
-    elif ti.static(plan.spread):
-        for c in range(state.n_cells[None]):
-            receive(plan, state, c, sum_at_cell(plan, state, between, c))
-    else:
-        for c in range(
-            share(plan, state.n_cells[None], t), share(plan, state.n_cells[None], t + 1)
-        ):
-            receive(plan, state, c, sum_at_cell(plan, state, between, c))
-    barrier(plan, state)
-    if ti.static(plan.springs and len(plan.links) > 0):
-        if ti.static(plan.spread):
-            for p in range(state.n_near[None]):
-                total = sum_of_half_springs(plan, state, site_value, between, p, state.near[p])
-                receive_more(plan, state, state.near[p], total)
-        else:
-            for p in range(
-                share(plan, state.n_near[None], t), share(plan, state.n_near[None], t + 1)
-            ):
-                total = sum_of_half_springs(plan, state, site_value, between, p, state.near[p])
-                receive_more(plan, state, state.near[p], total)
         barrier(plan, state)
+    else:
+        each(plan, state, t, state.n_cells[None], ti.static(_summing(between, receive)))
+    if ti.static(plan.springs and len(plan.links) > 0):
+        each(plan, state, t, state.n_near[None], ti.static(_summing_more(between, receive_more)))
+
+
+@functools.cache
+def _summing(between, receive):
+    @ti.func
+    def body(plan: ti.template(), state: ti.template(), c):
+        receive(plan, state, c, sum_at_cell(plan, state, between, c))
+
+    return body
+
+
+@functools.cache
+def _summing_more(between, receive_more):
+    @ti.func
+    def body(plan: ti.template(), state: ti.template(), p):
+        site = state.near[p]
+        total = sum_of_half_springs(plan, state, site_value, between, p, site)
+        receive_more(plan, state, site, total)
+
+    return body
 
 
 @ti.func
@@ -148,7 +156,7 @@ def link_value(
     damping = 0.0 * k
     if ti.static(plan.dashpots):
         damping = ti.select(k > 0.0, state.link_c[s, g], 0.0 * k)
-    far = c + plan.links[s][0] + plan.links[s][1] * pitch
+    far = far_end(plan, s, c, pitch)
     return between(plan, state, cell_value, c, far, k, state.link_rest[s, g], damping)
 
 
@@ -176,11 +184,10 @@ def give_row(
     plan: ti.template(), state: ti.template(), between: ti.template(), g, begin, width, here
 ):
     """Compute the links of the row of cells at `begin`, into state.given from `here` on."""
+    pitch = pitch_of(plan, state, g)
     for i in range(width):
         for s in ti.static(range(len(plan.links))):
-            state.given[s][here + i] = link_value(
-                plan, state, between, s, g, begin + i, width + 2 * plan.halo
-            )
+            state.given[s][here + i] = link_value(plan, state, between, s, g, begin + i, pitch)
     for s in ti.static(range(len(plan.links))):
         columns = ti.static(plan.links[s][0])
         renew_left_halo(plan, state.given[s], here, width, max(columns, 0))
@@ -215,7 +222,7 @@ def sweep(
                 if linked and begin < end:
                     start = end - plan.depth
         for r in range(start, end):
-            row = first + r * (width + 2 * plan.halo)
+            row = first + r * pitch_of(plan, state, g)
             here = given_row(plan, state, g, t, begin, end, r)
             if linked and (phase == 0 or plan.threads == 1 or r < end - plan.depth):
                 give_row(plan, state, between, g, row, width, here)
@@ -253,7 +260,7 @@ def given_row(plan: ti.template(), state: ti.template(), g, t, begin, end, r):
 def sum_of_links(plan: ti.template(), state: ti.template(), between: ti.template(), c):
     """Sum over the links of cell c, each computed from both of its ends: for GPUs."""
     g = state.grid_of[c]
-    pitch = state.grid[ti.max(g, 0)][2]
+    pitch = pitch_of(plan, state, ti.max(g, 0))
     total = 0.0 * state.x[c]
     if g >= 0:  # not an empty row, beyond which there may be nothing
         for s in ti.static(range(len(plan.links))):

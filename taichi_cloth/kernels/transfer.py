@@ -9,7 +9,7 @@ from taichi_cloth.kernels.lanes import (
     site_value,
 )
 from taichi_cloth.kernels.loops import each_cell
-from taichi_cloth.kernels.state import BREAKING, GONE
+from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 from taichi_cloth.kernels.watch import NO_FAULT
 
 
@@ -199,16 +199,14 @@ def load_links(
 
 
 @ti.kernel
-def read_motion(
-    plan: ti.template(), state: ti.template(), x: ti.types.ndarray(), v: ti.types.ndarray()
+def read_vectors(
+    plan: ti.template(), state: ti.template(), of: ti.template(), out: ti.types.ndarray()
 ):
-    """Copy positions and velocities out, both (n, dim)."""
-    for i in range(x.shape[0]):
-        x_i = site_value(plan, state.x, state.site[i])
-        v_i = site_value(plan, state.v, state.site[i])
+    """Copy the vectors of a field of cells out, (n, dim), in the order of the particles."""
+    for i in range(out.shape[0]):
+        vector = site_value(plan, of, state.site[i])
         for axis in ti.static(range(plan.dim)):
-            x[i, axis] = x_i[axis]
-            v[i, axis] = v_i[axis]
+            out[i, axis] = vector[axis]
 
 
 @ti.kernel
@@ -229,3 +227,19 @@ def read_link_fracture(
             if s == links[i, 0]:
                 out[i, 0] = site_number(plan, state.link_status[s], links[i, 1])
                 out[i, 1] = site_number(plan, state.link_step[s], links[i, 1])
+
+
+@ti.kernel
+def count_broken(plan: ti.template(), state: ti.template()) -> ti.i32:
+    """How many springs are not alive."""
+    count = 0
+    if ti.static(plan.fracture and plan.springs):
+        for s in range(state.n_springs[None]):
+            count += ti.cast(state.status[s] != ALIVE, ti.i32)
+    if ti.static(plan.fracture and len(plan.links) > 0):
+        for c in range(state.n_cells[None]):
+            for lane in ti.static(range(plan.lanes)):
+                for s in ti.static(range(len(plan.links))):
+                    status = site_number(plan, state.link_status[s], c * plan.lanes + lane)
+                    count += ti.cast(status != ALIVE, ti.i32)
+    return count
