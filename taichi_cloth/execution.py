@@ -6,6 +6,7 @@ device, method, features and size.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import platform
@@ -17,7 +18,7 @@ from taichi_cloth import __version__
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.kernels import run, watch
 from taichi_cloth.options import PATHS, TOPOLOGIES
-from taichi_cloth.runtime import current_device
+from taichi_cloth.runtime import current_device, whole_vectors
 
 # Seconds in which one thread has done a frame before the others are awake: to measure all of them
 # would only cost the time to compile.
@@ -26,15 +27,16 @@ WAKING = 50e-6
 
 def run_frames(method, plan, state, done, frames, substeps) -> int:
     """Advance frames as planned, after `done` steps; return how many passed the watchdog."""
-    if not plan.spread:
-        return run.frames_in_one_launch(method, plan, state, done, frames, substeps)
-    for frame in range(frames):
-        watch.keep_spread(plan, state)
-        for k in range(substeps):
-            run.substep_spread(method, plan, state, done + frame * substeps + k + 1)
-        if watch.last_fault(state) != watch.NO_FAULT:
-            return frame
-    return frames
+    with whole_vectors() if plan.lanes > 1 else contextlib.nullcontext():
+        if not plan.spread:
+            return run.frames_in_one_launch(method, plan, state, done, frames, substeps)
+        for frame in range(frames):
+            watch.keep_spread(plan, state)
+            for k in range(substeps):
+                run.substep_spread(method, plan, state, done + frame * substeps + k + 1)
+            if watch.last_fault(state) != watch.NO_FAULT:
+                return frame
+        return frames
 
 
 @dataclass(frozen=True)

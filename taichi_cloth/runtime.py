@@ -172,6 +172,24 @@ def _initialize(arch: str, precision: str, threads: int, fast_math: bool) -> boo
     return ti.cfg.arch in ((ti.x64, ti.arm64) if arch == "cpu" else (getattr(ti, arch),))
 
 
+@contextlib.contextmanager
+def whole_vectors():
+    """While it lasts, kernels are compiled with each vector or matrix as one vector of LLVM's.
+
+    Taichi takes them apart into numbers otherwise, and LLVM (15), told nothing of the processor's
+    width, packs those into vectors of 16 bytes again. Kept whole, they become the widest
+    instructions that the processor has. `kernels/lanes.py` says what such kernels must not do.
+    """
+    from taichi.lang import impl
+
+    config = impl.get_runtime().prog.config()
+    config.real_matrix_scalarize = False
+    try:
+        yield
+    finally:
+        config.real_matrix_scalarize = True
+
+
 def _own_threads() -> set[int]:
     """The threads of this process, where the system tells (Linux)."""
     try:

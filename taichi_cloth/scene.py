@@ -231,6 +231,7 @@ class Features:
     dim: int
     springs: bool
     uniform_springs: bool  # all springs share their numbers, which are then stored once
+    uniform_particles: bool  # all particles share radius, restitution and viscous; likewise
     fracture: bool
     dashpots: bool
     drag: bool
@@ -269,6 +270,7 @@ class Scene:
             dim=self.world.dim,
             springs=has_springs,
             uniform_springs=self._uniform_springs(),
+            uniform_particles=self._uniform_particles(),
             fracture=bool(
                 np.isfinite(springs.break_force).any()
                 or (spawns and defaults.break_force is not None)
@@ -295,6 +297,15 @@ class Scene:
             force = np.inf if defaults.break_force is None else defaults.break_force
             clicked = [defaults.stiffness, defaults.rest_length, defaults.damping, force]
             numbers = np.vstack([numbers, clicked])
+        return bool((numbers == numbers[:1]).all())
+
+    def _uniform_particles(self) -> bool:
+        """Whether all particles, also those that clicks add, have the same numbers but mass."""
+        particles, defaults = self.particles, self.particle_defaults
+        names = "radius", "restitution", "viscous"
+        numbers = np.column_stack([getattr(particles, name) for name in names])
+        if self.world.mouse == "spawn":
+            numbers = np.vstack([numbers, [getattr(defaults, name) for name in names]])
         return bool((numbers == numbers[:1]).all())
 
     def with_world(self, **changes) -> Scene:

@@ -33,9 +33,9 @@ RUNAWAY_CROSSINGS = 100.0
 # Particles and springs times steps in one launch: some tenths of a second, so that Ctrl-C is heard.
 LAUNCH_WORK = 20_000_000
 SPAWN_CAPACITY = 256  # room for clicks before the fields must grow
-# Particles in a cell on CPUs. Taichi 1.7 packs straight-line code into vectors of 16 bytes on
-# processors that its LLVM (15) does not know; docs/speed.md has the measurement.
-LANES = 4
+# Particles in a cell on CPUs: 8 fill the widest vectors there are in f64, half of one in f32, where
+# 16 are faster only on large cloths and take three times as long to compile; docs/speed.md.
+LANES = 8
 
 
 class Simulation:

@@ -16,12 +16,15 @@ from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.forces import compute_acceleration
 from taichi_cloth.kernels.lanes import (
     dot,
+    link_offset,
+    pitch_of,
+    read,
     scaled,
     set_site_value,
-    site_number,
     site_value,
+    write,
 )
-from taichi_cloth.kernels.loops import each_cell
+from taichi_cloth.kernels.loops import add_up, each_cell_moving
 from taichi_cloth.kernels.springs import accumulate, force_between, link_value, number
 from taichi_cloth.kernels.watch import store
 from taichi_cloth.scene import ParticleDefaults, Particles, Scene, SpringDefaults, Springs, World
@@ -427,22 +430,23 @@ def test_lanes_without_a_grid_are_refused():
 @ti.func
 def drift(plan: ti.template(), state: ti.template(), c):
     dt = state.dt[None]
-    v = state.v[c] + 0.5 * dt * state.a[c]
-    store(plan, state, c, state.x[c] + dt * v, v)
+    v = read(plan, state.v, c) + 0.5 * dt * read(plan, state.a, c)
+    store(plan, state, c, read(plan, state.x, c) + dt * v, v)
 
 
 @ti.func
 def kick(plan: ti.template(), state: ti.template(), c):
-    store(plan, state, c, state.x[c], state.v[c] + 0.5 * state.dt[None] * state.a[c])
+    v = read(plan, state.v, c) + 0.5 * state.dt[None] * read(plan, state.a, c)
+    store(plan, state, c, read(plan, state.x, c), v)
 
 
 @ti.func
 def velocity_verlet(plan: ti.template(), state: ti.template(), t):
     """A method of two force evaluations, which moves particles between them."""
     compute_acceleration(plan, state, t)
-    each_cell(plan, state, t, drift)
+    each_cell_moving(plan, state, t, drift)
     compute_acceleration(plan, state, t)
-    each_cell(plan, state, t, kick)
+    each_cell_moving(plan, state, t, kick)
 
 
 def verlet(scene, substeps=(1,), frames=20, **how):
@@ -488,7 +492,7 @@ def stiffness_between(
 
 @ti.func
 def keep_sum(plan: ti.template(), state: ti.template(), c, total):
-    state.sum[c] = total
+    write(plan, state.sum, c, total)
 
 
 @ti.func
@@ -516,7 +520,7 @@ def sum_springs(
         for axis in ti.static(range(plan.dim)):
             u_i[axis] = u[i, axis]
         set_site_value(plan, state.u, state.site[i], u_i)
-    each_cell(plan, state, 0, leave)
+    each_cell_moving(plan, state, 0, leave)
     accumulate(plan, state, 0, between, keep_sum, add_to_sum)
     for i in range(u.shape[0]):
         sum_i = site_value(plan, state.sum, state.site[i])
@@ -526,14 +530,9 @@ def sum_springs(
 
 def with_more_fields(sim):
     """The simulation's state with two more fields of cells, u (which neighbours read) and sum."""
-    plan, state, shape = sim._spread_plan, sim._state, sim._state.x.shape
-    for name in ("u", "sum"):
-        of = ti.Matrix.field(plan.dim, plan.lanes, ti.f64, shape=shape)
-        if plan.lanes == 1:
-            of = ti.Vector.field(plan.dim, ti.f64, shape=shape)
-        setattr(state, name, of)
-    state.haloed = (*state.haloed, state.u)
-    return plan, state
+    sim._state.add_vectors(sim._spread_plan, "u", haloed=True)
+    sim._state.add_vectors(sim._spread_plan, "sum")
+    return sim._spread_plan, sim._state
 
 
 @pytest.mark.parametrize("lanes", [4, 1])
@@ -568,24 +567,24 @@ def energy_between(
 
 @ti.func
 def links_energy(plan: ti.template(), state: ti.template(), c):
-    """energy: of the links of cell c to later particles, each spring once."""
-    g, total = state.grid_of[c], 0.0 * state.w[c]
+    """Energy of the links of cell c to later particles: each spring once."""
+    g, total = state.grid_of[c], 0.0 * read(plan, state.w, c)
     if g >= 0:
-        pitch = state.grid[g][2] + 2 * plan.halo
-        for s in ti.static(range(len(plan.links))):
-            total += link_value(plan, state, energy_between, s, g, c, pitch)
-    state.energy[c] = total
+        for s in ti.static(range(plan.kinds)):
+            far = c + link_offset(state, s, pitch_of(plan, state, g))
+            total += link_value(plan, state, energy_between, s, g, c, far)
+    return total
 
 
 @ti.kernel
 def elastic_energy(plan: ti.template(), state: ti.template()) -> ti.f64:
     """Sum over links, then over the graph's half-springs, half of each."""
-    if ti.static(len(plan.links) > 0):
-        each_cell(plan, state, 0, links_energy)
+    if ti.static(plan.kinds > 0):
+        add_up(plan, state, 0, links_energy, 0)
     total = 0.0
-    if ti.static(len(plan.links) > 0):
-        for i in range(state.n[None]):
-            total += site_number(plan, state.energy, state.site[i])
+    if ti.static(plan.kinds > 0):
+        for _ in range(1):
+            total += state.sums[0, 0]
     if ti.static(plan.springs):
         for p in range(state.n_near[None]):
             i = state.near[p]
@@ -600,11 +599,36 @@ def elastic_energy(plan: ti.template(), state: ti.template()) -> ti.f64:
 def test_the_energy_of_springs_can_be_summed(topology, device):
     sim = Simulation(mixed(), topology=topology, execution="parallel")
     sim.advance(30)  # some springs are gone
-    plan, state, shape = sim._spread_plan, sim._state, sim._state.x.shape
-    state.energy = ti.Vector.field(plan.lanes, ti.f64, shape=shape)
+    plan, state = sim._spread_plan, sim._state
+    state.add_sums(1)
     alive = sim.springs_alive()
     assert alive.any() and not alive.all()
     assert elastic_energy(plan, state) == pytest.approx(sim.energy().elastic, rel=1e-12)
+
+
+@ti.func
+def kinetic_energy_of(plan: ti.template(), state: ti.template(), c):
+    w, v = read(plan, state.w, c), read(plan, state.v, c)
+    return ti.select(w > 0.0, 0.5 * dot(v, v) / w, 0.0 * w)
+
+
+@ti.func
+def sum_kinetic_energy(plan: ti.template(), state: ti.template(), t):
+    """A method that moves nothing and adds up over all cells, in the middle of a step."""
+    add_up(plan, state, t, kinetic_energy_of, 0)
+
+
+def test_sums_over_cells_are_the_same_on_every_way(topology, device):
+    sums = []
+    for path in ("serial", "parallel"):
+        sim = Simulation(mixed(), topology=topology, execution=path)
+        sim.advance(3)
+        sim._state.add_sums(1)
+        sim._step = sum_kinetic_energy
+        sim.advance(1)
+        sums.append(sim._state.sums[0, 0])
+        assert sums[-1] == pytest.approx(sim.energy().kinetic, rel=1e-13)
+    assert sums[0] == sums[1]
 
 
 # --- which is faster -------------------------------------------------------------------------

@@ -12,20 +12,23 @@ import taichi as ti
 
 from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.lanes import (
-    any_lane,
     component,
+    largest,
+    read,
     set_site_value,
     site_number,
     site_value,
-    where,
+    where_positive,
     with_component,
+    zeros,
 )
 
 
 @ti.func
 def cell_coordinates(state: ti.template(), x):
     """Integer coordinates of x's cell, before wrapping."""
-    return ti.cast(ti.floor(x / state.cell_size[None]), ti.i32)
+    at = x / state.cell_size[None]
+    return ti.Vector([ti.cast(ti.floor(at[axis]), ti.i32) for axis in range(x.n)])
 
 
 @ti.func
@@ -38,7 +41,7 @@ def wrapped(c, size):
 @ti.func
 def cell_index(state: ti.template(), c):
     """Index of the cell with coordinates c (wrapped); the first axis runs fastest."""
-    size = state.grid_size[None]
+    size = ti.static(state.grid_size)
     index = wrapped(c[c.n - 1], size[c.n - 1])
     for axis in ti.static(range(c.n - 2, -1, -1)):
         index = index * size[axis] + wrapped(c[axis], size[axis])
@@ -48,15 +51,15 @@ def cell_index(state: ti.template(), c):
 @ti.func
 def cell_count(state: ti.template()):
     count = 1
-    for axis in ti.static(range(state.grid_size.n)):
-        count *= state.grid_size[None][axis]
+    for axis in ti.static(range(state.grid_size.shape[0])):
+        count *= state.grid_size[axis]
     return count
 
 
 @ti.func
 def site_of(plan: ti.template(), state: ti.template(), i):
     """Where particle i is stored."""
-    if ti.static(len(plan.links) > 0):
+    if ti.static(plan.kinds > 0):
         return state.site[i]
     else:
         return i
@@ -109,8 +112,20 @@ def sort_into_cells(plan: ti.template(), state: ti.template()):
             state.sorted_index[to] = i
     for at in range(state.n[None]):
         site = site_of(plan, state, state.sorted_index[at])
-        state.sorted_x[at] = site_value(plan, state.x, site)
+        set_sorted_x(state, at, site_value(plan, state.x, site))
         state.sorted_radius[at] = site_number(plan, state.radius, site)
+
+
+@ti.func
+def sorted_x(state: ti.template(), at):
+    """Position of the particle at place `at` of the order by cells."""
+    return ti.Vector([state.sorted_x[at, axis] for axis in range(state.sorted_x.shape[1])])
+
+
+@ti.func
+def set_sorted_x(state: ti.template(), at, x):
+    for axis in ti.static(range(x.n)):
+        state.sorted_x[at, axis] = x[axis]
 
 
 @ti.func
@@ -118,7 +133,7 @@ def bounce_off_cell(plan: ti.template(), state: ti.template(), c, i, x, v, w, ra
     """Sum of the velocity changes of particle i from colliding with the particles of one cell."""
     change = 0.0 * x
     for at in range(state.cell_start[c], state.cell_start[c + 1]):
-        d = state.sorted_x[at] - x
+        d = sorted_x(state, at) - x
         reach = radius + state.sorted_radius[at]
         if d.dot(d) <= reach * reach:
             j = state.sorted_index[at]
@@ -143,7 +158,7 @@ def compute_pair_bounces(plan: ti.template(), state: ti.template()):
     for at in range(state.n[None]):  # cell by cell: one after the other looks at the same memory
         i = state.sorted_index[at]
         site = site_of(plan, state, i)
-        x, v = state.sorted_x[at], site_value(plan, state.v, site)
+        x, v = sorted_x(state, at), site_value(plan, state.v, site)
         w = site_number(plan, state.w, site)
         jump = 0.0 * x
         if w > 0.0:
@@ -163,52 +178,57 @@ def compute_contacts(plan: ti.template(), state: ti.template()):
 
 
 @ti.func
-def wall_gap(state: ti.template(), c, axis: ti.template(), side: ti.template()):
-    """How far the surfaces of cell c's particles are short of a wall (negative: past it).
+def wall_gap(state: ti.template(), x, radius, axis: ti.template(), side: ti.template()):
+    """How far the surfaces of particles at x are short of a wall (negative: past it).
 
     One formula for all that ask: where a particle rests on the floor, rounding decides.
     """
-    bound = state.high[None][axis] if ti.static(side > 0) else state.low[None][axis]
-    return side * (bound - component(state.x[c], axis)) - state.radius[c]
+    bound = state.high[axis] if ti.static(side > 0) else state.low[axis]
+    return float(side) * (bound - component(x, axis)) - radius
 
 
 @ti.func
-def touches_wall(plan: ti.template(), state: ti.template(), c):
-    """Whether a particle of cell c is past any wall: most are not, and that is all they pay."""
-    least = 0.0 * state.radius[c]
+def past_wall(plan: ti.template(), state: ti.template(), x, radius):
+    """Whether a particle of a cell is past any wall: most are not, and that is all they pay."""
+    most = 0.0 * radius
     for axis, side in ti.static(plan.walls):
-        least = ti.min(least, wall_gap(state, c, axis, side))
-    return any_lane(plan, least < 0.0)
+        most = ti.max(most, -1.0 * wall_gap(state, x, radius, axis, side))
+    return largest(plan, most) > 0.0
 
 
 @ti.func
-def velocity_jump(plan: ti.template(), state: ti.template(), c):
-    """Change of the velocities in cell c from walls and pairs, by the state at the step's start."""
-    v = state.v[c]
-    jump = 0.0 * v
+def velocity_jump(plan: ti.template(), state: ti.template(), c, x, v):
+    """Change of the velocities in cell c from walls and pairs.
+
+    x, v: the cell's positions and velocities at the start of the step.
+    """
+    jump = zeros(plan, state)
     if ti.static(len(plan.walls) > 0):
-        if touches_wall(plan, state, c):
+        radius = read(plan, state.radius, c)
+        if past_wall(plan, state, x, radius):
+            restitution = read(plan, state.restitution, c)
             for axis, side in ti.static(plan.walls):
-                gap, vn = wall_gap(state, c, axis, side), side * component(v, axis)
-                bounce = side * laws.wall_bounce(gap, vn, state.restitution[c])
+                gap, vn = wall_gap(state, x, radius, axis, side), float(side) * component(v, axis)
+                bounce = float(side) * laws.wall_bounce(gap, vn, restitution)
                 jump = with_component(jump, axis, component(jump, axis) + bounce)
-            jump = where(state.w[c] > 0.0, jump, 0.0 * v)
+            jump = where_positive(read(plan, state.w, c), jump, zeros(plan, state))
     if ti.static(plan.collisions):
-        jump += state.jump[c]
+        jump += read(plan, state.jump, c)
     return jump
 
 
 @ti.func
-def kept_above_floor(plan: ti.template(), state: ti.template(), c, x, v):
-    """Positions x after the move; on the floor where that was hit and v still points down.
+def kept_above_floor(plan: ti.template(), state: ti.template(), c, x, v, new_x, new_v):
+    """Positions new_x after the move; on the floor where that was hit and new_v points down.
 
-    Must be called before x and v of the cell are overwritten: the hit is the step's start's.
+    x, v: those at the start of the step, which decide what was hit.
     """
-    y = x
+    kept = new_x
     if ti.static(plan.floor):
-        hit = ti.min(-wall_gap(state, c, 1, 1), component(state.v[c], 1))  # where positive
-        sinks = ti.min(ti.min(hit, component(v, 1)), state.w[c]) > 0.0
-        if any_lane(plan, sinks):
-            floor = state.high[None][1] - state.radius[c]
-            y = with_component(x, 1, ti.select(sinks, floor, component(x, 1)))
-    return y
+        radius = read(plan, state.radius, c)
+        hit = ti.min(-1.0 * wall_gap(state, x, radius, 1, 1), component(v, 1))  # where positive
+        sinks = ti.min(ti.min(hit, component(new_v, 1)), read(plan, state.w, c))  # likewise
+        if largest(plan, sinks) > 0.0:
+            y = ti.select(sinks > 0.0, state.high[1] - radius, component(new_x, 1))
+            kept = with_component(new_x, 1, y)
+    return kept

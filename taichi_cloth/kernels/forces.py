@@ -7,14 +7,16 @@ import taichi as ti
 from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.lanes import (
     component,
+    read,
     scaled,
     set_site_value,
     site_number,
     site_value,
-    where,
+    where_positive,
     with_component,
+    write,
 )
-from taichi_cloth.kernels.loops import each_cell
+from taichi_cloth.kernels.loops import each_cell_moving
 from taichi_cloth.kernels.springs import accumulate, force_between
 
 
@@ -38,7 +40,7 @@ def accelerate_then(plan: ti.template(), state: ti.template(), t, move: ti.templ
         accumulate(plan, state, t, force_between, ti.static(_moving(move)), _accelerate_more)
     else:
         compute_acceleration(plan, state, t)
-        each_cell(plan, state, t, ti.static(_moving_with_stored(move)))
+        each_cell_moving(plan, state, t, ti.static(_moving_with_stored(move)))
 
 
 @functools.cache
@@ -54,14 +56,14 @@ def _moving(move):
 def _moving_with_stored(move):
     @ti.func
     def body(plan: ti.template(), state: ti.template(), c):
-        move(plan, state, c, state.a[c])
+        move(plan, state, c, read(plan, state.a, c))
 
     return body
 
 
 @ti.func
 def _store_acceleration(plan: ti.template(), state: ti.template(), c, f):
-    state.a[c] = acceleration(plan, state, c, f)
+    write(plan, state.a, c, acceleration(plan, state, c, f))
 
 
 @ti.func
@@ -71,17 +73,17 @@ def acceleration(plan: ti.template(), state: ti.template(), c, f):
     The order of the sums is that of the reference trajectories: a pulled cloth amplifies round-off
     1e8 times in 600 frames.
     """
-    w, gravity = state.w[c], state.gravity[None]
-    none = 0.0 * state.v[c]
+    w, v = read(plan, state.w, c), read(plan, state.v, c)
+    none = 0.0 * v
     a, total = none, f
     for axis in ti.static(range(plan.dim)):
-        a = with_component(a, axis, component(a, axis) + gravity[axis])
+        a = with_component(a, axis, component(a, axis) + state.gravity[axis])
     if ti.static(plan.drag):
-        a += scaled(w, laws.drag_force(state.v[c], state.viscous[c]))
+        a += scaled(w, laws.drag_force(v, read(plan, state.viscous, c)))
     if ti.static(plan.blow):
         if state.pushing[None] == 1:
-            total += state.push[c]
-    return where(w > 0.0, a + scaled(w, total), none)
+            total += read(plan, state.push, c)
+    return where_positive(w, a + scaled(w, total), none)
 
 
 @ti.func

@@ -7,10 +7,13 @@ no root is taken and both ends of a spring share one decision.
 import taichi as ti
 
 from taichi_cloth.kernels.lanes import (
-    any_lane,
+    component,
     dot,
-    far_end,
+    largest,
+    link_offset,
+    of_kind,
     pitch_of,
+    read,
     set_site_number,
     site_number,
     site_value,
@@ -23,7 +26,7 @@ from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 @ti.func
 def break_springs(plan: ti.template(), state: ti.template(), t):
     """End of a step: remove the springs that were breaking; mark those now over their limit."""
-    if ti.static(len(plan.links) > 0):
+    if ti.static(plan.kinds > 0):
         each_cell(plan, state, t, _break_links)
     if ti.static(plan.springs):
         each(plan, state, t, state.n_springs[None], _break_spring)
@@ -38,7 +41,7 @@ def _break_spring(plan: ti.template(), state: ti.template(), s):
         state.status[s] = GONE
         for end in ti.static(range(2)):
             # A spring from a particle to itself pulls nowhere.
-            state.far[state.half[s][end]] = state.ends[s][end]
+            state.far[state.half[s, end]] = state.ends[s, end]
     else:
         _mark_spring(plan, state, s)
 
@@ -46,7 +49,7 @@ def _break_spring(plan: ti.template(), state: ti.template(), s):
 @ti.func
 def _mark_spring(plan: ti.template(), state: ti.template(), s):
     if state.status[s] == ALIVE:
-        near, far = state.ends[s][0], state.ends[s][1]
+        near, far = state.ends[s, 0], state.ends[s, 1]
         d = site_value(plan, state.x, far) - site_value(plan, state.x, near)
         if d.dot(d) > number(plan, state.break_length2, s):
             state.status[s] = BREAKING
@@ -61,34 +64,37 @@ def _break_links(plan: ti.template(), state: ti.template(), c):
     """One test for a whole cell: in most none breaks, and that is all they pay."""
     g = state.grid_of[c]
     if g >= 0:
-        none = -1.0 + 0.0 * state.w[c]
+        x = read(plan, state.x, c)
+        none = -1.0 + 0.0 * component(x, 0)
         most = none
-        for s in ti.static(range(len(plan.links))):
-            d = state.x[far_end(plan, s, c, pitch_of(plan, state, g))] - state.x[c]
+        for s in range(plan.kinds):
+            far = c + link_offset(state, s, pitch_of(plan, state, g))
+            d = read(plan, state.x, far) - x
             excess = dot(d, d) - state.link_limit2[s, g]
-            most = ti.max(most, ti.select(state.link_k[s][c] > 0.0, excess, none))
-        if any_lane(plan, most > 0.0) or state.breaking[c] > 0:
+            k = read(plan, state.link_k, of_kind(state, s, c))
+            most = ti.max(most, ti.select(k > 0.0, excess, none))
+        if largest(plan, most) > 0.0 or state.breaking[c] > 0:
             for lane in range(plan.lanes):
-                for s in ti.static(range(len(plan.links))):
-                    site = c * plan.lanes + lane
-                    if site_number(plan, state.link_status[s], site) == BREAKING:
-                        set_site_number(plan, state.link_status[s], site, GONE)
-                        set_site_number(plan, state.link_k[s], site, 0.0)
+                for s in range(plan.kinds):
+                    link = of_kind(state, s, c) * plan.lanes + lane
+                    if site_number(plan, state.link_status, link) == BREAKING:
+                        set_site_number(plan, state.link_status, link, GONE)
+                        set_site_number(plan, state.link_k, link, 0.0)
                         state.breaking[c] -= 1
                     else:
                         _mark_link(plan, state, s, g, c, lane)
 
 
 @ti.func
-def _mark_link(plan: ti.template(), state: ti.template(), s: ti.template(), g, c, lane):
-    site = c * plan.lanes + lane
-    alive = site_number(plan, state.link_status[s], site) == ALIVE
-    if alive and site_number(plan, state.link_k[s], site) > 0.0:
-        far = far_end(plan, s, c, pitch_of(plan, state, g)) * plan.lanes + lane
+def _mark_link(plan: ti.template(), state: ti.template(), s, g, c, lane):
+    site, link = c * plan.lanes + lane, of_kind(state, s, c) * plan.lanes + lane
+    alive = site_number(plan, state.link_status, link) == ALIVE
+    if alive and site_number(plan, state.link_k, link) > 0.0:
+        far = site + link_offset(state, s, pitch_of(plan, state, g)) * plan.lanes
         d = site_value(plan, state.x, far) - site_value(plan, state.x, site)
         if d.dot(d) > state.link_limit2[s, g]:
-            set_site_number(plan, state.link_status[s], site, BREAKING)
-            set_site_number(plan, state.link_step[s], site, state.step[None])
+            set_site_number(plan, state.link_status, link, BREAKING)
+            set_site_number(plan, state.link_step, link, state.step[None])
             state.breaking[c] += 1
 
 
@@ -97,14 +103,14 @@ def _mark_links(plan: ti.template(), state: ti.template(), c):
     g = state.grid_of[c]
     if g >= 0:
         for lane in range(plan.lanes):
-            for s in ti.static(range(len(plan.links))):
+            for s in range(plan.kinds):
                 _mark_link(plan, state, s, g, c, lane)
 
 
 @ti.kernel
 def mark_new_springs(plan: ti.template(), state: ti.template()):
     """Outside of steps: springs that are over their limit from the start pull once and are gone."""
-    if ti.static(len(plan.links) > 0):
+    if ti.static(plan.kinds > 0):
         each_cell(plan, state, 0, _mark_links)
     if ti.static(plan.springs):
         each(plan, state, 0, state.n_springs[None], _mark_spring)

@@ -3,7 +3,7 @@
 import taichi as ti
 
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.lanes import component, dot, scaled, with_component
+from taichi_cloth.kernels.lanes import component, dot, read, scaled, with_component, write
 from taichi_cloth.kernels.loops import each_cell
 
 
@@ -18,7 +18,7 @@ def compute_push(plan: ti.template(), state: ti.template(), numbers: ti.types.nd
         state.pushing[None] = 1
         for i in ti.static(range(3)):
             for axis in ti.static(range(plan.dim)):
-                state.pointer[i][axis] = numbers[i * plan.dim + axis]
+                state.pointer[i, axis] = numbers[i * plan.dim + axis]
         state.pointer_reach[None] = numbers[3 * plan.dim]
         state.pointer_strength[None] = numbers[3 * plan.dim + 1]
     each_cell(plan, state, 0, _push_cell)
@@ -26,19 +26,19 @@ def compute_push(plan: ti.template(), state: ti.template(), numbers: ti.types.nd
 
 @ti.func
 def _push_cell(plan: ti.template(), state: ti.template(), c):
-    x = state.x[c]
+    x = read(plan, state.x, c)
     d, ray = 0.0 * x, 0.0 * x
     for axis in ti.static(range(plan.dim)):
-        from_pointer = component(x, axis) - state.pointer[0][axis]
+        from_pointer = component(x, axis) - state.pointer[0, axis]
         d = with_component(d, axis, from_pointer)
-        ray = with_component(ray, axis, 0.0 * from_pointer + state.pointer[1][axis])
+        ray = with_component(ray, axis, 0.0 * from_pointer + state.pointer[1, axis])
     d -= scaled(dot(d, ray), ray)
     reach, strength = state.pointer_reach[None], state.pointer_strength[None]
     distance, push = laws.length(d), 0.0 * x
     for axis in ti.static(range(plan.dim)):
-        force = laws.blow_force(distance, state.pointer[2][axis], reach, strength)
+        force = laws.blow_force(distance, state.pointer[2, axis], reach, strength)
         push = with_component(push, axis, force)
-    state.push[c] = push
+    write(plan, state.push, c, push)
 
 
 @ti.kernel

@@ -22,6 +22,14 @@ and below let every link's neighbour be read.
 With L = 1, on GPUs and for particles on a graph, a cell is one particle, its value a vector of
 `dim`, and there are no halos. The functions below do the same on both, so physics is written once.
 A *site* is a place for one particle: its cell times L, plus its lane.
+
+Kernels that run on cells of lanes are compiled with vectors kept whole (`runtime.whole_vectors`),
+which Taichi 1.7 does only in part. In them
+- fields are read and written number by number, as `read` and `write` do: fields of vectors crash;
+- vectors take + - * /, min, max, sqrt, comparisons and select; not unary minus (-1.0 * a), -=
+  (a = a - b), abs, nor casts;
+- conditions are used at once, in a select: vectors of them cannot be taken apart (`largest`,
+  `where_positive`).
 """
 
 import taichi as ti
@@ -33,16 +41,80 @@ def lanes_of(a):
     return 1 if len(shape) == 1 else shape[1]
 
 
+def rows_of(plan, of):
+    """How many numbers a field of cells holds for each particle."""
+    return of.shape[1] // plan.lanes
+
+
+@ti.func
+def read(plan: ti.template(), of: ti.template(), c):
+    """What a field holds for cell c: vectors, or a number for each lane; 0-D fields hold the same
+    number for all.
+    """
+    if ti.static(of.shape == ()):
+        return everywhere(plan, of[None])
+    elif ti.static(plan.lanes == 1):
+        return of[c]
+    elif ti.static(rows_of(plan, of) == 1):
+        return ti.Vector([of[c, lane] for lane in range(plan.lanes)])
+    else:
+        return ti.Matrix(
+            [
+                [of[c, axis * plan.lanes + lane] for lane in range(plan.lanes)]
+                for axis in range(rows_of(plan, of))
+            ]
+        )
+
+
+@ti.func
+def everywhere(plan: ti.template(), number):
+    """One number for all lanes."""
+    if ti.static(plan.lanes == 1):
+        return number
+    else:
+        return ti.Vector([number for _ in range(plan.lanes)])
+
+
+@ti.func
+def zeros(plan: ti.template(), state: ti.template()):
+    """Zero vectors, for a cell."""
+    if ti.static(plan.lanes == 1):
+        return ti.Vector.zero(state.real, plan.dim)
+    else:
+        return ti.Matrix.zero(state.real, plan.dim, plan.lanes)
+
+
+@ti.func
+def write(plan: ti.template(), of: ti.template(), c, value):
+    """Store what a field holds for cell c."""
+    if ti.static(plan.lanes == 1):
+        of[c] = value
+    else:
+        for axis in ti.static(range(rows_of(plan, of))):
+            for lane in ti.static(range(plan.lanes)):
+                if ti.static(rows_of(plan, of) == 1):
+                    of[c, lane] = value[lane]
+                else:
+                    of[c, axis * plan.lanes + lane] = value[axis, lane]
+
+
 @ti.func
 def dot(a, b):
     """Scalar product, for each lane."""
     if ti.static(lanes_of(a) == 1):
         return a.dot(b)
     else:
-        product = component(a, 0) * component(b, 0)
+        products = a * b
+        total = component(products, 0)
         for axis in ti.static(range(1, a.n)):
-            product += component(a, axis) * component(b, axis)
-        return product
+            total += component(products, axis)
+        return total
+
+
+@ti.func
+def for_each_axis(s, a: ti.template()):
+    """A number for each lane, repeated for every component of the vectors a."""
+    return ti.Matrix([[s[lane] for lane in range(lanes_of(a))] for _ in range(a.n)])
 
 
 @ti.func
@@ -51,47 +123,55 @@ def scaled(s, d):
     if ti.static(lanes_of(d) == 1):
         return s * d
     else:
-        return ti.Matrix(
-            [[s[lane] * d[axis, lane] for lane in range(lanes_of(d))] for axis in range(d.n)]
-        )
+        return for_each_axis(s, d) * d
 
 
 @ti.func
-def where(condition, a, b):
-    """a where the condition of the lane holds, else b; a, b: vectors."""
+def where_positive(s, a, b):
+    """The vectors a in lanes where the number s is positive, else b."""
     if ti.static(lanes_of(a) == 1):
-        return ti.select(condition, a, b)
+        return ti.select(s > 0.0, a, b)
     else:
-        return ti.Matrix(
-            [
-                [
-                    ti.select(condition[lane], a[axis, lane], b[axis, lane])
-                    for lane in range(lanes_of(a))
-                ]
-                for axis in range(a.n)
-            ]
-        )
+        return ti.select(for_each_axis(s, a) > 0.0, a, b)
 
 
 @ti.func
-def any_lane(plan: ti.template(), condition):
-    """Whether the condition holds in any lane."""
-    if ti.static(plan.lanes > 1):
-        holds = condition[0]
-        for lane in ti.static(range(1, plan.lanes)):
-            holds |= condition[lane]
-        return holds
+def largest(plan: ti.template(), a):
+    """Largest number in any lane."""
+    if ti.static(plan.lanes == 1):
+        return a
     else:
-        return condition
+        return folded(ti.max, a)
 
 
 @ti.func
 def over_lanes(plan: ti.template(), a):
     """Sum of the numbers in all lanes."""
-    if ti.static(plan.lanes > 1):
-        return a.sum()
-    else:
+    if ti.static(plan.lanes == 1):
         return a
+    else:
+        return folded(_plus, a)
+
+
+@ti.func
+def _plus(a, b):
+    return a + b
+
+
+@ti.func
+def folded(op: ti.template(), a):
+    """The numbers in all lanes joined by `op`, half of them with the other half."""
+    if ti.static(a.n == 1):
+        return a[0]
+    else:
+        half = ti.static(a.n // 2)
+        return folded(
+            op,
+            op(
+                ti.Vector([a[i] for i in range(half)]),
+                ti.Vector([a[half + i] for i in range(half)]),
+            ),
+        )
 
 
 @ti.func
@@ -106,19 +186,15 @@ def component(a, axis: ti.template()):
 @ti.func
 def with_component(a, axis: ti.template(), value):
     """The vectors a with one component replaced."""
-    b = a
     if ti.static(lanes_of(a) == 1):
+        b = a
         b[axis] = value
+        return b
     else:
+        b = a
         for lane in ti.static(range(lanes_of(a))):
             b[axis, lane] = value[lane]
-    return b
-
-
-@ti.func
-def cell_value(plan: ti.template(), of: ti.template(), c):
-    """The values of a cell: for code that runs on whole cells."""
-    return of[c]
+        return b
 
 
 @ti.func
@@ -128,16 +204,18 @@ def site_value(plan: ti.template(), of: ti.template(), site):
         return of[site]
     else:
         cell, lane = site // plan.lanes, site % plan.lanes
-        return ti.Vector([of[cell][axis, lane] for axis in range(plan.dim)])
+        return ti.Vector([of[cell, axis * plan.lanes + lane] for axis in range(plan.dim)])
 
 
 @ti.func
 def site_number(plan: ti.template(), of: ti.template(), site):
     """The number of one particle, by its site."""
-    if ti.static(plan.lanes == 1):
+    if ti.static(of.shape == ()):
+        return of[None]
+    elif ti.static(plan.lanes == 1):
         return of[site]
     else:
-        return of[site // plan.lanes][site % plan.lanes]
+        return of[site // plan.lanes, site % plan.lanes]
 
 
 @ti.func
@@ -147,45 +225,51 @@ def set_site_value(plan: ti.template(), of: ti.template(), site, value):
         if ti.static(plan.lanes == 1):
             of[site][axis] = value[axis]
         else:
-            of[site // plan.lanes][axis, site % plan.lanes] = value[axis]
+            of[site // plan.lanes, axis * plan.lanes + site % plan.lanes] = value[axis]
 
 
 @ti.func
 def set_site_number(plan: ti.template(), of: ti.template(), site, value):
-    """Store the number of one particle."""
-    if ti.static(plan.lanes == 1):
+    """Store the number of one particle; in 0-D fields, that of all."""
+    if ti.static(of.shape == ()):
+        of[None] = value
+    elif ti.static(plan.lanes == 1):
         of[site] = value
     else:
-        of[site // plan.lanes][site % plan.lanes] = value
+        of[site // plan.lanes, site % plan.lanes] = value
 
 
 @ti.func
 def pitch_of(plan: ti.template(), state: ti.template(), g):
     """Cells from a row of grid g to the next."""
-    return state.grid[g][2] + 2 * plan.halo
+    return state.grid[g, 2] + 2 * plan.halo
 
 
 @ti.func
-def far_end(plan: ti.template(), s: ti.template(), c, pitch):
-    """The cell at the other end of cell c's links of kind s."""
-    return c + plan.links[s][0] + plan.links[s][1] * pitch
+def link_offset(state: ti.template(), s, pitch):
+    """Cells from a cell to the other end of its links of kind s."""
+    return state.link[s, 0] + state.link[s, 1] * pitch
 
 
 @ti.func
-def renew_left_halo(plan: ti.template(), of: ti.template(), first, width, reach: ti.template()):
+def of_kind(state: ti.template(), s, c):
+    """Where the fields of links keep those of kind s that begin at cell c."""
+    return s * state.cells + c
+
+
+@ti.func
+def renew_left_halo(plan: ti.template(), of: ti.template(), first, width, reach):
     """Left of a row that begins at cell `first`: the columns before each strip's first one."""
-    for h in ti.static(range(1, reach + 1)):
-        for axis in ti.static(range(plan.dim)):
-            of[first - h][axis, 0] = 0.0
-            for lane in ti.static(range(1, plan.lanes)):
-                of[first - h][axis, lane] = of[first + width - h][axis, lane - 1]
+    for h in range(1, reach + 1):
+        a = read(plan, of, first + width - h)
+        rows = [[0.0] + [a[i, lane] for lane in range(plan.lanes - 1)] for i in range(plan.dim)]
+        write(plan, of, first - h, ti.Matrix(rows))
 
 
 @ti.func
-def renew_right_halo(plan: ti.template(), of: ti.template(), first, width, reach: ti.template()):
+def renew_right_halo(plan: ti.template(), of: ti.template(), first, width, reach):
     """Right of it: the columns after each strip's last one."""
-    for h in ti.static(range(reach)):
-        for axis in ti.static(range(plan.dim)):
-            of[first + width + h][axis, plan.lanes - 1] = 0.0
-            for lane in ti.static(range(plan.lanes - 1)):
-                of[first + width + h][axis, lane] = of[first + h][axis, lane + 1]
+    for h in range(reach):
+        a = read(plan, of, first + h)
+        rows = [[a[i, lane] for lane in range(1, plan.lanes)] + [0.0] for i in range(plan.dim)]
+        write(plan, of, first + width + h, ti.Matrix(rows))

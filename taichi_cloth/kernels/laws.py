@@ -44,7 +44,7 @@ def dashpot_tension(dv, along, c):
 @ti.func
 def drag_force(v, viscous):
     """Viscous (Stokes) drag on one particle."""
-    return scaled(-viscous, v)
+    return scaled(-1.0 * viscous, v)
 
 
 @ti.func
@@ -63,7 +63,7 @@ def wall_bounce(gap, vn, e):
     gap: how far the particle's surface is short of the wall (negative: past it);
     vn: velocity along the outward normal.
     """
-    return ti.select(ti.min(-gap, vn) > 0.0, -(1.0 + e) * vn, 0.0 * vn)
+    return ti.select(ti.min(-1.0 * gap, vn) > 0.0, (-1.0 - e) * vn, 0.0 * vn)
 
 
 @ti.func

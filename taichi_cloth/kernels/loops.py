@@ -10,9 +10,17 @@ spread: a launch is one step, every loop in it a top-level loop that Taichi make
 `t` is the number of the thread that runs a loop, 0 where one runs all of it.
 """
 
+import functools
+
 import taichi as ti
 
-from taichi_cloth.kernels.lanes import pitch_of, renew_left_halo, renew_right_halo
+from taichi_cloth.kernels.lanes import (
+    everywhere,
+    over_lanes,
+    pitch_of,
+    renew_left_halo,
+    renew_right_halo,
+)
 
 # Taichi hands a top-level CPU loop out in pieces of at least 512 iterations, one piece a thread.
 # A loop of 512 iterations a thread, of which one does the work, gives each thread its share.
@@ -59,28 +67,114 @@ def each(plan: ti.template(), state: ti.template(), t, count, body: ti.template(
 
 @ti.func
 def each_cell(plan: ti.template(), state: ti.template(), t, body: ti.template()):
-    """Run body(plan, state, c) for every cell c that holds particles, then renew the halos."""
+    """Run body(plan, state, c) for every cell c that holds particles.
+
+    A body that moves them is `each_cell_moving`'s, which renews the halos.
+    """
+    _each_cell(plan, state, t, body, False)
+
+
+@ti.func
+def each_cell_moving(plan: ti.template(), state: ti.template(), t, body: ti.template()):
+    """Run body(plan, state, c), which changes what neighbours read, for every cell c."""
+    _each_cell(plan, state, t, body, True)
+
+
+@ti.func
+def _each_cell(
+    plan: ti.template(), state: ti.template(), t, body: ti.template(), moving: ti.template()
+):
     if ti.static(plan.lanes == 1):
         each(plan, state, t, state.n_cells[None], body)
     elif ti.static(plan.spread):
         for i in range(plan.threads * PIECE):
             if i % PIECE == 0:
-                _each_cell_of_rows(plan, state, i // PIECE, body)
+                _each_cell_of_rows(plan, state, i // PIECE, body, moving)
     else:
-        _each_cell_of_rows(plan, state, t, body)
+        _each_cell_of_rows(plan, state, t, body, moving)
         barrier(plan, state)
 
 
 @ti.func
-def _each_cell_of_rows(plan: ti.template(), state: ti.template(), t, body: ti.template()):
+def _each_cell_of_rows(
+    plan: ti.template(), state: ti.template(), t, body: ti.template(), moving: ti.template()
+):
     for g in range(state.n_grids[None]):
-        first, rows, width = state.grid[g][0], state.grid[g][1], state.grid[g][2]
+        first, rows, width = state.grid[g, 0], state.grid[g, 1], state.grid[g, 2]
         pitch = pitch_of(plan, state, g)
         for r in range(share(plan, rows, t), share(plan, rows, t + 1)):
             begin = first + r * pitch
             for c in range(begin, begin + width):
                 body(plan, state, c)
-            renew_halos(plan, state, begin, width)
+            if ti.static(moving):
+                renew_halos(plan, state, begin, width)
+
+
+@ti.func
+def add_up(plan: ti.template(), state: ti.template(), t, number: ti.template(), k: ti.template()):
+    """state.sums[k, 0] = sum of number(plan, state, c), one for each lane, over all cells c.
+
+    Row by row, on a graph piece by piece of cells, and then these in their order: the same bits
+    for every number of threads. `State.add_sums` makes room for it.
+    """
+    if ti.static(plan.lanes == 1):
+        each(plan, state, t, pieces_of(state), ti.static(_adding_piece(number, k)))
+    elif ti.static(plan.spread):
+        for i in range(plan.threads * PIECE):
+            if i % PIECE == 0:
+                _add_rows(plan, state, i // PIECE, number, k)
+    else:
+        _add_rows(plan, state, t, number, k)
+        barrier(plan, state)
+    each(plan, state, t, 1, ti.static(_adding_parts(k)))
+
+
+@ti.func
+def pieces_of(state: ti.template()):
+    return (state.n_cells[None] + PIECE - 1) // PIECE
+
+
+@functools.cache
+def _adding_piece(number, k):
+    @ti.func
+    def body(plan: ti.template(), state: ti.template(), i):
+        total = ti.cast(0.0, state.real)
+        for c in range(i * PIECE, ti.min((i + 1) * PIECE, state.n_cells[None])):
+            total += number(plan, state, c)
+        state.sums[k, i + 1] = total
+
+    return body
+
+
+@ti.func
+def _add_rows(
+    plan: ti.template(), state: ti.template(), t, number: ti.template(), k: ti.template()
+):
+    for g in range(state.n_grids[None]):
+        first, rows, width = state.grid[g, 0], state.grid[g, 1], state.grid[g, 2]
+        for r in range(share(plan, rows, t), share(plan, rows, t + 1)):
+            begin = first + r * pitch_of(plan, state, g)
+            total = everywhere(plan, ti.cast(0.0, state.real))
+            for c in range(begin, begin + width):
+                total += number(plan, state, c)
+            state.sums[k, begin] = over_lanes(plan, total)
+
+
+@functools.cache
+def _adding_parts(k):
+    @ti.func
+    def body(plan: ti.template(), state: ti.template(), i):
+        total = ti.cast(0.0, state.real)
+        if ti.static(plan.lanes == 1):
+            for part in range(pieces_of(state)):
+                total += state.sums[k, part + 1]
+        else:
+            for g in range(state.n_grids[None]):
+                for r in range(state.grid[g, 1]):
+                    total += state.sums[k, state.grid[g, 0] + r * pitch_of(plan, state, g)]
+        state.sums[k, 0] = total
+
+    return body
 
 
 @ti.func

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 class Plan:
     """The switches of one compilation; equal plans share their kernels.
 
-    dim, uniform_springs, fracture, dashpots, drag, walls, floor, collisions, blow: the scene's
-        features, as in `scene.Features`.
+    dim, uniform_springs, uniform_particles, fracture, dashpots, drag, walls, floor, collisions,
+        blow: the scene's features, as in `scene.Features`.
     springs: whether there are springs on the graph: all of them, or those that no grid holds.
     lanes: particles in a cell (`lanes.py`); 1 on a graph and on GPUs.
     links: (columns, rows) offsets of the grid's links to later particles; empty on a graph.
@@ -18,6 +18,7 @@ class Plan:
     dim: int
     springs: bool
     uniform_springs: bool
+    uniform_particles: bool
     fracture: bool
     dashpots: bool
     drag: bool
@@ -29,6 +30,11 @@ class Plan:
     links: tuple[tuple[int, int], ...] = ()
     threads: int = 1
     spread: bool = False
+
+    @property
+    def kinds(self) -> int:
+        """How many kinds of link there are."""
+        return len(self.links)
 
     @property
     def halo(self) -> int:

@@ -14,13 +14,16 @@ import taichi as ti
 
 from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.lanes import (
-    cell_value,
-    far_end,
+    link_offset,
+    of_kind,
     pitch_of,
+    read,
     renew_left_halo,
     renew_right_halo,
     scaled,
     site_value,
+    write,
+    zeros,
 )
 from taichi_cloth.kernels.loops import PIECE, barrier, each, renew_halos, share
 
@@ -56,7 +59,7 @@ def accumulate(
         barrier(plan, state)
     else:
         each(plan, state, t, state.n_cells[None], ti.static(_summing(between, receive)))
-    if ti.static(plan.springs and len(plan.links) > 0):
+    if ti.static(plan.springs and plan.kinds > 0):
         each(plan, state, t, state.n_near[None], ti.static(_summing_more(between, receive_more)))
 
 
@@ -83,12 +86,12 @@ def _summing_more(between, receive_more):
 @ti.func
 def sum_at_cell(plan: ti.template(), state: ti.template(), between: ti.template(), c):
     """Sum over the springs of cell c, each computed from both of its ends."""
-    if ti.static(len(plan.links) > 0):
+    if ti.static(plan.kinds > 0):
         return sum_of_links(plan, state, between, c)
     elif ti.static(plan.springs):
-        return sum_of_half_springs(plan, state, cell_value, between, c, c)
+        return sum_of_half_springs(plan, state, read, between, c, c)
     else:
-        return 0.0 * state.x[c]
+        return zeros(plan, state)
 
 
 @ti.func
@@ -145,19 +148,16 @@ def sum_of_half_springs(
 
 
 @ti.func
-def link_value(
-    plan: ti.template(), state: ti.template(), between: ti.template(), s: ti.template(), g, c, pitch
-):
+def link_value(plan: ti.template(), state: ti.template(), between: ti.template(), s, g, c, far):
     """What cell c gets from its links of kind s to later particles.
 
     A link that is absent or broken has no stiffness, and its dashpot is gone with it.
     """
-    k = state.link_k[s][c]
+    k = read(plan, state.link_k, of_kind(state, s, c))
     damping = 0.0 * k
     if ti.static(plan.dashpots):
         damping = ti.select(k > 0.0, state.link_c[s, g], 0.0 * k)
-    far = far_end(plan, s, c, pitch)
-    return between(plan, state, cell_value, c, far, k, state.link_rest[s, g], damping)
+    return between(plan, state, read, c, far, k, state.link_rest[s, g], damping)
 
 
 @ti.func
@@ -184,14 +184,14 @@ def give_row(
     plan: ti.template(), state: ti.template(), between: ti.template(), g, begin, width, here
 ):
     """Compute the links of the row of cells at `begin`, into state.given from `here` on."""
-    pitch = pitch_of(plan, state, g)
-    for i in range(width):
-        for s in ti.static(range(len(plan.links))):
-            state.given[s][here + i] = link_value(plan, state, between, s, g, begin + i, pitch)
-    for s in ti.static(range(len(plan.links))):
-        columns = ti.static(plan.links[s][0])
-        renew_left_halo(plan, state.given[s], here, width, max(columns, 0))
-        renew_right_halo(plan, state.given[s], here, width, max(-columns, 0))
+    for s in range(plan.kinds):
+        offset = link_offset(state, s, pitch_of(plan, state, g))
+        to = s * state.given_size + here
+        for i in range(width):
+            far = begin + i + offset
+            write(plan, state.given, to + i, link_value(plan, state, between, s, g, begin + i, far))
+        renew_left_halo(plan, state.given, to, width, state.link[s, 0])
+        renew_right_halo(plan, state.given, to, width, -state.link[s, 0])
 
 
 @ti.func
@@ -212,8 +212,8 @@ def sweep(
     that is phase 0, and phase 1 the rest; with one thread there is only phase 1.
     """
     for g in range(state.n_grids[None]):
-        first, rows, width = state.grid[g][0], state.grid[g][1], state.grid[g][2]
-        linked = state.grid[g][3] == 1
+        first, rows, width = state.grid[g, 0], state.grid[g, 1], state.grid[g, 2]
+        linked = state.grid[g, 3] == 1
         begin, end = grid_share(plan, rows, t), grid_share(plan, rows, t + 1)
         start = begin
         if ti.static(plan.threads > 1):
@@ -227,21 +227,21 @@ def sweep(
             if linked and (phase == 0 or plan.threads == 1 or r < end - plan.depth):
                 give_row(plan, state, between, g, row, width, here)
             if phase == 1:
-                if linked:
-                    above = ti.Vector([0 for _ in range(ti.static(len(plan.links)))])
-                    for s in ti.static(range(len(plan.links))):
-                        giver = given_row(plan, state, g, t, begin, end, r - plan.links[s][1])
-                        above[s] = giver - plan.links[s][0]
-                    for i in range(width):
-                        total = 0.0 * state.x[row + i]
-                        for s in ti.static(range(len(plan.links))):
-                            total -= state.given[s][above[s] + i]
-                        for s in ti.static(plan.forward):
-                            total += state.given[s][here + i]
-                        receive(plan, state, row + i, total)
-                else:  # particles on no grid
-                    for i in range(width):
-                        receive(plan, state, row + i, 0.0 * state.x[row + i])
+                above = ti.Vector([0 for _ in range(plan.kinds)])
+                ahead = ti.Vector([0 for _ in range(plan.kinds)])
+                for s in ti.static(range(plan.kinds)):
+                    giver = given_row(plan, state, g, t, begin, end, r - plan.links[s][1])
+                    above[s] = s * state.given_size + giver - plan.links[s][0]
+                    ahead[s] = plan.forward[s] * state.given_size + here
+                    if not linked:
+                        above[s] = ahead[s] = tail(plan, state, g, -1)
+                for i in range(width):
+                    total = zeros(plan, state)
+                    for s in range(plan.kinds):
+                        total = total - read(plan, state.given, above[s] + i)
+                    for s in range(plan.kinds):
+                        total += read(plan, state.given, ahead[s] + i)
+                    receive(plan, state, row + i, total)
                 renew_halos(plan, state, row, width)
 
 
@@ -261,11 +261,12 @@ def sum_of_links(plan: ti.template(), state: ti.template(), between: ti.template
     """Sum over the links of cell c, each computed from both of its ends: for GPUs."""
     g = state.grid_of[c]
     pitch = pitch_of(plan, state, ti.max(g, 0))
-    total = 0.0 * state.x[c]
+    total = zeros(plan, state)
     if g >= 0:  # not an empty row, beyond which there may be nothing
-        for s in ti.static(range(len(plan.links))):
-            giver = c - plan.links[s][0] - plan.links[s][1] * pitch
-            total -= link_value(plan, state, between, s, g, giver, pitch)
+        for s in ti.static(range(plan.kinds)):
+            giver = c - link_offset(state, s, pitch)
+            total = total - link_value(plan, state, between, s, g, giver, c)
         for s in ti.static(plan.forward):
-            total += link_value(plan, state, between, s, g, c, pitch)
+            far = c + link_offset(state, s, pitch)
+            total += link_value(plan, state, between, s, g, c, far)
     return total

@@ -38,8 +38,8 @@ class State:
 
     Cells (`lanes.py`), each value a vector of `dim` or a number for each of the cell's particles:
         x, v: position and velocity; a: acceleration of the current step;
-        w: inverse mass (0 = fixed); radius, restitution (walls or collisions);
-        viscous (drag); push (blow): force of the pointer, held through a frame;
+        w: inverse mass (0 = fixed); radius, restitution (walls or collisions), viscous (drag),
+        0-D where all particles share them; push (blow): force of the pointer, held for a frame;
         good_x, good_v: the state at the start of the frame under way, the last good one;
         particle: index of the particle there; site: where particle i is.
     Springs on the graph, in both directions, as compressed rows: the p-th particle that has any
@@ -50,51 +50,38 @@ class State:
         the force reaches the break force), status (ALIVE, BREAKING, GONE), break_step, half (its
         two half-springs).
     Grids: grid: first cell, rows, width in cells, whether it has links; grid_of: a cell's grid, -1
-        in the empty rows. For each kind of link s: link_k[s] (0 = absent or gone), link_status[s]
-        and link_step[s] (fracture) of cells; link_rest, link_c, link_limit2 by kind and grid;
-        given[s]: what links give: rows of zeros, a ring of rows for each thread, then the last
-        rows of each thread's share of each grid; breaking: how many of a cell's links are about
-        to go.
-    Numbers a run may change are 0-D fields: n, n_cells, n_grids, dt, gravity, low, high, ...
+        in the empty rows; breaking: how many of a cell's links are about to go.
+    Kinds of link: link: columns and rows to the other end; forward: the kinds in the order in
+        which the other ends are numbered; link_rest, link_c, link_limit2 by kind and grid. One
+        kind after the other (`lanes.of_kind`): link_k (0 = absent or gone), link_status and
+        link_step (fracture) of cells; given: what links give: rows of zeros, a ring of rows for
+        each thread, then the last rows of each thread's share of each grid.
+    Numbers a run may change are fields too: n, n_cells, n_grids, dt, gravity, low, high, ...
     """
 
     def __init__(self, plan, real, capacity):
         """Allocate. real: ti.f32 or ti.f64."""
-        dim, lanes, kinds = plan.dim, plan.lanes, range(len(plan.links))
+        dim, lanes, kinds = plan.dim, plan.lanes, plan.kinds
         n, s, m = max(capacity.particles, 1), max(capacity.springs, 1), max(capacity.cells, 1)
-        self.real, self.capacity = real, capacity
+        self.real, self.capacity, self.cells = real, capacity, m
         # Two trees, one per width of number: where both share a tree, Vulkan and OpenGL read f64
         # at addresses that are no multiple of 8, which are not the ones that were written.
         reals, integers = ti.FieldsBuilder(), ti.FieldsBuilder()
 
-        def placed(tree, field, shape):
-            (tree.dense(ti.i, shape) if shape else tree).place(field)
-            return field
+        def scalars(*shape):
+            return _placed(reals, ti.field(real), *shape)
 
-        def scalars(shape=None):
-            return placed(reals, ti.field(real), shape)
+        def counts(*shape):
+            return _placed(integers, ti.field(ti.i32), *shape)
 
-        def vectors(shape=None):
-            return placed(reals, ti.Vector.field(dim, real), shape)
+        def cell_vectors(m=m):
+            return self._cell_vectors(plan, reals, m)
 
-        def counts(shape=None):
-            return placed(integers, ti.field(ti.i32), shape)
+        def cell_numbers(m=m):
+            return scalars(m) if lanes == 1 else scalars(m, lanes)
 
-        def count_vectors(size, shape=None):
-            return placed(integers, ti.Vector.field(size, ti.i32), shape)
-
-        def cell_vectors(shape=m):
-            if lanes == 1:
-                return vectors(shape)
-            return placed(reals, ti.Matrix.field(dim, lanes, real), shape)
-
-        def cell_numbers(shape=m):
-            if lanes == 1:
-                return scalars(shape)
-            return placed(reals, ti.Vector.field(lanes, real), shape)
-
-        def cell_counts():
-            return counts(m) if lanes == 1 else count_vectors(lanes, m)
+        def cell_counts(m=m):
+            return counts(m) if lanes == 1 else counts(m, lanes)
 
         # Cells first, so that they lie at multiples of their size, as vectors are best read.
         self.x, self.v, self.a = cell_vectors(), cell_vectors(), cell_vectors()
@@ -102,18 +89,21 @@ class State:
         self.w = cell_numbers()
         self.particle, self.site = cell_counts(), counts(n)
         self.haloed = (self.x, self.v) if plan.dashpots else (self.x,)
+        particle_numbers = scalars if plan.uniform_particles else cell_numbers
         if plan.drag:
-            self.viscous = cell_numbers()
+            self.viscous = particle_numbers()
         if plan.blow:
             self.push = cell_vectors()
         if plan.walls or plan.collisions:
-            self.radius, self.restitution = cell_numbers(), cell_numbers()
+            self.radius, self.restitution = particle_numbers(), particle_numbers()
         if plan.links:
             self.row = capacity.row
-            self.link_k = [cell_numbers() for _ in kinds]
+            self.link, self.forward = counts(kinds, 2), counts(kinds)
+            self.link_k = cell_numbers(kinds * m)
             tails = max(capacity.grids, 1) * (plan.threads + 1) * plan.depth
             given = (plan.threads * plan.ring + tails) * capacity.row if lanes > 1 else 1
-            self.given = [cell_vectors(given) for _ in kinds]
+            self.given_size = given
+            self.given = cell_vectors(kinds * given)
             self.grid_of = counts(m)
 
         # What threads write at every step is kept off the cache lines of what they only read.
@@ -123,52 +113,78 @@ class State:
         self.fault, self.watching = counts(), counts()
         counts(CACHE_LINE)
         self.n, self.n_cells, self.n_grids = counts(), counts(), counts()
-        self.dt, self.gravity = scalars(), vectors()
+        self.dt, self.gravity = scalars(), scalars(dim)
         self.speed_limit = scalars()
-        self.grid = count_vectors(4, max(capacity.grids, 1))
+        self.grid = counts(max(capacity.grids, 1), 4)
         if plan.blow:
             self.pushing = counts()
-            self.pointer = vectors(3)
+            self.pointer = scalars(3, dim)
             self.pointer_reach, self.pointer_strength = scalars(), scalars()
         if plan.walls:
-            self.low, self.high = vectors(), vectors()
+            self.low, self.high = scalars(dim), scalars(dim)
         if plan.links:
-            of_kinds = len(plan.links), max(capacity.grids, 1)
-            self.link_rest, self.link_c, self.link_limit2 = (
-                placed(reals.dense(ti.ij, of_kinds), ti.field(real), None) for _ in range(3)
-            )
+            of_kinds = plan.kinds, max(capacity.grids, 1)
+            self.link_rest, self.link_c, self.link_limit2 = (scalars(*of_kinds) for _ in range(3))
             if plan.fracture:
-                self.link_status = [cell_counts() for _ in kinds]
-                self.link_step = [cell_counts() for _ in kinds]
+                self.link_status, self.link_step = cell_counts(kinds * m), cell_counts(kinds * m)
                 self.breaking = counts(m)
         if plan.springs:
             self.n_near = counts()
             self.near, self.near_row = counts(n), counts(n + 1)
             self.far = counts(2 * s)
-            each = None if plan.uniform_springs else 2 * s
-            self.k, self.rest = scalars(each), scalars(each)
+            each = () if plan.uniform_springs else (2 * s,)
+            self.k, self.rest = scalars(*each), scalars(*each)
             if plan.dashpots:
-                self.c = scalars(each)
+                self.c = scalars(*each)
             if plan.fracture:
                 self.n_springs = counts()
-                self.ends, self.half = count_vectors(2, s), count_vectors(2, s)
-                self.break_length2 = scalars(None if plan.uniform_springs else s)
+                self.ends, self.half = counts(s, 2), counts(s, 2)
+                self.break_length2 = scalars(*([] if plan.uniform_springs else [s]))
                 self.status, self.break_step = counts(s), counts(s)
         if plan.collisions:
             self.cell_capacity = CELLS_PER_PARTICLE * n + 64
             self.block = 1024  # cells whose counts one loop iteration sums
-            self.grid_size = count_vectors(dim)
+            self.grid_size = counts(dim)
             self.cell_size = scalars()
             self.cell_start = counts(self.cell_capacity + 1)
             self.cell_fill = counts(self.cell_capacity)
             self.block_start = counts(self.cell_capacity // self.block + 2)
             self.cell_of = counts(n)
             self.sorted_index = counts(n)
-            self.sorted_x, self.sorted_radius = vectors(n), scalars(n)
+            self.sorted_x, self.sorted_radius = scalars(n, dim), scalars(n)
             self.jump = cell_vectors()
         self._trees = [reals.finalize(), integers.finalize()]
+
+    def add_vectors(self, plan, name, haloed=False):
+        """A further field of cells for a method: one vector a particle, state.<name>.
+
+        haloed: whether what a particle has there is read by those it is tied to.
+        """
+        of = self._cell_vectors(plan, tree := ti.FieldsBuilder(), self.cells)
+        self._trees.append(tree.finalize())
+        setattr(self, name, of)
+        if haloed:
+            self.haloed = (*self.haloed, of)
+
+    def add_sums(self, count):
+        """Room for `count` sums by `loops.add_up`: sums[k, 0], and their parts after it."""
+        self.sums = _placed(tree := ti.FieldsBuilder(), ti.field(self.real), count, self.cells + 1)
+        self._trees.append(tree.finalize())
+
+    def _cell_vectors(self, plan, tree, cells):
+        if plan.lanes == 1:
+            return _placed(tree, ti.Vector.field(plan.dim, self.real), cells)
+        return _placed(tree, ti.field(self.real), cells, plan.dim * plan.lanes)
 
     def free(self):
         """Give the device memory back; no field of this container may be used afterwards."""
         for tree in self._trees:
             tree.destroy()
+
+
+def _placed(tree, field, *shape):
+    """The field, placed in a tree: one axis inside the other."""
+    for axis, size in zip((ti.i, ti.j), shape, strict=False):
+        tree = tree.dense(axis, size)
+    tree.place(field)
+    return field

@@ -3,12 +3,13 @@
 import taichi as ti
 
 from taichi_cloth.kernels.lanes import (
+    of_kind,
     set_site_number,
     set_site_value,
     site_number,
     site_value,
 )
-from taichi_cloth.kernels.loops import each_cell
+from taichi_cloth.kernels.loops import each_cell_moving
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 from taichi_cloth.kernels.watch import NO_FAULT
 
@@ -33,12 +34,12 @@ def load_numbers(
         if ti.static(plan.collisions):
             state.cell_size[None] = numbers[2]
         for axis in ti.static(range(dim)):
-            state.gravity[None][axis] = numbers[3 + axis]
+            state.gravity[axis] = numbers[3 + axis]
             if ti.static(len(plan.walls) > 0):
-                state.low[None][axis] = numbers[3 + dim + axis]
-                state.high[None][axis] = numbers[3 + 2 * dim + axis]
+                state.low[axis] = numbers[3 + dim + axis]
+                state.high[axis] = numbers[3 + 2 * dim + axis]
             if ti.static(plan.collisions):
-                state.grid_size[None][axis] = counts[1 + axis]
+                state.grid_size[axis] = counts[1 + axis]
 
 
 @ti.kernel
@@ -55,18 +56,25 @@ def load_cells(
         state.n_grids[None] = grid.shape[0]
         for g in range(grid.shape[0]):
             for i in ti.static(range(4)):
-                state.grid[g][i] = grid[g, i]
+                state.grid[g, i] = grid[g, i]
     for c in range(n_cells):
         if ti.static(plan.links):
             state.grid_of[c] = grid_of[c]
         for site in range(c * plan.lanes, (c + 1) * plan.lanes):
             set_site_number(plan, state.w, site, 0.0)
             set_site_number(plan, state.particle, site, NO_FAULT)
-            for s in ti.static(range(len(plan.links))):
-                set_site_number(plan, state.link_k[s], site, 0.0)
-                if ti.static(plan.fracture):
-                    set_site_number(plan, state.link_status[s], site, 0)
-        if ti.static(len(plan.links) > 0 and plan.fracture):
+            if ti.static(len(plan.walls) > 0):  # places without a particle are past no wall
+                middle = ti.Vector.zero(state.real, plan.dim)
+                for axis in ti.static(range(plan.dim)):
+                    middle[axis] = 0.5 * (state.low[axis] + state.high[axis])
+                set_site_value(plan, state.x, site, middle)
+            if ti.static(plan.links):
+                for s in range(plan.kinds):
+                    link = of_kind(state, s, 0) * plan.lanes + site
+                    set_site_number(plan, state.link_k, link, 0.0)
+                    if ti.static(plan.fracture):
+                        set_site_number(plan, state.link_status, link, 0)
+        if ti.static(plan.kinds > 0 and plan.fracture):
             state.breaking[c] = 0
 
 
@@ -96,7 +104,7 @@ def load_particles(
         if ti.static(plan.drag):
             set_site_number(plan, state.viscous, site, rows[i, 2 * dim + 3])
     if ti.static(plan.halo > 0):
-        each_cell(plan, state, 0, _leave_cell)
+        each_cell_moving(plan, state, 0, _leave_cell)
 
 
 @ti.func
@@ -156,8 +164,8 @@ def load_springs(
         state.n_springs[None] = count
     for s in range(count):
         for end in ti.static(range(2)):
-            state.ends[s][end] = indices[s, end]
-            state.half[s][end] = indices[s, 2 + end]
+            state.ends[s, end] = indices[s, end]
+            state.half[s, end] = indices[s, 2 + end]
         state.status[s] = indices[s, 4]
         state.break_step[s] = indices[s, 5]
     for s in range(break_length2.shape[0]):
@@ -180,22 +188,24 @@ def load_links(
     numbers: (kinds, grids, 3): rest, c, limit2. links: (l, 4): kind, site of the earlier end,
     status, break_step; stiffness: (l,).
     """
+    for _ in range(1):
+        for s in ti.static(range(plan.kinds)):
+            state.link[s, 0], state.link[s, 1] = plan.links[s][0], plan.links[s][1]
+            state.forward[s] = plan.forward[s]
     for s, g in ti.ndrange(numbers.shape[0], numbers.shape[1]):
         state.link_rest[s, g] = numbers[s, g, 0]
         state.link_c[s, g] = numbers[s, g, 1]
         state.link_limit2[s, g] = numbers[s, g, 2]
     for i in range(links.shape[0]):
         site, status = links[i, 1], links[i, 2]
-        for s in ti.static(range(len(plan.links))):
-            if s == links[i, 0]:
-                set_site_number(
-                    plan, state.link_k[s], site, ti.select(status == GONE, 0.0, stiffness[i])
-                )
-                if ti.static(plan.fracture):
-                    set_site_number(plan, state.link_status[s], site, status)
-                    set_site_number(plan, state.link_step[s], site, links[i, 3])
-                    if status == BREAKING:
-                        ti.atomic_add(state.breaking[site // plan.lanes], 1)
+        link = of_kind(state, links[i, 0], 0) * plan.lanes + site
+        k = ti.select(status == GONE, 0.0, stiffness[i])
+        set_site_number(plan, state.link_k, link, k)
+        if ti.static(plan.fracture):
+            set_site_number(plan, state.link_status, link, status)
+            set_site_number(plan, state.link_step, link, links[i, 3])
+            if status == BREAKING:
+                ti.atomic_add(state.breaking[site // plan.lanes], 1)
 
 
 @ti.kernel
@@ -223,10 +233,9 @@ def read_link_fracture(
 ):
     """Copy status and break_step of links out, (l, 2); links: (l, 2): kind, site."""
     for i in range(links.shape[0]):
-        for s in ti.static(range(len(plan.links))):
-            if s == links[i, 0]:
-                out[i, 0] = site_number(plan, state.link_status[s], links[i, 1])
-                out[i, 1] = site_number(plan, state.link_step[s], links[i, 1])
+        link = of_kind(state, links[i, 0], 0) * plan.lanes + links[i, 1]
+        out[i, 0] = site_number(plan, state.link_status, link)
+        out[i, 1] = site_number(plan, state.link_step, link)
 
 
 @ti.kernel
@@ -236,10 +245,11 @@ def count_broken(plan: ti.template(), state: ti.template()) -> ti.i32:
     if ti.static(plan.fracture and plan.springs):
         for s in range(state.n_springs[None]):
             count += ti.cast(state.status[s] != ALIVE, ti.i32)
-    if ti.static(plan.fracture and len(plan.links) > 0):
+    if ti.static(plan.fracture and plan.kinds > 0):
         for c in range(state.n_cells[None]):
             for lane in ti.static(range(plan.lanes)):
-                for s in ti.static(range(len(plan.links))):
-                    status = site_number(plan, state.link_status[s], c * plan.lanes + lane)
+                for s in range(plan.kinds):
+                    link = of_kind(state, s, c) * plan.lanes + lane
+                    status = site_number(plan, state.link_status, link)
                     count += ti.cast(status != ALIVE, ti.i32)
     return count

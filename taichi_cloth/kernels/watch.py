@@ -2,8 +2,16 @@
 
 import taichi as ti
 
-from taichi_cloth.kernels.lanes import component, dot, over_lanes, site_number, site_value
-from taichi_cloth.kernels.loops import each_cell
+from taichi_cloth.kernels.lanes import (
+    component,
+    dot,
+    over_lanes,
+    read,
+    site_number,
+    site_value,
+    write,
+)
+from taichi_cloth.kernels.loops import each_cell, each_cell_moving
 
 NO_FAULT = 2147483647
 EXPONENT_F32 = 0x7F800000  # all ones: infinity or NaN
@@ -30,8 +38,8 @@ def keep(plan: ti.template(), state: ti.template(), t):
 
 @ti.func
 def _keep_cell(plan: ti.template(), state: ti.template(), c):
-    state.good_x[c] = state.x[c]
-    state.good_v[c] = state.v[c]
+    write(plan, state.good_x, c, read(plan, state.x, c))
+    write(plan, state.good_v, c, read(plan, state.v, c))
 
 
 @ti.func
@@ -55,8 +63,8 @@ def store(plan: ti.template(), state: ti.template(), c, x, v):
     fault is the lowest index of a particle that was not finite or too fast in the first step
     that had one. The values are at hand here; a pass of its own would read them all again.
     """
-    state.x[c] = x
-    state.v[c] = v
+    write(plan, state.x, c, x)
+    write(plan, state.v, c, v)
     limit2 = state.speed_limit[None] * state.speed_limit[None]
     # Sums are finite only if all of their parts are, and small only if no part is large.
     speed2, place = over_lanes(plan, dot(v, v)), component(x, 0)
@@ -90,10 +98,10 @@ def last_fault(state: ti.template()) -> ti.i32:
 @ti.kernel
 def put_back(plan: ti.template(), state: ti.template()):
     """Undo a frame: the state is again the one that was kept."""
-    each_cell(plan, state, 0, _put_back_cell)
+    each_cell_moving(plan, state, 0, _put_back_cell)
 
 
 @ti.func
 def _put_back_cell(plan: ti.template(), state: ti.template(), c):
-    state.x[c] = state.good_x[c]
-    state.v[c] = state.good_v[c]
+    write(plan, state.x, c, read(plan, state.good_x, c))
+    write(plan, state.v, c, read(plan, state.good_v, c))

@@ -8,6 +8,7 @@ import taichi as ti
 
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
 from taichi_cloth.kernels.forces import accelerate_then
+from taichi_cloth.kernels.lanes import read
 from taichi_cloth.kernels.methods.claims import Claims
 from taichi_cloth.kernels.watch import store
 
@@ -16,10 +17,10 @@ CLAIMS = Claims(order=1, symplectic=False, implicit=False, stability_limit=0.0)
 
 @ti.func
 def move(plan: ti.template(), state: ti.template(), c, a):
-    dt = state.dt[None]
-    v = state.v[c] + dt * a + velocity_jump(plan, state, c)
-    x = kept_above_floor(plan, state, c, state.x[c] + dt * state.v[c], v)
-    store(plan, state, c, x, v)
+    dt, x, v = state.dt[None], read(plan, state.x, c), read(plan, state.v, c)
+    new_v = v + dt * a + velocity_jump(plan, state, c, x, v)
+    new_x = kept_above_floor(plan, state, c, x, v, x + dt * v, new_v)
+    store(plan, state, c, new_x, new_v)
 
 
 @ti.func
