@@ -176,17 +176,18 @@ def _kinds(springs: Springs, grid, column, row) -> np.ndarray:
 def _shared_numbers(springs: Springs, kind, grid, grid_count: int):
     """(rest length, damping, break length squared), each (kinds, grids), and the kinds again.
 
-    A spring with other numbers than the first of its kind and grid gets kind -1.
+    A spring with other numbers than most of its kind and grid (their median) gets kind -1.
     """
     shape = len(FORWARD), grid_count
     limit2 = break_length2(springs)
     linked = np.flatnonzero(kind >= 0)
     group = kind[linked] * grid_count + grid[springs.between[linked, 0]]
-    groups, first = np.unique(group, return_index=True)
+    groups, begin, count = np.unique(np.sort(group), return_index=True, return_counts=True)
     tables, same = [], np.ones(len(linked), bool)
     for of in (springs.rest_length, springs.damping, limit2):
         table = np.zeros(shape)
-        table.flat[groups] = of[linked[first]]
+        ranked = linked[np.lexsort((of[linked], group))]
+        table.flat[groups] = of[ranked[begin + count // 2]]
         mine = table.flat[group]
         with np.errstate(invalid="ignore"):
             same &= (of[linked] == mine) | (np.abs(of[linked] - mine) <= SAME * mine)

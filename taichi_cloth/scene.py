@@ -241,8 +241,10 @@ class Features:
     blow: bool
 
     def describe(self) -> str:
-        """In words, such as '2-D, springs, fracture, drag, 4 walls, floor'."""
+        """In words, such as '2-D, uniform springs, fracture, drag, 4 walls, floor'."""
         words = {name.replace("_", " "): has for name, has in vars(self).items()}
+        words["springs"] = self.springs and not self.uniform_springs
+        words["uniform springs"] = self.springs and self.uniform_springs
         words["walls"] = None
         if self.walls:
             words[f"{len(self.walls)} walls"] = True

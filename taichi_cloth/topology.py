@@ -94,8 +94,8 @@ def find_grids(between: np.ndarray, particle_count: int) -> list[Grid]:
     """The regular grids among the particles, in order: blocks of consecutive numbers.
 
     A grid has at least two rows and two columns; in each row every particle is tied to the next
-    one and the last is not, in each column every particle to the one below. Further springs, to
-    whatever particle, are no obstacle.
+    one and the last is not, in each column every particle to the one below. Of two columns the
+    last may be, as shear springs do. Further springs, to whatever particle, are no obstacle.
     """
     low, high = between.min(axis=1, initial=particle_count), between.max(axis=1, initial=0)
     apart = high - low
@@ -119,7 +119,12 @@ def find_grids(between: np.ndarray, particle_count: int) -> list[Grid]:
         tied_down[low[inside] - start] = True
         joined = same[1:] & tied_down.reshape(most, columns)[:-1].all(axis=1)
         rows = 1 + (len(joined) if joined.all() else int(joined.argmin()))
+        if rows == 1 and columns >= 4:
+            # One long row, or two columns: there all are tied to the next but one.
+            inside = (apart == 2) & (low >= start) & (high < start + columns)
+            if len(np.unique(low[inside])) == columns - 2:
+                columns, rows = 2, columns // 2
         if rows > 1:
-            grids.append(Grid(int(start), int(columns), rows))
+            grids.append(Grid(int(start), int(columns), int(rows)))
             free = start + rows * columns
     return grids

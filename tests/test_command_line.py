@@ -108,7 +108,7 @@ def test_doctor_shows_what_was_measured(tmp_path, monkeypatch, capsys, device):
     sim = Simulation(scenes.build("cloth", columns=5, rows=4))
     doctor.main()
     (row,) = [line for line in capsys.readouterr().out.splitlines() if "cpu f64" in line]
-    assert "2-D, springs" in row and "fracture" in row and "4 walls" in row
+    assert "2-D, uniform springs" in row and "fracture" in row and "4 walls" in row
     times = row.split()[-4:]
     starred = [time.startswith("*") for time in times].index(True)
     ways = [f"{topology} {path}" for topology in TOPOLOGIES for path in PATHS]
