@@ -30,7 +30,8 @@ class Layout:
     lane. grid: (g, 4) int32, first cell, rows, width and whether it has links; grid_of: (n_cells,)
     int32. kind: (s,) int, a spring's kind of link, -1 for one on the graph; owner: (s,) int, site
     of a link's earlier particle. rest_length, damping, break_length2: (kinds, g), of links.
-    row: cells in the widest row with its halos.
+    row: cells in the widest row with its halos. alike: whether all rows of each grid, but the last
+    ones, have the same links with the same stiffness.
     """
 
     lanes: int
@@ -45,6 +46,7 @@ class Layout:
     damping: np.ndarray
     break_length2: np.ndarray
     row: int
+    alike: bool
 
 
 def break_length2(springs: Springs) -> np.ndarray:
@@ -79,6 +81,7 @@ def on_graph(springs: Springs, position: np.ndarray | None, particle_count: int)
         damping=none,
         break_length2=none,
         row=1,
+        alike=False,
     )
 
 
@@ -156,6 +159,7 @@ def on_grids(springs: Springs, particle_count: int, lanes: int) -> Layout | None
         damping=damping[used],
         break_length2=limit[used],
         row=max(width for _, _, width, _ in table) + 2 * halo,
+        alike=_alike(springs, kind, grids, depth),
     )
 
 
@@ -171,6 +175,21 @@ def _kinds(springs: Springs, grid, column, row) -> np.ndarray:
     for k, forward in enumerate(FORWARD):
         kind[inside & (offset == forward).all(axis=1)] = k
     return kind
+
+
+def _alike(springs: Springs, kind, grids, depth: int) -> bool:
+    """Whether the links of all rows, but the last `depth` of each grid, are those of the first."""
+    first = springs.between.min(axis=1)
+    for of in grids:
+        inside = (first >= of.first) & (first < of.first + of.rows * of.columns)
+        for k in np.unique(kind[inside & (kind >= 0)]):
+            links = inside & (kind == k)
+            stiffness = np.zeros(of.rows * of.columns)
+            stiffness[first[links] - of.first] = springs.stiffness[links]
+            rows = stiffness.reshape(of.rows, of.columns)[: max(of.rows - depth, 0)]
+            if (rows != rows[:1]).any():
+                return False
+    return True
 
 
 def _shared_numbers(springs: Springs, kind, grid, grid_count: int):

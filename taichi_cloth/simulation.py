@@ -344,6 +344,7 @@ class Simulation:
             **features,
             lanes=self._layout.lanes,
             links=self._layout.links,
+            alike=self._layout.alike and not features["fracture"],
             threads=current_device().threads,
             spread=True,
         )

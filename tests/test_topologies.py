@@ -25,7 +25,13 @@ from taichi_cloth.kernels.lanes import (
     write,
 )
 from taichi_cloth.kernels.loops import add_up, each_cell_moving
-from taichi_cloth.kernels.springs import accumulate, force_between, link_value, number
+from taichi_cloth.kernels.springs import (
+    accumulate,
+    force_between,
+    link_stiffness,
+    link_value,
+    number,
+)
 from taichi_cloth.kernels.watch import store
 from taichi_cloth.scene import ParticleDefaults, Particles, Scene, SpringDefaults, Springs, World
 from taichi_cloth.scenes import build
@@ -578,7 +584,8 @@ def links_energy(plan: ti.template(), state: ti.template(), c):
     if g >= 0:
         for s in ti.static(range(plan.kinds)):
             far = c + link_offset(state, s, pitch_of(plan, state, g))
-            total += link_value(plan, state, energy_between, s, g, c, far)
+            k = link_stiffness(plan, state, s, c)
+            total += link_value(plan, state, energy_between, s, g, c, far, k)
     return total
 
 

@@ -12,6 +12,7 @@ class Plan:
     springs: whether there are springs on the graph: all of them, or those that no grid holds.
     lanes: particles in a cell (`lanes.py`); 1 on a graph and on GPUs.
     links: (columns, rows) offsets of the grid's links to later particles; empty on a graph.
+    alike: whether the rows of grids, but the last ones, have the same links, none of which breaks.
     threads, spread: how loops are run (`loops.py`).
     """
 
@@ -28,6 +29,7 @@ class Plan:
     blow: bool
     lanes: int = 1
     links: tuple[tuple[int, int], ...] = ()
+    alike: bool = False
     threads: int = 1
     spread: bool = False
 

@@ -148,12 +148,17 @@ def sum_of_half_springs(
 
 
 @ti.func
-def link_value(plan: ti.template(), state: ti.template(), between: ti.template(), s, g, c, far):
-    """What cell c gets from its links of kind s to later particles.
+def link_stiffness(plan: ti.template(), state: ti.template(), s, c):
+    """Stiffness of cell c's links of kind s; 0 where there is none, or none any more."""
+    return read(plan, state.link_k, of_kind(state, s, c))
 
-    A link that is absent or broken has no stiffness, and its dashpot is gone with it.
+
+@ti.func
+def link_value(plan: ti.template(), state: ti.template(), between: ti.template(), s, g, c, far, k):
+    """What cell c gets from its links of kind s, of stiffness k, to later particles at far.
+
+    A link without stiffness has no dashpot either.
     """
-    k = read(plan, state.link_k, of_kind(state, s, c))
     damping = 0.0 * k
     if ti.static(plan.dashpots):
         damping = ti.select(k > 0.0, state.link_c[s, g], 0.0 * k)
@@ -180,16 +185,22 @@ def tail(plan: ti.template(), state: ti.template(), g, t):
 
 
 @ti.func
-def give_row(
-    plan: ti.template(), state: ti.template(), between: ti.template(), g, begin, width, here
-):
-    """Compute the links of the row of cells at `begin`, into state.given from `here` on."""
+def give_row(plan: ti.template(), state: ti.template(), between: ti.template(), g, r, here):
+    """Compute the links of row r of grid g, into state.given from `here` on."""
+    width, pitch = state.grid[g, 2], pitch_of(plan, state, g)
+    begin = state.grid[g, 0] + r * pitch
+    stiffness = begin
+    if ti.static(plan.alike):  # those of the first row, which stay in the processor's caches
+        if r < state.grid[g, 1] - plan.depth:
+            stiffness = state.grid[g, 0]
     for s in range(plan.kinds):
-        offset = link_offset(state, s, pitch_of(plan, state, g))
+        offset = link_offset(state, s, pitch)
         to = s * state.given_size + here
         for i in range(width):
-            far = begin + i + offset
-            write(plan, state.given, to + i, link_value(plan, state, between, s, g, begin + i, far))
+            c = begin + i
+            k = link_stiffness(plan, state, s, stiffness + i)
+            value = link_value(plan, state, between, s, g, c, c + offset, k)
+            write(plan, state.given, to + i, value)
         renew_left_halo(plan, state.given, to, width, state.link[s, 0])
         renew_right_halo(plan, state.given, to, width, -state.link[s, 0])
 
@@ -225,7 +236,7 @@ def sweep(
             row = first + r * pitch_of(plan, state, g)
             here = given_row(plan, state, g, t, begin, end, r)
             if linked and (phase == 0 or plan.threads == 1 or r < end - plan.depth):
-                give_row(plan, state, between, g, row, width, here)
+                give_row(plan, state, between, g, r, here)
             if phase == 1:
                 above = ti.Vector([0 for _ in range(plan.kinds)])
                 ahead = ti.Vector([0 for _ in range(plan.kinds)])
@@ -265,8 +276,11 @@ def sum_of_links(plan: ti.template(), state: ti.template(), between: ti.template
     if g >= 0:  # not an empty row, beyond which there may be nothing
         for s in ti.static(range(plan.kinds)):
             giver = c - link_offset(state, s, pitch)
-            total = total - link_value(plan, state, between, s, g, giver, c)
+            total = total - link_value(
+                plan, state, between, s, g, giver, c, link_stiffness(plan, state, s, giver)
+            )
         for s in ti.static(plan.forward):
             far = c + link_offset(state, s, pitch)
-            total += link_value(plan, state, between, s, g, c, far)
+            k = link_stiffness(plan, state, s, c)
+            total += link_value(plan, state, between, s, g, c, far, k)
     return total
