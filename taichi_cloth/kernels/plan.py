@@ -59,8 +59,10 @@ class Plan:
 
     @property
     def ring(self) -> int:
-        """Rows of link forces that a sweep remembers: a power of two above the depth."""
-        return 1 << self.depth.bit_length()
+        """Rows of link forces that a sweep remembers: a power of two above the depth and one more,
+        for those of the next row.
+        """
+        return 1 << (self.depth + 1).bit_length()
 
     @property
     def forward(self) -> tuple[int, ...]:

@@ -185,24 +185,17 @@ def tail(plan: ti.template(), state: ti.template(), g, t):
 
 
 @ti.func
-def give_row(plan: ti.template(), state: ti.template(), between: ti.template(), g, r, here):
-    """Compute the links of row r of grid g, into state.given from `here` on."""
-    width, pitch = state.grid[g, 2], pitch_of(plan, state, g)
-    begin = state.grid[g, 0] + r * pitch
-    stiffness = begin
-    if ti.static(plan.alike):  # those of the first row, which stay in the processor's caches
-        if r < state.grid[g, 1] - plan.depth:
-            stiffness = state.grid[g, 0]
+def give(
+    plan: ti.template(), state: ti.template(), between: ti.template(), g, c, stiffness, pitch, to
+):
+    """Compute what cell c of grid g gets from its links to later particles, into state.given[to].
+
+    stiffness: the cell whose links' stiffness is theirs.
+    """
     for s in range(plan.kinds):
-        offset = link_offset(state, s, pitch)
-        to = s * state.given_size + here
-        for i in range(width):
-            c = begin + i
-            k = link_stiffness(plan, state, s, stiffness + i)
-            value = link_value(plan, state, between, s, g, c, c + offset, k)
-            write(plan, state.given, to + i, value)
-        renew_left_halo(plan, state.given, to, width, state.link[s, 0])
-        renew_right_halo(plan, state.given, to, width, -state.link[s, 0])
+        far, k = c + link_offset(state, s, pitch), link_stiffness(plan, state, s, stiffness)
+        value = link_value(plan, state, between, s, g, c, far, k)
+        write(plan, state.given, s * state.given_size + to, value)
 
 
 @ti.func
@@ -216,43 +209,56 @@ def sweep(
 ):
     """Each link once, row by row, in thread t's share of every grid.
 
-    The links of a row are computed first, into a ring of rows; then the row's cells add up what
-    they give and, negated, what is given to them. Rows above are never looked at again: `receive`
+    The links of a row are computed before its turn, into a ring of rows; in its turn its cells add
+    up what they give and, negated, what is given to them, while those of the next row are computed:
+    one waits for memory and the other computes. Rows above are never looked at again, so `receive`
     may change what `between` reads of its cell. So that no thread changes what another one needs,
     the last rows of a share, whose links reach into the next one, are computed before all else:
     that is phase 0, and phase 1 the rest; with one thread there is only phase 1.
     """
     for g in range(state.n_grids[None]):
         first, rows, width = state.grid[g, 0], state.grid[g, 1], state.grid[g, 2]
-        linked = state.grid[g, 3] == 1
+        linked, pitch = state.grid[g, 3] == 1, pitch_of(plan, state, g)
         begin, end = grid_share(plan, rows, t), grid_share(plan, rows, t + 1)
-        start = begin
+        start, turns, computed = begin, end, end  # the rows whose turn it is, and to be computed
         if ti.static(plan.threads > 1):
+            computed = end - plan.depth
             if phase == 0:
-                start = end
-                if linked and begin < end:
-                    start = end - plan.depth
-        for r in range(start, end):
-            row = first + r * pitch_of(plan, state, g)
+                start, turns, computed = ti.max(begin, end - plan.depth), end - 1, end
+        for r in range(start - 1, turns):
+            row = first + r * pitch
+            gives, receives = linked and r + 1 < computed, phase == 1 and r >= start
             here = given_row(plan, state, g, t, begin, end, r)
-            if linked and (phase == 0 or plan.threads == 1 or r < end - plan.depth):
-                give_row(plan, state, between, g, r, here)
-            if phase == 1:
-                above = ti.Vector([0 for _ in range(plan.kinds)])
-                ahead = ti.Vector([0 for _ in range(plan.kinds)])
-                for s in ti.static(range(plan.kinds)):
-                    giver = given_row(plan, state, g, t, begin, end, r - plan.links[s][1])
-                    above[s] = s * state.given_size + giver - plan.links[s][0]
-                    ahead[s] = plan.forward[s] * state.given_size + here
-                    if not linked:
-                        above[s] = ahead[s] = tail(plan, state, g, -1)
-                for i in range(width):
+            ahead = given_row(plan, state, g, t, begin, end, r + 1)
+            stiffness = row + pitch
+            if ti.static(plan.alike):  # the first row's, which stays in the processor's caches
+                if r + 1 < rows - plan.depth:
+                    stiffness = first
+            from_above = ti.Vector([0 for _ in range(plan.kinds)])
+            from_here = ti.Vector([0 for _ in range(plan.kinds)])
+            for s in ti.static(range(plan.kinds)):
+                giver = given_row(plan, state, g, t, begin, end, r - plan.links[s][1])
+                from_above[s] = s * state.given_size + giver - plan.links[s][0]
+                from_here[s] = plan.forward[s] * state.given_size + here
+                if not linked:
+                    from_above[s] = from_here[s] = tail(plan, state, g, -1)
+            for i in range(width):
+                if gives:
+                    next_cell = row + pitch + i
+                    give(plan, state, between, g, next_cell, stiffness + i, pitch, ahead + i)
+                if receives:
                     total = zeros(plan, state)
                     for s in range(plan.kinds):
-                        total = total - read(plan, state.given, above[s] + i)
+                        total = total - read(plan, state.given, from_above[s] + i)
                     for s in range(plan.kinds):
-                        total += read(plan, state.given, ahead[s] + i)
+                        total += read(plan, state.given, from_here[s] + i)
                     receive(plan, state, row + i, total)
+            if gives:
+                for s in range(plan.kinds):
+                    to, columns = s * state.given_size + ahead, state.link[s, 0]
+                    renew_left_halo(plan, state.given, to, width, columns)
+                    renew_right_halo(plan, state.given, to, width, -columns)
+            if receives:
                 renew_halos(plan, state, row, width)
 
 
