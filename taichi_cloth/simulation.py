@@ -339,7 +339,7 @@ class Simulation:
         """
         features = dict(vars(self._features()))
         spawns = self.scene.world.mouse == "spawn"
-        features["springs"] &= spawns or self._springs_on_graph().any()
+        features["springs"] &= spawns or bool(self._springs_on_graph().any())
         self._spread_plan = plan = Plan(
             **features,
             lanes=self._layout.lanes,
