@@ -26,6 +26,14 @@ def device():
     return runtime.start("cpu", "f64", threads=2)
 
 
+@pytest.fixture
+def few_lanes(monkeypatch):
+    """Cells of 2 lanes, which compile in a third of the time: for what holds for any number."""
+    from taichi_cloth import simulation
+
+    monkeypatch.setattr(simulation, "LANES", 2)
+
+
 @pytest.fixture(params=["serial", "parallel"])
 def execution(request):
     return request.param

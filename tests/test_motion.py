@@ -8,7 +8,7 @@ from taichi_cloth.scene import Particles, Scene, Springs, World
 from taichi_cloth.scenes import build
 from taichi_cloth.simulation import Simulation
 
-pytestmark = pytest.mark.usefixtures("device")
+pytestmark = pytest.mark.usefixtures("device", "few_lanes")
 
 
 def oscillator(k=3.0, m=2.0, x0=1.5):

@@ -10,7 +10,7 @@ from taichi_cloth.scene import ParticleDefaults, Particles, Scene, SpringDefault
 from taichi_cloth.scenes import build
 from taichi_cloth.simulation import BLOW_REACH, BLOW_STRENGTH, Simulation
 
-pytestmark = pytest.mark.usefixtures("device")
+pytestmark = pytest.mark.usefixtures("device", "few_lanes")
 
 
 def pull(speed):

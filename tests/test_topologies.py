@@ -204,7 +204,7 @@ def cloth(
     )
 
 
-def motion(scene, *, frames=30, lanes=4, act=None, **how):
+def motion(scene, *, frames=30, lanes=2, act=None, **how):
     """Positions, velocities and whole springs after some frames; act(sim) half way."""
     sim = Simulation(scene, lanes=lanes, **{"execution": "serial", **how})
     sim.advance(frames // 2)
@@ -222,9 +222,12 @@ def assert_same(one, other, tolerance=0.0):
 
 
 GRIDS = {
-    "plain": (cloth(9, 7), {}),
-    "torn between walls": (cloth(11, 9, walls=SIDES[:4], drag=0.02, break_force=2.0), {}),
-    "lanes of one column": (cloth(3, 8, LINKS[:2], 3, damping=0.05, own_numbers=True), {}),
+    "plain": (cloth(9, 7), {"lanes": 4}),
+    "torn between walls": (cloth(11, 9, walls=SIDES[:4], drag=0.02, break_force=2.0), {"lanes": 4}),
+    "lanes of one column": (
+        cloth(3, 8, LINKS[:2], 3, damping=0.05, own_numbers=True),
+        {"lanes": 4},
+    ),
     "sheared, torn, in space": (
         cloth(13, 8, LINKS[:2], 3, walls=SIDES, damping=0.03, break_force=1.5, own_numbers=True),
         {"execution": "parallel"},
@@ -234,7 +237,7 @@ GRIDS = {
         {"execution": "parallel"},
     ),
     "bent, narrow": (cloth(4, 5, ("structural", "bend"), 3, drag=0.1, break_force=1.5), {}),
-    "two lanes": (cloth(7, 6, LINKS, 3, damping=0.1, break_force=2.0), {"lanes": 2}),
+    "all links": (cloth(7, 6, LINKS, 3, damping=0.1, break_force=2.0), {"lanes": 4}),
     "eight lanes": (cloth(21, 5, LINKS[:2], walls=SIDES[:2], own_numbers=True), {"lanes": 8}),
     "one lane, as on GPUs": (
         cloth(6, 7, LINKS, walls=SIDES[:4], damping=0.02, break_force=1.0, own_numbers=True),
@@ -464,7 +467,7 @@ def velocity_verlet(plan: ti.template(), state: ti.template(), t):
 
 def verlet(scene, substeps=(1,), frames=20, **how):
     """Positions of velocity Verlet after some frames, for each number of substeps."""
-    sim = Simulation(scene, dt=0.5, lanes=4, **how)
+    sim = Simulation(scene, dt=0.5, lanes=2, **how)
     sim._step = velocity_verlet
     ends = []
     for sim.substeps in substeps:
