@@ -74,6 +74,7 @@ class Simulation:
         device = current_device()
         module = methods.load(method)
         self.claims, self._step = module.CLAIMS, module.step
+        self._vectors = getattr(module, "VECTORS", ())
         self._real = getattr(ti, device.precision)
         self._numpy_real = np.float64 if device.precision == "f64" else np.float32
         self._requested = topology, execution
@@ -371,6 +372,8 @@ class Simulation:
             cells=factor * needed.cells + room,
         )
         self._state = State(plan, self._real, capacity)
+        for name in self._vectors:
+            self._state.add_vectors(plan, name)
 
     def _load_numbers(self):
         world, particles = self.scene.world, self._particles

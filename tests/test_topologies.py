@@ -247,6 +247,10 @@ GRIDS = {
         cloth(10, 6, LINKS[:2], walls=("bottom",), drag=0.1, damping=0.1),
         {"method": "explicit_euler", "substeps": 8},
     ),
+    "four stages": (
+        cloth(9, 6, LINKS[:2], walls=SIDES[:4], drag=0.02, damping=0.05, break_force=2.0),
+        {"method": "rk4", "execution": "parallel", "lanes": 4},
+    ),
     "two columns": (cloth(2, 9, LINKS, walls=SIDES[:4], damping=0.02, break_force=1.0), {}),
     "smallest": (cloth(2, 2, walls=SIDES[:4], break_force=1.0, speed=4.0), {"lanes": 8}),
 }

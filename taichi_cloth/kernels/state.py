@@ -56,7 +56,8 @@ class State:
         kind after the other (`lanes.of_kind`): link_k (0 = absent or gone), link_status and
         link_step (fracture) of cells; given: what links give: rows of zeros, a ring of rows for
         each thread, then the last rows of each thread's share of each grid.
-    Numbers a run may change are fields too: n, n_cells, n_grids, dt, gravity, low, high, ...
+    Numbers a run may change are fields too: n, n_cells, n_grids, dt, gravity, low, high, ...; step:
+        the number of the step under way, stage: which of its stages, in methods that have several.
     """
 
     def __init__(self, plan, real, capacity):
@@ -109,7 +110,7 @@ class State:
         # What threads write at every step is kept off the cache lines of what they only read.
         counts(CACHE_LINE)
         self.arrivals = counts(COUNTER_SIZE)
-        self.step, self.passed = counts(), counts()
+        self.step, self.stage, self.passed = counts(), counts(), counts()
         self.fault, self.watching = counts(), counts()
         counts(CACHE_LINE)
         self.n, self.n_cells, self.n_grids = counts(), counts(), counts()

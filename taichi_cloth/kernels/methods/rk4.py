@@ -1,0 +1,60 @@
+"""The classical Runge-Kutta method: four slopes a step, weighted 1, 2, 2, 1.
+
+Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.1, table 1.2. Fourth order;
+not symplectic: it damps an undamped oscillator by (dt*omega)^6 / 144 a step; stable while
+dt*omega < 2*sqrt(2). Contacts are changes of velocity at the step's start, and keep first order.
+"""
+
+import taichi as ti
+
+from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
+from taichi_cloth.kernels.forces import accelerate_then
+from taichi_cloth.kernels.lanes import read, write
+from taichi_cloth.kernels.methods.claims import Claims
+from taichi_cloth.kernels.watch import store
+
+CLAIMS = Claims(order=4, symplectic=False, implicit=False, stability_limit=8.0**0.5)
+# The state at the step's start; sums of the slopes of position and velocity.
+VECTORS = ("start_x", "start_v", "sum_v", "sum_a")
+
+
+@ti.func
+def move(plan: ti.template(), state: ti.template(), c, a):
+    """One of four stages: add the slopes here to the sums, go to where the next ones are."""
+    dt, stage = state.dt[None], state.stage[None]
+    x, v = read(plan, state.x, c), read(plan, state.v, c)
+    sum_v, sum_a = v, a
+    if stage == 0:
+        write(plan, state.start_x, c, x)
+        write(plan, state.start_v, c, v)
+    else:
+        weight = ti.select(stage < 3, 2.0, 1.0)
+        sum_v = read(plan, state.sum_v, c) + weight * v
+        sum_a = read(plan, state.sum_a, c) + weight * a
+    start_x, start_v = read(plan, state.start_x, c), read(plan, state.start_v, c)
+    if stage < 3:
+        write(plan, state.sum_v, c, sum_v)
+        write(plan, state.sum_a, c, sum_a)
+        ahead = ti.select(stage < 2, 0.5, 1.0) * dt
+        write(plan, state.x, c, start_x + ahead * v)
+        write(plan, state.v, c, start_v + ahead * a)
+    else:
+        jump = velocity_jump(plan, state, c, start_x, start_v)
+        new_v = start_v + (dt / 6.0) * sum_a + jump
+        new_x = start_x + (dt / 6.0) * sum_v + dt * jump
+        new_x = kept_above_floor(plan, state, c, start_x, start_v, new_x, new_v)
+        store(plan, state, c, new_x, new_v)
+
+
+@ti.func
+def step(plan: ti.template(), state: ti.template(), t):
+    compute_contacts(plan, state)
+    if ti.static(plan.spread):
+        for stage in ti.static(range(4)):
+            for _ in range(1):
+                state.stage[None] = stage
+            accelerate_then(plan, state, t, move)
+    else:
+        for stage in range(4):  # at run time: unrolled, it takes long to compile
+            state.stage[None] = stage  # by every thread alike, none of which is in the last one
+            accelerate_then(plan, state, t, move)
