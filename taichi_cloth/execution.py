@@ -25,9 +25,18 @@ from taichi_cloth.runtime import current_device, whole_vectors
 WAKING = 50e-6
 
 
+def run_begin(begin, plan, state) -> None:
+    """What a method computes before its first step, and after the state was changed from outside.
+
+    plan: one whose loops are spread.
+    """
+    with _vectors(plan):
+        run.begin_spread(begin, plan, state)
+
+
 def run_frames(method, plan, state, done, frames, substeps) -> int:
     """Advance frames as planned, after `done` steps; return how many passed the watchdog."""
-    with whole_vectors() if plan.lanes > 1 else contextlib.nullcontext():
+    with _vectors(plan):
         if not plan.spread:
             return run.frames_in_one_launch(method, plan, state, done, frames, substeps)
         for frame in range(frames):
@@ -37,6 +46,11 @@ def run_frames(method, plan, state, done, frames, substeps) -> int:
             if watch.last_fault(state) != watch.NO_FAULT:
                 return frame
         return frames
+
+
+def _vectors(plan):
+    """How kernels on a plan's cells are compiled."""
+    return whole_vectors() if plan.lanes > 1 else contextlib.nullcontext()
 
 
 @dataclass(frozen=True)

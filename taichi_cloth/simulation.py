@@ -74,6 +74,7 @@ class Simulation:
         device = current_device()
         module = methods.load(method)
         self.claims, self._step = module.CLAIMS, module.step
+        self._begin = getattr(module, "begin", None)
         self._vectors = getattr(module, "VECTORS", ())
         self._real = getattr(ti, device.precision)
         self._numpy_real = np.float64 if device.precision == "f64" else np.float32
@@ -110,7 +111,7 @@ class Simulation:
                 self._fail(watch.last_fault(self._state))
             if self._blowing:
                 interaction.clear_push(self._state)
-                self._blowing = False
+                self._blowing, self._changed = False, True
             frames -= batch
 
     def _frames_per_launch(self):
@@ -119,6 +120,9 @@ class Simulation:
 
     def _run(self, frames):
         begin = time.perf_counter()
+        if self._begin and self._changed:
+            execution.run_begin(self._begin, self._spread_plan, self._state)
+        self._changed = False
         passed = execution.run_frames(
             self._step,
             self._plan,
@@ -307,6 +311,7 @@ class Simulation:
             self._load_links()
         if self._plan.blow and not self._blowing:
             interaction.clear_push(self._state)
+        self._changed = True  # from outside, so that forces must be computed anew
 
     def timed_frame(self):
         """Run one frame, for `execution` to time; the state must be loaded anew afterwards."""
@@ -489,7 +494,7 @@ class Simulation:
             )
         numbers = np.concatenate([origin, direction, displacement, [BLOW_REACH, BLOW_STRENGTH]])
         interaction.compute_push(self._spread_plan, self._state, numbers.astype(self._numpy_real))
-        self._blowing = True
+        self._blowing = self._changed = True
 
     # --- reading the device ----------------------------------------------------------------
 
@@ -523,6 +528,7 @@ class Simulation:
         bad_x, bad_v = self.positions(), self.velocities()
         frame, good_step = self.frame + 1, self.frame * self.substeps
         watch.put_back(self._spread_plan, self._state)
+        self._changed = True
         if self._plan.fracture:
             status, step = self._read_fracture().T
             status[step > good_step] = ALIVE

@@ -26,6 +26,9 @@ def oscillator(k=3.0, m=2.0, x0=1.5):
 DISCRETE = {
     "symplectic_euler": lambda h, w2: np.array([[1 - h * h * w2, h], [-h * w2, 1]]),
     "explicit_euler": lambda h, w2: np.array([[1, h], [-h * w2, 1]]),
+    "verlet": lambda h, w2: np.array(
+        [[1 - h * h * w2 / 2, h], [-h * w2 * (1 - h * h * w2 / 4), 1 - h * h * w2 / 2]]
+    ),
     "rk4": lambda h, w2: sum(
         np.linalg.matrix_power(h * np.array([[0, 1], [-w2, 0]]), n) / math.factorial(n)
         for n in range(5)
@@ -57,6 +60,24 @@ def test_measured_order_is_the_claimed_one(method, topology):
     exact = final(128 * steps)
     coarse, fine = (np.abs(final(n) - exact).max() for n in (steps, 2 * steps))
     assert np.log2(coarse / fine) == pytest.approx(order, abs=0.1)
+
+
+@pytest.mark.parametrize("method", methods.METHODS)
+def test_a_push_is_felt_at_once_and_no_longer_than_it_lasts(method):
+    """Whatever a method keeps from step to step, a run goes on like one begun from its state."""
+    scene = build("cloth", columns=6, rows=5)
+    how = {"topology": "graph", "execution": "serial"}
+    run = Simulation(scene, method, 0.5, **how)
+    run.advance(5)
+    for pushed in (True, False):
+        new = Simulation(scene, method, 0.5, **how)
+        new.load_as("graph", "serial", run.positions(), run.velocities())
+        for sim in (run, new):
+            if pushed:
+                sim.blow(sim.positions()[8], (30.0, 10.0))
+            sim.advance()
+        np.testing.assert_array_equal(run.positions(), new.positions())
+        np.testing.assert_array_equal(run.velocities(), new.velocities())
 
 
 def test_symplectic_euler_keeps_its_modified_energy():

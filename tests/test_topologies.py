@@ -247,6 +247,10 @@ GRIDS = {
         cloth(10, 6, LINKS[:2], walls=("bottom",), drag=0.1, damping=0.1),
         {"method": "explicit_euler", "substeps": 8},
     ),
+    "kept acceleration": (
+        cloth(10, 5, LINKS[:2], 3, walls=SIDES, drag=0.02, damping=0.05, break_force=2.0),
+        {"method": "verlet", "execution": "parallel"},
+    ),
     "four stages": (
         cloth(9, 6, LINKS[:2], walls=SIDES[:4], drag=0.02, damping=0.05, break_force=2.0),
         {"method": "rk4", "execution": "parallel", "lanes": 4},

@@ -66,6 +66,15 @@ def frames_in_one_launch(
 
 
 @ti.kernel
+def begin_spread(begin: ti.template(), plan: ti.template(), state: ti.template()):
+    """What a method computes before its first step, every loop of it a parallel one.
+
+    A kernel of its own: compile time grows with the square of what is in one.
+    """
+    begin(plan, state, 0)
+
+
+@ti.kernel
 def substep_spread(method: ti.template(), plan: ti.template(), state: ti.template(), step: ti.i32):
     """Step number `step`, every loop of it a parallel one."""
     substep(method, plan, state, 0, step)

@@ -2,7 +2,9 @@
 
 A method's file has a docstring with its formula and source, `CLAIMS`, and `step(plan, state, t)`,
 a ti.func that advances the state by state.dt[None], as thread t of those that share the work.
-`VECTORS` names what it must remember of each particle within a step: state.<name>, fields of cells.
+`begin(plan, state, t)`, where it has one, comes before its first step, and after every change of
+the state from outside: forces that it keeps from step to step are computed there.
+`VECTORS` names what it must remember of each particle: state.<name>, fields of cells.
 Adding a method is adding a file.
 """
 

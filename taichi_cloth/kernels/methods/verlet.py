@@ -1,0 +1,50 @@
+"""Velocity Verlet: v += dt/2*a, x += dt*v, then v += dt/2*a with the new a.
+
+Swope, Andersen, Berens, Wilson, "A computer simulation method for the calculation of equilibrium
+constants", J. Chem. Phys. 76, 1982; Hairer, Lubich, Wanner, Geometric Numerical Integration, I.1.4.
+Second order, symplectic without drag, one force evaluation a step: a is kept from step to step.
+Forces that depend on velocity take it as it would be with the old a, which keeps the order.
+Stable while dt*omega < 2.
+"""
+
+import taichi as ti
+
+from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
+from taichi_cloth.kernels.forces import accelerate_then, compute_acceleration
+from taichi_cloth.kernels.lanes import read, write
+from taichi_cloth.kernels.loops import each_cell_moving
+from taichi_cloth.kernels.methods.claims import Claims
+from taichi_cloth.kernels.watch import store
+
+CLAIMS = Claims(order=2, symplectic=True, implicit=False, stability_limit=2.0)
+VECTORS = ("half_v",)  # velocity in the middle of the step
+
+
+@ti.func
+def begin(plan: ti.template(), state: ti.template(), t):
+    compute_acceleration(plan, state, t)
+
+
+@ti.func
+def drift(plan: ti.template(), state: ti.template(), c):
+    dt, a = state.dt[None], read(plan, state.a, c)
+    x, v = read(plan, state.x, c), read(plan, state.v, c)
+    half_v = v + velocity_jump(plan, state, c, x, v) + 0.5 * dt * a
+    new_x = kept_above_floor(plan, state, c, x, v, x + dt * half_v, half_v)
+    write(plan, state.half_v, c, half_v)
+    write(plan, state.x, c, new_x)
+    write(plan, state.v, c, half_v + 0.5 * dt * a)
+
+
+@ti.func
+def kick(plan: ti.template(), state: ti.template(), c, a):
+    write(plan, state.a, c, a)
+    v = read(plan, state.half_v, c) + 0.5 * state.dt[None] * a
+    store(plan, state, c, read(plan, state.x, c), v)
+
+
+@ti.func
+def step(plan: ti.template(), state: ti.template(), t):
+    compute_contacts(plan, state)
+    each_cell_moving(plan, state, t, drift)
+    accelerate_then(plan, state, t, kick)
