@@ -58,6 +58,11 @@ def current_device() -> Device:
     return _device or start()
 
 
+def still_runs(device: Device) -> bool:
+    """Whether `device` is of the last `start`: what an earlier one allocated is gone already."""
+    return _device is device
+
+
 def display_available() -> bool:
     """Whether a window can open. Asked before Taichi is, which ends the process if it cannot."""
     if not sys.platform.startswith("linux"):

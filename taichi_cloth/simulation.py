@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 import math
 import time
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from taichi_cloth.kernels.state import (
     State,
 )
 from taichi_cloth.options import TOPOLOGIES
-from taichi_cloth.runtime import current_device
+from taichi_cloth.runtime import current_device, still_runs
 from taichi_cloth.scene import Particles, Scene, Springs, validate
 
 BLOW_REACH = 50.0  # world units from the pointer at which its force ends
@@ -81,7 +81,7 @@ class Simulation:
         self._requested = topology, execution
         self._lanes = lanes or (LANES if device.arch == "cpu" else 1)
         self._drawn = np.zeros((0, 0))
-        self._lay_out = functools.cache(self._find_layout)  # until something is spawned or reset
+        self._layouts = {}  # by topology, until something is spawned or reset
         self.topology = self.execution = self._pace = None
         self.speed_limit = RUNAWAY_CROSSINGS * float(np.linalg.norm(scene.world.size)) / dt
         self.reset()
@@ -278,7 +278,7 @@ class Simulation:
 
     def _load(self, x, v):
         """Put the whole state on the device: positions, velocities, and all else as it is here."""
-        self._lay_out.cache_clear()
+        self._layouts.clear()
         if self.execution is None:
             choice = execution.choose(*self._requested, self, x, v)
             self.topology, self.execution = choice.topology, choice.execution
@@ -317,8 +317,13 @@ class Simulation:
         """Run one frame, for `execution` to time; the state must be loaded anew afterwards."""
         self._run(1)
 
-    def _find_layout(self, topology):
+    def _lay_out(self, topology):
         """The layout in a topology, None where there is none."""
+        if topology not in self._layouts:
+            self._layouts[topology] = self._find_layout(topology)
+        return self._layouts[topology]
+
+    def _find_layout(self, topology):
         if topology == "graph":
             # Collisions add up in the order of the particles, which is then that of memory too.
             position = None if self.scene.world.collisions else self._particles.position
@@ -367,7 +372,7 @@ class Simulation:
             if (plan, topology) == self._stored and state.capacity.holds(needed):
                 return
             factor = 2 if (plan, topology) == self._stored else 1
-            state.free()
+            self._free()
         room = SPAWN_CAPACITY if self.scene.world.mouse == "spawn" else 0
         self._stored = plan, topology
         capacity = replace(
@@ -376,9 +381,10 @@ class Simulation:
             springs=factor * needed.springs + room,
             cells=factor * needed.cells + room,
         )
-        self._state = State(plan, self._real, capacity)
-        for name in self._vectors:
-            self._state.add_vectors(plan, name)
+        self._state = State(plan, self._real, capacity, self._vectors)
+        # Taichi has room for 512 trees of fields, of which each state takes two.
+        self._free = weakref.finalize(self, _free, self._state, current_device())
+        self._free.atexit = False
 
     def _load_numbers(self):
         world, particles = self.scene.world, self._particles
@@ -615,6 +621,12 @@ class Pace:
         slow = self._seconds > self.SLOWER * self.alone * self._steps
         self._seconds, self._steps = 0.0, 0
         return slow
+
+
+def _free(state, device):
+    """Give the memory of a state back, unless Taichi was started anew since."""
+    if still_runs(device):
+        state.free()
 
 
 def _not_empty(array):

@@ -1,11 +1,13 @@
 """Spawning, growth, fracture, the pointer, the two paths, the watchdog."""
 
+import gc
 import itertools
 
 import numpy as np
 import pytest
 
 from taichi_cloth.errors import InputError, SimulationFailure
+from taichi_cloth.kernels.state import State
 from taichi_cloth.scene import ParticleDefaults, Particles, Scene, SpringDefaults, Springs, World
 from taichi_cloth.scenes import build
 from taichi_cloth.simulation import BLOW_REACH, BLOW_STRENGTH, Simulation
@@ -288,3 +290,15 @@ def test_watchdog_sees_a_nan_at_once():
 def test_wrong_settings_are_refused(arguments, message):
     with pytest.raises(InputError, match=message):
         Simulation(build("oscillator"), **arguments)
+
+
+def test_a_simulation_that_is_gone_gives_its_fields_back(monkeypatch):
+    """Taichi has room for 512 trees of fields, two of which a simulation takes."""
+    freed, free = [], State.free
+    monkeypatch.setattr(State, "free", lambda state: freed.append(free(state)))
+    for gone in range(3):
+        sim = Simulation(build("chain"), topology="graph", execution="serial")
+        assert len(freed) == gone
+        del sim
+        gc.collect()
+        assert len(freed) == gone + 1

@@ -60,8 +60,10 @@ class State:
         the number of the step under way, stage: which of its stages, in methods that have several.
     """
 
-    def __init__(self, plan, real, capacity):
-        """Allocate. real: ti.f32 or ti.f64."""
+    def __init__(self, plan, real, capacity, vectors=()):
+        """Allocate. real: ti.f32 or ti.f64; vectors: names of further fields of cells, of vectors
+        that a method remembers.
+        """
         dim, lanes, kinds = plan.dim, plan.lanes, plan.kinds
         n, s, m = max(capacity.particles, 1), max(capacity.springs, 1), max(capacity.cells, 1)
         self.real, self.capacity, self.cells = real, capacity, m
@@ -87,6 +89,8 @@ class State:
         # Cells first, so that they lie at multiples of their size, as vectors are best read.
         self.x, self.v, self.a = cell_vectors(), cell_vectors(), cell_vectors()
         self.good_x, self.good_v = cell_vectors(), cell_vectors()
+        for name in vectors:
+            setattr(self, name, cell_vectors())
         self.w = cell_numbers()
         self.particle, self.site = cell_counts(), counts(n)
         self.haloed = (self.x, self.v) if plan.dashpots else (self.x,)
