@@ -60,6 +60,7 @@ def test_program_of_objects_is_blown_and_torn_like_the_original():
     np.testing.assert_array_equal(alive, expected["spring_alive_final"])
 
 
+# A user may lack a compiler, and `bench` then leaves the C++ out; .ci/run installs one.
 @pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
 def test_compiled_yardsticks_agree_with_ours(bench, device):
     """Both C++ programs, on a cloth whose sides differ, to f32's round-off."""

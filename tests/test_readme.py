@@ -62,6 +62,7 @@ def test_python_example_runs_and_is_short(tmp_path):
     assert re.search(r"\(384, 2\) 7\d\d -?\d+\.\d+", out)
 
 
+# An unpacked source archive has no git and nothing tracked to copy; .ci/run has both.
 @pytest.mark.skipif(shutil.which("git") is None, reason="needs git to copy what is tracked")
 def test_the_first_command_sets_everything_up(tmp_path):
     """In a copy of what git tracks: the environment is made, and the cloth runs headless."""
