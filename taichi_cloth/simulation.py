@@ -393,7 +393,7 @@ class Simulation:
         numbers = [self.dt / self.substeps, self.speed_limit, cell_size]
         numbers += [*world.gravity, *world.low, *world.high]
         transfer.load_numbers(
-            self._plan,
+            self._spread_plan,
             self._state,
             np.array(counts, np.int32),
             np.array(numbers, self._numpy_real),

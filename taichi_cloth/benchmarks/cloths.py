@@ -14,6 +14,7 @@ WARP_FRAME, WARP_SUBSTEPS, WARP_GRAVITY = 1 / 60, 16, 9.81
 
 # The structural cloth is advanced in frames of this many steps of 1, its scene's unit of time.
 STRUCTURAL_SUBSTEPS = 16
+STRUCTURAL_FRAME = {"dt": float(STRUCTURAL_SUBSTEPS), "substeps": STRUCTURAL_SUBSTEPS}
 
 
 def structural(columns: int, rows: int) -> Scene:

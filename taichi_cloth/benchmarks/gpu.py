@@ -14,7 +14,7 @@ from collections.abc import Iterator
 
 from taichi_cloth import doctor, runtime
 from taichi_cloth.benchmarks import ours
-from taichi_cloth.benchmarks.cloths import STRUCTURAL_SUBSTEPS
+from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench
 from taichi_cloth.benchmarks.report import Row
 from taichi_cloth.benchmarks.structural import SCENE
@@ -88,8 +88,7 @@ def _measure_size(
     bench: Bench, arch: str, side: int, note: str, bandwidth: float | None
 ) -> Iterator[Row]:
     size, scene = f"{side} x {side}", (SCENE, {"columns": side, "rows": side})
-    settings = {"dt": float(STRUCTURAL_SUBSTEPS), "substeps": STRUCTURAL_SUBSTEPS}
-    reference = ours.reference(bench, PART, scene, side * side, frames=[FRAMES], **settings)
+    reference = ours.reference(bench, PART, scene, side * side, frames=[FRAMES], **STRUCTURAL_FRAME)
     contestants = [
         ours.enter(
             bench,
@@ -102,7 +101,7 @@ def _measure_size(
             particles=side * side,
             units=max(1, WORK // (side * side * STRUCTURAL_SUBSTEPS)),
             topology=layout,
-            **settings,
+            **STRUCTURAL_FRAME,
         )
         for layout in ours.TOPOLOGIES
     ]

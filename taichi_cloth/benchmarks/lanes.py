@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from taichi_cloth.benchmarks import ours
-from taichi_cloth.benchmarks.cloths import STRUCTURAL_SUBSTEPS
+from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench
 from taichi_cloth.benchmarks.report import Row
 from taichi_cloth.benchmarks.structural import SCENE
@@ -23,8 +23,7 @@ def measure(bench: Bench) -> Iterator[Row]:
     """All widths in both precisions, against each other."""
     side = QUICK_SIDE if bench.quick else SIDE
     scene, particles = (SCENE, {"columns": side, "rows": side}), side * side
-    settings = {"dt": float(STRUCTURAL_SUBSTEPS), "substeps": STRUCTURAL_SUBSTEPS}
-    reference = ours.reference(bench, PART, scene, particles, frames=[FRAMES], **settings)
+    reference = ours.reference(bench, PART, scene, particles, frames=[FRAMES], **STRUCTURAL_FRAME)
     contestants = [
         ours.enter(
             bench,
@@ -38,7 +37,7 @@ def measure(bench: Bench) -> Iterator[Row]:
             topology="lanes",
             execution="parallel",
             lanes=lanes,
-            **settings,
+            **STRUCTURAL_FRAME,
         )
         for precision in ("f32", "f64")
         for lanes in LANES

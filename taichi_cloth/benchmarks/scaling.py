@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from taichi_cloth.benchmarks import ours
-from taichi_cloth.benchmarks.cloths import STRUCTURAL_SUBSTEPS
+from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench, compare
 from taichi_cloth.benchmarks.report import Row
 from taichi_cloth.benchmarks.structural import SCENE
@@ -30,8 +30,7 @@ def measure(bench: Bench) -> Iterator[Row]:
 def _measure_size(bench: Bench, side: int) -> Iterator[Row]:
     size, scene = f"{side} x {side}", (SCENE, {"columns": side, "rows": side})
     frames = FRAMES if side < LARGE else LARGE_FRAMES
-    settings = {"dt": float(STRUCTURAL_SUBSTEPS), "substeps": STRUCTURAL_SUBSTEPS}
-    reference = ours.reference(bench, PART, scene, side * side, frames=[frames], **settings)
+    reference = ours.reference(bench, PART, scene, side * side, frames=[frames], **STRUCTURAL_FRAME)
     contestants = [
         ours.enter(
             bench,
@@ -43,7 +42,7 @@ def _measure_size(bench: Bench, side: int) -> Iterator[Row]:
             size=size,
             particles=side * side,
             units=max(1, WORK // (side * side * STRUCTURAL_SUBSTEPS)),
-            **settings,
+            **STRUCTURAL_FRAME,
         )
         for threads in dict.fromkeys((1, bench.threads))
     ]

@@ -19,7 +19,7 @@ from taichi_cloth.kernels.lanes import (
     site_value,
 )
 from taichi_cloth.kernels.loops import each, each_cell
-from taichi_cloth.kernels.springs import number
+from taichi_cloth.kernels.springs import link_stiffness, number
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 
 
@@ -71,7 +71,7 @@ def _break_links(plan: ti.template(), state: ti.template(), c):
             far = c + link_offset(state, s, pitch_of(plan, state, g))
             d = read(plan, state.x, far) - x
             excess = dot(d, d) - state.link_limit2[s, g]
-            k = read(plan, state.link_k, of_kind(state, s, c))
+            k = link_stiffness(plan, state, s, c)
             most = ti.max(most, ti.select(k > 0.0, excess, none))
         if largest(plan, most) > 0.0 or state.breaking[c] > 0:
             for lane in range(plan.lanes):

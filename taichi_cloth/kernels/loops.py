@@ -86,28 +86,40 @@ def _each_cell(
 ):
     if ti.static(plan.lanes == 1):
         each(plan, state, t, state.n_cells[None], body)
-    elif ti.static(plan.spread):
+    else:
+        each_row(plan, state, t, ti.static(_visiting(body, moving)))
+
+
+@functools.cache
+def _visiting(body, moving):
+    @ti.func
+    def row(plan: ti.template(), state: ti.template(), begin, width):
+        for c in range(begin, begin + width):
+            body(plan, state, c)
+        if ti.static(moving):
+            renew_halos(plan, state, begin, width)
+
+    return row
+
+
+@ti.func
+def each_row(plan: ti.template(), state: ti.template(), t, body: ti.template()):
+    """Run body(plan, state, begin, width) for every row of cells of lanes."""
+    if ti.static(plan.spread):
         for i in range(plan.threads * PIECE):
             if i % PIECE == 0:
-                _each_cell_of_rows(plan, state, i // PIECE, body, moving)
+                _share_of_rows(plan, state, i // PIECE, body)
     else:
-        _each_cell_of_rows(plan, state, t, body, moving)
+        _share_of_rows(plan, state, t, body)
         barrier(plan, state)
 
 
 @ti.func
-def _each_cell_of_rows(
-    plan: ti.template(), state: ti.template(), t, body: ti.template(), moving: ti.template()
-):
+def _share_of_rows(plan: ti.template(), state: ti.template(), t, body: ti.template()):
     for g in range(state.n_grids[None]):
         first, rows, width = state.grid[g, 0], state.grid[g, 1], state.grid[g, 2]
-        pitch = pitch_of(plan, state, g)
         for r in range(share(plan, rows, t), share(plan, rows, t + 1)):
-            begin = first + r * pitch
-            for c in range(begin, begin + width):
-                body(plan, state, c)
-            if ti.static(moving):
-                renew_halos(plan, state, begin, width)
+            body(plan, state, first + r * pitch_of(plan, state, g), width)
 
 
 @ti.func
@@ -119,13 +131,8 @@ def add_up(plan: ti.template(), state: ti.template(), t, number: ti.template(), 
     """
     if ti.static(plan.lanes == 1):
         each(plan, state, t, pieces_of(state), ti.static(_adding_piece(number, k)))
-    elif ti.static(plan.spread):
-        for i in range(plan.threads * PIECE):
-            if i % PIECE == 0:
-                _add_rows(plan, state, i // PIECE, number, k)
     else:
-        _add_rows(plan, state, t, number, k)
-        barrier(plan, state)
+        each_row(plan, state, t, ti.static(_adding_row(number, k)))
     each(plan, state, t, 1, ti.static(_adding_parts(k)))
 
 
@@ -146,18 +153,16 @@ def _adding_piece(number, k):
     return body
 
 
-@ti.func
-def _add_rows(
-    plan: ti.template(), state: ti.template(), t, number: ti.template(), k: ti.template()
-):
-    for g in range(state.n_grids[None]):
-        first, rows, width = state.grid[g, 0], state.grid[g, 1], state.grid[g, 2]
-        for r in range(share(plan, rows, t), share(plan, rows, t + 1)):
-            begin = first + r * pitch_of(plan, state, g)
-            total = everywhere(plan, ti.cast(0.0, state.real))
-            for c in range(begin, begin + width):
-                total += number(plan, state, c)
-            state.sums[k, begin] = over_lanes(plan, total)
+@functools.cache
+def _adding_row(number, k):
+    @ti.func
+    def row(plan: ti.template(), state: ti.template(), begin, width):
+        total = everywhere(plan, ti.cast(0.0, state.real))
+        for c in range(begin, begin + width):
+            total += number(plan, state, c)
+        state.sums[k, begin] = over_lanes(plan, total)
+
+    return row
 
 
 @functools.cache
