@@ -1,4 +1,4 @@
-"""The command line: ``taichi-cloth run | list | doctor | bench``.
+"""The command line: ``taichi-cloth COMMAND``.
 
 Settings of a run are declared in `options.RunOptions`, those of a scene by the scene itself; flags
 and help texts are made from both. Anything a user gets wrong ends in one line and exit status 2.
@@ -7,20 +7,30 @@ Taichi is imported only once a run starts.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
+import importlib
 import os
 import signal
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taichi_cloth import __version__
+from taichi_cloth.arguments import (
+    DEFAULT_SCENE,
+    PROGRAM,
+    Request,
+    flag,
+    flags_help,
+    names_file,
+    parse_scene_command,
+    split,
+)
 from taichi_cloth.errors import InputError, SimulationFailure, nearest
-from taichi_cloth.options import HEADLESS_FRAMES, Parameter, RunOptions, parameters_of
+from taichi_cloth.options import HEADLESS_FRAMES, RunOptions, parameters_of
 
 if TYPE_CHECKING:
     from taichi_cloth.results import Trajectory
@@ -28,14 +38,14 @@ if TYPE_CHECKING:
     from taichi_cloth.scene import Scene
     from taichi_cloth.simulation import Simulation
 
-PROGRAM = "taichi-cloth"
-DEFAULT_SCENE = "cloth"
 COMMANDS = {
     "run": "run a scene, in a window or headless (the default command)",
     "list": "show scenes, methods and the backends usable here",
     "doctor": "show what this machine offers, and what each missing thing would need",
     "bench": "measure speed, and beside it the error, here and beside other programs",
 }
+# Commands on a scene that keep to themselves: where each is, and the class of its settings.
+SCENE_COMMANDS: dict[str, tuple[str, str]] = {}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -81,6 +91,8 @@ def _dispatch(arguments: list[str]) -> int:
         return _run_command(rest)
     elif command == "bench":
         return _bench(rest)
+    elif command in SCENE_COMMANDS:
+        return _scene_command(command, rest)
     elif command in ("list", "doctor"):
         if rest in (["-h"], ["--help"]):
             print(f"usage: {PROGRAM} {command}\n\n{COMMANDS[command].capitalize()}.")
@@ -96,7 +108,7 @@ def _dispatch(arguments: list[str]) -> int:
 def _command_hint(word: str) -> str:
     from taichi_cloth import scenes
 
-    if word in scenes.names() or _names_file(word):
+    if word in scenes.names() or names_file(word):
         return f"did you mean '{PROGRAM} run {word}'?"
     commands = {f"{PROGRAM} run {name}": name for name in scenes.names()}
     commands |= {name: name for name in COMMANDS}
@@ -121,208 +133,16 @@ def _help() -> str:
 
 
 # ------------------------------------------------------------------------------------------
-# Reading `run`'s arguments
-
-
-@dataclass(frozen=True)
-class _RunRequest:
-    """What a `run` command line asks for: a scene's name or file, its parameters, the settings."""
-
-    scene: str
-    scene_parameters: dict[str, Any]
-    options: RunOptions
-    given: frozenset[str]  # names of the settings that the command line gives
-
-    @property
-    def is_file(self) -> bool:
-        return _names_file(self.scene)
-
-
-def _names_file(word: str) -> bool:
-    from taichi_cloth import scenes
-
-    if word in scenes.names() or not word:
-        return False
-    # os.path.exists takes a word too long for a file's name; Path.exists does not.
-    return word.endswith(".toml") or os.sep in word or "/" in word or os.path.exists(word)
-
-
-def _flag(name: str) -> str:
-    return "--" + name.replace("_", "-")
-
-
-def _run_parameters() -> dict[str, Parameter]:
-    return parameters_of(RunOptions)
-
-
-def _parse_run(arguments: Sequence[str]) -> _RunRequest | None:
-    """The request on a `run` command line, checked; None if it asks for help (printed)."""
-    from taichi_cloth import scenes
-
-    of_scenes = {name: scenes.parameters(name) for name in scenes.names()}
-    of_run = _run_parameters()
-    known = {_flag(name): p for name, p in of_run.items()}
-    known |= {_flag(name): p for ps in of_scenes.values() for name, p in ps.items()} | known
-    switches = {flag for flag, p in known.items() if p.type is bool}
-    known |= {"--no-fast-math": of_run["fast_math"], "--help": None, "-h": None}
-    switches |= {"--no-fast-math", "--help", "-h"}
-
-    texts, words, wants_help = _split(arguments, known, switches, "run")
-    if len(words) > 1:
-        raise InputError(f"unexpected '{words[1]}': the scene is already '{words[0]}'")
-    scene = words[0] if words else DEFAULT_SCENE
-    is_file = _names_file(scene)
-    if not is_file and scene not in of_scenes:
-        raise InputError(
-            f"unknown scene '{scene}'; {nearest(scene, of_scenes)} (or name a .toml file)"
-        )
-    declared = {} if is_file else of_scenes[scene]
-    if wants_help:
-        print(_run_help(scene, declared))
-        return None
-
-    values: dict[str, Any] = {}
-    scene_values: dict[str, Any] = {}
-    for flag, text in texts.items():
-        name = flag[2:].replace("-", "_")
-        if flag == "--no-fast-math":
-            values["fast_math"] = False
-        elif flag in switches:
-            values[name] = True
-        elif name in of_run or name in declared:
-            if name in of_run:
-                values[name] = of_run[name].parse(flag, text)
-            if name in declared:
-                scene_values[name] = declared[name].parse(flag, text)
-        elif is_file:
-            raise InputError(
-                f"{flag}: only built-in scenes take it; change the value in {scene} instead"
-            )
-        else:
-            has = f"has {', '.join(map(_flag, declared))}" if declared else "has no parameters"
-            others = [name_ for name_, ps in of_scenes.items() if name in ps]
-            raise InputError(
-                f"{flag}: scene '{scene}' does not take it (it {has}); "
-                f"it belongs to {', '.join(others)}"
-            )
-    options = RunOptions(**values)
-    return _RunRequest(scene, scene_values, _consistent(options), frozenset(values))
-
-
-def _split(
-    arguments: Sequence[str], known: Mapping[str, Any], switches: Iterable[str], command: str
-) -> tuple[dict[str, str], list[str], bool]:
-    """Flags with their texts, the words that are none, and whether help is wanted.
-
-    A flag's value is whatever follows it, so that values may begin with a minus sign.
-    """
-    texts: dict[str, str] = {}
-    words = []
-    queue = list(arguments)
-    while queue:
-        word = queue.pop(0)
-        if not word.startswith("-") or word == "-":
-            words.append(word)
-            continue
-        flag, equals, text = word.partition("=")
-        if flag not in known:
-            raise InputError(f"unknown flag '{flag}'; {_flag_hint(flag, known, command)}")
-        if flag in switches:
-            if equals:
-                raise InputError(f"{flag} takes no value, got '{text}'")
-        elif not equals:
-            if not queue or queue[0].partition("=")[0] in known:
-                raise InputError(f"{flag} needs a value: {known[flag].describe()}")
-            text = queue.pop(0)
-        if not text and flag not in switches:
-            raise InputError(f"{flag} needs a value: {known[flag].describe()}")
-        texts[flag] = text
-    return texts, words, bool({"-h", "--help"} & texts.keys())
-
-
-def _flag_hint(flag: str, known: Iterable[str], command: str) -> str:
-    hint = nearest(flag, known)
-    return hint if hint.startswith("did") else f"'{PROGRAM} {command} --help' shows all flags"
-
-
-def _consistent(options: RunOptions) -> RunOptions:
-    """The options with what follows from them filled in; refuses those that exclude each other."""
-    from taichi_cloth.kernels.methods import METHODS
-
-    if options.method not in METHODS:
-        raise InputError(f"--method: unknown method '{options.method}'; "
-                         f"{nearest(options.method, METHODS)}")  # fmt: skip
-    if options.headless:
-        if options.view not in ("auto", "none"):
-            raise InputError(f"--headless and --view {options.view} exclude each other; give one")
-        options = replace(options, view="none")
-    if options.threads is not None:
-        if options.arch != "cpu":
-            raise InputError(f"--threads: only --arch cpu takes it, not {options.arch}")
-        if options.execution == "auto":
-            path = "serial" if options.threads == 1 else "parallel"
-            options = replace(options, execution=path)
-    written: dict[str, str] = {}
-    for name in ("record", "save", "image", "video"):
-        path = getattr(options, name)
-        if path is None:
-            continue
-        twin = written.setdefault(os.path.realpath(path), name)
-        if twin != name and os.path.isfile(path) | (not os.path.exists(path)):
-            raise InputError(f"--{twin} and --{name} would write the same file, {path}")
-    return options
-
-
-def _run_help(scene: str, declared: Mapping[str, Parameter]) -> str:
-    """Help of `run`, laid out by argparse from the declared settings."""
-    from taichi_cloth import scenes
-
-    groups = {"run": _run_parameters()}
-    if declared:
-        # One flag sets both where a name is in both, and is listed with the run.
-        own = {name: p for name, p in declared.items() if name not in _run_parameters()}
-        groups = {f"scene '{scene}'": own, **groups}
-    return _flags_help(
-        f"{PROGRAM} run [SCENE | FILE.toml] [flags]",
-        f"Scenes: {', '.join(scenes.names())}; default {DEFAULT_SCENE}.",
-        groups,
-    )
-
-
-def _flags_help(usage: str, description: str, groups: Mapping[str, Mapping[str, Parameter]]) -> str:
-    parser = argparse.ArgumentParser(
-        usage=usage,
-        description=description,
-        formatter_class=lambda prog: argparse.RawDescriptionHelpFormatter(
-            prog, max_help_position=28, width=100
-        ),
-        add_help=False,
-    )
-    for title, parameters in groups.items():
-        group = parser.add_argument_group(title)
-        for name, parameter in parameters.items():
-            help_ = parameter.describe().replace("%", "%%")
-            if name == "fast_math":
-                group.add_argument("--fast-math", "--no-fast-math", action="store_true", help=help_)
-            elif parameter.type is bool:
-                group.add_argument(_flag(name), action="store_true", help=help_)
-            else:
-                words = "|".join(parameter.choices)
-                metavar = words or parameter.metavar or ("N" if parameter.type is int else "X")
-                group.add_argument(_flag(name), metavar=metavar, help=help_)
-    return parser.format_help().rstrip()
-
-
-# ------------------------------------------------------------------------------------------
 # Running
 
 
 def _run_command(arguments: Sequence[str]) -> int:
-    request = _parse_run(arguments)
+    request = parse_scene_command("run", RunOptions, arguments, "")
     if request is None:
         return 0
-    options = request.options
-    scene = _scene_of(request)
+    options = _consistent(request.options)
+    request = replace(request, options=options)
+    scene = request.build()
 
     # Everything that can be refused is refused before Taichi starts, and leaves no file.
     from taichi_cloth import events
@@ -345,7 +165,7 @@ def _run_command(arguments: Sequence[str]) -> int:
         return _run(scene, options, log, recorder, trajectory)
 
 
-def _as_recorded(request: _RunRequest, header: Mapping[str, Any]) -> RunOptions:
+def _as_recorded(request: Request, header: Mapping[str, Any]) -> RunOptions:
     """The options with the recording's dt, substeps and so on where none are given."""
     recorded = {
         name: header[name]
@@ -355,12 +175,33 @@ def _as_recorded(request: _RunRequest, header: Mapping[str, Any]) -> RunOptions:
     return _consistent(replace(request.options, **recorded))
 
 
-def _scene_of(request: _RunRequest) -> Scene:
-    from taichi_cloth import scenefile, scenes
+def _consistent(options: RunOptions) -> RunOptions:
+    """The options with what follows from them filled in; refuses those that exclude each other."""
+    from taichi_cloth.kernels.methods import METHODS
 
-    if request.is_file:
-        return scenefile.load(request.scene)
-    return scenes.build(request.scene, **request.scene_parameters)
+    if options.method not in METHODS:
+        raise InputError(
+            f"--method: unknown method '{options.method}'; {nearest(options.method, METHODS)}"
+        )
+    if options.headless:
+        if options.view not in ("auto", "none"):
+            raise InputError(f"--headless and --view {options.view} exclude each other; give one")
+        options = replace(options, view="none")
+    if options.threads is not None:
+        if options.arch != "cpu":
+            raise InputError(f"--threads: only --arch cpu takes it, not {options.arch}")
+        if options.execution == "auto":
+            path = "serial" if options.threads == 1 else "parallel"
+            options = replace(options, execution=path)
+    written: dict[str, str] = {}
+    for name in ("record", "save", "image", "video"):
+        path = getattr(options, name)
+        if path is None:
+            continue
+        twin = written.setdefault(os.path.realpath(path), name)
+        if twin != name and os.path.isfile(path) | (not os.path.exists(path)):
+            raise InputError(f"--{twin} and --{name} would write the same file, {path}")
+    return options
 
 
 def _run(scene: Scene, options: RunOptions, log, recorder, trajectory: Trajectory | None) -> int:
@@ -507,6 +348,15 @@ def _meta(sim: Simulation, device: Device) -> dict[str, Any]:
 # Other commands
 
 
+def _scene_command(command: str, arguments: Sequence[str]) -> int:
+    from taichi_cloth import options
+
+    module, settings = SCENE_COMMANDS[command]
+    about = COMMANDS[command].capitalize() + ".\n"
+    request = parse_scene_command(command, getattr(options, settings), arguments, about)
+    return 0 if request is None else importlib.import_module(module).main(request)
+
+
 def _list() -> int:
     from rich import box
     from rich.console import Console
@@ -523,7 +373,7 @@ def _list() -> int:
 
     shown = table("scene", "what it shows", "parameters")
     for name in scenes.names():
-        parameters = (f"{_flag(k)} {p.default}" for k, p in scenes.parameters(name).items())
+        parameters = (f"{flag(k)} {p.default}" for k, p in scenes.parameters(name).items())
         shown.add_row(name, scenes.description(name), "\n".join(parameters))
     console.print(shown)
 
@@ -558,21 +408,20 @@ def _bench(arguments: Sequence[str]) -> int:
     from taichi_cloth.options import BenchOptions
 
     parameters = parameters_of(BenchOptions)
-    known = {_flag(name): parameter for name, parameter in parameters.items()}
-    switches = {flag for flag, parameter in known.items() if parameter.type is bool}
-    known |= {"--help": None, "-h": None}
-    texts, parts, wants_help = _split(arguments, known, {*switches, "--help", "-h"}, "bench")
+    known = {flag(name): parameter for name, parameter in parameters.items()}
+    switches = {word for word, parameter in known.items() if parameter.type is bool}
+    texts, parts, wants_help = split(arguments, known, switches, "bench")
     if wants_help:
         listed = "\n".join(f"  {part:10} {benchmarks.summary(part)}" for part in benchmarks.PARTS)
         usage = f"{PROGRAM} bench [PART ...] [flags]"
-        print(_flags_help(usage, f"Parts (default: all):\n{listed}", {"flags": parameters}))
+        print(flags_help(usage, f"Parts (default: all):\n{listed}", {"flags": parameters}))
         return 0
     for part in parts:
         if part not in benchmarks.PARTS:
             raise InputError(f"bench: unknown part '{part}'; {nearest(part, benchmarks.PARTS)}")
     values = {
-        flag[2:]: True if flag in switches else known[flag].parse(flag, text)
-        for flag, text in texts.items()
+        word[2:]: True if word in switches else known[word].parse(word, text)
+        for word, text in texts.items()
     }
 
     from taichi_cloth.benchmarks import command
