@@ -225,6 +225,8 @@ def _run(scene: Scene, options: RunOptions, log, recorder, trajectory: Trajector
         substeps=options.substeps,
         execution=options.execution,
         topology=options.topology,
+        tolerance=options.tolerance,
+        iterations=options.iterations,
     )
     view = open_view(
         options.view,

@@ -11,12 +11,12 @@ import json
 import os
 import platform
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from taichi_cloth import __version__
 from taichi_cloth.errors import InputError, nearest
-from taichi_cloth.kernels import run, watch
+from taichi_cloth.kernels import phases, run, watch
 from taichi_cloth.options import PATHS, TOPOLOGIES
 from taichi_cloth.runtime import current_device, whole_vectors
 
@@ -25,27 +25,52 @@ from taichi_cloth.runtime import current_device, whole_vectors
 WAKING = 50e-6
 
 
-def run_begin(begin, plan, state) -> None:
+def run_begin(method, plan, state) -> None:
     """What a method computes before its first step, and after the state was changed from outside.
 
-    plan: one whose loops are spread.
+    method: its module; plan: one whose loops are spread.
     """
-    with _vectors(plan):
-        run.begin_spread(begin, plan, state)
+    if hasattr(method, "begin"):
+        with _vectors(plan):
+            run.begin_spread(method.begin, plan, state)
 
 
 def run_frames(method, plan, state, done, frames, substeps) -> int:
-    """Advance frames as planned, after `done` steps; return how many passed the watchdog."""
+    """Advance frames as planned, after `done` steps; return how many passed the watchdog.
+
+    method: its module.
+    """
+    phased = getattr(method, "PHASES", None)
+    by_phases = phased and (plan.spread or (plan.lanes > 1 and hasattr(method, "LAUNCHES")))
     with _vectors(plan):
-        if not plan.spread:
-            return run.frames_in_one_launch(method, plan, state, done, frames, substeps)
+        if not (plan.spread or by_phases):
+            step = phases.stepping(phased) if phased else method.step
+            return run.frames_in_one_launch(step, plan, state, done, frames, substeps)
+        spread = replace(plan, spread=True)
         for frame in range(frames):
-            watch.keep_spread(plan, state)
-            for k in range(substeps):
-                run.substep_spread(method, plan, state, done + frame * substeps + k + 1)
+            watch.keep_spread(spread, state)
+            for step in range(done + frame * substeps + 1, done + (frame + 1) * substeps + 1):
+                if by_phases:
+                    _run_phases(method, plan, state, step)
+                else:
+                    run.substep_spread(method.step, plan, state, step)
             if watch.last_fault(state) != watch.NO_FAULT:
                 return frame
         return frames
+
+
+def _run_phases(method, plan, state, step):
+    """One step, in several launches."""
+    run.begin_step_spread(state, step)
+    phase = 0
+    while phase != phases.DONE:
+        if plan.spread:
+            phase = run.phase_spread(method.PHASES[phase], plan, state)
+        else:
+            these = next(these for these in method.LAUNCHES if phase in these)
+            phase = run.phases_in_one_launch(method.PHASES, these, plan, state)
+    if plan.fracture:
+        run.end_step_spread(replace(plan, spread=True), state)
 
 
 def _vectors(plan):

@@ -1,4 +1,4 @@
-"""Energy and momentum of a state, in float64 on the host.
+"""Energy and momentum of a state, in float64 on the host, and the work that led there.
 
 m, v, x as in `scene.Particles`; fixed particles have no momentum and no kinetic energy.
 """
@@ -8,6 +8,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a run has done: steps, evaluations of all forces, sweeps of a solver over all springs,
+    and how many steps' solutions did not converge to their tolerance.
+    """
+
+    steps: int
+    force_evaluations: int
+    sweeps: int
+    unconverged: int
 
 
 @dataclass(frozen=True)

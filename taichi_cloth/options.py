@@ -124,6 +124,8 @@ ARCHS = ("cpu", "gpu", "cuda", "vulkan", "opengl", "metal")
 PRECISIONS = ("f32", "f64")
 PATHS = ("serial", "parallel")
 TOPOLOGIES = ("lanes", "graph")
+# What some methods take to solve a step's equations: their defaults. See their `CLAIMS`.
+SOLVER_SETTINGS = {"tolerance": 1e-6, "iterations": 10}
 VIEWS = ("auto", "ggui", "gui", "none")
 HEADLESS_FRAMES = 600
 
@@ -140,6 +142,22 @@ class RunOptions:
     )
     substeps: int = setting(
         1, "steps a frame, each of dt / N", minimum=1, maximum=1_000_000, metavar="N"
+    )
+    tolerance: float | None = setting(
+        None,
+        f"implicit methods: relative residual (default {SOLVER_SETTINGS['tolerance']:g})",
+        float,
+        above=0,
+        maximum=0.1,
+        metavar="X",
+    )
+    iterations: int | None = setting(
+        None,
+        f"xpbd, vbd: sweeps a step (default {SOLVER_SETTINGS['iterations']})",
+        int,
+        minimum=1,
+        maximum=1_000_000,
+        metavar="N",
     )
     execution: str = setting(
         "auto",

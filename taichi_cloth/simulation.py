@@ -19,10 +19,11 @@ from taichi_cloth.kernels.state import (
     BREAKING,
     CELLS_PER_PARTICLE,
     GONE,
+    WORK,
     Capacity,
     State,
 )
-from taichi_cloth.options import TOPOLOGIES
+from taichi_cloth.options import SOLVER_SETTINGS, TOPOLOGIES
 from taichi_cloth.runtime import current_device, still_runs
 from taichi_cloth.scene import Particles, Scene, Springs, validate
 
@@ -48,6 +49,9 @@ class Simulation:
     particles; the rest on the graph), or "graph" (all springs by lists of neighbours).
     "auto" is, for both, what measured fastest on this machine for such a scene.
     lanes: particles in a cell of that topology; LANES on CPUs and 1 on GPUs where absent.
+    tolerance: relative residual of a step's solution, of methods that solve for it; iterations:
+    sweeps a step, of methods that iterate (`options.SOLVER_SETTINGS` where absent). InputError for
+    a method that does not take it.
 
     Arrays are returned as float64 copies, one row per particle in the order of creation.
     """
@@ -61,6 +65,8 @@ class Simulation:
         execution: str = "auto",
         topology: str = "auto",
         lanes: int | None = None,
+        tolerance: float | None = None,
+        iterations: int | None = None,
     ):
         if method not in methods.METHODS:
             raise InputError(f"--method {method}: unknown; {nearest(method, methods.METHODS)}")
@@ -72,14 +78,14 @@ class Simulation:
         self.scene = validate(scene)
         self.method, self.dt, self.substeps = method, dt, substeps
         device = current_device()
-        module = methods.load(method)
-        self.claims, self._step = module.CLAIMS, module.step
-        self._begin = getattr(module, "begin", None)
-        self._vectors = getattr(module, "VECTORS", ())
+        self._module = methods.load(method)
+        self.claims = self._module.CLAIMS
+        self.solver = _solver_settings(method, self.claims, tolerance, iterations)
         self._real = getattr(ti, device.precision)
         self._numpy_real = np.float64 if device.precision == "f64" else np.float32
         self._requested = topology, execution
-        self._lanes = lanes or (LANES if device.arch == "cpu" else 1)
+        most = min(LANES, getattr(self._module, "LANES", LANES))
+        self._lanes = lanes or (most if device.arch == "cpu" else 1)
         self._drawn = np.zeros((0, 0))
         self._layouts = {}  # by topology, until something is spawned or reset
         self.topology = self.execution = self._pace = None
@@ -91,6 +97,7 @@ class Simulation:
     def reset(self) -> None:
         """Back to the scene's start; what was spawned is gone."""
         self.frame = 0
+        self._work = np.zeros(len(WORK), np.int64)
         self._blowing = False
         self._particles, self._springs = self.scene.particles, self.scene.springs
         self._fracture = np.tile(np.int32([ALIVE, 0]), (len(self._springs), 1))
@@ -120,17 +127,21 @@ class Simulation:
 
     def _run(self, frames):
         begin = time.perf_counter()
-        if self._begin and self._changed:
-            execution.run_begin(self._begin, self._spread_plan, self._state)
+        if self._changed:
+            execution.run_begin(self._module, self._spread_plan, self._state)
         self._changed = False
         passed = execution.run_frames(
-            self._step,
+            self._module,
             self._plan,
             self._state,
             self.frame * self.substeps,
             frames,
             self.substeps,
         )
+        if self.claims.forces == 0:
+            work = np.zeros(len(WORK), np.int32)
+            transfer.take_work(self._state, work)
+            self._work += work
         if self._pace and self._pace.lost(time.perf_counter() - begin, frames * self.substeps):
             self.execution, self._pace = "serial", None
             self._plan = self._plan_for("serial")
@@ -140,6 +151,12 @@ class Simulation:
     def time(self) -> float:
         """Simulated time, in the scene's units."""
         return self.frame * self.dt
+
+    def work(self) -> measure.Work:
+        """What has been done since the start, or since `reset`."""
+        steps = self.frame * self.substeps
+        forces, sweeps, unconverged = (int(count) for count in self._work)
+        return measure.Work(steps, steps * self.claims.forces or forces, sweeps, unconverged)
 
     def describe_size(self) -> str:
         """What decides a step's cost besides the device: features, and sizes by powers of two."""
@@ -381,7 +398,7 @@ class Simulation:
             springs=factor * needed.springs + room,
             cells=factor * needed.cells + room,
         )
-        self._state = State(plan, self._real, capacity, self._vectors)
+        self._state = State(plan, self._real, capacity, self._module)
         # Taichi has room for 512 trees of fields, of which each state takes two.
         self._free = weakref.finalize(self, _free, self._state, current_device())
         self._free.atexit = False
@@ -389,8 +406,9 @@ class Simulation:
     def _load_numbers(self):
         world, particles = self.scene.world, self._particles
         grid_size, cell_size = self._grid(particles)
-        counts = [self.particle_count, *grid_size]
+        counts = [self.particle_count, self.solver.get("iterations", 0), *grid_size]
         numbers = [self.dt / self.substeps, self.speed_limit, cell_size]
+        numbers += [self.solver.get("tolerance", 0.0)]
         numbers += [*world.gravity, *world.low, *world.high]
         transfer.load_numbers(
             self._spread_plan,
@@ -428,6 +446,20 @@ class Simulation:
         if vanished.any():
             self._refuse_size("particle", vanished.argmax())
         transfer.load_particles(self._spread_plan, self._state, layout.site, rows)
+        if "near" in getattr(self._module, "NEEDS", ()):
+            self._load_near()
+
+    def _load_near(self):
+        """Sums of the stiffness and damping of each particle's springs."""
+        springs = self._springs.of(self._fracture[:, 0] != GONE)
+        rows = np.column_stack(
+            [
+                np.bincount(springs.between.ravel(), np.repeat(of, 2), self.particle_count)
+                for of in (springs.stiffness, springs.damping)
+            ]
+        )
+        rows = rows.astype(self._numpy_real)
+        transfer.load_near(self._spread_plan, self._state, self._layout.site, rows)
 
     def _as_real(self, what, *columns):
         """Columns side by side in the device's precision; InputError where one does not fit."""
@@ -590,6 +622,21 @@ class Simulation:
                 f"use --substeps {math.ceil(self.dt * viscous.max() / 1.8)} or a smaller --dt",
             )
         return "forces or starting speeds too large for the step", "use more --substeps"
+
+
+def _solver_settings(method, claims, tolerance, iterations):
+    """The settings that a method takes, by name; InputError for one that it does not."""
+    given = {"tolerance": tolerance, "iterations": iterations}
+    for name, value in given.items():
+        if value is None:
+            continue
+        if name not in claims.settings:
+            takers = [m for m in methods.METHODS if name in methods.load(m).CLAIMS.settings]
+            raise InputError(f"--{name}: {method} does not take it; {', '.join(takers)} do")
+        if not value > 0:
+            raise InputError(f"--{name} {value}: must be positive")
+    chosen = {name: value for name, value in given.items() if value is not None}
+    return {name: chosen.get(name, SOLVER_SETTINGS[name]) for name in claims.settings}
 
 
 class Pace:

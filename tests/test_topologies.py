@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ from hypothesis import strategies as st
 from taichi_cloth import execution, layout, simulation, topology
 from taichi_cloth.cloth import grid
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.forces import compute_acceleration
 from taichi_cloth.kernels.lanes import (
     dot,
     link_offset,
@@ -32,7 +32,6 @@ from taichi_cloth.kernels.springs import (
     link_value,
     number,
 )
-from taichi_cloth.kernels.watch import store
 from taichi_cloth.scene import ParticleDefaults, Particles, Scene, SpringDefaults, Springs, World
 from taichi_cloth.scenes import build
 from taichi_cloth.simulation import Simulation
@@ -452,53 +451,6 @@ def test_lanes_without_a_grid_are_refused():
 
 
 @ti.func
-def drift(plan: ti.template(), state: ti.template(), c):
-    dt = state.dt[None]
-    v = read(plan, state.v, c) + 0.5 * dt * read(plan, state.a, c)
-    store(plan, state, c, read(plan, state.x, c) + dt * v, v)
-
-
-@ti.func
-def kick(plan: ti.template(), state: ti.template(), c):
-    v = read(plan, state.v, c) + 0.5 * state.dt[None] * read(plan, state.a, c)
-    store(plan, state, c, read(plan, state.x, c), v)
-
-
-@ti.func
-def velocity_verlet(plan: ti.template(), state: ti.template(), t):
-    """A method of two force evaluations, which moves particles between them."""
-    compute_acceleration(plan, state, t)
-    each_cell_moving(plan, state, t, drift)
-    compute_acceleration(plan, state, t)
-    each_cell_moving(plan, state, t, kick)
-
-
-def verlet(scene, substeps=(1,), frames=20, **how):
-    """Positions of velocity Verlet after some frames, for each number of substeps."""
-    sim = Simulation(scene, dt=0.5, lanes=2, **how)
-    sim._step = velocity_verlet
-    ends = []
-    for sim.substeps in substeps:
-        sim.reset()
-        sim.advance(frames)
-        ends.append(sim.positions())
-    return ends
-
-
-def test_velocity_verlet_can_be_written(device):
-    scene = cloth(7, 5, LINKS[:2], 3, speed=0.5)
-    coarse, fine, exact = verlet(scene, (32, 64, 4096), topology="lanes", execution="parallel")
-    order = np.log2(np.abs(coarse - exact).max() / np.abs(fine - exact).max())
-    assert order == pytest.approx(2, abs=0.1)
-    on_graph = verlet(scene, (32,), topology="graph", execution="serial")[0]
-    np.testing.assert_array_equal(coarse, on_graph)
-
-    scene = mixed(damping=0.0, drag=0.0, walls=(), break_force=None)
-    ends = [verlet(scene, topology=t, execution="parallel")[0] for t in ("lanes", "graph")]
-    np.testing.assert_allclose(*ends, rtol=0, atol=1e-9)
-
-
-@ti.func
 def stiffness_between(
     plan: ti.template(), state: ti.template(), value: ti.template(), i, j, k, rest, c
 ):
@@ -649,7 +601,7 @@ def test_sums_over_cells_are_the_same_on_every_way(topology, device):
         sim = Simulation(scene, topology=topology, execution=path, lanes=4)
         sim.advance(3)
         sim._state.add_sums(1)
-        sim._step = sum_kinetic_energy
+        sim._module = SimpleNamespace(step=sum_kinetic_energy)
         sim.advance(1)
         sums.append(sim._state.sums[0, 0])
         assert sums[-1] == pytest.approx(sim.energy().kinetic, rel=1e-13)

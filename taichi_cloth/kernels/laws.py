@@ -33,6 +33,19 @@ def spring_tension(length, k, rest):
 
 
 @ti.func
+def spring_stiffness_product(d, along, length, k, rest):
+    """The spring's stiffness, its force's derivative, times d; positive semidefinite.
+
+    Along the axis it is k, across it k*(1 - rest/length): negative where the spring is compressed,
+    where it is taken for 0 (Choi, Ko, "Stable but responsive cloth", 2002; these are its
+    eigenvalues, so that this is the nearest matrix without negative ones). Where both ends
+    coincide, and there is no axis, it is k in every direction.
+    """
+    across = k * ti.max(1.0 - rest * ti.select(length > 0.0, 1.0 / length, 0.0 * length), 0.0)
+    return scaled(across, d) + scaled((k - across) * dot(along, d), along)
+
+
+@ti.func
 def dashpot_tension(dv, along, c):
     """Damping along a spring's axis: c times the rate at which it lengthens.
 

@@ -16,7 +16,7 @@ import taichi as ti
 
 from taichi_cloth.kernels.lanes import (
     everywhere,
-    over_lanes,
+    folded,
     pitch_of,
     renew_left_halo,
     renew_right_halo,
@@ -127,13 +127,38 @@ def add_up(plan: ti.template(), state: ti.template(), t, number: ti.template(), 
     """state.sums[k, 0] = sum of number(plan, state, c), one for each lane, over all cells c.
 
     Row by row, on a graph piece by piece of cells, and then these in their order: the same bits
-    for every number of threads. `State.add_sums` makes room for it.
+    for every number of threads. `State.add_sums` makes room for it. `number` may change its cell.
     """
+    _join(plan, state, t, number, k, _plus)
+
+
+@ti.func
+def find_largest(
+    plan: ti.template(), state: ti.template(), t, number: ti.template(), k: ti.template()
+):
+    """state.sums[k, 0] = the largest number(plan, state, c), none of which is negative."""
+    _join(plan, state, t, number, k, ti.max)
+
+
+@ti.func
+def _plus(a, b):
+    return a + b
+
+
+@ti.func
+def _join(
+    plan: ti.template(),
+    state: ti.template(),
+    t,
+    number: ti.template(),
+    k: ti.template(),
+    op: ti.template(),
+):
     if ti.static(plan.lanes == 1):
-        each(plan, state, t, pieces_of(state), ti.static(_adding_piece(number, k)))
+        each(plan, state, t, pieces_of(state), ti.static(_joining_piece(number, k, op)))
     else:
-        each_row(plan, state, t, ti.static(_adding_row(number, k)))
-    each(plan, state, t, 1, ti.static(_adding_parts(k)))
+        each_row(plan, state, t, ti.static(_joining_row(number, k, op)))
+    each(plan, state, t, 1, ti.static(_joining_parts(k, op)))
 
 
 @ti.func
@@ -142,41 +167,42 @@ def pieces_of(state: ti.template()):
 
 
 @functools.cache
-def _adding_piece(number, k):
+def _joining_piece(number, k, op):
     @ti.func
     def body(plan: ti.template(), state: ti.template(), i):
         total = ti.cast(0.0, state.real)
         for c in range(i * PIECE, ti.min((i + 1) * PIECE, state.n_cells[None])):
-            total += number(plan, state, c)
+            total = op(total, number(plan, state, c))
         state.sums[k, i + 1] = total
 
     return body
 
 
 @functools.cache
-def _adding_row(number, k):
+def _joining_row(number, k, op):
     @ti.func
     def row(plan: ti.template(), state: ti.template(), begin, width):
         total = everywhere(plan, ti.cast(0.0, state.real))
         for c in range(begin, begin + width):
-            total += number(plan, state, c)
-        state.sums[k, begin] = over_lanes(plan, total)
+            total = op(total, number(plan, state, c))
+        state.sums[k, begin] = folded(op, total)
 
     return row
 
 
 @functools.cache
-def _adding_parts(k):
+def _joining_parts(k, op):
     @ti.func
     def body(plan: ti.template(), state: ti.template(), i):
         total = ti.cast(0.0, state.real)
         if ti.static(plan.lanes == 1):
             for part in range(pieces_of(state)):
-                total += state.sums[k, part + 1]
+                total = op(total, state.sums[k, part + 1])
         else:
             for g in range(state.n_grids[None]):
                 for r in range(state.grid[g, 1]):
-                    total += state.sums[k, state.grid[g, 0] + r * pitch_of(plan, state, g)]
+                    row = state.grid[g, 0] + r * pitch_of(plan, state, g)
+                    total = op(total, state.sums[k, row])
         state.sums[k, 0] = total
 
     return body

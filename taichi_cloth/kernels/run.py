@@ -1,4 +1,4 @@
-"""How one method is run: whole frames in one launch, or a launch for each step.
+"""How one method is run: whole frames in one launch, or a launch for each step or phase.
 
 `method` is a method's step, a ti.func over the containers; `loops.py` says how its loops run.
 """
@@ -7,6 +7,7 @@ import taichi as ti
 
 from taichi_cloth.kernels.fracture import break_springs
 from taichi_cloth.kernels.loops import COUNTER, PIECE, barrier
+from taichi_cloth.kernels.phases import run_one_of
 from taichi_cloth.kernels.watch import all_well, begin_step, keep
 
 
@@ -72,6 +73,47 @@ def begin_spread(begin: ti.template(), plan: ti.template(), state: ti.template()
     A kernel of its own: compile time grows with the square of what is in one.
     """
     begin(plan, state, 0)
+
+
+@ti.kernel
+def begin_step_spread(state: ti.template(), step: ti.i32):
+    """Before the phases of step number `step`."""
+    for _ in range(1):
+        begin_step(state, step)
+        state.phase[None] = 0
+
+
+@ti.kernel
+def phase_spread(phase: ti.template(), plan: ti.template(), state: ti.template()) -> ti.i32:
+    """One phase of a step, every loop of it a parallel one; returns the next one."""
+    phase(plan, state, 0)
+    return state.phase[None]
+
+
+@ti.kernel
+def phases_in_one_launch(
+    phased: ti.template(), these: ti.template(), plan: ti.template(), state: ti.template()
+) -> ti.i32:
+    """Phases of a step on plan.threads threads, while they are among `these`; returns the next."""
+    if ti.static(plan.threads == 1):
+        ti.loop_config(serialize=True)
+        for t in range(1):
+            while run_one_of(phased, these, plan, state, t):
+                pass
+    else:
+        state.arrivals[COUNTER] = 0
+        ti.loop_config(parallelize=plan.threads)
+        for i in range(plan.threads * PIECE):
+            if i % PIECE == 0:
+                while run_one_of(phased, these, plan, state, i // PIECE):
+                    pass
+    return state.phase[None]
+
+
+@ti.kernel
+def end_step_spread(plan: ti.template(), state: ti.template()):
+    """After the phases of a step: fracture."""
+    break_springs(plan, state, 0)
 
 
 @ti.kernel

@@ -12,6 +12,8 @@ from taichi_cloth.kernels.loops import COUNTER_SIZE
 
 ALIVE, BREAKING, GONE = 0, 1, 2  # BREAKING: over its limit, pulls for one more step
 
+WORK = FORCES, SWEEPS, UNCONVERGED = range(3)
+
 CELLS_PER_PARTICLE = 8  # of the collision grid: more cells mean fewer comparisons, more clearing
 
 CACHE_LINE = 32  # numbers: two lines of 64 bytes, which processors fetch in pairs
@@ -58,12 +60,17 @@ class State:
         each thread, then the last rows of each thread's share of each grid.
     Numbers a run may change are fields too: n, n_cells, n_grids, dt, gravity, low, high, ...; step:
         the number of the step under way, stage: which of its stages, in methods that have several.
+    Solvers (`phases.py`): phase: the one that comes next; tolerance, iterations: settings; work:
+        counts since the host last asked, FORCES, SWEEPS, UNCONVERGED; near_k, near_c: sums of the
+        stiffness and damping of a particle's springs (needs "near").
     """
 
-    def __init__(self, plan, real, capacity, vectors=()):
-        """Allocate. real: ti.f32 or ti.f64; vectors: names of further fields of cells, of vectors
-        that a method remembers.
+    def __init__(self, plan, real, capacity, method=None):
+        """Allocate. real: ti.f32 or ti.f64; method: the module of a method, whose VECTORS, HALOED,
+        SUMS, SCALARS, COUNTS and NEEDS get room.
         """
+        vectors, haloed = getattr(method, "VECTORS", ()), getattr(method, "HALOED", ())
+        needs = getattr(method, "NEEDS", ())
         dim, lanes, kinds = plan.dim, plan.lanes, plan.kinds
         n, s, m = max(capacity.particles, 1), max(capacity.springs, 1), max(capacity.cells, 1)
         self.real, self.capacity, self.cells = real, capacity, m
@@ -94,6 +101,9 @@ class State:
         self.w = cell_numbers()
         self.particle, self.site = cell_counts(), counts(n)
         self.haloed = (self.x, self.v) if plan.dashpots else (self.x,)
+        self.haloed += tuple(getattr(self, name) for name in haloed)
+        if "near" in needs:
+            self.near_k, self.near_c = cell_numbers(), cell_numbers()
         particle_numbers = scalars if plan.uniform_particles else cell_numbers
         if plan.drag:
             self.viscous = particle_numbers()
@@ -115,11 +125,17 @@ class State:
         counts(CACHE_LINE)
         self.arrivals = counts(COUNTER_SIZE)
         self.step, self.stage, self.passed = counts(), counts(), counts()
+        self.phase, self.work = counts(), counts(len(WORK))
         self.fault, self.watching = counts(), counts()
         counts(CACHE_LINE)
         self.n, self.n_cells, self.n_grids = counts(), counts(), counts()
         self.dt, self.gravity = scalars(), scalars(dim)
         self.speed_limit = scalars()
+        self.tolerance, self.iterations = scalars(), counts()
+        for name in getattr(method, "SCALARS", ()):
+            setattr(self, name, scalars())
+        for name in getattr(method, "COUNTS", ()):
+            setattr(self, name, counts())
         self.grid = counts(max(capacity.grids, 1), 4)
         if plan.blow:
             self.pushing = counts()
@@ -159,6 +175,8 @@ class State:
             self.sorted_x, self.sorted_radius = scalars(n, dim), scalars(n)
             self.jump = cell_vectors()
         self._trees = [reals.finalize(), integers.finalize()]
+        if sums := getattr(method, "SUMS", 0):
+            self.add_sums(sums)
 
     def add_vectors(self, plan, name, haloed=False):
         """A further field of cells for a method: one vector a particle, state.<name>.

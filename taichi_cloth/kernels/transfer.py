@@ -23,23 +23,25 @@ def load_numbers(
 ):
     """Fill the 0-D fields.
 
-    counts: n, then the collision grid's size per axis; numbers: dt, speed limit, cell size, then
-    per axis gravity, low, high.
+    counts: n, iterations, then the collision grid's size per axis; numbers: dt, speed limit, cell
+    size, tolerance, then per axis gravity, low, high.
     """
     dim = ti.static(plan.dim)
     for _ in range(1):
         state.n[None] = counts[0]
         state.dt[None] = numbers[0]
+        state.iterations[None] = counts[1]
         state.speed_limit[None] = numbers[1]
+        state.tolerance[None] = numbers[3]
         if ti.static(plan.collisions):
             state.cell_size[None] = numbers[2]
         for axis in ti.static(range(dim)):
-            state.gravity[axis] = numbers[3 + axis]
+            state.gravity[axis] = numbers[4 + axis]
             if ti.static(len(plan.walls) > 0):
-                state.low[axis] = numbers[3 + dim + axis]
-                state.high[axis] = numbers[3 + 2 * dim + axis]
+                state.low[axis] = numbers[4 + dim + axis]
+                state.high[axis] = numbers[4 + 2 * dim + axis]
             if ti.static(plan.collisions):
-                state.grid_size[axis] = counts[1 + axis]
+                state.grid_size[axis] = counts[2 + axis]
 
 
 @ti.kernel
@@ -110,6 +112,19 @@ def load_particles(
 @ti.func
 def _leave_cell(plan: ti.template(), state: ti.template(), c):
     """Nothing: the loop over cells is wanted for the halos that it renews."""
+
+
+@ti.kernel
+def load_near(
+    plan: ti.template(),
+    state: ti.template(),
+    sites: ti.types.ndarray(),
+    rows: ti.types.ndarray(),
+):
+    """Fill near_k and near_c from `rows` (n, 2)."""
+    for i in range(rows.shape[0]):
+        set_site_number(plan, state.near_k, sites[i], rows[i, 0])
+        set_site_number(plan, state.near_c, sites[i], rows[i, 1])
 
 
 @ti.kernel
@@ -217,6 +232,14 @@ def read_vectors(
         vector = site_value(plan, of, state.site[i])
         for axis in ti.static(range(plan.dim)):
             out[i, axis] = vector[axis]
+
+
+@ti.kernel
+def take_work(state: ti.template(), out: ti.types.ndarray()):
+    """Copy the counts of the solver's work out, and begin them anew."""
+    for i in range(out.shape[0]):
+        out[i] = state.work[i]
+        state.work[i] = 0
 
 
 @ti.kernel

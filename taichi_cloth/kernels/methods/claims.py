@@ -6,10 +6,14 @@ from dataclasses import dataclass
 @dataclass(frozen=True)
 class Claims:
     """order: global order of accuracy; symplectic, implicit: as the words say;
-    stability_limit: largest stable dt*omega for an undamped oscillator (0: none is stable).
+    stability_limit: largest stable dt*omega for an undamped oscillator (0: none is stable, inf: all
+    are). forces: force evaluations a step, 0 where they depend on the solution and are counted on
+    the device. settings: those of `options.SOLVER_SETTINGS` that the method takes.
     """
 
     order: int
     symplectic: bool
     implicit: bool
     stability_limit: float
+    forces: int = 1
+    settings: tuple[str, ...] = ()

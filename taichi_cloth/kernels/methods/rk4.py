@@ -13,7 +13,7 @@ from taichi_cloth.kernels.lanes import read, write
 from taichi_cloth.kernels.methods.claims import Claims
 from taichi_cloth.kernels.watch import store
 
-CLAIMS = Claims(order=4, symplectic=False, implicit=False, stability_limit=8.0**0.5)
+CLAIMS = Claims(order=4, symplectic=False, implicit=False, stability_limit=8.0**0.5, forces=4)
 # The state at the step's start; sums of the slopes of position and velocity.
 VECTORS = ("start_x", "start_v", "sum_v", "sum_a")
 

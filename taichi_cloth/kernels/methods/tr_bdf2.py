@@ -1,0 +1,85 @@
+"""TR-BDF2: the trapezoidal rule over the first part of a step, then the backward differentiation
+formula of second order over all of it.
+
+Bank, Coughran, Fichtner, Grosse, Rose, Smith, "Transient simulation of silicon devices and
+circuits", IEEE Trans. Computer-Aided Design 4, 1985; Hosea, Shampine, "Analysis and implementation
+of TR-BDF2", Applied Numerical Mathematics 20, 1996. Second order, stable at every dt, and what it
+cannot resolve it damps, like implicit Euler; what it can it hardly does. With the first part
+(2 - sqrt 2) dt both stages are implicit Euler's equations over the same time (`newton.py`).
+"""
+
+import math
+
+import taichi as ti
+
+from taichi_cloth.kernels import newton
+from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
+from taichi_cloth.kernels.lanes import read, write
+from taichi_cloth.kernels.loops import each_cell_moving
+from taichi_cloth.kernels.methods.claims import Claims
+from taichi_cloth.kernels.watch import store
+
+CLAIMS = Claims(
+    order=2,
+    symplectic=False,
+    implicit=True,
+    stability_limit=math.inf,
+    forces=0,
+    settings=("tolerance",),
+)
+LANES, LAUNCHES, NEEDS = newton.LANES, newton.LAUNCHES, newton.NEEDS
+VECTORS, HALOED = newton.VECTORS, newton.HALOED
+SCALARS, COUNTS, SUMS = newton.SCALARS, newton.COUNTS, newton.SUMS
+
+PART = 2.0 - math.sqrt(2.0)  # of the step that the trapezoidal rule takes
+TAU = PART / 2.0  # of both stages
+# The state from which the second stage starts: x_n, and what the first one reached.
+FROM_OLD, FROM_FIRST = -((1.0 - PART) ** 2) / (PART * (2.0 - PART)), 1.0 / (PART * (2.0 - PART))
+TRAPEZOIDAL, BACKWARD = 0, 1  # stages
+
+
+@ti.func
+def begin_step(plan: ti.template(), state: ti.template(), t):
+    """The trapezoidal rule needs the acceleration at the step's start."""
+    newton.set_tau(plan, state, t, TAU * state.dt[None])
+    compute_contacts(plan, state)
+    each_cell_moving(plan, state, t, stay)
+    newton.begin_stage(plan, state, t, newton.ONLY_EVALUATE)
+
+
+@ti.func
+def stay(plan: ti.template(), state: ti.template(), c):
+    x, v = read(plan, state.x, c), read(plan, state.v, c)
+    write(plan, state.old_x, c, x)
+    write(plan, state.old_v, c, v)
+    write(plan, state.start_v, c, v)  # so that the residual is the acceleration
+
+
+@ti.func
+def finish(plan: ti.template(), state: ti.template(), t):
+    each_cell_moving(plan, state, t, go_on)
+    newton.end_stage(plan, state, t, BACKWARD)
+
+
+@ti.func
+def go_on(plan: ti.template(), state: ti.template(), c):
+    """From one stage to the next, and from the last one to the new state."""
+    dt, stage = state.dt[None], state.stage[None]
+    old_x, old_v = read(plan, state.old_x, c), read(plan, state.old_v, c)
+    x, v = read(plan, state.x, c), read(plan, state.v, c)
+    jump = velocity_jump(plan, state, c, old_x, old_v)
+    if stage == newton.ONLY_EVALUATE:
+        start_v = old_v + jump + (TAU * dt) * read(plan, state.residual, c)
+        write(plan, state.start_x, c, old_x + (TAU * dt) * (old_v + jump))
+        write(plan, state.start_v, c, start_v)
+        newton.iterate_from(plan, state, c, start_v)
+    elif stage == TRAPEZOIDAL:
+        start_v = FROM_FIRST * v + FROM_OLD * (old_v + jump)
+        write(plan, state.start_x, c, FROM_FIRST * x + FROM_OLD * old_x)
+        write(plan, state.start_v, c, start_v)
+        newton.iterate_from(plan, state, c, v)
+    else:
+        store(plan, state, c, kept_above_floor(plan, state, c, old_x, old_v, x, v), v)
+
+
+PHASES = newton.phases(begin_step, finish)
