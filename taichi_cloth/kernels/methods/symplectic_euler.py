@@ -1,9 +1,11 @@
 """Symplectic (semi-implicit) Euler: v += dt*a(x, v), then x += dt*v with the new v.
 
 Hairer, Lubich, Wanner, Geometric Numerical Integration, I.1.2. First order; symplectic without
-drag, so the energy error stays bounded; stable while dt*omega < 2.
+drag, so the energy error stays bounded; stable while dt*omega < 2, with drag while
+dt^2 omega^2 + 2 dt d < 4.
 """
 
+import numpy as np
 import taichi as ti
 
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
@@ -13,6 +15,11 @@ from taichi_cloth.kernels.methods.claims import Claims
 from taichi_cloth.kernels.watch import store
 
 CLAIMS = Claims(order=1, symplectic=True, implicit=False, stability_limit=2.0)
+
+
+def amplification(h, omega2, d):
+    """One step of x'' = -omega2 x - d x', as a matrix on (x, v)."""
+    return np.array([[1 - h * h * omega2, h * (1 - h * d)], [-h * omega2, 1 - h * d]])
 
 
 @ti.func

@@ -4,9 +4,11 @@ Swope, Andersen, Berens, Wilson, "A computer simulation method for the calculati
 constants", J. Chem. Phys. 76, 1982; Hairer, Lubich, Wanner, Geometric Numerical Integration, I.1.4.
 Second order, symplectic without drag, one force evaluation a step: a is kept from step to step.
 Forces that depend on velocity take it as it would be with the old a, which keeps the order.
-Stable while dt*omega < 2.
+Stable while dt*omega < 2, with drag while
+dt^2 omega^2 + 4 dt d < 4: the price of the predicted velocity.
 """
 
+import numpy as np
 import taichi as ti
 
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
@@ -17,6 +19,16 @@ from taichi_cloth.kernels.methods.claims import Claims
 from taichi_cloth.kernels.watch import store
 
 CLAIMS = Claims(order=2, symplectic=True, implicit=False, stability_limit=2.0)
+
+
+def amplification(h, omega2, d):
+    """One step of x'' = -omega2 x - d x', as a matrix on (x, v, a)."""
+    x = np.array([1, h, h * h / 2])
+    a = -omega2 * x - d * np.array([0, 1, h])
+    v = np.array([0, 1, h / 2]) + h / 2 * a
+    return np.array([x, v, a])
+
+
 VECTORS = ("half_v",)  # velocity in the middle of the step
 
 
