@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 import taichi as ti
 
-from taichi_cloth import execution, layout, measure, topology
+from taichi_cloth import execution, layout, limits, measure, topology
 from taichi_cloth.errors import InputError, SimulationFailure, nearest
+from taichi_cloth.following import Follower, substeps_needed
 from taichi_cloth.kernels import fracture, interaction, methods, transfer, watch
 from taichi_cloth.kernels.plan import Plan
 from taichi_cloth.kernels.state import (
@@ -43,7 +44,8 @@ class Simulation:
     """One scene, integrated by one method on the device that `runtime.start` started.
 
     scene: validated here (InputError). method: a name out of `kernels.methods.METHODS`.
-    dt: time of a frame, the scene's own when absent; substeps: steps a frame is cut into.
+    dt: time of a frame, the scene's own when absent; substeps: steps a frame is cut into. With
+    dt "auto" a frame is the scene's, cut into as many as its springs need (`following.py`).
     execution: "serial" (on one thread) or "parallel" (on all threads, or a GPU).
     topology: "lanes" (the regular grids among the springs without index lists, in cells of several
     particles; the rest on the graph), or "graph" (all springs by lists of neighbours).
@@ -60,7 +62,7 @@ class Simulation:
         self,
         scene: Scene,
         method: str = "symplectic_euler",
-        dt: float | None = None,
+        dt: float | str | None = None,
         substeps: int = 1,
         execution: str = "auto",
         topology: str = "auto",
@@ -72,7 +74,10 @@ class Simulation:
             raise InputError(f"--method {method}: unknown; {nearest(method, methods.METHODS)}")
         if substeps < 1:
             raise InputError(f"--substeps {substeps}: must be at least 1")
-        dt = scene.world.dt if dt is None else float(dt)
+        follows = dt == "auto"
+        if follows and substeps != 1:
+            raise InputError("--substeps: --dt auto chooses them; give one of the two")
+        dt = scene.world.dt if dt is None or follows else float(dt)
         if not (math.isfinite(dt) and dt > 0):
             raise InputError(f"--dt {dt}: must be a positive number")
         self.scene = validate(scene)
@@ -81,6 +86,7 @@ class Simulation:
         self._module = methods.load(method)
         self.claims = self._module.CLAIMS
         self.solver = _solver_settings(method, self.claims, tolerance, iterations)
+        self._follower = Follower(method, self._module, dt) if follows else None
         self._real = getattr(ti, device.precision)
         self._numpy_real = np.float64 if device.precision == "f64" else np.float32
         self._requested = topology, execution
@@ -98,9 +104,13 @@ class Simulation:
         """Back to the scene's start; what was spawned is gone."""
         self.frame = 0
         self._work = np.zeros(len(WORK), np.int64)
+        self._since = 0, 0.0, 0  # frame, time and steps when the step last changed
         self._blowing = False
         self._particles, self._springs = self.scene.particles, self.scene.springs
         self._fracture = np.tile(np.int32([ALIVE, 0]), (len(self._springs), 1))
+        if self._follower:
+            self._follower.forget()
+            self._choose_substeps(self._particles, self._springs, self._fracture)
         self._load(self._particles.position, self._particles.velocity)
 
     def advance(self, frames: int = 1) -> None:
@@ -111,7 +121,8 @@ class Simulation:
         """
         while frames > 0:
             # A push lasts one frame; without one, frames can share a launch.
-            batch = 1 if self._blowing else min(frames, self._frames_per_launch())
+            following = self._follower and self._plan.fracture
+            batch = 1 if self._blowing or following else min(frames, self._frames_per_launch())
             passed = self._run(batch)
             self.frame += passed
             if passed < batch:
@@ -119,6 +130,8 @@ class Simulation:
             if self._blowing:
                 interaction.clear_push(self._state)
                 self._blowing, self._changed = False, True
+            if following:
+                self._follow()
             frames -= batch
 
     def _frames_per_launch(self):
@@ -134,7 +147,7 @@ class Simulation:
             self._module,
             self._plan,
             self._state,
-            self.frame * self.substeps,
+            self.steps,
             frames,
             self.substeps,
         )
@@ -150,13 +163,54 @@ class Simulation:
     @property
     def time(self) -> float:
         """Simulated time, in the scene's units."""
-        return self.frame * self.dt
+        frame, time, _ = self._since
+        return time + (self.frame - frame) * self.dt
+
+    @property
+    def steps(self) -> int:
+        """Steps done since the start."""
+        frame, _, steps = self._since
+        return steps + (self.frame - frame) * self.substeps
+
+    @property
+    def follows(self) -> bool:
+        """Whether it chooses its substeps by itself (dt "auto")."""
+        return self._follower is not None
+
+    def set_step(self, dt: float | None = None, substeps: int | None = None) -> None:
+        """From now on take frames of `dt`, in `substeps` steps each; absent: as they are.
+
+        InputError where one is not positive, or with dt "auto".
+        """
+        if self.follows:
+            raise InputError("--dt auto chooses the step; it cannot be set")
+        dt = self.dt if dt is None else float(dt)
+        substeps = self.substeps if substeps is None else substeps
+        if not (math.isfinite(dt) and dt > 0):
+            raise InputError(f"--dt {dt}: must be a positive number")
+        if substeps < 1:
+            raise InputError(f"--substeps {substeps}: must be at least 1")
+        self._change_step(dt, substeps)
+
+    def _change_step(self, dt, substeps):
+        self._since = self.frame, self.time, self.steps
+        # The same number of crossings in a frame.
+        self.speed_limit *= self.dt / dt
+        self.dt, self.substeps = dt, substeps
+        if getattr(self, "_state", None) is not None:
+            self._load_numbers()
+            self._changed = True  # what a method keeps from step to step may depend on the step
+
+    def network(self) -> limits.Network:
+        """The particles where they are, and the springs that pull."""
+        holds = self._read_fracture()[:, 0] != GONE
+        return limits.Network.of(self._particles, self._springs, self.positions(), holds)
 
     def work(self) -> measure.Work:
         """What has been done since the start, or since `reset`."""
-        steps = self.frame * self.substeps
         forces, sweeps, unconverged = (int(count) for count in self._work)
-        return measure.Work(steps, steps * self.claims.forces or forces, sweeps, unconverged)
+        forces = self.steps * self.claims.forces or forces
+        return measure.Work(self.steps, forces, sweeps, unconverged)
 
     def describe_size(self) -> str:
         """What decides a step's cost besides the device: features, and sizes by powers of two."""
@@ -200,16 +254,54 @@ class Simulation:
             raise InputError(f"spawn: tied to particle {tied_to}, which does not exist")
         validate(replace(self.scene, particles=new, springs=Springs.none()))
         index = self.particle_count
-        x, v = self.positions(), self.velocities()
-        self._fracture = self._read_fracture()
-        self._particles = self._particles.joined(new)
-        x, v = np.concatenate([x, new.position]), np.concatenate([v, new.velocity])
+        x = np.concatenate([self.positions(), new.position])
+        v = np.concatenate([self.velocities(), new.velocity])
+        particles, springs = self._particles.joined(new), self._springs
+        marks = self._read_fracture()
         if tied_to is not None:
             tie = Springs.build([[tied_to, index]], x, defaults=self.scene.spring_defaults)
-            self._springs = self._springs.joined(tie)
-            self._fracture = np.concatenate([self._fracture, np.int32([[ALIVE, 0]])])
+            springs = springs.joined(tie)
+            marks = np.concatenate([marks, np.int32([[ALIVE, 0]])])
+        if self._follower:  # before anything changes: it may refuse
+            self._choose_substeps(particles, springs, marks)
+        self._particles, self._springs, self._fracture = particles, springs, marks
         self._load(x, v)
         return index
+
+    def hold(self, force) -> None:
+        """Push every particle with a constant force of its own, (n, dim), until the next push.
+
+        A scene whose mouse does not blow refuses with InputError, as it does for `blow`.
+        """
+        self._check_blows()
+        rows = self._as_real("particle", force)
+        interaction.hold_push(self._spread_plan, self._state, rows)
+        self._changed = True
+
+    # --- following the springs -------------------------------------------------------------
+
+    def _choose_substeps(self, particles, springs, marks):
+        """Substeps for these particles and springs, of which some may be gone."""
+        holds = marks[:, 0] != GONE
+        self._broken_before, self._breaking = int((marks[:, 0] != ALIVE).sum()), True
+        chosen = self._follower.choose(limits.Network.of(particles, springs, holds=holds))
+        if chosen != self.substeps:
+            self._change_step(self.dt, chosen)
+
+    def _follow(self):
+        """After a frame: fewer substeps, where springs that broke leave slower ones.
+
+        What breaks in a frame may pull in the next one, so the frame after is looked at, too.
+        """
+        broken = transfer.count_broken(self._spread_plan, self._state)
+        changed = broken != self._broken_before
+        if changed or self._breaking:
+            self._broken_before, self._breaking = broken, changed
+            holds = self._read_fracture()[:, 0] != GONE
+            network = limits.Network.of(self._particles, self._springs, holds=holds)
+            chosen = self._follower.follow(network)
+            if chosen != self.substeps:
+                self._change_step(self.dt, chosen)
 
     # --- reading back ----------------------------------------------------------------------
 
@@ -524,12 +616,15 @@ class Simulation:
         links = np.column_stack([self._link_places, self._fracture[self._links]])
         transfer.load_links(self._spread_plan, self._state, numbers, links, stiffness)
 
-    def _push(self, origin, direction, displacement):
+    def _check_blows(self):
         if not self._plan.blow:
             raise InputError(
                 f"scene '{self.scene.name}': the mouse does not blow here "
                 f"([world] mouse is '{self.scene.world.mouse}'; set it to 'blow')"
             )
+
+    def _push(self, origin, direction, displacement):
+        self._check_blows()
         numbers = np.concatenate([origin, direction, displacement, [BLOW_REACH, BLOW_STRENGTH]])
         interaction.compute_push(self._spread_plan, self._state, numbers.astype(self._numpy_real))
         self._blowing = self._changed = True
@@ -564,7 +659,7 @@ class Simulation:
     def _fail(self, particle):
         """Put the last good frame back, and say who failed, why, and what to change."""
         bad_x, bad_v = self.positions(), self.velocities()
-        frame, good_step = self.frame + 1, self.frame * self.substeps
+        frame, good_step = self.frame + 1, self.steps
         watch.put_back(self._spread_plan, self._state)
         self._changed = True
         if self._plan.fracture:
@@ -582,46 +677,40 @@ class Simulation:
         raise SimulationFailure(particle, frame, what, *self._likely_cause())
 
     def _likely_cause(self):
-        """(cause, remedy) of a failure, from the method's limit and the stiffest particle."""
-        omega, stiffest = topology.largest_angular_frequency(
-            self._springs, self._particles.mass, self._particles.fixed
-        )
-        dt = self.dt / self.substeps
-        limit = self.claims.stability_limit
-        if omega > 0 and limit == 0:
+        """(cause, remedy) of a failure: the step against the method's limit, by Gershgorin."""
+        network, method = self.network(), methods.load(self.method)
+        bounds = limits.gershgorin(network)
+        dt, limit = self.dt / self.substeps, limits.step_within(method, bounds)
+        if limit == 0 and bounds.damping == 0 and math.isfinite(bounds.omega2):
             return (
                 f"{self.method} is unstable on undamped springs at every dt",
                 "use --method symplectic_euler",
             )
-        if not math.isfinite(omega):
+        if not math.isfinite(bounds.omega2):
             return f"springs too stiff for {self._numpy_real.__name__}", "use softer springs"
-        dashpots, damped = topology.largest_angular_frequency(
-            replace(self._springs, stiffness=self._springs.damping),
-            self._particles.mass,
-            self._particles.fixed,
+        if not dt > limit:
+            return "forces or starting speeds too large for the step", "use more --substeps"
+        needed = f"use --substeps {substeps_needed(self.dt, limit)}"
+        drag = float((self._particles.viscous / self._particles.mass)[bounds.damped])
+        # What the step has too much of: the springs' part in it, and that of damping.
+        stiff, viscid = dt * dt * bounds.omega2, 2.0 * dt * bounds.damping
+        if bounds.damping > drag and viscid > 0.1 * stiff:
+            return (
+                f"a step of {dt:.3g} is too long for the springs' dashpots at particle "
+                f"{bounds.damped}",
+                f"{needed}, a smaller --dt, or less damping",
+            )
+        if viscid > stiff:
+            return (
+                f"a step of {dt:.3g} is above {limit:.3g}, the stable limit of the "
+                f"drag on particle {bounds.damped}",
+                f"{needed} or a smaller --dt",
+            )
+        return (
+            f"a step of {dt:.3g} is above {limit:.3g}, the stable limit of "
+            f"{self.method} (set by the springs at particle {bounds.particle})",
+            f"{needed}, a smaller --dt, or softer springs",
         )
-        # Of a damped oscillator under symplectic Euler: h^2 omega^2 + 2 h (c/m) < 4.
-        stiff, viscid = (dt * omega) ** 2, 2.0 * dt * dashpots**2
-        if dashpots > 0 and stiff + viscid > 4.0 and viscid > 0.1 * stiff:
-            return (
-                f"a step of {dt:.3g} is too long for the springs' dashpots at particle {damped}",
-                "use more --substeps, a smaller --dt, or less damping",
-            )
-        if omega > 0 and dt * omega > limit:
-            needed = math.ceil(self.dt * omega / limit / 0.9)
-            return (
-                f"a step of {dt:.3g} is above {limit / omega:.3g}, the stable limit of "
-                f"{self.method} (set by the springs at particle {stiffest})",
-                f"use --substeps {needed}, a smaller --dt, or softer springs",
-            )
-        viscous = self._particles.viscous / self._particles.mass
-        if self._plan.drag and dt * viscous.max() > 2.0:
-            return (
-                f"a step of {dt:.3g} is above {2.0 / viscous.max():.3g}, the stable limit of the "
-                f"drag on particle {viscous.argmax()}",
-                f"use --substeps {math.ceil(self.dt * viscous.max() / 1.8)} or a smaller --dt",
-            )
-        return "forces or starting speeds too large for the step", "use more --substeps"
 
 
 def _solver_settings(method, claims, tolerance, iterations):

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_cloth.scene import Springs
-
 
 @dataclass(frozen=True)
 class HalfSprings:
@@ -42,27 +40,6 @@ def half_springs(between: np.ndarray, particle_count: int) -> HalfSprings:
         spring=order // 2,
         half=half.reshape(s, 2),
     )
-
-
-def largest_angular_frequency(
-    springs: Springs, mass: np.ndarray, fixed: np.ndarray
-) -> tuple[float, int]:
-    """Gershgorin's bound on the fastest vibration: (omega, the particle that sets it).
-
-    omega^2 <= max_i (1/m_i) * (sum of k to all neighbours + sum of k to free neighbours), the
-    largest row sum of |M^-1 K|. Returns (0.0, -1) without springs.
-    """
-    n = len(mass)
-    if len(springs) == 0 or fixed.all():
-        return 0.0, -1
-    a, b = springs.between.T
-    k = springs.stiffness
-    with np.errstate(over="ignore"):  # an infinite bound is a true answer
-        to_a, to_b = k * (1.0 + ~fixed[b]), k * (1.0 + ~fixed[a])
-        row_sum = np.bincount(a, to_a, n) + np.bincount(b, to_b, n)
-        omega2 = np.where(fixed, 0.0, row_sum / mass)
-    worst = int(omega2.argmax())
-    return float(np.sqrt(omega2[worst])), worst
 
 
 def z_order(position: np.ndarray) -> np.ndarray:

@@ -3,7 +3,15 @@
 import taichi as ti
 
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.lanes import component, dot, read, scaled, with_component, write
+from taichi_cloth.kernels.lanes import (
+    component,
+    dot,
+    read,
+    scaled,
+    set_site_value,
+    with_component,
+    write,
+)
 from taichi_cloth.kernels.loops import each_cell
 
 
@@ -46,3 +54,15 @@ def clear_push(state: ti.template()):
     """No pointer force."""
     for _ in range(1):
         state.pushing[None] = 0
+
+
+@ti.kernel
+def hold_push(plan: ti.template(), state: ti.template(), forces: ti.types.ndarray()):
+    """push: a force for each particle, forces (n, dim), instead of the pointer's."""
+    for _ in range(1):
+        state.pushing[None] = 1
+    for i in range(forces.shape[0]):
+        force = ti.Vector.zero(state.real, ti.static(plan.dim))
+        for axis in ti.static(range(plan.dim)):
+            force[axis] = forces[i, axis]
+        set_site_value(plan, state.push, state.site[i], force)
