@@ -203,6 +203,6 @@ def flags_help(usage: str, description: str, groups: Mapping[str, Mapping[str, P
                 group.add_argument(flag(name), action="store_true", help=help_)
             else:
                 words = "|".join(parameter.choices)
-                metavar = words or parameter.metavar or ("N" if parameter.type is int else "X")
+                metavar = parameter.metavar or words or ("N" if parameter.type is int else "X")
                 group.add_argument(flag(name), metavar=metavar, help=help_)
     return parser.format_help().rstrip()

@@ -142,6 +142,8 @@ def _run_command(arguments: Sequence[str]) -> int:
         return 0
     options = _consistent(request.options)
     request = replace(request, options=options)
+    if options.dt == "auto" and "substeps" in request.given:
+        raise InputError("--substeps: --dt auto chooses them; give one of the two")
     scene = request.build()
 
     # Everything that can be refused is refused before Taichi starts, and leaves no file.
@@ -172,6 +174,10 @@ def _as_recorded(request: Request, header: Mapping[str, Any]) -> RunOptions:
         for name in ("dt", "substeps", "method", "topology")
         if name in header and name not in request.given
     }
+    if recorded.get("dt") == "auto" and "substeps" in request.given:
+        del recorded["dt"]  # substeps of the user's own: of the scene's frames, too
+    if request.options.dt == "auto":
+        recorded.pop("substeps", None)
     return _consistent(replace(request.options, **recorded))
 
 
@@ -209,6 +215,7 @@ def _run(scene: Scene, options: RunOptions, log, recorder, trajectory: Trajector
     import numpy
 
     from taichi_cloth import runtime
+    from taichi_cloth.following import above_limit
     from taichi_cloth.simulation import Simulation
     from taichi_cloth.ui import app
     from taichi_cloth.ui.opening import open_view
@@ -249,6 +256,9 @@ def _run(scene: Scene, options: RunOptions, log, recorder, trajectory: Trajector
             recorder.write_header(app.log_header(sim, view, seed, replay=log))
         if not options.quiet:
             print(_first_line(sim, device, view), flush=True)
+            warning = above_limit(sim)
+            if warning:
+                print(f"{PROGRAM}: warning: {warning}", file=sys.stderr, flush=True)
 
         begin = time.perf_counter()
         failure = None
@@ -314,7 +324,7 @@ def _note_differences(recorded: Mapping[str, Any], present: Mapping[str, Any]):
     notes = [
         f"{key} {present[key]} (recorded: {recorded[key]})"
         for key in ("scene", "dt", "substeps", "method", "topology")
-        if key in recorded and recorded[key] != present[key]
+        if key in recorded and key in present and recorded[key] != present[key]
     ]
     if notes:
         print(f"{PROGRAM}: note: replaying with {', '.join(notes)}", file=sys.stderr)
@@ -331,7 +341,8 @@ def _meta(sim: Simulation, device: Device) -> dict[str, Any]:
         "scene": sim.scene.name,
         "method": sim.method,
         "dt": sim.dt,
-        "substeps": sim.substeps,
+        "substeps": sim.substeps,  # the last ones, where they follow the springs
+        "dt_auto": sim.follows,
         "precision": device.precision,
         "arch": device.arch,
         "device": device.describe(),

@@ -120,8 +120,8 @@ def _check_header(where: str, header: dict[str, Any]):
         if not isinstance(header.get(key, ""), str):
             raise InputError(f"{where}: {key} must be a name, is {_show(header[key])}")
     dt, substeps = header.get("dt", 1.0), header.get("substeps", 1)
-    if not _is_finite(dt) or dt <= 0:
-        raise InputError(f"{where}: dt must be a positive number, is {_show(dt)}")
+    if dt != "auto" and (not _is_finite(dt) or dt <= 0):
+        raise InputError(f"{where}: dt must be a positive number or auto, is {_show(dt)}")
     if not _is_count(substeps):
         raise InputError(f"{where}: substeps must be a whole number from 1, is {_show(substeps)}")
 

@@ -1,11 +1,15 @@
-"""`--dt auto`: as many substeps a frame as its springs need, while they break and are spawned."""
+"""The step of a run: `--dt auto`, which takes as many substeps a frame as its springs need while
+they break and are spawned, and the warning where a step that was asked for is too long.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import math
 
 from taichi_cloth import limits
 from taichi_cloth.errors import InputError
+from taichi_cloth.kernels import methods
 
 MOST = 1_000_000  # substeps a frame
 
@@ -67,3 +71,47 @@ class Follower:
         if least > 0 and substeps_needed(self._dt, least) == self._substeps:
             return self._substeps
         return self.choose(network)
+
+
+def above_limit(sim) -> str | None:
+    """One line where the step of a simulation is too long for its state: by how much, why, what to
+    do; else None.
+
+    The cheapest bound that settles it is all that is computed.
+    """
+    method, network = methods.load(sim.method), sim.network()
+    step = sim.dt / sim.substeps
+    for bounds in (limits.gershgorin, limits.gershgorin_here):
+        if step <= limits.step_within(method, bounds(network)):
+            return None
+    limit = limits.stable_step(method, network)
+    if step <= limit.dt:
+        return None
+    what = "step" if sim.substeps == 1 else "substep"
+    if limit.dt == 0:
+        return (
+            f"no {what} of {sim.method} is stable here: {limit.describe()}, is the first to "
+            f"grow; use --method {_stable_method()}"
+        )
+    remedies = []
+    with contextlib.suppress(InputError):  # where there are more than there may be
+        needed = Follower(sim.method, method, sim.dt).choose(network)
+        remedies = [f"--substeps {needed}", "--dt auto"]
+    remedies += [f"--method {name}" for name in [_stable_method()] if name != sim.method]
+    return (
+        f"a {what} of {step:.4g} is above {limit.dt:.4g}, the stable limit of {sim.method} here, "
+        f"set by {limit.describe()}; use {_or(remedies)}"
+    )
+
+
+def _stable_method() -> str:
+    """An implicit method that is stable at every step, or what there is instead."""
+    for name in methods.METHODS:
+        claims = methods.load(name).CLAIMS
+        if claims.implicit and math.isinf(claims.stability_limit):
+            return name
+    return "symplectic_euler"
+
+
+def _or(words) -> str:
+    return " or ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))

@@ -17,7 +17,7 @@ class Parameter:
     """One setting: its help, unit and limits; type and default are filled in where it is used.
 
     minimum, maximum: inclusive limits; above: exclusive lower limit.
-    choices: the words allowed, if only some are.
+    choices: the words allowed, if only some are; of a number, those allowed in its place.
     metavar: stands for the value in help texts.
     """
 
@@ -37,7 +37,7 @@ class Parameter:
 
     def check(self, name: str, value: Any) -> Any:
         """Return `value` if it is allowed for the setting called `name`, else raise InputError."""
-        if self.type in (int, float):
+        if self.type in (int, float) and value not in self.choices:
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if not number or (self.type is int and value != int(value)):
                 kind = "a whole number" if self.type is int else "a number"
@@ -66,11 +66,12 @@ class Parameter:
 
     def parse(self, name: str, text: str) -> Any:
         """The value that `text` stands for; raises InputError if it is none or not allowed."""
-        if self.type in (int, float):
+        if self.type in (int, float) and text not in self.choices:
             try:
                 value = self.type(text)
             except ValueError:
                 kind = "a whole number" if self.type is int else "a number"
+                kind += "".join(f" or {word}" for word in self.choices)
                 raise InputError(f"{name} must be {kind}, is '{text}'") from None
             return self.check(name, value)
         if self.type is tuple:
@@ -137,8 +138,13 @@ class RunOptions:
     arch: str = setting("cpu", "where to compute; gpu is the best there is", choices=ARCHS)
     precision: str = setting("f32", "floating-point numbers", choices=PRECISIONS)
     method: str = setting("symplectic_euler", "time-integration method", metavar="NAME")
-    dt: float | None = setting(
-        None, "time of one frame (default: the scene's)", float, above=0, metavar="X"
+    dt: float | str | None = setting(
+        None,
+        "time of one frame (default: the scene's); auto: substeps that stay stable",
+        float,
+        above=0,
+        choices=("auto",),
+        metavar="X|auto",
     )
     substeps: int = setting(
         1, "steps a frame, each of dt / N", minimum=1, maximum=1_000_000, metavar="N"

@@ -51,8 +51,7 @@ def log_header(sim, view: View, seed: int = 0, replay=None) -> dict:
         "scene": sim.scene.name,
         "window": list(_event_window(sim.scene.world, view, replay)),
         "seed": seed,
-        "dt": sim.dt,
-        "substeps": sim.substeps,
+        **({"dt": "auto"} if sim.follows else {"dt": sim.dt, "substeps": sim.substeps}),
         "method": sim.method,
         "topology": sim.topology,
     }
