@@ -33,15 +33,15 @@ def spring_tension(length, k, rest):
 
 
 @ti.func
-def spring_stiffness_product(d, along, length, k, rest):
-    """The spring's stiffness, its force's derivative, times d; positive semidefinite.
+def spring_stiffness_product(d, along, length, k, rest, least):
+    """The spring's stiffness, its force's derivative, times d.
 
-    Along the axis it is k, across it k*(1 - rest/length): negative where the spring is compressed,
-    where it is taken for 0 (Choi, Ko, "Stable but responsive cloth", 2002; these are its
-    eigenvalues, so that this is the nearest matrix without negative ones). Where both ends
-    coincide, and there is no axis, it is k in every direction.
+    Along the axis it is k, across it k*(1 - rest/length): negative where the spring is compressed.
+    These are its eigenvalues, so that with `least` = 0, below which that factor is not taken, it is
+    the nearest matrix without negative ones (Choi, Ko, "Stable but responsive cloth", 2002). Where
+    both ends coincide, and there is no axis, it is k in every direction.
     """
-    across = k * ti.max(1.0 - rest * ti.select(length > 0.0, 1.0 / length, 0.0 * length), 0.0)
+    across = k * ti.max(1.0 - rest * ti.select(length > 0.0, 1.0 / length, 0.0 * length), least)
     return scaled(across, d) + scaled((k - across) * dot(along, d), along)
 
 

@@ -11,18 +11,21 @@ that forces are those of `forces.py`. A direction p solves A p = tau*M*residual 
     A = M + tau*(drag + dashpots) + tau^2*K,
 
 K the springs' stiffness with what is negative clamped to 0 (`laws.spring_stiffness_product`), so
-that A is positive definite; it is never stored, only multiplied (`springs.accumulate`). The
-preconditioner is its diagonal, with every spring along every axis. A step that overshoots (its
-directional derivative changed sign, and by more than half) is shortened by the secant rule.
+that A is positive definite; it is never stored, only multiplied (`springs.accumulate`). Where
+springs are compressed the clamped K is not their stiffness, and directions only halve the residual;
+so near the solution, from NEAR on, it is taken as it is. Should A then turn out to be indefinite,
+what conjugate gradients have so far is the direction, and the next one is clamped again. The
+preconditioner is its diagonal, with every spring along every axis. A step that leaves more than
+half of its directional derivative, of either sign, is made longer or shorter by the secant rule.
 
 Baraff, Witkin, "Large steps in cloth simulation", 1998; Choi, Ko, "Stable but responsive cloth",
-2002; Nocedal, Wright, Numerical Optimization, 3 and 7.1; Shewchuk, "An introduction to the
-conjugate gradient method without the agonizing pain", 1994, B3.
+2002; Nocedal, Wright, Numerical Optimization, 3.5 and 7.1 (line search Newton-CG); Shewchuk, "An
+introduction to the conjugate gradient method without the agonizing pain", 1994, B3.
 
 A stage has converged when its largest residual is at most state.tolerance times the largest
-acceleration that it began with (gravity at least), or rounding keeps it from becoming smaller.
-Otherwise it ends after MOST_DIRECTIONS, where STALLED directions brought nothing, or where numbers
-are no longer finite, and state.work counts its step as unconverged.
+acceleration that it began with (gravity at least), or is as small as rounding leaves it. Otherwise
+it ends after MOST_DIRECTIONS, after MOST_STALLS that brought nothing, or where numbers are no longer
+finite, and state.work counts its step as unconverged.
 """
 
 import functools
@@ -64,10 +67,15 @@ SCALARS = (
     "slope",  # directional derivative at the start of a Newton step
     "length",  # part of `change` that has been gone
     "go",  # part of it still to go
+    "short",  # longest length known to be too short, and the derivative there; likewise too long
+    "short_slope",
+    "long",  # 0: none known
+    "long_slope",
     "energy",  # residual times preconditioned residual, of conjugate gradients
     "goal",  # energy at which these end
+    "least",  # what a compressed spring's stiffness across is not below: CLAMPED or EXACT
 )
-COUNTS = ("directions", "trials", "stalls", "sweeps", "outcome", "step_outcome")
+COUNTS = ("indefinite", "directions", "trials", "stalls", "sweeps", "outcome", "step_outcome")
 SUMS = 3
 BEGIN, EVALUATE, DIRECT, ITERATE, MOVE, FINISH = range(6)  # phases
 LANES = 4  # in cells: with 8 it is a tenth faster, and takes twice as long to compile
@@ -78,9 +86,10 @@ CONVERGED, ROUNDED, EXHAUSTED, STALLED, SINGULAR, NOT_FINITE = range(6)
 MOST_DIRECTIONS = 60
 MOST_TRIALS = 12  # shortenings of one step
 MOST_STALLS = 6  # directions without progress
-MOST_PRECISE = 1e-3  # part of the residual below which one direction is no more worth it
-ROUNDING = 4.0  # roundings that add up in a residual
-FORCING = 0.05  # conjugate gradients leave this part of the residual to the next direction
+ROUNDING = 0.5  # of a spring's force; several add up in a residual, with either sign
+CLAMPED, EXACT = 0.0, -1e30
+NEAR = 0.1  # part of the first residual
+FORCING = 0.1  # conjugate gradients leave this part of the residual to the next direction
 ONLY_EVALUATE = -1  # stage: the acceleration of the iterate is wanted, as its residual
 
 
@@ -131,7 +140,7 @@ def begin_stage(plan: ti.template(), state: ti.template(), t, stage):
 @ti.func
 def _begin_stage(plan: ti.template(), state: ti.template(), i):
     state.directions[None], state.trials[None], state.stalls[None] = 0, 0, 0
-    state.outcome[None] = CONVERGED
+    state.outcome[None], state.indefinite[None] = CONVERGED, 0
     state.phase[None] = EVALUATE
 
 
@@ -209,23 +218,22 @@ def _judge(plan: ti.template(), state: ti.template(), i):
             state.scale[None] = ti.max(state.scale[None], ti.abs(state.gravity[axis]))
     wanted = _wanted(state)
     finite = is_finite(squares) and is_finite(slope)
-    overshot = not finite or slope < -0.5 * state.slope[None]
+    start = state.slope[None]
+    missed = not finite or slope < -0.5 * start or slope > 0.5 * start
     next_phase = DIRECT
     if state.stage[None] == ONLY_EVALUATE:
         next_phase = FINISH
     elif finite and most <= wanted:
         state.outcome[None], next_phase = CONVERGED, FINISH
-    elif finite and most <= state.rounding[None]:
+    elif finite and state.directions[None] > 1 and most <= state.rounding[None]:
         state.outcome[None], next_phase = ROUNDED, FINISH
     elif first and not finite:
         state.outcome[None], next_phase = NOT_FINITE, FINISH
-    elif not first and overshot and state.trials[None] < MOST_TRIALS:
+    elif not first and missed and state.trials[None] < MOST_TRIALS:
         state.trials[None] += 1
-        part = ti.cast(0.1, state.real)
-        if finite:
-            part = ti.min(ti.max(state.slope[None] / (state.slope[None] - slope), 0.1), 0.8)
-        state.go[None] = (part - 1.0) * state.length[None]
-        state.length[None] *= part
+        length = _next_length(state, slope, finite)
+        state.go[None] = length - state.length[None]
+        state.length[None] = length
         next_phase = MOVE
     elif not finite:
         state.outcome[None], next_phase = NOT_FINITE, FINISH
@@ -238,9 +246,32 @@ def _judge(plan: ti.template(), state: ti.template(), i):
         elif state.directions[None] >= MOST_DIRECTIONS:
             state.outcome[None], next_phase = EXHAUSTED, FINISH
     state.best[None] = ti.min(state.best[None], most)
+    near = state.indefinite[None] == 0 and most < NEAR * state.scale[None]
+    state.indefinite[None] = 0
+    state.least[None] = ti.select(near, EXACT, CLAMPED)
     if next_phase == FINISH:
         state.step_outcome[None] = ti.max(state.step_outcome[None], state.outcome[None])
     state.phase[None] = next_phase
+
+
+@ti.func
+def _next_length(state: ti.template(), slope, finite):
+    """By the secant rule, between the longest length that is too short and the shortest that is
+    too long; four times as long where none is known to be too long.
+    """
+    length = state.length[None]
+    if finite and slope > 0.0:
+        state.short[None], state.short_slope[None] = length, slope
+    else:
+        state.long[None] = length
+        state.long_slope[None] = ti.select(finite, slope, -10.0 * state.slope[None])
+    short, short_slope = state.short[None], state.short_slope[None]
+    longer = 4.0 * ti.max(short, 1.0)
+    if state.long[None] > 0.0:
+        width = state.long[None] - short
+        part = short_slope / (short_slope - state.long_slope[None])
+        longer = short + ti.min(ti.max(part, 0.1), 0.9) * width
+    return longer
 
 
 @ti.func
@@ -301,7 +332,7 @@ def _product_between(
     length = laws.length(d)
     along = laws.unit(d, length)
     moved = value(plan, state.direction, j) - value(plan, state.direction, i)
-    product = laws.spring_stiffness_product(moved, along, length, k, rest)
+    product = laws.spring_stiffness_product(moved, along, length, k, rest, state.least[None])
     if ti.static(plan.dashpots):
         damping = (1.0 / state.tau[None]) * c
         product += scaled(laws.dashpot_tension(moved, along, damping), along)
@@ -412,8 +443,7 @@ def _wanted(state: ti.template()):
 @ti.func
 def _begin_iterating(plan: ti.template(), state: ti.template(), i):
     energy = state.sums[0, 0]
-    part = ti.max(0.3 * _wanted(state) / state.residual_max[None], ti.static(MOST_PRECISE))
-    part = ti.min(part, FORCING)
+    part = ti.min(ti.max(0.3 * _wanted(state) / state.residual_max[None], FORCING), 0.5)
     state.energy[None], state.goal[None] = energy, part * part * energy
     state.slope[None] = 0.0
     state.sweeps[None] = 0
@@ -440,13 +470,18 @@ def _count_iteration(plan: ti.template(), state: ti.template(), i):
     state.sweeps[None] += 1
     state.work[SWEEPS] += 1
     most = 2 * plan.dim * state.n[None] + 20
-    singular = not (step > 0.0)
-    if singular:
-        state.outcome[None] = SINGULAR
-    if singular or not (energy > state.goal[None]) or state.sweeps[None] >= most:
+    ends = not (energy > state.goal[None]) or state.sweeps[None] >= most
+    if not (step > 0.0):
+        # Exact, A may be indefinite: the change so far is downhill. Clamped it is not, unless
+        # numbers are no longer finite.
+        ends, state.indefinite[None] = True, 1
+        if state.least[None] == CLAMPED:
+            state.outcome[None] = SINGULAR
+    if ends:
         state.directions[None] += 1
         state.trials[None] = 0
         state.length[None], state.go[None] = 1.0, 1.0
+        state.short[None], state.short_slope[None], state.long[None] = 0.0, state.slope[None], 0.0
         state.phase[None] = MOVE
 
 
