@@ -42,10 +42,13 @@ COMMANDS = {
     "run": "run a scene, in a window or headless (the default command)",
     "list": "show scenes, methods and the backends usable here",
     "doctor": "show what this machine offers, and what each missing thing would need",
+    "stability": "compute the largest stable steps of a scene, and find the real ones by runs",
     "bench": "measure speed, and beside it the error, here and beside other programs",
 }
 # Commands on a scene that keep to themselves: where each is, and the class of its settings.
-SCENE_COMMANDS: dict[str, tuple[str, str]] = {}
+SCENE_COMMANDS: dict[str, tuple[str, str]] = {
+    "stability": ("taichi_cloth.trade.stability", "StabilityOptions"),
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

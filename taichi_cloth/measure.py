@@ -47,6 +47,20 @@ def energy(x, v, mass, fixed, gravity, between, stiffness, rest_length, alive) -
     )
 
 
+def spring_forces(x, v, springs) -> np.ndarray:
+    """What `springs` do to the particles at x, v (n, dim), dashpots included, (n, dim)."""
+    a, b = springs.between.T
+    d = x[b] - x[a]
+    length = np.linalg.norm(d, axis=1)
+    along = d / np.where(length > 0, length, 1.0)[:, None]
+    tension = springs.stiffness * (length - springs.rest_length)
+    tension += springs.damping * ((v[b] - v[a]) * along).sum(axis=1)
+    force = np.zeros_like(x)
+    np.add.at(force, a, tension[:, None] * along)
+    np.subtract.at(force, b, tension[:, None] * along)
+    return force
+
+
 def momentum(v, mass, fixed) -> np.ndarray:
     """Total linear momentum of the free particles, shape (dim,)."""
     return (mass[~fixed, None] * v[~fixed]).sum(axis=0)

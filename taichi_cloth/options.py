@@ -219,6 +219,19 @@ class RunOptions:
 
 
 @dataclass(frozen=True)
+class StabilityOptions:
+    """Settings of the command `stability`."""
+
+    output: str | None = setting(
+        None, "folder of the results (default: ./stability-SCENE)", str, metavar="DIR"
+    )
+    method: str | None = setting(
+        None, "only this method (default: all that have a limit)", str, metavar="NAME"
+    )
+    quiet: bool = setting(False, "print nothing but errors")
+
+
+@dataclass(frozen=True)
 class BenchOptions:
     """Settings of the benchmark."""
 

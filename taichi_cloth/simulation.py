@@ -194,12 +194,14 @@ class Simulation:
 
     def _change_step(self, dt, substeps):
         self._since = self.frame, self.time, self.steps
+        same = math.isclose(dt / substeps, self.dt / self.substeps, rel_tol=1e-12)
         # The same number of crossings in a frame.
         self.speed_limit *= self.dt / dt
         self.dt, self.substeps = dt, substeps
         if getattr(self, "_state", None) is not None:
             self._load_numbers()
-            self._changed = True  # what a method keeps from step to step may depend on the step
+            if not same:
+                self._changed = True  # what a method keeps may depend on the step
 
     def network(self) -> limits.Network:
         """The particles where they are, and the springs that pull."""
