@@ -110,6 +110,8 @@ def on_grids(springs: Springs, particle_count: int, lanes: int) -> Layout | None
     kind = _kinds(springs, grid, column, row)
     rest_length, damping, limit, kind = _shared_numbers(springs, kind, grid, len(grids))
     used = np.unique(kind[kind >= 0])
+    if not len(used):
+        return None  # all of them differ
     renumbered = np.full(len(FORWARD) + 1, -1)
     renumbered[used] = np.arange(len(used))
     kind = renumbered[kind]

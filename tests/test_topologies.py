@@ -153,6 +153,10 @@ def test_what_forms_no_grid_has_no_lanes():
     assert layout.on_grids(replace(cloth.springs, between=shuffled), 20, 4) is None
     wheel = np.array([[0, k] for k in range(1, 6)])
     assert topology.find_grids(wheel, 6) == []
+    # A grid of springs none of which has both the usual rest length and the usual damping.
+    odd = np.arange(1.0, 1 + len(cloth.springs))
+    unlike = replace(cloth.springs, rest_length=odd, damping=np.roll(odd, 1))
+    assert layout.on_grids(unlike, 20, 4) is None
 
 
 # --- the same motion -------------------------------------------------------------------------

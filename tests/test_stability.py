@@ -1,0 +1,406 @@
+"""Largest stable steps: against eigenvalues of real steps, closed forms, and runs; dt auto."""
+
+import csv
+import json
+import math
+import re
+
+import numpy as np
+import pytest
+from conftest import command
+
+from taichi_cloth import cli, following, limits, measure
+from taichi_cloth.errors import InputError
+from taichi_cloth.kernels import methods
+from taichi_cloth.scene import ParticleDefaults, Particles, Scene, SpringDefaults, Springs, World
+from taichi_cloth.scenes import build
+from taichi_cloth.simulation import Simulation
+from taichi_cloth.trade import stability
+
+pytestmark = pytest.mark.usefixtures("device", "few_lanes")
+
+LIMITED = [m for m in methods.METHODS if methods.load(m).CLAIMS.stability_limit < math.inf]
+GRAPH = {"topology": "graph", "execution": "serial"}
+
+
+def tangle(seed=1, damping=0.1, drag=0.2):
+    """Particles of all masses at random places, tied at random: no two of its modes are alike.
+
+    Springs are stretched, each differently; drag and dashpots differ, too.
+    """
+    rng = np.random.default_rng(seed)
+    n = 6
+    x = rng.uniform(20, 80, (n, 2))
+    pairs = [(a, b) for a in range(n) for b in range(a) if a == b + 1 or rng.random() < 0.5]
+    s, length = len(pairs), np.array([np.linalg.norm(x[a] - x[b]) for a, b in pairs])
+    springs = Springs.build(
+        pairs,
+        x,
+        stiffness=rng.uniform(0.2, 2.0, s),
+        rest_length=length * rng.uniform(0.4, 1.0, s),
+        damping=damping * rng.random(s),
+    )
+    particles = Particles.build(
+        x, mass=rng.uniform(0.5, 2, n), viscous=drag * rng.random(n), fixed=np.arange(n) == 0
+    )
+    return Scene("tangle", World((100.0, 100.0), (0.0, 0.1)), particles, springs)
+
+
+def stretched_cloth(**changes):
+    """A small cloth with springs of every kind, drawn out so that they pull across, too."""
+    scene = build("cloth", columns=5, rows=4, shear=0.2, bend=0.1, damping=0.02)
+    for name, value in changes.items():
+        getattr(scene.springs, name)[:] = value
+    scene.particles.position[:, 0] *= 1.2
+    return scene
+
+
+def real_growth(sim, scene, force, h, steps=40):
+    """The spectral radius of the method's own map of `steps` steps around the scene's start."""
+    x0 = scene.particles.position
+    free = np.flatnonzero(~scene.particles.fixed)
+    epsilon = 1e-6
+    columns = []
+    for part in range(2):
+        for i in free:
+            for axis in range(x0.shape[1]):
+                ends = []
+                for sign in (1, -1):
+                    x, v = x0.copy(), np.zeros_like(x0)
+                    (x, v)[part][i, axis] += sign * epsilon
+                    sim.load_as("graph", "serial", x, v)
+                    sim.hold(force)
+                    sim.set_step(h * steps, steps)
+                    sim.advance()
+                    x, v = sim.positions()[free], sim.velocities()[free]
+                    ends.append(np.concatenate([x.ravel(), v.ravel()]))
+                columns.append((ends[0] - ends[1]) / (2 * epsilon))
+    return np.abs(np.linalg.eigvals(np.array(columns).T)).max() ** (1 / steps)
+
+
+@pytest.mark.parametrize("method", LIMITED)
+def test_the_limit_is_where_the_real_map_of_a_step_begins_to_grow(method):
+    """No formula: the method's kernels, disturbed in every direction, with drag and dashpots."""
+    scene = stability.at_rest(tangle())
+    limit = limits.stable_step(methods.load(method), limits.Network.of_scene(scene))
+    sim = Simulation(scene, method, **GRAPH)
+    still = np.zeros_like(scene.particles.position)
+    force = -measure.spring_forces(scene.particles.position, still, scene.springs)
+    assert real_growth(sim, scene, force, 0.995 * limit.dt) < 1 - 1e-7
+    assert real_growth(sim, scene, force, 1.005 * limit.dt) > 1 + 1e-7
+    # What it says to a pair of rates, and so to Gershgorin's bounds, is safe.
+    bounds = limits.gershgorin(limits.Network.of_scene(scene))
+    if method != "explicit_euler":  # whose worst mode is one without damping, if there is one
+        assert 0.3 * limit.dt < limits.step_within(methods.load(method), bounds) < limit.dt
+
+
+@pytest.mark.parametrize("method", LIMITED)
+def test_one_mode_agrees_with_the_claims_and_with_the_formulas(method):
+    module = methods.load(method)
+    claimed = module.CLAIMS.stability_limit
+    assert limits.largest_step(module, 9.0) == pytest.approx(claimed / 3.0)
+    if claimed:
+        assert limits.growth(module, (1 - 1e-6) * claimed, 1.0, 0.0) <= 1 + 1e-12
+    assert limits.growth(module, 1.001 * claimed + 0.01, 1.0, 0.0) > 1 + 1e-5
+    for omega2, d in ((1.0, 0.1), (1.0, 1.0), (0.3, 2.0), (0.0, 1.0)):
+        h = limits.largest_step(module, omega2, d)
+        if method == "symplectic_euler":
+            assert h * h * omega2 + 2 * h * d == pytest.approx(4.0)
+        if method == "verlet":  # its drag is that of a predicted velocity
+            assert h * h * omega2 + 4 * h * d == pytest.approx(4.0)
+        if method == "explicit_euler":
+            fast = d / 2 + math.sqrt(max(d * d / 4 - omega2, 0.0))
+            exact = d / omega2 if omega2 > d * d / 4 else 2 / fast
+            assert h == pytest.approx(exact, rel=1e-6)
+
+
+def test_limits_of_oscillator_and_chain_are_their_closed_forms():
+    oscillator = limits.Network.of_scene(build("oscillator", stiffness=3.0, mass=2.0))
+    euler = methods.load("symplectic_euler")
+    limit = limits.stable_step(euler, oscillator)
+    assert limit.dt == pytest.approx(2 / math.sqrt(1.5), rel=1e-9)
+    assert (limit.spring, limit.particle, limit.share) == (0, 1, pytest.approx(1.0))
+    for n in (1, 5, 40, 300):
+        omega = 2 * math.sqrt(0.7 / 0.3) * math.sin(math.pi * n / (2 * (n + 1)))
+        network = limits.Network.of_scene(build("chain", particles=n, stiffness=0.7, mass=0.3))
+        found = limits.stable_step(euler, network)
+        assert found.dt == pytest.approx(2 / omega, rel=1e-5)
+        around = limits.step_within(euler, limits.any_geometry(network))
+        assert around == pytest.approx(2 / omega, rel=1e-4)
+
+
+def test_bounds_hold_in_every_geometry_and_each_is_closer_than_the_last():
+    scene, rng = stretched_cloth(), np.random.default_rng(2)
+    euler = methods.load("symplectic_euler")
+    start = limits.Network.of_scene(scene)
+    rough, close = limits.gershgorin(start), limits.any_geometry(start)
+    assert close.omega2 < 0.95 * rough.omega2 and close.damping < rough.damping
+    crumpled = scene.particles.position * rng.uniform(0.05, 3.0, scene.particles.position.shape)
+    for position in (scene.particles.position, crumpled, rng.normal(0, 50, crumpled.shape)):
+        network = limits.Network.of(scene.particles, scene.springs, position)
+        for matrix, bound in zip(
+            limits.matrices(network), (close.omega2, close.damping), strict=True
+        ):
+            assert np.linalg.eigvalsh(matrix.toarray())[-1] <= bound * (1 + 1e-9)
+        here = limits.gershgorin_here(network)
+        own = limits.stable_step(euler, network)
+        assert limits.step_within(euler, here) <= own.dt
+        assert limits.step_within(euler, close) <= own.dt * (1 + 1e-9)
+
+
+def test_the_matrices_are_the_derivatives_of_the_force_and_the_force_that_of_the_energy():
+    scene = stretched_cloth()
+    springs, particles = scene.springs, scene.particles
+    springs.rest_length[:] *= 0.5  # none is compressed, where the Hessian is clamped
+    x, v = particles.position, np.random.default_rng(0).normal(0, 1, particles.position.shape)
+    free = ~particles.fixed
+
+    def forces(direction, h):
+        moved = measure.spring_forces(x + h * direction, 0 * v, springs)
+        return moved[free].ravel()
+
+    def energy(direction, h):
+        rows = springs.between, springs.stiffness, springs.rest_length, np.ones(len(springs), bool)
+        return measure.energy(x + h * direction, 0 * v, particles.mass, free, (0, 0), *rows).elastic
+
+    direction = np.where(free[:, None], v, 0.0)
+    stiffness, damping = limits.matrices(limits.Network.of_scene(scene))  # masses are 1
+    slope = (forces(direction, 1e-4) - forces(direction, -1e-4)) / 2e-4
+    np.testing.assert_allclose(slope, -stiffness @ direction[free].ravel(), rtol=0, atol=1e-6)
+    work = (energy(direction, 1e-4) - energy(direction, -1e-4)) / 2e-4
+    assert work == pytest.approx(-(forces(direction, 0) @ direction[free].ravel()), rel=1e-6)
+    drag = particles.viscous[free, None] * direction[free]
+    dashpots = measure.spring_forces(x, direction, springs) - measure.spring_forces(
+        x, 0 * v, springs
+    )
+    expected = damping @ direction[free].ravel()
+    np.testing.assert_allclose((drag - dashpots[free]).ravel(), expected, rtol=0, atol=1e-12)
+
+
+def test_the_spring_responsible_is_the_one_that_is_stiff():
+    scene = stretched_cloth()
+    scene.springs.stiffness[17] = 200.0
+    euler, network = methods.load("symplectic_euler"), limits.Network.of_scene(scene)
+    limit = limits.stable_step(euler, network)
+    assert limit.spring == 17 and limit.share > 0.9
+    assert limit.ends == tuple(scene.springs.between[17])
+    holds = np.arange(len(scene.springs)) != 17
+    rest = limits.Network.of(scene.particles, scene.springs, holds=holds)
+    without = limits.stable_step(euler, rest)
+    assert without.dt > 5 * limit.dt and without.spring != 17
+    # A number counts all springs, those that are gone, too.
+    holds[:10] = False
+    rest = limits.Network.of(scene.particles, scene.springs, holds=holds)
+    named = limits.stable_step(euler, rest)
+    assert named.spring >= 10 and named.ends == tuple(scene.springs.between[named.spring])
+
+
+def test_f32_stalls_where_the_lower_limit_says():
+    x, v = np.array([[300.0, 5.0], [20.0, 900.0]]), np.array([[0.01, 0.0], [0.0, 3.0]])
+    a = np.array([[0.0, 0.002], [0.01, 0.0]])
+    stall = limits.f32_stall(x, v, a, np.array([False, False]), 1.0)
+    assert (stall.what, stall.particle, stall.value) == ("x", 0, 300.0)
+    for factor, moves in ((0.99, False), (1.01, True)):
+        place, step = np.float32(stall.value), np.float32(factor * stall.dt * stall.rate)
+        assert (place + step != place) == moves
+    fast = limits.f32_stall(0 * x, v * 1e6, a, np.array([False, True]), 1.0)
+    assert (fast.what, fast.particle) == ("v", 0)
+    place, step = np.float32(fast.value), fast.rate * fast.dt
+    assert place + np.float32(0.99 * step) == place != place + np.float32(1.01 * step)
+
+
+# --- dt auto ---------------------------------------------------------------------------------
+
+
+def brittle(method="symplectic_euler"):
+    """A small cloth whose spring 5 is stiff, and breaks in the fourth frame or so."""
+    scene = build("cloth", columns=5, rows=4)
+    scene.springs.stiffness[5], scene.springs.break_force[:] = 40.0, np.inf
+    scene.springs.break_force[5] = 30.0
+    a, b = scene.springs.between[5]
+    scene.particles.velocity[b] = 0.5 * (scene.particles.position[b] - scene.particles.position[a])
+    return Simulation(scene, method, dt="auto", **GRAPH)
+
+
+def fits(sim):
+    """Whether the substeps are the fewest that keep to 0.9 of what holds in every geometry."""
+    holds = sim.springs_alive()
+    network = limits.Network.of(sim._particles, sim._springs, holds=holds)
+    method = methods.load(sim.method)
+    limit = 0.9 * limits.step_within(method, limits.any_geometry(network))
+    few = sim.substeps == 1 or sim.dt / (sim.substeps - 1) > limit * 0.999
+    return few and sim.dt / sim.substeps <= limit * 1.001
+
+
+@pytest.mark.parametrize("method", ["symplectic_euler", "verlet"])
+def test_dt_auto_follows_a_break(method):
+    sim = brittle(method)
+    chosen, times = [sim.substeps], []
+    assert fits(sim) and sim.substeps > 4
+    for _ in range(10):
+        sim.advance()
+        chosen.append(sim.substeps)
+        times.append(sim.time)
+    assert not sim.springs_alive()[5] and sim.springs_alive().sum() == sim.spring_count - 1
+    assert fits(sim) and sim.substeps < chosen[0] / 2
+    assert times == [float(k) for k in range(1, 11)]
+    assert sim.steps == sum(chosen[:-1])
+    ends = sim.positions(), sim.velocities()
+    sim.reset()  # the same bits again, in one call
+    assert sim.substeps == chosen[0] and sim.time == 0
+    sim.advance(10)
+    np.testing.assert_array_equal(ends, (sim.positions(), sim.velocities()))
+    with pytest.raises(InputError, match="--dt auto"):
+        sim.set_step(substeps=3)
+
+
+def test_dt_auto_follows_what_is_spawned_and_refuses_what_is_too_stiff():
+    world = World((100.0, 100.0), (0.0, 0.1), mouse="spawn")
+    defaults = SpringDefaults(stiffness=5.0, rest_length=10.0, break_force=1e9)
+    scene = Scene(
+        "spawn", world, Particles.none(2), particle_defaults=ParticleDefaults(mass=0.5),
+        spring_defaults=defaults,
+    )  # fmt: skip
+    sim = Simulation(scene, dt="auto", execution="serial")
+    assert sim.substeps == 1
+    last = sim.spawn((50.0, 20.0), fixed=True)
+    for k in range(3):
+        last = sim.spawn((50.0, 30.0 + 10.0 * k), tied_to=last)
+        sim.advance()
+        assert fits(sim)
+    assert sim.substeps == math.ceil(math.sqrt(10) * math.sin(math.pi * 5 / 14) / 0.9)
+    object.__setattr__(defaults, "stiffness", 1e13)
+    before = sim.particle_count, sim.spring_count, sim.substeps
+    with pytest.raises(InputError, match="--dt auto: a stable step of symplectic_euler is"):
+        sim.spawn((50.0, 80.0), tied_to=last)
+    assert (sim.particle_count, sim.spring_count, sim.substeps) == before
+    sim.reset()
+    assert sim.substeps == 1
+
+
+def test_dt_auto_is_refused_where_it_cannot_be():
+    assert cli.main(["run", "cloth", "--dt", "auto", "--substeps", "2"]) == 2
+    with pytest.raises(InputError, match="--dt auto chooses them"):
+        Simulation(build("chain"), dt="auto", substeps=2)
+    with pytest.raises(InputError, match="explicit_euler is unstable on these springs"):
+        Simulation(build("chain"), "explicit_euler", dt="auto")
+
+
+def test_verlet_keeps_its_acceleration_when_the_step_changes():
+    """The exact discrete map of an oscillator, with another step in every frame."""
+    sim = Simulation(build("oscillator", stiffness=0.3), "verlet", dt=0.5, execution="serial")
+    verlet, state = methods.load("verlet"), np.array([50.0, 0.0, -0.3 * 50.0])
+    for k in range(40):
+        dt, substeps = 0.3 + 0.05 * (k % 7), 1 + k % 3
+        sim.set_step(dt, substeps)
+        sim.advance()
+        step = verlet.amplification(dt / substeps, 0.3, 0.0)
+        state = np.linalg.matrix_power(step, substeps) @ state
+    assert sim.positions()[1, 0] - 250.0 == pytest.approx(state[0], abs=1e-10)
+    assert sim.velocities()[1, 0] == pytest.approx(state[1], abs=1e-10)
+
+
+# --- before a run, and the command -----------------------------------------------------------
+
+
+def test_a_step_above_the_limit_is_warned_of_with_a_remedy_that_helps():
+    sim = Simulation(build("cloth", columns=5, rows=4), dt=3.0, **GRAPH)
+    said = following.above_limit(sim)
+    limit = limits.stable_step(methods.load(sim.method), sim.network())
+    assert f"a step of 3 is above {limit.dt:.4g}, the stable limit of symplectic_euler" in said
+    assert limit.describe() in said and "--dt auto" in said
+    sim.set_step(substeps=int(re.search(r"--substeps (\d+)", said)[1]))
+    assert following.above_limit(sim) is None
+    sim.set_step(0.999 * limit.dt, 1)
+    assert following.above_limit(sim) is None
+    sim.set_step(1.001 * limit.dt, 1)
+    assert following.above_limit(sim) is not None
+
+
+def test_run_warns_on_standard_error_and_auto_does_not():
+    flags = ["--headless", "--frames", 1, "--execution", "serial"]
+    out, err = command("run", "oscillator", "--dt", 21, *flags)
+    (line,) = err.splitlines()
+    assert line.startswith("taichi-cloth: warning: a step of 21 is above 20, the stable limit")
+    assert "spring 0, between particles 0 and 1" in line and "--substeps 2" in line
+    assert command("run", "oscillator", "--dt", 21, *flags, "--quiet") == ("", "")
+    out, err = command("run", "oscillator", "--stiffness", 20, "--dt", "auto", *flags)
+    assert err == "" and "dt 1, 3 substeps" in out
+
+
+TWO_SPRINGS = """
+name = "two"
+[world]
+size = [100.0, 100.0]
+gravity = [0.0, 0.01]
+[[particles]]
+position = [50.0, 10.0]
+fixed = true
+[[particles]]
+position = [50.0, 20.0]
+velocity = [0.0, 6.0]
+[[particles]]
+position = [50.0, 30.0]
+[[springs]]
+between = [0, 1]
+stiffness = 40.0
+break_force = 30.0
+[[springs]]
+between = [1, 2]
+stiffness = 2.0
+"""
+
+
+def test_a_recording_with_dt_auto_replays_to_the_same_bits(tmp_path):
+    (tmp_path / "two.toml").write_text(TWO_SPRINGS)
+    flags = ["two.toml", "--headless", "--frames", 20, "--execution", "serial"]
+    recorded = ["--dt", "auto", "--record", "log.jsonl", "--save", "a.npz"]
+    out, _ = command("run", *flags, *recorded, cwd=tmp_path)
+    assert '"dt": "auto"' in (tmp_path / "log.jsonl").read_text()
+    replayed = ["--events", "log.jsonl", "--save", "b.npz"]
+    assert command("run", *flags, *replayed, "--quiet", cwd=tmp_path) == ("", "")
+    with np.load(tmp_path / "a.npz") as a, np.load(tmp_path / "b.npz") as b:
+        for name in a.files:
+            np.testing.assert_array_equal(a[name], b[name])
+        assert a["time"].tolist() == list(range(1, 21))
+        assert a["spring_alive"][-1].tolist() == [False, True]
+        last = json.loads(str(a["meta"]))
+    first = int(re.search(r"dt 1, (\d+) substeps", out)[1])
+    assert last["dt_auto"] and 1 < last["substeps"] < first
+
+
+def test_the_command_finds_the_chain_s_limit_and_writes_its_files(tmp_path):
+    out, _ = command(
+        "stability", "chain", "--particles", 5, "--stiffness", 0.7, "--method", "verlet",
+        cwd=tmp_path,
+    )  # fmt: skip
+    folder = tmp_path / "stability-chain"
+    assert sorted(p.name for p in folder.iterdir()) == sorted(stability.FILES)
+    with open(folder / "stability.csv") as file:
+        (row,) = csv.DictReader(file)
+    exact = 1 / (math.sqrt(0.7) * math.sin(math.pi * 5 / 12))
+    assert row["method"] == "verlet" and row["status"] == "measured"
+    assert float(row["dt_computed"]) == pytest.approx(exact, rel=1e-6)
+    assert float(row["dt_measured"]) == pytest.approx(exact, rel=5e-3)
+    assert float(row["dt_gershgorin"]) == pytest.approx(1 / math.sqrt(0.7))
+    assert row["spring"] in "0123456" and f"Spring {row['spring']}" in out
+    with open(folder / "stability-map.csv") as file:
+        points = list(csv.DictReader(file))
+    assert {p["map"] for p in points} == {"stiffness", "mass"}
+    for p in points:  # whatever is not at the line is on its side of it
+        ratio = float(p["dt"]) / float(p["dt_computed"])
+        assert 0.98 < ratio < 1.02 or (p["stable"] == "yes") == (ratio < 1)
+    assert {p["stable"] for p in points} == {"yes", "no"}
+    assert (folder / "stability.png").read_bytes().startswith(b"\x89PNG")
+    assert b"<svg" in (folder / "stability.svg").read_bytes()
+
+
+def test_the_command_refuses_what_it_cannot_do(tmp_path):
+    (tmp_path / "file").touch()
+    for arguments, message in (
+        (["--method", "verlett"], "did you mean 'verlet'"),
+        (["--output", tmp_path / "file"], "cannot be made"),
+        (["--steps", "3"], "unknown flag '--steps'"),
+    ):
+        _, err = command("stability", "oscillator", *arguments, check=2)
+        assert message in err and len(err.splitlines()) == 1
