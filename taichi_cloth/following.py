@@ -74,12 +74,12 @@ class Follower:
 
 
 def above_limit(sim) -> str | None:
-    """One line where the step of a simulation is too long for its state: by how much, why, what to
-    do; else None.
+    """One line where the step of a simulation is too long for its scene's start: by how much, why,
+    what to do; else None.
 
-    The cheapest bound that settles it is all that is computed.
+    The cheapest bound that settles it is all that is computed; the device is asked for nothing.
     """
-    method, network = methods.load(sim.method), sim.network()
+    method, network = methods.load(sim.method), limits.Network.of_scene(sim.scene)
     step = sim.dt / sim.substeps
     for bounds in (limits.gershgorin, limits.gershgorin_here):
         if step <= limits.step_within(method, bounds(network)):

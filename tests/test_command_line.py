@@ -221,8 +221,9 @@ def test_a_failed_simulation_is_status_3_and_keeps_the_last_good_frame(tmp_path)
     arguments = ["--headless", "--dt", 30, "--save", "a.npz", "--every", 1000]
     done = run("run", "cloth", *arguments, cwd=tmp_path)
     assert done.returncode == 3
-    assert done.stderr.startswith("taichi-cloth: error: frame ")
-    assert "Traceback" not in done.stderr and done.stderr.count("\n") == 1
+    warning, error = done.stderr.splitlines()
+    assert warning.startswith("taichi-cloth: warning: a step of 30 is above ")
+    assert error.startswith("taichi-cloth: error: frame ")
     saved = results.load(tmp_path / "a.npz")
     assert len(saved.frame) == 1 and np.isfinite(saved.position).all()
     assert f"the last good frame, {saved.frame[0]}, is kept" in done.stderr
