@@ -43,11 +43,15 @@ COMMANDS = {
     "list": "show scenes, methods and the backends usable here",
     "doctor": "show what this machine offers, and what each missing thing would need",
     "stability": "compute the largest stable steps of a scene, and find the real ones by runs",
+    "trade": "measure a scene's error beside its cost, by method, step and precision",
+    "tune": "find the cheapest setting that meets an error, or the best that fits a frame's time",
     "bench": "measure speed, and beside it the error, here and beside other programs",
 }
 # Commands on a scene that keep to themselves: where each is, and the class of its settings.
 SCENE_COMMANDS: dict[str, tuple[str, str]] = {
     "stability": ("taichi_cloth.trade.stability", "StabilityOptions"),
+    "trade": ("taichi_cloth.trade.command", "TradeOptions"),
+    "tune": ("taichi_cloth.trade.tune", "TuneOptions"),
 }
 
 

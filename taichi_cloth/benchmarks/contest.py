@@ -7,11 +7,7 @@ all. The first round warms up and is not counted.
 from __future__ import annotations
 
 import contextlib
-import json
-import os
 import statistics
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -23,57 +19,9 @@ import numpy as np
 from taichi_cloth import runtime
 from taichi_cloth.benchmarks import machine
 from taichi_cloth.benchmarks.report import Row
+from taichi_cloth.worker import Worker, WorkerFailed
 
 FINER = 16  # the reference's steps are this many times shorter
-
-
-class ContestantFailed(RuntimeError):
-    """A contestant could not be made or went wrong; the message is one line."""
-
-
-class Worker:
-    """A process that runs contestants (`worker`)."""
-
-    def __init__(self, folder: Path, environment: dict[str, str]):
-        self._complaints = tempfile.TemporaryFile("w+", dir=folder)  # noqa: SIM115
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "taichi_cloth.benchmarks.worker", str(folder)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._complaints,
-            text=True,
-            env={**os.environ, **environment},
-            start_new_session=True,  # Ctrl-C is for the parent, which then ends its workers
-        )
-
-    def ask(self, **request) -> dict[str, Any]:
-        """The answer to a request; raises ContestantFailed."""
-        try:
-            print(json.dumps(request), file=self._process.stdin, flush=True)
-            line = self._process.stdout.readline()
-        except OSError:
-            line = ""
-        if not line:
-            self._complaints.seek(0)
-            last = self._complaints.read().strip().splitlines()[-1:] or [""]
-            raise ContestantFailed(f"its process ended: {last[0]}".rstrip(": "))
-        answer = json.loads(line)
-        if "failed" in answer:
-            raise ContestantFailed(answer["failed"])
-        return answer
-
-    @property
-    def alive(self) -> bool:
-        """Whether the process still runs."""
-        return self._process.poll() is None
-
-    def close(self) -> None:
-        """End the process."""
-        self._process.kill()
-        self._process.wait()
-        for stream in (self._process.stdin, self._process.stdout, self._complaints):
-            with contextlib.suppress(OSError):
-                stream.close()
 
 
 @dataclass
@@ -119,7 +67,7 @@ class Contestant:
 
     def drop(self) -> None:
         """Free what it holds in its process."""
-        with contextlib.suppress(ContestantFailed):
+        with contextlib.suppress(WorkerFailed):
             self.worker.ask(drop=self.key)
 
 
@@ -205,7 +153,7 @@ class Bench:
         worker = self.worker(library, precision, threads)
         try:
             about = worker.ask(make=kind, **{"as": key, "with": arguments})["result"]
-        except ContestantFailed as failure:
+        except WorkerFailed as failure:
             self.leave_out(part, name, size, str(failure))
             return None
         return Contestant(
@@ -243,7 +191,7 @@ class Bench:
                     seconds = contestant.advance(contestant.units)
                     if contestant.done in marks:
                         contestant.mark()
-                except ContestantFailed as failure:
+                except WorkerFailed as failure:
                     self.leave_out(part, contestant.name, contestant.size, str(failure))
                     running.remove(contestant)
                     continue
@@ -261,7 +209,7 @@ class Bench:
             try:
                 contestant.advance(units)
                 contestant.mark()
-            except ContestantFailed as failure:
+            except WorkerFailed as failure:
                 self.leave_out(part, contestant.name, contestant.size, str(failure))
                 running.remove(contestant)
         return running

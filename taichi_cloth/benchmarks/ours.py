@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from taichi_cloth.benchmarks.contest import FINER, Bench, Contestant, ContestantFailed
+from taichi_cloth.benchmarks.contest import FINER, Bench, Contestant
+from taichi_cloth.worker import WorkerFailed
 
 KIND = "taichi_cloth.benchmarks.contestants:Ours"
 PACKAGES = ("taichi-cloth", "taichi")
@@ -84,7 +85,7 @@ def reference(
                 bench.tell("the reference, f64 at a sixteenth of the step", contestant.done, frame)
                 contestant.advance(1)
             contestant.mark()
-    except ContestantFailed as failure:
+    except WorkerFailed as failure:
         bench.leave_out(part, "the reference", "", str(failure))
     contestant.drop()
     return contestant.marks

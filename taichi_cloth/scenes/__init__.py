@@ -2,7 +2,8 @@
 
 A scene file defines ``scene(*, name: Annotated[type, Parameter(...)] = default, ...) -> Scene``,
 a pure function. Its first docstring line describes it in ``taichi-cloth list``, its parameters
-become flags of ``taichi-cloth run``.
+become flags of ``taichi-cloth run``. Where the scene has a closed form, the file may give it as
+``solution(scene, times)``, which `trade` compares to.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import inspect
 import pkgutil
 import typing
 from collections.abc import Callable
+
+import numpy as np
 
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.options import Parameter
@@ -29,6 +32,12 @@ def function(name: str) -> Callable[..., Scene]:
     if name not in names():
         raise InputError(f"unknown scene '{name}'; {nearest(name, names())}")
     return importlib.import_module(f"{__name__}.{name}").scene
+
+
+def solution(name: str) -> Callable[..., tuple[np.ndarray, np.ndarray]] | None:
+    """What gives the closed form of the scene called `name` at given times; None without one."""
+    function(name)
+    return getattr(importlib.import_module(f"{__name__}.{name}"), "solution", None)
 
 
 def description(name: str) -> str:

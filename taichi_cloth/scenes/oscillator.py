@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
+import numpy as np
+
 from taichi_cloth.options import Parameter
 from taichi_cloth.scene import ParticleDefaults, Particles, Scene, SpringDefaults, Springs, World
 
@@ -35,3 +37,16 @@ def scene(
         particle_defaults=particle,
         spring_defaults=spring,
     )
+
+
+def solution(scene: Scene, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The closed form of `scene` at `times`: positions and velocities, (times, 2, 2)."""
+    particles, springs = scene.particles, scene.springs
+    omega = np.sqrt(springs.stiffness[0] / particles.mass[1])
+    rest = particles.position[0] + [springs.rest_length[0], 0.0]
+    amplitude = particles.position[1] - rest
+    x = np.tile(particles.position, (len(times), 1, 1))
+    v = np.zeros_like(x)
+    x[:, 1] = rest + np.cos(omega * times)[:, None] * amplitude
+    v[:, 1] = -omega * np.sin(omega * times)[:, None] * amplitude
+    return x, v

@@ -1,1 +1,1 @@
-"""The measured trade: errors beside costs, the largest stable step, the setting to choose."""
+"""Error beside cost: what each method, step and precision costs on a scene, and how wrong it is."""

@@ -1,0 +1,225 @@
+"""The command ``taichi-cloth trade SCENE``: error beside cost, as files, a table and a plot."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import hashlib
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_cloth.arguments import PROGRAM, Request
+from taichi_cloth.atomic import PendingFile
+from taichi_cloth.errors import InputError
+from taichi_cloth.options import ARCHS, parameters_of
+from taichi_cloth.scene import Scene
+from taichi_cloth.trade import plot, reference, report, rows, settings, sweep
+
+PACKAGES = ("taichi-cloth", "taichi", "numpy", "scipy", "python")
+FILES = ("trade.csv", "trade.json", "trade.png", "trade.svg")
+
+
+def main(request: Request) -> int:
+    """Measure, write the files, print the table; the exit status."""
+    from rich.console import Console
+
+    # A pipe or a file has no width: give whole lines a place where they fit.
+    console = Console() if sys.stdout.isatty() else Console(width=170)
+    scene, chosen, how = prepare(request)
+    folder = Path(request.options.output or f"trade-{scene.name}")
+    prepare_folder(folder, FILES)
+    try:
+        with measured(request, scene, chosen, how) as result:
+            if not result.outcomes:
+                raise KeyboardInterrupt  # before anything was finished
+            made = rows.rows_of(result, common(scene), run_words(request, how))
+        write(folder, request, result, made)
+    finally:
+        with contextlib.suppress(OSError):
+            folder.rmdir()  # where nothing was written
+    report.show(result, made, console)
+    console.print(f"written: {folder}/", ", ".join(FILES), highlight=False, markup=False)
+    if result.interrupted:
+        kept = f"{len(made)} of {len(chosen)} settings were finished, and are kept"
+        console.print(f"interrupted: {kept}", highlight=False)
+        raise KeyboardInterrupt
+    return 0
+
+
+def prepare(request: Request) -> tuple[Scene, list[settings.Setting], sweep.Plan]:
+    """The scene, the settings to compare and how they are run; raises InputError."""
+    from taichi_cloth import runtime
+
+    scene = sweep.without_mouse(request.build())
+    chosen = settings.choose(scene, request.options)
+    how = sweep.plan(scene, request.options)
+    archs = {setting.arch for setting in chosen} - {"cpu"}
+    if archs:
+        usable = runtime.usable_backends()
+        for arch in sorted(archs, key=ARCHS.index):
+            if usable[arch] is not None:
+                there = ", ".join(name for name, lack in usable.items() if lack is None)
+                raise InputError(
+                    f"--archs {arch}: not usable here (it needs {usable[arch]}); usable: {there}"
+                )
+    return scene, chosen, how
+
+
+def prepare_folder(folder: Path, files: tuple[str, ...]) -> None:
+    """See before a long run that results can be written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--output {folder}: cannot be made: {error.strerror}") from None
+    for name in files:
+        PendingFile(folder / name).discard()
+
+
+@contextlib.contextmanager
+def measured(
+    request: Request,
+    scene: Scene,
+    chosen: list[settings.Setting],
+    how: sweep.Plan,
+    closed: bool = True,
+) -> Iterator[sweep.Result]:
+    """What the sweep found, with its samples as long as the context lasts.
+
+    How far it is shows on standard error. closed: whether the scene is the one whose closed form
+    is known, if there is one.
+    """
+    frames = request.options.frames or reference.default_frames(scene)
+    sweep.check_size(scene, frames)
+    run = sweep.Sweep(
+        [scene],
+        chosen,
+        frames,
+        how,
+        lambda times: reference.closed_form(request, scene, times) if closed else None,
+    )
+    try:
+        with progress() as run.tell:
+            (result,) = run.run()
+        yield result
+    finally:
+        run.close()
+
+
+@contextlib.contextmanager
+def progress() -> Iterator[Callable[[str, int, int], None]]:
+    """A bar with the time left on a terminal, a line every tenth elsewhere."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        told = -1
+
+        def tell_line(text: str, done: int, total: int) -> None:
+            nonlocal told
+            if 10 * done // total > told:
+                told = 10 * done // total
+                print(f"{done} of {total}: {text}", file=sys.stderr, flush=True)
+
+        yield tell_line
+        return
+    columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left:")
+    with Progress(
+        *columns,
+        TimeRemainingColumn(),
+        TextColumn("{task.description}"),
+        console=console,
+        transient=True,
+        refresh_per_second=2,  # what is measured needs the processor
+    ) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda text, done, total: bar.update(
+            task, description=text, completed=done, total=total
+        )
+
+
+def write(folder: Path, request: Request, result: sweep.Result, measured: list[rows.Row]) -> None:
+    """Write all files, each whole."""
+    texts = {
+        "trade.csv": rows.as_csv(measured).encode(),
+        "trade.json": rows.as_json(measured, environment(request, result)).encode(),
+    }
+    drawn = plot.draw(result, measured, ("png", "svg"))
+    texts |= {f"trade.{kind}": content for kind, content in drawn.items()}
+    for name, content in texts.items():
+        PendingFile(folder / name).fill(lambda file, content=content: file.write(content))
+
+
+def common(scene: Scene) -> dict[str, str]:
+    """What all rows share."""
+    from taichi_cloth.benchmarks import machine
+
+    return {"scene_hash": scene_hash(scene), "versions": machine.versions(PACKAGES)}
+
+
+def environment(request: Request, result: sweep.Result) -> dict[str, Any]:
+    """What it takes to measure the same again."""
+    from taichi_cloth.benchmarks import machine
+
+    horizon, found = result.horizon, result.reference
+    devices = {o.about["device"]: None for o in result.outcomes if o.about}
+    return {
+        "command": command_words(request),
+        "date": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+        "versions": machine.versions(PACKAGES),
+        "machine": machine.describe(),
+        "devices": list(devices),
+        "scene": result.scene.name,
+        "scene_hash": scene_hash(result.scene),
+        "particles": len(result.scene.particles),
+        "springs": len(result.scene.springs),
+        "frames": horizon.frames if horizon else None,
+        "frames_asked": horizon.asked if horizon else None,
+        "scale": horizon.scale if horizon else None,
+        "disturbance_grown": horizon.grown if horizon else None,
+        "reference": found.what if found else None,
+        "reference_against": found.against if found else None,
+        "reference_apart": found.apart.trajectory if found else None,
+        "reference_floor": found.floor(horizon) if found else None,
+        "event": found.event if found else None,
+        "interrupted": result.interrupted,
+    }
+
+
+def scene_hash(scene: Scene) -> str:
+    """16 digits that two scenes share only if all of their physics is the same."""
+    digest = hashlib.sha256()
+    world = scene.world
+    digest.update(repr((world.size, world.gravity, world.walls, world.collisions)).encode())
+    for part in (scene.particles, scene.springs):
+        for of in fields(part):
+            if of.name != "color":
+                digest.update(np.ascontiguousarray(getattr(part, of.name)).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def command_words(request: Request, command: str = "trade") -> str:
+    """The command as one would type it."""
+    words = [PROGRAM, command, *request.words()]
+    for name in parameters_of(type(request.options)):
+        if name in request.given:
+            value = getattr(request.options, name)
+            words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
+    return " ".join(words)
+
+
+def run_words(request: Request, how: sweep.Plan) -> list[str]:
+    """The words of a run of the scene, to which a setting's are added."""
+    return [PROGRAM, "run", *request.words(), *how.words()]

@@ -1,0 +1,157 @@
+"""The work-precision plot: error against time, and against the step."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+
+from taichi_cloth.trade.rows import Row
+from taichi_cloth.trade.sweep import Result
+
+MARKERS = "osD^vP*X"
+STYLES = {"f64": "-", "f32": "--", "compensated": ":"}
+
+
+def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str, bytes]:
+    """The plot as files of these kinds ("png", "svg"); none where there is no error to show."""
+    measured = [row for row in rows if row.ok and row.error_trajectory_relative is not None]
+    if not measured:
+        return {}
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import EngFormatter
+
+    floor = result.reference.floor(result.horizon) / result.horizon.scale
+    figure = Figure(figsize=(13, 6.5), layout="constrained")
+    of_time, of_step = figure.subplots(1, 2, sharey=True)
+    looks = _looks(rows)
+    for series in dict.fromkeys(row.setting.series for row in rows):
+        of = sorted((r for r in rows if r.setting.series == series), key=lambda r: -r.step)
+        _draw_series(of_time, of_step, of, looks[series], floor)
+    shown = [max(row.error_trajectory_relative, floor) for row in measured]
+    top, bottom = 10 * max(shown), min(shown) / 4
+    of_time.set(xscale="log", yscale="log", ylim=(bottom, top))
+    of_step.set(xscale="log")
+    _draw_failures(of_time, of_step, rows, looks, top)
+    _draw_front(of_time, rows, floor)
+    for axes in (of_time, of_step):
+        if floor > bottom:
+            axes.axhspan(bottom, floor, color="0.9", zorder=0)
+        axes.grid(True, which="major", color="0.85", linewidth=0.6)
+        axes.set_axisbelow(True)
+    if floor > bottom:
+        says = "below what the reference can tell"
+        of_step.text(
+            0.98, floor, says, fontsize=8, color="0.35", ha="right", va="top",
+            transform=of_step.get_yaxis_transform(),
+        )  # fmt: skip
+    of_time.xaxis.set_major_formatter(EngFormatter(unit="s"))
+    of_time.set_xlabel("time a frame")
+    of_time.set_ylabel("trajectory error (RMS, in parts of the largest displacement)")
+    of_step.set_xlabel(f"step (the scene's time; a frame is {rows[0].dt:g})")
+    frames = result.horizon.frames
+    figure.suptitle(
+        f"{result.scene.name}: error beside cost, {len(result.scene.particles)} particles, "
+        f"{frames} frames; reference: {result.reference.what}",
+        fontsize=11,
+    )
+    _legend(figure, looks, rows)
+    files = {}
+    for kind in kinds:
+        buffer = io.BytesIO()
+        figure.savefig(
+            buffer, format=kind, dpi=130, metadata={"Date": None} if kind == "svg" else {}
+        )
+        files[kind] = buffer.getvalue()
+    return files
+
+
+def _looks(rows: Sequence[Row]) -> dict[tuple, dict]:
+    """A colour for each method, a line for each precision, a marker for each solver setting."""
+    from matplotlib import colormaps
+
+    palette = [*colormaps["tab10"].colors]
+    methods = list(dict.fromkeys(row.method for row in rows))
+    solvers = list(dict.fromkeys((row.iterations, row.tolerance) for row in rows))
+    looks = {}
+    for row in rows:
+        setting = row.setting
+        looks[setting.series] = {
+            "color": palette[methods.index(row.method) % len(palette)],
+            "linestyle": STYLES.get(row.precision, "-."),
+            "marker": MARKERS[solvers.index((row.iterations, row.tolerance)) % len(MARKERS)],
+        }
+    return looks
+
+
+def _draw_series(of_time, of_step, rows, look, floor):
+    ok = [row for row in rows if row.ok and row.error_trajectory_relative is not None]
+    errors = [max(row.error_trajectory_relative, floor) for row in ok]
+    faces = ["none" if row.below_floor else look["color"] for row in ok]
+    for axes, numbers in (
+        (of_time, [r.wall_seconds / r.frames if r.wall_seconds else None for r in ok]),
+        (of_step, [row.step for row in ok]),
+    ):
+        here = [(x, y, face) for x, y, face in zip(numbers, errors, faces, strict=True) if x]
+        if not here:
+            continue
+        x, y, face = zip(*here, strict=True)
+        axes.plot(x, y, color=look["color"], linestyle=look["linestyle"], linewidth=1.2, alpha=0.8)
+        axes.scatter(
+            x, y, s=22, marker=look["marker"], facecolors=face, edgecolors=[look["color"]], zorder=3
+        )
+
+
+def _draw_failures(of_time, of_step, rows, looks, top):
+    """Crosses at the upper edge: at their step, and at the time that they would have taken."""
+    for row in rows:
+        if row.ok:
+            continue
+        cross = {"marker": "x", "s": 45, "color": looks[row.setting.series]["color"], "zorder": 4}
+        cross |= {"clip_on": False, "linewidths": 1.8}
+        of_step.scatter([row.step], [top], **cross)
+        alike = [r for r in rows if r.setting.series == row.setting.series and r.wall_seconds]
+        if alike:
+            nearest = min(alike, key=lambda r: abs(r.substeps - row.substeps))
+            a_frame = nearest.wall_seconds / nearest.frames * row.substeps / nearest.substeps
+            of_time.scatter([a_frame], [top], **cross)
+
+
+def _draw_front(axes, rows, floor):
+    front = sorted((r for r in rows if r.pareto), key=lambda r: r.wall_seconds)
+    x = [row.wall_seconds / row.frames for row in front]
+    y = [max(row.error_trajectory_relative, floor) for row in front]
+    axes.step(x, y, where="post", color="black", linewidth=2.2, alpha=0.45, zorder=1)
+    axes.scatter(x, y, s=110, facecolors="none", edgecolors="black", linewidths=1.0, zorder=4)
+
+
+def _legend(figure, looks, rows):
+    from matplotlib.lines import Line2D
+
+    handles = []
+
+    def add(label, **look):
+        handles.append(
+            Line2D([], [], **({"color": "0.3", "linestyle": "none"} | look), label=label)
+        )
+
+    colours = {row.method: looks[row.setting.series]["color"] for row in rows}
+    for method, colour in colours.items():
+        add(method, color=colour, linestyle="-", linewidth=2.5)
+    for precision in dict.fromkeys(row.precision for row in rows):
+        add(precision, linestyle=STYLES.get(precision, "-."))
+    solvers = {
+        row.setting.describe_solver() or "no solver setting": looks[row.setting.series]["marker"]
+        for row in rows
+    }
+    if len(solvers) > 1:
+        for says, marker in solvers.items():
+            add(says, marker=marker)
+    add("on the Pareto front", color="black", marker="o", markersize=9, markerfacecolor="none")
+    if any(row.below_floor for row in rows):
+        add("below the reference's floor", marker="o", markerfacecolor="none")
+    if any(not row.ok for row in rows):
+        add("failed", marker="x", markeredgewidth=1.8)
+    figure.legend(handles=handles, loc="outside right upper", fontsize=9, frameon=False)

@@ -1,0 +1,207 @@
+"""What runs are compared to, and how far it can be trusted.
+
+Where a scene has a closed form, that; else the solution of the differential equation, by SciPy's
+DOP853 on forces of its own (`smooth.py`) and, independently, by our method of the highest order in
+f64 at a fine step: what they differ by is what they are worth. A contact or a break within the
+horizon is an event, past which there is no smooth solution: then it is our method at a fine step,
+and what it differs by from one four times as long.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from taichi_cloth import limits, scenes
+from taichi_cloth.arguments import Request
+from taichi_cloth.scene import Scene
+from taichi_cloth.trade import smooth
+from taichi_cloth.trade.measures import Distance, Samples, displacement, distance, rms_by_frame
+
+DISTURBANCE = 1e-10  # of the largest displacement: what the starts of two runs differ by
+# The horizon ends where it has grown to this: what is smaller by then is chance.
+GROWN = 1e-7
+FINER = 4  # from one fine run to the next
+RESOLUTION = 16  # steps in 1 / omega of the coarsest of the fine runs
+ENOUGH = 1e-13  # of the scale: finer runs differ by round-off alone
+MOST_FRAMES_TIMES_PARTICLES = 2_000_000  # by default: a second or so a setting
+TRUST = 10  # times what two references differ by: the least error that they can measure
+
+
+@dataclass(frozen=True)
+class Horizon:
+    """How far runs are compared.
+
+    asked, frames: frames wanted, and those that are compared; scale: the largest displacement of a
+    free particle within them (world units); grown: what a disturbance of `DISTURBANCE` grows to
+    within them, in parts of the scale.
+    """
+
+    asked: int
+    frames: int
+    scale: float
+    grown: float
+
+    def describe(self) -> str:
+        disturbed = f"a disturbance of {DISTURBANCE:g} grows to {self.grown:.1e}"
+        if self.frames == self.asked:
+            return f"horizon: {self.frames} frames, in which {disturbed}"
+        return (
+            f"horizon: {self.frames} frames of the {self.asked} asked for: in these {disturbed}, "
+            f"soon after to more than {GROWN:g}, and errors beyond are chance"
+        )
+
+
+@dataclass(frozen=True)
+class Reference:
+    """States that runs are compared to. what: where they come from; against: what they were
+    checked with; apart: by how much they differ from that; event: what ends smoothness.
+    """
+
+    samples: Samples
+    what: str
+    against: str
+    apart: Distance
+    event: str | None = None
+
+    def floor(self, horizon: Horizon) -> float:
+        """The least trajectory error that it can measure, in world units."""
+        return max(TRUST * self.apart.trajectory, horizon.grown * horizon.scale)
+
+    def describe(self, horizon: Horizon) -> list[str]:
+        """Sentences on where it comes from and what it is worth."""
+        apart, floor = self.apart.trajectory / horizon.scale, self.floor(horizon) / horizon.scale
+        said = [
+            f"reference: {self.what}; it differs from {self.against} by {apart:.1e}",
+            f"errors below {floor:.1e} are beyond what it can tell, and marked",
+        ]
+        if self.event:
+            said.insert(1, f"not smooth: {self.event}; no high order is to be expected past that")
+        return said
+
+
+def default_frames(scene: Scene) -> int:
+    """Frames in which the slowest vibration swings once or so: 30 to 240, fewer of large scenes.
+
+    A wave passes sqrt(k/m) springs per time; the farthest particle from a fixed one is reached and
+    left four times in a period of the lowest mode.
+    """
+    springs, particles = scene.springs, scene.particles
+    n = len(particles)
+    stiff = springs.stiffness > 0
+    if not stiff.any():
+        return 60
+    from scipy.sparse import csgraph, csr_matrix
+
+    between = springs.between[stiff]
+    graph = csr_matrix((np.ones(len(between)), between.T), shape=(n, n))
+    start = np.flatnonzero(particles.fixed) if particles.fixed.any() else between[:1, 0]
+    far = csgraph.dijkstra(graph, directed=False, unweighted=True, indices=start, min_only=True)
+    depth = max(float(far[np.isfinite(far)].max()), 1.0)
+    mass = particles.mass[between].mean()
+    period = 4.0 * depth * np.sqrt(mass / springs.stiffness[stiff].mean())
+    most = max(10, min(240, MOST_FRAMES_TIMES_PARTICLES // n))
+    return int(np.clip(round(period / scene.world.dt), min(30, most), most))
+
+
+def disturbed(scene: Scene, size: float, seed: int = 0) -> Scene:
+    """The scene with its free particles moved at random by `size` (root of the mean square)."""
+    rng = np.random.default_rng(seed)
+    particles = scene.particles
+    shift = rng.normal(size=particles.position.shape)
+    shift[particles.fixed] = 0.0
+    rms = np.sqrt((shift[~particles.fixed] ** 2).sum(axis=1).mean())
+    moved = particles.position + shift * (size / rms)
+    moved = np.clip(moved, scene.world.low, scene.world.high)
+    return replace(scene, particles=replace(particles, position=moved))
+
+
+def coarsest(scene: Scene, dt: float) -> int:
+    """Substeps of the coarsest of the fine runs."""
+    bounds = limits.any_geometry(limits.Network.of_scene(scene))
+    rate = max(math.sqrt(bounds.omega2), bounds.damping, 1.0 / dt)
+    return 1 << max(0, int(np.ceil(np.log2(RESOLUTION * dt * rate))))
+
+
+def limit_horizon(scene: Scene, run: Samples, other: Samples) -> Horizon:
+    """How far to compare, from two runs whose starts differ by `DISTURBANCE` of the largest
+    displacement of the first.
+    """
+    free = ~scene.particles.fixed
+    asked = len(run) - 1
+    apart = rms_by_frame(run, other, free)
+    largest = displacement(run, free)
+    fine = apart <= GROWN * largest
+    frames = asked if fine.all() else max(int(fine.argmin()) - 1, 1)
+    scale = displacement(run.first(frames), free)
+    return Horizon(asked, frames, scale or 1.0, float(apart[: frames + 1].max() / (scale or 1.0)))
+
+
+def closed_form(request: Request, scene: Scene, times: np.ndarray) -> Samples | None:
+    """The scene's own closed form at `times`; None where it has none."""
+    solution = None if request.is_file else scenes.solution(request.scene)
+    if solution is None:
+        return None
+    x, v = solution(scene, times)
+    return Samples(x, v, np.ones((len(times), 0), bool))
+
+
+def decide(
+    scene: Scene,
+    frames: int,
+    closed: Samples | None,
+    solution: smooth.Solution | None,
+    solved_to: float,
+    fine: list[tuple[str, Samples]],
+) -> Reference | None:
+    """The reference, from what there is; None where there is too little.
+
+    fine: runs at ever finer steps, with what they are. solved_to: time of the horizon's end.
+    """
+    free = ~scene.particles.fixed
+    runs = [(what, samples.first(frames)) for what, samples in fine]
+    event = None
+    smooth_here = solution is not None and solution.until >= solved_to - 1e-9 * abs(solved_to)
+    if smooth_here:
+        alive = runs[-1][1].alive if runs else np.ones((frames + 1, 0), bool)
+        everywhere = np.ones_like(alive)
+        solved = Samples(solution.x[: frames + 1], solution.v[: frames + 1], everywhere)
+        what = "DOP853 at a tolerance of 1e-13 (SciPy, forces of its own)"
+        if closed is not None:
+            exact = replace(closed.first(frames), alive=everywhere)
+            apart = distance(exact, solved, free)
+            return Reference(exact, "the closed form", what, apart)
+        if runs:
+            return Reference(solved, what, runs[-1][0], distance(solved, runs[-1][1], free))
+        return None
+    if solution is not None:
+        event = solution.event and f"{solution.event} after time {solution.until:.4g}"
+    if len(runs) < 2:
+        return None
+    (coarser, before), (what, finest) = runs[-2:]
+    return Reference(finest, what, coarser, distance(finest, before, free), event)
+
+
+def refine(
+    run: Callable[[int], Samples], scene: Scene, substeps: int, enough: Callable[[float], bool]
+) -> list[tuple[int, Samples]]:
+    """Runs at ever finer steps, until two differ by round-off or `enough(seconds)` says so.
+
+    run: runs so many substeps. enough: whether a run that takes so many times longer than the last
+    one is too much.
+    """
+    free = ~scene.particles.fixed
+    runs = [(substeps, run(substeps))]
+    last = np.inf
+    while not enough(FINER):
+        substeps *= FINER
+        runs.append((substeps, run(substeps)))
+        apart = distance(runs[-1][1], runs[-2][1], free).trajectory
+        scale = displacement(runs[-1][1], free) or 1.0
+        if apart <= ENOUGH * scale or (apart < 1e-9 * scale and apart > last / 2):
+            break
+        last = apart
+    return runs

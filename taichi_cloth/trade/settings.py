@@ -1,0 +1,211 @@
+"""What is compared: settings, and which of them a scene is tried in, by the methods' claims."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from taichi_cloth import limits
+from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.options import ARCHS, PRECISIONS, TradeOptions
+from taichi_cloth.scene import Scene
+
+DOUBLINGS = 6  # of the number of substeps, from the fewest that a method takes
+QUICK_DOUBLINGS = 4
+ITERATIONS = (1, 4, 16)  # sweeps a step, of methods that take their number
+QUICK_ITERATIONS = (1, 8)
+MOST_SUBSTEPS = 4096
+CONVERGED_TOLERANCE = 1e-13  # relative residual, in f64
+CONVERGED_ITERATIONS = 1000
+# Scenes with fewer particles run on the graph: lanes compile three times as long for little speed.
+FEW_PARTICLES = 2000
+SERIAL_BEST = 5000  # particles up to which one thread does as well as several
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How a scene is run: what `run` takes as flags of the same names.
+
+    dt: time of a frame; a step is dt / substeps. tolerance, iterations: None where the method
+    takes none, or takes what it has by itself.
+    """
+
+    method: str
+    dt: float
+    substeps: int
+    precision: str = "f64"
+    fast_math: bool = False
+    arch: str = "cpu"
+    iterations: int | None = None
+    tolerance: float | None = None
+
+    @property
+    def process(self) -> tuple[str, str, bool]:
+        """What settings that share a process have in common."""
+        return self.arch, self.precision, self.fast_math
+
+    @property
+    def step(self) -> float:
+        """Time of a step."""
+        return self.dt / self.substeps
+
+    @property
+    def series(self) -> tuple:
+        """What settings that differ in nothing but their step have in common."""
+        return self.method, *self.process, self.iterations, self.tolerance
+
+    def describe_solver(self) -> str:
+        """'8 iterations', 'tolerance 1e-06', or nothing."""
+        words = []
+        if self.iterations is not None:
+            words.append(f"{self.iterations} iteration{'s' * (self.iterations > 1)}")
+        if self.tolerance is not None:
+            words.append(f"tolerance {self.tolerance:g}")
+        return ", ".join(words)
+
+    def describe(self) -> str:
+        """In words: method, steps, solver, device."""
+        steps = f"{self.substeps} substep{'s' * (self.substeps > 1)}"
+        exact = "" if self.fast_math or self.precision != "f32" else " without fast_math"
+        device = f"{self.arch} {self.precision}{exact}"
+        return ", ".join(filter(None, [self.method, steps, self.describe_solver(), device]))
+
+    def words(self) -> list[str]:
+        """The flags of `run` that stand for it."""
+        words = ["--method", self.method, "--dt", f"{self.dt:.12g}", "--substeps", self.substeps]
+        if self.iterations is not None:
+            words += ["--iterations", self.iterations]
+        if self.tolerance is not None:
+            words += ["--tolerance", f"{self.tolerance:g}"]
+        words += ["--arch", self.arch, "--precision", self.precision]
+        if self.precision == "f32" and not self.fast_math:
+            words.append("--no-fast-math")
+        return [str(word) for word in words]
+
+
+def default_fast_math(precision: str) -> bool:
+    """Whether fast_math is on by itself."""
+    return precision == "f32"
+
+
+def choose(scene: Scene, options: TradeOptions) -> list[Setting]:
+    """The settings that a scene is compared in. Raises InputError for words that are none.
+
+    Where the number of substeps is left open, it doubles from one, or, where a method needs more
+    to be stable, from the last power of two that is too few: one setting is then beyond the
+    limit, and may fail.
+    """
+    from taichi_cloth.kernels import methods
+
+    names = _words("--methods", options.methods, methods.METHODS)
+    precisions = _words("--precisions", options.precisions, PRECISIONS)
+    if options.quick and options.precisions is None:
+        precisions = [word for word in precisions if word in ("f32", "f64")]
+    archs = _words("--archs", options.archs or "cpu", [arch for arch in ARCHS if arch != "gpu"])
+    asked = _numbers("--substeps", options.substeps, int)
+    iterations = _numbers("--iterations", options.iterations, int)
+    tolerances = _numbers("--tolerances", options.tolerances, float)
+    dt = options.dt or scene.world.dt
+    bounds = limits.any_geometry(limits.Network.of_scene(scene))
+
+    settings = []
+    for method in names:
+        claims = methods.load(method).CLAIMS
+        takes = claims.settings
+        sweeps, residuals = [None], [None]
+        if "iterations" in takes:
+            sweeps = iterations or (QUICK_ITERATIONS if options.quick else ITERATIONS)
+        if "tolerance" in takes:
+            residuals = tolerances or [None]
+        counts = asked or _doubling(dt / largest_step(method, bounds), options.quick)
+        for arch in archs:
+            for precision, fast_math in _maths(precisions, options.without_fast_math):
+                settings += [
+                    Setting(method, dt, count, precision, fast_math, arch, sweep, residual)
+                    for sweep in sweeps
+                    for residual in residuals
+                    for count in counts
+                ]
+    _refuse_unused("--iterations", iterations, "iterations", settings)
+    _refuse_unused("--tolerances", tolerances, "tolerance", settings)
+    return settings
+
+
+def _maths(precisions: Sequence[str], also_without: bool) -> list[tuple[str, bool]]:
+    """Precisions, each with or without fast_math, or f32 with both."""
+    maths = []
+    for precision in precisions:
+        maths.append((precision, default_fast_math(precision)))
+        if also_without and default_fast_math(precision):
+            maths.append((precision, False))
+    return maths
+
+
+def converged(setting: Setting) -> Setting | None:
+    """The same method and step in f64 with its solver converged; None where it has none."""
+    from taichi_cloth.kernels import methods
+
+    takes = methods.load(setting.method).CLAIMS.settings
+    if not takes:
+        return None
+    return Setting(
+        setting.method,
+        setting.dt,
+        setting.substeps,
+        iterations=CONVERGED_ITERATIONS if "iterations" in takes else None,
+        tolerance=CONVERGED_TOLERANCE if "tolerance" in takes else None,
+    )
+
+
+def largest_step(method: str, bounds: limits.Bounds) -> float:
+    """The largest stable step by the limits of a scene; of a method that is never stable, that of
+    one that is while dt * omega < 2, in which it grows slowly.
+    """
+    from taichi_cloth.kernels import methods
+
+    step = limits.step_within(methods.load(method), bounds)
+    return step or 2.0 / max(math.sqrt(bounds.omega2), bounds.damping)
+
+
+def _doubling(needed: float, quick: bool) -> list[int]:
+    """Numbers of substeps, where at least `needed` are stable."""
+    fewest = 1
+    if needed > 1:
+        fewest = min(2 ** (math.ceil(math.log2(needed)) - 1), MOST_SUBSTEPS)
+    return [fewest << k for k in range(QUICK_DOUBLINGS if quick else DOUBLINGS)]
+
+
+def _words(flag: str, text: str | None, known: Sequence[str]) -> list[str]:
+    """The words of a list 'a,b', all that are known where there is none."""
+    if text is None:
+        return list(known)
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    for word in words:
+        if word not in known:
+            raise InputError(f"{flag}: unknown '{word}'; {nearest(word, known)}")
+    if not words:
+        raise InputError(f"{flag}: names nothing; known: {', '.join(known)}")
+    return list(dict.fromkeys(words))
+
+
+def _numbers(flag: str, text: str | None, type_: type) -> list:
+    """The numbers of a list '1,2,4', sorted; empty where there is none."""
+    if text is None:
+        return []
+    numbers = set()
+    for word in text.split(","):
+        try:
+            number = type_(word)
+        except ValueError:
+            number = 0
+        if not (0 < number <= 1_000_000):
+            kind = "whole numbers from 1" if type_ is int else "positive numbers"
+            raise InputError(f"{flag} must be {kind}, separated by commas; has '{word.strip()}'")
+        numbers.add(number)
+    return sorted(numbers)
+
+
+def _refuse_unused(flag: str, given: list, name: str, settings: list[Setting]) -> None:
+    if given and all(getattr(setting, name) is None for setting in settings):
+        raise InputError(f"{flag}: none of the chosen methods takes it")

@@ -1,0 +1,206 @@
+"""The command ``taichi-cloth tune SCENE``: the setting that meets an error, or fits a frame's time.
+
+It chooses from what a sweep measured, and confirms the choice where it was not made: on the scene
+with another start.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from taichi_cloth.arguments import Request
+from taichi_cloth.errors import InputError
+from taichi_cloth.scene import Scene
+from taichi_cloth.trade import command, report, rows
+from taichi_cloth.trade.rows import Row
+
+# Speeds that the confirming run begins with besides its own, in parts of the speeds that the
+# scene has by itself (root of the mean square).
+KICK = 0.1
+TIME_UNITS = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0}
+
+
+@dataclass(frozen=True)
+class Target:
+    """What is wanted: `error` in world units, or in parts of the largest displacement where
+    `relative`; or `frame_seconds`. The other is None.
+    """
+
+    error: float | None = None
+    relative: bool = True
+    frame_seconds: float | None = None
+
+    def describe(self) -> str:
+        if self.frame_seconds is not None:
+            return f"--frame-time {report.seconds(self.frame_seconds)}"
+        shown = f"{100 * self.error:g} %" if self.relative else f"{self.error:g}"
+        return f"--error {shown}"
+
+    def met_by(self, found: Figures) -> bool:
+        if self.frame_seconds is not None:
+            return found.frame_seconds <= self.frame_seconds
+        return (found.error_relative if self.relative else found.error) <= self.error
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What a setting showed: its trajectory error (world units, and in parts of the largest
+    displacement) and the time of a frame, in seconds.
+    """
+
+    error: float
+    error_relative: float
+    frame_seconds: float
+
+    @classmethod
+    def of(cls, row: Row) -> Figures:
+        return cls(
+            error=row.error_trajectory,
+            error_relative=row.error_trajectory_relative,
+            frame_seconds=row.wall_seconds / row.frames,
+        )
+
+    def describe(self) -> str:
+        percent = 100 * self.error_relative
+        a_frame = report.seconds(self.frame_seconds)
+        return f"error {percent:.3g} % ({self.error:.3g}), {a_frame} a frame"
+
+
+def main(request: Request) -> int:
+    """Choose, confirm, print; the exit status."""
+    from rich.console import Console
+
+    target = read_target(request.options.error, request.options.frame_time)
+    scene, chosen, how = command.prepare(request)
+    with command.measured(request, scene, chosen, how) as result:
+        if result.interrupted:
+            raise KeyboardInterrupt
+        made = rows.rows_of(result, command.common(scene), command.run_words(request, how))
+        best = choose(made, target)
+        other = kicked(scene, result.reference.samples.v, request.options.seed)
+    frames = replace(request, options=replace(request.options, frames=result.horizon.asked))
+    with command.measured(frames, other, [best.setting], how, closed=False) as again:
+        if again.interrupted:
+            raise KeyboardInterrupt
+        (confirming,) = rows.rows_of(again, command.common(other), [])
+    expected = Figures.of(best)
+    confirmed = Figures.of(confirming) if confirming.wall_seconds else None
+    held = confirmed is not None and target.met_by(confirmed)
+    if request.options.json:
+        print(json.dumps(_as_json(request, target, best, expected, confirming, held), indent=1))
+        return 0
+    # A pipe or a file has no width: give whole lines a place where they fit.
+    console = Console() if sys.stdout.isatty() else Console(width=170)
+    said = "yes" if held else "no"
+    shown = confirmed.describe() if confirmed else confirming.status
+    for line in (
+        f"{scene.name}, {target.describe()}: {best.setting.describe()}",
+        f"expected:  {expected.describe()}, over {best.frames} frames",
+        f"confirmed: {said}: {shown}, from another start",
+    ):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    console.print(best.command, highlight=False, markup=False, soft_wrap=True)
+    return 0
+
+
+def read_target(error: str | None, frame_time: str | None) -> Target:
+    """The target that the command line gives; raises InputError unless it is one."""
+    if (error is None) == (frame_time is None):
+        raise InputError("tune: give either --error, such as 1%, or --frame-time, such as 8ms")
+    if error is not None:
+        number = error.strip().removesuffix("%")
+        relative = number != error.strip()
+        value = _positive("--error", number, "a number, or one with %, such as 1%", error)
+        return Target(error=value / 100 if relative else value, relative=relative)
+    text = frame_time.strip()
+    unit = next((unit for unit in TIME_UNITS if text.endswith(unit)), None)
+    says = "a time with its unit, s, ms or us, such as 8ms"
+    if unit is None:
+        raise InputError(f"--frame-time must be {says}; is '{frame_time}'")
+    seconds = _positive("--frame-time", text.removesuffix(unit), says, frame_time)
+    return Target(frame_seconds=seconds * TIME_UNITS[unit])
+
+
+def _positive(flag: str, text: str, says: str, given: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = np.nan
+    if not 0 < number < np.inf:
+        raise InputError(f"{flag} must be {says}; is '{given}'")
+    return number
+
+
+def choose(made: Sequence[Row], target: Target) -> Row:
+    """The cheapest row that meets an error; the most accurate one that fits a time.
+
+    A row fits a time by the upper quartile of its own. Raises InputError, with the best there is,
+    where none does.
+    """
+    usable = [row for row in made if row.ok and row.error_trajectory is not None]
+    usable = [row for row in usable if row.wall_seconds is not None]
+    if not usable:
+        raise InputError(f"{target.describe()}: no setting could be measured")
+    if target.frame_seconds is not None:
+        meeting = [row for row in usable if row.wall_upper / row.frames <= target.frame_seconds]
+        best = min(usable, key=lambda row: row.wall_upper)
+        order = _error_then_time
+    else:
+        meeting = [row for row in usable if target.met_by(Figures.of(row))]
+        best = min(usable, key=_error_then_time)
+        order = _time_then_error
+    if not meeting:
+        raise InputError(
+            f"{target.describe()}: none of {len(usable)} settings meets it; the best is "
+            f"{best.setting.describe()}: {Figures.of(best).describe()}"
+        )
+    return min(meeting, key=order)
+
+
+def _error_then_time(row: Row) -> tuple[float, float]:
+    """Errors that the reference cannot tell from none are alike."""
+    return 0.0 if row.below_floor else row.error_trajectory, row.wall_seconds
+
+
+def _time_then_error(row: Row) -> tuple[float, float]:
+    return row.wall_seconds, row.error_trajectory
+
+
+def kicked(scene: Scene, v: np.ndarray, seed: int) -> Scene:
+    """The scene with another start: its free particles get random velocities besides.
+
+    v: the velocities of a run of the scene, (frames + 1, n, dim), which say how fast is usual.
+    """
+    free = ~scene.particles.fixed
+    usual = float(np.sqrt((v[:, free] ** 2).sum(axis=2).mean()))
+    rng = np.random.default_rng(seed)
+    kick = rng.normal(size=scene.particles.velocity.shape) / np.sqrt(scene.world.dim)
+    kick[~free] = 0.0
+    velocity = scene.particles.velocity + KICK * usual * kick
+    return replace(scene, particles=replace(scene.particles, velocity=velocity))
+
+
+def _as_json(
+    request: Request, target: Target, best: Row, expected: Figures, confirming: Row, held: bool
+) -> dict[str, Any]:
+    done = confirming.wall_seconds is not None
+    return {
+        "scene": " ".join(request.words()),
+        "target": vars(target),
+        "setting": vars(best.setting),
+        "command": best.command,
+        "frames": best.frames,
+        "expected": vars(expected),
+        "confirmed": {"held": held, "status": confirming.status}
+        | (vars(Figures.of(confirming)) if done else {})
+        | {"frames": confirming.frames},
+        "scene_hash": best.scene_hash,
+        "versions": best.versions,
+        "device": best.device,
+    }

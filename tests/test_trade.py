@@ -1,0 +1,540 @@
+"""The measured trade: errors against closed forms, references, fronts, files, choices."""
+
+import csv
+import itertools
+import json
+import math
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from conftest import command
+from test_motion import DISCRETE
+
+from taichi_cloth import scenes
+from taichi_cloth.cli import main
+from taichi_cloth.errors import InputError
+from taichi_cloth.kernels import methods
+from taichi_cloth.options import TradeOptions
+from taichi_cloth.scene import Particles, Scene, Springs, World
+from taichi_cloth.trade import reference, rows, settings, smooth, tune
+from taichi_cloth.trade.measures import Breaks, Invariants, Samples, distance
+from taichi_cloth.trade.settings import Setting
+from taichi_cloth.trade.sweep import Quiet
+
+CONTRACT = (
+    "method,dt,substeps,iterations,precision,fast_math,arch,error_final_rms,error_final_max,"
+    "error_trajectory,energy_drift,max_strain,wall_seconds,force_evaluations,sweeps,status,pareto"
+)
+
+
+def read(folder):
+    """The rows of a folder's CSV, numbers as numbers."""
+
+    def value(name, text):
+        if name in ("method", "precision", "arch", "status", "command", "scene_hash"):
+            return text
+        if text in ("", "true", "false"):
+            return {"": None, "true": True, "false": False}[text]
+        try:
+            return float(text)
+        except ValueError:
+            return text
+
+    with (folder / "trade.csv").open(newline="") as file:
+        return [{k: value(k, v) for k, v in row.items()} for row in csv.DictReader(file)]
+
+
+@pytest.fixture(scope="module")
+def oscillator(tmp_path_factory):
+    """A trade of the oscillator: its folder, and what it printed."""
+    folder = tmp_path_factory.mktemp("oscillator")
+    chosen = ["--methods", "symplectic_euler,verlet", "--substeps", "1,2,4", "--frames", 20]
+    arguments = ["trade", "oscillator", *chosen, "--quick", "--output", folder]
+    return folder, *command(*arguments)
+
+
+# ------------------------------------------------------------------------------------------
+# Errors and references
+
+
+def test_errors_are_those_of_the_exact_discrete_map(oscillator):
+    """On x'' = -w^2 x each method is a matrix, and the closed form a cosine."""
+    amplitude, omega, frames = 50.0, 0.1, 20
+    exact = amplitude * np.cos(omega * np.arange(1, frames + 1))
+    seen = 0
+    for row in read(oscillator[0]):
+        if row["precision"] != "f64":
+            continue
+        step = np.linalg.matrix_power(
+            DISCRETE[row["method"]](row["step"], omega**2), int(row["substeps"])
+        )
+        state, x, v = np.array([amplitude, 0.0]), [], []
+        for _ in range(frames):
+            state = step @ state
+            x.append(state[0])
+            v.append(state[1])
+        error = np.abs(np.array(x) - exact)
+        assert row["error_final_rms"] == pytest.approx(error[-1], rel=1e-6)
+        assert row["error_final_max"] == pytest.approx(error[-1], rel=1e-6)
+        assert row["error_trajectory"] == pytest.approx(np.sqrt((error**2).mean()), rel=1e-6)
+        energy = 0.5 * np.array(v) ** 2 + 0.5 * omega**2 * np.array(x) ** 2
+        start = 0.5 * omega**2 * amplitude**2
+        # The scale is the largest kinetic and elastic energy of the reference, here constant.
+        assert row["energy_drift"] == pytest.approx(np.abs(energy / start - 1).max(), rel=1e-6)
+        stretch = max(amplitude, np.abs(x).max()) / 150.0
+        assert row["max_strain"] == pytest.approx(stretch, rel=1e-9)
+        assert row["force_evaluations"] == frames * row["substeps"]
+        if row["substeps"] > 1:
+            order = methods.load(row["method"]).CLAIMS.order
+            assert row["order"] == pytest.approx(order, abs=0.05)
+        seen += 1
+    assert seen == 6
+
+
+def test_closed_forms_of_scenes_solve_their_equations():
+    """Against DOP853 on forces that know nothing of them, in every scene that has one."""
+    known = [name for name in scenes.names() if scenes.solution(name)]
+    assert {"oscillator", "chain"} <= set(known)
+    times = np.linspace(0.0, 40.0, 9)
+    for name in known:
+        scene = scenes.build(name)
+        solved = smooth.solve(scene, times)
+        assert solved.event is None and solved.until == times[-1]
+        x, v = scenes.solution(name)(scene, times)
+        np.testing.assert_allclose(x, solved.x, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(v, solved.v, rtol=0, atol=1e-9)
+
+
+def test_two_independent_references_agree(device):
+    """Springs of all kinds, dashpots and drag, in 3-D too, by SciPy and by our kernels."""
+    from taichi_cloth.simulation import Simulation
+
+    flat = scenes.build("cloth", columns=5, rows=4, shear=0.2, bend=0.1, damping=0.05)
+    p = flat.particles
+    rng = np.random.default_rng(1)
+    deep = Particles.build(
+        np.column_stack([p.position, rng.normal(0, 3, len(p))]),
+        mass=rng.uniform(0.5, 2, len(p)),
+        viscous=p.viscous,
+        fixed=p.fixed,
+    )
+    world = World(size=(*flat.world.size, 200.0), gravity=(0.01, 0.05, 0.02))
+    scene = Scene("deep", world, deep, replace(flat.springs))
+    times = np.arange(21.0)
+    solved = smooth.solve(scene, times)
+    sim = Simulation(scene, "rk4", substeps=256, execution="serial", topology="graph")
+    for frame in range(1, len(times)):
+        sim.advance()
+        np.testing.assert_allclose(sim.positions(), solved.x[frame], rtol=0, atol=1e-11)
+        np.testing.assert_allclose(sim.velocities(), solved.v[frame], rtol=0, atol=1e-11)
+
+
+def test_contacts_and_breaks_end_the_smooth_solution():
+    def falling(**world):
+        return World(size=(100.0, 100.0), gravity=(0.0, 0.02), **world)
+
+    times = np.arange(200.0)
+    ball = Particles.build([[50.0, 50.0]], radius=5.0)
+    solved = smooth.solve(Scene("fall", falling(walls=("bottom",)), ball), times)
+    reached = math.sqrt(2 * 45.0 / 0.02)
+    assert "wall 'bottom'" in solved.event
+    whole = int(solved.until)
+    assert 0.5 * reached < solved.until <= reached
+    np.testing.assert_allclose(solved.x[: whole + 1, 0, 1], 50 + 0.01 * times[: whole + 1] ** 2)
+
+    pair = Particles.build([[20.0, 50.0], [60.0, 50.0]], [[1.0, 0.0], [0.0, 0.0]], radius=5.0)
+    still = World(size=(100.0, 100.0), gravity=(0.0, 0.0), collisions=True)
+    assert "collide" in smooth.solve(Scene("pair", still, pair), times).event
+
+    x = [[50.0, 10.0], [50.0, 20.0]]
+    hung = Particles.build(x, fixed=[True, False])
+    weak = Springs.build([[0, 1]], x, stiffness=0.1, break_force=0.03)
+    assert "breaks" in smooth.solve(Scene("hung", falling(), hung, weak), times).event
+    strong = Springs.build([[0, 1]], x, stiffness=0.1, break_force=0.05)
+    assert smooth.solve(Scene("hung", falling(), hung, strong), times).event is None
+
+
+def test_horizon_ends_before_a_disturbance_has_grown_into_the_errors():
+    scene = scenes.build("oscillator")
+    frames = np.arange(101)
+    x = np.zeros((101, 2, 2))
+    x[:, 1, 0] = 50.0 * np.minimum(frames, 1)  # the largest displacement
+    other = x.copy()
+    other[:, 1, 1] = 50.0 * reference.DISTURBANCE * np.exp(0.2 * frames)
+    alive = np.ones((101, 0), bool)
+    horizon = reference.limit_horizon(scene, Samples(x, x, alive), Samples(other, x, alive))
+    last = int(math.log(reference.GROWN / reference.DISTURBANCE) / 0.2)  # 34.5
+    assert horizon.asked == 100 and horizon.frames == last
+    assert horizon.grown == pytest.approx(reference.DISTURBANCE * math.exp(0.2 * last))
+    assert "of the 100 asked for" in horizon.describe()
+    still = reference.limit_horizon(scene, Samples(x, x, alive), Samples(x, x, alive))
+    assert still.frames == 100 and still.grown == 0.0
+
+
+def test_measures_are_what_they_say():
+    rng = np.random.default_rng(0)
+    scene = scenes.build("cloth", columns=4, rows=3)
+    free = ~scene.particles.fixed
+    x, v = rng.normal(size=(2, 6, 12, 2))
+    alive = np.ones((6, len(scene.springs)), bool)
+    moved = x.copy()
+    moved[:, free] += [3.0, 4.0]
+    moved[2:, 5] += [3.0, 4.0]
+    one, other = Samples(x, v, alive), Samples(moved, v, alive)
+    apart = distance(one, other, free)
+    mean = (8 * 25 + 100) / 9
+    assert apart.final_max == pytest.approx(10.0)
+    assert apart.final_rms == pytest.approx(math.sqrt(mean))
+    assert apart.trajectory == pytest.approx(math.sqrt((25 + 4 * mean) / 5))
+    still, fast = Invariants.of(scene, one), Invariants.of(scene, replace(one, v=v + [1.0, 0.0]))
+    assert still.energy_drift(still) == still.momentum_drift(still) == 0.0
+    assert fast.momentum_drift(still) == pytest.approx(9.0 / still.impulse)
+
+    broken, true = alive.copy(), alive.copy()
+    broken[3:, 2] = broken[4:, 7] = True & False
+    true[5:, 7] = true[4:, 9] = False
+    breaks = Breaks.of(replace(one, alive=broken), replace(one, alive=true))
+    assert (breaks.count, breaks.agreeing, breaks.first, breaks.later) == (2, 1, 3, -1)
+    none = Breaks.of(one, one)
+    assert (none.count, none.agreeing, none.first, none.later) == (0, 0, None, None)
+
+
+# ------------------------------------------------------------------------------------------
+# The front, files, the terminal
+
+
+def test_front_is_that_of_every_pair_compared():
+    rng = np.random.default_rng(5)
+    for size in (0, 1, 2, 3, 10, 60):
+        for _ in range(30):
+            costs = [tuple(map(float, pair)) for pair in rng.integers(0, 8, (size, 2))]
+            costs = [None if rng.random() < 0.1 else cost for cost in costs]
+            beaten = [
+                cost is None
+                or any(
+                    o is not None and o[0] <= cost[0] and o[1] <= cost[1] and o != cost
+                    for o in costs
+                )
+                for cost in costs
+            ]
+            assert rows.pareto(costs) == [not b for b in beaten]
+
+
+def test_files_keep_the_contract_and_say_the_same(oscillator):
+    folder, printed, told = oscillator
+    header = (folder / "trade.csv").read_text().splitlines()[0]
+    assert header.startswith(CONTRACT + ",")
+    table = read(folder)
+    assert len(table) == 12 and {row["precision"] for row in table} == {"f32", "f64"}
+    whole = json.loads((folder / "trade.json").read_text())
+    assert len(whole["rows"]) == len(table)
+    for row, same in zip(table, whole["rows"], strict=True):
+        assert {name: same[name] for name in row if same[name] != ""} == {
+            name: value for name, value in row.items() if same[name] != ""
+        }
+        assert row["wall_lower"] <= row["wall_seconds"] <= row["wall_upper"]
+        assert row["repeats"] >= 3 and row["status"] == "ok"
+        assert row["error_trajectory_relative"] == pytest.approx(
+            row["error_trajectory"] / whole["environment"]["scale"]
+        )
+    about = whole["environment"]
+    assert about["reference"] == "the closed form" and "DOP853" in about["reference_against"]
+    assert about["reference_apart"] < 1e-10 and about["scene_hash"] == table[0]["scene_hash"]
+    for name in ("taichi ", "numpy ", "scipy ", "python "):
+        assert name in about["versions"]
+    assert about["machine"]["cores"] and about["date"] and about["devices"]
+    # The front of the file is that of every pair compared.
+    costs = [
+        (r["wall_seconds"], max(r["error_trajectory"], about["reference_floor"])) for r in table
+    ]
+    for row, (seconds, error) in zip(table, costs, strict=True):
+        beaten = any(s <= seconds and e <= error and (s, e) != (seconds, error) for s, e in costs)
+        assert row["pareto"] is not beaten
+        assert re.search(rf"●\s+{row['method']}", printed) or not row["pareto"]
+    assert "12 of" not in printed and "of" in told  # progress goes to standard error
+
+
+def test_plots_are_whole_pictures(oscillator):
+    from PIL import Image
+
+    picture = np.asarray(Image.open(oscillator[0] / "trade.png").convert("RGB"), int)
+    assert picture.shape[0] > 600 and picture.shape[1] > 1200 and picture.std() > 15
+    assert (picture[:, [0, -1]] == 255).all() and (picture[[0, -1]] == 255).all()  # nothing cut
+    svg = ElementTree.parse(oscillator[0] / "trade.svg").getroot()
+    assert svg.tag.endswith("svg")
+
+
+def test_a_row_can_be_run_again(oscillator, tmp_path):
+    """Its command gives the state that it was judged by."""
+    row = next(r for r in read(oscillator[0]) if r["precision"] == "f64" and r["substeps"] == 2)
+    words = row["command"].split()[1:]
+    command(*words, "--headless", "--frames", 20, "--save", "a.npz", "--quiet", cwd=tmp_path)
+    with np.load(tmp_path / "a.npz") as saved:
+        x = saved["position"][-1, 1, 0]
+    exact = 250.0 + 50.0 * math.cos(0.1 * 20)
+    assert abs(x - exact) == pytest.approx(row["error_final_max"], rel=1e-9)
+
+
+TEARING = """
+name = "tearing"
+[world]
+size = [100.0, 200.0]
+gravity = [0.0, 0.1]
+[spring]
+stiffness = 0.2
+rest_length = 20.0
+[[particles]]
+position = [50.0, 20.0]
+fixed = true
+[[particles]]
+position = [50.0, 40.0]
+[[springs]]
+between = [0, 1]
+break_force = 0.15
+"""
+
+
+def test_of_a_tearing_scene_it_says_what_broke_and_which_order_survives(tmp_path):
+    (tmp_path / "tearing.toml").write_text(TEARING)
+    chosen = ["--methods", "rk4", "--substeps", "16,256", "--precisions", "f64"]
+    out, _ = command(
+        "trade", "tearing.toml", *chosen, "--dt", 8, "--frames", 3, "--quick", cwd=tmp_path
+    )
+    table = read(tmp_path / "trade-tearing")
+    whole = json.loads((tmp_path / "trade-tearing" / "trade.json").read_text())
+    assert "spring 0 breaks" in whole["environment"]["event"]
+    assert "not smooth" in out and "orders that survive" in out
+    for row in table:
+        assert (row["breaks"], row["breaks_agreeing"], row["first_break_later"]) == (1, 1, 0)
+    # A break is seen at the end of a step: first order, of whatever order the method is.
+    assert 0.5 < table[1]["order"] < 1.5
+
+
+def test_a_setting_that_fails_is_a_row_without_errors(tmp_path):
+    (tmp_path / "stiff.toml").write_text(TEARING.replace("break_force = 0.15", ""))
+    chosen = ["--methods", "symplectic_euler", "--substeps", "1,16", "--precisions", "f64"]
+    arguments = ["trade", "stiff.toml", *chosen, "--dt", 8, "--frames", 60, "--output", "out"]
+    out, _ = command(*arguments, "--quick", cwd=tmp_path)
+    failed, good = read(tmp_path / "out")
+    assert re.match(r"failed: frame \d+, particle 1 runs away", failed["status"])
+    assert failed["error_trajectory"] is failed["wall_seconds"] is None and not failed["pareto"]
+    assert good["status"] == "ok" and good["pareto"]
+    assert "✗" in out and "1 of 2 settings failed" in out
+
+
+def test_an_interrupted_sweep_keeps_what_is_finished(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "taichi_cloth", "trade", "oscillator", "--output", str(tmp_path)]
+        + ["--precisions", "f64"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell that runs the tests in the background would have SIGINT ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    for line in process.stderr:
+        if re.search(r"of \d+: \w+, \d+ substep", line):
+            break
+    process.send_signal(signal.SIGINT)
+    out, error = process.communicate(timeout=60)
+    assert process.returncode == 130 and error.endswith("taichi-cloth: interrupted\n")
+    assert "Traceback" not in error and "are kept" in out
+    table = read(tmp_path)
+    everything = settings.choose(scenes.build("oscillator"), TradeOptions(precisions="f64"))
+    assert 0 < len(table) < len(everything)
+    assert all(row["error_trajectory"] is not None for row in table)
+    assert json.loads((tmp_path / "trade.json").read_text())["environment"]["interrupted"] is True
+
+
+# ------------------------------------------------------------------------------------------
+# Settings
+
+
+def test_default_settings_follow_from_the_claims():
+    scene = scenes.build("chain", stiffness=30.0)
+    frequency = 2 * math.sqrt(30.0) * math.sin(math.pi * 16 / 34)  # of the chain's fastest mode
+    chosen = settings.choose(scene, TradeOptions())
+    assert {s.method for s in chosen} == set(methods.METHODS)
+    for method in methods.METHODS:
+        claims = methods.load(method).CLAIMS
+        counts = sorted({s.substeps for s in chosen if s.method == method})
+        assert len(counts) == settings.DOUBLINGS
+        assert all(b == 2 * a for a, b in itertools.pairwise(counts))
+        limit = claims.stability_limit or 2.0
+        if math.isinf(limit):
+            assert counts[0] == 1
+        else:
+            assert frequency / counts[0] > limit >= frequency / counts[1]
+    quick = settings.choose(scene, TradeOptions(quick=True))
+    assert len(quick) < len(chosen) and {s.method for s in quick} == set(methods.METHODS)
+
+
+def test_no_method_is_named_where_methods_are_compared():
+    folder = Path(settings.__file__).parent
+    text = "".join(path.read_text() for path in folder.glob("*.py"))
+    assert not [name for name in methods.METHODS if re.search(rf"\b{name}\b(?! in)", text)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["trade", "cloth", "--methods", "rk5"], "--methods: unknown 'rk5'; did you mean 'rk4'"),
+        (["trade", "cloth", "--precisions", "f16"], "--precisions: unknown 'f16'"),
+        (["trade", "cloth", "--substeps", "2,x"], "--substeps must be whole numbers"),
+        (["trade", "cloth", "--substeps", "0"], "--substeps must be whole numbers"),
+        (["trade", "cloth", "--methods", "rk4", "--tolerances", "1e-3"], "none of the chosen"),
+        (["trade", "box"], "no particle that can move"),
+        (["trade", "slinky", "--topology", "lanes"], "no regular grid"),
+        (["trade", "nothing"], "unknown scene"),
+        (["trade", "cloth", "--columns", "1000", "--rows", "1000", "--frames", "90"], "at most"),
+        (
+            ["trade", "oscillator", "--archs", "metal" if sys.platform != "darwin" else "cuda"],
+            "usable",
+        ),
+        (["tune", "cloth"], "either --error"),
+        (["tune", "cloth", "--error", "1%", "--frame-time", "1ms"], "either --error"),
+        (["tune", "cloth", "--error", "-1%"], "--error must be"),
+        (["tune", "cloth", "--error", "nan"], "--error must be"),
+        (["tune", "cloth", "--frame-time", "8"], "--frame-time must be a time with its unit"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_one_line(arguments, says, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert says in error and error.count("\n") == 1
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_a_place_that_cannot_be_written_is_refused_first(tmp_path, capsys):
+    (tmp_path / "file").write_text("mine")
+    assert main(["trade", "oscillator", "--output", str(tmp_path / "file")]) == 2
+    assert "cannot be made" in capsys.readouterr().err
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_whoever_measures_is_alone():
+    quiet, seen, working = Quiet(), [], 0
+    lock = threading.Lock()
+
+    def work():
+        nonlocal working
+        for _ in range(20):
+            with quiet.working():
+                with lock:
+                    working += 1
+                time.sleep(0.001)
+                with lock:
+                    working -= 1
+            with quiet.alone():
+                seen.append(working)
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(timeout=30)
+    assert len(seen) == 80 and set(seen) == {0}
+
+
+# ------------------------------------------------------------------------------------------
+# Tuning
+
+
+def made_up(rng, count):
+    """Rows with random errors and times, some of which failed."""
+    made = []
+    for k in range(count):
+        error, seconds = 10 ** rng.uniform(-6, 0), 10 ** rng.uniform(-4, 0)
+        failed = rng.random() < 0.2
+        numbers = {
+            "error_trajectory": 50 * error,
+            "error_trajectory_relative": error,
+            "wall_seconds": seconds,
+            "wall_upper": 1.1 * seconds,
+        }
+        made.append(
+            rows.Row(
+                **vars(Setting("verlet", 1.0, k + 1)),
+                frames=10,
+                **({"status": "failed: frame 1"} if failed else numbers),
+            )
+        )
+    return made
+
+
+def test_tune_chooses_the_cheapest_that_meets_and_the_best_that_fits():
+    rng = np.random.default_rng(2)
+    for _ in range(200):
+        made = made_up(rng, 12)
+        ok = [row for row in made if row.ok]
+        wanted = 10 ** rng.uniform(-7, 0)
+        meeting = [row for row in ok if row.error_trajectory_relative <= wanted]
+        for target in (tune.Target(error=wanted), tune.Target(error=50 * wanted, relative=False)):
+            if meeting:
+                best = tune.choose(made, target)
+                assert best.wall_seconds == min(row.wall_seconds for row in meeting)
+                assert best in meeting
+            else:
+                with pytest.raises(InputError, match="the best is"):
+                    tune.choose(made, target)
+        seconds = 10 ** rng.uniform(-5, -1)
+        fitting = [row for row in ok if row.wall_upper / 10 <= seconds]
+        target = tune.Target(frame_seconds=seconds)
+        if fitting:
+            best = tune.choose(made, target)
+            assert best.error_trajectory == min(row.error_trajectory for row in fitting)
+        else:
+            with pytest.raises(InputError, match="the best is"):
+                tune.choose(made, target)
+
+
+@pytest.mark.parametrize(
+    ("error", "frame_time", "target"),
+    [
+        ("1%", None, tune.Target(error=0.01, relative=True)),
+        ("0.25", None, tune.Target(error=0.25, relative=False)),
+        (None, "8ms", tune.Target(frame_seconds=0.008)),
+        (None, "16.5 us", tune.Target(frame_seconds=16.5e-6)),
+        (None, "1s", tune.Target(frame_seconds=1.0)),
+    ],
+)
+def test_targets_are_read_as_they_are_written(error, frame_time, target):
+    read = tune.read_target(error, frame_time)
+    assert read.relative == target.relative
+    assert read.error == pytest.approx(target.error) if target.error else read.error is None
+    assert read.frame_seconds == pytest.approx(target.frame_seconds or 0) or not frame_time
+
+
+def test_another_start_differs_a_little_and_keeps_what_is_fixed():
+    scene = scenes.build("cloth", columns=5, rows=4)
+    v = np.random.default_rng(0).normal(size=(30, 20, 2))
+    other = tune.kicked(scene, v, seed=1)
+    assert (other.particles.velocity[scene.particles.fixed] == 0).all()
+    kick = np.sqrt((other.particles.velocity[~scene.particles.fixed] ** 2).sum(axis=1).mean())
+    assert kick == pytest.approx(0.1 * math.sqrt(2), rel=0.4)
+    again = tune.kicked(scene, v, seed=2)
+    assert (again.particles.velocity != other.particles.velocity).any()
+
+
+def test_tune_confirms_its_choice_and_prints_the_command_that_uses_it(tmp_path):
+    chosen = ["--methods", "symplectic_euler", "--precisions", "f64", "--substeps", "1,32,512"]
+    out, told = command("tune", "oscillator", *chosen, "--error", "0.5%", "--quick", "--json")
+    found = json.loads(out)
+    assert found["setting"]["substeps"] == 32  # of the errors 1.7, 0.05 and 0.003 %
+    for figures in (found["expected"], found["confirmed"]):
+        assert 0 < figures["error_relative"] <= 0.005 and figures["frame_seconds"] > 0
+    assert found["confirmed"]["held"] is True
+    assert found["confirmed"]["error"] != found["expected"]["error"]
+    words = found["command"].split()
+    assert words[:3] == ["taichi-cloth", "run", "oscillator"]
+    command(*words[1:], "--headless", "--frames", 2, cwd=tmp_path)
