@@ -69,6 +69,12 @@ def notes(result: Result, rows: Sequence[Row]) -> list[str]:
         return said
     said += result.reference.describe(result.horizon)
     said += _orders(result, rows)
+    unknown = [row for row in rows if row.ok and row.error_discretisation is None]
+    if unknown:
+        said.append(
+            f"in {len(unknown)} settings the solver's share is not known: to converge it would "
+            "take too long"
+        )
     unconverged = [row for row in rows if row.unconverged]
     if unconverged:
         said.append(f"in {len(unconverged)} settings the solver missed its tolerance in some steps")

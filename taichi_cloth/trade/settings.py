@@ -17,7 +17,7 @@ ITERATIONS = (1, 4, 16)  # sweeps a step, of methods that take their number
 QUICK_ITERATIONS = (1, 8)
 MOST_SUBSTEPS = 4096
 CONVERGED_TOLERANCE = 1e-13  # relative residual, in f64
-CONVERGED_ITERATIONS = 1000
+CONVERGED_ITERATIONS = 256
 # Scenes with fewer particles run on the graph: lanes compile three times as long for little speed.
 FEW_PARTICLES = 2000
 SERIAL_BEST = 5000  # particles up to which one thread does as well as several

@@ -30,6 +30,9 @@ from taichi_cloth.worker import Worker, WorkerFailed
 TRIAL = "taichi_cloth.trade.trial:Trial"
 EXACT = ("cpu", "f64", False)  # the process of the references
 MAKING = 4  # how much longer compiling a method takes than running a setting, about
+# Particles times steps times sweeps of a converged solver that are worth the wait: half a minute.
+CONVERGED_WORK = 1e9
+SWEEPS_TO_CONVERGE = 50  # of a solver that ends by its tolerance, about
 SAMPLES = 20_000_000  # numbers that the samples of a run may have
 REFUSED = "InputError: "  # how a worker says that
 
@@ -40,7 +43,7 @@ class Plan:
 
     topology, execution, threads: as in `run`, the first two never "auto": to measure which is
     fastest takes longer than all of a sweep. budget: seconds of timing for each setting;
-    patience: seconds for the references.
+    patience: seconds for the references. solver_errors: whether solvers are run converged, too.
     """
 
     topology: str
@@ -48,6 +51,7 @@ class Plan:
     threads: int | None = None
     budget: float = 0.3
     patience: float = 20.0
+    solver_errors: bool = True
 
     def words(self) -> list[str]:
         """The flags of `run` that stand for it."""
@@ -264,9 +268,20 @@ class Sweep:
             of.append(setting)
         for setting in self.settings:
             exact = settings.converged(setting)
-            if exact and exact not in (of := groups[EXACT].setdefault(setting.method, [])):
+            if exact is None or not self.how.solver_errors:
+                continue
+            if self._cost_of(exact) > CONVERGED_WORK:
+                continue
+            of = groups[EXACT].setdefault(setting.method, [])
+            if exact not in of:
                 of.append(exact)
         return groups
+
+    def _cost_of(self, exact: Setting) -> float:
+        """Particles times steps times sweeps."""
+        particles = len(self._courses[0].scene.particles)
+        sweeps = exact.iterations or SWEEPS_TO_CONVERGE
+        return float(particles) * self._asked * exact.substeps * sweeps
 
     # --- in threads ----------------------------------------------------------------------
 

@@ -78,6 +78,7 @@ def main(request: Request) -> int:
 
     target = read_target(request.options.error, request.options.frame_time)
     scene, chosen, how = command.prepare(request)
+    how = replace(how, solver_errors=False)
     with command.measured(request, scene, chosen, how) as result:
         if result.interrupted:
             raise KeyboardInterrupt
