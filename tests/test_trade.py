@@ -331,6 +331,22 @@ def test_a_setting_that_fails_is_a_row_without_errors(tmp_path):
     assert "✗" in out and "1 of 2 settings failed" in out
 
 
+def test_errors_of_the_step_and_of_its_solver_are_kept_apart(tmp_path):
+    """A loose tolerance adds to the error of the step, which stays what it is."""
+    chosen = ["--methods", "implicit_euler", "--substeps", 2, "--precisions", "f64"]
+    chosen += ["--tolerances", "1e-1,1e-7", "--columns", 5, "--rows", 4, "--frames", 20]
+    command("trade", "cloth", *chosen, "--quick", "--output", tmp_path)
+    tight, loose = read(tmp_path)
+    assert tight["tolerance"] == 1e-7 and loose["tolerance"] == 0.1
+    assert tight["error_discretisation"] == loose["error_discretisation"] > 0
+    assert 0 < tight["error_solver"] < 1e-4 * tight["error_discretisation"]
+    assert loose["error_solver"] > 100 * tight["error_solver"]
+    for row in (tight, loose):
+        apart = abs(row["error_trajectory"] - row["error_discretisation"])
+        assert apart <= row["error_solver"] * (1 + 1e-9)
+    assert loose["sweeps"] < tight["sweeps"]
+
+
 def test_an_interrupted_sweep_keeps_what_is_finished(tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-m", "taichi_cloth", "trade", "oscillator", "--output", str(tmp_path)]

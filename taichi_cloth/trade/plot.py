@@ -9,6 +9,7 @@ from taichi_cloth.trade.rows import Row
 from taichi_cloth.trade.sweep import Result
 
 MARKERS = "osD^vP*X"
+LEAST = 1e-17  # what a logarithmic axis shows of an error that is zero
 STYLES = {"f64": "-", "f32": "--", "compensated": ":"}
 
 
@@ -23,7 +24,7 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
     from matplotlib.figure import Figure
     from matplotlib.ticker import EngFormatter
 
-    floor = result.reference.floor(result.horizon) / result.horizon.scale
+    floor = max(result.reference.floor(result.horizon) / result.horizon.scale, LEAST)
     figure = Figure(figsize=(13, 6.5), layout="constrained")
     of_time, of_step = figure.subplots(1, 2, sharey=True)
     looks = _looks(rows)

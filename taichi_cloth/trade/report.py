@@ -36,7 +36,7 @@ def show(result: Result, rows: Sequence[Row], console) -> None:
             line = [FAILED, *_setting(row), _short(row.status)]
             table.add_row(*line, *[""] * (len(headers) - len(line)), style="red")
             continue
-        line = [FRONT if row.pareto else "", *_setting(row), _error(row)]
+        line = [FRONT if row.pareto else "", *_setting(row), _error(row, result)]
         line.append(_percent(row.error_final_max_relative))
         if solves:
             line.append(_number(row.error_solver, _scale(result)))
@@ -114,10 +114,12 @@ def _short(status: str) -> str:
     return status if len(status) <= 60 else status[:57] + "..."
 
 
-def _error(row: Row) -> str:
+def _error(row: Row, result: Result) -> str:
     if row.error_trajectory_relative is None:
         return "not known"
-    return FLOOR * row.below_floor + _percent(row.error_trajectory_relative)
+    if row.below_floor:
+        return FLOOR + _percent(result.reference.floor(result.horizon) / result.horizon.scale)
+    return _percent(row.error_trajectory_relative)
 
 
 def _percent(part: float | None) -> str:
@@ -126,6 +128,8 @@ def _percent(part: float | None) -> str:
         return ""
     if part == 0:
         return "0 %"
+    if part >= 1:
+        return f"{100 * part:.0f} %" if part < 1e4 else f"{100 * part:.0e} %"
     return f"{100 * part:.3g} %" if part >= 1e-5 else f"{100 * part:.1e} %"
 
 
