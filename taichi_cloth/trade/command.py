@@ -188,6 +188,7 @@ def environment(request: Request, result: sweep.Result) -> dict[str, Any]:
         "frames": horizon.frames if horizon else None,
         "frames_asked": horizon.asked if horizon else None,
         "scale": horizon.scale if horizon else None,
+        "scale_is": horizon.what if horizon else None,
         "disturbance_grown": horizon.grown if horizon else None,
         "reference": found.what if found else None,
         "reference_against": found.against if found else None,

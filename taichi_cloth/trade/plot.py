@@ -50,7 +50,7 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
         )  # fmt: skip
     of_time.xaxis.set_major_formatter(EngFormatter(unit="s"))
     of_time.set_xlabel("time a frame")
-    of_time.set_ylabel("trajectory error (RMS, in parts of the largest displacement)")
+    of_time.set_ylabel(f"trajectory error (RMS, in parts of {result.horizon.what.split(',')[0]})")
     of_step.set_xlabel(f"step (the scene's time; a frame is {rows[0].dt:g})")
     frames = result.horizon.frames
     figure.suptitle(

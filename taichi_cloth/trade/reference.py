@@ -35,14 +35,15 @@ TRUST = 10  # times what two references differ by: the least error that they can
 class Horizon:
     """How far runs are compared.
 
-    asked, frames: frames wanted, and those that are compared; scale: the largest displacement of a
-    free particle within them (world units); grown: what a disturbance of `DISTURBANCE` grows to
-    within them, in parts of the scale.
+    asked, frames: frames wanted, and those that are compared; scale: `extent` within them, in world
+    units, and what that is; grown: what a disturbance of `DISTURBANCE` grows to within them, in
+    parts of the scale.
     """
 
     asked: int
     frames: int
     scale: float
+    what: str
     grown: float
 
     def describe(self) -> str:
@@ -130,14 +131,20 @@ def limit_horizon(scene: Scene, run: Samples, other: Samples) -> Horizon:
     """How far to compare, from two runs whose starts differ by `DISTURBANCE` of the largest
     displacement of the first.
     """
-    free = ~scene.particles.fixed
     asked = len(run) - 1
-    apart = rms_by_frame(run, other, free)
-    largest = displacement(run, free)
-    fine = apart <= GROWN * largest
+    apart = rms_by_frame(run, other, ~scene.particles.fixed)
+    fine = apart <= GROWN * extent(scene, run)[0]
     frames = asked if fine.all() else max(int(fine.argmin()) - 1, 1)
-    scale = displacement(run.first(frames), free)
-    return Horizon(asked, frames, scale or 1.0, float(apart[: frames + 1].max() / (scale or 1.0)))
+    scale, what = extent(scene, run.first(frames))
+    return Horizon(asked, frames, scale, what, float(apart[: frames + 1].max() / scale))
+
+
+def extent(scene: Scene, run: Samples) -> tuple[float, str]:
+    """What errors are compared to, and its name: the largest displacement of a free particle."""
+    largest = displacement(run, ~scene.particles.fixed)
+    if largest > 0:
+        return largest, "the largest displacement"
+    return float(np.linalg.norm(scene.world.size)), "the world's diagonal, as nothing moves"
 
 
 def closed_form(request: Request, scene: Scene, times: np.ndarray) -> Samples | None:

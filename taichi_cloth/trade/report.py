@@ -18,7 +18,7 @@ def show(result: Result, rows: Sequence[Row], console) -> None:
 
     frames = result.horizon.frames if result.horizon else 0
     table = Table(
-        title=f"{result.scene.name}: error beside cost over {frames} frames",
+        title=f"{result.scene.name}: error beside cost over {frames} frame{'s' * (frames != 1)}",
         title_justify="left",
         box=box.SIMPLE_HEAD,
         pad_edge=False,
@@ -61,7 +61,7 @@ def notes(result: Result, rows: Sequence[Row]) -> list[str]:
     if result.horizon:
         said.append(
             "error: root mean square distance from the reference, over the free particles and the "
-            f"ends of all frames, in parts of the largest displacement, {result.horizon.scale:.4g}"
+            f"ends of all frames, in parts of {result.horizon.what}: {result.horizon.scale:.4g}"
         )
         said.append(result.horizon.describe())
     if result.reference is None:

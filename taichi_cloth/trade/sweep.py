@@ -365,9 +365,8 @@ class Sweep:
 
         self._ask(worker, trial, "load", scene=self._keep(scene))
         first = run(substeps, self._asked)
-        scale = reference.displacement(first, ~scene.particles.fixed)
-        scale = scale or float(np.linalg.norm(scene.world.size))
-        other = reference.disturbed(scene, reference.DISTURBANCE * scale)
+        size = reference.DISTURBANCE * reference.extent(scene, first)[0]
+        other = reference.disturbed(scene, size)
         self._ask(worker, trial, "load", scene=self._keep(other))
         second = run(substeps, self._asked)
         self._ask(worker, trial, "load", scene=self._keep(scene))
