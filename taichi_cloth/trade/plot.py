@@ -22,7 +22,6 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
 
     matplotlib.use("Agg")
     from matplotlib.figure import Figure
-    from matplotlib.ticker import EngFormatter
 
     floor = max(result.reference.floor(result.horizon) / result.horizon.scale, LEAST)
     figure = Figure(figsize=(13, 6.5), layout="constrained")
@@ -34,8 +33,9 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
     shown = [max(row.error_trajectory_relative, floor) for row in measured]
     top, bottom = 10 * max(shown), min(shown) / 4
     of_time.set(xscale="log", yscale="log", ylim=(bottom, top))
-    of_step.set(xscale="log")
-    _draw_failures(of_time, of_step, rows, looks, top)
+    steps = [row.step for row in rows]
+    of_step.set(xscale="log", xlim=(0.8 * min(steps), 1.25 * max(steps)))
+    _draw_failures(of_time, of_step, rows, looks)
     _draw_front(of_time, rows, floor)
     for axes in (of_time, of_step):
         if floor > bottom:
@@ -48,7 +48,7 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
             0.98, floor, says, fontsize=8, color="0.35", ha="right", va="top",
             transform=of_step.get_yaxis_transform(),
         )  # fmt: skip
-    of_time.xaxis.set_major_formatter(EngFormatter(unit="s"))
+    _label_axes(of_time, of_step, rows)
     of_time.set_xlabel("time a frame")
     of_time.set_ylabel(f"trajectory error (RMS, in parts of {result.horizon.what.split(',')[0]})")
     of_step.set_xlabel(f"step (the scene's time; a frame is {rows[0].dt:g})")
@@ -105,19 +105,41 @@ def _draw_series(of_time, of_step, rows, look, floor):
         )
 
 
-def _draw_failures(of_time, of_step, rows, looks, top):
-    """Crosses at the upper edge: at their step, and at the time that they would have taken."""
+def _draw_failures(of_time, of_step, rows, looks):
+    """Crosses along the upper edge: at their step, and at the time that they would have taken."""
+    at_step: dict[float, int] = {}
+    times = []
     for row in rows:
         if row.ok:
             continue
-        cross = {"marker": "x", "s": 45, "color": looks[row.setting.series]["color"], "zorder": 4}
-        cross |= {"clip_on": False, "linewidths": 1.8}
-        of_step.scatter([row.step], [top], **cross)
+        cross = {"marker": "x", "s": 40, "color": looks[row.setting.series]["color"], "zorder": 4}
+        # One below the other where they would hide each other.
+        rank = at_step[row.step] = at_step.get(row.step, -1) + 1
+        height = 0.985 - 0.025 * (rank % 16)
+        of_step.scatter([row.step], [height], transform=of_step.get_xaxis_transform(), **cross)
         alike = [r for r in rows if r.setting.series == row.setting.series and r.wall_seconds]
         if alike:
             nearest = min(alike, key=lambda r: abs(r.substeps - row.substeps))
             a_frame = nearest.wall_seconds / nearest.frames * row.substeps / nearest.substeps
-            of_time.scatter([a_frame], [top], **cross)
+            of_time.scatter([a_frame], [height], transform=of_time.get_xaxis_transform(), **cross)
+            times.append(a_frame)
+    if times:
+        low, high = of_time.get_xlim()
+        of_time.set_xlim(min(low, 0.8 * min(times)), max(high, 1.2 * max(times)))
+
+
+def _label_axes(of_time, of_step, rows):
+    """Ticks that can be read: times with their unit, and the steps that there are."""
+    from matplotlib.ticker import EngFormatter, FixedLocator, LogLocator, NullFormatter
+
+    of_time.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+    of_time.xaxis.set_major_formatter(EngFormatter(unit="s"))
+    of_time.xaxis.set_minor_formatter(NullFormatter())
+    steps = sorted({row.step for row in rows})
+    steps = steps[:: -(-len(steps) // 12)]
+    of_step.xaxis.set_major_locator(FixedLocator(steps))
+    of_step.xaxis.set_major_formatter(lambda step, _: f"{step:.3g}")
+    of_step.xaxis.set_minor_locator(FixedLocator([]))
 
 
 def _draw_front(axes, rows, floor):

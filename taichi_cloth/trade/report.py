@@ -9,6 +9,7 @@ from taichi_cloth.trade.rows import Row
 from taichi_cloth.trade.sweep import Result
 
 FRONT, FAILED, FLOOR = "●", "✗", "≤"
+MOST_FAILURES = 8  # that are told one by one
 
 
 def show(result: Result, rows: Sequence[Row], console) -> None:
@@ -33,7 +34,7 @@ def show(result: Result, rows: Sequence[Row], console) -> None:
         table.add_column(header, justify="left" if left else "right", no_wrap=header == "method")
     for row in rows:
         if not row.ok:
-            line = [FAILED, *_setting(row), _short(row.status)]
+            line = [FAILED, *_setting(row), row.status.partition(":")[0]]
             table.add_row(*line, *[""] * (len(headers) - len(line)), style="red")
             continue
         line = [FRONT if row.pareto else "", *_setting(row), _error(row, result)]
@@ -49,15 +50,23 @@ def show(result: Result, rows: Sequence[Row], console) -> None:
         table.add_row(*line, style="bold" if row.pareto else None)
     console.print(table)
     for note in notes(result, rows):
-        console.print(f"- {note}", highlight=False, markup=False, soft_wrap=True)
+        console.print(
+            note if note.startswith(" ") else f"- {note}",
+            highlight=False,
+            markup=False,
+            soft_wrap=True,
+        )
 
 
 def notes(result: Result, rows: Sequence[Row]) -> list[str]:
     """What errors are, what they are measured against, and what of it to trust."""
     said = [f"{FRONT} on the Pareto front: nothing else is as good and as cheap"]
-    failed = sum(not row.ok for row in rows)
+    failed = [row for row in rows if not row.ok]
     if failed:
-        said.append(f"{FAILED} {failed} of {len(rows)} settings failed; trade.csv says why")
+        said.append(f"{FAILED} {len(failed)} of {len(rows)} settings failed:")
+        said += [f"  {row.setting.describe()}: {row.status}" for row in failed[:MOST_FAILURES]]
+    if len(failed) > MOST_FAILURES:
+        said.append(f"  and {len(failed) - MOST_FAILURES} more, in trade.csv")
     if result.horizon:
         said.append(
             "error: root mean square distance from the reference, over the free particles and the "
@@ -108,10 +117,6 @@ def _setting(row: Row) -> list[str]:
     arch = "" if row.arch == "cpu" else f"{row.arch} "
     solver = row.setting.describe_solver()
     return [row.method, f"{arch}{row.precision}{exact}", str(row.substeps), solver]
-
-
-def _short(status: str) -> str:
-    return status if len(status) <= 60 else status[:57] + "..."
 
 
 def _error(row: Row, result: Result) -> str:
