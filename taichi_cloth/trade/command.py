@@ -56,6 +56,7 @@ def prepare(request: Request) -> tuple[Scene, list[settings.Setting], sweep.Plan
     from taichi_cloth import runtime
 
     scene = sweep.without_mouse(request.build())
+    reference.check_frames(scene, request.options.frames or 1)
     chosen = settings.choose(scene, request.options)
     how = sweep.plan(scene, request.options)
     archs = {setting.arch for setting in chosen} - {"cpu"}
@@ -94,7 +95,6 @@ def measured(
     is known, if there is one.
     """
     frames = request.options.frames or reference.default_frames(scene)
-    sweep.check_size(scene, frames)
     run = sweep.Sweep(
         [scene],
         chosen,

@@ -28,7 +28,7 @@ class Samples:
     @classmethod
     def read(cls, path: Path | str) -> Samples:
         with np.load(path) as file:
-            return cls(file["x"], file["v"], file["alive"])
+            return cls(*(file[name].astype(np.float64) for name in "xv"), file["alive"])
 
     def first(self, frames: int) -> Samples:
         """Those up to the end of frame number `frames`."""

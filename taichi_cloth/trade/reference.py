@@ -17,6 +17,7 @@ import numpy as np
 
 from taichi_cloth import limits, scenes
 from taichi_cloth.arguments import Request
+from taichi_cloth.errors import InputError
 from taichi_cloth.scene import Scene
 from taichi_cloth.trade import smooth
 from taichi_cloth.trade.measures import Distance, Samples, displacement, distance, rms_by_frame
@@ -27,7 +28,7 @@ GROWN = 1e-7
 FINER = 4  # from one fine run to the next
 RESOLUTION = 16  # steps in 1 / omega of the coarsest of the fine runs
 ENOUGH = 1e-13  # of the scale: finer runs differ by round-off alone
-MOST_FRAMES_TIMES_PARTICLES = 2_000_000  # by default: a second or so a setting
+SAMPLES = 8_000_000  # numbers that the positions of a run may have: they are all kept
 TRUST = 10  # times what two references differ by: the least error that they can measure
 
 
@@ -104,8 +105,31 @@ def default_frames(scene: Scene) -> int:
     depth = max(float(far[np.isfinite(far)].max()), 1.0)
     mass = particles.mass[between].mean()
     period = 4.0 * depth * np.sqrt(mass / springs.stiffness[stiff].mean())
-    most = max(10, min(240, MOST_FRAMES_TIMES_PARTICLES // n))
+    most = min(240, most_frames(scene))
     return int(np.clip(round(period / scene.world.dt), min(30, most), most))
+
+
+def most_frames(scene: Scene) -> int:
+    """Frames of which the states can be kept; raises InputError where there are none."""
+    numbers = len(scene.particles) * scene.world.dim
+    frames = SAMPLES // max(numbers, 1) - 1
+    if frames < 1:
+        raise InputError(
+            f"scene '{scene.name}' has {len(scene.particles)} particles: too many, as the states "
+            f"of all runs are kept (at most {SAMPLES // (2 * scene.world.dim)})"
+        )
+    return frames
+
+
+def check_frames(scene: Scene, frames: int) -> int:
+    """Return `frames` if their states can be kept, else raise InputError."""
+    most = most_frames(scene)
+    if frames > most:
+        raise InputError(
+            f"--frames {frames}: too many for {len(scene.particles)} particles, as the states of "
+            f"all runs are kept; use at most {most}"
+        )
+    return frames
 
 
 def disturbed(scene: Scene, size: float, seed: int = 0) -> Scene:

@@ -33,7 +33,6 @@ MAKING = 4  # how much longer compiling a method takes than running a setting, a
 # Particles times steps times sweeps of a converged solver that are worth the wait: half a minute.
 CONVERGED_WORK = 1e9
 SWEEPS_TO_CONVERGE = 50  # of a solver that ends by its tolerance, about
-SAMPLES = 20_000_000  # numbers that the samples of a run may have
 REFUSED = "InputError: "  # how a worker says that
 
 
@@ -493,17 +492,6 @@ def _refusal(failed: WorkerFailed) -> str:
     if text.startswith(REFUSED):
         return f"refused: {text.removeprefix(REFUSED)}"
     return f"failed: {text}"
-
-
-def check_size(scene: Scene, frames: int) -> None:
-    """Refuse more samples than are kept; raises InputError."""
-    numbers = len(scene.particles) * scene.world.dim
-    if (frames + 1) * numbers > SAMPLES:
-        most = SAMPLES // numbers - 1
-        raise InputError(
-            f"--frames {frames}: too many for {len(scene.particles)} particles, whose states are "
-            f"all kept; use at most --frames {most}"
-        )
 
 
 def without_mouse(scene: Scene) -> Scene:
