@@ -122,7 +122,7 @@ def parameters_of(settings: type) -> dict[str, Parameter]:
 
 
 ARCHS = ("cpu", "gpu", "cuda", "vulkan", "opengl", "metal")
-PRECISIONS = ("f32", "f64")
+PRECISIONS = ("f32", "f64", "compensated")  # the last: f32 with compensated sums
 PATHS = ("serial", "parallel")
 TOPOLOGIES = ("lanes", "graph")
 # What some methods take to solve a step's equations: their defaults. See their `CLAIMS`.
@@ -136,7 +136,11 @@ class RunOptions:
     """Settings of one run."""
 
     arch: str = setting("cpu", "where to compute; gpu is the best there is", choices=ARCHS)
-    precision: str = setting("f32", "floating-point numbers", choices=PRECISIONS)
+    precision: str = setting(
+        "f32",
+        "floating-point numbers; compensated: f32 whose sums keep what rounding takes",
+        choices=PRECISIONS,
+    )
     method: str = setting("symplectic_euler", "time-integration method", metavar="NAME")
     dt: float | str | None = setting(
         None,

@@ -28,12 +28,25 @@ NEEDS = {  # what a backend that is not usable would need
 
 @dataclass(frozen=True)
 class Device:
-    """What a run computes on. threads: CPU worker threads (1 on other backends)."""
+    """What a run computes on. threads: CPU worker threads (1 on other backends).
+
+    precision: f32, f64, or compensated, which is f32 with compensated sums (`kernels/sums.py`).
+    """
 
     arch: str
     precision: str
     threads: int
     fast_math: bool
+
+    @property
+    def real(self) -> str:
+        """The type of its numbers: f32 or f64."""
+        return _real(self.precision)
+
+    @property
+    def compensated(self) -> bool:
+        """Whether positions and velocities keep what rounding takes from their sums."""
+        return self.precision == "compensated"
 
     def describe(self) -> str:
         threads = f", {self.threads} thread{'s' * (self.threads > 1)}" if self.arch == "cpu" else ""
@@ -113,10 +126,11 @@ def start(
     """Start Taichi on the backend `arch` ("gpu": the best there is) and say what it got.
 
     threads: CPU worker threads, all cores when absent. fast_math: by default on in f32 and off
-    in f64, the reference precision. Fields of an earlier start are gone.
+    in f64, the reference precision, and in compensated sums, which it would undo. Fields of an
+    earlier start are gone.
 
-    Raises InputError where the backend or precision is unknown or not usable here; it is never
-    replaced by another one.
+    Raises InputError where the backend or precision is unknown or not usable here (it is never
+    replaced by another one), and for compensated sums with fast_math.
     """
     if arch not in ARCHS:
         raise InputError(f"--arch {arch}: unknown backend; {nearest(arch, ARCHS)}")
@@ -127,6 +141,11 @@ def start(
     threads = threads or available_cores()
     if fast_math is None:
         fast_math = precision == "f32"
+    if fast_math and precision == "compensated":
+        raise InputError(
+            "--fast-math: --precision compensated excludes it, which may drop what the sums keep; "
+            "give one of them"
+        )
     if arch == "gpu":
         usable = usable_backends()
         arch = next((name for name in GPU_ORDER if usable[name] is None), None)
@@ -142,6 +161,11 @@ def start(
     global _device
     _device = Device(arch, precision, threads if arch == "cpu" else 1, fast_math)
     return _device
+
+
+def _real(precision: str) -> str:
+    """The type of numbers that a precision computes in."""
+    return "f64" if precision == "f64" else "f32"
 
 
 def _import_taichi():
@@ -163,7 +187,7 @@ def _initialize(arch: str, precision: str, threads: int, fast_math: bool) -> boo
     with _silence():
         ti.init(
             arch=getattr(ti, arch),
-            default_fp=getattr(ti, precision),
+            default_fp=getattr(ti, _real(precision)),
             cpu_max_num_threads=threads,
             fast_math=fast_math,
             # LLVM does the same again: without it kernels are as fast, and compile in a third of

@@ -87,8 +87,8 @@ class Simulation:
         self.claims = self._module.CLAIMS
         self.solver = _solver_settings(method, self.claims, tolerance, iterations)
         self._follower = Follower(method, self._module, dt) if follows else None
-        self._real = getattr(ti, device.precision)
-        self._numpy_real = np.float64 if device.precision == "f64" else np.float32
+        self._real = getattr(ti, device.real)
+        self._numpy_real = np.float64 if device.real == "f64" else np.float32
         self._requested = topology, execution
         most = min(LANES, getattr(self._module, "LANES", LANES))
         self._lanes = lanes or (most if device.arch == "cpu" else 1)
@@ -317,11 +317,11 @@ class Simulation:
 
     def positions(self) -> np.ndarray:
         """Positions, (n, dim)."""
-        return self._read(self._state.x)
+        return self._read_with_low("x")
 
     def velocities(self) -> np.ndarray:
         """Velocities, (n, dim)."""
-        return self._read(self._state.v)
+        return self._read_with_low("v")
 
     def radii(self) -> np.ndarray:
         """Radii, (n,)."""
@@ -467,6 +467,7 @@ class Simulation:
             lanes=self._layout.lanes,
             links=self._layout.links,
             alike=self._layout.alike and not features["fracture"],
+            compensated=current_device().compensated,
             threads=current_device().threads,
             spread=True,
         )
@@ -535,7 +536,10 @@ class Simulation:
         with np.errstate(all="ignore"):
             w = np.where(p.fixed, 0.0, 1.0 / p.mass)
         v = np.where(p.fixed[:, None], 0.0, v)  # a fixed particle never moves
-        rows = self._as_real("particle", x, v, w, p.radius, p.restitution, p.viscous)
+        columns = [x, v, w, p.radius, p.restitution, p.viscous]
+        if self._spread_plan.compensated:
+            columns += [self._low(x), self._low(v)]
+        rows = self._as_real("particle", *columns)
         vanished = (w > 0) & (rows[:, 2 * x.shape[1]] == 0)
         if vanished.any():
             self._refuse_size("particle", vanished.argmax())
@@ -554,6 +558,12 @@ class Simulation:
         )
         rows = rows.astype(self._numpy_real)
         transfer.load_near(self._spread_plan, self._state, self._layout.site, rows)
+
+    def _low(self, values):
+        """What the device's precision cannot hold of values."""
+        with np.errstate(all="ignore"):
+            low = values - values.astype(self._numpy_real)
+        return np.where(np.isfinite(low), low, 0.0)  # `values` themselves are refused
 
     def _as_real(self, what, *columns):
         """Columns side by side in the device's precision; InputError where one does not fit."""
@@ -639,6 +649,13 @@ class Simulation:
         if len(out):
             transfer.read_vectors(self._spread_plan, self._state, of, out)
         return out.astype(np.float64)
+
+    def _read_with_low(self, name):
+        """Positions or velocities, with their low parts where they have any."""
+        value = self._read(getattr(self._state, name))
+        if self._plan.compensated:
+            value += self._read(getattr(self._state, f"{name}_low"))
+        return value
 
     def _read_fracture(self):
         """Status and break step of every spring, (s, 2) int32."""

@@ -22,6 +22,7 @@ from taichi_cloth.kernels.lanes import (
     with_component,
     zeros,
 )
+from taichi_cloth.kernels.sums import forget_low
 
 
 @ti.func
@@ -231,4 +232,6 @@ def kept_above_floor(plan: ti.template(), state: ti.template(), c, x, v, new_x, 
         if largest(plan, sinks) > 0.0:
             y = ti.select(sinks > 0.0, state.high[1] - radius, component(new_x, 1))
             kept = with_component(new_x, 1, y)
+            if ti.static(plan.compensated):
+                forget_low(plan, state, c, 1, sinks)
     return kept

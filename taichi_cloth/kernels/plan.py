@@ -13,6 +13,7 @@ class Plan:
     lanes: particles in a cell (`lanes.py`); 1 on a graph and on GPUs.
     links: (columns, rows) offsets of the grid's links to later particles; empty on a graph.
     alike: whether the rows of grids, but the last ones, have the same links, none of which breaks.
+    compensated: whether positions and velocities have low parts (`sums.py`).
     threads, spread: how loops are run (`loops.py`).
     """
 
@@ -30,6 +31,7 @@ class Plan:
     lanes: int = 1
     links: tuple[tuple[int, int], ...] = ()
     alike: bool = False
+    compensated: bool = False
     threads: int = 1
     spread: bool = False
 

@@ -26,6 +26,7 @@ from taichi_cloth.kernels.lanes import (
     zeros,
 )
 from taichi_cloth.kernels.loops import PIECE, barrier, each, renew_halos, share
+from taichi_cloth.kernels.sums import apart
 
 
 @ti.func
@@ -99,7 +100,7 @@ def force_between(
     plan: ti.template(), state: ti.template(), value: ti.template(), i, j, k, rest, c
 ):
     """Force of a spring, with its dashpot, on i."""
-    d = value(plan, state.x, j) - value(plan, state.x, i)
+    d = apart(plan, state, value, i, j)
     length = laws.length(d)
     along = laws.unit(d, length)
     tension = laws.spring_tension(length, k, rest)

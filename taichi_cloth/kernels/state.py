@@ -43,6 +43,7 @@ class State:
         w: inverse mass (0 = fixed); radius, restitution (walls or collisions), viscous (drag),
         0-D where all particles share them; push (blow): force of the pointer, held for a frame;
         good_x, good_v: the state at the start of the frame under way, the last good one;
+        x_low, v_low, good_x_low, good_v_low (compensated): what sums lost to rounding;
         particle: index of the particle there; site: where particle i is.
     Springs on the graph, in both directions, as compressed rows: the p-th particle that has any
         is near[p], its half-springs are near_row[p] .. near_row[p+1], each with its far end, and
@@ -63,11 +64,12 @@ class State:
     Solvers (`phases.py`): phase: the one that comes next; tolerance, iterations: settings; work:
         counts since the host last asked, FORCES, SWEEPS, UNCONVERGED; near_k, near_c: sums of the
         stiffness and damping of a particle's springs (needs "near").
+        one (compensated): 1, which compilers do not know (`sums.py`).
     """
 
     def __init__(self, plan, real, capacity, method=None):
-        """Allocate. real: ti.f32 or ti.f64; method: the module of a method, whose VECTORS, HALOED,
-        SUMS, SCALARS, COUNTS and NEEDS get room.
+        """Allocate. real: ti.f32 or ti.f64; method: the module of a method, whose VECTORS,
+        LOW_VECTORS, HALOED, SUMS, SCALARS, COUNTS and NEEDS get room.
         """
         vectors, haloed = getattr(method, "VECTORS", ()), getattr(method, "HALOED", ())
         needs = getattr(method, "NEEDS", ())
@@ -96,6 +98,10 @@ class State:
         # Cells first, so that they lie at multiples of their size, as vectors are best read.
         self.x, self.v, self.a = cell_vectors(), cell_vectors(), cell_vectors()
         self.good_x, self.good_v = cell_vectors(), cell_vectors()
+        if plan.compensated:
+            self.x_low, self.v_low = cell_vectors(), cell_vectors()
+            self.good_x_low, self.good_v_low = cell_vectors(), cell_vectors()
+            vectors = (*vectors, *getattr(method, "LOW_VECTORS", ()))
         for name in vectors:
             setattr(self, name, cell_vectors())
         self.w = cell_numbers()
@@ -104,6 +110,8 @@ class State:
         self.haloed += tuple(getattr(self, name) for name in haloed)
         if "near" in needs:
             self.near_k, self.near_c = cell_numbers(), cell_numbers()
+        if plan.compensated:
+            self.haloed = (*self.haloed, self.x_low)
         particle_numbers = scalars if plan.uniform_particles else cell_numbers
         if plan.drag:
             self.viscous = particle_numbers()
@@ -136,6 +144,8 @@ class State:
             setattr(self, name, scalars())
         for name in getattr(method, "COUNTS", ()):
             setattr(self, name, counts())
+        if plan.compensated:
+            self.one = scalars()
         self.grid = counts(max(capacity.grids, 1), 4)
         if plan.blow:
             self.pushing = counts()

@@ -33,6 +33,8 @@ def load_numbers(
         state.iterations[None] = counts[1]
         state.speed_limit[None] = numbers[1]
         state.tolerance[None] = numbers[3]
+        if ti.static(plan.compensated):
+            state.one[None] = 1.0
         if ti.static(plan.collisions):
             state.cell_size[None] = numbers[2]
         for axis in ti.static(range(dim)):
@@ -87,7 +89,10 @@ def load_particles(
     sites: ti.types.ndarray(),
     rows: ti.types.ndarray(),
 ):
-    """Fill the particles from `rows` (n, 2*dim + 4): x, v, w, radius, restitution, viscous."""
+    """Fill the particles from `rows` (n, 2*dim + 4): x, v, w, radius, restitution, viscous.
+
+    Then, in compensated sums, the low parts of x and v: rows (n, 4*dim + 4).
+    """
     dim = ti.static(plan.dim)
     for i in range(rows.shape[0]):
         site = sites[i]
@@ -105,6 +110,12 @@ def load_particles(
             set_site_number(plan, state.restitution, site, rows[i, 2 * dim + 2])
         if ti.static(plan.drag):
             set_site_number(plan, state.viscous, site, rows[i, 2 * dim + 3])
+        if ti.static(plan.compensated):
+            for axis in ti.static(range(dim)):
+                x[axis] = rows[i, 2 * dim + 4 + axis]
+                v[axis] = rows[i, 3 * dim + 4 + axis]
+            set_site_value(plan, state.x_low, site, x)
+            set_site_value(plan, state.v_low, site, v)
     if ti.static(plan.halo > 0):
         each_cell_moving(plan, state, 0, _leave_cell)
 

@@ -40,6 +40,9 @@ def keep(plan: ti.template(), state: ti.template(), t):
 def _keep_cell(plan: ti.template(), state: ti.template(), c):
     write(plan, state.good_x, c, read(plan, state.x, c))
     write(plan, state.good_v, c, read(plan, state.v, c))
+    if ti.static(plan.compensated):
+        write(plan, state.good_x_low, c, read(plan, state.x_low, c))
+        write(plan, state.good_v_low, c, read(plan, state.v_low, c))
 
 
 @ti.func
@@ -105,3 +108,6 @@ def put_back(plan: ti.template(), state: ti.template()):
 def _put_back_cell(plan: ti.template(), state: ti.template(), c):
     write(plan, state.x, c, read(plan, state.good_x, c))
     write(plan, state.v, c, read(plan, state.good_v, c))
+    if ti.static(plan.compensated):
+        write(plan, state.x_low, c, read(plan, state.good_x_low, c))
+        write(plan, state.v_low, c, read(plan, state.good_v_low, c))

@@ -10,6 +10,7 @@ from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, vel
 from taichi_cloth.kernels.forces import accelerate_then
 from taichi_cloth.kernels.lanes import read
 from taichi_cloth.kernels.methods.claims import Claims
+from taichi_cloth.kernels.sums import moved, sped_up
 from taichi_cloth.kernels.watch import store
 
 CLAIMS = Claims(order=1, symplectic=False, implicit=False, stability_limit=0.0)
@@ -23,8 +24,10 @@ def stability_function(z):
 @ti.func
 def move(plan: ti.template(), state: ti.template(), c, a):
     dt, x, v = state.dt[None], read(plan, state.x, c), read(plan, state.v, c)
-    new_v = v + dt * a + velocity_jump(plan, state, c, x, v)
-    new_x = kept_above_floor(plan, state, c, x, v, x + dt * v, new_v)
+    jump = velocity_jump(plan, state, c, x, v)
+    new_v = sped_up(plan, state, c, sped_up(plan, state, c, v, dt * a), jump)
+    new_x = moved(plan, state, c, x, dt * v)
+    new_x = kept_above_floor(plan, state, c, x, v, new_x, new_v)
     store(plan, state, c, new_x, new_v)
 
 

@@ -11,6 +11,7 @@ from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, vel
 from taichi_cloth.kernels.forces import accelerate_then
 from taichi_cloth.kernels.lanes import read, write
 from taichi_cloth.kernels.methods.claims import Claims
+from taichi_cloth.kernels.sums import moved, sped_up
 from taichi_cloth.kernels.watch import store
 
 CLAIMS = Claims(order=4, symplectic=False, implicit=False, stability_limit=8.0**0.5, forces=4)
@@ -23,6 +24,7 @@ def stability_function(z):
 
 # The state at the step's start; sums of the slopes of position and velocity.
 VECTORS = ("start_x", "start_v", "sum_v", "sum_a")
+LOW_VECTORS = ("start_x_low", "start_v_low")
 
 
 @ti.func
@@ -38,17 +40,26 @@ def move(plan: ti.template(), state: ti.template(), c, a):
         weight = ti.select(stage < 3, 2.0, 1.0)
         sum_v = read(plan, state.sum_v, c) + weight * v
         sum_a = read(plan, state.sum_a, c) + weight * a
+    if ti.static(plan.compensated):  # each stage starts from the low parts of the step's start
+        if stage == 0:
+            write(plan, state.start_x_low, c, read(plan, state.x_low, c))
+            write(plan, state.start_v_low, c, read(plan, state.v_low, c))
+        else:
+            write(plan, state.x_low, c, read(plan, state.start_x_low, c))
+            write(plan, state.v_low, c, read(plan, state.start_v_low, c))
     start_x, start_v = read(plan, state.start_x, c), read(plan, state.start_v, c)
     if stage < 3:
         write(plan, state.sum_v, c, sum_v)
         write(plan, state.sum_a, c, sum_a)
         ahead = ti.select(stage < 2, 0.5, 1.0) * dt
-        write(plan, state.x, c, start_x + ahead * v)
-        write(plan, state.v, c, start_v + ahead * a)
+        write(plan, state.x, c, moved(plan, state, c, start_x, ahead * v))
+        write(plan, state.v, c, sped_up(plan, state, c, start_v, ahead * a))
     else:
         jump = velocity_jump(plan, state, c, start_x, start_v)
-        new_v = start_v + (dt / 6.0) * sum_a + jump
-        new_x = start_x + (dt / 6.0) * sum_v + dt * jump
+        new_v = sped_up(plan, state, c, start_v, (dt / 6.0) * sum_a)
+        new_v = sped_up(plan, state, c, new_v, jump)
+        new_x = moved(plan, state, c, start_x, (dt / 6.0) * sum_v)
+        new_x = moved(plan, state, c, new_x, dt * jump)
         new_x = kept_above_floor(plan, state, c, start_x, start_v, new_x, new_v)
         store(plan, state, c, new_x, new_v)
 

@@ -16,6 +16,7 @@ from taichi_cloth.kernels.forces import accelerate_then, compute_acceleration
 from taichi_cloth.kernels.lanes import read, write
 from taichi_cloth.kernels.loops import each_cell_moving
 from taichi_cloth.kernels.methods.claims import Claims
+from taichi_cloth.kernels.sums import moved, sped_up
 from taichi_cloth.kernels.watch import store
 
 CLAIMS = Claims(order=2, symplectic=True, implicit=False, stability_limit=2.0)
@@ -41,8 +42,10 @@ def begin(plan: ti.template(), state: ti.template(), t):
 def drift(plan: ti.template(), state: ti.template(), c):
     dt, a = state.dt[None], read(plan, state.a, c)
     x, v = read(plan, state.x, c), read(plan, state.v, c)
-    half_v = v + velocity_jump(plan, state, c, x, v) + 0.5 * dt * a
-    new_x = kept_above_floor(plan, state, c, x, v, x + dt * half_v, half_v)
+    jump = velocity_jump(plan, state, c, x, v)
+    half_v = sped_up(plan, state, c, sped_up(plan, state, c, v, jump), 0.5 * dt * a)
+    new_x = moved(plan, state, c, x, dt * half_v)
+    new_x = kept_above_floor(plan, state, c, x, v, new_x, half_v)
     write(plan, state.half_v, c, half_v)
     write(plan, state.x, c, new_x)
     write(plan, state.v, c, half_v + 0.5 * dt * a)
@@ -51,7 +54,8 @@ def drift(plan: ti.template(), state: ti.template(), c):
 @ti.func
 def kick(plan: ti.template(), state: ti.template(), c, a):
     write(plan, state.a, c, a)
-    v = read(plan, state.half_v, c) + 0.5 * state.dt[None] * a
+    half_v = read(plan, state.half_v, c)
+    v = sped_up(plan, state, c, half_v, 0.5 * state.dt[None] * a)
     store(plan, state, c, read(plan, state.x, c), v)
 
 
