@@ -5,9 +5,10 @@ a ti.func that advances the state by state.dt[None], as thread t of those that s
 `begin(plan, state, t)`, where it has one, comes before its first step, and after every change of
 the state from outside: forces that it keeps from step to step are computed there.
 `VECTORS` names what it must remember of each particle: state.<name>, fields of cells; those in
-`HALOED` are read by neighbours, those in `LOW_VECTORS` are there in compensated sums only. `SCALARS` and `COUNTS` name 0-D fields of real and whole numbers,
-`SUMS` counts its sums over all particles (`loops.add_up`). What it needs of the host beside the
-state is in `NEEDS`: "near" for state.near_k and state.near_c.
+`HALOED` are read by neighbours, those in `LOW_VECTORS` are there in compensated sums only.
+`SCALARS` and `COUNTS` name 0-D fields of real and whole numbers, `SUMS` counts its sums over all
+particles (`loops.add_up`). What it needs of the host beside the state is in `NEEDS`: "near" for
+state.near_k and state.near_c.
 
 A method whose rounds are not known beforehand has, instead of `step`, `PHASES`: a step is then
 `PHASES[0]`, and whatever phases `go_to` leads to, until it leads to DONE (`kernels/phases.py`);
