@@ -24,8 +24,8 @@ introduction to the conjugate gradient method without the agonizing pain", 1994,
 
 A stage has converged when its largest residual is at most state.tolerance times the largest
 acceleration that it began with (gravity at least), or is as small as rounding leaves it. Otherwise
-it ends after MOST_DIRECTIONS, after MOST_STALLS that brought nothing, or where numbers are no longer
-finite, and state.work counts its step as unconverged.
+it ends after MOST_DIRECTIONS, after MOST_STALLS that brought nothing, or where numbers are no
+longer finite, and state.work counts its step as unconverged.
 """
 
 import functools
