@@ -91,11 +91,50 @@ def _reach(springs: Springs, site) -> float:
     return float(np.abs(a - b).mean()) if len(a) else 0.0
 
 
-def on_grids(springs: Springs, particle_count: int, lanes: int) -> Layout | None:
+def any_period(halo: int) -> int:
+    """For `on_grids`: strips may be as wide as they like."""
+    return 1
+
+
+def spring_period(halo: int) -> int:
+    """Columns after which colours of links repeat (`spring_colours`): for `on_grids`.
+
+    halo: the most columns that a link reaches.
+    """
+    return 2 * max(halo, 1)
+
+
+def spring_colours(springs: Springs, grids: Layout | None, particle_count: int) -> np.ndarray:
+    """Colours (s,) of all springs; those of one colour share no particle (`kernels/colours.py`).
+
+    Links of a kind take turns: by as many rows as they reach down, or columns where they stay in
+    their row. So the colours of kind k are 2k and 2k + 1; the springs on the graph have those that
+    follow. grids: the layout on grids, if there is one, of any number of lanes.
+    """
+    colour = np.zeros(len(springs), np.int64)
+    linked = np.zeros(len(springs), bool)
+    kinds = 0
+    if grids is not None:
+        linked, kinds = grids.kind >= 0, len(grids.links)
+        owner, kind = grids.owner[linked], grids.kind[linked]
+        cell, lane = np.divmod(owner, grids.lanes)
+        first, _, width, _ = grids.grid[grids.grid_of[cell]].T
+        halo = max(abs(c) for c, _ in grids.links) if grids.lanes > 1 else 0
+        row, place = np.divmod(cell - first, width + 2 * halo)
+        columns, down = np.array(grids.links)[kind].T
+        across = (lane * width + place) // np.maximum(np.abs(columns), 1)
+        turn = np.where(down > 0, row // np.maximum(down, 1), across)
+        colour[linked] = 2 * kind + turn % 2
+    colour[~linked] = 2 * kinds + topology.edge_colours(springs.between[~linked], particle_count)
+    return colour
+
+
+def on_grids(springs: Springs, particle_count: int, lanes: int, period=any_period) -> Layout | None:
     """Regular grids in cells of `lanes`, what else there is besides; None without a grid.
 
     A spring that differs from the others of its kind in its grid, in more than its stiffness,
-    stays on the graph.
+    stays on the graph. Strips are a multiple of `period` wide, a function of the most columns that
+    a link reaches.
     """
     grids = topology.find_grids(springs.between, particle_count)
     if not grids:
@@ -124,6 +163,8 @@ def on_grids(springs: Springs, particle_count: int, lanes: int) -> Layout | None
     cell, lane = np.zeros((2, particle_count), np.int64)
     for g, of in enumerate(grids):
         width = max(-(-of.columns // lanes), halo, 1)
+        if lanes > 1:
+            width = -(-width // period(halo)) * period(halo)
         pitch = width + 2 * halo
         first = next_cell + depth * pitch + halo
         table.append([first, of.rows, width, 1])

@@ -84,6 +84,7 @@ class Simulation:
         self.method, self.dt, self.substeps = method, dt, substeps
         device = current_device()
         self._module = methods.load(method)
+        self._needs = getattr(self._module, "NEEDS", ())
         self.claims = self._module.CLAIMS
         self.solver = _solver_settings(method, self.claims, tolerance, iterations)
         self._follower = Follower(method, self._module, dt) if follows else None
@@ -412,6 +413,7 @@ class Simulation:
         kind, owner = self._layout.kind[self._links], self._layout.owner[self._links]
         self._link_places = np.column_stack([kind, owner]).astype(np.int32)
         self._drawn_springs = None
+        self._on_graph, self._colours = self._sorted_springs()
         self._make_room(topology)
         self._plan = self._plan_for(path)
         self._load_numbers()
@@ -439,11 +441,22 @@ class Simulation:
             # Collisions add up in the order of the particles, which is then that of memory too.
             position = None if self.scene.world.collisions else self._particles.position
             return layout.on_graph(self._springs, position, self.particle_count)
-        return layout.on_grids(self._springs, self.particle_count, self._lanes)
+        period = layout.spring_period if "spring_colours" in self._needs else layout.any_period
+        return layout.on_grids(self._springs, self.particle_count, self._lanes, period)
 
-    def _springs_on_graph(self):
-        """Which springs no grid holds, (s,) bool."""
-        return self._layout.kind < 0
+    def _sorted_springs(self):
+        """The springs that no grid holds, in the order in which the device has them: (numbers,
+        colours); those of one colour together where the method wants it.
+        """
+        springs = np.flatnonzero(self._layout.kind < 0)
+        if "spring_colours" not in self._needs:
+            return springs, np.zeros(len(springs), np.int64)
+        grids = self._lay_out("lanes")
+        colour = layout.spring_colours(self._springs, grids, self.particle_count)[springs]
+        # In the order of memory within a colour.
+        near = self._layout.site[self._springs.between[springs]].min(axis=1)
+        order = np.lexsort((near, colour))
+        return springs[order], colour[order]
 
     def _plan_for(self, path):
         """What to compile for a path: its threads, or loops that Taichi spreads."""
@@ -461,7 +474,7 @@ class Simulation:
         """
         features = dict(vars(self._features()))
         spawns = self.scene.world.mouse == "spawn"
-        features["springs"] &= spawns or bool(self._springs_on_graph().any())
+        features["springs"] &= spawns or len(self._on_graph) > 0
         self._spread_plan = plan = Plan(
             **features,
             lanes=self._layout.lanes,
@@ -473,7 +486,7 @@ class Simulation:
         )
         needed = Capacity(
             particles=self.particle_count,
-            springs=int(self._springs_on_graph().sum()),
+            springs=len(self._on_graph),
             cells=self._layout.n_cells,
             grids=len(self._layout.grid),
             row=self._layout.row,
@@ -544,8 +557,10 @@ class Simulation:
         if vanished.any():
             self._refuse_size("particle", vanished.argmax())
         transfer.load_particles(self._spread_plan, self._state, layout.site, rows)
-        if "near" in getattr(self._module, "NEEDS", ()):
+        if "near" in self._needs:
             self._load_near()
+        if self._plan.halo and "spring_colours" in self._needs:
+            transfer.load_halo_numbers(self._spread_plan, self._state)
 
     def _load_near(self):
         """Sums of the stiffness and damping of each particle's springs."""
@@ -582,8 +597,8 @@ class Simulation:
 
     def _load_springs(self):
         """The springs that are on the graph, as rows of half-springs."""
-        on_graph, site = self._springs_on_graph(), self._layout.site
-        springs, marks = self._springs.of(on_graph), self._fracture[on_graph]
+        site = self._layout.site
+        springs, marks = self._springs.of(self._on_graph), self._fracture[self._on_graph]
         sites = self._layout.n_cells * self._layout.lanes
         half = topology.half_springs(site[springs.between], sites)
         near, row = np.arange(sites), half.row
@@ -595,7 +610,9 @@ class Simulation:
         break_length2 = layout.break_length2(springs).astype(self._numpy_real)
         if self._plan.uniform_springs:
             numbers, break_length2 = numbers[:1], break_length2[:1]
-        else:
+        if "spring_colours" in self._needs:
+            self._load_colours(site[springs.between], numbers)
+        if not self._plan.uniform_springs:
             numbers = numbers[half.spring]
         transfer.load_half_springs(
             self._state,
@@ -617,6 +634,20 @@ class Simulation:
                 _not_empty(indices),
                 _not_empty(break_length2),
             )
+
+    def _load_colours(self, ends, numbers):
+        """The same springs one by one, by colour."""
+        # Colours of which there are none are left out.
+        start = np.flatnonzero(np.diff(self._colours, prepend=-1))
+        start = np.append(start, len(ends)).astype(np.int32)
+        transfer.load_colours(
+            self._spread_plan,
+            self._state,
+            len(start) - 1,
+            start,
+            _not_empty(ends),
+            _not_empty(numbers),
+        )
 
     def _load_links(self):
         """The springs that are links of grids."""
@@ -662,11 +693,10 @@ class Simulation:
         if not self._plan.fracture or self.spring_count == 0:
             return self._fracture
         out = self._fracture.copy()
-        on_graph = np.flatnonzero(self._springs_on_graph())
-        if len(on_graph):
-            part = np.zeros((len(on_graph), 2), np.int32)
+        if len(self._on_graph):
+            part = np.zeros((len(self._on_graph), 2), np.int32)
             transfer.read_fracture(self._state, part)
-            out[on_graph] = part
+            out[self._on_graph] = part
         if self._plan.links:
             part = np.zeros((len(self._links), 2), np.int32)
             transfer.read_link_fracture(self._spread_plan, self._state, self._link_places, part)

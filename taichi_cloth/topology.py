@@ -42,6 +42,23 @@ def half_springs(between: np.ndarray, particle_count: int) -> HalfSprings:
     )
 
 
+def edge_colours(between: np.ndarray, particle_count: int) -> np.ndarray:
+    """A colour for each of the springs `between` (s, 2), so that no two at a particle share one.
+
+    Each gets the first that is free at both ends, so there are fewer than twice as many as the most
+    springs at a particle. A particle's colours are the bits of a number, which has no largest size.
+    """
+    colour = np.empty(len(between), np.int64)
+    used = [0] * particle_count
+    for s, (a, b) in enumerate(between.tolist()):
+        taken = used[a] | used[b]
+        free = ~taken & (taken + 1)
+        colour[s] = free.bit_length() - 1
+        used[a] |= free
+        used[b] |= free
+    return colour
+
+
 def z_order(position: np.ndarray) -> np.ndarray:
     """Numbers of the particles at `position` (n, dim) along a Z-order curve: near ones together.
 

@@ -273,3 +273,22 @@ def renew_right_halo(plan: ti.template(), of: ti.template(), first, width, reach
         a = read(plan, of, first + h)
         rows = [[a[i, lane] for lane in range(1, plan.lanes)] + [0.0] for i in range(plan.dim)]
         write(plan, of, first + width + h, ti.Matrix(rows))
+
+
+@ti.func
+def return_left_halo(plan: ti.template(), of: ti.template(), first, width, reach):
+    """The other way: what was changed in the left halo goes to where its particles are."""
+    for h in range(1, reach + 1):
+        a, b = read(plan, of, first - h), read(plan, of, first + width - h)
+        last = ti.static(plan.lanes - 1)
+        rows = [[a[i, lane + 1] for lane in range(last)] + [b[i, last]] for i in range(plan.dim)]
+        write(plan, of, first + width - h, ti.Matrix(rows))
+
+
+@ti.func
+def return_right_halo(plan: ti.template(), of: ti.template(), first, width, reach):
+    """The same of the right halo."""
+    for h in range(reach):
+        a, b = read(plan, of, first + width + h), read(plan, of, first + h)
+        rows = [[b[i, 0]] + [a[i, lane] for lane in range(plan.lanes - 1)] for i in range(plan.dim)]
+        write(plan, of, first + h, ti.Matrix(rows))

@@ -41,8 +41,14 @@ def spring_stiffness_product(d, along, length, k, rest, least):
     the nearest matrix without negative ones (Choi, Ko, "Stable but responsive cloth", 2002). Where
     both ends coincide, and there is no axis, it is k in every direction.
     """
-    across = k * ti.max(1.0 - rest * ti.select(length > 0.0, 1.0 / length, 0.0 * length), least)
+    across = spring_stiffness_across(length, k, rest, least)
     return scaled(across, d) + scaled((k - across) * dot(along, d), along)
+
+
+@ti.func
+def spring_stiffness_across(length, k, rest, least):
+    """The spring's stiffness across its axis, at least `least` times k."""
+    return k * ti.max(1.0 - rest * ti.select(length > 0.0, 1.0 / length, 0.0 * length), least)
 
 
 @ti.func
@@ -58,6 +64,12 @@ def dashpot_tension(dv, along, c):
 def drag_force(v, viscous):
     """Viscous (Stokes) drag on one particle."""
     return scaled(-1.0 * viscous, v)
+
+
+@ti.func
+def drag_factor(w, viscous, dt):
+    """What is left of a change of velocity in a step of dt where drag acts on the new velocity."""
+    return 1.0 / (1.0 + dt * w * viscous)
 
 
 @ti.func

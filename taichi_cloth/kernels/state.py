@@ -65,6 +65,9 @@ class State:
         counts since the host last asked, FORCES, SWEEPS, UNCONVERGED; near_k, near_c: sums of the
         stiffness and damping of a particle's springs (needs "near").
         one (compensated): 1, which compilers do not know (`sums.py`).
+    Colours of springs on the graph (needs "spring_colours"; `colours.py`): those of colour k are
+        colour_start[k] .. colour_start[k+1], each with its ends, spring_k, spring_rest, spring_c.
+        impulse, link_impulse: a vector for each spring, for each link.
     """
 
     def __init__(self, plan, real, capacity, method=None):
@@ -112,6 +115,11 @@ class State:
             self.near_k, self.near_c = cell_numbers(), cell_numbers()
         if plan.compensated:
             self.haloed = (*self.haloed, self.x_low)
+        coloured = "spring_colours" in needs
+        if coloured and plan.links:
+            self.link_impulse = cell_vectors(kinds * m)
+        if coloured and plan.springs:
+            self.impulse = _placed(reals, ti.Vector.field(dim, real), s)
         particle_numbers = scalars if plan.uniform_particles else cell_numbers
         if plan.drag:
             self.viscous = particle_numbers()
@@ -167,9 +175,17 @@ class State:
             self.k, self.rest = scalars(*each), scalars(*each)
             if plan.dashpots:
                 self.c = scalars(*each)
+            if plan.fracture or coloured:
+                self.ends = counts(s, 2)
+            if coloured:
+                self.n_colours, self.colour_start = counts(), counts(s + 1)
+                own = () if plan.uniform_springs else (s,)
+                self.spring_k, self.spring_rest = scalars(*own), scalars(*own)
+                if plan.dashpots:
+                    self.spring_c = scalars(*own)
             if plan.fracture:
                 self.n_springs = counts()
-                self.ends, self.half = counts(s, 2), counts(s, 2)
+                self.half = counts(s, 2)
                 self.break_length2 = scalars(*([] if plan.uniform_springs else [s]))
                 self.status, self.break_step = counts(s), counts(s)
         if plan.collisions:

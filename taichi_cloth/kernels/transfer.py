@@ -4,6 +4,7 @@ import taichi as ti
 
 from taichi_cloth.kernels.lanes import (
     of_kind,
+    pitch_of,
     set_site_number,
     set_site_value,
     site_number,
@@ -136,6 +137,58 @@ def load_near(
     for i in range(rows.shape[0]):
         set_site_number(plan, state.near_k, sites[i], rows[i, 0])
         set_site_number(plan, state.near_c, sites[i], rows[i, 1])
+
+
+@ti.kernel
+def load_halo_numbers(plan: ti.template(), state: ti.template()):
+    """Fill the halos of inverse masses and drag, for methods that read those of neighbours."""
+    for g in range(state.n_grids[None]):
+        first, width = state.grid[g, 0], state.grid[g, 2]
+        for r in range(state.grid[g, 1]):
+            row = first + r * pitch_of(plan, state, g)
+            for h in range(plan.halo):
+                for lane in range(plan.lanes - 1):
+                    right, left = row + width + h, row - 1 - h
+                    _copy_numbers(plan, state, row + h, lane + 1, right, lane)
+                    _copy_numbers(plan, state, row + width - 1 - h, lane, left, lane + 1)
+
+
+@ti.func
+def _copy_numbers(plan: ti.template(), state: ti.template(), c, lane, to, to_lane):
+    here, there = c * plan.lanes + lane, to * plan.lanes + to_lane
+    set_site_number(plan, state.w, there, site_number(plan, state.w, here))
+    if ti.static(plan.drag and not plan.uniform_particles):
+        set_site_number(plan, state.viscous, there, site_number(plan, state.viscous, here))
+
+
+@ti.kernel
+def load_colours(
+    plan: ti.template(),
+    state: ti.template(),
+    colours: ti.i32,
+    start: ti.types.ndarray(),
+    ends: ti.types.ndarray(),
+    numbers: ti.types.ndarray(),
+):
+    """Fill the springs on the graph by colour: start (colours + 1,), ends (s, 2); numbers, rows of
+    k, rest and c: (s, 3), or (1, 3) where all springs have the same.
+    """
+    for _ in range(1):
+        state.n_colours[None] = colours
+    for k in range(colours + 1):
+        state.colour_start[k] = start[k]
+    for s in range(start[colours]):
+        for end in ti.static(range(2)):
+            state.ends[s, end] = ends[s, end]
+    for s in range(numbers.shape[0]):
+        if ti.static(plan.uniform_springs):
+            state.spring_k[None], state.spring_rest[None] = numbers[s, 0], numbers[s, 1]
+            if ti.static(plan.dashpots):
+                state.spring_c[None] = numbers[s, 2]
+        else:
+            state.spring_k[s], state.spring_rest[s] = numbers[s, 0], numbers[s, 1]
+            if ti.static(plan.dashpots):
+                state.spring_c[s] = numbers[s, 2]
 
 
 @ti.kernel
