@@ -61,13 +61,14 @@ DISCRETE |= {
     "implicit_euler": _rational([1], [1, -1]),
     "implicit_midpoint": _rational([1, 0.5], [1, -0.5]),
     "tr_bdf2": _tr_bdf2,
+    "xpbd": _rational([1], [1, -1]),
 }
 
 
 def precisely(method):
     """Settings with which a method that solves for its step leaves nothing but rounding."""
     settings = methods.load(method).CLAIMS.settings
-    return {name: {"tolerance": 1e-15, "iterations": 1000}[name] for name in settings}
+    return {name: {"tolerance": 1e-15, "iterations": 10}[name] for name in settings}
 
 
 @pytest.mark.parametrize("method", methods.METHODS)
