@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_topologies import (
     LINKS,
-    SIDES,
     assert_same,
     cloth,
     edits,
@@ -107,40 +106,43 @@ def test_a_spring_of_no_length_has_no_direction_and_pulls_nowhere(method, device
 @sweeping
 def test_many_sweeps_end_at_the_solution_of_backward_euler(method, device):
     scene = cloth(7, 6, LINKS[:2], 3, damping=0.05, drag=0.1, speed=1.0)
-    how = {"dt": 1.0, "execution": "serial", "topology": "graph"}
-    exact = Simulation(scene, "implicit_euler", tolerance=1e-13, **how)
-    exact.advance(3)
+    how = {"execution": "serial", "topology": "graph"}
+    exact = Simulation(scene, "implicit_euler", 2.0, tolerance=1e-13, **how)
+    exact.advance()
     assert exact.work().unconverged == 0
     goal, moved = exact.positions(), np.abs(exact.positions() - scene.particles.position).max()
-    sim, errors = Simulation(scene, method, **how), []
-    for sim.solver["iterations"] in (1, 4, 16, 64, 256):
-        sim.reset()
-        sim.advance(3)
+    errors = []
+    for sweeps in (1, 4, 16, 64, 256):
+        sim = Simulation(scene, method, 2.0, iterations=sweeps, **how)
+        sim.advance()
+        assert sim.work().sweeps == sweeps
         errors.append(np.abs(sim.positions() - goal).max() / moved)
-    assert all(b < 0.5 * a for a, b in zip(errors[:-1], errors[1:], strict=True)), errors
+    assert errors[0] > 0.1
+    assert all(b < max(0.3 * a, 1e-11) for a, b in zip(errors[:-1], errors[1:], strict=True)), (
+        errors
+    )
     assert errors[-1] < 1e-8
-    assert sim.work().sweeps == 3 * 256
 
 
 @sweeping
 def test_the_number_of_sweeps_does_not_change_the_material(method, device):
-    """A cloth hangs equally long, and as long as its springs' statics say, after 1 sweep or many.
+    """A cloth that hangs is stretched as statics say, after 1 sweep a step or many.
 
-    Top links carry all rows below them: the sum of m*g*(rows below) / k is the stretch.
+    Links of a row carry all rows below: together m*g*(4 + 3 + 2 + 1)/k. What is missing after few
+    sweeps vanishes with the step; at this one it is below half a hundredth.
     """
     scene = build("cloth", columns=4, rows=5).with_world(mouse="none", walls=())
     scene.particles.viscous[:] = 1.0
-    fixed = np.zeros(20, bool)
-    fixed[:4] = True
-    scene.particles.fixed[:] = fixed
-    sim = Simulation(scene, method, dt=2.0, execution="serial", topology="graph")
-    stiffness, mass = scene.springs.stiffness[0], scene.particles.mass[0]
-    stretch = mass * scene.world.gravity[1] * (4 + 3 + 2 + 1) / stiffness
-    bottom = scene.particles.position[:4, 1] + 4 * scene.springs.rest_length[0] + stretch
-    for sim.solver["iterations"] in (1, 4, 16):
-        sim.reset()
-        sim.advance(3000)
-        np.testing.assert_allclose(sim.positions()[16:, 1], bottom, rtol=1e-9)
+    scene.particles.fixed[:4] = True
+    stretch = scene.particles.mass[0] * scene.world.gravity[1] * 10 / scene.springs.stiffness[0]
+    slack = scene.particles.position[:4, 1] + 4 * scene.springs.rest_length[0]
+    for sweeps in (1, 4, 16):
+        how = {"iterations": sweeps, "execution": "serial", "topology": "graph"}
+        sim = Simulation(scene, method, 0.1, **how)
+        sim.advance(20_000)
+        assert np.abs(sim.velocities()).max() < 1e-9
+        hanging = sim.positions()[16:, 1] - slack
+        np.testing.assert_allclose(hanging, stretch, rtol=5e-3 if sweeps == 1 else 1e-6)
 
 
 @sweeping

@@ -119,7 +119,7 @@ class State:
         if coloured and plan.links:
             self.link_impulse = cell_vectors(kinds * m)
         if coloured and plan.springs:
-            self.impulse = _placed(reals, ti.Vector.field(dim, real), s)
+            self.impulse = scalars(s, dim)
         particle_numbers = scalars if plan.uniform_particles else cell_numbers
         if plan.drag:
             self.viscous = particle_numbers()

@@ -143,13 +143,15 @@ def project_spring(plan: ti.template(), state: ti.template(), s):
     i, j = state.ends[s, 0], state.ends[s, 1]
     p = ti.Vector.zero(state.real, plan.dim)
     if state.sweep[None] > 0:
-        p = state.impulse[s]
+        for axis in ti.static(range(plan.dim)):
+            p[axis] = state.impulse[s, axis]
     v, far_v = site_value(plan, state.v, i), site_value(plan, state.v, j)
     w, far_w = mobility(plan, state, site_number, i), mobility(plan, state, site_number, j)
     d = site_value(plan, state.x, j) - site_value(plan, state.x, i)
     change = impulse_change(plan, state.dt[None], d, far_v - v, w + far_w, k, rest, damping, p)
     if state.sweep[None] + 1 < state.iterations[None]:
-        state.impulse[s] = p + change
+        for axis in ti.static(range(plan.dim)):
+            state.impulse[s, axis] = p[axis] + change[axis]
     set_site_value(plan, state.v, i, v + w * change)
     set_site_value(plan, state.v, j, far_v - far_w * change)
 
