@@ -1,12 +1,12 @@
 """Implicit stages: Newton's method, each direction by preconditioned conjugate gradients.
 
 A stage of every implicit method is backward Euler over a time tau from (start_x, start_v): it looks
-for the velocity u with
+for what the velocity gains, with
 
-    residual = a(start_x + tau*u, u) - (u - start_v)/tau = 0,
+    residual = a(start_x + tau*v, v) - gain/tau = 0, where v = start_v + gain,
 
-an acceleration for each particle. The iterate is kept in state.v and state.x = start_x + tau*u, so
-that forces are those of `forces.py`. A direction p solves A p = tau*M*residual with
+an acceleration for each particle. The iterate's v and x are kept in state.v and state.x, so that
+forces are those of `forces.py`. A direction p solves A p = tau*M*residual with
 
     A = M + tau*(drag + dashpots) + tau^2*K,
 
@@ -50,11 +50,16 @@ from taichi_cloth.kernels.loops import add_up, barrier, each, each_cell_moving, 
 from taichi_cloth.kernels.phases import DONE, set_alone
 from taichi_cloth.kernels.springs import accumulate, force_between
 from taichi_cloth.kernels.state import FORCES, SWEEPS, UNCONVERGED
+from taichi_cloth.kernels.sums import moved
 from taichi_cloth.kernels.watch import is_finite
 
-# old_x, old_v: the state at the step's start; change: a Newton direction, built up by conjugate
-# gradients from residual, direction and its product with A.
-VECTORS = ("old_x", "old_v", "start_x", "start_v", "change", "residual", "direction", "product")
+# old_x, old_v: the state at the step's start; gain: the iterate's; change: a Newton direction,
+# built up by conjugate gradients from residual, direction and its product with A.
+VECTORS = (
+    *("old_x", "old_v", "start_x", "start_v", "gain"),
+    *("change", "residual", "direction", "product"),
+)
+LOW_VECTORS = ("old_x_low", "start_x_low")
 HALOED = ("direction",)
 NEEDS = ("near",)
 SCALARS = (
@@ -96,8 +101,8 @@ ONLY_EVALUATE = -1  # stage: the acceleration of the iterate is wanted, as its r
 def phases(begin, finish):
     """The phases of a method's step.
 
-    begin(plan, state, t) sets tau, old_x, old_v, start_x, start_v and the first iterate (`set_tau`,
-    `start`), and ends with `begin_stage`. finish(plan, state, t) takes each stage's solution, to
+    begin(plan, state, t) sets tau and the start of the first stage (`set_tau`, `start`), and ends
+    with `begin_stage`. finish(plan, state, t) takes each stage's solution, to
     which state.stage is the key, and ends with `end_stage`.
     """
     return begin, evaluate, direct, iterate, move, finish
@@ -112,22 +117,54 @@ def set_tau(plan: ti.template(), state: ti.template(), t, tau):
 
 
 @ti.func
-def iterate_from(plan: ti.template(), state: ti.template(), c, v):
-    """Make v the iterate's velocity in cell c, after start_x is set."""
+def keep_start(plan: ti.template(), state: ti.template(), c):
+    """In cell c, keep the state at the step's start."""
+    write(plan, state.old_x, c, read(plan, state.x, c))
+    write(plan, state.old_v, c, read(plan, state.v, c))
+    if ti.static(plan.compensated):
+        write(plan, state.old_x_low, c, read(plan, state.x_low, c))
+
+
+@ti.func
+def start_from(plan: ti.template(), state: ti.template(), c, change, v):
+    """In cell c, start a stage `change` away from the step's start with the velocities v, which
+    are the first iterate's, too.
+    """
+    x = moved_from_old(plan, state, c, change)
+    write(plan, state.start_x, c, x)
+    write(plan, state.start_v, c, v)
+    if ti.static(plan.compensated):
+        write(plan, state.start_x_low, c, read(plan, state.x_low, c))
+    iterate_from(plan, state, c, 0.0 * v)
+
+
+@ti.func
+def moved_from_old(plan: ti.template(), state: ti.template(), c, change):
+    """Cell c's positions at the step's start, changed."""
+    if ti.static(plan.compensated):
+        write(plan, state.x_low, c, read(plan, state.old_x_low, c))
+    return moved(plan, state, c, read(plan, state.old_x, c), change)
+
+
+@ti.func
+def iterate_from(plan: ti.template(), state: ti.template(), c, gain):
+    """Make `gain` what the velocities of cell c gain in the iterate."""
+    write(plan, state.gain, c, gain)
+    v = read(plan, state.start_v, c) + gain
     write(plan, state.v, c, v)
-    write(plan, state.x, c, read(plan, state.start_x, c) + state.tau[None] * v)
+    if ti.static(plan.compensated):
+        write(plan, state.x_low, c, read(plan, state.start_x_low, c))
+    write(
+        plan, state.x, c, moved(plan, state, c, read(plan, state.start_x, c), state.tau[None] * v)
+    )
 
 
 @ti.func
 def start(plan: ti.template(), state: ti.template(), c):
-    """In cell c, start a stage from the step's start, with contacts; the first iterate coasts."""
+    """In cell c, start a stage from the step's start, with contacts."""
+    keep_start(plan, state, c)
     x, v = read(plan, state.x, c), read(plan, state.v, c)
-    write(plan, state.old_x, c, x)
-    write(plan, state.old_v, c, v)
-    start_v = v + velocity_jump(plan, state, c, x, v)
-    write(plan, state.start_x, c, x)
-    write(plan, state.start_v, c, start_v)
-    iterate_from(plan, state, c, start_v)
+    start_from(plan, state, c, 0.0 * v, v + velocity_jump(plan, state, c, x, v))
 
 
 @ti.func
@@ -181,8 +218,7 @@ def evaluate(plan: ti.template(), state: ti.template(), t):
 @ti.func
 def _store_residual(plan: ti.template(), state: ti.template(), c, f):
     a = acceleration(plan, state, c, f)
-    v, start_v = read(plan, state.v, c), read(plan, state.start_v, c)
-    residual = a - (1.0 / state.tau[None]) * (v - start_v)
+    residual = a - (1.0 / state.tau[None]) * read(plan, state.gain, c)
     w = read(plan, state.w, c)
     write(plan, state.residual, c, where_positive(w, residual, 0.0 * residual))
 
@@ -196,12 +232,10 @@ def _residual_more(plan: ti.template(), state: ti.template(), site, f):
 
 @ti.func
 def _rounding_of(plan: ti.template(), state: ti.template(), c):
-    """What rounding of positions, over all springs, and of velocities leaves of a residual."""
-    w = read(plan, state.w, c)
-    x, v = _largest_component(plan, state.x, c), _largest_component(plan, state.v, c)
-    stiff = w * read(plan, state.near_k, c)
-    loose = (1.0 / state.tau[None]) * v
-    return ti.select(w > 0.0, stiff * x + loose, 0.0 * w)
+    """What rounding of positions, over all springs, and of the gain leaves of a residual."""
+    w, x = read(plan, state.w, c), _largest_component(plan, state.x, c)
+    gain = (1.0 / state.tau[None]) * _largest_component(plan, state.gain, c)
+    return ti.select(w > 0.0, w * read(plan, state.near_k, c) * x + gain, 0.0 * w)
 
 
 @ti.func
@@ -386,7 +420,7 @@ def move(plan: ti.template(), state: ti.template(), t):
 @ti.func
 def _move_cell(plan: ti.template(), state: ti.template(), c):
     change = read(plan, state.change, c)
-    iterate_from(plan, state, c, read(plan, state.v, c) + state.go[None] * change)
+    iterate_from(plan, state, c, read(plan, state.gain, c) + state.go[None] * change)
 
 
 @ti.func

@@ -10,10 +10,11 @@ import math
 import taichi as ti
 
 from taichi_cloth.kernels import newton
-from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor
+from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
 from taichi_cloth.kernels.lanes import read
 from taichi_cloth.kernels.loops import each_cell_moving
 from taichi_cloth.kernels.methods.claims import Claims
+from taichi_cloth.kernels.sums import sped_up
 from taichi_cloth.kernels.watch import store
 
 CLAIMS = Claims(
@@ -25,7 +26,7 @@ CLAIMS = Claims(
     settings=("tolerance",),
 )
 LANES, LAUNCHES, NEEDS = newton.LANES, newton.LAUNCHES, newton.NEEDS
-VECTORS, HALOED = newton.VECTORS, newton.HALOED
+VECTORS, LOW_VECTORS, HALOED = newton.VECTORS, newton.LOW_VECTORS, newton.HALOED
 SCALARS, COUNTS, SUMS = newton.SCALARS, newton.COUNTS, newton.SUMS
 
 
@@ -46,7 +47,9 @@ def finish(plan: ti.template(), state: ti.template(), t):
 @ti.func
 def move(plan: ti.template(), state: ti.template(), c):
     x, v = read(plan, state.old_x, c), read(plan, state.old_v, c)
-    new_x, new_v = read(plan, state.x, c), read(plan, state.v, c)
+    new_v = sped_up(plan, state, c, v, velocity_jump(plan, state, c, x, v))
+    new_v = sped_up(plan, state, c, new_v, read(plan, state.gain, c))
+    new_x = newton.moved_from_old(plan, state, c, state.dt[None] * new_v)
     store(plan, state, c, kept_above_floor(plan, state, c, x, v, new_x, new_v), new_v)
 
 

@@ -17,6 +17,7 @@ from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, vel
 from taichi_cloth.kernels.lanes import read, write
 from taichi_cloth.kernels.loops import each_cell_moving
 from taichi_cloth.kernels.methods.claims import Claims
+from taichi_cloth.kernels.sums import sped_up
 from taichi_cloth.kernels.watch import store
 
 CLAIMS = Claims(
@@ -28,13 +29,15 @@ CLAIMS = Claims(
     settings=("tolerance",),
 )
 LANES, LAUNCHES, NEEDS = newton.LANES, newton.LAUNCHES, newton.NEEDS
-VECTORS, HALOED = newton.VECTORS, newton.HALOED
+# What the first stage gains, and how far the second one starts from the step's start.
+VECTORS = (*newton.VECTORS, "first", "way")
+LOW_VECTORS, HALOED = newton.LOW_VECTORS, newton.HALOED
 SCALARS, COUNTS, SUMS = newton.SCALARS, newton.COUNTS, newton.SUMS
 
 PART = 2.0 - math.sqrt(2.0)  # of the step that the trapezoidal rule takes
 TAU = PART / 2.0  # of both stages
-# The state from which the second stage starts: x_n, and what the first one reached.
-FROM_OLD, FROM_FIRST = -((1.0 - PART) ** 2) / (PART * (2.0 - PART)), 1.0 / (PART * (2.0 - PART))
+# How far the second stage starts from the step's start: this much of where the first one came to.
+FROM_FIRST = 1.0 / (PART * (2.0 - PART))
 TRAPEZOIDAL, BACKWARD = 0, 1  # stages
 
 
@@ -49,10 +52,9 @@ def begin_step(plan: ti.template(), state: ti.template(), t):
 
 @ti.func
 def stay(plan: ti.template(), state: ti.template(), c):
-    x, v = read(plan, state.x, c), read(plan, state.v, c)
-    write(plan, state.old_x, c, x)
-    write(plan, state.old_v, c, v)
-    write(plan, state.start_v, c, v)  # so that the residual is the acceleration
+    newton.keep_start(plan, state, c)
+    v = read(plan, state.v, c)
+    write(plan, state.gain, c, 0.0 * v)  # so that the residual is the acceleration
 
 
 @ti.func
@@ -64,22 +66,25 @@ def finish(plan: ti.template(), state: ti.template(), t):
 @ti.func
 def go_on(plan: ti.template(), state: ti.template(), c):
     """From one stage to the next, and from the last one to the new state."""
-    dt, stage = state.dt[None], state.stage[None]
-    old_x, old_v = read(plan, state.old_x, c), read(plan, state.old_v, c)
-    x, v = read(plan, state.x, c), read(plan, state.v, c)
-    jump = velocity_jump(plan, state, c, old_x, old_v)
+    tau, stage = TAU * state.dt[None], state.stage[None]
+    x, v = read(plan, state.old_x, c), read(plan, state.old_v, c)
+    jump, gain = velocity_jump(plan, state, c, x, v), read(plan, state.gain, c)
+    old_v = v + jump
     if stage == newton.ONLY_EVALUATE:
-        start_v = old_v + jump + (TAU * dt) * read(plan, state.residual, c)
-        write(plan, state.start_x, c, old_x + (TAU * dt) * (old_v + jump))
-        write(plan, state.start_v, c, start_v)
-        newton.iterate_from(plan, state, c, start_v)
+        first = tau * read(plan, state.residual, c)
+        write(plan, state.first, c, first)
+        newton.start_from(plan, state, c, tau * old_v, old_v + first)
     elif stage == TRAPEZOIDAL:
-        start_v = FROM_FIRST * v + FROM_OLD * (old_v + jump)
-        write(plan, state.start_x, c, FROM_FIRST * x + FROM_OLD * old_x)
-        write(plan, state.start_v, c, start_v)
-        newton.iterate_from(plan, state, c, v)
+        first = FROM_FIRST * (read(plan, state.first, c) + gain)
+        write(plan, state.first, c, first)
+        way = (FROM_FIRST * tau) * (old_v + read(plan, state.v, c))
+        write(plan, state.way, c, way)
+        newton.start_from(plan, state, c, way, old_v + first)
     else:
-        store(plan, state, c, kept_above_floor(plan, state, c, old_x, old_v, x, v), v)
+        new_v = sped_up(plan, state, c, v, jump)
+        new_v = sped_up(plan, state, c, new_v, read(plan, state.first, c) + gain)
+        new_x = newton.moved_from_old(plan, state, c, read(plan, state.way, c) + tau * new_v)
+        store(plan, state, c, kept_above_floor(plan, state, c, x, v, new_x, new_v), new_v)
 
 
 PHASES = newton.phases(begin_step, finish)
