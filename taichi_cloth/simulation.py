@@ -72,14 +72,10 @@ class Simulation:
     ):
         if method not in methods.METHODS:
             raise InputError(f"--method {method}: unknown; {nearest(method, methods.METHODS)}")
-        if substeps < 1:
-            raise InputError(f"--substeps {substeps}: must be at least 1")
         follows = dt == "auto"
         if follows and substeps != 1:
             raise InputError("--substeps: --dt auto chooses them; give one of the two")
-        dt = scene.world.dt if dt is None or follows else float(dt)
-        if not (math.isfinite(dt) and dt > 0):
-            raise InputError(f"--dt {dt}: must be a positive number")
+        dt, substeps = _checked_step(scene.world.dt if dt is None or follows else dt, substeps)
         self.scene = validate(scene)
         self.method, self.dt, self.substeps = method, dt, substeps
         device = current_device()
@@ -96,7 +92,25 @@ class Simulation:
         self._drawn = np.zeros((0, 0))
         self._layouts = {}  # by topology, until something is spawned or reset
         self.topology = self.execution = self._pace = None
-        self.speed_limit = RUNAWAY_CROSSINGS * float(np.linalg.norm(scene.world.size)) / dt
+        self.speed_limit = _runaway_speed(scene, dt)
+        self.reset()
+
+    def load_scene(self, scene: Scene, dt: float | None = None, substeps: int = 1) -> None:
+        """Take another scene, from its start; method, settings, topology and execution stay.
+
+        Nothing is compiled anew for a scene that fits: of the same dimension, walls, collisions and
+        grids, without features, particles or springs beyond those there were. What it lacks of
+        these features stays compiled, without effect.
+        dt, substeps: as in the constructor, but chosen by the simulation with dt "auto".
+        """
+        if self.follows and not (dt is None and substeps == 1):
+            raise InputError("--dt auto chooses the step; it cannot be set")
+        dt, substeps = _checked_step(scene.world.dt if dt is None else dt, substeps)
+        self.scene = validate(scene)
+        self.dt, self.substeps = dt, substeps
+        if self.follows:
+            self._follower = Follower(self.method, self._module, dt)
+        self.speed_limit = _runaway_speed(scene, dt)
         self.reset()
 
     # --- advancing -------------------------------------------------------------------------
@@ -185,13 +199,9 @@ class Simulation:
         """
         if self.follows:
             raise InputError("--dt auto chooses the step; it cannot be set")
-        dt = self.dt if dt is None else float(dt)
+        dt = self.dt if dt is None else dt
         substeps = self.substeps if substeps is None else substeps
-        if not (math.isfinite(dt) and dt > 0):
-            raise InputError(f"--dt {dt}: must be a positive number")
-        if substeps < 1:
-            raise InputError(f"--substeps {substeps}: must be at least 1")
-        self._change_step(dt, substeps)
+        self._change_step(*_checked_step(dt, substeps))
 
     def _change_step(self, dt, substeps):
         self._since = self.frame, self.time, self.steps
@@ -494,9 +504,12 @@ class Simulation:
         state = getattr(self, "_state", None)
         factor = 1
         if state is not None:
-            if (plan, topology) == self._stored and state.capacity.holds(needed):
+            stored, of = self._stored
+            same = of == topology and stored.covers(plan)
+            if same and state.capacity.holds(needed):
+                self._spread_plan = stored
                 return
-            factor = 2 if (plan, topology) == self._stored else 1
+            factor = 2 if same else 1
             self._free()
         room = SPAWN_CAPACITY if self.scene.world.mouse == "spawn" else 0
         self._stored = plan, topology
@@ -660,7 +673,7 @@ class Simulation:
         transfer.load_links(self._spread_plan, self._state, numbers, links, stiffness)
 
     def _check_blows(self):
-        if not self._plan.blow:
+        if self.scene.world.mouse != "blow":
             raise InputError(
                 f"scene '{self.scene.name}': the mouse does not blow here "
                 f"([world] mouse is '{self.scene.world.mouse}'; set it to 'blow')"
@@ -760,6 +773,20 @@ class Simulation:
             f"{self.method} (set by the springs at particle {bounds.particle})",
             f"{needed}, a smaller --dt, or softer springs",
         )
+
+
+def _checked_step(dt, substeps):
+    """(dt, substeps), if there can be such steps; else InputError."""
+    dt = float(dt)
+    if not (math.isfinite(dt) and dt > 0):
+        raise InputError(f"--dt {dt}: must be a positive number")
+    if substeps < 1:
+        raise InputError(f"--substeps {substeps}: must be at least 1")
+    return dt, substeps
+
+
+def _runaway_speed(scene, dt):
+    return RUNAWAY_CROSSINGS * float(np.linalg.norm(scene.world.size)) / dt
 
 
 def _solver_settings(method, claims, tolerance, iterations):

@@ -2,6 +2,7 @@
 
 import gc
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -42,9 +43,33 @@ def pulled(way):
 
 def started(sim, scene):
     """The simulation at the start of another scene with the same features and size."""
-    sim.scene = scene
-    sim.reset()
+    sim.load_scene(scene)
     return sim
+
+
+def test_another_scene_runs_as_in_a_simulation_of_its_own(way):
+    """One with fewer features, particles and springs needs no new fields, and no new kernels."""
+    cloth = build("cloth", columns=6, rows=5).with_world(mouse="none")
+    drop = replace(cloth, particles=Particles.build([[200.0, 20.0]], [[3.0, 0.0]]))
+    scenes = [build("cloth", columns=5, rows=4).with_world(mouse="none")]
+    if way["topology"] == "graph":  # there is no grid in a drop
+        scenes.append(replace(drop, springs=Springs.none()))
+    sim = Simulation(cloth.with_world(mouse="blow"), **way)
+    sim.advance(3)
+    state = sim._state
+    for scene in scenes:
+        sim.load_scene(scene, 0.5, 3)
+        own = Simulation(scene, dt=0.5, substeps=3, **way)
+        for one in (sim, own):
+            one.advance(20)
+        np.testing.assert_array_equal(sim.positions(), own.positions())
+        np.testing.assert_array_equal(sim.velocities(), own.velocities())
+        assert (sim.time, sim.work(), sim.speed_limit) == (own.time, own.work(), own.speed_limit)
+        assert sim._state is state
+        with pytest.raises(InputError, match="the mouse does not blow here"):
+            sim.blow([0.0, 0.0], [1.0, 0.0])
+    sim.load_scene(build("box"))  # of another dimension
+    assert sim._state is not state
 
 
 def test_a_spring_over_its_limit_pulls_once_more_and_is_gone(pulled):

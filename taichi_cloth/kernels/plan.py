@@ -35,6 +35,21 @@ class Plan:
     threads: int = 1
     spread: bool = False
 
+    def covers(self, other: "Plan") -> bool:
+        """Whether kernels of this plan run what needs `other`.
+
+        They do where they lack nothing, and where what they have besides is without effect.
+        """
+        mine, theirs = vars(self), vars(other)
+        wider = ("springs", "fracture", "dashpots", "drag", "blow")
+        closer = ("uniform_springs", "uniform_particles", "alike")  # what a plan relies on
+        alike = all(mine[name] == theirs[name] for name in mine.keys() - {*wider, *closer})
+        return (
+            alike
+            and all(mine[name] or not theirs[name] for name in wider)
+            and all(theirs[name] or not mine[name] for name in closer)
+        )
+
     @property
     def kinds(self) -> int:
         """How many kinds of link there are."""
