@@ -343,9 +343,8 @@ def _stiffness_map(scene, row, runs, mesh, maps, tell):
 
     if len(scene.springs):
         drawn = Map(row.method, "stiffness")
-        factors, steps = np.logspace(-2, 2, mesh.columns), np.logspace(-1.25, 1.25, mesh.steps)
         maps.append(drawn)
-        _draw_map(drawn, factors, row.limit.dt * steps, changed, runs, mesh.look, tell)
+        _draw_map(drawn, np.logspace(-2, 2, mesh.columns), mesh, changed, runs, tell)
 
 
 def _mass_map(scene, row, runs, mesh, maps, tell):
@@ -358,23 +357,24 @@ def _mass_map(scene, row, runs, mesh, maps, tell):
         return replace(scene, particles=replace(scene.particles, mass=mass))
 
     drawn = Map(row.method, "mass")
-    factors, steps = np.logspace(-3, 3, mesh.columns), np.logspace(-2.1, 0.6, mesh.steps)
     maps.append(drawn)
-    _draw_map(drawn, factors, row.limit.dt * steps, changed, runs, mesh.look, tell)
+    _draw_map(drawn, np.logspace(-3, 3, mesh.columns), mesh, changed, runs, tell)
 
 
-def _draw_map(drawn, factors, steps, changed, runs, look, tell):
+def _draw_map(drawn, factors, mesh, changed, runs, tell):
+    """Fill a map: the line first, then runs at steps below, around and above it."""
     method = methods.load(drawn.method)
-    for factor in factors:
-        scene = changed(factor)
+    scenes = [changed(factor) for factor in factors]
+    found = [
+        limits.stable_step(method, limits.Network.of_scene(scene), exact=False) for scene in scenes
+    ]
+    drawn.factor, drawn.line = factors.tolist(), [limit.dt for limit in found]
+    steps = np.geomspace(min(drawn.line) / 2.2, max(drawn.line) * 2.2, mesh.steps)
+    for factor, scene, limit in zip(drawn.factor, scenes, found, strict=True):
         runs.replace(scene)
-        limit = limits.stable_step(method, limits.Network.of_scene(scene), exact=False)
-        drawn.factor.append(float(factor))
-        drawn.line.append(limit.dt)
-        for h in steps:
+        for h in steps.tolist():
             tell(drawn.method, drawn.kind)
-            stable = not runs.is_unstable(h, limit, look)
-            drawn.points.append((float(factor), float(h), stable))
+            drawn.points.append((factor, h, not runs.is_unstable(h, limit, mesh.look)))
 
 
 def _stall(scene: Scene) -> limits.Stall:
