@@ -38,12 +38,12 @@ def main(request: Request) -> int:
             if not result.outcomes:
                 raise KeyboardInterrupt  # before anything was finished
             made = rows.rows_of(result, common(scene), run_words(request, how))
-        write(folder, request, result, made)
+        written = write(folder, request, result, made)
     finally:
         with contextlib.suppress(OSError):
             folder.rmdir()  # where nothing was written
     report.show(result, made, console)
-    console.print(f"written: {folder}/", ", ".join(FILES), highlight=False, markup=False)
+    console.print(f"written: {folder}/", ", ".join(written), highlight=False, markup=False)
     if result.interrupted:
         kept = f"{len(made)} of {len(chosen)} settings were finished, and are kept"
         console.print(f"interrupted: {kept}", highlight=False)
@@ -150,8 +150,10 @@ def progress() -> Iterator[Callable[[str, int, int], None]]:
         )
 
 
-def write(folder: Path, request: Request, result: sweep.Result, measured: list[rows.Row]) -> None:
-    """Write all files, each whole."""
+def write(
+    folder: Path, request: Request, result: sweep.Result, measured: list[rows.Row]
+) -> list[str]:
+    """Write the files, each whole; return their names. There is no plot without an error."""
     texts = {
         "trade.csv": rows.as_csv(measured).encode(),
         "trade.json": rows.as_json(measured, environment(request, result)).encode(),
@@ -160,6 +162,7 @@ def write(folder: Path, request: Request, result: sweep.Result, measured: list[r
     texts |= {f"trade.{kind}": content for kind, content in drawn.items()}
     for name, content in texts.items():
         PendingFile(folder / name).fill(lambda file, content=content: file.write(content))
+    return list(texts)
 
 
 def common(scene: Scene) -> dict[str, str]:

@@ -155,12 +155,14 @@ def limit_horizon(scene: Scene, run: Samples, other: Samples) -> Horizon:
     """How far to compare, from two runs whose starts differ by `DISTURBANCE` of the largest
     displacement of the first.
     """
-    asked = len(run) - 1
-    apart = rms_by_frame(run, other, ~scene.particles.fixed)
-    fine = apart <= GROWN * extent(scene, run)[0]
-    frames = asked if fine.all() else max(int(fine.argmin()) - 1, 1)
+    free, asked = ~scene.particles.fixed, len(run) - 1
+    apart = np.maximum.accumulate(rms_by_frame(run, other, free))
+    moved = np.linalg.norm(run.x[:, free] - run.x[:1, free], axis=2).max(axis=1)
+    largest = np.maximum.accumulate(moved)
+    fine = apart <= GROWN * np.where(largest > 0, largest, extent(scene, run)[0])
+    frames = max(int(np.flatnonzero(fine).max(initial=0)), 1)
     scale, what = extent(scene, run.first(frames))
-    return Horizon(asked, frames, scale, what, float(apart[: frames + 1].max() / scale))
+    return Horizon(asked, frames, scale, what, float(apart[frames] / scale))
 
 
 def extent(scene: Scene, run: Samples) -> tuple[float, str]:
@@ -219,7 +221,7 @@ def decide(
 def refine(
     run: Callable[[int], Samples], scene: Scene, substeps: int, enough: Callable[[float], bool]
 ) -> list[tuple[int, Samples]]:
-    """Runs at ever finer steps, until two differ by round-off or `enough(seconds)` says so.
+    """Runs at ever finer steps, at least two, until they differ by round-off or it is enough.
 
     run: runs so many substeps. enough: whether a run that takes so many times longer than the last
     one is too much.
@@ -227,7 +229,7 @@ def refine(
     free = ~scene.particles.fixed
     runs = [(substeps, run(substeps))]
     last = np.inf
-    while not enough(FINER):
+    while len(runs) < 2 or not enough(FINER):
         substeps *= FINER
         runs.append((substeps, run(substeps)))
         apart = distance(runs[-1][1], runs[-2][1], free).trajectory
