@@ -132,14 +132,19 @@ def _label_axes(of_time, of_step, rows):
     """Ticks that can be read: times with their unit, and the steps that there are."""
     from matplotlib.ticker import EngFormatter, FixedLocator, LogLocator, NullFormatter
 
-    of_time.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+    low, high = of_time.get_xlim()
+    subs = (1.0,) if high > 100 * low else (1.0, 2.0, 5.0)
+    of_time.xaxis.set_major_locator(LogLocator(subs=subs, numticks=12))
     of_time.xaxis.set_major_formatter(EngFormatter(unit="s"))
     of_time.xaxis.set_minor_formatter(NullFormatter())
     steps = sorted({row.step for row in rows})
-    steps = steps[:: -(-len(steps) // 12)]
+    # The longest step is always shown; labels of neighbours would overlap where there are many.
+    steps = steps[:: -max(1, -(-len(steps) // 7))]
     of_step.xaxis.set_major_locator(FixedLocator(steps))
     of_step.xaxis.set_major_formatter(lambda step, _: f"{step:.3g}")
     of_step.xaxis.set_minor_locator(FixedLocator([]))
+    for axes in (of_time, of_step):
+        axes.tick_params(labelsize=9)
 
 
 def _draw_front(axes, rows, floor):
