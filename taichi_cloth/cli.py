@@ -46,12 +46,14 @@ COMMANDS = {
     "trade": "measure a scene's error beside its cost, by method, step and precision",
     "tune": "find the cheapest setting that meets an error, or the best that fits a frame's time",
     "bench": "measure speed, and beside it the error, here and beside other programs",
+    "explain": "show what a scene uses, what is compiled for it, and what each feature costs",
 }
 # Commands on a scene that keep to themselves: where each is, and the class of its settings.
 SCENE_COMMANDS: dict[str, tuple[str, str]] = {
     "stability": ("taichi_cloth.trade.stability", "StabilityOptions"),
     "trade": ("taichi_cloth.trade.command", "TradeOptions"),
     "tune": ("taichi_cloth.trade.tune", "TuneOptions"),
+    "explain": ("taichi_cloth.explain", "ExplainOptions"),
 }
 
 

@@ -331,3 +331,39 @@ class TuneOptions(ComparisonOptions):
         1, "seed of the disturbance of the run that confirms", minimum=0, maximum=2**32 - 1
     )
     json: bool = setting(False, "print nothing but JSON")
+
+
+@dataclass(frozen=True)
+class ExplainOptions:
+    """Settings of `explain`."""
+
+    arch: str = setting("cpu", "where to compute; gpu is the best there is", choices=ARCHS)
+    precision: str = setting(
+        "f32",
+        "floating-point numbers; compensated: f32 whose sums keep what rounding takes",
+        choices=PRECISIONS,
+    )
+    method: str = setting("symplectic_euler", "time-integration method", metavar="NAME")
+    dt: float | None = setting(
+        None, "time of one frame (default: the scene's)", float, above=0, metavar="X"
+    )
+    substeps: int = setting(
+        1, "steps a frame, each of dt / N", minimum=1, maximum=1_000_000, metavar="N"
+    )
+    execution: str = setting(
+        "auto", "one thread, all of them, or the faster", choices=("auto", *PATHS)
+    )
+    topology: str = setting(
+        "auto",
+        "regular grids in vector lanes, all springs as a graph, or the faster",
+        choices=("auto", *TOPOLOGIES),
+    )
+    threads: int | None = setting(
+        None, "CPU threads (default: all)", int, minimum=1, maximum=1024, metavar="N"
+    )
+    quick: bool = setting(False, "fewer rounds: about a third of the time")
+    json: bool = setting(False, "print JSON instead of tables")
+    all: bool = setting(False, "explain all built-in scenes, and what a cloth's links cost")
+    tables: str | None = setting(
+        None, "with --all: fill a document's tables", str, metavar="FILE.md"
+    )

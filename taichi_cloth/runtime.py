@@ -122,12 +122,13 @@ def start(
     precision: str = "f32",
     threads: int | None = None,
     fast_math: bool | None = None,
+    cache: bool = True,
 ) -> Device:
     """Start Taichi on the backend `arch` ("gpu": the best there is) and say what it got.
 
     threads: CPU worker threads, all cores when absent. fast_math: by default on in f32 and off
-    in f64, the reference precision, and in compensated sums, which it would undo. Fields of an
-    earlier start are gone.
+    in f64, the reference precision, and in compensated sums, which it would undo. cache: whether
+    kernels compiled by earlier processes are used. Fields of an earlier start are gone.
 
     Raises InputError where the backend or precision is unknown or not usable here (it is never
     replaced by another one), and for compensated sums with fast_math.
@@ -153,7 +154,7 @@ def start(
             raise InputError("--arch gpu: no GPU backend is usable here; usable: cpu")
     if arch == "metal" and precision == "f64":
         raise InputError("--precision f64: Metal has no f64; use --precision f32 or --arch cpu")
-    if not _initialize(arch, precision, threads, fast_math):
+    if not _initialize(arch, precision, threads, fast_math, cache):
         usable = [name for name, lack in usable_backends().items() if lack is None]
         raise InputError(
             f"--arch {arch}: not usable here (it needs {_need(arch)}); usable: {', '.join(usable)}"
@@ -177,7 +178,9 @@ def _import_taichi():
     return taichi
 
 
-def _initialize(arch: str, precision: str, threads: int, fast_math: bool) -> bool:
+def _initialize(
+    arch: str, precision: str, threads: int, fast_math: bool, cache: bool = True
+) -> bool:
     """Start Taichi; False where it starts something else, or would crash."""
     if arch == "opengl" and not display_available():
         return False
@@ -190,6 +193,7 @@ def _initialize(arch: str, precision: str, threads: int, fast_math: bool) -> boo
             default_fp=getattr(ti, _real(precision)),
             cpu_max_num_threads=threads,
             fast_math=fast_math,
+            **({} if cache else {"offline_cache": False}),
             # LLVM does the same again: without it kernels are as fast, and compile in a third of
             # the time.
             cfg_optimization=False,

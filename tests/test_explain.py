@@ -1,0 +1,170 @@
+"""`explain`: what it says is what is compiled and stored; what it measures differs as it says."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import command
+
+from taichi_cloth import cli, costs, explain, scenes
+from taichi_cloth.cloth import LINKS
+from taichi_cloth.errors import InputError
+from taichi_cloth.scenes import build
+from taichi_cloth.simulation import Simulation
+from taichi_cloth.variants import kinds_of_links, variants
+
+DOCUMENT = Path(__file__).parent.parent / "docs" / "features.md"
+# What a feature is called, and the switch of `Features` and `Plan` that it is.
+SWITCHES = {
+    "springs": "springs",
+    "fracture": "fracture",
+    "dashpots": "dashpots",
+    "drag": "drag",
+    "walls": "walls",
+    "collisions": "collisions",
+    "mouse: blow": "blow",
+    "uniform springs": "uniform_springs",
+    "uniform particles": "uniform_particles",
+}
+FULL = {"columns": 6, "rows": 5, "shear": 0.1, "damping": 0.02}
+SCENES = [(name, explain.FILLED.get(name, {})) for name in scenes.names()] + [("cloth", FULL)]
+
+
+@pytest.mark.parametrize(("name", "parameters"), SCENES)
+def test_a_variant_differs_in_one_feature(name, parameters):
+    scene = build(name, **parameters)
+    own = vars(scene.features())
+    switched = {variant.feature: variant for variant in variants(scene, on_graph=True)}
+    for feature in ("fracture", "dashpots") if len(scene.springs) else ():
+        assert feature in switched
+    assert {"drag", "walls", "collisions"} <= switched.keys()
+    for feature, variant in switched.items():
+        its = vars(variant.scene.features())
+        changed = {switch for switch in own if bool(own[switch]) != bool(its[switch])}
+        # The floor is a wall; numbers that differ, or are all gone, are no longer shared.
+        changed -= {"floor", "uniform_springs", "uniform_particles"} - {SWITCHES.get(feature)}
+        if feature in SWITCHES:
+            assert SWITCHES[feature] in changed and bool(own[SWITCHES[feature]]) == variant.used
+            if feature != "springs":
+                assert changed == {SWITCHES[feature]}
+        elif feature == "third dimension":
+            assert (own["dim"], its["dim"], variant.used) == (2, 3, False) and not changed
+        elif feature.endswith(" links"):
+            kinds = kinds_of_links(scene), kinds_of_links(variant.scene)
+            kind = feature.removesuffix(" links")
+            assert not changed and [(kind in of) for of in kinds] == [
+                variant.used,
+                not variant.used and kind in LINKS,
+            ]
+        else:
+            assert feature == "mouse: spawn" and variant.scene.world.mouse == "none"
+
+
+def test_links_are_told_apart():
+    scene = build("cloth", columns=5, rows=4, shear=0.1, bend=0.05)
+    kinds, stiffness = kinds_of_links(scene), scene.springs.stiffness
+    for kind, k in (("structural", 0.5), ("shear", 0.1), ("bend", 0.05)):
+        np.testing.assert_array_equal(kinds == kind, stiffness == k)
+
+
+def test_what_is_switched_off_is_neither_compiled_nor_stored(device):
+    stored = {
+        "fracture": "link_status",
+        "drag": "viscous",
+        "walls": "low",
+        "mouse: blow": "push",
+    }
+    scene = build("cloth", columns=6, rows=5)
+    how = {"topology": "lanes", "execution": "serial", "lanes": 2}
+    own = costs.describe(Simulation(scene, **how))
+    assert set(stored.values()) <= {f.name for f in own.fields}
+    for variant in variants(scene, on_graph=False):
+        if variant.feature in stored:
+            its = costs.describe(Simulation(variant.scene, **how))
+            assert own.plan[SWITCHES[variant.feature]] and not its.plan[SWITCHES[variant.feature]]
+            assert stored[variant.feature] not in {f.name for f in its.fields}
+            assert its.bytes < own.bytes
+
+
+def test_fields_and_their_bytes_are_those_on_the_device(device):
+    """A position in f64 and 2-D takes 16 bytes; trees hold what the fields hold, and two pads."""
+    sim = Simulation(build("cloth", columns=6, rows=5), topology="graph", execution="serial")
+    said = costs.describe(sim)
+    fields = {f.name: f for f in said.fields}
+    assert (fields["x"].shape, fields["x"].bytes) == ((30, 2), 30 * 16)
+    assert fields["far"].bytes == 2 * 49 * 4 and fields["k"].bytes == 8 and said.on_graph == 49
+    assert "given" not in fields and "link_k" not in fields
+    assert said.bytes == sum(f.bytes for f in said.fields) + 2 * 32 * 4
+    larger = Simulation(build("cloth", columns=60, rows=50), topology="graph", execution="serial")
+    assert costs.describe(larger).bytes > 50 * said.bytes
+
+
+def test_a_structural_cloth_is_cheaper_than_one_with_shear_and_bend_links(device):
+    """Three times the springs: a step takes far longer, in all rounds but a few."""
+    cloths = {
+        name: build("cloth", columns=128, rows=128, **explain.LINKS[name])
+        for name in ("structural", "structural, shear, bend")
+    }
+    how = {"topology": "lanes", "execution": "serial", "lanes": 4}
+    one, other = costs.compare_links(cloths, 128, how, quick=True, tell=lambda *_: None)
+    assert one.ratio == 1.0 and other.springs > 2.9 * one.springs
+    assert other.ratio_lower > 1.3, other
+    assert other.bytes > 1.3 * one.bytes
+
+
+def test_the_command_says_it_in_json():
+    out, _ = command("explain", "oscillator", "--quick", "--json", "--threads", 1)
+    said = json.loads(out)
+    plan = said["compiled"]["plan"]
+    assert plan["springs"] and plan["uniform_springs"] and not plan["drag"] and plan["threads"] == 1
+    assert said["compiled"]["on_graph"] == said["springs"] == 1
+    assert 0 < said["lower"] <= said["seconds"] <= said["upper"] < 1e-4
+    assert 0.1 < said["compile_seconds"] < 60
+    by_name = {cost["feature"]: cost for cost in said["costs"]}
+    assert by_name["springs"]["used"] and not by_name["collisions"]["used"]
+    collisions = by_name["collisions"]
+    assert collisions["seconds"] > 0 and collisions["bytes"] > 0
+    assert collisions["compile_seconds"] > 0.1
+    for cost in said["costs"]:
+        assert not cost["failed"] and cost["lower"] <= cost["seconds"] <= cost["upper"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["box", "--all"], "--all: explains all built-in scenes, not 'box' alone"),
+        (["--tables", "x.md"], "--tables: give --all, too"),
+        (["--all", "--tables", "x.md"], "--tables x.md: there is no such file"),
+        (["--method", "verlte"], "did you mean 'verlet'?"),
+        (["--arch", "vulkan", "--threads", "2"], "--threads: only --arch cpu takes it"),
+    ],
+)
+def test_bad_arguments_are_refused_in_one_line(arguments, says, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["explain", *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert says in err and err.count("\n") == 1 and not out
+
+
+def test_a_document_is_filled_between_its_markers():
+    text = "a\n<!-- explain:machine -->\nold\n<!-- end -->\nb\n"
+    made = explain.filled(text, [], [], {"cores": "2"})
+    assert made == "a\n<!-- explain:machine -->\n- cores: 2\n<!-- end -->\nb\n"
+    assert explain.filled(made, [], [], {"cores": "2"}) == made
+    with pytest.raises(InputError, match="did you mean 'machine'"):
+        explain.filled(text.replace("machine", "machin"), [], [], {})
+
+
+def test_the_document_has_every_built_in_scene_and_the_links():
+    text = DOCUMENT.read_text()
+    marked = {
+        match[1]: match[0] for match in re.finditer(r"explain:(\w+) -->.*?<!-- end", text, re.S)
+    }
+    assert marked.keys() == {"machine", "scenes", "costs", "links", "saving"}
+    for name in scenes.names():
+        assert f"`{name}" in marked["scenes"] and f"`{name}" in marked["costs"]
+    ratios = re.findall(r"([\d.]+) times as long", marked["saving"])
+    assert ratios and all(float(ratio) > 1.1 for ratio in ratios)
+    assert all(f"{side} x {side}" in marked["links"] for side in (16, 128))
