@@ -116,17 +116,52 @@ def spring_colours(springs: Springs, grids: Layout | None, particle_count: int) 
     kinds = 0
     if grids is not None:
         linked, kinds = grids.kind >= 0, len(grids.links)
-        owner, kind = grids.owner[linked], grids.kind[linked]
-        cell, lane = np.divmod(owner, grids.lanes)
-        first, _, width, _ = grids.grid[grids.grid_of[cell]].T
-        halo = max(abs(c) for c, _ in grids.links) if grids.lanes > 1 else 0
-        row, place = np.divmod(cell - first, width + 2 * halo)
+        kind = grids.kind[linked]
+        _, row, column = _places(grids, grids.owner[linked])
         columns, down = np.array(grids.links)[kind].T
-        across = (lane * width + place) // np.maximum(np.abs(columns), 1)
+        across = column // np.maximum(np.abs(columns), 1)
         turn = np.where(down > 0, row // np.maximum(down, 1), across)
         colour[linked] = 2 * kind + turn % 2
     colour[~linked] = 2 * kinds + topology.edge_colours(springs.between[~linked], particle_count)
     return colour
+
+
+def particle_period(halo: int) -> int:
+    """The same for colours of particles (`particle_colours`)."""
+    return halo + 1
+
+
+def particle_colours(springs: Springs, grids: Layout | None, particle_count: int) -> np.ndarray:
+    """Colours (n,) of all particles, no two of them tied where they are equal; -1 without springs.
+
+    On grids rows and columns take turns, by one more than links reach. Particles that have springs
+    on the graph have colours that follow. grids: as in `spring_colours`.
+    """
+    linked = np.zeros(len(springs), bool) if grids is None else grids.kind >= 0
+    colour = np.full(particle_count, -1, np.int64)
+    shared = np.zeros(particle_count, bool)
+    shared[springs.between[~linked]] = True
+    turns = 0
+    if grids is not None:
+        g, row, column = _places(grids, grids.site)
+        columns, down = np.abs(np.array(grids.links)).max(axis=0)
+        turns = (columns + 1) * (down + 1)
+        place = row % (down + 1) * (columns + 1) + column % (columns + 1)
+        colour = np.where(g >= 0, place, -1)
+    between = springs.between[shared[springs.between].all(axis=1)]
+    own = topology.vertex_colours(between, particle_count)
+    colour[shared] = turns + own[shared]
+    return colour
+
+
+def _places(grids: Layout, site):
+    """Grid (-1: none), row and column of sites."""
+    cell, lane = np.divmod(site, grids.lanes)
+    g = grids.grid_of[cell]
+    first, _, width, _ = grids.grid[g].T
+    halo = max(abs(c) for c, _ in grids.links) if grids.lanes > 1 else 0
+    row, place = np.divmod(cell - first, width + 2 * halo)
+    return g, row, lane * width + place
 
 
 def on_grids(springs: Springs, particle_count: int, lanes: int, period=any_period) -> Layout | None:

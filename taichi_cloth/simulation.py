@@ -451,7 +451,11 @@ class Simulation:
             # Collisions add up in the order of the particles, which is then that of memory too.
             position = None if self.scene.world.collisions else self._particles.position
             return layout.on_graph(self._springs, position, self.particle_count)
-        period = layout.spring_period if "spring_colours" in self._needs else layout.any_period
+        period = layout.any_period
+        if "spring_colours" in self._needs:
+            period = layout.spring_period
+        elif "particle_colours" in self._needs:
+            period = layout.particle_period
         return layout.on_grids(self._springs, self.particle_count, self._lanes, period)
 
     def _sorted_springs(self):
@@ -635,6 +639,8 @@ class Simulation:
             len(near),
             len(far),
         )
+        if "particle_colours" in self._needs:
+            self._load_particle_colours(near)
         if len(springs):
             transfer.load_spring_numbers(self._plan, self._state, numbers)
         if self._plan.fracture:
@@ -650,9 +656,7 @@ class Simulation:
 
     def _load_colours(self, ends, numbers):
         """The same springs one by one, by colour."""
-        # Colours of which there are none are left out.
-        start = np.flatnonzero(np.diff(self._colours, prepend=-1))
-        start = np.append(start, len(ends)).astype(np.int32)
+        start = _starts(self._colours)
         transfer.load_colours(
             self._spread_plan,
             self._state,
@@ -660,6 +664,24 @@ class Simulation:
             start,
             _not_empty(ends),
             _not_empty(numbers),
+        )
+
+    def _load_particle_colours(self, near):
+        """The particles at the sites `near`, which have springs on the graph, by colour."""
+        grids = self._lay_out("lanes")
+        colour = np.full(self._layout.n_cells * self._layout.lanes, -1)
+        of_particles = layout.particle_colours(self._springs, grids, self.particle_count)
+        colour[self._layout.site] = of_particles
+        colour = colour[near]
+        order = np.argsort(colour, kind="stable")
+        order = order[colour[order] >= 0]
+        start = _starts(colour[order])
+        transfer.load_particle_colours(
+            self._spread_plan,
+            self._state,
+            len(start) - 1,
+            start,
+            _not_empty(order.astype(np.int32)),
         )
 
     def _load_links(self):
@@ -839,6 +861,14 @@ def _free(state, device):
     """Give the memory of a state back, unless Taichi was started anew since."""
     if still_runs(device):
         state.free()
+
+
+def _starts(colours):
+    """Where each colour begins in a sorted array, and its end; colours that nothing has are no
+    colours.
+    """
+    start = np.flatnonzero(np.diff(colours, prepend=-1))
+    return np.append(start, len(colours)).astype(np.int32)
 
 
 def _not_empty(array):

@@ -59,6 +59,24 @@ def edge_colours(between: np.ndarray, particle_count: int) -> np.ndarray:
     return colour
 
 
+def vertex_colours(between: np.ndarray, particle_count: int) -> np.ndarray:
+    """A colour for each particle, so that no two that the springs `between` (s, 2) tie share one.
+
+    Each gets the first that none of those before it has; -1 for particles without springs.
+    """
+    colour = np.full(particle_count, -1, np.int64)
+    half = half_springs(between, particle_count)
+    far, row = half.far.tolist(), half.row.tolist()
+    bit = [0] * particle_count
+    for i in np.flatnonzero(np.diff(half.row)).tolist():
+        taken = 0
+        for j in far[row[i] : row[i + 1]]:
+            taken |= bit[j]
+        bit[i] = ~taken & (taken + 1)
+        colour[i] = bit[i].bit_length() - 1
+    return colour
+
+
 def z_order(position: np.ndarray) -> np.ndarray:
     """Numbers of the particles at `position` (n, dim) along a Z-order curve: near ones together.
 

@@ -61,6 +61,7 @@ DISCRETE |= {
     "implicit_euler": _rational([1], [1, -1]),
     "implicit_midpoint": _rational([1, 0.5], [1, -0.5]),
     "tr_bdf2": _tr_bdf2,
+    "vbd": _rational([1], [1, -1]),
     "xpbd": _rational([1], [1, -1]),
 }
 

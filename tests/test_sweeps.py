@@ -45,6 +45,22 @@ def test_springs_of_one_colour_share_no_particle(data, made, lanes):
         assert lanes == 1 or (grids.grid[:, 2][grids.grid[:, 3] == 1] % (2 * halo) == 0).all()
 
 
+@settings(max_examples=100, deadline=None)
+@given(st.data(), particles_and_springs(), st.sampled_from([1, 2, 4, 8]))
+def test_no_spring_ties_particles_of_one_colour(data, made, lanes):
+    count, springs, _ = made
+    springs = data.draw(edits(springs, count))
+    grids = layout.on_grids(springs, count, lanes, layout.particle_period)
+    colour = layout.particle_colours(springs, grids, count)
+    ends = colour[springs.between]
+    assert (ends[:, 0] != ends[:, 1]).all() and (ends >= 0).all()
+    single = layout.on_grids(springs, count, 1)
+    np.testing.assert_array_equal(colour, layout.particle_colours(springs, single, count))
+    if grids is not None:
+        halo = max(abs(column) for column, _ in grids.links)
+        assert lanes == 1 or (grids.grid[:, 2][grids.grid[:, 3] == 1] % (halo + 1) == 0).all()
+
+
 @settings(max_examples=50, deadline=None)
 @given(st.integers(2, 30), st.integers(0, 200), st.integers(0, 99))
 def test_any_springs_are_coloured_with_few_colours(count, springs, seed):

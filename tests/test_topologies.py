@@ -266,6 +266,14 @@ GRIDS = {
         cloth(9, 6, LINKS[:2], walls=SIDES[:4], drag=0.02, own_numbers=True),
         {"method": "xpbd", "lanes": 1, "iterations": 1, "execution": "parallel"},
     ),
+    "particle by particle": (
+        cloth(11, 7, LINKS, 3, walls=SIDES, drag=0.02, damping=0.05, break_force=2.0),
+        {"method": "vbd", "execution": "parallel"},
+    ),
+    "particle by particle, one lane": (
+        cloth(9, 6, walls=SIDES[:4], drag=0.02, own_numbers=True),
+        {"method": "vbd", "lanes": 1, "iterations": 3, "execution": "parallel"},
+    ),
     "two columns": (cloth(2, 9, LINKS, walls=SIDES[:4], damping=0.02, break_force=1.0), {}),
     "smallest": (cloth(2, 2, walls=SIDES[:4], break_force=1.0, speed=4.0), {"lanes": 8}),
 }

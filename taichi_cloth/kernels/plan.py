@@ -56,9 +56,14 @@ class Plan:
         return len(self.links)
 
     @property
+    def reach(self) -> int:
+        """Columns that a link reaches to either side."""
+        return max((abs(c) for c, _ in self.links), default=0)
+
+    @property
     def halo(self) -> int:
         """Cells beside each row that repeat its other strips' ends; none where a cell is one."""
-        return max((abs(c) for c, _ in self.links), default=0) if self.lanes > 1 else 0
+        return self.reach if self.lanes > 1 else 0
 
     @property
     def left_reach(self) -> int:

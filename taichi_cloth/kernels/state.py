@@ -68,6 +68,9 @@ class State:
     Colours of springs on the graph (needs "spring_colours"; `colours.py`): those of colour k are
         colour_start[k] .. colour_start[k+1], each with its ends, spring_k, spring_rest, spring_c.
         impulse, link_impulse: a vector for each spring, for each link.
+    Colours of particles with springs on the graph (needs "particle_colours"): those of colour k are
+        near[coloured[i]] from i = colour_start[k] to colour_start[k+1]; own: 0 for those, 1 for
+        others.
     """
 
     def __init__(self, plan, real, capacity, method=None):
@@ -116,6 +119,9 @@ class State:
         if plan.compensated:
             self.haloed = (*self.haloed, self.x_low)
         coloured = "spring_colours" in needs
+        if "particle_colours" in needs and plan.springs:
+            self.own = cell_numbers()
+            self.n_colours, self.colour_start, self.coloured = counts(), counts(n + 1), counts(n)
         if coloured and plan.links:
             self.link_impulse = cell_vectors(kinds * m)
         if coloured and plan.springs:

@@ -192,6 +192,29 @@ def load_colours(
 
 
 @ti.kernel
+def load_particle_colours(
+    plan: ti.template(),
+    state: ti.template(),
+    colours: ti.i32,
+    start: ti.types.ndarray(),
+    coloured: ti.types.ndarray(),
+):
+    """Fill the particles with springs on the graph by colour: start (colours + 1,), coloured (n,).
+
+    After `load_half_springs`.
+    """
+    for _ in range(1):
+        state.n_colours[None] = colours
+    for k in range(colours + 1):
+        state.colour_start[k] = start[k]
+    for site in range(state.n_cells[None] * plan.lanes):
+        set_site_number(plan, state.own, site, 1.0)
+    for i in range(start[colours]):
+        state.coloured[i] = coloured[i]
+        set_site_number(plan, state.own, state.near[coloured[i]], 0.0)
+
+
+@ti.kernel
 def load_half_springs(
     state: ti.template(),
     near: ti.types.ndarray(),

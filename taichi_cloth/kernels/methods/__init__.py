@@ -8,7 +8,8 @@ the state from outside: forces that it keeps from step to step are computed ther
 `HALOED` are read by neighbours, those in `LOW_VECTORS` are there in compensated sums only.
 `SCALARS` and `COUNTS` name 0-D fields of real and whole numbers, `SUMS` counts its sums over all
 particles (`loops.add_up`). What it needs of the host beside the state is in `NEEDS`: "near" for
-state.near_k and state.near_c, "spring_colours" for what `kernels/colours.py` goes through.
+state.near_k and state.near_c, "spring_colours" or "particle_colours" for what
+`kernels/colours.py` goes through.
 
 A method whose rounds are not known beforehand has, instead of `step`, `PHASES`: a step is then
 `PHASES[0]`, and whatever phases `go_to` leads to, until it leads to DONE (`kernels/phases.py`);

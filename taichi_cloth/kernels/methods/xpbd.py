@@ -14,18 +14,14 @@ the number of sweeps does not change the material. In the paper's terms, over co
 - The paper keeps the multiplier's size, as if it had always pointed along the spring as it is now.
   Here p is a vector, and what it has across the spring is replaced too, with the stiffness across
   in the place of k. The first sweep is the paper's; many end at the solution of backward Euler.
-- The unknown is the velocity: x stays where the step began, springs are computed at x + dt*v. Set
-  from positions, as in the paper, velocities would lose gravity to rounding in f32.
 """
 
 import math
 
 import taichi as ti
 
-from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.colours import colour_count, each_of_colour
-from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
-from taichi_cloth.kernels.forces import acceleration
+from taichi_cloth.kernels import laws, sweeps
+from taichi_cloth.kernels.colours import colours_of_springs, each_spring
 from taichi_cloth.kernels.lanes import (
     dot,
     of_kind,
@@ -37,12 +33,11 @@ from taichi_cloth.kernels.lanes import (
     write,
     zeros,
 )
-from taichi_cloth.kernels.loops import each, each_cell, each_cell_moving
 from taichi_cloth.kernels.methods.claims import Claims
-from taichi_cloth.kernels.phases import DONE, go_to
 from taichi_cloth.kernels.springs import link_stiffness, number
-from taichi_cloth.kernels.state import GONE, SWEEPS
-from taichi_cloth.kernels.watch import store
+from taichi_cloth.kernels.state import GONE
+from taichi_cloth.kernels.sums import apart
+from taichi_cloth.kernels.sweeps import mobility, relative_velocity
 
 CLAIMS = Claims(
     order=1,
@@ -52,62 +47,13 @@ CLAIMS = Claims(
     forces=0,
     settings=("iterations",),
 )
-VECTORS = ("old_v",)
-COUNTS = ("colour", "sweep")
+VECTORS, HALOED, COUNTS = sweeps.VECTORS, sweeps.HALOED, sweeps.COUNTS
 NEEDS = ("spring_colours",)
-BEGIN, SWEEP, FINISH = range(3)  # phases
 
 
 @ti.func
-def begin_step(plan: ti.template(), state: ti.template(), t):
-    compute_contacts(plan, state)
-    each_cell(plan, state, t, predict)
-    each(plan, state, t, 1, _begin_sweeps)
-
-
-@ti.func
-def predict(plan: ti.template(), state: ti.template(), c):
-    """Velocity after the step without springs; drag acts on the new one."""
-    x, v = read(plan, state.x, c), read(plan, state.v, c)
-    write(plan, state.old_v, c, v)
-    v += velocity_jump(plan, state, c, x, v)
-    write(plan, state.v, c, v)
-    a = acceleration(plan, state, c, zeros(plan, state))
-    if ti.static(plan.drag):
-        viscous, w = read(plan, state.viscous, c), read(plan, state.w, c)
-        a = scaled(laws.drag_factor(w, viscous, state.dt[None]), a)
-    write(plan, state.v, c, v + state.dt[None] * a)
-
-
-@ti.func
-def _begin_sweeps(plan: ti.template(), state: ti.template(), i):
-    state.colour[None], state.sweep[None] = 0, 0
-    state.phase[None] = ti.select(colour_count(plan, state) > 0, SWEEP, FINISH)
-
-
-@ti.func
-def sweep(plan: ti.template(), state: ti.template(), t):
-    """One colour of a sweep, a launch each, where loops are spread; else all sweeps."""
-    if ti.static(plan.spread):
-        each_of_colour(plan, state, t, state.colour[None], project_links, project_spring)
-        each(plan, state, t, 1, _next_colour)
-    else:
-        for k in range(state.iterations[None]):
-            # By every thread alike, none of which is still in the sweep before.
-            state.sweep[None] = k
-            for colour in range(colour_count(plan, state)):
-                each_of_colour(plan, state, t, colour, project_links, project_spring)
-        go_to(plan, state, t, FINISH)
-
-
-@ti.func
-def _next_colour(plan: ti.template(), state: ti.template(), i):
-    state.colour[None] += 1
-    if state.colour[None] == colour_count(plan, state):
-        state.colour[None] = 0
-        state.sweep[None] += 1
-        if state.sweep[None] == state.iterations[None]:
-            state.phase[None] = FINISH
+def project(plan: ti.template(), state: ti.template(), t, colour):
+    each_spring(plan, state, t, colour, project_links, project_spring)
 
 
 @ti.func
@@ -122,8 +68,9 @@ def project_links(plan: ti.template(), state: ti.template(), s, g, c, far, stiff
         p = read(plan, state.link_impulse, at)
     v, far_v = read(plan, state.v, c), read(plan, state.v, far)
     w, far_w = mobility(plan, state, read, c), mobility(plan, state, read, far)
-    d, rest = read(plan, state.x, far) - read(plan, state.x, c), state.link_rest[s, g]
-    change = impulse_change(plan, state.dt[None], d, far_v - v, w + far_w, k, rest, damping, p)
+    d, dv = apart(plan, state, read, c, far), relative_velocity(plan, state, read, c, far)
+    rest = state.link_rest[s, g]
+    change = impulse_change(plan, state.dt[None], d, dv, w + far_w, k, rest, damping, p)
     if state.sweep[None] + 1 < state.iterations[None]:
         write(plan, state.link_impulse, at, p + change)
     write(plan, state.v, c, v + scaled(w, change))
@@ -147,22 +94,13 @@ def project_spring(plan: ti.template(), state: ti.template(), s):
             p[axis] = state.impulse[s, axis]
     v, far_v = site_value(plan, state.v, i), site_value(plan, state.v, j)
     w, far_w = mobility(plan, state, site_number, i), mobility(plan, state, site_number, j)
-    d = site_value(plan, state.x, j) - site_value(plan, state.x, i)
-    change = impulse_change(plan, state.dt[None], d, far_v - v, w + far_w, k, rest, damping, p)
+    d, dv = apart(plan, state, site_value, i, j), relative_velocity(plan, state, site_value, i, j)
+    change = impulse_change(plan, state.dt[None], d, dv, w + far_w, k, rest, damping, p)
     if state.sweep[None] + 1 < state.iterations[None]:
         for axis in ti.static(range(plan.dim)):
             state.impulse[s, axis] = p[axis] + change[axis]
     set_site_value(plan, state.v, i, v + w * change)
     set_site_value(plan, state.v, j, far_v - far_w * change)
-
-
-@ti.func
-def mobility(plan: ti.template(), state: ti.template(), number: ti.template(), i):
-    """Inverse masses, of which drag is a part."""
-    w = number(plan, state.w, i)
-    if ti.static(plan.drag):
-        w *= laws.drag_factor(w, number(plan, state.viscous, i), state.dt[None])
-    return w
 
 
 @ti.func
@@ -188,24 +126,4 @@ def impulse_change(plan: ti.template(), dt, d, dv, w, k, rest, c, p):
     return scaled(across_part, missing) + scaled(more, along)
 
 
-@ti.func
-def finish(plan: ti.template(), state: ti.template(), t):
-    each_cell_moving(plan, state, t, move)
-    each(plan, state, t, 1, _end_step)
-
-
-@ti.func
-def move(plan: ti.template(), state: ti.template(), c):
-    x, v = read(plan, state.x, c), read(plan, state.v, c)
-    old_v = read(plan, state.old_v, c)
-    new_x = x + state.dt[None] * v
-    store(plan, state, c, kept_above_floor(plan, state, c, x, old_v, new_x, v), v)
-
-
-@ti.func
-def _end_step(plan: ti.template(), state: ti.template(), i):
-    state.work[SWEEPS] += state.iterations[None]
-    state.phase[None] = DONE
-
-
-PHASES = begin_step, sweep, finish
+PHASES = sweeps.phases(colours_of_springs, project)

@@ -1,0 +1,179 @@
+"""Vertex block descent: backward Euler, particle by particle, in coloured sweeps.
+
+Chen, Liu, Yang, Yuksel, "Vertex block descent", ACM Transactions on Graphics 43, 2024. First order,
+stable at every dt. Backward Euler is the least of inertia and elastic energy (with what dashpots
+and drag take); each visit moves one particle by a Newton step towards it while its neighbours rest:
+
+    (1 + w*sum(dt*c + dt^2*K)) change = goal_v - v + dt*w*sum(T),
+
+over the particle's springs: T their tension, K their stiffness matrix, what is negative of it
+clamped to 0. Momentum is kept as far as the sweeps have converged. No multipliers: stiff springs between equal masses, and a heavy particle on a light
+one, need many sweeps. Sweeps begin at the velocity without springs.
+"""
+
+import math
+
+import taichi as ti
+
+from taichi_cloth.kernels import laws, sweeps
+from taichi_cloth.kernels.colours import colours_of_particles, each_particle, renew_both_halos
+from taichi_cloth.kernels.lanes import (
+    component,
+    link_offset,
+    pitch_of,
+    read,
+    scaled,
+    site_number,
+    site_value,
+    with_component,
+    zeros,
+)
+from taichi_cloth.kernels.methods.claims import Claims
+from taichi_cloth.kernels.springs import number
+from taichi_cloth.kernels.sums import apart
+from taichi_cloth.kernels.sweeps import mobility, relative_velocity, short_of_goal
+
+CLAIMS = Claims(
+    order=1,
+    symplectic=False,
+    implicit=True,
+    stability_limit=math.inf,
+    forces=0,
+    settings=("iterations",),
+)
+VECTORS, HALOED, COUNTS = sweeps.VECTORS, sweeps.HALOED, sweeps.COUNTS
+NEEDS = ("particle_colours",)
+
+
+@ti.func
+def relax(plan: ti.template(), state: ti.template(), t, colour):
+    each_particle(plan, state, t, colour, relaxed_cell, relaxed_particle)
+
+
+@ti.func
+def relaxed_cell(plan: ti.template(), state: ti.template(), g, c):
+    """New velocities in cell c of grid g, by its links."""
+    v, none = read(plan, state.v, c), zeros(plan, state)
+    w = mobility(plan, state, read, c)
+    pull, hx, hy, hz = with_links(plan, state, read, read, 1, g, c, w, none, none, none, none)
+    return v + solution(plan, hx, hy, hz, short_of_goal(plan, state, read, c) + pull)
+
+
+@ti.func
+def relaxed_particle(plan: ti.template(), state: ti.template(), p):
+    """New velocity of the p-th particle with springs on the graph, by all its springs."""
+    i, none = state.near[p], ti.Vector.zero(state.real, plan.dim)
+    w = mobility(plan, state, site_number, i)
+    pull, hx, hy, hz = none, none, none, none
+    if ti.static(plan.kinds > 0):
+        g = state.grid_of[i // plan.lanes]
+        if g >= 0:
+            pull, hx, hy, hz = with_links(
+                plan, state, site_value, site_number, plan.lanes, g, i, w, pull, hx, hy, hz
+            )
+    for h in range(state.near_row[p], state.near_row[p + 1]):
+        j = state.far[h]
+        if j != i:  # else it is gone
+            d = apart(plan, state, site_value, i, j)
+            dv = relative_velocity(plan, state, site_value, i, j)
+            c = ti.cast(0.0, state.real)
+            if ti.static(plan.dashpots):
+                c = number(plan, state.c, h)
+            k, rest = number(plan, state.k, h), number(plan, state.rest, h)
+            pull, hx, hy, hz = with_spring(
+                plan, state.dt[None], w, d, dv, k, rest, c, pull, hx, hy, hz
+            )
+    b = short_of_goal(plan, state, site_value, i) + pull
+    return site_value(plan, state.v, i) + solution(plan, hx, hy, hz, b)
+
+
+@ti.func
+def with_links(
+    plan: ti.template(),
+    state: ti.template(),
+    value: ti.template(),
+    number: ti.template(),
+    stride: ti.template(),
+    g,
+    i,
+    w,
+    pull,
+    hx,
+    hy,
+    hz,
+):
+    """The same sums with the links of i added: of a cell (stride 1), or a site (stride lanes)."""
+    pitch = pitch_of(plan, state, g)
+    for q in range(2 * plan.kinds):  # in the order in which a graph has them
+        s, j, owner = q, i, i
+        if q < plan.kinds:
+            j = i - link_offset(state, s, pitch) * stride
+            owner = j
+        else:
+            s = state.forward[q - plan.kinds]
+            j = i + link_offset(state, s, pitch) * stride
+        k = number(plan, state.link_k, s * state.cells * stride + owner)
+        c = 0.0 * k
+        if ti.static(plan.dashpots):
+            c = ti.select(k > 0.0, state.link_c[s, g], 0.0 * k)
+        d, dv = apart(plan, state, value, i, j), relative_velocity(plan, state, value, i, j)
+        pull, hx, hy, hz = with_spring(
+            plan, state.dt[None], w, d, dv, k, state.link_rest[s, g], c, pull, hx, hy, hz
+        )
+    return pull, hx, hy, hz
+
+
+@ti.func
+def with_spring(plan: ti.template(), dt, w, d, dv, k, rest, c, pull, hx, hy, hz):
+    """Sums over springs, with one more: pull = dt*w*sum(T), and the rows of w*sum(dt*c + dt^2*K).
+
+    d, dv: where the other end is at the step's start, and its velocity, relative to this one.
+    """
+    at = d + dt * dv
+    length = laws.length(at)
+    along = laws.unit(at, length)
+    tension, stiffness = laws.spring_tension(length, k, rest), dt * k
+    if ti.static(plan.dashpots):
+        tension += laws.dashpot_tension(dv, along, c)
+        stiffness += c
+    across = dt * dt * w * laws.spring_stiffness_across(length, k, rest, 0.0)
+    more = scaled(dt * w * stiffness - across, along)
+    new_pull = pull + scaled(dt * w * tension, along)
+    x, y, z = hx, hy, hz
+    x += scaled(component(along, 0), more)
+    x = with_component(x, 0, component(x, 0) + across)
+    y += scaled(component(along, 1), more)
+    y = with_component(y, 1, component(y, 1) + across)
+    if ti.static(plan.dim == 3):
+        z += scaled(component(along, 2), more)
+        z = with_component(z, 2, component(z, 2) + across)
+    return new_pull, x, y, z
+
+
+@ti.func
+def solution(plan: ti.template(), hx, hy, hz, b):
+    """x of (1 + H) x = b, by the factors L D L^T of the symmetric H with rows hx, hy, hz."""
+    d0 = 1.0 + component(hx, 0)
+    l1 = component(hx, 1) / d0
+    d1 = 1.0 + component(hy, 1) - l1 * component(hx, 1)
+    y0 = component(b, 0)
+    y1 = component(b, 1) - l1 * y0
+    x = b
+    if ti.static(plan.dim == 3):
+        l2 = component(hx, 2) / d0
+        m = component(hy, 2) - l1 * component(hx, 2)
+        l3 = m / d1
+        d2 = 1.0 + component(hz, 2) - l2 * component(hx, 2) - l3 * m
+        x2 = (component(b, 2) - l2 * y0 - l3 * y1) / d2
+        x1 = y1 / d1 - l3 * x2
+        x = with_component(x, 2, x2)
+        x = with_component(x, 1, x1)
+        x = with_component(x, 0, y0 / d0 - l1 * x1 - l2 * x2)
+    else:
+        x1 = y1 / d1
+        x = with_component(x, 1, x1)
+        x = with_component(x, 0, y0 / d0 - l1 * x1)
+    return x
+
+
+PHASES = sweeps.phases(colours_of_particles, relax, renew_both_halos)
