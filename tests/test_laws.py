@@ -17,7 +17,7 @@ positive = st.floats(0.01, 100)
 
 @ti.kernel
 def evaluate(law: ti.template(), a: ti.types.ndarray(), out: ti.types.ndarray()):
-    """out = law(vectors and numbers of `a`): 0 spring, 1 dashpot, 2 pair, by `law`."""
+    """out = law(vectors and numbers of `a`): 0 spring, 1 dashpot, 2 pair, 3 stiffness, by `law`."""
     for _ in range(1):
         d = ti.Vector([a[0], a[1], a[2]])
         u = ti.Vector([a[3], a[4], a[5]])
@@ -31,6 +31,10 @@ def evaluate(law: ti.template(), a: ti.types.ndarray(), out: ti.types.ndarray())
             f = laws.dashpot_tension(u, along, a[9]) * along
         if ti.static(law == 2):
             f = laws.pair_bounce(d, u, v, a[9], a[10], a[11], a[12])
+        if ti.static(law == 3):
+            length = laws.length(d)
+            along = laws.unit(d, length)
+            f = laws.spring_stiffness_product(u, along, length, a[9], a[10], a[11])
         for axis in ti.static(range(3)):
             out[axis] = f[axis]
 
@@ -59,6 +63,35 @@ def test_spring_force_is_minus_the_gradient_of_its_energy(d, k, rest):
     np.testing.assert_allclose(
         force, -np.array(gradient), atol=1e-7 * scale * max(1, rest / length)
     )
+
+
+@settings(max_examples=60, deadline=None)
+@given(d=vectors, k=positive, rest=positive)
+def test_spring_stiffness_is_the_derivative_of_its_force(d, k, rest):
+    length = np.linalg.norm(d)
+    if length < 0.1:
+        return
+    matrix = np.array([value(3, d, u=e, numbers=(k, rest, -1e30)) for e in np.eye(3)])
+    np.testing.assert_allclose(matrix, matrix.T, rtol=0, atol=1e-12 * k * (1 + rest / length))
+    h = 1e-5 * length
+    force = lambda d: value(0, d, numbers=(k, rest))  # noqa: E731
+    difference = np.array([(force(d + h * e) - force(d - h * e)) / (2 * h) for e in np.eye(3)])
+    np.testing.assert_allclose(matrix, difference, rtol=0, atol=1e-7 * k * (1 + rest / length))
+
+
+@settings(max_examples=60, deadline=None)
+@given(d=vectors, k=positive, rest=positive)
+def test_clamped_stiffness_is_the_nearest_without_negative_eigenvalues(d, k, rest):
+    if 0 < np.linalg.norm(d) < 0.1:
+        return
+    exact, clamped = (
+        np.array([value(3, d, u=e, numbers=(k, rest, least)) for e in np.eye(3)])
+        for least in (-1e30, 0.0)
+    )
+    values, vectors_ = np.linalg.eigh((exact + exact.T) / 2)
+    nearest = vectors_ @ np.diag(np.maximum(values, 0.0)) @ vectors_.T
+    scale = k * (1 + rest / max(np.linalg.norm(d), 0.1))
+    np.testing.assert_allclose(clamped, nearest, rtol=0, atol=1e-12 * scale)
 
 
 def test_spring_with_coincident_ends_pulls_nowhere():
