@@ -1,4 +1,4 @@
-"""Verification, in f64 on the CPU: exact discrete solutions, measured orders, conservation, statics.
+"""Verification, in f64 on the CPU: exact discrete solutions, orders, conservation laws, statics.
 
 What is asked of a method is read from its claims; its exact discrete map alone is written here.
 """
