@@ -67,8 +67,8 @@ class Follower:
         """
         if self._substeps == 1:
             return 1
-        least = limits.step_within(self._method, self._geometry.at_least(network))
-        if least > 0 and substeps_needed(self._dt, least) == self._substeps:
+        longer = self._dt / (self._substeps - 1) / limits.SAFETY
+        if limits.grows_within(self._method, self._geometry.at_least(network), longer):
             return self._substeps
         return self.choose(network)
 

@@ -178,11 +178,22 @@ def step_within(method, bounds: Bounds) -> float:
     """A step at which no mode inside `bounds` grows, whatever pairs of omega^2 and d there are."""
     if math.isinf(method.CLAIMS.stability_limit):
         return math.inf
+    return min(largest_step(method, omega2, d) for omega2, d in _pairs(bounds))
+
+
+def grows_within(method, bounds: Bounds, h: float) -> bool:
+    """Whether h is above `step_within`, which takes a fiftieth of the time."""
+    if math.isinf(method.CLAIMS.stability_limit):
+        return False
+    return any(growth(method, h, *pair) > 1 + ROUND_OFF for pair in _pairs(bounds) if any(pair))
+
+
+def _pairs(bounds):
+    """Pairs (omega^2, d) on the border of `bounds`, of which the worst is taken for the worst."""
     rates = np.linspace(bounds.least_damping, bounds.damping, 5)
     if bounds.least_damping == bounds.damping:
         rates = rates[:1]
-    alone = largest_step(method, 0.0, bounds.damping)
-    return min(alone, *(largest_step(method, bounds.omega2, d) for d in rates))
+    return [(0.0, bounds.damping), *((bounds.omega2, float(d)) for d in rates)]
 
 
 # --- bounds that hold in every geometry ------------------------------------------------------
@@ -262,7 +273,7 @@ class AnyGeometry:
             start = self._vectors[i]
             if start is not None:
                 start = np.concatenate([start, np.ones(max(len(free) - len(start), 0))])[free]
-            value, vector = _top(matrix, start)
+            value, vector = _top(matrix, start, rough=True)
             # What is left of the residual may belong to a larger eigenvalue.
             residual = float(np.sqrt(((matrix @ vector - value * vector) ** 2).sum()))
             bound = (rough.omega2, rough.damping)[i]
@@ -327,8 +338,11 @@ def _free_block(network, rows, columns, values, diagonal, dim):
     return (scale @ whole.tocsr()[free][:, free] @ scale).tocsr()
 
 
-def _top(matrix, start=None):
-    """The largest eigenvalue of a symmetric matrix, and its vector; the same on every run."""
+def _top(matrix, start=None, rough=False):
+    """The largest eigenvalue of a symmetric matrix, and its vector; the same on every run.
+
+    rough: of a large matrix to some thousandths, where the residual is added as a precaution.
+    """
     n = matrix.shape[0]
     if n <= 32:
         values, vectors = np.linalg.eigh(matrix.toarray())
@@ -342,7 +356,8 @@ def _top(matrix, start=None):
         noise = start / np.sqrt(start @ start) + 1e-3 * noise / math.sqrt(n)
     # An eigenvalue is off by the square of its residual, and by no more than it where the next
     # one is as near, as on a large cloth.
-    for tolerance in (1e-6, 1e-4, 1e-2) if n <= MANY else (1e-3, 1e-2):
+    tolerances = (1e-6, 1e-4, 1e-2) if n <= MANY else (1e-2, 5e-2) if rough else (1e-3, 1e-2)
+    for tolerance in tolerances:
         with contextlib.suppress(ArpackNoConvergence):
             values, vectors = eigsh(
                 matrix, 1, which="LA", v0=noise, tol=tolerance, ncv=min(n, 30), maxiter=100
