@@ -127,9 +127,10 @@ def _command_hint(word: str) -> str:
 
 
 def _help() -> str:
-    commands = "\n".join(f"  {name:8} {says}" for name, says in COMMANDS.items())
+    commands = "\n".join(f"  {name:9} {says}" for name, says in COMMANDS.items())
     return (
         f"usage: {PROGRAM} [run] [SCENE | FILE.toml] [flags]\n"
+        f"       {PROGRAM} {' | '.join(SCENE_COMMANDS)} [SCENE | FILE.toml] [flags]\n"
         f"       {PROGRAM} bench [PART ...] [flags]\n"
         f"       {PROGRAM} list | doctor | --version | --help\n\n"
         "An interactive cloth and spring-mass simulator.\n\n"

@@ -546,6 +546,7 @@ def test_tune_confirms_its_choice_and_prints_the_command_that_uses_it(tmp_path):
     chosen = ["--methods", "symplectic_euler", "--precisions", "f64", "--substeps", "1,32,512"]
     out, told = command("tune", "oscillator", *chosen, "--error", "0.5%", "--quick", "--json")
     found = json.loads(out)
+    assert told == ""
     assert found["setting"]["substeps"] == 32  # of the errors 1.7, 0.05 and 0.003 %
     for figures in (found["expected"], found["confirmed"]):
         assert 0 < figures["error_relative"] <= 0.005 and figures["frame_seconds"] > 0

@@ -88,11 +88,12 @@ def measured(
     chosen: list[settings.Setting],
     how: sweep.Plan,
     closed: bool = True,
+    quiet: bool = False,
 ) -> Iterator[sweep.Result]:
     """What the sweep found, with its samples as long as the context lasts.
 
-    How far it is shows on standard error. closed: whether the scene is the one whose closed form
-    is known, if there is one.
+    How far it is shows on standard error, unless `quiet`. closed: whether the scene is the one
+    whose closed form is known, if there is one.
     """
     frames = request.options.frames or reference.default_frames(scene)
     run = sweep.Sweep(
@@ -103,7 +104,7 @@ def measured(
         lambda times: reference.closed_form(request, scene, times) if closed else None,
     )
     try:
-        with progress() as run.tell:
+        with contextlib.nullcontext(run.tell) if quiet else progress() as run.tell:
             (result,) = run.run()
         yield result
     finally:

@@ -79,21 +79,22 @@ def main(request: Request) -> int:
     target = read_target(request.options.error, request.options.frame_time)
     scene, chosen, how = command.prepare(request)
     how = replace(how, solver_errors=False)
-    with command.measured(request, scene, chosen, how) as result:
+    quiet = request.options.json
+    with command.measured(request, scene, chosen, how, quiet=quiet) as result:
         if result.interrupted:
             raise KeyboardInterrupt
         made = rows.rows_of(result, command.common(scene), command.run_words(request, how))
         best = choose(made, target)
         other = kicked(scene, result.reference.samples.v, request.options.seed)
     frames = replace(request, options=replace(request.options, frames=result.horizon.asked))
-    with command.measured(frames, other, [best.setting], how, closed=False) as again:
+    with command.measured(frames, other, [best.setting], how, False, quiet) as again:
         if again.interrupted:
             raise KeyboardInterrupt
         (confirming,) = rows.rows_of(again, command.common(other), [])
     expected = Figures.of(best)
     confirmed = Figures.of(confirming) if confirming.wall_seconds else None
     held = confirmed is not None and target.met_by(confirmed)
-    if request.options.json:
+    if quiet:
         print(json.dumps(_as_json(request, target, best, expected, confirming, held), indent=1))
         return 0
     # A pipe or a file has no width: give whole lines a place where they fit.
