@@ -195,6 +195,7 @@ def test_measures_are_what_they_say():
     assert apart.final_max == pytest.approx(10.0)
     assert apart.final_rms == pytest.approx(math.sqrt(mean))
     assert apart.trajectory == pytest.approx(math.sqrt((25 + 4 * mean) / 5))
+    assert apart.trajectory_max == pytest.approx(10.0)
     still, fast = Invariants.of(scene, one), Invariants.of(scene, replace(one, v=v + [1.0, 0.0]))
     assert still.energy_drift(still) == still.momentum_drift(still) == 0.0
     assert fast.momentum_drift(still) == pytest.approx(9.0 / still.impulse)
@@ -261,6 +262,25 @@ def test_files_keep_the_contract_and_say_the_same(oscillator):
         assert row["pareto"] is not beaten
         assert re.search(rf"●\s+{row['method']}", printed) or not row["pareto"]
     assert "12 of" not in printed and "of" in told  # progress goes to standard error
+
+
+def test_a_narrow_terminal_is_shown_fewer_columns_and_whole_words(oscillator, capsys):
+    from types import SimpleNamespace
+
+    from rich.console import Console
+
+    from taichi_cloth.trade import report
+
+    folder, printed, _ = oscillator
+    assert "symplectic_euler" in printed and "quartiles" in printed and "…" not in printed
+    found = json.loads((folder / "trade.json").read_text())
+    made = [rows.Row(**row) for row in found["rows"]]
+    horizon = SimpleNamespace(frames=20, scale=1.0, what="", describe=lambda: "")
+    result = SimpleNamespace(scene=SimpleNamespace(name="x"), horizon=horizon, reference=None)
+    report.show(result, made, Console(width=80))
+    narrow = capsys.readouterr().out
+    assert "symplectic_euler" in narrow and "time a frame" in narrow and "…" not in narrow
+    assert "quartiles" not in narrow.splitlines()[2] and "left out" in narrow
 
 
 def test_plots_are_whole_pictures(oscillator):

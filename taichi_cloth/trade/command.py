@@ -29,7 +29,7 @@ def main(request: Request) -> int:
     from rich.console import Console
 
     # A pipe or a file has no width: give whole lines a place where they fit.
-    console = Console() if sys.stdout.isatty() else Console(width=170)
+    console = Console() if sys.stdout.isatty() else Console(width=210)
     scene, chosen, how = prepare(request)
     folder = Path(request.options.output or f"trade-{scene.name}")
     prepare_folder(folder, FILES)

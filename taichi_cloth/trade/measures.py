@@ -40,15 +40,13 @@ class Distance:
     """How far two runs are apart, in world units, over the particles that are free.
 
     final_rms, final_max: root of the mean square, and largest, distance of a particle at the end;
-    trajectory: root of the mean square over particles and over the ends of all frames.
+    trajectory, trajectory_max: the same over particles and over the ends of all frames.
     """
 
     final_rms: float
     final_max: float
     trajectory: float
-
-    def largest(self) -> float:
-        return max(self.final_rms, self.final_max, self.trajectory)
+    trajectory_max: float
 
 
 def distance(a: Samples, b: Samples, free: np.ndarray) -> Distance:
@@ -58,6 +56,7 @@ def distance(a: Samples, b: Samples, free: np.ndarray) -> Distance:
         final_rms=float(np.sqrt(square[-1].mean())),
         final_max=float(np.sqrt(square[-1].max())),
         trajectory=float(np.sqrt(square.mean())),
+        trajectory_max=float(np.sqrt(square.max())),
     )
 
 

@@ -12,50 +12,87 @@ FRONT, FAILED, FLOOR = "●", "✗", "≤"
 MOST_FAILURES = 8  # that are told one by one
 
 
+# Columns that a narrow terminal goes without, the first ones first; trade.csv has them all.
+SPARED = ("sweeps", "forces", "quartiles", "worst at end", "strain", "energy drift")
+SPARED += ("order", "by solver")
+
+
 def show(result: Result, rows: Sequence[Row], console) -> None:
     """Print the table and the notes below it."""
     from rich import box
     from rich.table import Table
 
+    columns = _columns(result, rows)
+    spared = []
+    for name in SPARED:
+        if sum(_width(name, texts) for name, texts in columns.items()) <= console.width:
+            break
+        spared.append(name)
+        del columns[name]
     frames = result.horizon.frames if result.horizon else 0
     table = Table(
         title=f"{result.scene.name}: error beside cost over {frames} frame{'s' * (frames != 1)}",
         title_justify="left",
         box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
         pad_edge=False,
     )
-    tears = any(row.breaks for row in rows)
-    solves = any(row.error_solver is not None for row in rows)
-    headers = ["", "method", "numbers", "substeps", "solver", "error", "worst at the end"]
-    headers += ["of which solver"] * solves + ["order", "energy drift", "strain"]
-    headers += ["breaks (as in ref.)"] * tears + ["time a frame", "forces", "sweeps"]
-    for header in headers:
-        left = header in ("", "method", "numbers", "solver")
-        table.add_column(header, justify="left" if left else "right", no_wrap=header == "method")
-    for row in rows:
-        if not row.ok:
-            line = [FAILED, *_setting(row), row.status.partition(":")[0]]
-            table.add_row(*line, *[""] * (len(headers) - len(line)), style="red")
-            continue
-        line = [FRONT if row.pareto else "", *_setting(row), _error(row, result)]
-        line.append(_percent(row.error_final_max_relative))
-        if solves:
-            line.append(_number(row.error_solver, _scale(result)))
-        line += ["" if row.order is None else f"{row.order:.2f}", _percent(row.energy_drift)]
-        line.append(_percent(row.max_strain))
-        if tears:
-            line.append("" if row.breaks is None else f"{row.breaks} ({row.breaks_agreeing})")
-        a_frame = None if row.wall_seconds is None else row.wall_seconds / row.frames
-        line += [seconds(a_frame), str(row.force_evaluations), str(row.sweeps or "")]
-        table.add_row(*line, style="bold" if row.pareto else None)
+    for name in columns:
+        left = name in ("", "method", "numbers", "solver")
+        table.add_column(name, justify="left" if left else "right")
+    for row, line in zip(rows, zip(*columns.values(), strict=True), strict=True):
+        table.add_row(*line, style="red" if not row.ok else "bold" if row.pareto else None)
     console.print(table)
     for note in notes(result, rows):
-        console.print(
-            note if note.startswith(" ") else f"- {note}",
-            highlight=False,
-            markup=False,
-            soft_wrap=True,
-        )
+        line = note if note.startswith(" ") else f"- {note}"
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    if spared:
+        left_out = ", ".join(reversed(spared))
+        console.print(f"- left out, for the terminal is narrow: {left_out}", highlight=False)
+
+
+def _width(name: str, texts: Sequence[str]) -> int:
+    """Of a column, with the space that parts it from the next."""
+    return max(map(len, [name, *texts])) + 2
+
+
+def _columns(result: Result, rows: Sequence[Row]) -> dict[str, list[str]]:
+    """The table's columns by their headers; those that say nothing are left out."""
+
+    def column(text) -> list[str]:
+        return [text(row) if row.ok else "" for row in rows]
+
+    def a_frame(row: Row, number: float | None) -> str:
+        return "" if number is None else seconds(number / row.frames)
+
+    columns = {
+        "": [FRONT if row.pareto else "" if row.ok else FAILED for row in rows],
+        "method": [row.method for row in rows],
+        "numbers": [_numbers(row) for row in rows],
+        "substeps": [str(row.substeps) for row in rows],
+        "solver": [_solver(row) for row in rows],
+        "error": [_error(row, result) for row in rows],
+        "by solver": column(lambda row: _number(row.error_solver, _scale(result))),
+        "worst at end": column(lambda row: _percent(row.error_final_max_relative)),
+        "order": column(lambda row: "" if row.order is None else f"{row.order:.2f}"),
+        "energy drift": column(lambda row: _percent(row.energy_drift)),
+        "strain": column(lambda row: _percent(row.max_strain)),
+        "breaks (as in ref.)": column(
+            lambda row: f"{row.breaks} ({row.breaks_agreeing})" if row.breaks is not None else ""
+        ),
+        "time a frame": column(lambda row: a_frame(row, row.wall_seconds)),
+        "quartiles": column(
+            lambda row: f"{a_frame(row, row.wall_lower)} .. {a_frame(row, row.wall_upper)}"
+        ),
+        "forces": column(lambda row: str(row.force_evaluations or "")),
+        "sweeps": column(lambda row: str(row.sweeps or "")),
+    }
+    if not any(row.breaks for row in rows):
+        del columns["breaks (as in ref.)"]
+    for name in ("solver", "by solver"):
+        if not any(columns[name]):
+            del columns[name]
+    return columns
 
 
 def notes(result: Result, rows: Sequence[Row]) -> list[str]:
@@ -112,14 +149,22 @@ def _scale(result: Result) -> float:
     return result.horizon.scale if result.horizon else 1.0
 
 
-def _setting(row: Row) -> list[str]:
+def _numbers(row: Row) -> str:
+    """'f32', with the backend where it is not the CPU."""
     exact = "" if row.fast_math or row.precision != "f32" else " exact"
     arch = "" if row.arch == "cpu" else f"{row.arch} "
-    solver = row.setting.describe_solver()
-    return [row.method, f"{arch}{row.precision}{exact}", str(row.substeps), solver]
+    return f"{arch}{row.precision}{exact}"
+
+
+def _solver(row: Row) -> str:
+    """In short: '8 sweeps', 'to 1e-06'."""
+    sweeps = f"{row.iterations} sweep{'s' * (row.iterations > 1)}" if row.iterations else ""
+    return ", ".join(filter(None, [sweeps, f"to {row.tolerance:g}" if row.tolerance else ""]))
 
 
 def _error(row: Row, result: Result) -> str:
+    if not row.ok:
+        return row.status.partition(":")[0]
     if row.error_trajectory_relative is None:
         return "not known"
     if row.below_floor:

@@ -20,10 +20,10 @@ from taichi_cloth.trade.sweep import Outcome, Result
 class Row:
     """One setting. Numbers that it does not have are None.
 
-    error_final_rms, error_final_max, error_trajectory: distances from the reference in world units
-    (`measures.Distance`); the same with `_relative`: in parts of the reference's largest
-    displacement. error_discretisation: that of the converged step; error_solver: the distance from
-    it. energy_drift, momentum_drift: in parts of the reference's scales (`measures.Invariants`).
+    error_final_rms, error_final_max, error_trajectory, error_trajectory_max: distances from the
+    reference in world units (`measures.Distance`); with `_relative`: in parts of the horizon's
+    scale. error_discretisation: that of the converged step; error_solver: the distance from it.
+    energy_drift, momentum_drift: in parts of the reference's scales (`measures.Invariants`).
     order: by which the error falls with the step, from the row with the next longer step.
     wall_seconds: of the whole horizon, the median; wall_lower, wall_upper: its quartiles.
     below_floor: the reference cannot tell the error from none. pareto: no other is both as cheap
@@ -52,6 +52,7 @@ class Row:
     error_final_rms_relative: float | None = None
     error_final_max_relative: float | None = None
     error_trajectory_relative: float | None = None
+    error_trajectory_max: float | None = None
     error_discretisation: float | None = None
     error_solver: float | None = None
     below_floor: bool = False
@@ -143,6 +144,7 @@ def _errors(samples: Samples, result: Result, free, true: Invariants) -> dict[st
         "error_final_rms": apart.final_rms,
         "error_final_max": apart.final_max,
         "error_trajectory": apart.trajectory,
+        "error_trajectory_max": apart.trajectory_max,
         "error_final_rms_relative": apart.final_rms / scale,
         "error_final_max_relative": apart.final_max / scale,
         "error_trajectory_relative": apart.trajectory / scale,
