@@ -43,6 +43,7 @@ def run(*arguments, cwd=None, **options):
         "from taichi_cloth import cli; cli.main(['--help'])",
         "from taichi_cloth import cli; cli.main(['run', 'box', '--help'])",
         "from taichi_cloth import cli; assert cli.main(['run', '--frames', '0']) == 2",
+        "from taichi_cloth import cli; cli.main(['trade', '--help']); cli.main(['tune', '--help'])",
     ],
 )
 def test_nothing_heavy_is_imported_before_a_run(code):

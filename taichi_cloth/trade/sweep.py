@@ -109,7 +109,7 @@ def plan(scene: Scene, options) -> Plan:
     if run == "auto":
         one = options.threads == 1 or (options.threads is None and n < settings.SERIAL_BEST)
         run = "serial" if one else "parallel"
-    budget, patience = (0.1, 6.0) if options.quick else (0.3, 20.0)
+    budget, patience = (0.06, 5.0) if options.quick else (0.3, 20.0)
     return Plan(stored, run, options.threads, budget, patience)
 
 
