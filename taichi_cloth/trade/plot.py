@@ -31,7 +31,9 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
         of = sorted((r for r in rows if r.setting.series == series), key=lambda r: -r.step)
         _draw_series(of_time, of_step, of, looks[series], floor)
     shown = [max(row.error_trajectory_relative, floor) for row in measured]
-    top, bottom = 10 * max(shown), min(shown) / 4
+    # Failures are drawn along the upper edge.
+    room = 2 if all(row.ok for row in rows) else 10
+    top, bottom = room * max(shown), min(shown) / 4
     of_time.set(xscale="log", yscale="log", ylim=(bottom, top))
     steps = [row.step for row in rows]
     of_step.set(xscale="log", xlim=(0.8 * min(steps), 1.25 * max(steps)))
@@ -53,11 +55,13 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
     of_time.set_ylabel(f"trajectory error (RMS, in parts of {result.horizon.what.split(',')[0]})")
     of_step.set_xlabel(f"step (the scene's time; a frame is {rows[0].dt:g})")
     frames = result.horizon.frames
-    figure.suptitle(
+    title = (
         f"{result.scene.name}: error beside cost, {len(result.scene.particles)} particles, "
-        f"{frames} frames; reference: {result.reference.what}",
-        fontsize=11,
+        f"{frames} frames; reference: {result.reference.what}"
     )
+    if result.reference.event:
+        title += f"\nnot smooth: {result.reference.event}"
+    figure.suptitle(title, fontsize=11)
     _legend(figure, looks, rows)
     files = {}
     for kind in kinds:
