@@ -180,6 +180,39 @@ def test_horizon_ends_before_a_disturbance_has_grown_into_the_errors():
     assert still.frames == 100 and still.grown == 0.0
 
 
+def test_what_is_known_decides_what_is_compared_to():
+    """The closed form before DOP853 before fine runs; what each is worth; events and why not."""
+    scene = scenes.build("oscillator")
+    x = np.zeros((11, 2, 2))
+
+    def samples(shift, alive=True):
+        moved = x + np.array([0.0, shift])[:, None]
+        return Samples(moved, x, np.full((11, 1), alive))
+
+    fine = [("coarse", samples(1e-3)), ("fine", samples(1e-6))]
+    solved = smooth.Solution(x, x, until=10.0)
+    args = scene, 10
+    exact = reference.decide(*args, samples(2e-6), solved, 10.0, fine)
+    assert exact.what == "the closed form"
+    assert exact.apart.trajectory == pytest.approx(2e-6 * math.sqrt(2))
+    both = reference.decide(*args, None, solved, 10.0, fine)
+    assert both.what.startswith("DOP853") and both.against == "fine"
+    assert both.apart.trajectory == pytest.approx(1e-6 * math.sqrt(2))
+    hit = smooth.Solution(x, x, until=4.0, event="particle 1 hits the wall 'left'")
+    rough = reference.decide(*args, None, hit, 10.0, fine)
+    assert (rough.what, rough.against) == ("fine", "coarse") and "wall 'left'" in rough.event
+    assert rough.apart.trajectory == pytest.approx((1e-3 - 1e-6) * math.sqrt(2))
+    slow = smooth.Solution(x, x, until=4.0, given_up=True)
+    given_up = reference.decide(*args, None, slow, 10.0, fine)
+    assert given_up.event is None and "given up at time 4 of 10" in given_up.note
+    torn = [fine[0], ("fine", samples(0.0, alive=False))]
+    assert "spring 0 breaks" in reference.decide(*args, None, slow, 10.0, torn).event
+    assert reference.decide(*args, None, None, 10.0, fine[:1]) is None
+    # What a reference is worth limits what it can measure.
+    horizon = reference.Horizon(10, 10, 1.0, "", 1e-10)
+    assert both.floor(horizon) == pytest.approx(10 * both.apart.trajectory)
+
+
 def test_measures_are_what_they_say():
     rng = np.random.default_rng(0)
     scene = scenes.build("cloth", columns=4, rows=3)

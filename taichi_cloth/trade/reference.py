@@ -60,7 +60,8 @@ class Horizon:
 @dataclass(frozen=True)
 class Reference:
     """States that runs are compared to. what: where they come from; against: what they were
-    checked with; apart: by how much they differ from that; event: what ends smoothness.
+    checked with; apart: by how much they differ from that; event: what ends smoothness; note: why
+    the differential equation was not solved, where nothing ends it.
     """
 
     samples: Samples
@@ -68,6 +69,7 @@ class Reference:
     against: str
     apart: Distance
     event: str | None = None
+    note: str = ""
 
     def floor(self, horizon: Horizon) -> float:
         """The least trajectory error that it can measure, in world units."""
@@ -82,7 +84,7 @@ class Reference:
         ]
         if self.event:
             said.insert(1, f"not smooth: {self.event}; no high order is to be expected past that")
-        return said
+        return said + [self.note] * bool(self.note)
 
 
 def default_frames(scene: Scene) -> int:
@@ -196,7 +198,6 @@ def decide(
     """
     free = ~scene.particles.fixed
     runs = [(what, samples.first(frames)) for what, samples in fine]
-    event = None
     smooth_here = solution is not None and solution.until >= solved_to - 1e-9 * abs(solved_to)
     if smooth_here:
         alive = runs[-1][1].alive if runs else np.ones((frames + 1, 0), bool)
@@ -210,12 +211,19 @@ def decide(
         if runs:
             return Reference(solved, what, runs[-1][0], distance(solved, runs[-1][1], free))
         return None
-    if solution is not None:
-        event = solution.event and f"{solution.event} after time {solution.until:.4g}"
     if len(runs) < 2:
         return None
     (coarser, before), (what, finest) = runs[-2:]
-    return Reference(finest, what, coarser, distance(finest, before, free), event)
+    event, note = None, ""
+    if solution is not None and solution.event:
+        event = f"{solution.event} after time {solution.until:.4g}"
+    elif not finest.alive.all():
+        frame, spring = np.argwhere(~finest.alive)[0]
+        event = f"spring {spring} breaks in frame {frame}"
+    else:
+        until = solution.until if solution is not None else 0.0
+        note = f"DOP853 took too long, and was given up at time {until:.4g} of {solved_to:.4g}"
+    return Reference(finest, what, coarser, distance(finest, before, free), event, note)
 
 
 def refine(
