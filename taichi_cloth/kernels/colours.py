@@ -277,10 +277,14 @@ def renew_both_halos(plan: ti.template(), state: ti.template(), t):
         each_row(plan, state, t, _renew_both_halos)
 
 
+def _read_beside(plan, state):
+    low = (state.x_low, state.goal_v) if plan.compensated else ()
+    return (state.x, state.v, *low)
+
+
 @ti.func
 def _renew_both_halos(plan: ti.template(), state: ti.template(), begin, width):
-    more = ti.static((state.x_low, state.goal_v) if plan.compensated else ())
-    for of in ti.static((state.x, state.v, *more)):
+    for of in ti.static(_read_beside(plan, state)):
         renew_left_halo(plan, of, begin, width, plan.halo)
         renew_right_halo(plan, of, begin, width, plan.halo)
     for s in range(plan.kinds):

@@ -6,8 +6,8 @@ is a part. Such a method goes through springs or particles by colour (`colours.p
 state.iterations says, and changes state.v; state.x stays where the step began until its end.
 
 The unknown is the velocity: set from positions, as in the papers, velocities would lose gravity to
-rounding in f32. In the precision `compensated` state.v is what the sweeps add to goal_v, by far less
-than itself, until the step ends.
+rounding in f32. In the precision `compensated` state.v is what the sweeps add to goal_v, which is
+far less, until the step ends.
 """
 
 import functools

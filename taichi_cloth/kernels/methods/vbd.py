@@ -7,8 +7,9 @@ and drag take); each visit moves one particle by a Newton step towards it while 
     (1 + w*sum(dt*c + dt^2*K)) change = goal_v - v + dt*w*sum(T),
 
 over the particle's springs: T their tension, K their stiffness matrix, what is negative of it
-clamped to 0. Momentum is kept as far as the sweeps have converged. No multipliers: stiff springs between equal masses, and a heavy particle on a light
-one, need many sweeps. Sweeps begin at the velocity without springs.
+clamped to 0. Sweeps begin at the velocity without springs. There are no multipliers: stiff springs
+between equal masses, and a heavy particle on a light one, need many sweeps, and momentum is kept
+only as far as the sweeps have converged.
 """
 
 import math
