@@ -44,7 +44,7 @@ def main(request: Request) -> int:
     """Explain a scene, or all of them; returns the exit status."""
     options = _consistent(request)
     document = _document(options)
-    scenes = _built_in() if options.all else {request.scene: request.build()}
+    scenes = _built_in() if options.all else {" ".join(request.words()): request.build()}
 
     import numpy
     from rich.console import Console
@@ -61,7 +61,8 @@ def main(request: Request) -> int:
     found, cloths = [], []
     with _progress(options) as tell:
         for name, scene in scenes.items():
-            found.append(costs.explain(scene, how, options.quick, tell(name)))
+            explanation = costs.explain(scene, how, options.quick, tell(name))
+            found.append(replace(explanation, scene=name))
         if options.all:
             for side in SIDES[: 2 if options.quick else None]:
                 named = _cloths(side)
