@@ -299,6 +299,7 @@ def _run(scene: Scene, options: RunOptions, log, recorder, trajectory: Trajector
             raise failure
         if not options.quiet:
             print(_last_line(sim, summary, time.perf_counter() - begin))
+            _note_unconverged(sim)
     return 0
 
 
@@ -327,6 +328,18 @@ def _last_line(sim: Simulation, summary, seconds: float) -> str:
         f"{done}: {1e3 * a_frame:.3g} ms a frame to simulate after the first, "
         f"{sim.substeps / a_frame:.4g} steps/s, {sim.execution} {sim.topology}"
     )
+
+
+def _note_unconverged(sim: Simulation):
+    """Say on standard error how many steps' solutions missed their tolerance."""
+    work = sim.work()
+    if work.unconverged:
+        tolerance = sim.solver["tolerance"]
+        print(
+            f"{PROGRAM}: note: {work.unconverged} of {work.steps} steps did not converge to a "
+            f"relative residual of {tolerance:g}; use a smaller step or a larger --tolerance",
+            file=sys.stderr,
+        )
 
 
 def _note_differences(recorded: Mapping[str, Any], present: Mapping[str, Any]):

@@ -23,6 +23,25 @@ class Work:
 
 
 @dataclass(frozen=True)
+class Solution:
+    """How the equations of a step's last stage were solved.
+
+    outcome: in words, such as "converged"; converged: whether the residual met its tolerance, or is
+    as small as rounding leaves it. residual_max, residual_rms: of all particles, as accelerations;
+    scale: the acceleration that the tolerance refers to. directions: Newton's; sweeps: products
+    with the stiffness matrix in the last one.
+    """
+
+    outcome: str
+    converged: bool
+    residual_max: float
+    residual_rms: float
+    scale: float
+    directions: int
+    sweeps: int
+
+
+@dataclass(frozen=True)
 class Energy:
     """Kinetic, gravitational and elastic energy of a state, in the scene's units."""
 

@@ -13,7 +13,7 @@ import taichi as ti
 from taichi_cloth import execution, layout, limits, measure, topology
 from taichi_cloth.errors import InputError, SimulationFailure, nearest
 from taichi_cloth.following import Follower, substeps_needed
-from taichi_cloth.kernels import fracture, interaction, methods, transfer, watch
+from taichi_cloth.kernels import fracture, interaction, methods, newton, transfer, watch
 from taichi_cloth.kernels.plan import Plan
 from taichi_cloth.kernels.state import (
     ALIVE,
@@ -224,6 +224,19 @@ class Simulation:
         forces, sweeps, unconverged = (int(count) for count in self._work)
         forces = self.steps * self.claims.forces or forces
         return measure.Work(self.steps, forces, sweeps, unconverged)
+
+    def solution(self) -> measure.Solution:
+        """How the last step was solved; InputError where the method has no tolerance to meet."""
+        if "tolerance" not in self.claims.settings:
+            raise InputError(f"{self.method} solves no equations to a tolerance")
+        state = self._state
+        numbers = {
+            name: getattr(state, name)[None]
+            for name in ("residual_max", "residual_rms", "scale", "directions", "sweeps")
+        }
+        outcome = state.outcome[None]
+        converged = outcome in (newton.CONVERGED, newton.ROUNDED)
+        return measure.Solution(newton.OUTCOMES[outcome], converged, **numbers)
 
     def describe_size(self) -> str:
         """What decides a step's cost besides the device: features, and sizes by powers of two."""

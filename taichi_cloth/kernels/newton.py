@@ -87,6 +87,14 @@ LANES = 4  # in cells: with 8 it is a tenth faster, and takes twice as long to c
 LAUNCHES = ((BEGIN,), (EVALUATE, MOVE), (DIRECT, ITERATE), (FINISH,))
 # What came of a stage. ROUNDED: as small as rounding lets it be.
 CONVERGED, ROUNDED, EXHAUSTED, STALLED, SINGULAR, NOT_FINITE = range(6)
+OUTCOMES = (
+    "converged",
+    "converged to rounding",
+    "the most directions were not enough",
+    "directions brought no more progress",
+    "singular",
+    "not finite",
+)
 
 MOST_DIRECTIONS = 60
 MOST_TRIALS = 12  # shortenings of one step

@@ -87,6 +87,9 @@ def status_lines(
     alive = len(sim.drawn_springs())
     broken = sim.spring_count - alive
     step = f"dt {sim.dt:g}" + (f" in {sim.substeps} substeps" if sim.substeps > 1 else "")
+    method, unconverged = sim.method, sim.work().unconverged
+    if unconverged:
+        method += f" ({unconverged} steps unconverged)"
     rows = (
         (pace, f"simulate {1e3 * meter.simulate:.2f} ms", f"draw {1e3 * meter.draw:.1f} ms"),
         (
@@ -95,7 +98,7 @@ def status_lines(
             f"time {sim.time:.10g}",
             f"frame {sim.frame}",
         ),
-        (sim.scene.name, sim.method, step, f"{device}, {sim.execution} {sim.topology}", "f1 keys"),
+        (sim.scene.name, method, step, f"{device}, {sim.execution} {sim.topology}", "f1 keys"),
     )
     lines = tuple("  \u00b7  ".join(row) for row in rows)
     return (notice, *lines) if notice else lines
