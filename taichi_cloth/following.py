@@ -19,7 +19,7 @@ def substeps_needed(dt: float, limit: float) -> int:
     if math.isinf(limit):
         return 1
     # A quotient that is whole but for round-off is whole.
-    return max(1, math.ceil(dt / (limits.SAFETY * limit) * (1 - 1e-12)))
+    return max(1, math.ceil(min(dt / limits.SAFETY / limit * (1 - 1e-12), 1e18)))
 
 
 class Follower:
@@ -54,7 +54,7 @@ class Follower:
         if needed > MOST:
             raise InputError(
                 f"--dt auto: a stable step of {self._name} is {limit:.3g} here, and a frame of "
-                f"{self._dt:g} would take {needed} of them; the most is {MOST}. "
+                f"{self._dt:g} would take {needed:.3g} of them; the most is {MOST}. "
                 "Use a smaller --dt, or softer springs"
             )
         self._substeps = needed

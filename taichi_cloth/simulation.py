@@ -774,7 +774,7 @@ class Simulation:
         raise SimulationFailure(particle, frame, what, *self._likely_cause())
 
     def _likely_cause(self):
-        """(cause, remedy) of a failure: the step against the method's limit, by Gershgorin."""
+        """(cause, remedy) of a failure: the step against the method's limit in any geometry."""
         network, method = self.network(), methods.load(self.method)
         bounds = limits.gershgorin(network)
         dt, limit = self.dt / self.substeps, limits.step_within(method, bounds)
@@ -785,6 +785,9 @@ class Simulation:
             )
         if not math.isfinite(bounds.omega2):
             return f"springs too stiff for {self._numpy_real.__name__}", "use softer springs"
+        if dt > limit > 0:  # by Gershgorin; look closer
+            bounds = limits.any_geometry(network)
+            limit = limits.step_within(method, bounds)
         if not dt > limit:
             return "forces or starting speeds too large for the step", "use more --substeps"
         needed = f"use --substeps {substeps_needed(self.dt, limit)}"

@@ -39,8 +39,9 @@ DISTURBANCE = 1e-6  # of a spring's length: so small that springs are linear
 NOISE = 1e-3  # of the disturbance
 EXPLODED = 1e4  # times the disturbance at the start
 ACCURACY = 1e-3  # of the limit: where bisection ends
-RUN_SECONDS = 0.25  # that a run of the bisection takes, where that is
-RUN_STEPS = 1_000, 100_000  # at least, and at most
+RUN_SECONDS = 0.25  # that a run of the bisection takes,
+MOST_SECONDS = 2.0  # or, where what grows grows slowly, up to this
+RUN_STEPS = 1_000, 1_000_000  # at least, and at most
 PARALLEL_FROM = 20_000  # particles from which all threads are used
 
 
@@ -289,7 +290,7 @@ def _measure(scene: Scene, row: Row, maps: list[Map], tell: Callable) -> None:
         return
     runs = Runs(scene, row.method)
     seconds = runs.seconds_a_step()
-    look = Look(int(np.clip(RUN_SECONDS / seconds, *RUN_STEPS)))
+    look = _long_enough(methods.load(row.method), limit, seconds)
     try:
         row.dt_measured, row.status = bisect(runs, limit, look, lambda: tell(row.method))
     finally:
@@ -299,6 +300,15 @@ def _measure(scene: Scene, row: Row, maps: list[Map], tell: Callable) -> None:
     mesh = MESH if seconds * MESH.points * MESH.look.steps < MAP_SECONDS else COARSE_MESH
     for draw in (_stiffness_map, _mass_map):
         draw(scene, row, runs, mesh, maps, tell)
+
+
+def _long_enough(method, limit, seconds) -> Look:
+    """As many steps, of `seconds` each, as show what grows a little above the limit."""
+    beyond = (1 + 2 * ACCURACY) * limit.dt
+    rate = math.log(max(limits.growth(method, beyond, limit.omega2, limit.damping), 1 + 1e-12))
+    needed = 3 * math.log(Look.margin) / rate
+    steps = min(max(needed, min(RUN_SECONDS / seconds, 100_000)), MOST_SECONDS / seconds)
+    return Look(int(np.clip(steps, *RUN_STEPS)))
 
 
 def bisect(runs: Runs, limit: limits.Limit, look: Look, tell=lambda: None) -> tuple[float, str]:
