@@ -567,6 +567,26 @@ def test_tune_chooses_the_cheapest_that_meets_and_the_best_that_fits():
                 tune.choose(made, target)
 
 
+def test_tune_does_not_promise_what_the_reference_cannot_tell():
+    """An error below the floor counts as the floor, however small it came out."""
+    made = made_up(np.random.default_rng(0), 1)[0]
+    row = replace(
+        made,
+        status="ok",
+        wall_seconds=1.0,
+        wall_upper=1.0,
+        error_trajectory=1e-6,
+        error_trajectory_relative=2e-8,
+        below_floor=True,
+        floor=0.5,
+        scale=50.0,
+    )
+    assert tune.choose([row], tune.Target(error=0.011)) is row
+    assert tune.Figures.of(row).error_relative == 0.01
+    with pytest.raises(InputError, match="none of 1 settings meets it"):
+        tune.choose([row], tune.Target(error=0.009))
+
+
 @pytest.mark.parametrize(
     ("error", "frame_time", "target"),
     [

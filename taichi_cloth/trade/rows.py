@@ -21,12 +21,13 @@ class Row:
     """One setting. Numbers that it does not have are None.
 
     error_final_rms, error_final_max, error_trajectory, error_trajectory_max: distances from the
-    reference in world units (`measures.Distance`); with `_relative`: in parts of the horizon's
-    scale. error_discretisation: that of the converged step; error_solver: the distance from it.
+    reference in world units (`measures.Distance`); with `_relative`: in parts of `scale`, the
+    horizon's. error_discretisation: that of the converged step; error_solver: the distance from it.
     energy_drift, momentum_drift: in parts of the reference's scales (`measures.Invariants`).
     order: by which the error falls with the step, from the row with the next longer step.
     wall_seconds: of the whole horizon, the median; wall_lower, wall_upper: its quartiles.
-    below_floor: the reference cannot tell the error from none. pareto: no other is both as cheap
+    floor: the least trajectory error that the reference can tell from none, in world units;
+    below_floor: that it cannot tell this one. pareto: no other is both as cheap
     and as good. command: runs it again.
     """
 
@@ -56,6 +57,8 @@ class Row:
     error_discretisation: float | None = None
     error_solver: float | None = None
     below_floor: bool = False
+    floor: float | None = None
+    scale: float | None = None
     order: float | None = None
     momentum_drift: float | None = None
     unconverged: int | None = None
@@ -151,6 +154,8 @@ def _errors(samples: Samples, result: Result, free, true: Invariants) -> dict[st
         "energy_drift": mine.energy_drift(true),
         "momentum_drift": mine.momentum_drift(true),
         "max_strain": mine.strain,
+        "floor": result.reference.floor(result.horizon),
+        "scale": scale,
         "below_floor": apart.trajectory < result.reference.floor(result.horizon),
     }
 

@@ -51,7 +51,7 @@ class Target:
 @dataclass(frozen=True)
 class Figures:
     """What a setting showed: its trajectory error (world units, and in parts of the largest
-    displacement) and the time of a frame, in seconds.
+    displacement), or the least that the reference can tell from none; a frame's time in seconds.
     """
 
     error: float
@@ -60,11 +60,10 @@ class Figures:
 
     @classmethod
     def of(cls, row: Row) -> Figures:
-        return cls(
-            error=row.error_trajectory,
-            error_relative=row.error_trajectory_relative,
-            frame_seconds=row.wall_seconds / row.frames,
-        )
+        error, relative = row.error_trajectory, row.error_trajectory_relative
+        if row.below_floor:
+            error, relative = row.floor, row.floor / row.scale
+        return cls(error, relative, frame_seconds=row.wall_seconds / row.frames)
 
     def describe(self) -> str:
         percent = 100 * self.error_relative
