@@ -127,9 +127,10 @@ def test_many_sweeps_end_at_the_solution_of_backward_euler(method, device):
     exact.advance()
     assert exact.work().unconverged == 0
     goal, moved = exact.positions(), np.abs(exact.positions() - scene.particles.position).max()
-    errors = []
+    sim, errors = Simulation(scene, method, 2.0, **how), []
     for sweeps in (1, 4, 16, 64, 256):
-        sim = Simulation(scene, method, 2.0, iterations=sweeps, **how)
+        sim.solver["iterations"] = sweeps
+        sim.reset()
         sim.advance()
         assert sim.work().sweeps == sweeps
         errors.append(np.abs(sim.positions() - goal).max() / moved)
@@ -152,9 +153,10 @@ def test_the_number_of_sweeps_does_not_change_the_material(method, device):
     scene.particles.fixed[:4] = True
     stretch = scene.particles.mass[0] * scene.world.gravity[1] * 10 / scene.springs.stiffness[0]
     slack = scene.particles.position[:4, 1] + 4 * scene.springs.rest_length[0]
+    sim = Simulation(scene, method, 0.1, execution="serial", topology="graph")
     for sweeps in (1, 4, 16):
-        how = {"iterations": sweeps, "execution": "serial", "topology": "graph"}
-        sim = Simulation(scene, method, 0.1, **how)
+        sim.solver["iterations"] = sweeps
+        sim.reset()
         sim.advance(20_000)
         assert np.abs(sim.velocities()).max() < 1e-9
         hanging = sim.positions()[16:, 1] - slack

@@ -47,7 +47,8 @@ CLAIMS = Claims(
     forces=0,
     settings=("iterations",),
 )
-VECTORS, HALOED, COUNTS = sweeps.VECTORS, sweeps.HALOED, sweeps.COUNTS
+LANES, VECTORS = sweeps.LANES, sweeps.VECTORS
+HALOED, COUNTS = sweeps.HALOED, sweeps.COUNTS
 NEEDS = ("spring_colours",)
 
 
