@@ -778,9 +778,12 @@ class Simulation:
         network, method = self.network(), methods.load(self.method)
         bounds = limits.gershgorin(network)
         dt, limit = self.dt / self.substeps, limits.step_within(method, bounds)
-        if limit == 0 and bounds.damping == 0 and math.isfinite(bounds.omega2):
+        if limit == 0 and math.isfinite(bounds.omega2):
+            which = "undamped springs"
+            if bounds.damping > 0:
+                which = "springs that dashpots damp along their axis alone"
             return (
-                f"{self.method} is unstable on undamped springs at every dt",
+                f"{self.method} is unstable on {which} at every dt",
                 "use --method symplectic_euler",
             )
         if not math.isfinite(bounds.omega2):

@@ -476,6 +476,11 @@ def _epsilon(state):
     return 2.0**-52 if state.real == ti.f64 else 2.0**-23
 
 
+def _least(state):
+    """A million of the smallest numbers: products of some such still mean something."""
+    return 1e6 * (2.0**-1022 if state.real == ti.f64 else 2.0**-126)
+
+
 @ti.func
 def _wanted(state: ti.template()):
     """The residual at which a stage has converged."""
@@ -490,6 +495,10 @@ def _begin_iterating(plan: ti.template(), state: ti.template(), i):
     state.slope[None] = 0.0
     state.sweeps[None] = 0
     state.phase[None] = ITERATE
+    if energy < ti.static(_least(state)):  # what is left is too small to be squared
+        state.outcome[None] = ROUNDED
+        state.step_outcome[None] = ti.max(state.step_outcome[None], ROUNDED)
+        state.phase[None] = FINISH
 
 
 @ti.func
