@@ -119,12 +119,13 @@ def impulse_change(plan: ti.template(), dt, d, dv, w, k, rest, c, p):
     if ti.static(plan.dashpots):
         tension += laws.dashpot_tension(dv, along, c)
         stiffness += c
-    missing = scaled(dt * tension, along) - p
     along_part = 1.0 / (1.0 + dt * w * stiffness)
     across_stiffness = laws.spring_stiffness_across(length, k, rest, 0.0)
     across_part = 1.0 / (1.0 + dt * dt * w * across_stiffness)
-    more = (along_part - across_part) * dot(missing, along)
-    return scaled(across_part, missing) + scaled(more, along)
+    # A stiff spring's tension is far beyond the impulse: it must not be taken apart into axes.
+    has = dot(p, along)
+    more = along_part * (dt * tension - has) + across_part * has
+    return scaled(more, along) - scaled(across_part, p)
 
 
 PHASES = sweeps.phases(colours_of_springs, project)
