@@ -17,7 +17,7 @@ from taichi_cloth.kernels.lanes import (
     write,
 )
 from taichi_cloth.kernels.loops import each_cell_moving
-from taichi_cloth.kernels.springs import accumulate, force_between
+from taichi_cloth.kernels.springs import accumulate, force_between, move_and_accumulate
 
 
 @ti.func
@@ -41,6 +41,20 @@ def accelerate_then(plan: ti.template(), state: ti.template(), t, move: ti.templ
     else:
         compute_acceleration(plan, state, t)
         each_cell_moving(plan, state, t, ti.static(_moving_with_stored(move)))
+
+
+@ti.func
+def move_and_accelerate_then(
+    plan: ti.template(), state: ti.template(), t, first: ti.template(), move: ti.template()
+):
+    """Run first(plan, state, c) for every cell, then move(plan, state, c, a) with its acceleration
+    where it is now. Where that is one pass over memory, it is.
+    """
+    if ti.static(plan.lanes > 1 and not plan.springs and not plan.spread):
+        move_and_accumulate(plan, state, t, first, force_between, ti.static(_moving(move)))
+    else:
+        each_cell_moving(plan, state, t, first)
+        accelerate_then(plan, state, t, move)
 
 
 @functools.cache

@@ -45,23 +45,76 @@ def accumulate(
     grids; it comes after all `receive`.
     """
     if ti.static(plan.lanes > 1):
-        if ti.static(plan.spread):
-            for phase in ti.static(range(2)):
-                for i in range(plan.threads * PIECE):
-                    if i % PIECE == 0:
-                        sweep(plan, state, i // PIECE, phase, between, receive)
-        elif ti.static(plan.threads == 1):
-            sweep(plan, state, t, 1, between, receive)
-        else:
-            for phase in range(2):  # at run time: unrolled, it takes twice as long to compile
-                if phase == 1:
-                    barrier(plan, state)
-                sweep(plan, state, t, phase, between, receive)
-        barrier(plan, state)
+        _sweep_grids(plan, state, t, leave, between, receive)
     else:
         each(plan, state, t, state.n_cells[None], ti.static(_summing(between, receive)))
     if ti.static(plan.springs and plan.kinds > 0):
         each(plan, state, t, state.n_near[None], ti.static(_summing_more(between, receive_more)))
+
+
+@ti.func
+def move_and_accumulate(
+    plan: ti.template(),
+    state: ti.template(),
+    t,
+    move: ti.template(),
+    between: ti.template(),
+    receive: ti.template(),
+):
+    """In lanes alone: move(plan, state, c) for every cell, then, in the same pass over memory, for
+    each one that receives: receive(plan, state, c, sum over its springs), which may move it again.
+    """
+    for g in range(state.n_grids[None]):
+        begin = grid_share(plan, state.grid[g, 1], t)
+        end = grid_share(plan, state.grid[g, 1], t + 1)
+        # What others' links reach, and what is behind the row that a sweep moves first.
+        for r in range(begin, ti.min(begin + plan.depth, end)):
+            _move_row(plan, state, g, r, move)
+        for r in range(ti.max(begin + plan.depth, end - plan.depth), end):
+            _move_row(plan, state, g, r, move)
+    barrier(plan, state)
+    _sweep_grids(plan, state, t, move, between, receive)
+
+
+@ti.func
+def _sweep_grids(
+    plan: ti.template(),
+    state: ti.template(),
+    t,
+    move: ti.template(),
+    between: ti.template(),
+    receive: ti.template(),
+):
+    if ti.static(plan.spread):
+        for phase in ti.static(range(2)):
+            for i in range(plan.threads * PIECE):
+                if i % PIECE == 0:
+                    sweep(plan, state, i // PIECE, phase, move, between, receive)
+    elif ti.static(plan.threads == 1):
+        sweep(plan, state, t, 1, move, between, receive)
+    else:
+        for phase in range(2):  # at run time: unrolled, it takes twice as long to compile
+            if phase == 1:
+                barrier(plan, state)
+            sweep(plan, state, t, phase, move, between, receive)
+    barrier(plan, state)
+
+
+@ti.func
+def leave(plan: ti.template(), state: ti.template(), c):
+    """The `move` of those that move nothing before a sweep."""
+
+
+def _moves(move):
+    return move is not leave
+
+
+@ti.func
+def _move_row(plan: ti.template(), state: ti.template(), g, r, move: ti.template()):
+    begin, width = state.grid[g, 0] + r * pitch_of(plan, state, g), state.grid[g, 2]
+    for c in range(begin, begin + width):
+        move(plan, state, c)
+    renew_halos(plan, state, begin, width)
 
 
 @functools.cache
@@ -205,6 +258,7 @@ def sweep(
     state: ti.template(),
     t,
     phase,
+    move: ti.template(),
     between: ti.template(),
     receive: ti.template(),
 ):
@@ -216,6 +270,9 @@ def sweep(
     may change what `between` reads of its cell. So that no thread changes what another one needs,
     the last rows of a share, whose links reach into the next one, are computed before all else:
     that is phase 0, and phase 1 the rest; with one thread there is only phase 1.
+
+    A row moves (`move_and_accumulate`) right before the first links that reach it are computed; the
+    first and last rows of a share have moved already.
     """
     for g in range(state.n_grids[None]):
         first, rows, width = state.grid[g, 0], state.grid[g, 1], state.grid[g, 2]
@@ -227,6 +284,10 @@ def sweep(
             if phase == 0:
                 start, turns, computed = ti.max(begin, end - plan.depth), end - 1, end
         for r in range(start - 1, turns):
+            if ti.static(_moves(move)):
+                next_row = r + 1 + plan.depth
+                if phase == 1 and begin + plan.depth <= next_row and next_row < end - plan.depth:
+                    _move_row(plan, state, g, next_row, move)
             row = first + r * pitch
             gives, receives = linked and r + 1 < computed, phase == 1 and r >= start
             here = given_row(plan, state, g, t, begin, end, r)

@@ -12,9 +12,8 @@ import numpy as np
 import taichi as ti
 
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
-from taichi_cloth.kernels.forces import accelerate_then, compute_acceleration
+from taichi_cloth.kernels.forces import compute_acceleration, move_and_accelerate_then
 from taichi_cloth.kernels.lanes import read, write
-from taichi_cloth.kernels.loops import each_cell_moving
 from taichi_cloth.kernels.methods.claims import Claims
 from taichi_cloth.kernels.sums import moved, sped_up
 from taichi_cloth.kernels.watch import store
@@ -62,5 +61,4 @@ def kick(plan: ti.template(), state: ti.template(), c, a):
 @ti.func
 def step(plan: ti.template(), state: ti.template(), t):
     compute_contacts(plan, state)
-    each_cell_moving(plan, state, t, drift)
-    accelerate_then(plan, state, t, kick)
+    move_and_accelerate_then(plan, state, t, drift, kick)
