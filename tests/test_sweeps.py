@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from conftest import command
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_topologies import (
     LINKS,
+    TWO_CLOTHS,
     assert_same,
     cloth,
     edits,
@@ -189,3 +191,18 @@ def test_cloths_tied_to_each_other_move_the_same_on_both_topologies(method, scen
     on_grids = motion(scene, method=method, topology="lanes", **how)
     assert_same(on_grids, motion(scene, method=method, topology="graph"), 1e-9)
     assert on_grids[2].any() and not on_grids[2].all()
+
+
+@pytest.mark.parametrize(("method", "collisions"), [("xpbd", "false"), ("vbd", "true")])
+def test_sweeps_have_the_same_bits_for_every_thread_count(method, collisions, tmp_path):
+    (tmp_path / "two.toml").write_text(TWO_CLOTHS.replace("COLLISIONS", collisions))
+    runs = []
+    for threads in (1, 3):
+        how = ("--method", method, "--iterations", 1, "--topology", "lanes", "--headless")
+        how += ("--execution", "parallel", "--threads", threads, "--frames", 90)
+        command("run", tmp_path / "two.toml", *how, "--save", tmp_path / f"{threads}.npz")
+        with np.load(tmp_path / f"{threads}.npz") as file:
+            runs.append(dict(file))
+    assert not runs[0]["spring_alive"][-1].all()
+    for name in ("position", "velocity", "spring_alive"):
+        np.testing.assert_array_equal(runs[1][name], runs[0][name])
