@@ -70,19 +70,20 @@ class Runner:
         result = {"method": self.method, "case": case.name, "asks": asked}
         result["steps"], result["dt"] = steps.count, steps.dt
         result["unconverged"] = sim.work().unconverged
+        result["status"] = self._judge(case, asked)
         if failure:
             result["failure"] = str(failure)
             result["faults"] = self._faults(case, made, steps, sim, failure)
-            good = case.fails != "never" and not result["faults"]
-            result["status"] = "failed" if good else "broken"
-        else:
-            result["status"] = self._judge(case, asked)
+            bad = case.fails == "never" or result["faults"] or result["status"] == "broken"
+            result["status"] = "broken" if bad else "failed"
+        elif case.fails == "must":
+            result["status"] = "broken"
         result["seconds"] = round(time.perf_counter() - began, 3)
         return result
 
     def _judge(self, case, asked):
-        """What came of a run that did not fail; notes why, where an error is known."""
-        status = "broken" if case.fails == "must" else "held"
+        """Whether the bounds "held", or are "broken", or it is known that the method is "wrong"."""
+        status = "held"
         factor, of_case = case.errors.get(self.method) or case.errors.get("*", (1.0, ""))
         for ask, said in zip(case.asks, asked, strict=True):
             if said["part"] <= 1:
