@@ -66,8 +66,9 @@ NOTES = """
   conservation of momentum. A tolerance of 1e-6 is one of the largest acceleration: beside a spring
   1e6 times as stiff, soft ones notice.
 - Methods with sweeps (`xpbd`, `vbd`) are as good as these are many. With 10, a chain of 8 hangs a
-  dozen of its lengths too low in steps of 1 s, and under a chain of masses 1e5 times as light a heavy
-  one that should come to {rest:.1f} m is {xpbd:.1f} m down after a second of `xpbd`: in free fall.
+  dozen of its lengths too low in steps of 1 s. Under a chain of masses 1e5 times as light, a heavy
+  one that should come to rest at {rest:.1f} m is {xpbd:.1f} m down after a second of `xpbd`: it
+  falls freely.
 
 ## What f32 cannot do
 
