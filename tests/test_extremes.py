@@ -5,6 +5,7 @@ A process for each precision runs the cases (`extreme_worker.py`) while the test
 """
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -24,7 +25,10 @@ class Worker:
 
     def __init__(self, precision, wanted):
         self._process = subprocess.Popen(
-            [sys.executable, WORKER, precision, *wanted], stdout=subprocess.PIPE, text=True
+            [sys.executable, WORKER, precision, *wanted],
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "ENABLE_TAICHI_HEADER_PRINT": "0"},
         )
         self._results = {}
 
