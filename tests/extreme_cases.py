@@ -45,8 +45,8 @@ def energy(depth=0.0, slack=0.0, stiff=False):
             noise += run.solver_noise(start)
         return run.energy() + depth, (math.sqrt(most) + math.sqrt(run.mass / 2) * noise) ** 2
 
-    words = "energy at most the start's, times what the claims let a step add"
-    return Ask(words + (f", and {slack:.0%} where springs turn" if slack else ""), measure)
+    more = f" and {100 * slack:g}%" if slack else ""
+    return Ask("energy within the claims" + more, measure)
 
 
 def _momentum(run):
@@ -64,8 +64,7 @@ ONE_BY_ONE = (
     "moves one particle at a time, so what two do to each other differs until sweeps converge"
 )
 MOMENTUM = Ask(
-    "momentum is kept, as a part of sqrt(2 m E): to rounding and 100 tolerances; 1% for each step "
-    "that does not converge",
+    "momentum",
     _momentum,
     {"vbd": (1.0, ONE_BY_ONE)},
 )
@@ -82,7 +81,7 @@ def _falls(run):
     return off, 1.001 * first_order + run.rounding + 100 * run.epsilon * scale
 
 
-FALLS = Ask("every particle where free fall has it: x0 + v0 t + g t^2/2, and g t dt/2", _falls)
+FALLS = Ask("free fall", _falls)
 
 
 def _unmoved(run):

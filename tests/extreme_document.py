@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from collections import defaultdict
 from pathlib import Path
 
@@ -41,7 +42,20 @@ small that the energy cannot double; and one step of 0.01 to 1000 s a frame wher
 
 ## The cases
 
-"Part of the bound" is the largest value over its bound, of all methods and at all times looked at.
+What is held "to 0.9 of the bound" is so at all times looked at, by all methods that are not named as
+something else; the method is the one that comes closest. In the column of what is asked,
+
+- *energy within the claims*: at most that of the start, times what the claims let a step add. For
+  conditionally stable methods that is the largest gain of their discrete map, over all modes; for
+  the others it is 1. "and 10%": where springs turn, or forces jump because particles pass through
+  each other, those gains are no strict bound. Added is the noise of rounding (below), and in the
+  rows with far stiffer modes what the solver's tolerance leaves beside these;
+- *momentum*: that of the start and of gravity, to the rounding of n steps, 1e3 eps sqrt(n), 100
+  times the solver's tolerance, and 1% for every step that the run counts as not converged; all as
+  parts of sqrt(2 m E);
+- *free fall*: x0 + v0 t + g t^2/2, to what a first-order method is off, g t dt/2, and half a last
+  place for each step.
+
 """
 WRONG = """
 ## What goes wrong, where, and by how much
@@ -49,8 +63,8 @@ WRONG = """
 Where a method is wrong, the size of its error is asserted, too: at most about three times what is
 measured here.
 
-| case | what was asked | method | precision | value | bound | times | why |
-|---|---|---|---|---|---|---|---|
+| case | what was asked | method | f32: value / bound | f64: value / bound | why |
+|---|---|---|---|---|---|
 """
 NOTES = """
 ## What implicit methods do to motion
@@ -83,27 +97,31 @@ NOTES = """
 """
 
 
-def results_of(runs):
-    """After each run: its number; by (precision, case, method) the results so far."""
+def run_once(lines):
+    """Run all cases in both precisions; the results, as JSON, are appended to the file `lines`."""
+    workers = [
+        subprocess.Popen(
+            [sys.executable, HERE / "extreme_worker.py", precision],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            env={**os.environ, "ENABLE_TAICHI_HEADER_PRINT": "0"},
+        )
+        for precision in PRECISIONS
+    ]
+    said = [worker.communicate()[0] for worker in workers]
+    assert not any(worker.returncode for worker in workers), "a worker ended early"
+    with lines.open("a") as file:
+        file.writelines(said)
+
+
+def results_of(lines):
+    """By (precision, case, method): the result of each run."""
     results = defaultdict(list)
-    for number in range(1, runs + 1):
-        print(f"run {number} of {runs}", file=sys.stderr, flush=True)
-        workers = [
-            subprocess.Popen(
-                [sys.executable, HERE / "extreme_worker.py", precision],
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                text=True,
-                env={**os.environ, "ENABLE_TAICHI_HEADER_PRINT": "0"},
-            )
-            for precision in PRECISIONS
-        ]
-        for precision, worker in zip(PRECISIONS, workers, strict=True):
-            for line in worker.communicate()[0].splitlines():
-                result = json.loads(line)
-                results[precision, result["case"], result["method"]].append(result)
-            assert worker.returncode == 0, f"the worker of {precision} ended early"
-        yield number, results
+    for line in lines.read_text().splitlines():
+        result = json.loads(line)
+        results[result["precision"], result["case"], result["method"]].append(result)
+    return results
 
 
 def worst(result):
@@ -127,7 +145,8 @@ def _cell(of):
     held = {m: r for m, r in of.items() if r["status"] == "held"}
     if held:
         part, method = max((worst(r)["part"], m) for m, r in held.items())
-        said.append(f"held, {max(part, 0):.2g} of the bound" + (f" ({method})" if part > 0 else ""))
+        most = f"to {part:.3g} of the bound ({method})" if part > 0 else "exactly"
+        said.append(f"held, {most}")
     failed = [m for m, r in of.items() if r["status"] == "failed"]
     if failed:
         said.append("fails by name" + ("" if len(failed) == len(of) else f": {_listed(failed)}"))
@@ -138,8 +157,36 @@ def _cell(of):
     return "; ".join(said)
 
 
-def page(results, runs, machine):
+def _wrong_rows(name, of, reasons):
+    """Rows on what goes wrong in a case, all methods in one where all do; of: by precision."""
+    missed = defaultdict(dict)  # by ask and method: the result in each precision
+    for precision, results in of.items():
+        for method, result in results.items():
+            for ask in result["asks"]:
+                if ask["part"] > 1:
+                    missed[ask["words"], method][precision] = ask
+    words = {ask for ask, _ in missed}
+    for ask in sorted(words):
+        by_method = {m: said for (a, m), said in missed.items() if a == ask}
+        if len(by_method) == len(of["f64"]) > 1:
+            worst_of = max(by_method.values(), key=lambda s: max(a["part"] for a in s.values()))
+            by_method = {"all": worst_of}
+        for method, said in by_method.items():
+            cells = []
+            for precision in PRECISIONS:
+                if precision in said:
+                    a = said[precision]
+                    cells.append(f"{a['value']:.3g} / {a['bound']:.3g} = {a['part']:.3g}")
+                else:
+                    cells.append("held")
+            why = next(iter(said.values())).get("why", "")
+            number = reasons.setdefault(why, len(reasons) + 1)
+            yield f"| `{name}` | {ask} | {method} | {' | '.join(cells)} | {number} |\n"
+
+
+def page(results, machine):
     last = {key: all_of[-1] for key, all_of in results.items()}
+    runs = max(len(all_of) for all_of in results.values())
     count = sum(len(all_of) for all_of in results.values())
     broken = sum(r["status"] == "broken" for all_of in results.values() for r in all_of)
     different = sum(
@@ -158,7 +205,7 @@ def page(results, runs, machine):
         ),
         "| case | what is asked | methods | f32 | f64 |\n|---|---|---|---|---|\n",
     ]
-    wrong = []
+    wrong, reasons = [], {}
     for name, case in CASES.items():
         of = {p: {m: r for (q, c, m), r in last.items() if (q, c) == (p, name)} for p in PRECISIONS}
         asks = "; ".join(ask.words for ask in case.asks)
@@ -166,13 +213,8 @@ def page(results, runs, machine):
             asks += "; or it fails by name"
         cells = " | ".join(_cell(of[p]) for p in PRECISIONS)
         lines.append(f"| `{name}` | {asks} | {_listed(of['f64'])} | {cells} |\n")
-        for precision in PRECISIONS:
-            for method, result in of[precision].items():
-                for ask in result["asks"]:
-                    if ask["part"] > 1:
-                        numbers = f"{ask['value']:.3g} | {ask['bound']:.3g} | {ask['part']:.3g}"
-                        where = f"`{name}` | {ask['words'].split(',')[0]} | {method} | {precision}"
-                        wrong.append(f"| {where} | {numbers} | {ask.get('why', '')} |\n")
+        wrong += _wrong_rows(name, of, reasons)
+    wrong += ["\n", *(f"{number}. {why}.\n" for why, number in reasons.items())]
     heavy = last["f64", "mass_ratio_1e5", "xpbd"]["asks"][0]["value"]
     y = np.array([1, 5]) * 2 * np.pi / 60
     euler, bdf = (1 + y * y) ** -60.0, np.abs(tr_bdf2_factor(1j * y)) ** 120
@@ -191,9 +233,15 @@ def main(arguments):
     parser = argparse.ArgumentParser()
     parser.add_argument("--runs", type=int, default=1)
     parser.add_argument("--machine", default="2 cores of a shared machine")
+    parser.add_argument("--results", type=Path, help="a file that runs are added to")
     options = parser.parse_args(arguments)
-    for number, results in results_of(options.runs):
-        DOCUMENT.write_text(page(results, number, options.machine))
+    with tempfile.TemporaryDirectory() as folder:
+        results = options.results or Path(folder) / "results.jsonl"
+        for number in range(1, options.runs + 1):
+            print(f"run {number} of {options.runs}", file=sys.stderr, flush=True)
+            run_once(results)
+            DOCUMENT.write_text(page(results_of(results), options.machine))
+        DOCUMENT.write_text(page(results_of(results), options.machine))
 
 
 if __name__ == "__main__":

@@ -67,7 +67,8 @@ class Runner:
                         said.update(value=value, bound=bound, part=part)
         except SimulationFailure as error:
             failure = error
-        result = {"method": self.method, "case": case.name, "asks": asked}
+        precision = runtime.current_device().precision
+        result = {"method": self.method, "case": case.name, "precision": precision, "asks": asked}
         result["steps"], result["dt"] = steps.count, steps.dt
         result["unconverged"] = sim.work().unconverged
         result["status"] = self._judge(case, asked)
