@@ -43,6 +43,11 @@ def accelerate_then(plan: ti.template(), state: ti.template(), t, move: ti.templ
         each_cell_moving(plan, state, t, ti.static(_moving_with_stored(move)))
 
 
+def in_one_pass(plan):
+    """Whether `move_and_accelerate_then` is one pass, which leaves state.a to its `move`."""
+    return plan.lanes > 1 and not plan.springs and not plan.spread
+
+
 @ti.func
 def move_and_accelerate_then(
     plan: ti.template(), state: ti.template(), t, first: ti.template(), move: ti.template()
@@ -50,7 +55,7 @@ def move_and_accelerate_then(
     """Run first(plan, state, c) for every cell, then move(plan, state, c, a) with its acceleration
     where it is now. Where that is one pass over memory, it is.
     """
-    if ti.static(plan.lanes > 1 and not plan.springs and not plan.spread):
+    if ti.static(in_one_pass(plan)):
         move_and_accumulate(plan, state, t, first, force_between, ti.static(_moving(move)))
     else:
         each_cell_moving(plan, state, t, first)

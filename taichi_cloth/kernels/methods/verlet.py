@@ -12,7 +12,11 @@ import numpy as np
 import taichi as ti
 
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
-from taichi_cloth.kernels.forces import compute_acceleration, move_and_accelerate_then
+from taichi_cloth.kernels.forces import (
+    compute_acceleration,
+    in_one_pass,
+    move_and_accelerate_then,
+)
 from taichi_cloth.kernels.lanes import read, write
 from taichi_cloth.kernels.methods.claims import Claims
 from taichi_cloth.kernels.sums import moved, sped_up
@@ -29,7 +33,9 @@ def amplification(h, omega2, d):
     return np.array([x, v, a])
 
 
-VECTORS = ("half_v",)  # velocity in the middle of the step
+# The velocity in the middle of a step is v - dt/2*a with the old a. Compensated sums need it
+# exactly; where accelerations have a pass of their own, it would lose the old ones.
+LOW_VECTORS, VECTORS = ("half_v",), ("old_a",)
 
 
 @ti.func
@@ -39,23 +45,34 @@ def begin(plan: ti.template(), state: ti.template(), t):
 
 @ti.func
 def drift(plan: ti.template(), state: ti.template(), c):
+    """To the new positions, and the velocities that the old accelerations would lead to."""
     dt, a = state.dt[None], read(plan, state.a, c)
     x, v = read(plan, state.x, c), read(plan, state.v, c)
     jump = velocity_jump(plan, state, c, x, v)
     half_v = sped_up(plan, state, c, sped_up(plan, state, c, v, jump), 0.5 * dt * a)
     new_x = moved(plan, state, c, x, dt * half_v)
     new_x = kept_above_floor(plan, state, c, x, v, new_x, half_v)
-    write(plan, state.half_v, c, half_v)
+    if ti.static(plan.compensated):
+        write(plan, state.half_v, c, half_v)
+    elif ti.static(not in_one_pass(plan)):
+        write(plan, state.old_a, c, a)
     write(plan, state.x, c, new_x)
     write(plan, state.v, c, half_v + 0.5 * dt * a)
 
 
 @ti.func
 def kick(plan: ti.template(), state: ti.template(), c, a):
+    """To the new velocities."""
+    dt = state.dt[None]
+    half_v = read(plan, state.v, c)
+    if ti.static(plan.compensated):
+        half_v = read(plan, state.half_v, c)
+    elif ti.static(in_one_pass(plan)):
+        half_v = half_v - 0.5 * dt * read(plan, state.a, c)
+    else:
+        half_v = half_v - 0.5 * dt * read(plan, state.old_a, c)
     write(plan, state.a, c, a)
-    half_v = read(plan, state.half_v, c)
-    v = sped_up(plan, state, c, half_v, 0.5 * state.dt[None] * a)
-    store(plan, state, c, read(plan, state.x, c), v)
+    store(plan, state, c, read(plan, state.x, c), sped_up(plan, state, c, half_v, 0.5 * dt * a))
 
 
 @ti.func
