@@ -42,7 +42,7 @@ small that the energy cannot double; and one step of 0.01 to 1000 s a frame wher
 
 ## The cases
 
-What is held "to 0.9 of the bound" is so at all times looked at, by all methods that are not named as
+What is held "to 0.9 of the bound" is so at all times looked at, by all methods not named as
 something else; the method is the one that comes closest. In the column of what is asked,
 
 - *energy within the claims*: at most that of the start, times what the claims let a step add. For

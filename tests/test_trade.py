@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from conftest import command
-from test_motion import DISCRETE
+from test_verification import DISCRETE
 
 from taichi_cloth import scenes
 from taichi_cloth.cli import main
