@@ -34,6 +34,8 @@ BLOW_STRENGTH = 0.002  # force per unit of displacement and of distance short of
 RUNAWAY_CROSSINGS = 100.0
 # Particles and springs times steps in one launch: some tenths of a second, so that Ctrl-C is heard.
 LAUNCH_WORK = 20_000_000
+# Of a loop in a shader: Mesa's drivers leave one after 65535 iterations, and say nothing.
+MOST_ITERATIONS = 65_000
 SPAWN_CAPACITY = 256  # room for clicks before the fields must grow
 # Particles in a cell on CPUs: 8 fill the widest vectors there are in f64, half of one in f32, where
 # 16 are faster only on large cloths and take three times as long to compile; docs/speed.md.
@@ -151,7 +153,10 @@ class Simulation:
 
     def _frames_per_launch(self):
         work = self.substeps * max(self.particle_count + self.spring_count, 1)
-        return max(1, LAUNCH_WORK // work)
+        frames = LAUNCH_WORK // work
+        if current_device().arch != "cpu":
+            frames = min(frames, MOST_ITERATIONS // self.substeps)
+        return max(1, frames)
 
     def _run(self, frames):
         begin = time.perf_counter()

@@ -97,7 +97,7 @@ OUTCOMES = (
 )
 
 MOST_DIRECTIONS = 60
-MOST_TRIALS = 12  # shortenings of one step
+MOST_TRIALS = 12  # lengths of one direction
 MOST_STALLS = 6  # directions without progress
 ROUNDING = 0.5  # of a spring's force; several add up in a residual, with either sign
 CLAMPED, EXACT = 0.0, -1e30
@@ -110,8 +110,8 @@ def phases(begin, finish):
     """The phases of a method's step.
 
     begin(plan, state, t) sets tau and the start of the first stage (`set_tau`, `start`), and ends
-    with `begin_stage`. finish(plan, state, t) takes each stage's solution, to
-    which state.stage is the key, and ends with `end_stage`.
+    with `begin_stage`. finish(plan, state, t) takes the solution of stage number state.stage, and
+    ends with `end_stage`.
     """
     return begin, evaluate, direct, iterate, move, finish
 
@@ -259,7 +259,7 @@ def _judge(plan: ti.template(), state: ti.template(), i):
         for axis in ti.static(range(plan.dim)):
             state.scale[None] = ti.max(state.scale[None], ti.abs(state.gravity[axis]))
     wanted = _wanted(state)
-    finite = is_finite(squares) and is_finite(slope)
+    finite = is_finite(squares) and (first or is_finite(slope))
     start = state.slope[None]
     missed = not finite or slope < -0.5 * start or slope > 0.5 * start
     next_phase = DIRECT
@@ -318,7 +318,7 @@ def _next_length(state: ti.template(), slope, finite):
 
 @ti.func
 def direct(plan: ti.template(), state: ti.template(), t):
-    """Begin conjugate gradients: no change yet, the first direction is _downhill."""
+    """Begin conjugate gradients: no change yet, the first direction is downhill."""
     add_up(plan, state, t, _first_energy, 0)
     each_cell_moving(plan, state, t, _downhill)
     each(plan, state, t, 1, _begin_iterating)
