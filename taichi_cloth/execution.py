@@ -18,7 +18,7 @@ from taichi_cloth import __version__
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.kernels import phases, run, watch
 from taichi_cloth.options import PATHS, TOPOLOGIES
-from taichi_cloth.runtime import current_device, whole_vectors
+from taichi_cloth.runtime import current_device, sums_in_order, whole_vectors
 
 # Seconds in which one thread has done a frame before the others are awake: to measure all of them
 # would only cost the time to compile.
@@ -31,7 +31,7 @@ def run_begin(method, plan, state) -> None:
     method: its module; plan: one whose loops are spread.
     """
     if hasattr(method, "begin"):
-        with _vectors(plan):
+        with _compiling(method, plan):
             run.begin_spread(method.begin, plan, state)
 
 
@@ -42,7 +42,7 @@ def run_frames(method, plan, state, done, frames, substeps) -> int:
     """
     phased = getattr(method, "PHASES", None)
     by_phases = phased and (plan.spread or (plan.lanes > 1 and hasattr(method, "LAUNCHES")))
-    with _vectors(plan):
+    with _compiling(method, plan):
         if not (plan.spread or by_phases):
             step = phases.stepping(phased) if phased else method.step
             return run.frames_in_one_launch(step, plan, state, done, frames, substeps)
@@ -73,9 +73,15 @@ def _run_phases(method, plan, state, step):
         run.end_step_spread(replace(plan, spread=True), state)
 
 
-def _vectors(plan):
-    """How kernels on a plan's cells are compiled."""
-    return whole_vectors() if plan.lanes > 1 else contextlib.nullcontext()
+@contextlib.contextmanager
+def _compiling(method, plan):
+    """How a method's kernels on a plan's cells are compiled."""
+    with contextlib.ExitStack() as settings:
+        if plan.lanes > 1:
+            settings.enter_context(whole_vectors())
+        if getattr(method, "SUMS", 0):
+            settings.enter_context(sums_in_order())
+        yield
 
 
 @dataclass(frozen=True)

@@ -223,6 +223,24 @@ def whole_vectors():
         config.real_matrix_scalarize = True
 
 
+@contextlib.contextmanager
+def sums_in_order():
+    """While it lasts, kernels are compiled without `fast_math`.
+
+    It lets the compiler add in another order, and another one for each number of threads: sums over
+    all particles, which decide when a solver stops, would then not have the same bits.
+    """
+    from taichi.lang import impl
+
+    config = impl.get_runtime().prog.config()
+    before = config.fast_math
+    config.fast_math = False
+    try:
+        yield
+    finally:
+        config.fast_math = before
+
+
 def _own_threads() -> set[int]:
     """The threads of this process, where the system tells (Linux)."""
     try:
