@@ -58,6 +58,7 @@ class Worker:
         except (OSError, ValueError):  # ended, or closed here by another thread
             line = ""
         if not line:
+            self.kill()  # it may still be ending, and would pass for alive
             raise WorkerFailed(f"its process ended: {self._last_words()}".rstrip(": "))
         answer = json.loads(line)
         if "failed" in answer:
