@@ -1199,7 +1199,7 @@ CONTACTS = [
         "overlapping_crowd",
         crowd,
         exactly(FRAME, 8, 60),
-        (MOMENTUM, energy(slack=1e-9)),
+        (MOMENTUM, energy()),
         errors={"*": (3e5, CROWD)},
         kind="contact",
     ),
