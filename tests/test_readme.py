@@ -52,7 +52,8 @@ def test_commands_run_one_after_the_other(tmp_path):
         assert line.startswith("taichi-cloth ")
         shell(line, tmp_path, environment())
     made = {path.name for path in tmp_path.iterdir()}
-    assert made == {"curtain.toml", "cloth.npz", "session.jsonl", "cloth.png", "cloth.mp4"}
+    files = {"curtain.toml", "cloth.npz", "session.jsonl", "cloth.png", "cloth.mp4"}
+    assert made == files | {"trade-cloth", "stability-cloth"}
 
 
 def test_python_example_runs_and_is_short(tmp_path):

@@ -8,7 +8,8 @@ class Claims:
     """order: global order of accuracy; symplectic, implicit: as the words say;
     stability_limit: largest stable dt*omega for an undamped oscillator (0: none is stable, inf: all
     are). forces: force evaluations a step, 0 where they depend on the solution and are counted on
-    the device. settings: those of `options.SOLVER_SETTINGS` that the method takes.
+    the device. settings: those of `options.SOLVER_SETTINGS` that the method takes. choose: when to
+    take it, in words for users.
     """
 
     order: int
@@ -17,3 +18,4 @@ class Claims:
     stability_limit: float
     forces: int = 1
     settings: tuple[str, ...] = ()
+    choose: str = ""

@@ -13,7 +13,13 @@ from taichi_cloth.kernels.methods.claims import Claims
 from taichi_cloth.kernels.sums import moved, sped_up
 from taichi_cloth.kernels.watch import store
 
-CLAIMS = Claims(order=1, symplectic=False, implicit=False, stability_limit=0.0)
+CLAIMS = Claims(
+    order=1,
+    symplectic=False,
+    implicit=False,
+    stability_limit=0.0,
+    choose="Never: every swing grows. It is the baseline that the others are held against.",
+)
 
 
 def stability_function(z):

@@ -24,7 +24,18 @@ CLAIMS = Claims(
     stability_limit=math.inf,
     forces=0,
     settings=("tolerance",),
+    choose=(
+        "Stiff scenes at the frame's step that are to come to rest: it damps what is too fast, "
+        "and slow motion with it."
+    ),
 )
+
+
+def stability_function(z):
+    """What a step makes of y' = mu y, where z = dt mu."""
+    return 1 / (1 - z)
+
+
 LANES, LAUNCHES, NEEDS = newton.LANES, newton.LAUNCHES, newton.NEEDS
 VECTORS, LOW_VECTORS, HALOED = newton.VECTORS, newton.LOW_VECTORS, newton.HALOED
 SCALARS, COUNTS, SUMS = newton.SCALARS, newton.COUNTS, newton.SUMS

@@ -25,7 +25,18 @@ CLAIMS = Claims(
     stability_limit=math.inf,
     forces=0,
     settings=("tolerance",),
+    choose=(
+        "Stiff scenes whose energy must last: no amplitude is lost. What is too fast to follow "
+        "rings on, at a lower pitch."
+    ),
 )
+
+
+def stability_function(z):
+    """What a step makes of y' = mu y, where z = dt mu."""
+    return (1 + z / 2) / (1 - z / 2)
+
+
 LANES, LAUNCHES, NEEDS = newton.LANES, newton.LAUNCHES, newton.NEEDS
 VECTORS, LOW_VECTORS, HALOED = newton.VECTORS, newton.LOW_VECTORS, newton.HALOED
 SCALARS, COUNTS, SUMS = newton.SCALARS, newton.COUNTS, newton.SUMS

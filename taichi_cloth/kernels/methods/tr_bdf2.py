@@ -27,6 +27,10 @@ CLAIMS = Claims(
     stability_limit=math.inf,
     forces=0,
     settings=("tolerance",),
+    choose=(
+        "Stiff scenes whose slow motion counts: that is hardly damped, and what is too fast is "
+        "damped away."
+    ),
 )
 LANES, LAUNCHES, NEEDS = newton.LANES, newton.LAUNCHES, newton.NEEDS
 # What the first stage gains, and how far the second one starts from the step's start.
@@ -39,6 +43,12 @@ TAU = PART / 2.0  # of both stages
 # How far the second stage starts from the step's start: this much of where the first one came to.
 FROM_FIRST = 1.0 / (PART * (2.0 - PART))
 TRAPEZOIDAL, BACKWARD = 0, 1  # stages
+
+
+def stability_function(z):
+    """What a step makes of y' = mu y, where z = dt mu."""
+    first = (1 + TAU * z) / (1 - TAU * z)
+    return (FROM_FIRST * first + 1 - FROM_FIRST) / (1 - TAU * z)
 
 
 @ti.func

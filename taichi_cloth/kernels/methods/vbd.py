@@ -41,7 +41,18 @@ CLAIMS = Claims(
     stability_limit=math.inf,
     forces=0,
     settings=("iterations",),
+    choose=(
+        "Where too few sweeps should look like more inertia and not like softer springs; else "
+        "xpbd, which gets nearer in the same time."
+    ),
 )
+
+
+def stability_function(z):
+    """What a step makes of y' = mu y, where z = dt mu, once its sweeps have converged."""
+    return 1 / (1 - z)
+
+
 LANES, VECTORS = sweeps.LANES, sweeps.VECTORS
 HALOED, COUNTS = sweeps.HALOED, sweeps.COUNTS
 NEEDS = ("particle_colours",)

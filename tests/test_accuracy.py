@@ -1,0 +1,114 @@
+"""docs/accuracy.md: its numbers are measured, its table has every method."""
+
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taichi_cloth import limits
+from taichi_cloth.errors import InputError
+from taichi_cloth.kernels import methods
+from taichi_cloth.trade import accuracy, accuracy_tables, experiments, pictures
+
+ROOT = Path(__file__).parent.parent
+DOCUMENT = ROOT / "docs" / "accuracy.md"
+HERTZ = (1.0, 5.0, 10.0)
+
+
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize("method", methods.METHODS)
+def test_measured_damping_and_pitch_are_those_of_the_discrete_map(method):
+    module = methods.load(method)
+    for f, measured in zip(HERTZ, experiments.measured_swings(method, HERTZ), strict=True):
+        theory = experiments.swing(module, f)
+        assert measured.kept == pytest.approx(theory.kept, rel=1e-9, abs=1e-10)
+        assert measured.pitch == pytest.approx(theory.pitch, abs=1e-9)
+        h, omega = 1 / experiments.RATE, 2 * math.pi * f
+        assert theory.kept == pytest.approx(limits.growth(module, h, omega**2, 0.0) ** 60)
+
+
+def test_damping_is_that_of_the_textbooks():
+    """Hairer, Wanner II, IV.3: with w = h omega, what a step leaves of an amplitude."""
+
+    def kept(method, w):
+        return experiments.swing(methods.load(method), w / (2 * math.pi), rate=1).kept
+
+    for w in (0.1, 0.5, 1.5):
+        for method in ("implicit_euler", "xpbd", "vbd"):
+            assert kept(method, w) == pytest.approx(1 / math.sqrt(1 + w * w))
+        assert kept("explicit_euler", w) == pytest.approx(math.sqrt(1 + w * w))
+        for method in ("symplectic_euler", "verlet", "implicit_midpoint"):
+            assert kept(method, w) == pytest.approx(1.0)
+        assert kept("rk4", w) == pytest.approx(math.sqrt(1 - w**6 / 72 + w**8 / 576))
+    # The pitch: sin(w'/2) = w/2 of the leapfrog, tan(w'/2) = w/2 of the midpoint rule.
+    for method, exact in (("verlet", math.asin), ("implicit_midpoint", math.atan)):
+        swing = experiments.swing(methods.load(method), 1 / (2 * math.pi), rate=1)
+        assert 1 + swing.pitch == pytest.approx(2 * exact(0.5))
+
+
+def test_a_second_order_method_is_measured_as_one(device):
+    found = experiments.orders(["verlet"])["verlet"]
+    assert found["chain"] == pytest.approx(2, abs=0.05) and found["cloth"] == pytest.approx(
+        2, abs=0.1
+    )
+
+
+def results():
+    """Those that the document shows: of the machine that it was written on."""
+    (path,) = (ROOT / "bench" / "results").glob("*-accuracy.json")
+    return accuracy.read(path)
+
+
+def test_the_document_is_made_from_the_results():
+    text, kept = DOCUMENT.read_text(), results()
+    assert set(kept) == set(accuracy.PARTS)
+    assert accuracy_tables.filled(text, kept) == text
+    for part in accuracy.PARTS:
+        assert kept[part]["command"] in text
+    drawn = re.findall(r"\]\(images/(accuracy-\w+)\.png\)", text)
+    assert len(drawn) >= 3
+    assert all((DOCUMENT.parent / "images" / f"{name}.png").is_file() for name in drawn)
+
+
+def test_its_table_has_a_row_for_every_method_and_says_what_was_measured():
+    kept = results()
+    table = re.search(r"<!-- accuracy:methods -->\n(.*?)<!-- end -->", DOCUMENT.read_text(), re.S)[
+        1
+    ]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()]
+    by_method = {row[0].strip("`"): row for row in rows[2:]}
+    assert set(by_method) == set(methods.METHODS) and len(rows) == len(methods.METHODS) + 2
+    for name, row in by_method.items():
+        claims = methods.load(name).CLAIMS
+        chain, cloth = map(float, row[1].split(", "))
+        assert abs(chain - claims.order) <= 0.05 and abs(cloth - claims.order) <= 0.1
+        assert row[-1] == claims.choose and claims.choose.endswith(".")
+        for f, measured in kept["damping"]["data"][name].items():
+            theory = experiments.swing(methods.load(name), float(f))
+            np.testing.assert_allclose(measured["kept"], theory.kept, rtol=1e-5, atol=1e-9)
+
+
+def test_pictures_are_drawn_from_results():
+    kept = results()
+    part = {name: kept[name] for name in ("stiff", "damping")}
+    drawn = pictures.draw_all(part)
+    assert set(drawn) == {"accuracy-stiff", "accuracy-damping"}
+    assert all(content.startswith(b"\x89PNG") for content in drawn.values())
+
+
+def test_what_is_missing_is_said_in_a_line(tmp_path, capsys):
+    document = tmp_path / "a.md"
+    document.write_text("<!-- accuracy:methods -->\n<!-- end -->\n")
+    assert accuracy.main(["coststs"]) == 2
+    assert "did you mean 'costs'" in capsys.readouterr().err
+    assert accuracy.main(["--tables", str(tmp_path / "none.md")]) == 2
+    assert accuracy.main(["--tables", str(document), "--output", str(tmp_path)]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 2
+    with pytest.raises(InputError, match="part 'damping'"):
+        accuracy_tables.filled(document.read_text(), {"orders": {"data": {}}})
+    accuracy.keep(tmp_path / "r.json", "orders", {"data": {"a": [1 / 3]}})
+    accuracy.keep(tmp_path / "r.json", "events", {"data": 1})
+    assert json.loads((tmp_path / "r.json").read_text())["orders"]["data"] == {"a": [0.333333]}
