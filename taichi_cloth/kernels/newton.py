@@ -100,6 +100,7 @@ MOST_DIRECTIONS = 60
 MOST_TRIALS = 12  # lengths of one direction
 MOST_STALLS = 6  # directions without progress
 ROUNDING = 0.5  # of a spring's force; several add up in a residual, with either sign
+MOST_ROUNDINGS = 16.0  # times that, where directions bring no more progress
 CLAMPED, EXACT = 0.0, -1e30
 NEAR = 0.1  # part of the first residual
 FORCING = 0.1  # conjugate gradients leave this part of the residual to the next direction
@@ -284,7 +285,8 @@ def _judge(plan: ti.template(), state: ti.template(), i):
         if state.outcome[None] == SINGULAR:
             next_phase = FINISH
         elif not first and state.stalls[None] > MOST_STALLS:
-            state.outcome[None], next_phase = STALLED, FINISH
+            rounded = most <= MOST_ROUNDINGS * state.rounding[None]
+            state.outcome[None], next_phase = ti.select(rounded, ROUNDED, STALLED), FINISH
         elif state.directions[None] >= MOST_DIRECTIONS:
             state.outcome[None], next_phase = EXHAUSTED, FINISH
     state.best[None] = ti.min(state.best[None], most)
