@@ -28,8 +28,8 @@ CLAIMS = Claims(
     implicit=False,
     stability_limit=2.0,
     choose=(
-        "Smooth motion: second order at the price of the default, and energy kept far better. "
-        "Not where drag is strong: its limit falls sooner."
+        "Smooth motion: second order at about the price of the default, and energy kept far "
+        "better. Not where drag is strong: its limit falls sooner."
     ),
 )
 
