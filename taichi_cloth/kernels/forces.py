@@ -43,23 +43,29 @@ def accelerate_then(plan: ti.template(), state: ti.template(), t, move: ti.templ
         each_cell_moving(plan, state, t, ti.static(_moving_with_stored(move)))
 
 
-def in_one_pass(plan):
-    """Whether `move_and_accelerate_then` is one pass, which leaves state.a to its `move`."""
-    return plan.lanes > 1 and not plan.springs and not plan.spread
+def kicks_at_once(plan):
+    """Whether `kick_after` kicks a cell when it has its sum of forces, and leaves state.a to that."""
+    if plan.lanes > 1:
+        return not plan.springs and not plan.spread
+    # Neighbours read positions, which a kick leaves, and for dashpots velocities.
+    return not plan.dashpots and not (plan.springs and plan.kinds > 0)
 
 
 @ti.func
-def move_and_accelerate_then(
-    plan: ti.template(), state: ti.template(), t, first: ti.template(), move: ti.template()
+def kick_after(
+    plan: ti.template(), state: ti.template(), t, move: ti.template(), kick: ti.template()
 ):
-    """Run first(plan, state, c) for every cell, then move(plan, state, c, a) with its acceleration
-    where it is now. Where that is one pass over memory, it is.
+    """Run move(plan, state, c) for every cell, then kick(plan, state, c, a) with its acceleration
+    where it is now, which changes its velocity alone. In lanes that is one pass over memory.
     """
-    if ti.static(in_one_pass(plan)):
-        move_and_accumulate(plan, state, t, first, force_between, ti.static(_moving(move)))
+    if ti.static(not kicks_at_once(plan)):
+        each_cell_moving(plan, state, t, move)
+        accelerate_then(plan, state, t, kick)
+    elif ti.static(plan.lanes > 1):
+        move_and_accumulate(plan, state, t, move, force_between, ti.static(_moving(kick)))
     else:
-        each_cell_moving(plan, state, t, first)
-        accelerate_then(plan, state, t, move)
+        each_cell_moving(plan, state, t, move)
+        accumulate(plan, state, t, force_between, ti.static(_moving(kick)), _accelerate_more)
 
 
 @functools.cache

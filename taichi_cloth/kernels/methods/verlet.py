@@ -14,8 +14,8 @@ import taichi as ti
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
 from taichi_cloth.kernels.forces import (
     compute_acceleration,
-    in_one_pass,
-    move_and_accelerate_then,
+    kick_after,
+    kicks_at_once,
 )
 from taichi_cloth.kernels.lanes import read, write
 from taichi_cloth.kernels.methods.claims import Claims
@@ -43,7 +43,7 @@ def amplification(h, omega2, d):
 
 
 # The velocity in the middle of a step is v - dt/2*a with the old a. Compensated sums need it
-# exactly; where accelerations have a pass of their own, it would lose the old ones.
+# exactly; where accelerations have a pass of their own, that would lose the old ones.
 LOW_VECTORS, VECTORS = ("half_v",), ("old_a",)
 
 
@@ -63,7 +63,7 @@ def drift(plan: ti.template(), state: ti.template(), c):
     new_x = kept_above_floor(plan, state, c, x, v, new_x, half_v)
     if ti.static(plan.compensated):
         write(plan, state.half_v, c, half_v)
-    elif ti.static(not in_one_pass(plan)):
+    elif ti.static(not kicks_at_once(plan)):
         write(plan, state.old_a, c, a)
     write(plan, state.x, c, new_x)
     write(plan, state.v, c, half_v + 0.5 * dt * a)
@@ -76,7 +76,7 @@ def kick(plan: ti.template(), state: ti.template(), c, a):
     half_v = read(plan, state.v, c)
     if ti.static(plan.compensated):
         half_v = read(plan, state.half_v, c)
-    elif ti.static(in_one_pass(plan)):
+    elif ti.static(kicks_at_once(plan)):
         half_v = half_v - 0.5 * dt * read(plan, state.a, c)
     else:
         half_v = half_v - 0.5 * dt * read(plan, state.old_a, c)
@@ -87,4 +87,4 @@ def kick(plan: ti.template(), state: ti.template(), c, a):
 @ti.func
 def step(plan: ti.template(), state: ti.template(), t):
     compute_contacts(plan, state)
-    move_and_accelerate_then(plan, state, t, drift, kick)
+    kick_after(plan, state, t, drift, kick)
