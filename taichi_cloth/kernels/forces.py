@@ -44,7 +44,7 @@ def accelerate_then(plan: ti.template(), state: ti.template(), t, move: ti.templ
 
 
 def kicks_at_once(plan):
-    """Whether `kick_after` kicks a cell as soon as it has its forces, and leaves state.a to that."""
+    """Whether `kick_after` kicks a cell when it has its forces, and leaves state.a to that."""
     if plan.lanes > 1:
         return not plan.springs and not plan.spread
     # Neighbours read positions, which a kick leaves, and for dashpots velocities.
