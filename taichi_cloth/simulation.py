@@ -882,8 +882,8 @@ class Pace:
 
 
 def _free(state, device):
-    """Give the memory of a state back, unless Taichi was started anew since."""
-    if still_runs(device):
+    """Give the memory of a state back, unless Taichi was started anew since, or cannot (OpenGL)."""
+    if still_runs(device) and device.arch != "opengl":
         state.free()
 
 
