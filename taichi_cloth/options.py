@@ -333,31 +333,25 @@ class TuneOptions(ComparisonOptions):
     json: bool = setting(False, "print nothing but JSON")
 
 
+def _as_in_run(name: str) -> Any:
+    """A setting that is the same as one of a run."""
+    parameter = parameters_of(RunOptions)[name]
+    return field(default=parameter.default, metadata={"parameter": parameter})
+
+
 @dataclass(frozen=True)
 class ExplainOptions:
     """Settings of `explain`."""
 
-    arch: str = setting("cpu", "where to compute; gpu is the best there is", choices=ARCHS)
-    precision: str = setting(
-        "f32",
-        "floating-point numbers; compensated: f32 whose sums keep what rounding takes",
-        choices=PRECISIONS,
-    )
-    method: str = setting("symplectic_euler", "time-integration method", metavar="NAME")
+    arch: str = _as_in_run("arch")
+    precision: str = _as_in_run("precision")
+    method: str = _as_in_run("method")
     dt: float | None = setting(
         None, "time of one frame (default: the scene's)", float, above=0, metavar="X"
     )
-    substeps: int = setting(
-        1, "steps a frame, each of dt / N", minimum=1, maximum=1_000_000, metavar="N"
-    )
-    execution: str = setting(
-        "auto", "one thread, all of them, or the faster", choices=("auto", *PATHS)
-    )
-    topology: str = setting(
-        "auto",
-        "regular grids in vector lanes, all springs as a graph, or the faster",
-        choices=("auto", *TOPOLOGIES),
-    )
+    substeps: int = _as_in_run("substeps")
+    execution: str = _as_in_run("execution")
+    topology: str = _as_in_run("topology")
     threads: int | None = setting(
         None, "CPU threads (default: all)", int, minimum=1, maximum=1024, metavar="N"
     )

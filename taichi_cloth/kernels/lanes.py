@@ -150,11 +150,11 @@ def over_lanes(plan: ti.template(), a):
     if ti.static(plan.lanes == 1):
         return a
     else:
-        return folded(_plus, a)
+        return folded(plus, a)
 
 
 @ti.func
-def _plus(a, b):
+def plus(a, b):
     return a + b
 
 

@@ -18,6 +18,7 @@ from taichi_cloth.kernels.lanes import (
     everywhere,
     folded,
     pitch_of,
+    plus,
     renew_left_halo,
     renew_right_halo,
 )
@@ -103,6 +104,11 @@ def _visiting(body, moving):
 
 
 @ti.func
+def leave(plan: ti.template(), state: ti.template(), c):
+    """A body that moves nothing: for the halos that a loop renews, or where none is wanted."""
+
+
+@ti.func
 def each_row(plan: ti.template(), state: ti.template(), t, body: ti.template()):
     """Run body(plan, state, begin, width) for every row of cells of lanes."""
     if ti.static(plan.spread):
@@ -129,7 +135,7 @@ def add_up(plan: ti.template(), state: ti.template(), t, number: ti.template(), 
     Row by row, on a graph piece by piece of cells, and then these in their order: the same bits
     for every number of threads. `State.add_sums` makes room for it. `number` may change its cell.
     """
-    _join(plan, state, t, number, k, _plus)
+    _join(plan, state, t, number, k, plus)
 
 
 @ti.func
@@ -138,11 +144,6 @@ def find_largest(
 ):
     """state.sums[k, 0] = the largest number(plan, state, c), none of which is negative."""
     _join(plan, state, t, number, k, ti.max)
-
-
-@ti.func
-def _plus(a, b):
-    return a + b
 
 
 @ti.func

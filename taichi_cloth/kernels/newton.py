@@ -33,7 +33,7 @@ import functools
 import taichi as ti
 
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.contact import velocity_jump
+from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
 from taichi_cloth.kernels.forces import acceleration
 from taichi_cloth.kernels.lanes import (
     component,
@@ -50,8 +50,8 @@ from taichi_cloth.kernels.loops import add_up, barrier, each, each_cell_moving, 
 from taichi_cloth.kernels.phases import DONE, set_alone
 from taichi_cloth.kernels.springs import accumulate, force_between
 from taichi_cloth.kernels.state import FORCES, SWEEPS, UNCONVERGED
-from taichi_cloth.kernels.sums import moved
-from taichi_cloth.kernels.watch import is_finite
+from taichi_cloth.kernels.sums import moved, sped_up
+from taichi_cloth.kernels.watch import is_finite, store
 
 # old_x, old_v: the state at the step's start; gain: the iterate's; change: a Newton direction,
 # built up by conjugate gradients from residual, direction and its product with A.
@@ -82,9 +82,9 @@ SCALARS = (
 )
 COUNTS = ("indefinite", "directions", "trials", "stalls", "sweeps", "outcome", "step_outcome")
 SUMS = 3
-BEGIN, EVALUATE, DIRECT, ITERATE, MOVE, FINISH = range(6)  # phases
+BEGIN, EVALUATE, DIRECT, ITERATE, SHIFT, FINISH = range(6)  # phases
 LANES = 4  # in cells: with 8 it is a tenth faster, and takes twice as long to compile
-LAUNCHES = ((BEGIN,), (EVALUATE, MOVE), (DIRECT, ITERATE), (FINISH,))
+LAUNCHES = ((BEGIN,), (EVALUATE, SHIFT), (DIRECT, ITERATE), (FINISH,))
 # What came of a stage. ROUNDED: as small as rounding lets it be.
 CONVERGED, ROUNDED, EXHAUSTED, STALLED, SINGULAR, NOT_FINITE = range(6)
 OUTCOMES = (
@@ -107,14 +107,28 @@ FORCING = 0.1  # conjugate gradients leave this part of the residual to the next
 ONLY_EVALUATE = -1  # stage: the acceleration of the iterate is wanted, as its residual
 
 
-def phases(begin, finish):
-    """The phases of a method's step.
+def phases(fraction, start, move, first=0, last=0):
+    """The phases of a method's step, whose stages take `fraction` of dt and are numbered from
+    `first` (ONLY_EVALUATE or 0) to `last`.
 
-    begin(plan, state, t) sets tau and the start of the first stage (`set_tau`, `start`), and ends
-    with `begin_stage`. finish(plan, state, t) takes the solution of stage number state.stage, and
-    ends with `end_stage`.
+    start(plan, state, c) sets the start of the first stage in cell c; move(plan, state, c) takes
+    the solution of stage state.stage: it starts the next one from there (`start_from`) or, after
+    the last, ends with `arrive`.
     """
-    return begin, evaluate, direct, iterate, move, finish
+
+    @ti.func
+    def begin(plan: ti.template(), state: ti.template(), t):
+        set_tau(plan, state, t, fraction * state.dt[None])
+        compute_contacts(plan, state)
+        each_cell_moving(plan, state, t, start)
+        begin_stage(plan, state, t, first)
+
+    @ti.func
+    def finish(plan: ti.template(), state: ti.template(), t):
+        each_cell_moving(plan, state, t, move)
+        each(plan, state, t, 1, ti.static(_ending(last)))
+
+    return begin, evaluate, direct, iterate, shift, finish
 
 
 @ti.func
@@ -169,6 +183,22 @@ def iterate_from(plan: ti.template(), state: ti.template(), c, gain):
 
 
 @ti.func
+def new_velocity(plan: ti.template(), state: ti.template(), c, gain):
+    """Cell c's velocities at the step's end: those of its start, contacts, and what they gain."""
+    x, v = read(plan, state.old_x, c), read(plan, state.old_v, c)
+    new_v = sped_up(plan, state, c, v, velocity_jump(plan, state, c, x, v))
+    return sped_up(plan, state, c, new_v, gain)
+
+
+@ti.func
+def arrive(plan: ti.template(), state: ti.template(), c, change, new_v):
+    """End of a step for cell c: `change` away from where it started, with the velocities new_v."""
+    x, v = read(plan, state.old_x, c), read(plan, state.old_v, c)
+    new_x = moved_from_old(plan, state, c, change)
+    store(plan, state, c, kept_above_floor(plan, state, c, x, v, new_x, new_v), new_v)
+
+
+@ti.func
 def start(plan: ti.template(), state: ti.template(), c):
     """In cell c, start a stage from the step's start, with contacts."""
     keep_start(plan, state, c)
@@ -178,7 +208,7 @@ def start(plan: ti.template(), state: ti.template(), c):
 
 @ti.func
 def begin_stage(plan: ti.template(), state: ti.template(), t, stage):
-    """End of `begin`: the first stage, 0 or ONLY_EVALUATE."""
+    """End of `begin`: the first stage."""
     set_alone(plan, state.stage, t, stage)
     each(plan, state, t, 1, _begin_stage)
 
@@ -190,16 +220,12 @@ def _begin_stage(plan: ti.template(), state: ti.template(), i):
     state.phase[None] = EVALUATE
 
 
-@ti.func
-def end_stage(plan: ti.template(), state: ti.template(), t, last: ti.template()):
-    """End of `finish`: the next stage, or, after stage `last`, the end of the step, which is
-    counted if a solution did not converge.
-    """
-    each(plan, state, t, 1, ti.static(_ending(last)))
-
-
 @functools.cache
 def _ending(last):
+    """To the next stage or, after stage `last`, the end of the step, which is counted if a solution
+    did not converge.
+    """
+
     @ti.func
     def body(plan: ti.template(), state: ti.template(), i):
         if state.stage[None] < last:
@@ -277,7 +303,7 @@ def _judge(plan: ti.template(), state: ti.template(), i):
         length = _next_length(state, slope, finite)
         state.go[None] = length - state.length[None]
         state.length[None] = length
-        next_phase = MOVE
+        next_phase = SHIFT
     elif not finite:
         state.outcome[None], next_phase = NOT_FINITE, FINISH
     else:
@@ -422,13 +448,14 @@ def _turn(plan: ti.template(), state: ti.template(), c):
 
 
 @ti.func
-def move(plan: ti.template(), state: ti.template(), t):
-    each_cell_moving(plan, state, t, _move_cell)
+def shift(plan: ti.template(), state: ti.template(), t):
+    """Go the length that is still to go along `change`."""
+    each_cell_moving(plan, state, t, _shift_cell)
     each(plan, state, t, 1, _to_evaluate)
 
 
 @ti.func
-def _move_cell(plan: ti.template(), state: ti.template(), c):
+def _shift_cell(plan: ti.template(), state: ti.template(), c):
     change = read(plan, state.change, c)
     iterate_from(plan, state, c, read(plan, state.gain, c) + state.go[None] * change)
 
@@ -535,7 +562,7 @@ def _count_iteration(plan: ti.template(), state: ti.template(), i):
         state.trials[None] = 0
         state.length[None], state.go[None] = 1.0, 1.0
         state.short[None], state.short_slope[None], state.long[None] = 0.0, state.slope[None], 0.0
-        state.phase[None] = MOVE
+        state.phase[None] = SHIFT
 
 
 @ti.func

@@ -25,7 +25,7 @@ from taichi_cloth.kernels.lanes import (
     write,
     zeros,
 )
-from taichi_cloth.kernels.loops import PIECE, barrier, each, renew_halos, share
+from taichi_cloth.kernels.loops import PIECE, barrier, each, leave, renew_halos, share
 from taichi_cloth.kernels.sums import apart
 
 
@@ -98,11 +98,6 @@ def _sweep_grids(
                 barrier(plan, state)
             sweep(plan, state, t, phase, move, between, receive)
     barrier(plan, state)
-
-
-@ti.func
-def leave(plan: ti.template(), state: ti.template(), c):
-    """The `move` of those that move nothing before a sweep."""
 
 
 def _moves(move):
@@ -208,14 +203,18 @@ def link_stiffness(plan: ti.template(), state: ti.template(), s, c):
 
 
 @ti.func
-def link_value(plan: ti.template(), state: ti.template(), between: ti.template(), s, g, c, far, k):
-    """What cell c gets from its links of kind s, of stiffness k, to later particles at far.
-
-    A link without stiffness has no dashpot either.
-    """
+def link_damping(plan: ti.template(), state: ti.template(), s, g, k):
+    """Dashpots of links of kind s in grid g: a link without stiffness k has none either."""
     damping = 0.0 * k
     if ti.static(plan.dashpots):
         damping = ti.select(k > 0.0, state.link_c[s, g], 0.0 * k)
+    return damping
+
+
+@ti.func
+def link_value(plan: ti.template(), state: ti.template(), between: ti.template(), s, g, c, far, k):
+    """What cell c gets from its links of kind s, of stiffness k, to later particles at far."""
+    damping = link_damping(plan, state, s, g, k)
     return between(plan, state, read, c, far, k, state.link_rest[s, g], damping)
 
 

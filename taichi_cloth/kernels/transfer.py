@@ -10,7 +10,7 @@ from taichi_cloth.kernels.lanes import (
     site_number,
     site_value,
 )
-from taichi_cloth.kernels.loops import each_cell_moving
+from taichi_cloth.kernels.loops import each_cell_moving, leave
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 from taichi_cloth.kernels.watch import NO_FAULT
 
@@ -118,12 +118,7 @@ def load_particles(
             set_site_value(plan, state.x_low, site, x)
             set_site_value(plan, state.v_low, site, v)
     if ti.static(plan.halo > 0):
-        each_cell_moving(plan, state, 0, _leave_cell)
-
-
-@ti.func
-def _leave_cell(plan: ti.template(), state: ti.template(), c):
-    """Nothing: the loop over cells is wanted for the halos that it renews."""
+        each_cell_moving(plan, state, 0, leave)
 
 
 @ti.kernel

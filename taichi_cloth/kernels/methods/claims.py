@@ -19,3 +19,8 @@ class Claims:
     forces: int = 1
     settings: tuple[str, ...] = ()
     choose: str = ""
+
+
+def backward_euler(z):
+    """What a step of backward Euler makes of y' = mu y, where z = dt mu: its stability function."""
+    return 1 / (1 - z)

@@ -13,12 +13,9 @@ import math
 import taichi as ti
 
 from taichi_cloth.kernels import newton
-from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
+from taichi_cloth.kernels.contact import velocity_jump
 from taichi_cloth.kernels.lanes import read, write
-from taichi_cloth.kernels.loops import each_cell_moving
 from taichi_cloth.kernels.methods.claims import Claims
-from taichi_cloth.kernels.sums import sped_up
-from taichi_cloth.kernels.watch import store
 
 CLAIMS = Claims(
     order=2,
@@ -52,25 +49,11 @@ def stability_function(z):
 
 
 @ti.func
-def begin_step(plan: ti.template(), state: ti.template(), t):
-    """The trapezoidal rule needs the acceleration at the step's start."""
-    newton.set_tau(plan, state, t, TAU * state.dt[None])
-    compute_contacts(plan, state)
-    each_cell_moving(plan, state, t, stay)
-    newton.begin_stage(plan, state, t, newton.ONLY_EVALUATE)
-
-
-@ti.func
 def stay(plan: ti.template(), state: ti.template(), c):
+    """The trapezoidal rule needs the acceleration at the step's start."""
     newton.keep_start(plan, state, c)
     v = read(plan, state.v, c)
     write(plan, state.gain, c, 0.0 * v)  # so that the residual is the acceleration
-
-
-@ti.func
-def finish(plan: ti.template(), state: ti.template(), t):
-    each_cell_moving(plan, state, t, go_on)
-    newton.end_stage(plan, state, t, BACKWARD)
 
 
 @ti.func
@@ -78,8 +61,7 @@ def go_on(plan: ti.template(), state: ti.template(), c):
     """From one stage to the next, and from the last one to the new state."""
     tau, stage = TAU * state.dt[None], state.stage[None]
     x, v = read(plan, state.old_x, c), read(plan, state.old_v, c)
-    jump, gain = velocity_jump(plan, state, c, x, v), read(plan, state.gain, c)
-    old_v = v + jump
+    old_v, gain = v + velocity_jump(plan, state, c, x, v), read(plan, state.gain, c)
     if stage == newton.ONLY_EVALUATE:
         first = tau * read(plan, state.residual, c)
         write(plan, state.first, c, first)
@@ -91,10 +73,8 @@ def go_on(plan: ti.template(), state: ti.template(), c):
         write(plan, state.way, c, way)
         newton.start_from(plan, state, c, way, old_v + first)
     else:
-        new_v = sped_up(plan, state, c, v, jump)
-        new_v = sped_up(plan, state, c, new_v, read(plan, state.first, c) + gain)
-        new_x = newton.moved_from_old(plan, state, c, read(plan, state.way, c) + tau * new_v)
-        store(plan, state, c, kept_above_floor(plan, state, c, x, v, new_x, new_v), new_v)
+        new_v = newton.new_velocity(plan, state, c, read(plan, state.first, c) + gain)
+        newton.arrive(plan, state, c, read(plan, state.way, c) + tau * new_v, new_v)
 
 
-PHASES = newton.phases(begin_step, finish)
+PHASES = newton.phases(TAU, stay, go_on, first=newton.ONLY_EVALUATE, last=BACKWARD)

@@ -29,8 +29,8 @@ from taichi_cloth.kernels.lanes import (
     with_component,
     zeros,
 )
-from taichi_cloth.kernels.methods.claims import Claims
-from taichi_cloth.kernels.springs import number
+from taichi_cloth.kernels.methods.claims import Claims, backward_euler
+from taichi_cloth.kernels.springs import link_damping, number
 from taichi_cloth.kernels.sums import apart
 from taichi_cloth.kernels.sweeps import mobility, relative_velocity, short_of_goal
 
@@ -46,12 +46,7 @@ CLAIMS = Claims(
         "xpbd, which gets nearer in the same time."
     ),
 )
-
-
-def stability_function(z):
-    """What a step makes of y' = mu y, where z = dt mu, once its sweeps have converged."""
-    return 1 / (1 - z)
-
+stability_function = backward_euler  # once its sweeps have converged
 
 LANES, VECTORS = sweeps.LANES, sweeps.VECTORS
 HALOED, COUNTS = sweeps.HALOED, sweeps.COUNTS
@@ -126,9 +121,7 @@ def with_links(
             s = state.forward[q - plan.kinds]
             j = i + link_offset(state, s, pitch) * stride
         k = number(plan, state.link_k, s * state.cells * stride + owner)
-        c = 0.0 * k
-        if ti.static(plan.dashpots):
-            c = ti.select(k > 0.0, state.link_c[s, g], 0.0 * k)
+        c = link_damping(plan, state, s, g, k)
         d, dv = apart(plan, state, value, i, j), relative_velocity(plan, state, value, i, j)
         pull, hx, hy, hz = with_spring(
             plan, state.dt[None], w, d, dv, k, state.link_rest[s, g], c, pull, hx, hy, hz

@@ -33,8 +33,8 @@ from taichi_cloth.kernels.lanes import (
     write,
     zeros,
 )
-from taichi_cloth.kernels.methods.claims import Claims
-from taichi_cloth.kernels.springs import link_stiffness, number
+from taichi_cloth.kernels.methods.claims import Claims, backward_euler
+from taichi_cloth.kernels.springs import link_damping, link_stiffness, number
 from taichi_cloth.kernels.state import GONE
 from taichi_cloth.kernels.sums import apart
 from taichi_cloth.kernels.sweeps import mobility, relative_velocity
@@ -51,12 +51,7 @@ CLAIMS = Claims(
         "sweeps. Too few look like softer springs."
     ),
 )
-
-
-def stability_function(z):
-    """What a step makes of y' = mu y, where z = dt mu, once its sweeps have converged."""
-    return 1 / (1 - z)
-
+stability_function = backward_euler  # once its sweeps have converged
 
 LANES, VECTORS = sweeps.LANES, sweeps.VECTORS
 HALOED, COUNTS = sweeps.HALOED, sweeps.COUNTS
@@ -72,9 +67,7 @@ def project(plan: ti.template(), state: ti.template(), t, colour):
 def project_links(plan: ti.template(), state: ti.template(), s, g, c, far, stiffness):
     """The springs of kind s between cell c and cell `far`."""
     k = link_stiffness(plan, state, s, stiffness)
-    damping = 0.0 * k
-    if ti.static(plan.dashpots):
-        damping = ti.select(k > 0.0, state.link_c[s, g], 0.0 * k)
+    damping = link_damping(plan, state, s, g, k)
     at, p = of_kind(state, s, c), zeros(plan, state)
     if state.sweep[None] > 0:
         p = read(plan, state.link_impulse, at)
