@@ -2,7 +2,7 @@
 
 import sys
 
-from taichi_cloth.cli import main
+from taichi_cloth.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -13,7 +13,7 @@ import time
 from dataclasses import dataclass
 
 from taichi_cloth.errors import InputError, nearest
-from taichi_cloth.options import ARCHS, PRECISIONS
+from taichi_cloth.settings.options import ARCHS, PRECISIONS
 
 BACKENDS = tuple(name for name in ARCHS if name != "gpu")
 GPU_ORDER = ("cuda", "metal", "vulkan", "opengl")  # what `gpu` tries, best first

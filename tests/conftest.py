@@ -29,7 +29,7 @@ def device():
 @pytest.fixture
 def few_lanes(monkeypatch):
     """Cells of 2 lanes, which compile in a third of the time: for what holds for any number."""
-    from taichi_cloth import simulation
+    from taichi_cloth.simulation import simulation
 
     monkeypatch.setattr(simulation, "LANES", 2)
 

@@ -18,9 +18,10 @@ from extreme_runs import (
     resolved,
 )
 
-from taichi_cloth import cloth, runtime
-from taichi_cloth.scene import Particles, Scene, Springs, World
-from taichi_cloth.simulation import BLOW_REACH, BLOW_STRENGTH
+from taichi_cloth import runtime
+from taichi_cloth.scene import cloth
+from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.simulation.simulation import BLOW_REACH, BLOW_STRENGTH
 
 LARGE = (1000.0, 1000.0, 1000.0)
 GRAVITY = (0.0, 9.8, 0.0)

@@ -13,9 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from taichi_cloth import limits
-from taichi_cloth.scene import Scene
-from taichi_cloth.simulation import Simulation
+from taichi_cloth.limits import modes
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.simulation.simulation import Simulation
 
 FRAME = 1 / 60
 
@@ -53,8 +53,8 @@ def resolved(seconds=1.0, frame=FRAME, frames=60, part=0.1):
         limit = module.CLAIMS.stability_limit
         if math.isinf(limit):
             return Steps(frame, 1, frames)
-        bounds = limits.gershgorin(limits.Network.of_scene(scene))
-        h = part * limits.step_within(module, bounds)
+        bounds = modes.gershgorin(modes.Network.of_scene(scene))
+        h = part * modes.step_within(module, bounds)
         if limit == 0:
             h = min(_inverse(seconds * bounds.omega2 / math.log(2)), _inverse(bounds.damping))
         substeps = max(1, math.ceil(frame / h * (1 - 1e-9)))
@@ -79,7 +79,7 @@ def of_limit(part, count):
     def choose(module, scene):
         if not 0 < module.CLAIMS.stability_limit < math.inf:
             return None
-        h = part * limits.stable_step(module, limits.Network.of_scene(scene)).dt
+        h = part * modes.stable_step(module, modes.Network.of_scene(scene)).dt
         return Steps(10 * h, 10, count // 10)
 
     return choose
@@ -95,7 +95,7 @@ def many(count, product):
     with which energy cannot double."""
 
     def choose(module, scene):
-        omega = math.sqrt(limits.gershgorin(limits.Network.of_scene(scene)).omega2)
+        omega = math.sqrt(modes.gershgorin(modes.Network.of_scene(scene)).omega2)
         limit = module.CLAIMS.stability_limit
         h = (product if limit > 0 else math.sqrt(math.log(2) / count)) / omega
         return Steps(1000 * h, 1000, count // 1000)
@@ -210,7 +210,7 @@ class Run:
 
     @cached_property
     def omega(self):
-        return math.sqrt(limits.gershgorin(limits.Network.of_scene(self.scene)).omega2)
+        return math.sqrt(modes.gershgorin(modes.Network.of_scene(self.scene)).omega2)
 
     @cached_property
     def free(self):

@@ -18,7 +18,7 @@ from extreme_runs import Run
 from taichi_cloth import runtime
 from taichi_cloth.errors import SimulationFailure
 from taichi_cloth.kernels import methods
-from taichi_cloth.simulation import Simulation
+from taichi_cloth.simulation.simulation import Simulation
 
 PRECISIONS = "f32", "f64"
 

@@ -1,4 +1,4 @@
-"""docs/accuracy.md: its numbers are measured, its table has every method."""
+"""docs/command.md: its numbers are measured, its table has every method."""
 
 import json
 import math
@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taichi_cloth import limits
+from taichi_cloth.benchmarks.accuracy import command, experiments, pictures, tables
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
-from taichi_cloth.trade import accuracy, accuracy_tables, experiments, pictures
+from taichi_cloth.limits import modes
 
 ROOT = Path(__file__).parent.parent
 DOCUMENT = ROOT / "docs" / "accuracy.md"
@@ -27,7 +27,7 @@ def test_measured_damping_and_pitch_are_those_of_the_discrete_map(method):
         assert measured.kept == pytest.approx(theory.kept, rel=1e-9, abs=1e-10)
         assert measured.pitch == pytest.approx(theory.pitch, abs=1e-9)
         h, omega = 1 / experiments.RATE, 2 * math.pi * f
-        assert theory.kept == pytest.approx(limits.growth(module, h, omega**2, 0.0) ** 60)
+        assert theory.kept == pytest.approx(modes.growth(module, h, omega**2, 0.0) ** 60)
 
 
 def test_damping_is_that_of_the_textbooks():
@@ -59,14 +59,14 @@ def test_a_second_order_method_is_measured_as_one(device):
 def results():
     """Those that the document shows: of the machine that it was written on."""
     (path,) = (ROOT / "bench" / "results").glob("*-accuracy.json")
-    return accuracy.read(path)
+    return command.read(path)
 
 
 def test_the_document_is_made_from_the_results():
     text, kept = DOCUMENT.read_text(), results()
-    assert set(kept) == set(accuracy.PARTS)
-    assert accuracy_tables.filled(text, kept) == text
-    for part in accuracy.PARTS:
+    assert set(kept) == set(command.PARTS)
+    assert tables.filled(text, kept) == text
+    for part in command.PARTS:
         assert kept[part]["command"] in text
     drawn = re.findall(r"\]\(images/(accuracy-\w+)\.png\)", text)
     assert len(drawn) >= 3
@@ -102,13 +102,13 @@ def test_pictures_are_drawn_from_results():
 def test_what_is_missing_is_said_in_a_line(tmp_path, capsys):
     document = tmp_path / "a.md"
     document.write_text("<!-- accuracy:methods -->\n<!-- end -->\n")
-    assert accuracy.main(["coststs"]) == 2
+    assert command.main(["coststs"]) == 2
     assert "did you mean 'costs'" in capsys.readouterr().err
-    assert accuracy.main(["--tables", str(tmp_path / "none.md")]) == 2
-    assert accuracy.main(["--tables", str(document), "--output", str(tmp_path)]) == 2
+    assert command.main(["--tables", str(tmp_path / "none.md")]) == 2
+    assert command.main(["--tables", str(document), "--output", str(tmp_path)]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 2
     with pytest.raises(InputError, match="part 'damping'"):
-        accuracy_tables.filled(document.read_text(), {"orders": {"data": {}}})
-    accuracy.keep(tmp_path / "r.json", "orders", {"data": {"a": [1 / 3]}})
-    accuracy.keep(tmp_path / "r.json", "events", {"data": 1})
+        tables.filled(document.read_text(), {"orders": {"data": {}}})
+    command.keep(tmp_path / "r.json", "orders", {"data": {"a": [1 / 3]}})
+    command.keep(tmp_path / "r.json", "events", {"data": 1})
     assert json.loads((tmp_path / "r.json").read_text())["orders"]["data"] == {"a": [0.333333]}

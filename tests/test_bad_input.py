@@ -6,10 +6,11 @@ Cases run `cli.main` in this process: they are refused before Taichi starts.
 import numpy as np
 import pytest
 
-from taichi_cloth import cli, scenefile, scenes
-from taichi_cloth.cloth import grid
+from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
-from taichi_cloth.scene import Particles, Scene, SpringDefaults, Springs, World, validate
+from taichi_cloth.scene import library, scenefile
+from taichi_cloth.scene.cloth import grid
+from taichi_cloth.scene.model import Particles, Scene, SpringDefaults, Springs, World, validate
 
 COMMAND_LINES = [
     # (arguments, what the line must say)
@@ -79,7 +80,7 @@ def test_command_lines(arguments, says, tmp_path, monkeypatch, capsys):
     (tmp_path / "broken.toml").write_text("[world]\nsize =")
     (tmp_path / "fine.toml").write_text("[world]\nsize = [10, 10]")
     before = sorted(tmp_path.iterdir())
-    assert cli.main(arguments.split()) == 2
+    assert main(arguments.split()) == 2
     out, error = capsys.readouterr()
     assert out == "" and error.startswith("taichi-cloth: error: ")
     assert error.count("\n") == 1 and says in error
@@ -249,7 +250,7 @@ def test_scene_parameters_are_checked_in_python_too():
         ("cloth", {"spacing": float("nan")}, "finite"),
     ):
         with pytest.raises(InputError) as refused:
-            scenes.build(name, **values)
+            library.build(name, **values)
         assert says in str(refused.value)
 
 

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 from conftest import command, golden
 
-from taichi_cloth import benchmarks, cli, runtime
-from taichi_cloth.benchmarks import contest, machine, newton, objects, objects_inlined, report
+from taichi_cloth import benchmarks, runtime
+from taichi_cloth.benchmarks import contest, newton, objects, objects_inlined, report
 from taichi_cloth.benchmarks import structural as structural_part
 from taichi_cloth.benchmarks import warp as warp_part
 from taichi_cloth.benchmarks.cloths import warp_cloth
+from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
+from taichi_cloth.measuring import machine
 
 ROOT = Path(__file__).parent.parent
 SPEED = ROOT / "docs" / "speed.md"
@@ -64,7 +66,7 @@ def test_program_of_objects_is_blown_and_torn_like_the_original():
 @pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
 def test_compiled_yardsticks_agree_with_ours(bench, device):
     """Both C++ programs, on a cloth whose sides differ, to f32's round-off."""
-    from taichi_cloth.simulation import Simulation
+    from taichi_cloth.simulation.simulation import Simulation
 
     scene = structural_part.structural(24, 17)
     substeps = structural_part.STRUCTURAL_SUBSTEPS
@@ -146,7 +148,7 @@ def test_contestants_that_fail_are_left_out(bench):
 
 
 def test_each_part_is_described_and_measures(capsys):
-    assert cli.main(["bench", "--help"]) == 0
+    assert main(["bench", "--help"]) == 0
     shown = capsys.readouterr().out
     for part in benchmarks.PARTS:
         module = importlib.import_module(f"taichi_cloth.benchmarks.{part}")
@@ -167,7 +169,7 @@ def test_each_part_is_described_and_measures(capsys):
     ],
 )
 def test_bad_arguments_are_refused_in_one_line(arguments, says, capsys):
-    assert cli.main(["bench", *arguments]) == 2
+    assert main(["bench", *arguments]) == 2
     out, err = capsys.readouterr()
     assert says in err and err.count("\n") == 1 and not out
 
@@ -181,7 +183,7 @@ def test_missing_peers_are_named_with_what_to_install(monkeypatch, capsys, tmp_p
     monkeypatch.setattr(
         runtime, "usable_backends", lambda: dict.fromkeys(runtime.BACKENDS, "a GPU")
     )
-    assert cli.main(["bench", "newton", "gpu", "--output", str(tmp_path)]) == 0
+    assert main(["bench", "newton", "gpu", "--output", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     for name in newton.SOLVERS:
         assert f"newton, {name}, all sizes: pip install " in out

@@ -10,9 +10,12 @@ import time
 import numpy as np
 import pytest
 
-from taichi_cloth import cli, doctor, results, scenes
-from taichi_cloth.options import PATHS, TOPOLOGIES, RunOptions, parameters_of
-from taichi_cloth.simulation import Simulation
+from taichi_cloth.cli import doctor
+from taichi_cloth.cli.main import main
+from taichi_cloth.files import trajectory as trajectories
+from taichi_cloth.scene import library
+from taichi_cloth.settings.options import PATHS, TOPOLOGIES, RunOptions, parameters_of
+from taichi_cloth.simulation.simulation import Simulation
 
 COMMAND = [sys.executable, "-m", "taichi_cloth"]
 HEAVY = ("taichi", "matplotlib", "imageio", "scipy", "rich", "PIL")
@@ -39,11 +42,11 @@ def run(*arguments, cwd=None, **options):
         "import taichi_cloth",
         "from taichi_cloth import Scene, World, validate, grid, load_scene, scenes",
         "from taichi_cloth import Trajectory, load_events, InputError, SimulationFailure",
-        "import taichi_cloth.cli, taichi_cloth.events, taichi_cloth.results, taichi_cloth.options",
-        "from taichi_cloth import cli; cli.main(['--help'])",
-        "from taichi_cloth import cli; cli.main(['run', 'box', '--help'])",
-        "from taichi_cloth import cli; assert cli.main(['run', '--frames', '0']) == 2",
-        "from taichi_cloth import cli; cli.main(['trade', '--help']); cli.main(['tune', '--help'])",
+        "import taichi_cloth.cli.main, taichi_cloth.files.events, taichi_cloth.files.trajectory",
+        "from taichi_cloth.cli.main import main; main(['--help'])",
+        "from taichi_cloth.cli.main import main; main(['run', 'box', '--help'])",
+        "from taichi_cloth.cli.main import main; assert main(['run', '--frames', '0']) == 2",
+        "from taichi_cloth.cli.main import main; main(['trade', '--help'])",
     ],
 )
 def test_nothing_heavy_is_imported_before_a_run(code):
@@ -55,7 +58,7 @@ def test_nothing_heavy_is_imported_before_a_run(code):
     )
 
 
-@pytest.mark.parametrize("code", ["import taichi_cloth", "from taichi_cloth.cli import main"])
+@pytest.mark.parametrize("code", ["import taichi_cloth", "from taichi_cloth.cli.main import main"])
 def test_importing_is_quick(code):
     def seconds():
         begin = time.perf_counter()
@@ -74,24 +77,24 @@ def test_every_public_name_is_there():
         taichi_cloth.no_such_name  # noqa: B018
 
 
-@pytest.mark.parametrize("name", scenes.names())
+@pytest.mark.parametrize("name", library.names())
 def test_help_shows_every_flag_of_a_scene(name, capsys):
-    assert cli.main(["run", name, "--help"]) == 0
+    assert main(["run", name, "--help"]) == 0
     shown = capsys.readouterr().out
-    for parameters in (parameters_of(RunOptions), scenes.parameters(name)):
+    for parameters in (parameters_of(RunOptions), library.parameters(name)):
         for flag in parameters:
             assert "--" + flag.replace("_", "-") in shown
 
 
 def test_help_and_version(capsys):
-    assert cli.main(["--help"]) == 0 and "taichi-cloth run --help" in capsys.readouterr().out
-    assert cli.main(["--version"]) == 0 and capsys.readouterr().out.startswith("taichi-cloth ")
+    assert main(["--help"]) == 0 and "taichi-cloth run --help" in capsys.readouterr().out
+    assert main(["--version"]) == 0 and capsys.readouterr().out.startswith("taichi-cloth ")
 
 
 def test_list_names_every_scene_method_and_backend():
     done = run("list")
     assert done.returncode == 0 and done.stderr == ""
-    for word in (*scenes.names(), "symplectic_euler", "explicit_euler", "--columns 16", "cuda"):
+    for word in (*library.names(), "symplectic_euler", "explicit_euler", "--columns 16", "cuda"):
         assert word in done.stdout
 
 
@@ -106,7 +109,7 @@ def test_doctor_shows_what_was_measured(tmp_path, monkeypatch, capsys, device):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(doctor, "findings", lambda: ())
     assert doctor.main() == 0 and "nothing measured yet" in capsys.readouterr().out
-    sim = Simulation(scenes.build("cloth", columns=5, rows=4))
+    sim = Simulation(library.build("cloth", columns=5, rows=4))
     doctor.main()
     (row,) = [line for line in capsys.readouterr().out.splitlines() if "cpu f64" in line]
     assert "2-D, uniform springs" in row and "fracture" in row and "4 walls" in row
@@ -136,7 +139,7 @@ def test_a_run_prints_two_lines_and_saves_what_it_did(tmp_path):
     assert meta["scene"] == "cloth" and meta["precision"] == "f64" and meta["arch"] == "cpu"
     assert {"method", "dt", "substeps", "device", "versions"} <= meta.keys()
     assert [p.name for p in tmp_path.iterdir()] == ["out.npz"]
-    assert results.load(tmp_path / "out.npz").meta == meta
+    assert trajectories.load(tmp_path / "out.npz").meta == meta
 
 
 def test_quiet_prints_nothing():
@@ -211,7 +214,7 @@ def test_clicked_particles_are_nan_before_they_exist(tmp_path):
     )
     arguments = ["--headless", "--frames", 4, "--events", "log.jsonl", "--save", "a.npz"]
     assert run("run", "sandbox", *arguments, cwd=tmp_path).returncode == 0
-    saved = results.load(tmp_path / "a.npz")
+    saved = trajectories.load(tmp_path / "a.npz")
     assert saved.position.shape == (4, 2, 2) and saved.spring.tolist() in ([[0, 1]], [[1, 0]])
     assert np.isnan(saved.position[:2, 1]).all() and np.isfinite(saved.position[2:]).all()
     assert np.isnan(saved.velocity[:2, 1]).all()
@@ -225,7 +228,7 @@ def test_a_failed_simulation_is_status_3_and_keeps_the_last_good_frame(tmp_path)
     warning, error = done.stderr.splitlines()
     assert warning.startswith("taichi-cloth: warning: a step of 30 is above ")
     assert error.startswith("taichi-cloth: error: frame ")
-    saved = results.load(tmp_path / "a.npz")
+    saved = trajectories.load(tmp_path / "a.npz")
     assert len(saved.frame) == 1 and np.isfinite(saved.position).all()
     assert f"the last good frame, {saved.frame[0]}, is kept" in done.stderr
 
@@ -246,7 +249,7 @@ def test_an_interrupted_run_keeps_its_files(tmp_path, number, status):
     process.send_signal(number)
     _, error = process.communicate(timeout=30)
     assert process.returncode == status and error == "taichi-cloth: interrupted\n"
-    assert results.load(tmp_path / "a.npz").frame[0] == 1000
+    assert trajectories.load(tmp_path / "a.npz").frame[0] == 1000
     assert json.loads((tmp_path / "a.jsonl").read_text())["header"]["scene"] == "cloth"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.jsonl", "a.npz"]
 
@@ -296,27 +299,27 @@ class FakeSimulation:
 
 
 def test_a_reset_starts_the_trajectory_again(tmp_path):
-    sim, trajectory = FakeSimulation(), results.Trajectory(tmp_path / "a.npz", every=2)
+    sim, trajectory = FakeSimulation(), trajectories.Trajectory(tmp_path / "a.npz", every=2)
     for frame in (1, 2, 3, 4, 4, 1, 2):
         sim.frame = frame
         trajectory.record(sim)
     trajectory.save({"scene": "x"})
     trajectory.save({"scene": "y"})
-    saved = results.load(tmp_path / "a.npz")
+    saved = trajectories.load(tmp_path / "a.npz")
     assert saved.frame.tolist() == [2] and saved.meta == {"scene": "x"}
 
 
 def test_a_trajectory_without_frames_is_a_file_all_the_same(tmp_path):
-    trajectory = results.Trajectory(tmp_path / "a.npz")
+    trajectory = trajectories.Trajectory(tmp_path / "a.npz")
     trajectory.record(FakeSimulation())
     trajectory.save()
-    assert results.load(tmp_path / "a.npz").position.shape == (0, 1, 2)
+    assert trajectories.load(tmp_path / "a.npz").position.shape == (0, 1, 2)
 
 
 def test_a_link_and_a_device_are_written_through(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "target")
-    results.Trajectory(tmp_path / "link").save()
-    assert (tmp_path / "link").is_symlink() and results.load(tmp_path / "target")
+    trajectories.Trajectory(tmp_path / "link").save()
+    assert (tmp_path / "link").is_symlink() and trajectories.load(tmp_path / "target")
     if os.path.exists(os.devnull) and os.name == "posix":
-        results.Trajectory(os.devnull).save()
+        trajectories.Trajectory(os.devnull).save()
         assert not os.path.isfile(os.devnull)

@@ -11,8 +11,8 @@ from conftest import command
 from taichi_cloth import runtime
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.kernels import methods
-from taichi_cloth.scenes import build
-from taichi_cloth.simulation import Simulation
+from taichi_cloth.scene.library import build
+from taichi_cloth.simulation.simulation import Simulation
 
 FRAMES, COARSE, FINE = 48, 8, 8 * 32
 EXPLICIT = [name for name in methods.METHODS if not methods.load(name).CLAIMS.settings]

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from taichi_cloth.scene import ParticleDefaults, Particles, Scene, World
-from taichi_cloth.simulation import Simulation
+from taichi_cloth.scene.model import ParticleDefaults, Particles, Scene, World
+from taichi_cloth.simulation.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("device")
 

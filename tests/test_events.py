@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taichi_cloth import events
 from taichi_cloth.errors import InputError
-from taichi_cloth.events import Event, Recorder
+from taichi_cloth.files import events
+from taichi_cloth.files.events import Event, Recorder
 
 # Once Taichi has started, the processor takes subnormal numbers for zero in the whole process.
 finite = st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=False)

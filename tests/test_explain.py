@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from conftest import command
 
-from taichi_cloth import cli, costs, explain, scenes
-from taichi_cloth.cloth import LINKS
+from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
-from taichi_cloth.scenes import build
-from taichi_cloth.simulation import Simulation
-from taichi_cloth.variants import kinds_of_links, variants
+from taichi_cloth.explain import command as explain
+from taichi_cloth.explain import costs
+from taichi_cloth.explain.variants import kinds_of_links, variants
+from taichi_cloth.scene import library
+from taichi_cloth.scene.cloth import LINKS
+from taichi_cloth.scene.library import build
+from taichi_cloth.simulation.simulation import Simulation
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "features.md"
 # What a feature is called, and the switch of `Features` and `Plan` that it is.
@@ -29,7 +32,7 @@ SWITCHES = {
     "uniform particles": "uniform_particles",
 }
 FULL = {"columns": 6, "rows": 5, "shear": 0.1, "damping": 0.02}
-SCENES = [(name, explain.FILLED.get(name, {})) for name in scenes.names()] + [("cloth", FULL)]
+SCENES = [(name, explain.FILLED.get(name, {})) for name in library.names()] + [("cloth", FULL)]
 
 
 @pytest.mark.parametrize(("name", "parameters"), SCENES)
@@ -143,7 +146,7 @@ def test_the_command_says_it_in_json():
 )
 def test_bad_arguments_are_refused_in_one_line(arguments, says, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["explain", *arguments]) == 2
+    assert main(["explain", *arguments]) == 2
     out, err = capsys.readouterr()
     assert says in err and err.count("\n") == 1 and not out
 
@@ -163,7 +166,7 @@ def test_the_document_has_every_built_in_scene_and_the_links():
         match[1]: match[0] for match in re.finditer(r"explain:(\w+) -->.*?<!-- end", text, re.S)
     }
     assert marked.keys() == {"machine", "scenes", "costs", "links", "saving"}
-    for name in scenes.names():
+    for name in library.names():
         assert f"`{name}" in marked["scenes"] and f"`{name}" in marked["costs"]
     ratios = re.findall(r"([\d.]+) times as long", marked["saving"])
     assert ratios and all(float(ratio) > 1.1 for ratio in ratios)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from taichi_cloth.kernels import methods
-from taichi_cloth.scene import Particles, Scene, Springs, World
-from taichi_cloth.scenes import build
-from taichi_cloth.simulation import Simulation
+from taichi_cloth.scene.library import build
+from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.simulation.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("device", "few_lanes")
 

@@ -100,8 +100,9 @@ def test_wheel_and_sdist_install_and_work(tmp_path):
 
 
 def test_documented_scene_file_and_log_are_accepted(tmp_path, device):
-    from taichi_cloth import events, scenefile
-    from taichi_cloth.simulation import Simulation
+    from taichi_cloth.files import events
+    from taichi_cloth.scene import scenefile
+    from taichi_cloth.simulation.simulation import Simulation
 
     text = (ROOT / "docs" / "scenes.md").read_text()
     scene = scenefile.parse(re.search(r"^```toml\n(.*?)^```", text, re.M | re.S)[1])

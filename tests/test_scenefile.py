@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taichi_cloth import scenefile, scenes
-from taichi_cloth.cloth import grid
 from taichi_cloth.errors import InputError
-from taichi_cloth.scene import (
+from taichi_cloth.scene import library, scenefile
+from taichi_cloth.scene.cloth import grid
+from taichi_cloth.scene.model import (
     MOUSE_MODES,
     WALLS,
     ParticleDefaults,
@@ -120,7 +120,7 @@ def test_a_cloth_in_a_file_is_the_built_in_cloth():
     spacing = 25
     pinned = [[0, 0], [8, 0], [15, 0]]
     """
-    read, built = scenefile.parse(text), scenes.build("cloth")
+    read, built = scenefile.parse(text), library.build("cloth")
     assert set(read.world.walls) == set(built.world.walls)
     assert_same_scene(read.with_world(walls=built.world.walls), built)
 
@@ -210,9 +210,9 @@ def test_walls(walls, count):
     assert len(scenefile.parse(text).world.walls) == count
 
 
-@pytest.mark.parametrize("name", scenes.names())
+@pytest.mark.parametrize("name", library.names())
 def test_built_in_scenes_survive_a_file(name, tmp_path):
-    scene = scenes.build(name, **({"particles": 30} if name in ("box", "sandbox") else {}))
+    scene = library.build(name, **({"particles": 30} if name in ("box", "sandbox") else {}))
     scenefile.save(scene, tmp_path / "scene.toml")
     assert_same_scene(scenefile.load(tmp_path / "scene.toml"), scene)
 

@@ -5,20 +5,20 @@ import inspect
 import numpy as np
 import pytest
 
-from taichi_cloth import scenes
 from taichi_cloth.errors import InputError
-from taichi_cloth.simulation import Simulation
+from taichi_cloth.scene import library
+from taichi_cloth.simulation.simulation import Simulation
 
 
-@pytest.mark.parametrize("name", scenes.names())
+@pytest.mark.parametrize("name", library.names())
 def test_every_scene_declares_itself_and_runs(name, device):
-    assert scenes.description(name).endswith(".")
-    for parameter in scenes.parameters(name).values():
+    assert library.description(name).endswith(".")
+    for parameter in library.parameters(name).values():
         assert parameter.help and parameter.check("it", parameter.default) == parameter.default
-    assert scenes.build(name).name == name
-    signature = inspect.signature(scenes.function(name))
+    assert library.build(name).name == name
+    signature = inspect.signature(library.function(name))
     assert all(p.kind is p.KEYWORD_ONLY for p in signature.parameters.values())
-    assert frames(scenes.build(name), 3).shape[0] == 4
+    assert frames(library.build(name), 3).shape[0] == 4
 
 
 def frames(scene, count, substeps=1):
@@ -32,7 +32,7 @@ def frames(scene, count, substeps=1):
 
 
 def test_the_oscillator_is_a_cosine(device):
-    x = frames(scenes.build("oscillator", amplitude=40.0, stiffness=0.02, mass=2.0), 200, 200)
+    x = frames(library.build("oscillator", amplitude=40.0, stiffness=0.02, mass=2.0), 200, 200)
     t = np.arange(201)
     np.testing.assert_allclose(x[:, 1, 0], 250 + 40 * np.cos(0.1 * t), atol=0.05)
     assert (x[:, 1, 1] == 100).all() and (x[:, 0] == (100, 100)).all()
@@ -40,7 +40,7 @@ def test_the_oscillator_is_a_cosine(device):
 
 @pytest.mark.parametrize(("n", "mode"), [(1, 1), (7, 2), (16, 1), (16, 16)])
 def test_the_chain_swings_in_its_normal_mode(device, n, mode):
-    scene = scenes.build("chain", particles=n, mode=mode)
+    scene = library.build("chain", particles=n, mode=mode)
     x = frames(scene, 100, 200)
     omega = 2 * np.sqrt(0.1) * np.sin(np.pi * mode / (2 * (n + 1)))
     at_rest = 50 + 500 * np.arange(n + 2) / (n + 1)
@@ -52,7 +52,7 @@ def test_the_chain_swings_in_its_normal_mode(device, n, mode):
 
 @pytest.mark.parametrize("n", [20, 100])
 def test_the_slinkys_bottom_waits_for_the_collapse(device, n):
-    scene = scenes.build("slinky", particles=n)
+    scene = library.build("slinky", particles=n)
     y = frames(scene, 3 * n)[:, :, 1]
     arrival = int(n * np.sqrt(1 / 0.25))  # frames: n sqrt(m/k)
     # The ripple ahead of the front spreads like its cube root: a few particles' worth.
@@ -69,7 +69,7 @@ def test_the_slinkys_bottom_waits_for_the_collapse(device, n):
 @pytest.mark.parametrize("name", ["box", "sandbox"])
 @pytest.mark.parametrize("count", [1, 2, 25])
 def test_scattered_particles_touch_neither_each_other_nor_walls(name, count):
-    scene = scenes.build(name, particles=count, radius=20.0, seed=count)
+    scene = library.build(name, particles=count, radius=20.0, seed=count)
     position, world = scene.particles.position, scene.world
     distance = np.linalg.norm(position[:, None] - position, axis=2) + 1e9 * np.eye(count)
     assert len(position) == count and distance.min() >= 2 * 20
@@ -77,9 +77,9 @@ def test_scattered_particles_touch_neither_each_other_nor_walls(name, count):
 
 
 def test_the_cloth_takes_shear_and_bend_springs_and_dashpots(device):
-    plain = scenes.build("cloth").springs
+    plain = library.build("cloth").springs
     assert len(plain) == 356 and (plain.damping == 0).all() and (plain.rest_length == 25).all()
-    fuller = scenes.build("cloth", shear=0.1, bend=0.05, damping=0.02)
+    fuller = library.build("cloth", shear=0.1, bend=0.05, damping=0.02)
     springs, (a, b) = fuller.springs, fuller.springs.between.T
     assert {k: int((springs.stiffness == k).sum()) for k in (0.5, 0.1, 0.05)} == {
         0.5: 356,
@@ -89,11 +89,11 @@ def test_the_cloth_takes_shear_and_bend_springs_and_dashpots(device):
     assert len(springs) == 1014 and (springs.damping == 0.02).all()
     apart = np.linalg.norm(fuller.particles.position[a] - fuller.particles.position[b], axis=1)
     np.testing.assert_allclose(springs.rest_length, apart, rtol=1e-12)
-    one_kind = scenes.build("cloth", columns=3, rows=3, bend=0.05).springs
+    one_kind = library.build("cloth", columns=3, rows=3, bend=0.05).springs
     assert set(one_kind.stiffness) == {0.5, 0.05} and len(one_kind) == 12 + 6
     # It hangs whole, and less than the plain one, which diagonals do not hold in shape.
     hung = {}
-    for name, scene in (("plain", scenes.build("cloth")), ("fuller", fuller)):
+    for name, scene in (("plain", library.build("cloth")), ("fuller", fuller)):
         sim = Simulation(scene, execution="serial")
         sim.advance(300)
         assert sim.springs_alive().all()
@@ -105,4 +105,4 @@ def test_the_cloth_takes_shear_and_bend_springs_and_dashpots(device):
 def test_the_cloths_springs_are_checked(name):
     for wrong in (-0.1, float("inf"), "much"):
         with pytest.raises(InputError, match=name):
-            scenes.build("cloth", **{name: wrong})
+            library.build("cloth", **{name: wrong})

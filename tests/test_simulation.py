@@ -9,9 +9,16 @@ import pytest
 
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.kernels.state import State
-from taichi_cloth.scene import ParticleDefaults, Particles, Scene, SpringDefaults, Springs, World
-from taichi_cloth.scenes import build
-from taichi_cloth.simulation import BLOW_REACH, BLOW_STRENGTH, Simulation
+from taichi_cloth.scene.library import build
+from taichi_cloth.scene.model import (
+    ParticleDefaults,
+    Particles,
+    Scene,
+    SpringDefaults,
+    Springs,
+    World,
+)
+from taichi_cloth.simulation.simulation import BLOW_REACH, BLOW_STRENGTH, Simulation
 
 pytestmark = pytest.mark.usefixtures("device", "few_lanes")
 
@@ -191,7 +198,7 @@ def test_a_scene_without_blowing_refuses_the_pointer():
 
 def test_spawning_past_the_capacity_loses_nothing(execution):
     """A sim that had to grow its fields moves on as one that had room from the start."""
-    from taichi_cloth import simulation
+    from taichi_cloth.simulation import simulation
 
     def spawn_all(sim, count):
         rng = np.random.default_rng(0)

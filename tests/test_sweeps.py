@@ -16,11 +16,11 @@ from test_topologies import (
     particles_and_springs,
 )
 
-from taichi_cloth import layout, topology
 from taichi_cloth.kernels import methods
-from taichi_cloth.scene import Particles, Scene, Springs, World
-from taichi_cloth.scenes import build
-from taichi_cloth.simulation import Simulation
+from taichi_cloth.scene.library import build
+from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.simulation import adjacency, layouts
+from taichi_cloth.simulation.simulation import Simulation
 
 SWEEPING = [m for m in methods.METHODS if "iterations" in methods.load(m).CLAIMS.settings]
 sweeping = pytest.mark.parametrize("method", SWEEPING)
@@ -34,14 +34,14 @@ sweeping = pytest.mark.parametrize("method", SWEEPING)
 def test_springs_of_one_colour_share_no_particle(data, made, lanes):
     count, springs, _ = made
     springs = data.draw(edits(springs, count))
-    grids = layout.on_grids(springs, count, lanes, layout.spring_period)
-    colour = layout.spring_colours(springs, grids, count)
+    grids = layouts.on_grids(springs, count, lanes, layouts.spring_period)
+    colour = layouts.spring_colours(springs, grids, count)
     for one in np.unique(colour):
         ends = springs.between[colour == one]
         assert len(np.unique(ends)) == ends.size
     # What the lanes are does not matter, so all topologies go through the springs in one order.
-    single = layout.on_grids(springs, count, 1)
-    np.testing.assert_array_equal(colour, layout.spring_colours(springs, single, count))
+    single = layouts.on_grids(springs, count, 1)
+    np.testing.assert_array_equal(colour, layouts.spring_colours(springs, single, count))
     if grids is not None:
         halo = max(abs(column) for column, _ in grids.links)
         assert lanes == 1 or (grids.grid[:, 2][grids.grid[:, 3] == 1] % (2 * halo) == 0).all()
@@ -52,12 +52,12 @@ def test_springs_of_one_colour_share_no_particle(data, made, lanes):
 def test_no_spring_ties_particles_of_one_colour(data, made, lanes):
     count, springs, _ = made
     springs = data.draw(edits(springs, count))
-    grids = layout.on_grids(springs, count, lanes, layout.particle_period)
-    colour = layout.particle_colours(springs, grids, count)
+    grids = layouts.on_grids(springs, count, lanes, layouts.particle_period)
+    colour = layouts.particle_colours(springs, grids, count)
     ends = colour[springs.between]
     assert (ends[:, 0] != ends[:, 1]).all() and (ends >= 0).all()
-    single = layout.on_grids(springs, count, 1)
-    np.testing.assert_array_equal(colour, layout.particle_colours(springs, single, count))
+    single = layouts.on_grids(springs, count, 1)
+    np.testing.assert_array_equal(colour, layouts.particle_colours(springs, single, count))
     if grids is not None:
         halo = max(abs(column) for column, _ in grids.links)
         assert lanes == 1 or (grids.grid[:, 2][grids.grid[:, 3] == 1] % (halo + 1) == 0).all()
@@ -68,7 +68,7 @@ def test_no_spring_ties_particles_of_one_colour(data, made, lanes):
 def test_any_springs_are_coloured_with_few_colours(count, springs, seed):
     ends = np.random.default_rng(seed).integers(0, count, (springs, 2))
     between = ends[ends[:, 0] != ends[:, 1]]
-    colour = topology.edge_colours(between, count)
+    colour = adjacency.edge_colours(between, count)
     at = np.concatenate([between, between[:, ::-1]])[:, 0]
     assert len(np.unique(np.column_stack([at, np.tile(colour, 2)]), axis=0)) == len(at)
     most = np.bincount(at, minlength=count).max()

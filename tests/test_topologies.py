@@ -11,10 +11,9 @@ from conftest import command
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taichi_cloth import execution, layout, simulation, topology
-from taichi_cloth.cloth import grid
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.lanes import (
+from taichi_cloth.kernels.loops import add_up, each_cell_moving
+from taichi_cloth.kernels.packs import (
     dot,
     link_offset,
     pitch_of,
@@ -24,7 +23,6 @@ from taichi_cloth.kernels.lanes import (
     site_value,
     write,
 )
-from taichi_cloth.kernels.loops import add_up, each_cell_moving
 from taichi_cloth.kernels.springs import (
     accumulate,
     force_between,
@@ -32,9 +30,18 @@ from taichi_cloth.kernels.springs import (
     link_value,
     number,
 )
-from taichi_cloth.scene import ParticleDefaults, Particles, Scene, SpringDefaults, Springs, World
-from taichi_cloth.scenes import build
-from taichi_cloth.simulation import Simulation
+from taichi_cloth.scene.cloth import grid
+from taichi_cloth.scene.library import build
+from taichi_cloth.scene.model import (
+    ParticleDefaults,
+    Particles,
+    Scene,
+    SpringDefaults,
+    Springs,
+    World,
+)
+from taichi_cloth.simulation import adjacency, execution, layouts, simulation
+from taichi_cloth.simulation.simulation import Simulation
 
 LINKS = ("structural", "shear", "bend")
 
@@ -53,7 +60,7 @@ def particles_and_springs(draw):
         springs = grid((0.0, 0.0), columns, rows, 1.0, links=links)[1]
         between.append(springs.between + count)
         stiffness.append(np.full(len(springs), 1.0 + k))
-        grids.append(topology.Grid(count, columns, rows))
+        grids.append(adjacency.Grid(count, columns, rows))
         count += columns * rows
     count += draw(st.integers(0, 3))
     between, stiffness = np.concatenate(between), np.concatenate(stiffness)
@@ -117,14 +124,14 @@ def check(stored, count, springs):
 @given(st.data(), particles_and_springs(), st.sampled_from([1, 2, 4, 8]))
 def test_every_particle_has_a_site_and_every_link_leads_to_its_far_end(data, made, lanes):
     count, springs, grids = made
-    assert topology.find_grids(springs.between, count) == grids
-    stored = layout.on_grids(springs, count, lanes)
+    assert adjacency.find_grids(springs.between, count) == grids
+    stored = layouts.on_grids(springs, count, lanes)
     check(stored, count, springs)
     assert (stored.kind >= 0).all(), "all springs of whole grids are links"
 
     springs = data.draw(edits(springs, count))
-    stored = layout.on_grids(springs, count, lanes)
-    found = topology.find_grids(springs.between, count)
+    stored = layouts.on_grids(springs, count, lanes)
+    found = adjacency.find_grids(springs.between, count)
     assert (stored is None) == (not found)
     if found:
         check(stored, count, springs)
@@ -139,7 +146,7 @@ def test_a_spring_that_differs_from_most_leaves_them_in_lanes(odd):
     springs = build("cloth", columns=9, rows=7).springs
     rest_length = springs.rest_length.copy()
     rest_length[odd] *= 1.5
-    kind = layout.on_grids(replace(springs, rest_length=rest_length), 63, 4).kind
+    kind = layouts.on_grids(replace(springs, rest_length=rest_length), 63, 4).kind
     assert np.flatnonzero(kind < 0).tolist() == [odd]
 
 
@@ -147,16 +154,16 @@ def test_what_forms_no_grid_has_no_lanes():
     scenes = [build(name) for name in ("box", "chain", "oscillator", "sandbox", "slinky")]
     scenes += [build("cloth", columns=1, rows=5), build("cloth", columns=5, rows=1)]
     for scene in scenes:
-        assert layout.on_grids(scene.springs, len(scene.particles), 4) is None, scene.name
+        assert layouts.on_grids(scene.springs, len(scene.particles), 4) is None, scene.name
     cloth = build("cloth", columns=5, rows=4)
     shuffled = np.random.default_rng(0).permutation(20)[cloth.springs.between]
-    assert layout.on_grids(replace(cloth.springs, between=shuffled), 20, 4) is None
+    assert layouts.on_grids(replace(cloth.springs, between=shuffled), 20, 4) is None
     wheel = np.array([[0, k] for k in range(1, 6)])
-    assert topology.find_grids(wheel, 6) == []
+    assert adjacency.find_grids(wheel, 6) == []
     # A grid of springs none of which has both the usual rest length and the usual damping.
     odd = np.arange(1.0, 1 + len(cloth.springs))
     unlike = replace(cloth.springs, rest_length=odd, damping=7 * odd % 31)
-    assert layout.on_grids(unlike, 20, 4) is None
+    assert layouts.on_grids(unlike, 20, 4) is None
 
 
 # --- the same motion -------------------------------------------------------------------------
@@ -343,7 +350,7 @@ def test_springs_unlike_the_others_of_their_kind_are_on_the_graph(device):
     springs.break_force[52] = 0.5
     far = Springs.build([[0, 47], [3, 30]], scene.particles.position, stiffness=0.1)
     scene = replace(scene, springs=springs.joined(far))
-    stored = layout.on_grids(scene.springs, 48, 4)
+    stored = layouts.on_grids(scene.springs, 48, 4)
     s = len(scene.springs)
     # A break force over a stiffness is a length, and links of a kind share it: 40 differs there.
     assert np.flatnonzero(stored.kind < 0).tolist() == [20, 31, 40, 44, 52, s - 2, s - 1]
@@ -351,7 +358,7 @@ def test_springs_unlike_the_others_of_their_kind_are_on_the_graph(device):
 
     stiffer = cloth(8, 6)
     stiffer.springs.stiffness[::3] = 0.4  # a link's own, without a break force
-    assert (layout.on_grids(stiffer.springs, 48, 4).kind >= 0).all()
+    assert (layouts.on_grids(stiffer.springs, 48, 4).kind >= 0).all()
     assert_same(motion(stiffer, topology="lanes"), motion(stiffer, topology="graph"))
 
 

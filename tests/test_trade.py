@@ -19,16 +19,16 @@ import pytest
 from conftest import command
 from test_verification import DISCRETE
 
-from taichi_cloth import scenes
-from taichi_cloth.cli import main
+from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
-from taichi_cloth.options import TradeOptions
-from taichi_cloth.scene import Particles, Scene, Springs, World
-from taichi_cloth.trade import reference, rows, settings, smooth, tune
-from taichi_cloth.trade.measures import Breaks, Invariants, Samples, distance
+from taichi_cloth.scene import library
+from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.settings.options import TradeOptions
+from taichi_cloth.trade import ode, reference, rows, settings, tune
+from taichi_cloth.trade.errors import Breaks, Invariants, Samples, distance
+from taichi_cloth.trade.runner import Quiet
 from taichi_cloth.trade.settings import Setting
-from taichi_cloth.trade.sweep import Quiet
 
 CONTRACT = (
     "method,dt,substeps,iterations,precision,fast_math,arch,error_final_rms,error_final_max,"
@@ -102,23 +102,23 @@ def test_errors_are_those_of_the_exact_discrete_map(oscillator):
 
 def test_closed_forms_of_scenes_solve_their_equations():
     """Against DOP853 on forces that know nothing of them, in every scene that has one."""
-    known = [name for name in scenes.names() if scenes.solution(name)]
+    known = [name for name in library.names() if library.solution(name)]
     assert {"oscillator", "chain"} <= set(known)
     times = np.linspace(0.0, 40.0, 9)
     for name in known:
-        scene = scenes.build(name)
-        solved = smooth.solve(scene, times)
+        scene = library.build(name)
+        solved = ode.solve(scene, times)
         assert solved.event is None and solved.until == times[-1]
-        x, v = scenes.solution(name)(scene, times)
+        x, v = library.solution(name)(scene, times)
         np.testing.assert_allclose(x, solved.x, rtol=0, atol=1e-9)
         np.testing.assert_allclose(v, solved.v, rtol=0, atol=1e-9)
 
 
 def test_two_independent_references_agree(device):
     """Springs of all kinds, dashpots and drag, in 3-D too, by SciPy and by our kernels."""
-    from taichi_cloth.simulation import Simulation
+    from taichi_cloth.simulation.simulation import Simulation
 
-    flat = scenes.build("cloth", columns=5, rows=4, shear=0.2, bend=0.1, damping=0.05)
+    flat = library.build("cloth", columns=5, rows=4, shear=0.2, bend=0.1, damping=0.05)
     p = flat.particles
     rng = np.random.default_rng(1)
     deep = Particles.build(
@@ -130,7 +130,7 @@ def test_two_independent_references_agree(device):
     world = World(size=(*flat.world.size, 200.0), gravity=(0.01, 0.05, 0.02))
     scene = Scene("deep", world, deep, replace(flat.springs))
     times = np.arange(21.0)
-    solved = smooth.solve(scene, times)
+    solved = ode.solve(scene, times)
     sim = Simulation(scene, "rk4", substeps=256, execution="serial", topology="graph")
     for frame in range(1, len(times)):
         sim.advance()
@@ -144,7 +144,7 @@ def test_contacts_and_breaks_end_the_smooth_solution():
 
     times = np.arange(200.0)
     ball = Particles.build([[50.0, 50.0]], radius=5.0)
-    solved = smooth.solve(Scene("fall", falling(walls=("bottom",)), ball), times)
+    solved = ode.solve(Scene("fall", falling(walls=("bottom",)), ball), times)
     reached = math.sqrt(2 * 45.0 / 0.02)
     assert "wall 'bottom'" in solved.event
     whole = int(solved.until)
@@ -153,18 +153,18 @@ def test_contacts_and_breaks_end_the_smooth_solution():
 
     pair = Particles.build([[20.0, 50.0], [60.0, 50.0]], [[1.0, 0.0], [0.0, 0.0]], radius=5.0)
     still = World(size=(100.0, 100.0), gravity=(0.0, 0.0), collisions=True)
-    assert "collide" in smooth.solve(Scene("pair", still, pair), times).event
+    assert "collide" in ode.solve(Scene("pair", still, pair), times).event
 
     x = [[50.0, 10.0], [50.0, 20.0]]
     hung = Particles.build(x, fixed=[True, False])
     weak = Springs.build([[0, 1]], x, stiffness=0.1, break_force=0.03)
-    assert "breaks" in smooth.solve(Scene("hung", falling(), hung, weak), times).event
+    assert "breaks" in ode.solve(Scene("hung", falling(), hung, weak), times).event
     strong = Springs.build([[0, 1]], x, stiffness=0.1, break_force=0.05)
-    assert smooth.solve(Scene("hung", falling(), hung, strong), times).event is None
+    assert ode.solve(Scene("hung", falling(), hung, strong), times).event is None
 
 
 def test_horizon_ends_before_a_disturbance_has_grown_into_the_errors():
-    scene = scenes.build("oscillator")
+    scene = library.build("oscillator")
     frames = np.arange(101)
     x = np.zeros((101, 2, 2))
     x[:, 1, 0] = 50.0 * np.minimum(frames, 1)  # the largest displacement
@@ -182,7 +182,7 @@ def test_horizon_ends_before_a_disturbance_has_grown_into_the_errors():
 
 def test_what_is_known_decides_what_is_compared_to():
     """The closed form before DOP853 before fine runs; what each is worth; events and why not."""
-    scene = scenes.build("oscillator")
+    scene = library.build("oscillator")
     x = np.zeros((11, 2, 2))
 
     def samples(shift, alive=True):
@@ -190,7 +190,7 @@ def test_what_is_known_decides_what_is_compared_to():
         return Samples(moved, x, np.full((11, 1), alive))
 
     fine = [("coarse", samples(1e-3)), ("fine", samples(1e-6))]
-    solved = smooth.Solution(x, x, until=10.0)
+    solved = ode.Solution(x, x, until=10.0)
     args = scene, 10
     exact = reference.decide(*args, samples(2e-6), solved, 10.0, fine)
     assert exact.what == "the closed form"
@@ -198,11 +198,11 @@ def test_what_is_known_decides_what_is_compared_to():
     both = reference.decide(*args, None, solved, 10.0, fine)
     assert both.what.startswith("DOP853") and both.against == "fine"
     assert both.apart.trajectory == pytest.approx(1e-6 * math.sqrt(2))
-    hit = smooth.Solution(x, x, until=4.0, event="particle 1 hits the wall 'left'")
+    hit = ode.Solution(x, x, until=4.0, event="particle 1 hits the wall 'left'")
     rough = reference.decide(*args, None, hit, 10.0, fine)
     assert (rough.what, rough.against) == ("fine", "coarse") and "wall 'left'" in rough.event
     assert rough.apart.trajectory == pytest.approx((1e-3 - 1e-6) * math.sqrt(2))
-    slow = smooth.Solution(x, x, until=4.0, given_up=True)
+    slow = ode.Solution(x, x, until=4.0, given_up=True)
     given_up = reference.decide(*args, None, slow, 10.0, fine)
     assert given_up.event is None and "given up at time 4 of 10" in given_up.note
     torn = [fine[0], ("fine", samples(0.0, alive=False))]
@@ -215,7 +215,7 @@ def test_what_is_known_decides_what_is_compared_to():
 
 def test_measures_are_what_they_say():
     rng = np.random.default_rng(0)
-    scene = scenes.build("cloth", columns=4, rows=3)
+    scene = library.build("cloth", columns=4, rows=3)
     free = ~scene.particles.fixed
     x, v = rng.normal(size=(2, 6, 12, 2))
     alive = np.ones((6, len(scene.springs)), bool)
@@ -418,7 +418,7 @@ def test_an_interrupted_sweep_keeps_what_is_finished(tmp_path):
     assert process.returncode == 130 and error.endswith("taichi-cloth: interrupted\n")
     assert "Traceback" not in error and "are kept" in out
     table = read(tmp_path)
-    everything = settings.choose(scenes.build("oscillator"), TradeOptions(precisions="f64"))
+    everything = settings.choose(library.build("oscillator"), TradeOptions(precisions="f64"))
     assert 0 < len(table) < len(everything)
     assert all(row["error_trajectory"] is not None for row in table)
     assert json.loads((tmp_path / "trade.json").read_text())["environment"]["interrupted"] is True
@@ -429,7 +429,7 @@ def test_an_interrupted_sweep_keeps_what_is_finished(tmp_path):
 
 
 def test_default_settings_follow_from_the_claims():
-    scene = scenes.build("chain", stiffness=30.0)
+    scene = library.build("chain", stiffness=30.0)
     frequency = 2 * math.sqrt(30.0) * math.sin(math.pi * 16 / 34)  # of the chain's fastest mode
     chosen = settings.choose(scene, TradeOptions())
     assert {s.method for s in chosen} == set(methods.METHODS)
@@ -607,7 +607,7 @@ def test_targets_are_read_as_they_are_written(error, frame_time, target):
 
 
 def test_another_start_differs_a_little_and_keeps_what_is_fixed():
-    scene = scenes.build("cloth", columns=5, rows=4)
+    scene = library.build("cloth", columns=5, rows=4)
     v = np.random.default_rng(0).normal(size=(30, 20, 2))
     other = tune.kicked(scene, v, seed=1)
     assert (other.particles.velocity[scene.particles.fixed] == 0).all()

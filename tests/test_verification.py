@@ -8,12 +8,12 @@ import math
 import numpy as np
 import pytest
 
-from taichi_cloth import scenes
 from taichi_cloth.errors import SimulationFailure
 from taichi_cloth.kernels import methods
-from taichi_cloth.scene import Particles, Scene, Springs, World
-from taichi_cloth.simulation import Simulation
-from taichi_cloth.trade import smooth
+from taichi_cloth.scene import library
+from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.trade import ode
 
 pytestmark = pytest.mark.usefixtures("device")
 
@@ -91,11 +91,11 @@ def test_oscillator_follows_the_exact_discrete_map(method, execution):
 @pytest.mark.parametrize("method", methods.METHODS)
 def test_order_on_a_linear_chain_is_the_claimed_one(method):
     """Error against the closed form of a normal mode, of position and velocity together."""
-    scene = scenes.build("chain", particles=8, mode=2)
+    scene = library.build("chain", particles=8, mode=2)
     omega = 2 * math.sqrt(0.1) * math.sin(math.pi * 2 / 18)
     order = methods.load(method).CLAIMS.order
     sim = Simulation(scene, method, dt=5.0 / omega, **SERIALLY, **precisely(method))
-    x, v = (of[0] for of in scenes.solution("chain")(scene, np.array([5.0 / omega])))
+    x, v = (of[0] for of in library.solution("chain")(scene, np.array([5.0 / omega])))
 
     def error(steps):
         sim.reset()
@@ -113,8 +113,8 @@ def test_order_on_a_linear_chain_is_the_claimed_one(method):
 @pytest.fixture(scope="module")
 def cloth():
     """An 8 x 8 cloth without contacts, and where it is after 16 frames of 0.5, by DOP853."""
-    scene = scenes.build("cloth", columns=8, rows=8).with_world(mouse="none", walls=())
-    return scene, smooth.solve(scene, np.linspace(0, 8, 17))
+    scene = library.build("cloth", columns=8, rows=8).with_world(mouse="none", walls=())
+    return scene, ode.solve(scene, np.linspace(0, 8, 17))
 
 
 @pytest.mark.parametrize("method", methods.METHODS)
@@ -144,7 +144,7 @@ def test_rk4_reaches_round_off(cloth):
 
 @pytest.mark.parametrize("method", methods.METHODS)
 def test_momentum_of_a_free_cloth_is_kept(method):
-    whole = scenes.build("cloth", columns=8, rows=8, shear=0.2, damping=0.05)
+    whole = library.build("cloth", columns=8, rows=8, shear=0.2, damping=0.05)
     rng = np.random.default_rng(3)
     velocity = rng.normal(0, 0.5, (64, 2)) + [0.5, -0.25]
     particles = Particles.build(whole.particles.position, velocity, mass=rng.uniform(0.5, 2, 64))
@@ -174,7 +174,7 @@ def test_symplectic_euler_keeps_its_modified_energy():
 
 
 def test_energy_falls_under_implicit_euler():
-    scene = scenes.build("cloth", columns=8, rows=8).with_world(mouse="none", walls=())
+    scene = library.build("cloth", columns=8, rows=8).with_world(mouse="none", walls=())
     sim = Simulation(scene, "implicit_euler", 2.0, **SERIALLY, tolerance=1e-10)
     energies = [sim.energy().total]
     for _ in range(100):

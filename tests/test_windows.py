@@ -16,11 +16,12 @@ import numpy as np
 import pytest
 from conftest import command, virtual_screen
 
-from taichi_cloth import runtime, scenes
-from taichi_cloth.events import Event
-from taichi_cloth.measure import Work
-from taichi_cloth.scene import COLOR_CYCLE, Particles, Scene, World
-from taichi_cloth.simulation import Simulation
+from taichi_cloth import runtime
+from taichi_cloth.files.events import Event
+from taichi_cloth.scene import library
+from taichi_cloth.scene.model import COLOR_CYCLE, Particles, Scene, World
+from taichi_cloth.simulation.diagnostics import Work
+from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app, hud, text
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.tools import Tools
@@ -219,7 +220,7 @@ def test_every_scene_lists_its_keys(mouse):
 
 @pytest.mark.parametrize("topology", ["lanes", "graph"])
 def test_what_is_drawn_is_the_simulations(topology, device):
-    sim = Simulation(scenes.build("cloth"), topology=topology, execution="serial")
+    sim = Simulation(library.build("cloth"), topology=topology, execution="serial")
     x, whole = sim.drawn_positions(), sim.drawn_springs()
     assert len(whole) == 356
     for frame in range(40):
@@ -236,7 +237,7 @@ def test_what_is_drawn_is_the_simulations(topology, device):
 
 
 def test_what_clicks_add_is_drawn(device):
-    sim = Simulation(scenes.build("sandbox"), execution="serial")
+    sim = Simulation(library.build("sandbox"), execution="serial")
     assert sim.drawn_positions().shape == (0, 2) and len(sim.drawn_springs()) == 0
     for count in (1, 2, 3):
         sim.spawn((100.0 * count, 100.0), tied_to=count - 2 if count > 1 else None)
@@ -415,8 +416,15 @@ def test_runs_paint_the_panel():
 PROGRAM = """
 import json, sys
 from taichi_cloth import runtime
-from taichi_cloth.scene import Particles, ParticleDefaults, Scene, SpringDefaults, Springs, World
-from taichi_cloth.simulation import Simulation
+from taichi_cloth.scene.model import (
+    Particles,
+    ParticleDefaults,
+    Scene,
+    SpringDefaults,
+    Springs,
+    World,
+)
+from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app
 from taichi_cloth.ui.opening import open_view
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from taichi_cloth.cloth import grid
-from taichi_cloth.scene import ParticleDefaults, Scene, SpringDefaults, Springs, World
-from taichi_cloth.scenes import build
+from taichi_cloth.scene.cloth import grid
+from taichi_cloth.scene.library import build
+from taichi_cloth.scene.model import ParticleDefaults, Scene, SpringDefaults, Springs, World
 
 # Warp's benchmark (warp/examples/benchmarks/benchmark_cloth.py), in metres, kilograms and seconds.
 WARP_SPACING, WARP_MASS, WARP_STIFFNESS, WARP_DAMPING = 0.1, 0.1, 1000.0, 10.0

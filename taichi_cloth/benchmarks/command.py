@@ -8,11 +8,12 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from taichi_cloth.atomic import PendingFile
-from taichi_cloth.benchmarks import PARTS, contacts, machine, report, summary
+from taichi_cloth.benchmarks import PARTS, contacts, report, summary
 from taichi_cloth.benchmarks.contest import Bench
 from taichi_cloth.errors import InputError
-from taichi_cloth.options import BenchOptions
+from taichi_cloth.files.pending import PendingFile
+from taichi_cloth.measuring import machine
+from taichi_cloth.settings.options import BenchOptions
 
 QUICK_ROUNDS = 3
 

@@ -24,7 +24,7 @@ SUBSTEPS = 2  # of a frame
 WORK = 100_000  # spheres times frames in a round, at least
 FITTED = 10_000  # from this count on, starting threads for the loops no longer shows
 WHOLE, SORT, QUERY = "whole step", "build", "query"
-SCENE = "taichi_cloth.scenes:build"
+SCENE = "taichi_cloth.scene.library:build"
 
 
 def measure(bench: Bench) -> Iterator[Row]:
@@ -101,7 +101,7 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     """Time a step by the number of spheres, both logarithmic. Raises ImportError, InputError."""
     import matplotlib
 
-    from taichi_cloth.atomic import PendingFile
+    from taichi_cloth.files.pending import PendingFile
 
     matplotlib.use("Agg")
     from matplotlib import pyplot

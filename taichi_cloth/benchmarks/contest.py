@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth import runtime
-from taichi_cloth.benchmarks import machine
 from taichi_cloth.benchmarks.report import Row
-from taichi_cloth.worker import Worker, WorkerFailed
+from taichi_cloth.measuring import machine
+from taichi_cloth.measuring.worker import Worker, WorkerFailed
 
 FINER = 16  # the reference's steps are this many times shorter
 

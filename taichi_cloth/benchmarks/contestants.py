@@ -6,11 +6,12 @@ import importlib
 import numpy as np
 import taichi as ti
 
-from taichi_cloth import runtime, topology
+from taichi_cloth import runtime
 from taichi_cloth.benchmarks.cloths import STRUCTURAL_SUBSTEPS, structural
 from taichi_cloth.kernels.contact import compute_pair_bounces, sort_into_cells
-from taichi_cloth.scene import Scene
-from taichi_cloth.simulation import Simulation
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.simulation import adjacency
+from taichi_cloth.simulation.simulation import Simulation
 
 
 @functools.cache
@@ -74,7 +75,7 @@ class PlainGather:
         started("cpu", "f32", threads)
         scene = structural(side, side)
         p, s = scene.particles, scene.springs
-        half = topology.half_springs(s.between, len(p))
+        half = adjacency.half_springs(s.between, len(p))
         self.dt, self.viscous = scene.world.dt, float(p.viscous[0])
         self.gravity = ti.Vector(list(scene.world.gravity))
         self.x, self.v = (ti.Vector.field(2, ti.f32, len(p)) for _ in range(2))

@@ -12,12 +12,13 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 
-from taichi_cloth import doctor, runtime
+from taichi_cloth import runtime
 from taichi_cloth.benchmarks import ours
 from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench
 from taichi_cloth.benchmarks.report import Row
 from taichi_cloth.benchmarks.structural import SCENE
+from taichi_cloth.measuring import vulkan
 
 PART = "gpu"
 SIDES = (128, 512, 2048)
@@ -51,7 +52,7 @@ def measure(bench: Bench) -> Iterator[Row]:
 def _device(arch: str) -> str | None:
     """The name of a backend's device, where the system tells."""
     if arch == "vulkan":
-        return doctor.vulkan_device()
+        return vulkan.device_name()
     if arch == "cuda" and shutil.which("nvidia-smi"):
         command = ["nvidia-smi", "--query-gpu=name", "--format=csv,noheader"]
         done = subprocess.run(command, capture_output=True, text=True)

@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from taichi_cloth.benchmarks import machine, ours
+from taichi_cloth.benchmarks import ours
 from taichi_cloth.benchmarks.cloths import WARP_FRAME, WARP_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
 from taichi_cloth.benchmarks.report import Row
 from taichi_cloth.benchmarks.warp import SCENE, SECOND, enter_ours, their_cloth
+from taichi_cloth.measuring import machine
 
 PART = "newton"
 SIZES = {32: 15, 128: 6}  # side of the cloth: frames in a round

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taichi_cloth.benchmarks.contest import FINER, Bench, Contestant
-from taichi_cloth.worker import WorkerFailed
+from taichi_cloth.measuring.worker import WorkerFailed
 
 KIND = "taichi_cloth.benchmarks.contestants:Ours"
 PACKAGES = ("taichi-cloth", "taichi")

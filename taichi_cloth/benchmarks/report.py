@@ -10,9 +10,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
-from taichi_cloth.atomic import PendingFile
 from taichi_cloth.benchmarks import PARTS
 from taichi_cloth.errors import InputError
+from taichi_cloth.files.pending import PendingFile
 
 
 @dataclass

@@ -18,7 +18,7 @@ PART = "seed"
 SIZE = "16 x 12"
 PARTICLES = 192
 STEPS = 300  # when the error is measured
-SCENE = ("taichi_cloth.scenes:build", {"name": "cloth"})
+SCENE = ("taichi_cloth.scene.library:build", {"name": "cloth"})
 BATCH = 1000  # frames in one call, where they share one
 
 

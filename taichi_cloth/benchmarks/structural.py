@@ -15,11 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from taichi_cloth import topology
-from taichi_cloth.benchmarks import machine, ours
+from taichi_cloth.benchmarks import ours
 from taichi_cloth.benchmarks.cloths import STRUCTURAL_SUBSTEPS, structural
 from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
 from taichi_cloth.benchmarks.report import Row
+from taichi_cloth.measuring import machine
+from taichi_cloth.simulation import adjacency
 
 PART = "structural"
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-fopenmp", "-shared", "-fPIC")
@@ -163,7 +164,7 @@ class Csr:
         self.step = compiled(folder).csr_steps
         scene = structural(side, rows or side)
         p, s = scene.particles, scene.springs
-        half = topology.half_springs(s.between, len(p))
+        half = adjacency.half_springs(s.between, len(p))
         self.x, v = (np.ascontiguousarray(a, np.float32) for a in (p.position, p.velocity))
         k, rest = (a[half.spring].astype(np.float32) for a in (s.stiffness, s.rest_length))
         w = np.where(p.fixed, 0, 1 / p.mass).astype(np.float32)

@@ -17,10 +17,11 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
-from taichi_cloth.benchmarks import machine, ours
+from taichi_cloth.benchmarks import ours
 from taichi_cloth.benchmarks.cloths import WARP_FRAME, WARP_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
 from taichi_cloth.benchmarks.report import Row
+from taichi_cloth.measuring import machine
 
 PART = "warp"
 SCENE = "taichi_cloth.benchmarks.cloths:warp_cloth"

@@ -11,7 +11,8 @@ order of accumulation.
 import taichi as ti
 
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.lanes import (
+from taichi_cloth.kernels.compensated import forget_low
+from taichi_cloth.kernels.packs import (
     component,
     largest,
     read,
@@ -22,7 +23,6 @@ from taichi_cloth.kernels.lanes import (
     with_component,
     zeros,
 )
-from taichi_cloth.kernels.sums import forget_low
 
 
 @ti.func

@@ -5,7 +5,8 @@ import functools
 import taichi as ti
 
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.lanes import (
+from taichi_cloth.kernels.loops import each_cell_moving
+from taichi_cloth.kernels.packs import (
     component,
     read,
     scaled,
@@ -16,7 +17,6 @@ from taichi_cloth.kernels.lanes import (
     with_component,
     write,
 )
-from taichi_cloth.kernels.loops import each_cell_moving
 from taichi_cloth.kernels.springs import accumulate, force_between, move_and_accumulate
 
 

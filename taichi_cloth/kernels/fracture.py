@@ -6,7 +6,8 @@ no root is taken and both ends of a spring share one decision.
 
 import taichi as ti
 
-from taichi_cloth.kernels.lanes import (
+from taichi_cloth.kernels.loops import each, each_cell
+from taichi_cloth.kernels.packs import (
     component,
     dot,
     largest,
@@ -18,7 +19,6 @@ from taichi_cloth.kernels.lanes import (
     site_number,
     site_value,
 )
-from taichi_cloth.kernels.loops import each, each_cell
 from taichi_cloth.kernels.springs import link_stiffness, number
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 

@@ -6,7 +6,7 @@ w inverse mass (0 = fixed), e restitution, n unit normal.
 
 import taichi as ti
 
-from taichi_cloth.kernels.lanes import dot, scaled
+from taichi_cloth.kernels.packs import dot, scaled
 
 # Inverse mass of a fixed particle in a collision: a mass that no free particle comes near. Exactly
 # zero would do as well, but the reference trajectories were computed with this mass, and

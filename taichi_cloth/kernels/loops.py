@@ -14,7 +14,7 @@ import functools
 
 import taichi as ti
 
-from taichi_cloth.kernels.lanes import (
+from taichi_cloth.kernels.packs import (
     everywhere,
     folded,
     pitch_of,

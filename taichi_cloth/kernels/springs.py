@@ -13,7 +13,9 @@ import functools
 import taichi as ti
 
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.lanes import (
+from taichi_cloth.kernels.compensated import apart
+from taichi_cloth.kernels.loops import PIECE, barrier, each, leave, renew_halos, share
+from taichi_cloth.kernels.packs import (
     link_offset,
     of_kind,
     pitch_of,
@@ -25,8 +27,6 @@ from taichi_cloth.kernels.lanes import (
     write,
     zeros,
 )
-from taichi_cloth.kernels.loops import PIECE, barrier, each, leave, renew_halos, share
-from taichi_cloth.kernels.sums import apart
 
 
 @ti.func

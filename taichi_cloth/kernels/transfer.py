@@ -2,7 +2,8 @@
 
 import taichi as ti
 
-from taichi_cloth.kernels.lanes import (
+from taichi_cloth.kernels.loops import each_cell_moving, leave
+from taichi_cloth.kernels.packs import (
     of_kind,
     pitch_of,
     set_site_number,
@@ -10,9 +11,8 @@ from taichi_cloth.kernels.lanes import (
     site_number,
     site_value,
 )
-from taichi_cloth.kernels.loops import each_cell_moving, leave
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
-from taichi_cloth.kernels.watch import NO_FAULT
+from taichi_cloth.kernels.watchdog import NO_FAULT
 
 
 @ti.kernel

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from taichi_cloth.arguments import PROGRAM, Request
-from taichi_cloth.atomic import PendingFile
 from taichi_cloth.errors import InputError
-from taichi_cloth.options import ARCHS, parameters_of
-from taichi_cloth.scene import Scene
-from taichi_cloth.trade import plot, reference, report, rows, settings, sweep
+from taichi_cloth.files.pending import PendingFile
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.settings.arguments import PROGRAM, Request
+from taichi_cloth.settings.options import ARCHS, parameters_of
+from taichi_cloth.trade import plot, reference, report, rows, runner, settings
 
 PACKAGES = ("taichi-cloth", "taichi", "numpy", "scipy", "python")
 FILES = ("trade.csv", "trade.json", "trade.png", "trade.svg")
@@ -51,14 +51,14 @@ def main(request: Request) -> int:
     return 0
 
 
-def prepare(request: Request) -> tuple[Scene, list[settings.Setting], sweep.Plan]:
+def prepare(request: Request) -> tuple[Scene, list[settings.Setting], runner.Plan]:
     """The scene, the settings to compare and how they are run; raises InputError."""
     from taichi_cloth import runtime
 
-    scene = sweep.without_mouse(request.build())
+    scene = runner.without_mouse(request.build())
     reference.check_frames(scene, request.options.frames or 1)
     chosen = settings.choose(scene, request.options)
-    how = sweep.plan(scene, request.options)
+    how = runner.plan(scene, request.options)
     archs = {setting.arch for setting in chosen} - {"cpu"}
     if archs:
         usable = runtime.usable_backends()
@@ -86,17 +86,17 @@ def measured(
     request: Request,
     scene: Scene,
     chosen: list[settings.Setting],
-    how: sweep.Plan,
+    how: runner.Plan,
     closed: bool = True,
     quiet: bool = False,
-) -> Iterator[sweep.Result]:
+) -> Iterator[runner.Result]:
     """What the sweep found, with its samples as long as the context lasts.
 
     How far it is shows on standard error, unless `quiet`. closed: whether the scene is the one
     whose closed form is known, if there is one.
     """
     frames = request.options.frames or reference.default_frames(scene)
-    run = sweep.Sweep(
+    run = runner.Sweep(
         [scene],
         chosen,
         frames,
@@ -152,7 +152,7 @@ def progress() -> Iterator[Callable[[str, int, int], None]]:
 
 
 def write(
-    folder: Path, request: Request, result: sweep.Result, measured: list[rows.Row]
+    folder: Path, request: Request, result: runner.Result, measured: list[rows.Row]
 ) -> list[str]:
     """Write the files, each whole; return their names. There is no plot without an error."""
     texts = {
@@ -168,14 +168,14 @@ def write(
 
 def common(scene: Scene) -> dict[str, str]:
     """What all rows share."""
-    from taichi_cloth.benchmarks import machine
+    from taichi_cloth.measuring import machine
 
     return {"scene_hash": scene_hash(scene), "versions": machine.versions(PACKAGES)}
 
 
-def environment(request: Request, result: sweep.Result) -> dict[str, Any]:
+def environment(request: Request, result: runner.Result) -> dict[str, Any]:
     """What it takes to measure the same again."""
-    from taichi_cloth.benchmarks import machine
+    from taichi_cloth.measuring import machine
 
     horizon, found = result.horizon, result.reference
     devices = {o.about["device"]: None for o in result.outcomes if o.about}
@@ -225,6 +225,6 @@ def command_words(request: Request, command: str = "trade") -> str:
     return " ".join(words)
 
 
-def run_words(request: Request, how: sweep.Plan) -> list[str]:
+def run_words(request: Request, how: runner.Plan) -> list[str]:
     """The words of a run of the scene, to which a setting's are added."""
     return [PROGRAM, "run", *request.words(), *how.words()]

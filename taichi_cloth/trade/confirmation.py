@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_cloth import scenes
 from taichi_cloth.errors import InputError
-from taichi_cloth.options import TuneOptions
-from taichi_cloth.scene import Scene
-from taichi_cloth.trade import command, rows, settings, sweep
+from taichi_cloth.scene import library
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.settings.options import TuneOptions
+from taichi_cloth.trade import command, rows, runner, settings
 from taichi_cloth.trade.settings import Setting
 from taichi_cloth.trade.tune import Figures, Target, choose, kicked
 
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str]) -> int:
 def varied(name: str, parameters: dict, count: int, seed: int) -> Iterator[Scene]:
     """Variants of a built-in scene: numbers differ, features do not."""
     rng = np.random.default_rng(seed)
-    base = sweep.without_mouse(scenes.build(name, **parameters))
+    base = runner.without_mouse(library.build(name, **parameters))
     particles, springs = base.particles, base.springs
     for _ in range(count):
         shape = particles.velocity.shape
@@ -97,10 +97,12 @@ def measured(variants: Sequence[Scene]) -> Iterator[tuple[list[rows.Row], dict[S
     """For each variant its rows, and, by setting, those of the same from another start."""
     options = TuneOptions(precisions="f32,f64", quick=True)
     chosen = settings.choose(variants[0], options)
-    plan = replace(sweep.plan(variants[0], options), budget=0.03, patience=3.0, solver_errors=False)
+    plan = replace(
+        runner.plan(variants[0], options), budget=0.03, patience=3.0, solver_errors=False
+    )
     # How fast is usual is known after a run; before, by the start and gravity alone.
     others = [kicked(scene, _usual(scene), seed=1) for scene in variants]
-    run = sweep.Sweep([*variants, *others], chosen, FRAMES, plan)
+    run = runner.Sweep([*variants, *others], chosen, FRAMES, plan)
     try:
         with command.progress() as run.tell:
             results = run.run()
@@ -113,10 +115,10 @@ def measured(variants: Sequence[Scene]) -> Iterator[tuple[list[rows.Row], dict[S
 
 def _usual(scene: Scene) -> np.ndarray:
     """Velocities of a run of the scene, by its smooth solution."""
-    from taichi_cloth.trade import smooth
+    from taichi_cloth.trade import ode
 
     times = np.arange(FRAMES + 1) * scene.world.dt
-    v = smooth.solve(scene, times).v
+    v = ode.solve(scene, times).v
     return v[np.isfinite(v).all(axis=(1, 2))]
 
 

@@ -6,7 +6,7 @@ import io
 from collections.abc import Sequence
 
 from taichi_cloth.trade.rows import Row
-from taichi_cloth.trade.sweep import Result
+from taichi_cloth.trade.runner import Result
 
 MARKERS = "osD^vP*X"
 LEAST = 1e-17  # what a logarithmic axis shows of an error that is zero

@@ -15,12 +15,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_cloth import limits, scenes
-from taichi_cloth.arguments import Request
 from taichi_cloth.errors import InputError
-from taichi_cloth.scene import Scene
-from taichi_cloth.trade import smooth
-from taichi_cloth.trade.measures import Distance, Samples, displacement, distance, rms_by_frame
+from taichi_cloth.limits import modes
+from taichi_cloth.scene import library
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.settings.arguments import Request
+from taichi_cloth.trade import ode
+from taichi_cloth.trade.errors import Distance, Samples, displacement, distance, rms_by_frame
 
 DISTURBANCE = 1e-10  # of the largest displacement: what the starts of two runs differ by
 # The horizon ends where it has grown to this: what is smaller by then is chance.
@@ -148,7 +149,7 @@ def disturbed(scene: Scene, size: float, seed: int = 0) -> Scene:
 
 def coarsest(scene: Scene, dt: float) -> int:
     """Substeps of the coarsest of the fine runs."""
-    bounds = limits.any_geometry(limits.Network.of_scene(scene))
+    bounds = modes.any_geometry(modes.Network.of_scene(scene))
     rate = max(math.sqrt(bounds.omega2), bounds.damping, 1.0 / dt)
     return 1 << max(0, int(np.ceil(np.log2(RESOLUTION * dt * rate))))
 
@@ -177,7 +178,7 @@ def extent(scene: Scene, run: Samples) -> tuple[float, str]:
 
 def closed_form(request: Request, scene: Scene, times: np.ndarray) -> Samples | None:
     """The scene's own closed form at `times`; None where it has none."""
-    solution = None if request.is_file else scenes.solution(request.scene)
+    solution = None if request.is_file else library.solution(request.scene)
     if solution is None:
         return None
     x, v = solution(scene, times)
@@ -188,7 +189,7 @@ def decide(
     scene: Scene,
     frames: int,
     closed: Samples | None,
-    solution: smooth.Solution | None,
+    solution: ode.Solution | None,
     solved_to: float,
     fine: list[tuple[str, Samples]],
 ) -> Reference | None:

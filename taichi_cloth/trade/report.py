@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Sequence
 
 from taichi_cloth.trade.rows import Row
-from taichi_cloth.trade.sweep import Result
+from taichi_cloth.trade.runner import Result
 
 FRONT, FAILED, FLOOR = "●", "✗", "≤"
 MOST_FAILURES = 8  # that are told one by one

@@ -11,9 +11,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from taichi_cloth.trade.measures import Breaks, Invariants, Samples, distance
+from taichi_cloth.trade.errors import Breaks, Invariants, Samples, distance
+from taichi_cloth.trade.runner import Outcome, Result
 from taichi_cloth.trade.settings import Setting
-from taichi_cloth.trade.sweep import Outcome, Result
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from taichi_cloth import limits
 from taichi_cloth.errors import InputError, nearest
-from taichi_cloth.options import ARCHS, PRECISIONS, TradeOptions
-from taichi_cloth.scene import Scene
+from taichi_cloth.limits import modes
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.settings.options import ARCHS, PRECISIONS, TradeOptions
 
 DOUBLINGS = 6  # of the number of substeps, from the fewest that a method takes
 QUICK_DOUBLINGS = 4
@@ -107,7 +107,7 @@ def choose(scene: Scene, options: TradeOptions) -> list[Setting]:
     iterations = _numbers("--iterations", options.iterations, int)
     tolerances = _numbers("--tolerances", options.tolerances, float)
     dt = options.dt or scene.world.dt
-    bounds = limits.any_geometry(limits.Network.of_scene(scene))
+    bounds = modes.any_geometry(modes.Network.of_scene(scene))
 
     settings = []
     for method in names:
@@ -158,13 +158,13 @@ def converged(setting: Setting) -> Setting | None:
     )
 
 
-def largest_step(method: str, bounds: limits.Bounds) -> float:
+def largest_step(method: str, bounds: modes.Bounds) -> float:
     """The largest stable step by the limits of a scene; of a method that is never stable, that of
     one that is while dt * omega < 2, in which it grows slowly.
     """
     from taichi_cloth.kernels import methods
 
-    step = limits.step_within(methods.load(method), bounds)
+    step = modes.step_within(methods.load(method), bounds)
     return step or 2.0 / max(math.sqrt(bounds.omega2), bounds.damping)
 
 

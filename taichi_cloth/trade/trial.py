@@ -14,8 +14,8 @@ import numpy as np
 
 from taichi_cloth import runtime
 from taichi_cloth.errors import InputError, SimulationFailure
-from taichi_cloth.scene import Scene
-from taichi_cloth.simulation import Simulation
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.simulation.simulation import Simulation
 
 MOST_REPEATS = 101
 

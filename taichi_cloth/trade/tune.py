@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from taichi_cloth.arguments import Request
 from taichi_cloth.errors import InputError
-from taichi_cloth.scene import Scene
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.settings.arguments import Request
 from taichi_cloth.trade import command, report, rows
 from taichi_cloth.trade.rows import Row
 

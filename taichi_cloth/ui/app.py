@@ -12,7 +12,7 @@ import numpy as np
 
 from taichi_cloth import runtime
 from taichi_cloth.errors import SimulationFailure
-from taichi_cloth.events import Event
+from taichi_cloth.files.events import Event
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import hud
 from taichi_cloth.ui.layout import Layout

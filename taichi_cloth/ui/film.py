@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from taichi_cloth.atomic import PendingFile
 from taichi_cloth.errors import InputError
+from taichi_cloth.files.pending import PendingFile
 
 FILM_RATE = 60  # frames a second of an .mp4: real time
 GIF_DELAY = 2  # hundredths of a second: 50 a second, the most that viewers honour

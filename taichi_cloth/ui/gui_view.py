@@ -7,8 +7,8 @@ import time
 
 import numpy as np
 
-from taichi_cloth.events import Event
-from taichi_cloth.scene import World
+from taichi_cloth.files.events import Event
+from taichi_cloth.scene.model import World
 from taichi_cloth.ui import style, text, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.layout import Layout

@@ -6,8 +6,8 @@ import sys
 
 from taichi_cloth import runtime
 from taichi_cloth.errors import InputError, nearest
-from taichi_cloth.options import VIEWS
-from taichi_cloth.scene import World
+from taichi_cloth.scene.model import World
+from taichi_cloth.settings.options import VIEWS
 from taichi_cloth.ui.layout import default_window
 from taichi_cloth.ui.view import NullView, View
 

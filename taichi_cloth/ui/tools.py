@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.events import Event
-from taichi_cloth.scatter import VELOCITY_HIGH, VELOCITY_LOW
-from taichi_cloth.scene import COLOR_CYCLE, FIXED_COLOR
+from taichi_cloth.files.events import Event
+from taichi_cloth.scene.model import COLOR_CYCLE, FIXED_COLOR
+from taichi_cloth.scene.scatter import VELOCITY_HIGH, VELOCITY_LOW
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.layout import Layout
 

@@ -24,7 +24,7 @@ Adding a method is adding a file.
 import importlib
 import pkgutil
 
-METHODS = tuple(sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name != "claims"))
+METHODS = tuple(sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name != "contract"))
 
 
 def load(name):

@@ -6,12 +6,12 @@ oscillation grows at every dt, which is why it is here: as the baseline that oth
 
 import taichi as ti
 
+from taichi_cloth.kernels.compensated import moved, sped_up
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
 from taichi_cloth.kernels.forces import accelerate_then
-from taichi_cloth.kernels.lanes import read
-from taichi_cloth.kernels.methods.claims import Claims
-from taichi_cloth.kernels.sums import moved, sped_up
-from taichi_cloth.kernels.watch import store
+from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.packs import read
+from taichi_cloth.kernels.watchdog import store
 
 CLAIMS = Claims(
     order=1,

@@ -9,9 +9,9 @@ import math
 
 import taichi as ti
 
-from taichi_cloth.kernels import newton
-from taichi_cloth.kernels.lanes import read
-from taichi_cloth.kernels.methods.claims import Claims, backward_euler
+from taichi_cloth.kernels.methods.contract import Claims, backward_euler
+from taichi_cloth.kernels.packs import read
+from taichi_cloth.kernels.solvers import newton_cg
 
 CLAIMS = Claims(
     order=1,
@@ -27,15 +27,15 @@ CLAIMS = Claims(
 )
 stability_function = backward_euler
 
-LANES, LAUNCHES, NEEDS = newton.LANES, newton.LAUNCHES, newton.NEEDS
-VECTORS, LOW_VECTORS, HALOED = newton.VECTORS, newton.LOW_VECTORS, newton.HALOED
-SCALARS, COUNTS, SUMS = newton.SCALARS, newton.COUNTS, newton.SUMS
+LANES, LAUNCHES, NEEDS = newton_cg.LANES, newton_cg.LAUNCHES, newton_cg.NEEDS
+VECTORS, LOW_VECTORS, HALOED = newton_cg.VECTORS, newton_cg.LOW_VECTORS, newton_cg.HALOED
+SCALARS, COUNTS, SUMS = newton_cg.SCALARS, newton_cg.COUNTS, newton_cg.SUMS
 
 
 @ti.func
 def move(plan: ti.template(), state: ti.template(), c):
-    new_v = newton.new_velocity(plan, state, c, read(plan, state.gain, c))
-    newton.arrive(plan, state, c, state.dt[None] * new_v, new_v)
+    new_v = newton_cg.new_velocity(plan, state, c, read(plan, state.gain, c))
+    newton_cg.arrive(plan, state, c, state.dt[None] * new_v, new_v)
 
 
-PHASES = newton.phases(1.0, newton.start, move)
+PHASES = newton_cg.phases(1.0, newton_cg.start, move)

@@ -7,12 +7,12 @@ dt*omega < 2*sqrt(2). Contacts are changes of velocity at the step's start, and 
 
 import taichi as ti
 
+from taichi_cloth.kernels.compensated import moved, sped_up
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
 from taichi_cloth.kernels.forces import accelerate_then
-from taichi_cloth.kernels.lanes import read, write
-from taichi_cloth.kernels.methods.claims import Claims
-from taichi_cloth.kernels.sums import moved, sped_up
-from taichi_cloth.kernels.watch import store
+from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.packs import read, write
+from taichi_cloth.kernels.watchdog import store
 
 CLAIMS = Claims(
     order=4,

@@ -8,12 +8,12 @@ dt^2 omega^2 + 2 dt d < 4.
 import numpy as np
 import taichi as ti
 
+from taichi_cloth.kernels.compensated import moved, sped_up
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
 from taichi_cloth.kernels.forces import accelerate_then
-from taichi_cloth.kernels.lanes import read
-from taichi_cloth.kernels.methods.claims import Claims
-from taichi_cloth.kernels.sums import moved, sped_up
-from taichi_cloth.kernels.watch import store
+from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.packs import read
+from taichi_cloth.kernels.watchdog import store
 
 CLAIMS = Claims(
     order=1,

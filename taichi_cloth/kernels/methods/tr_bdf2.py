@@ -12,10 +12,10 @@ import math
 
 import taichi as ti
 
-from taichi_cloth.kernels import newton
 from taichi_cloth.kernels.contact import velocity_jump
-from taichi_cloth.kernels.lanes import read, write
-from taichi_cloth.kernels.methods.claims import Claims
+from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.packs import read, write
+from taichi_cloth.kernels.solvers import newton_cg
 
 CLAIMS = Claims(
     order=2,
@@ -29,11 +29,11 @@ CLAIMS = Claims(
         "damped away."
     ),
 )
-LANES, LAUNCHES, NEEDS = newton.LANES, newton.LAUNCHES, newton.NEEDS
+LANES, LAUNCHES, NEEDS = newton_cg.LANES, newton_cg.LAUNCHES, newton_cg.NEEDS
 # What the first stage gains, and how far the second one starts from the step's start.
-VECTORS = (*newton.VECTORS, "first", "way")
-LOW_VECTORS, HALOED = newton.LOW_VECTORS, newton.HALOED
-SCALARS, COUNTS, SUMS = newton.SCALARS, newton.COUNTS, newton.SUMS
+VECTORS = (*newton_cg.VECTORS, "first", "way")
+LOW_VECTORS, HALOED = newton_cg.LOW_VECTORS, newton_cg.HALOED
+SCALARS, COUNTS, SUMS = newton_cg.SCALARS, newton_cg.COUNTS, newton_cg.SUMS
 
 PART = 2.0 - math.sqrt(2.0)  # of the step that the trapezoidal rule takes
 TAU = PART / 2.0  # of both stages
@@ -51,7 +51,7 @@ def stability_function(z):
 @ti.func
 def stay(plan: ti.template(), state: ti.template(), c):
     """The trapezoidal rule needs the acceleration at the step's start."""
-    newton.keep_start(plan, state, c)
+    newton_cg.keep_start(plan, state, c)
     v = read(plan, state.v, c)
     write(plan, state.gain, c, 0.0 * v)  # so that the residual is the acceleration
 
@@ -62,19 +62,19 @@ def go_on(plan: ti.template(), state: ti.template(), c):
     tau, stage = TAU * state.dt[None], state.stage[None]
     x, v = read(plan, state.old_x, c), read(plan, state.old_v, c)
     old_v, gain = v + velocity_jump(plan, state, c, x, v), read(plan, state.gain, c)
-    if stage == newton.ONLY_EVALUATE:
+    if stage == newton_cg.ONLY_EVALUATE:
         first = tau * read(plan, state.residual, c)
         write(plan, state.first, c, first)
-        newton.start_from(plan, state, c, tau * old_v, old_v + first)
+        newton_cg.start_from(plan, state, c, tau * old_v, old_v + first)
     elif stage == TRAPEZOIDAL:
         first = FROM_FIRST * (read(plan, state.first, c) + gain)
         write(plan, state.first, c, first)
         way = (FROM_FIRST * tau) * (old_v + read(plan, state.v, c))
         write(plan, state.way, c, way)
-        newton.start_from(plan, state, c, way, old_v + first)
+        newton_cg.start_from(plan, state, c, way, old_v + first)
     else:
-        new_v = newton.new_velocity(plan, state, c, read(plan, state.first, c) + gain)
-        newton.arrive(plan, state, c, read(plan, state.way, c) + tau * new_v, new_v)
+        new_v = newton_cg.new_velocity(plan, state, c, read(plan, state.first, c) + gain)
+        newton_cg.arrive(plan, state, c, read(plan, state.way, c) + tau * new_v, new_v)
 
 
-PHASES = newton.phases(TAU, stay, go_on, first=newton.ONLY_EVALUATE, last=BACKWARD)
+PHASES = newton_cg.phases(TAU, stay, go_on, first=newton_cg.ONLY_EVALUATE, last=BACKWARD)

@@ -16,9 +16,10 @@ import math
 
 import taichi as ti
 
-from taichi_cloth.kernels import laws, sweeps
-from taichi_cloth.kernels.colours import colours_of_particles, each_particle, renew_both_halos
-from taichi_cloth.kernels.lanes import (
+from taichi_cloth.kernels import laws
+from taichi_cloth.kernels.compensated import apart
+from taichi_cloth.kernels.methods.contract import Claims, backward_euler
+from taichi_cloth.kernels.packs import (
     component,
     link_offset,
     pitch_of,
@@ -29,10 +30,14 @@ from taichi_cloth.kernels.lanes import (
     with_component,
     zeros,
 )
-from taichi_cloth.kernels.methods.claims import Claims, backward_euler
+from taichi_cloth.kernels.solvers import gauss_seidel
+from taichi_cloth.kernels.solvers.colours import (
+    colours_of_particles,
+    each_particle,
+    renew_both_halos,
+)
+from taichi_cloth.kernels.solvers.gauss_seidel import mobility, relative_velocity, short_of_goal
 from taichi_cloth.kernels.springs import link_damping, number
-from taichi_cloth.kernels.sums import apart
-from taichi_cloth.kernels.sweeps import mobility, relative_velocity, short_of_goal
 
 CLAIMS = Claims(
     order=1,
@@ -48,8 +53,8 @@ CLAIMS = Claims(
 )
 stability_function = backward_euler  # once its sweeps have converged
 
-LANES, VECTORS = sweeps.LANES, sweeps.VECTORS
-HALOED, COUNTS = sweeps.HALOED, sweeps.COUNTS
+LANES, VECTORS = gauss_seidel.LANES, gauss_seidel.VECTORS
+HALOED, COUNTS = gauss_seidel.HALOED, gauss_seidel.COUNTS
 NEEDS = ("particle_colours",)
 
 
@@ -182,4 +187,4 @@ def solution(plan: ti.template(), hx, hy, hz, b):
     return x
 
 
-PHASES = sweeps.phases(colours_of_particles, relax, renew_both_halos)
+PHASES = gauss_seidel.phases(colours_of_particles, relax, renew_both_halos)

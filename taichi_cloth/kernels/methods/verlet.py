@@ -11,16 +11,12 @@ dt^2 omega^2 + 4 dt d < 4: the price of the predicted velocity.
 import numpy as np
 import taichi as ti
 
+from taichi_cloth.kernels.compensated import moved, sped_up
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
-from taichi_cloth.kernels.forces import (
-    compute_acceleration,
-    kick_after,
-    kicks_at_once,
-)
-from taichi_cloth.kernels.lanes import read, write
-from taichi_cloth.kernels.methods.claims import Claims
-from taichi_cloth.kernels.sums import moved, sped_up
-from taichi_cloth.kernels.watch import store
+from taichi_cloth.kernels.forces import compute_acceleration, kick_after, kicks_at_once
+from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.packs import read, write
+from taichi_cloth.kernels.watchdog import store
 
 CLAIMS = Claims(
     order=2,

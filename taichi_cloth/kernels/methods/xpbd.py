@@ -20,9 +20,10 @@ import math
 
 import taichi as ti
 
-from taichi_cloth.kernels import laws, sweeps
-from taichi_cloth.kernels.colours import colours_of_springs, each_spring
-from taichi_cloth.kernels.lanes import (
+from taichi_cloth.kernels import laws
+from taichi_cloth.kernels.compensated import apart
+from taichi_cloth.kernels.methods.contract import Claims, backward_euler
+from taichi_cloth.kernels.packs import (
     dot,
     of_kind,
     read,
@@ -33,11 +34,11 @@ from taichi_cloth.kernels.lanes import (
     write,
     zeros,
 )
-from taichi_cloth.kernels.methods.claims import Claims, backward_euler
+from taichi_cloth.kernels.solvers import gauss_seidel
+from taichi_cloth.kernels.solvers.colours import colours_of_springs, each_spring
+from taichi_cloth.kernels.solvers.gauss_seidel import mobility, relative_velocity
 from taichi_cloth.kernels.springs import link_damping, link_stiffness, number
 from taichi_cloth.kernels.state import GONE
-from taichi_cloth.kernels.sums import apart
-from taichi_cloth.kernels.sweeps import mobility, relative_velocity
 
 CLAIMS = Claims(
     order=1,
@@ -53,8 +54,8 @@ CLAIMS = Claims(
 )
 stability_function = backward_euler  # once its sweeps have converged
 
-LANES, VECTORS = sweeps.LANES, sweeps.VECTORS
-HALOED, COUNTS = sweeps.HALOED, sweeps.COUNTS
+LANES, VECTORS = gauss_seidel.LANES, gauss_seidel.VECTORS
+HALOED, COUNTS = gauss_seidel.HALOED, gauss_seidel.COUNTS
 NEEDS = ("spring_colours",)
 
 
@@ -132,4 +133,4 @@ def impulse_change(plan: ti.template(), dt, d, dv, w, k, rest, c, p):
     return scaled(more, along) - scaled(across_part, p)
 
 
-PHASES = sweeps.phases(colours_of_springs, project)
+PHASES = gauss_seidel.phases(colours_of_springs, project)

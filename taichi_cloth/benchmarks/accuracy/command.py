@@ -1,0 +1,170 @@
+"""``python -m taichi_cloth.benchmarks.accuracy``: measures what `docs/accuracy.md` says.
+
+    python -m taichi_cloth.benchmarks.accuracy                             # all parts
+    python -m taichi_cloth.benchmarks.accuracy costs stiff                 # these two
+    python -m taichi_cloth.benchmarks.accuracy --tables docs/accuracy.md   # measures nothing
+
+Each part's results are kept in `bench/results`, in this machine's file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from taichi_cloth.errors import InputError, SimulationFailure, nearest
+from taichi_cloth.files.pending import PendingFile
+from taichi_cloth.settings.arguments import PROGRAM, parse_scene_command
+from taichi_cloth.settings.options import TradeOptions
+
+COMMAND = "python -m taichi_cloth.benchmarks.accuracy"
+PACKAGES = ("taichi-cloth", "taichi", "numpy", "scipy", "python")
+
+# Parts that are trades: the words after `taichi-cloth trade`.
+TRADES = {
+    "smooth": "cloth --precisions f64 --iterations 10",
+    "stiff": "docs/cable.toml --precisions f64 --frames 30 --iterations 10,100",
+    "sweeps": (
+        "cloth --shear 5 --bend 5 --precisions f64 --frames 30 --methods implicit_euler,xpbd,vbd "
+        "--substeps 1,4 --iterations 1,2,4,8,16,32,64,128"
+    ),
+    "contacts": (
+        "box --particles 40 --radius 12 --precisions f64 --iterations 10 --frames 60 "
+        "--substeps 2,8,32,128,512"
+    ),
+    "precisions": (
+        "cloth --methods verlet,rk4 --frames 60 --without-fast-math --substeps 2,8,32,128,512,2048"
+    ),
+}
+# Parts of `experiments`, which run in this process, in f64, or in workers of their own.
+MEASURED = {
+    "orders": "orders",
+    "damping": "damping",
+    "long": "long_runs",
+    "events": "orders_with_events",
+    "costs": "costs",
+}
+PARTS = (*MEASURED, *TRADES)
+KEPT = (
+    "method", "substeps", "step", "iterations", "tolerance", "precision", "fast_math", "status",
+    "error_trajectory_relative", "error_discretisation", "error_solver", "below_floor",
+    "energy_drift", "wall_seconds", "wall_lower", "wall_upper", "frames", "force_evaluations",
+    "sweeps", "order", "pareto",
+)  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure parts, keep their results, fill a document; the exit status."""
+    parser = argparse.ArgumentParser(prog=COMMAND, description=__doc__.splitlines()[0])
+    parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
+    parser.add_argument("--tables", metavar="FILE.md", help="fill its tables, draw its plots")
+    parser.add_argument("--output", metavar="DIR", default="bench/results")
+    given = parser.parse_args(arguments)
+    try:
+        _run(given.parts, Path(given.output), given.tables and Path(given.tables))
+    except (InputError, SimulationFailure) as error:
+        print(f"{COMMAND}: error: {error}", file=sys.stderr)
+        return error.exit_status
+    return 0
+
+
+def _run(words: Sequence[str], folder: Path, document: Path | None) -> None:
+    from taichi_cloth.benchmarks.accuracy import pictures, tables
+    from taichi_cloth.measuring import machine
+
+    for word in words:
+        if word not in PARTS:
+            raise InputError(f"unknown part '{word}'; {nearest(word, PARTS)}")
+    if document and not document.is_file():
+        raise InputError(f"--tables {document}: there is no such file")
+    path = folder / f"{machine.file_name()}-accuracy.json"
+    chosen = [part for part in PARTS if part in words] or ([] if document else list(PARTS))
+    for part in chosen:
+        print(f"measuring: {part}", file=sys.stderr, flush=True)
+        keep(path, part, measure(part))
+    if document:
+        results = read(path)
+        text = document.read_text("utf-8")
+        PendingFile(document).fill(lambda file: file.write(tables.filled(text, results).encode()))
+        for name, content in pictures.draw_all(results).items():
+            picture = document.parent / "images" / f"{name}.png"
+            PendingFile(picture).fill(lambda file, content=content: file.write(content))
+
+
+def measure(part: str) -> dict[str, Any]:
+    """A part's results, with what it takes to measure them again."""
+    from taichi_cloth.measuring import machine
+
+    command, data = _trade(part) if part in TRADES else _experiment(part)
+    about = machine.describe()
+    return {
+        "command": command,
+        "date": datetime.date.today().isoformat(),
+        "machine": f"{about['processor']}, {about['cores']} cores, {about['system']}",
+        "versions": machine.versions(PACKAGES),
+        "data": data,
+    }
+
+
+def _experiment(part: str) -> tuple[str, Any]:
+    from taichi_cloth import runtime
+    from taichi_cloth.benchmarks.accuracy import experiments
+
+    if part != "costs":
+        runtime.start("cpu", "f64", threads=1, fast_math=False)
+    function: Callable[[], Any] = getattr(experiments, MEASURED[part])
+    return f"{COMMAND} {part}", function()
+
+
+def _trade(part: str) -> tuple[str, Any]:
+    """The rows of `taichi-cloth trade`, what they were compared to, and the scale of errors."""
+    from taichi_cloth.trade import command, rows
+
+    words = TRADES[part].split()
+    request = parse_scene_command("trade", TradeOptions, words, "")
+    scene, chosen, how = command.prepare(request)
+    with command.measured(request, scene, chosen, how) as result:
+        made = rows.rows_of(result, command.common(scene), command.run_words(request, how))
+        if result.interrupted:
+            raise KeyboardInterrupt
+    data = {
+        "title": f"{scene.name}: {len(scene.particles)} particles, {result.horizon.frames} frames",
+        "scale": result.horizon.scale,
+        "frames": result.horizon.frames,
+        "particles": len(scene.particles),
+        "reference": [result.horizon.describe(), *result.reference.describe(result.horizon)],
+        "floor": result.reference.floor(result.horizon) / result.horizon.scale,
+        "rows": [{name: getattr(row, name) for name in KEPT} for row in made],
+    }
+    return f"{PROGRAM} trade {TRADES[part]}", data
+
+
+def keep(path: Path, part: str, results: dict[str, Any]) -> None:
+    """Put a part's results into a file, in place of those it had; the other parts' stay."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    kept = read(path) if path.exists() else {}
+    whole = {name: kept[name] for name in PARTS if name in kept} | {part: results}
+    text = json.dumps(_rounded(whole), indent=1, allow_nan=False) + "\n"
+    PendingFile(path).fill(lambda file: file.write(text.encode()))
+
+
+def _rounded(data: Any) -> Any:
+    """Six digits of every number."""
+    if isinstance(data, dict):
+        return {name: _rounded(of) for name, of in data.items()}
+    if isinstance(data, list):
+        return [_rounded(of) for of in data]
+    return float(f"{data:.6g}") if isinstance(data, float) else data
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Results by part. Raises InputError where there are none."""
+    try:
+        return json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from None

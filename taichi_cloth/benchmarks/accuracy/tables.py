@@ -1,0 +1,254 @@
+"""The tables of `docs/accuracy.md`, from results that `accuracy` keeps."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from taichi_cloth.errors import InputError
+from taichi_cloth.kernels import methods
+from taichi_cloth.trade.report import seconds
+
+MARKED = re.compile(r"(<!-- accuracy:(\w+)(?: (\w+))? -->\n).*?(<!-- end -->)", re.S)
+TARGETS = (0.05, 0.01, 1e-3, 1e-4, 1e-6)  # errors, in parts of the largest displacement
+SHOWN = ("1", "5")  # Hz
+
+
+def filled(text: str, results: Mapping[str, Any]) -> str:
+    """The document with its marked places filled. Raises InputError for results that lack."""
+
+    def fill(found: re.Match) -> str:
+        return f"{found[1]}{_content(found[2], found[3], results)}{found[4]}"
+
+    return MARKED.sub(fill, text)
+
+
+def _content(name: str, part: str | None, results: Mapping[str, Any]) -> str:
+    makers = {
+        "machine": _machine,
+        "methods": _methods,
+        "events": _events,
+        "contacts": _contacts,
+        "sweeps": _sweeps,
+        "precisions": _precisions,
+    }
+    if name not in (*makers, "source", "cheapest"):
+        raise InputError(f"the document asks for the unknown table '{name}'")
+    try:
+        if name == "source":
+            return _source(results[part])
+        if name == "cheapest":
+            return _cheapest(results[part]["data"])
+        return makers[name](results)
+    except KeyError as missing:
+        raise InputError(f"'{name}' needs results of the part {missing}: measure it") from None
+
+
+def in_order(names: Sequence[str]) -> list[str]:
+    """Methods as they are shown: explicit ones, those that solve, those that sweep, by order."""
+    claims = {name: methods.load(name).CLAIMS for name in names}
+    return sorted(
+        names,
+        key=lambda n: (claims[n].implicit, "iterations" in claims[n].settings, claims[n].order, n),
+    )
+
+
+def _source(part: Mapping[str, Any]) -> str:
+    """The command, and what errors were measured against."""
+    lines = part["data"].get("reference", [])
+    said = [f"Measured by `{part['command']}`", *(line[0].upper() + line[1:] for line in lines)]
+    return f"<sub>{'. '.join(said)}.</sub>\n"
+
+
+def _machine(results: Mapping[str, Any]) -> str:
+    """Where, when and with what all was measured."""
+    places: dict[tuple[str, str], list[str]] = {}
+    for part in results.values():
+        places.setdefault((part["machine"], part["versions"]), []).append(part["date"])
+    return "".join(
+        f"Measured on {machine}, {' to '.join(sorted({min(dates), max(dates)}))}, "
+        f"with {versions}, by the command below each table.\n"
+        for (machine, versions), dates in places.items()
+    )
+
+
+# ------------------------------------------------------------------------------------------
+# One table of all methods
+
+
+def _methods(results: Mapping[str, Any]) -> str:
+    orders, damping, costs = (results[p]["data"] for p in ("orders", "damping", "costs"))
+    small, large = costs["small"]["methods"], costs["large"]["methods"]
+    header = ["method", "order: chain, cloth", "limit dt·ω"]
+    header += [f"{f} Hz: lost, pitch" for f in SHOWN]
+    header += ["cost, 16 × 12", "cost, 64 × 64", "when to choose it"]
+    lines = []
+    for name in in_order(list(orders)):
+        claims = methods.load(name).CLAIMS
+        swings = [damping[name][f] for f in SHOWN]
+        lines.append(
+            [
+                f"`{name}`",
+                f"{orders[name]['chain']:.2f}, {orders[name]['cloth']:.2f}",
+                _limit(claims.stability_limit),
+                *(f"{_lost(s['kept'])}, {_pitch(s['pitch'])}" for s in swings),
+                *(_times(of[name]["ratio"][1]) for of in (small, large)),
+                claims.choose,
+            ]
+        )
+    return _table(header, lines)
+
+
+def _limit(limit: float) -> str:
+    return "none" if math.isinf(limit) else "never stable" if limit == 0 else f"{limit:.3g}"
+
+
+def _lost(kept: float) -> str:
+    """The part of the amplitude that is lost, in words where it grows."""
+    if kept > 1 + 1e-9:
+        return f"grows {_times(kept)} ×"
+    lost = 100 * (1 - kept)
+    if lost < 1e-6:
+        return "0 %"
+    return "> 99.9 %" if lost > 99.9 else f"{lost:.2g} %"
+
+
+def _pitch(pitch: float) -> str:
+    return "0 %" if abs(pitch) < 1e-8 else f"{100 * pitch:+.2g} %".replace("e-0", "e-")
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.0f}" if ratio >= 100 else f"{ratio:.3g}"
+
+
+# ------------------------------------------------------------------------------------------
+# The rest
+
+
+def _events(results: Mapping[str, Any]) -> str:
+    data = results["events"]["data"]
+    said = {
+        "nothing": "nothing happens",
+        "floor": "they hit the floor",
+        "pairs": "they collide",
+        "breaks": "springs break",
+    }
+    lines = [[f"`{n}`", *(f"{data[n][event]:.2f}" for event in said)] for n in in_order(list(data))]
+    return _table(["method", *said.values()], lines)
+
+
+def _contacts(results: Mapping[str, Any]) -> str:
+    """Errors by substeps, as far as the reference tells them apart, and the last ones' time."""
+    data = results["contacts"]["data"]
+    rows, floor = usable(data["rows"]), data["floor"]
+    told = [r for r in rows if r["error_trajectory_relative"] >= floor]
+    counts = sorted({r["substeps"] for r in told})
+    lines = []
+    for name in in_order(sorted({r["method"] for r in rows})):
+        of = {r["substeps"]: r for r in rows if r["method"] == name}
+        cells = [_error(of[c], floor) if c in of else "fails" for c in counts]
+        last = seconds(_of_frame(of[counts[-1]])) if counts[-1] in of else ""
+        lines.append([f"`{name}`", *cells, last])
+    return _table(["substeps", *map(str, counts), "a frame"], lines)
+
+
+def usable(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Rows that have an error and a time."""
+    return [r for r in rows if r["error_trajectory_relative"] is not None and r["wall_seconds"]]
+
+
+def _cheapest(data: Mapping[str, Any]) -> str:
+    """What is cheapest for an error, and what the default costs to be as good."""
+    from taichi_cloth.benchmarks.accuracy.experiments import DEFAULT
+
+    rows, floor = usable(data["rows"]), data["floor"]
+    header = ["error at most", "cheapest", "a frame", f"`{DEFAULT}`", "a frame", "costs"]
+    lines = []
+    for target in TARGETS:
+        good = [r for r in rows if max(r["error_trajectory_relative"], floor) <= target]
+        if not good:
+            continue
+        best = min(good, key=_of_frame)
+        ours = [r for r in rows if r["method"] == DEFAULT]
+        enough = [r for r in ours if r in good]
+        line = [f"{100 * target:g} %", _setting(best), seconds(_of_frame(best))]
+        if enough:
+            mine = min(enough, key=_of_frame)
+            substeps, cost, about = mine["substeps"], _of_frame(mine), ""
+        else:  # its error falls with the first power of the step, and its cost rises alike
+            mine = min(ours, key=lambda r: r["error_trajectory_relative"])
+            order = methods.load(DEFAULT).CLAIMS.order
+            more = (mine["error_trajectory_relative"] / target) ** (1 / order)
+            substeps, cost, about = mine["substeps"] * more, _of_frame(mine) * more, "≈ "
+        said = f"{about}{substeps:.0f} substep{'s' * (substeps > 1)}"
+        line += [said, about + seconds(cost), f"{about}{_times(cost / _of_frame(best))} ×"]
+        lines.append(line)
+    return _table(header, lines)
+
+
+def _of_frame(row: Mapping[str, Any]) -> float:
+    return row["wall_seconds"] / row["frames"]
+
+
+def _setting(row: Mapping[str, Any]) -> str:
+    substeps = f"{row['substeps']} substep{'s' * (row['substeps'] > 1)}"
+    sweeps = f", {row['iterations']} iterations" if row["iterations"] else ""
+    return f"`{row['method']}`, {substeps}{sweeps}"
+
+
+def _sweeps(results: Mapping[str, Any]) -> str:
+    """The distance from the converged step, in parts of that step's own error."""
+    rows = usable(results["sweeps"]["data"]["rows"])
+    counts = sorted({r["iterations"] for r in rows if r["iterations"]})
+    lines = []
+    for name in in_order(sorted({r["method"] for r in rows if r["iterations"]})):
+        for substeps in sorted({r["substeps"] for r in rows}):
+            of = [r for r in rows if (r["method"], r["substeps"]) == (name, substeps)]
+            by_count = {r["iterations"]: r for r in of}
+            cells = [
+                f"{by_count[c]['error_solver'] / by_count[c]['error_discretisation']:.2g}"
+                if c in by_count
+                else "fails"
+                for c in counts
+            ]
+            lines.append([f"`{name}`, {substeps} substep{'s' * (substeps > 1)}", *cells])
+    return _table(["sweeps", *map(str, counts)], lines)
+
+
+def _precisions(results: Mapping[str, Any]) -> str:
+    """Errors by substeps, and what a frame costs where steps are shortest."""
+    data = results["precisions"]["data"]
+    rows, floor = usable(data["rows"]), data["floor"]
+    counts = sorted({r["substeps"] for r in rows})
+    lines = []
+    for name in in_order(sorted({r["method"] for r in rows})):
+        series = dict.fromkeys((r["precision"], r["fast_math"]) for r in rows)
+        base = None
+        for kind in series:
+            of = {r["substeps"]: r for r in rows if (r["method"], *series_of(r)) == (name, *kind)}
+            cells = [_error(of[c], floor) if c in of else "fails" for c in counts]
+            cost = _of_frame(of[counts[-1]]) if counts[-1] in of else math.nan
+            base = base or cost
+            lines.append([f"`{name}`", called(*kind), *cells, _times(cost / base)])
+    return _table(["method", "numbers", *map(str, counts), "cost"], lines)
+
+
+def series_of(row: Mapping[str, Any]) -> tuple[str, bool]:
+    return row["precision"], row["fast_math"]
+
+
+def called(precision: str, fast_math: bool) -> str:
+    """A precision in words."""
+    return f"{precision} without fast_math" if precision == "f32" and not fast_math else precision
+
+
+def _error(row: Mapping[str, Any], floor: float) -> str:
+    error = row["error_trajectory_relative"]
+    return f"≤ {floor:.0e}" if error < floor else f"{error:.1e}"
+
+
+def _table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    rows = [header, ["---"] * len(header), *lines]
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)

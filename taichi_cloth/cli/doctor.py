@@ -1,0 +1,138 @@
+"""``taichi-cloth doctor``: what this machine offers, and what each missing thing would need."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from taichi_cloth import __version__, runtime
+from taichi_cloth.measuring import machine, vulkan
+from taichi_cloth.settings.options import PATHS, TOPOLOGIES
+
+MEASUREMENTS = 8  # shown of those kept
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report. good: True there, False missing (`text` says what it needs)."""
+
+    name: str
+    text: str
+    good: bool = True
+
+
+def main() -> int:
+    """Print the report; return the exit status, which is 0: missing things are no failure."""
+    from rich import box
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, show_header=False, pad_edge=False)
+    table.add_column()
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for finding in findings():
+        mark = "[green]ok[/]" if finding.good else "[yellow]--[/]"
+        table.add_row(mark, finding.name, escape(finding.text))
+    # A pipe or a file has no width: give whole sentences a line where they fit.
+    console = Console() if sys.stdout.isatty() else Console(width=160)
+    console.print(table)
+    _print_choices(console)
+    return 0
+
+
+def _print_choices(console) -> None:
+    """How scenes are run here: what a step took in each way, the newest measurements first."""
+    from rich import box
+    from rich.table import Table
+
+    from taichi_cloth.simulation import execution
+
+    measured = [kind for kind in reversed(execution.measurements()) if kind.seconds]
+    if not measured:
+        console.print("Fastest way to run a scene: nothing measured yet; the first run does it.")
+        return
+    ways = [f"{topology} {path}" for topology in TOPOLOGIES for path in PATHS]
+    title = "Microseconds a step, as measured at a scene's first start; * is what runs by itself"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("device; method; features and size of the scene", overflow="fold")
+    for way in ways:
+        table.add_column(way.replace(" ", "\n"), justify="right")
+    for kind in measured[:MEASUREMENTS]:
+        best = execution.fastest(kind.seconds)
+        times = [
+            f"{'*' * (way == best)}{1e6 * kind.seconds[way]:.3g}" if way in kind.seconds else "-"
+            for way in ways
+        ]
+        table.add_row(kind.what.replace("/", "; "), *times)
+    console.print(table)
+    if len(measured) > MEASUREMENTS:
+        console.print(f"{len(measured) - MEASUREMENTS} older ones: {execution.cache_file()}")
+
+
+def findings() -> Iterator[Finding]:
+    """Everything the report says, in order. Nothing is started in this process but `import`."""
+    yield Finding("taichi-cloth", __version__)
+    yield Finding("Python", f"{platform.python_version()} ({sys.executable})")
+    for package in ("taichi", "numpy"):
+        yield _package(package)
+    yield Finding("system", platform.platform())
+    yield Finding("processor", f"{machine.processor()}, {os.cpu_count()} cores")
+    for name, lack in runtime.usable_backends().items():
+        yield Finding(f"backend {name}", "usable" if lack is None else f"needs {lack}", not lack)
+
+    if runtime.display_available():
+        yield Finding("display", os.environ.get("DISPLAY", "") or platform.system())
+    else:
+        yield Finding("display", "needs a running X server and DISPLAY (Xvfb serves)", False)
+    device = vulkan.device_name()
+    yield Finding("Vulkan device", device or runtime.NEEDS["vulkan"], device is not None)
+    from taichi_cloth.ui.opening import usable_views
+
+    for name, lack in usable_views().items():
+        yield Finding(f"view {name}", "usable" if lack is None else lack, lack is None)
+    yield _video_writer()
+    yield from _cache_folders()
+
+
+def _package(name: str) -> Finding:
+    try:
+        return Finding(name, importlib.metadata.version(name))
+    except importlib.metadata.PackageNotFoundError:
+        return Finding(name, f"needs installing: pip install {name}", False)
+
+
+def _video_writer() -> Finding:
+    try:
+        import imageio_ffmpeg
+
+        version, program = imageio_ffmpeg.get_ffmpeg_version(), imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError, OSError):
+        needs = "needs ffmpeg: pip install imageio imageio-ffmpeg (.gif works without)"
+        return Finding("video writer", needs, False)
+    return Finding("video writer", f"ffmpeg {version} ({program})")
+
+
+def _cache_folders() -> Iterator[Finding]:
+    """Where compiled kernels and the measured execution paths are kept."""
+    from taichi.lang import impl
+
+    from taichi_cloth.simulation import execution
+
+    for name, folder in (
+        ("cache of compiled kernels", Path(impl.default_cfg().offline_cache_file_path)),
+        ("cache of measured speeds", execution.cache_file().parent),
+    ):
+        there = folder if folder.exists() else _first_existing(folder)
+        writable = os.access(there, os.W_OK)
+        yield Finding(name, f"{folder}" + ("" if writable else " needs to be writable"), writable)
+
+
+def _first_existing(folder: Path) -> Path:
+    return next(parent for parent in folder.parents if parent.exists())

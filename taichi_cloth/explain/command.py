@@ -1,0 +1,430 @@
+"""``taichi-cloth explain``: the command, its tables, and those of a document (`costs` measures)."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import json
+import os
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from taichi_cloth import __version__
+from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.explain.variants import counted
+from taichi_cloth.files.pending import PendingFile
+from taichi_cloth.settings.arguments import DEFAULT_SCENE, Request
+from taichi_cloth.settings.options import ExplainOptions
+
+if TYPE_CHECKING:
+    from taichi_cloth.explain.costs import Cost, Explanation, LinkCost
+    from taichi_cloth.scene.model import Scene
+
+# The scenes of `--all`: those that are empty at their start are filled.
+FILLED: dict[str, dict[str, Any]] = {
+    "box": {"particles": 200, "radius": 12.0},
+    "sandbox": {"particles": 200, "radius": 5.0},
+}
+SIDES = (16, 128, 512)  # particles in a row and a column of the cloths whose links are compared
+LINKS: dict[str, dict[str, float]] = {  # parameters of the scene `cloth`
+    "structural": {},
+    "structural, shear": {"shear": 0.1},
+    "structural, bend": {"bend": 0.05},
+    "structural, shear, bend": {"shear": 0.1, "bend": 0.05},
+}
+MARKED = re.compile(r"(<!-- explain:(\w+) -->\n).*?(<!-- end -->)", re.S)
+SMALL_FIELD = 1024  # bytes below which fields are shown together
+
+
+def main(request: Request) -> int:
+    """Explain a scene, or all of them; returns the exit status."""
+    options = _consistent(request)
+    document = _document(options)
+    scenes = _built_in() if options.all else {" ".join(request.words()): request.build()}
+
+    import numpy
+    from rich.console import Console
+
+    from taichi_cloth import runtime
+    from taichi_cloth.explain import costs
+
+    numpy.seterr(all="ignore")  # what overflows is the watchdog's to report
+    device = runtime.start(options.arch, options.precision, options.threads, cache=False)
+    machine = _machine(device)
+    how = {
+        name: getattr(options, name)
+        for name in ("method", "dt", "substeps", "execution", "topology")
+    }
+    found, cloths = [], []
+    with _progress(options) as tell:
+        for name, scene in scenes.items():
+            explanation = costs.explain(scene, how, options.quick, tell(name))
+            found.append(replace(explanation, scene=name))
+        if options.all:
+            for side in SIDES[: 2 if options.quick else None]:
+                named = _cloths(side)
+                told = tell(f"links of a cloth, {side} x {side}")
+                cloths += costs.compare_links(named, side, how, options.quick, told)
+    if options.json:
+        said = [asdict(explanation) for explanation in found]
+        said = {"scenes": said, "links": [asdict(c) for c in cloths]} if options.all else said[0]
+        print(json.dumps({"machine": machine} | said, indent=1))
+    else:
+        # A pipe or a file has no width: give whole lines a place where they fit.
+        console = Console() if sys.stdout.isatty() else Console(width=150)
+        for explanation in found:
+            show(explanation, console)
+        if cloths:
+            _show_table("What a cloth's links cost", *_table_of_links(cloths), console)
+        console.print("; ".join(f"{k}: {v}" for k, v in machine.items()), highlight=False)
+    if document:
+        text = filled(document.path.read_text("utf-8"), found, cloths, machine)
+        document.fill(lambda file: file.write(text.encode()))
+        print(f"tables filled: {document.path}", file=sys.stderr)
+    return 0
+
+
+def _consistent(request: Request) -> ExplainOptions:
+    """The options with what follows from them filled in; refuses what makes no sense."""
+    from taichi_cloth.kernels.methods import METHODS
+
+    options: ExplainOptions = request.options
+    if options.method not in METHODS:
+        raise InputError(
+            f"--method: unknown method '{options.method}'; {nearest(options.method, METHODS)}"
+        )
+    if options.all and (request.scene != DEFAULT_SCENE or request.scene_parameters):
+        raise InputError(f"--all: explains all built-in scenes, not '{request.scene}' alone")
+    if options.tables and not options.all:
+        raise InputError("--tables: give --all, too, whose tables a document gets")
+    if options.threads is not None:
+        if options.arch != "cpu":
+            raise InputError(f"--threads: only --arch cpu takes it, not {options.arch}")
+        if options.execution == "auto":
+            path = "serial" if options.threads == 1 else "parallel"
+            options = replace(options, execution=path)
+    return options
+
+
+def _document(options: ExplainOptions) -> PendingFile | None:
+    if not options.tables:
+        return None
+    if not os.path.isfile(options.tables):
+        raise InputError(f"--tables {options.tables}: there is no such file")
+    if not MARKED.search(Path(options.tables).read_text("utf-8")):
+        raise InputError(f"--tables {options.tables}: has no '<!-- explain:... -->' to fill")
+    return PendingFile(options.tables)
+
+
+def _built_in() -> dict[str, Scene]:
+    """All built-in scenes, by the words that one would write after a command."""
+    from taichi_cloth.scene import library
+    from taichi_cloth.settings.arguments import flag
+
+    named = {}
+    for name in library.names():
+        values = FILLED.get(name, {})
+        words = [name, *(f"{flag(k)} {v:g}" for k, v in values.items())]
+        named[" ".join(words)] = library.build(name, **values)
+    return named
+
+
+def _cloths(side: int) -> dict[str, Scene]:
+    from taichi_cloth.scene import library
+
+    return {
+        name: library.build("cloth", columns=side, rows=side, **links)
+        for name, links in LINKS.items()
+    }
+
+
+def _machine(device) -> dict[str, str]:
+    import platform
+
+    import taichi
+
+    from taichi_cloth.measuring import machine
+
+    return {
+        "processor": f"{machine.processor()}, {os.cpu_count()} cores",
+        "device": device.describe(),
+        "versions": f"taichi-cloth {__version__}, taichi {'.'.join(map(str, taichi.__version__))}, "
+        f"python {platform.python_version()}",
+        "measured": datetime.date.today().isoformat(),
+    }
+
+
+@contextlib.contextmanager
+def _progress(options: ExplainOptions) -> Iterator:
+    """While it lasts, a bar of what is going on: tell(name) gives `costs` what to call."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
+    with Progress(
+        *columns,
+        console=console,
+        transient=True,
+        refresh_per_second=2,  # what is measured needs the processor
+        disable=not console.is_terminal,
+    ) as progress:
+        task = progress.add_task("")
+
+        def tell(name: str):
+            def told(text: str, done: int, total: int) -> None:
+                description = f"{name}: {text}"
+                progress.update(task, description=description, completed=done, total=total)
+
+            return told
+
+        yield tell
+
+
+# ------------------------------------------------------------------------------------------
+# Tables
+
+
+def show(explanation: Explanation, console) -> None:
+    """Print what is known of a scene: what it uses, what is compiled, stored, and what it costs."""
+    e, compiled = explanation, explanation.compiled
+    say = lambda text: console.print(text, highlight=False, markup=False)  # noqa: E731
+    sizes = f"{counted(e.particles, 'particle')}, {counted(e.springs, 'spring')}"
+    say(f"{e.scene}: {sizes}; {e.features}")
+    say(
+        f"{e.method}, dt {e.dt:g}, {counted(e.substeps, 'substep')}: "
+        f"{_time(e.seconds)} a step (quartiles {_time(e.lower)} .. {_time(e.upper)}), "
+        f"{e.compile_seconds:.2f} s to compile, {_bytes(compiled.bytes)} on the device"
+    )
+    console.print()
+    say(f"compiled: {_path(compiled)}; {_places(compiled)}")
+    say(f"  on: {', '.join(_switches(compiled.plan, True)) or 'nothing'}")
+    say(f"  off: {', '.join(_switches(compiled.plan, False)) or 'nothing'}")
+    console.print()
+    _show_table("what each feature costs", *_table_of_costs(e), console)
+    for cost in e.costs:
+        if cost.note or cost.failed:
+            say(f"{cost.feature}: {'without it ' * cost.used}{cost.failed or cost.note}")
+    say("What a scene does without a feature is part of its cost: below zero, the rest is cheaper.")
+    console.print()
+    _show_table("fields on the device", *_table_of_fields(e), console)
+
+
+def _path(compiled) -> str:
+    plan = compiled.plan
+    cells = f", cells of {plan['lanes']} particles" if plan["lanes"] > 1 else ""
+    if plan["spread"]:
+        loops = "each step a launch whose loops are parallel"
+    else:
+        loops = f"whole frames in one launch on {counted(plan['threads'], 'thread')}"
+    return f"{compiled.topology}{cells}; {compiled.execution}, {loops}"
+
+
+def _places(compiled) -> str:
+    words = [f"{count} {kind} links" for kind, count in compiled.links.items()]
+    if words:
+        words = [f"{counted(compiled.grids, 'regular grid')} with {', '.join(words)}"]
+    if compiled.on_graph or not words:
+        words.append(f"{counted(compiled.on_graph, 'spring')} as lists of neighbours")
+    return ", ".join(words)
+
+
+def _switches(plan: dict[str, Any], on: bool) -> list[str]:
+    """The plan's features that are on, or off, in words."""
+    names = {
+        "springs": "springs on the graph",
+        "links": "links of grids",
+        "uniform_springs": "one set of numbers for all springs",
+        "uniform_particles": "one set of numbers for all particles",
+        "fracture": "fracture",
+        "dashpots": "dashpots",
+        "drag": "drag",
+        "walls": "walls",
+        "floor": "floor",
+        "collisions": "collisions",
+        "blow": "mouse that blows",
+        "alike": "one row of stiffness for all rows",
+        "compensated": "compensated sums",
+    }
+    return [words for name, words in names.items() if bool(plan[name]) is on]
+
+
+def _table_of_costs(e: Explanation) -> tuple[list[str], list[list[str]]]:
+    headers = ["feature", "scene", "what", "with", "without", "cost a step", "quartiles"]
+    headers += ["of a step", "to compile", "memory"]
+    return headers, [_line_of_cost(cost, e) for cost in e.costs]
+
+
+def _line_of_cost(cost: Cost, e: Explanation) -> list[str]:
+    line = [cost.feature, "has it" if cost.used else "lacks it", cost.about]
+    if cost.failed:
+        return [*line, "fails", "", "", "", "", "", ""]
+    return [
+        *line,
+        _time(cost.seconds_with),
+        _time(cost.seconds_without),
+        _time(cost.seconds, sign=True),
+        f"{_time(cost.lower, sign=True)} .. {_time(cost.upper, sign=True)}",
+        f"{100 * cost.seconds / e.seconds:+.0f} %",
+        f"{cost.compile_seconds:+.2f} s",
+        _bytes(cost.bytes, sign=True),
+    ]
+
+
+def _table_of_fields(e: Explanation) -> tuple[list[str], list[list[str]]]:
+    fields = e.compiled.fields
+    large = [f for f in fields if f.bytes >= SMALL_FIELD]
+    small = [f for f in fields if f.bytes < SMALL_FIELD]
+    lines = [[f.name, " x ".join(map(str, f.shape)), f.type, _bytes(f.bytes)] for f in large]
+    names = ", ".join(f.name for f in small)
+    lines.append([names, f"{len(small)} small ones", "", _bytes(sum(f.bytes for f in small))])
+    rest = e.compiled.bytes - sum(f.bytes for f in fields)
+    lines.append(["(keeps fields on cache lines of their own)", "", "", _bytes(rest)])
+    lines.append(["together", "", "", _bytes(e.compiled.bytes)])
+    return ["field", "shape", "numbers", "memory"], lines
+
+
+def _table_of_links(cloths: Sequence[LinkCost]) -> tuple[list[str], list[list[str]]]:
+    headers = ["cloth", "links", "springs", "path", "a step", "quartiles", "times structural"]
+    headers += ["quartiles", "to compile", "memory"]
+    return headers, [
+        [
+            f"{c.side} x {c.side}",
+            c.links,
+            str(c.springs),
+            f"{c.topology}, {c.execution}",
+            _time(c.seconds),
+            f"{_time(c.lower)} .. {_time(c.upper)}",
+            f"{c.ratio:.2f}",
+            f"{c.ratio_lower:.2f} .. {c.ratio_upper:.2f}",
+            f"{c.compile_seconds:.2f} s",
+            _bytes(c.bytes),
+        ]
+        for c in cloths
+    ]
+
+
+def _show_table(title: str, headers: list[str], lines: list[list[str]], console) -> None:
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for header in headers:
+        left = header in ("feature", "scene", "what", "cloth", "links", "path", "field", "numbers")
+        table.add_column(header, justify="left" if left else "right", overflow="fold")
+    for line in lines:
+        table.add_row(*map(escape, line))
+    console.print(table)
+
+
+def _time(seconds: float, sign: bool = False) -> str:
+    """Three digits and a unit; sign: also a plus."""
+    plus = "+" if sign and seconds >= 0 else ""
+    for unit, scale in (("s", 1.0), ("ms", 1e3), ("µs", 1e6)):
+        if abs(seconds) * scale >= 1:
+            return f"{plus}{seconds * scale:.3g} {unit}"
+    return f"{plus}{seconds * 1e9:.3g} ns"
+
+
+def _bytes(count: int, sign: bool = False) -> str:
+    plus = "+" if sign and count >= 0 else ""
+    for unit, scale in (("GiB", 2**30), ("MiB", 2**20), ("KiB", 2**10)):
+        if abs(count) >= scale:
+            return f"{plus}{count / scale:.3g} {unit}"
+    return f"{plus}{count} B"
+
+
+# ------------------------------------------------------------------------------------------
+# Documents
+
+
+def filled(
+    text: str,
+    found: Sequence[Explanation],
+    cloths: Sequence[LinkCost],
+    machine: dict[str, str],
+) -> str:
+    """`text` with what stands between its markers made anew.
+
+    A marker is ``<!-- explain:WHAT -->``, and ends at ``<!-- end -->``; WHAT: scenes, costs, links,
+    saving, machine.
+    """
+    bodies = {
+        "scenes": lambda: _markdown(*_table_of_scenes(found)),
+        "costs": lambda: _markdown(*_table_of_all_costs(found)),
+        "links": lambda: _markdown(*_table_of_links(cloths)),
+        "saving": lambda: _saving(cloths),
+        "machine": lambda: "\n".join(f"- {name}: {value}" for name, value in machine.items()),
+    }
+
+    def made(match: re.Match) -> str:
+        opening, what, closing = match.groups()
+        if what not in bodies:
+            raise InputError(f"<!-- explain:{what} -->: {nearest(what, bodies)}")
+        return f"{opening}{bodies[what]()}\n{closing}"
+
+    return MARKED.sub(made, text)
+
+
+def _table_of_scenes(found: Sequence[Explanation]) -> tuple[list[str], list[list[str]]]:
+    headers = ["scene", "features", "particles", "springs", "path", "a step", "to compile"]
+    return [*headers, "memory"], [
+        [
+            f"`{e.scene}`",
+            e.features,
+            str(e.particles),
+            str(e.springs),
+            f"{e.compiled.topology}, {e.compiled.execution}",
+            _time(e.seconds),
+            f"{e.compile_seconds:.2f} s",
+            _bytes(e.compiled.bytes),
+        ]
+        for e in found
+    ]
+
+
+def _table_of_all_costs(found: Sequence[Explanation]) -> tuple[list[str], list[list[str]]]:
+    """Features down, scenes across: a step's time and the time to compile; what a scene lacks is
+    in brackets, with what it would add.
+    """
+    features = dict.fromkeys(cost.feature for e in found for cost in e.costs)
+    lines = []
+    for feature in features:
+        line = [feature]
+        for e in found:
+            cost = next((c for c in e.costs if c.feature == feature), None)
+            if cost is None:
+                line.append("")
+            elif cost.failed:
+                line.append("fails")
+            else:
+                text = f"{_time(cost.seconds, sign=True)}, {cost.compile_seconds:+.2f} s"
+                line.append(text if cost.used else f"({text})")
+        lines.append(line)
+    return ["feature", *(f"`{e.scene}`" for e in found)], lines
+
+
+def _saving(cloths: Sequence[LinkCost]) -> str:
+    """A sentence a size: how much cheaper the structural cloth is than the one with all links."""
+    lines = []
+    for side in dict.fromkeys(c.side for c in cloths):
+        one, *_, all_links = (c for c in cloths if c.side == side)
+        lines.append(
+            f"At {side} x {side} particles a step takes {_time(one.seconds)} with structural links "
+            f"alone and {_time(all_links.seconds)} with shear and bend links besides: "
+            f"{all_links.ratio:.2f} times as long (quartiles {all_links.ratio_lower:.2f} to "
+            f"{all_links.ratio_upper:.2f}), for {all_links.springs / one.springs:.2f} times the "
+            f"springs, {all_links.bytes / one.bytes:.2f} times the memory and "
+            f"{all_links.compile_seconds - one.compile_seconds:+.2f} s to compile."
+        )
+    return "\n".join(lines)
+
+
+def _markdown(headers: list[str], lines: list[list[str]]) -> str:
+    rows = [headers, ["---"] * len(headers), *lines]
+    return "\n".join("| " + " | ".join(row) + " |" for row in rows)

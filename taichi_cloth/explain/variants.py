@@ -1,0 +1,229 @@
+"""A scene with one feature less, or more: what the cost of a feature is measured by (NumPy)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from taichi_cloth.scene.cloth import LINKS
+from taichi_cloth.scene.model import WALLS, Particles, Scene, SpringDefaults, Springs
+from taichi_cloth.simulation import adjacency
+
+# Of what is added where a scene has none. Light enough for the scene's own step to stay stable.
+LIGHT_SPRING = 0.2  # stiffness of a link, of the median spring's
+LIGHT_DAMPING = 0.02  # of sqrt(stiffness * mass)
+LIGHT_DRAG = 0.01  # of mass / dt
+FAR_TO_BREAK = 1e3  # break force, of stiffness * length: never reached
+ODD = 1.0 + 1e-6  # what one number is multiplied by, so that it has to be stored for each
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A scene with one feature switched over.
+
+    feature: its name. used: whether the scene itself has it, and the variant does not; otherwise
+    the variant has it. about: what the scene has, or what the variant was given.
+    """
+
+    feature: str
+    used: bool
+    about: str
+    scene: Scene
+
+
+def counted(count: int, thing: str) -> str:
+    """'1 spring', '2 springs'."""
+    return f"{count} {thing}{'s' * (count != 1)}"
+
+
+def variants(scene: Scene, on_graph: bool) -> Iterator[Variant]:
+    """One variant of a checked scene for each feature that can be switched.
+
+    on_graph: whether the springs are stored as lists, where it matters that they are all alike.
+    """
+    features, world, springs = scene.features(), scene.world, scene.springs
+    particles = scene.particles
+    spawns = world.mouse == "spawn"
+
+    if len(springs) and not spawns:
+        yield Variant(
+            "springs",
+            True,
+            counted(len(springs), "spring"),
+            replace(scene, springs=Springs.none()),
+        )
+    yield from _links(scene)
+    if len(springs):
+        yield _fracture(scene, features.fracture)
+        yield _dashpots(scene, features.dashpots)
+    yield _drag(scene, features.drag)
+    if features.walls:
+        about = counted(len(features.walls), "wall") + ", one is the floor" * features.floor
+        yield Variant("walls", True, about, scene.with_world(walls=()))
+    else:
+        walls = tuple(name for name, (axis, _) in WALLS.items() if axis < world.dim)
+        about = f"{len(walls)} walls, one is the floor"
+        yield Variant("walls", False, about, scene.with_world(walls=walls))
+    radius = float(np.median(particles.radius)) if len(particles) else 0.0
+    about = f"of {counted(len(particles), 'particle')}, radius {radius:g}"
+    yield Variant(
+        "collisions", world.collisions, about, scene.with_world(collisions=not world.collisions)
+    )
+    if spawns:
+        about = "clicks add particles and springs"
+        yield Variant("mouse: spawn", True, about, scene.with_world(mouse="none"))
+    else:
+        blows = world.mouse == "blow"
+        mouse = "none" if blows else "blow"
+        yield Variant("mouse: blow", blows, "not pushing", scene.with_world(mouse=mouse))
+    if on_graph and features.uniform_springs and len(springs) > 1 and not spawns:
+        stiffness = springs.stiffness.copy()
+        stiffness[0] *= ODD
+        yield Variant(
+            "uniform springs",
+            True,
+            "all have the same numbers",
+            replace(scene, springs=replace(springs, stiffness=stiffness)),
+        )
+    if features.uniform_particles and len(particles) > 1 and _numbers_of_particles(features):
+        radius, viscous = particles.radius.copy(), particles.viscous.copy()
+        radius[0], viscous[0] = radius[0] * ODD, viscous[0] * ODD
+        yield Variant(
+            "uniform particles",
+            True,
+            "all have the same numbers but mass",
+            replace(scene, particles=replace(particles, radius=radius, viscous=viscous)),
+        )
+    if world.dim == 2:
+        yield Variant("third dimension", False, "the same scene in a plane", _in_space(scene))
+
+
+def _numbers_of_particles(features) -> bool:
+    """Whether anything reads numbers that particles may share."""
+    return bool(features.drag or features.walls or features.collisions)
+
+
+def kinds_of_links(scene: Scene) -> np.ndarray:
+    """For each spring the kind of link out of `LINKS` that it is in a regular grid, else ''."""
+    kind = np.full(len(scene.springs), "", dtype="U10")
+    a, b = scene.springs.between.min(axis=1), scene.springs.between.max(axis=1)
+    for of in adjacency.find_grids(scene.springs.between, len(scene.particles)):
+        end = of.first + of.rows * of.columns
+        inside = (a >= of.first) & (b < end)
+        rows, columns = (
+            (b - of.first) // of.columns - (a - of.first) // of.columns,
+            (b - of.first) % of.columns - (a - of.first) % of.columns,
+        )
+        for name, offsets in LINKS.items():
+            for column, row in offsets:
+                kind[inside & (columns == -column) & (rows == -row)] = name
+    return kind
+
+
+def _links(scene: Scene) -> Iterator[Variant]:
+    """Of each kind of link of a grid: without it, or, where no grid has it, with it."""
+    kind = kinds_of_links(scene)
+    present = [name for name in LINKS if (kind == name).any()]
+    if not present:
+        return
+    for name in LINKS:
+        if name not in present:
+            more = _more_links(scene, name, kind == present[0])
+            if len(more):
+                about = f"{counted(len(more), 'spring')} of {LIGHT_SPRING:g} times the stiffness"
+                with_more = replace(scene, springs=scene.springs.joined(more))
+                yield Variant(f"{name} links", False, about, with_more)
+        elif len(present) > 1:
+            without = replace(scene, springs=scene.springs.of(kind != name))
+            about = counted(int((kind == name).sum()), "spring")
+            yield Variant(f"{name} links", True, about, without)
+
+
+def _more_links(scene: Scene, name: str, like: np.ndarray) -> Springs:
+    """Links of a kind in every grid; like: (s,) bool, the springs whose numbers they resemble."""
+    pairs = [np.zeros((0, 2), np.int64)]
+    for of in adjacency.find_grids(scene.springs.between, len(scene.particles)):
+        row, column = np.divmod(np.arange(of.rows * of.columns), of.columns)
+        for step, rise in LINKS[name]:
+            far_row, far_column = row + rise, column + step
+            there = (far_row >= 0) & (far_column >= 0) & (far_column < of.columns)
+            here = of.first + np.flatnonzero(there)
+            far = of.first + (far_row * of.columns + far_column)[there]
+            pairs.append(np.stack([here, far], axis=1))
+    between, springs = np.concatenate(pairs), scene.springs.of(like)
+    count = len(scene.particles)
+    keys, taken = (np.sort(of, axis=1) @ (count, 1) for of in (between, scene.springs.between))
+    between = between[~np.isin(keys, taken)]  # none twice between the same two
+    defaults = SpringDefaults(stiffness=LIGHT_SPRING * float(np.median(springs.stiffness)))
+    return Springs.build(
+        between,
+        scene.particles.position,
+        defaults=defaults,
+        damping=float(np.median(springs.damping)),
+        break_force=float(np.median(springs.break_force)),
+    )
+
+
+def _fracture(scene: Scene, used: bool) -> Variant:
+    springs, defaults = scene.springs, scene.spring_defaults
+    finite = np.isfinite(springs.break_force)
+    if used:
+        force = np.full(len(springs), np.inf)
+        about = f"{counted(int(finite.sum()), 'spring')} can break"
+        defaults = replace(defaults, break_force=None)
+    else:
+        length = np.maximum(springs.rest_length, springs.rest_length.max(initial=1.0))
+        force = FAR_TO_BREAK * np.maximum(springs.stiffness, 1e-12) * length
+        about = f"{counted(len(springs), 'spring')} could break, none does"
+    springs = replace(springs, break_force=force)
+    changed = replace(scene, springs=springs, spring_defaults=defaults)
+    return Variant("fracture", used, about, changed)
+
+
+def _dashpots(scene: Scene, used: bool) -> Variant:
+    springs, defaults = scene.springs, scene.spring_defaults
+    if used:
+        about = f"{counted(int((springs.damping > 0).sum()), 'spring')}"
+        damping = np.zeros(len(springs))
+        defaults = replace(defaults, damping=0.0)
+    else:
+        about = f"{counted(len(springs), 'spring')}, damped lightly"
+        mass = float(scene.particles.mass.min())
+        damping = LIGHT_DAMPING * np.sqrt(springs.stiffness * mass)
+    springs = replace(springs, damping=damping)
+    return Variant(
+        "dashpots", used, about, replace(scene, springs=springs, spring_defaults=defaults)
+    )
+
+
+def _drag(scene: Scene, used: bool) -> Variant:
+    particles, defaults = scene.particles, scene.particle_defaults
+    if used:
+        about = f"of {counted(int((particles.viscous > 0).sum()), 'particle')}"
+        viscous = np.zeros(len(particles))
+        defaults = replace(defaults, viscous=0.0)
+    else:
+        about = f"{LIGHT_DRAG:g} of mass / dt for each particle"
+        same = scene.features().uniform_particles and len(particles)
+        mass = np.full(len(particles), particles.mass[0]) if same else particles.mass
+        viscous = LIGHT_DRAG * mass / scene.world.dt
+    particles = replace(particles, viscous=viscous)
+    changed = replace(scene, particles=particles, particle_defaults=defaults)
+    return Variant("drag", used, about, changed)
+
+
+def _in_space(scene: Scene) -> Scene:
+    """A 2-D scene in the middle plane of a deep 3-D world."""
+    world, particles = scene.world, scene.particles
+
+    def deepened(vectors: np.ndarray) -> np.ndarray:
+        return np.column_stack([vectors, np.zeros(len(vectors))])
+
+    world = replace(world, size=(*world.size, max(world.size)), gravity=(*world.gravity, 0.0))
+    columns = vars(particles) | {
+        "position": deepened(particles.position),
+        "velocity": deepened(particles.velocity),
+    }
+    return replace(scene, world=world, particles=Particles(**columns))

@@ -1,0 +1,1 @@
+"""Interaction logs, saved trajectories, files that appear whole or not at all."""

@@ -1,0 +1,127 @@
+"""Saved trajectories: what every particle and spring did, frame by frame, as an ``.npz`` file."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_cloth.errors import InputError
+from taichi_cloth.files.pending import PendingFile
+
+_ARRAYS = ("frame", "time", "position", "velocity", "spring", "spring_alive", "meta")
+
+
+@dataclass(frozen=True)
+class Saved:
+    """A trajectory of k frames that was read back, with the arrays of the file.
+
+    frame: (k,) int, numbered from 1; time: (k,) [the scene's time]; position, velocity:
+    (k, particles, dim) float64, NaN before a particle exists; spring: (springs, 2) int;
+    spring_alive: (k, springs) bool; meta: scene, method, dt and so on.
+    """
+
+    frame: np.ndarray
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    spring: np.ndarray
+    spring_alive: np.ndarray
+    meta: dict[str, Any]
+
+
+class Trajectory:
+    """Collects every `every`-th frame of a simulation and saves them.
+
+    Raises InputError at once if `path` cannot be written or `every` is not positive. The file
+    appears, whole, at `save`.
+    """
+
+    def __init__(self, path: str | Path, every: int = 1):
+        if every < 1:
+            raise InputError(f"every must be at least 1, is {every}")
+        self.every = every
+        self._pending = PendingFile(path)
+        self._forget()
+
+    def _forget(self):
+        self._frames: list[int] = []
+        self._times: list[float] = []
+        self._positions: list[np.ndarray] = []
+        self._velocities: list[np.ndarray] = []
+        self._alive: list[np.ndarray] = []
+        self._springs = np.zeros((0, 2), np.int64)
+        self._shape = (0, 2)
+
+    def record(self, sim, *, last: bool = False) -> None:
+        """Take note of `sim`'s present frame if its number is a multiple of `every`.
+
+        Call it after each frame. `last` takes note of any frame: the last good one of a run that
+        failed (number 0, the scene's start, if its first frame did). A frame that was noted
+        already is not noted twice; a lower number means that the simulation was reset, and what
+        was noted before is forgotten.
+        """
+        frame = sim.frame
+        if self._frames and frame < self._frames[-1]:
+            self._forget()
+        self._shape = (sim.particle_count, sim.scene.world.dim)
+        self._springs = sim.springs()
+        wanted = last or (frame > 0 and frame % self.every == 0)
+        if not wanted or (self._frames and frame == self._frames[-1]):
+            return
+        self._frames.append(frame)
+        self._times.append(sim.time)
+        self._positions.append(sim.positions())
+        self._velocities.append(sim.velocities())
+        self._alive.append(sim.springs_alive())
+
+    def save(self, meta: dict[str, Any] | None = None) -> None:
+        """Write the file. May be called twice; only the first call writes.
+
+        Particles and springs that came later have NaN rows, and False, in earlier frames.
+        """
+        k, (particles, dim) = len(self._frames), self._shape
+        position = np.full((k, particles, dim), np.nan)
+        velocity = np.full((k, particles, dim), np.nan)
+        alive = np.zeros((k, len(self._springs)), bool)
+        for i in range(k):
+            position[i, : len(self._positions[i])] = self._positions[i]
+            velocity[i, : len(self._velocities[i])] = self._velocities[i]
+            alive[i, : len(self._alive[i])] = self._alive[i]
+        if self._pending.file.closed:
+            return
+        # Given an open file, np.savez adds no suffix to the name the user chose.
+        self._pending.fill(
+            lambda file: np.savez(
+                file,
+                frame=np.array(self._frames, np.int64),
+                time=np.array(self._times, np.float64),
+                position=position,
+                velocity=velocity,
+                spring=np.asarray(self._springs, np.int64).reshape(-1, 2),
+                spring_alive=alive,
+                meta=np.array(json.dumps(meta or {})),
+            )
+        )
+
+    def discard(self) -> None:
+        """Forget everything, unless already saved; what was at the path before stays."""
+        self._pending.discard()
+
+
+def load(path: str | Path) -> Saved:
+    """The trajectory saved at `path`. Raises InputError if there is none that can be read."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in _ARRAYS}
+        return Saved(**{**arrays, "meta": json.loads(str(arrays["meta"]))})
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except KeyError as error:
+        raise InputError(f"{path}: is not a saved trajectory: it has no {error}") from None
+    except (OSError, ValueError, zipfile.BadZipFile, AttributeError, TypeError) as error:
+        raise InputError(f"{path}: is not a saved trajectory: {error}") from None

@@ -1,0 +1,1 @@
+"""Processes of their own, timing, and what machine this is."""

@@ -1,0 +1,128 @@
+"""A process of its own that does what it is asked: one JSON request a line in, one answer out.
+
+    {"make": "module:Class", "as": KEY, "with": {...}}  ->  {"result": the object's `about`}
+    {"of": KEY, "do": METHOD, "with": {...}}            ->  {"result": ..., "seconds": ...}
+    {"drop": KEY}                                       ->  {"result": null}
+
+An array is answered with the name of the file it was saved to, in the folder that is this
+process's argument. What goes wrong is answered as {"failed": "one line"}.
+
+Taichi has one backend, precision and fast_math in a process, so what compares them has one process
+for each: `Worker` is such a process as its parent sees it, `main` is what runs in it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import importlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+class WorkerFailed(RuntimeError):
+    """What was asked of a process went wrong; the message is one line."""
+
+
+class Worker:
+    """A process as its parent sees it.
+
+    folder: where it saves arrays; environment: variables that it gets besides this process's own.
+    """
+
+    def __init__(self, folder: Path, environment: dict[str, str]):
+        self._complaints = tempfile.TemporaryFile("w+", dir=folder)  # noqa: SIM115
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "taichi_cloth.measuring.worker", str(folder)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._complaints,
+            text=True,
+            env={**os.environ, **environment},
+            start_new_session=True,  # Ctrl-C is for the parent, which then ends its workers
+        )
+
+    def ask(self, **request) -> dict[str, Any]:
+        """The answer to a request; raises WorkerFailed."""
+        try:
+            print(json.dumps(request), file=self._process.stdin, flush=True)
+            line = self._process.stdout.readline()
+        except (OSError, ValueError):  # ended, or closed here by another thread
+            line = ""
+        if not line:
+            self.kill()  # it may still be ending, and would pass for alive
+            raise WorkerFailed(f"its process ended: {self._last_words()}".rstrip(": "))
+        answer = json.loads(line)
+        if "failed" in answer:
+            raise WorkerFailed(answer["failed"])
+        return answer
+
+    def _last_words(self) -> str:
+        try:
+            self._complaints.seek(0)
+            return (self._complaints.read().strip().splitlines()[-1:] or [""])[0]
+        except (OSError, ValueError):
+            return ""
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process still runs."""
+        return self._process.poll() is None
+
+    def kill(self) -> None:
+        """End the process; a thread that waits for its answer gets WorkerFailed."""
+        self._process.kill()
+        self._process.wait()
+
+    def close(self) -> None:
+        """End the process, and close what connects to it."""
+        self.kill()
+        for stream in (self._process.stdin, self._process.stdout, self._complaints):
+            with contextlib.suppress(OSError):
+                stream.close()
+
+
+def main(folder: Path) -> None:
+    """Serve requests until standard input ends."""
+    # Libraries greet on standard output: the answers keep it for themselves.
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    objects = {}
+    for number, line in enumerate(sys.stdin):
+        try:
+            answer = _answer(json.loads(line), objects, folder / f"{os.getpid()}-{number}.npy")
+        except Exception as error:
+            answer = {"failed": " ".join(f"{type(error).__name__}: {error}".split())[:300]}
+        print(json.dumps(answer), file=answers, flush=True)
+
+
+def _answer(request: dict, objects: dict, file: Path) -> dict:
+    if "make" in request:
+        module, _, name = request["make"].partition(":")
+        made = getattr(importlib.import_module(module), name)(**request["with"])
+        objects[request["as"]] = made
+        return {"result": getattr(made, "about", {})}
+    if "drop" in request:
+        del objects[request["drop"]]
+        gc.collect()
+        return {"result": None}
+    method = getattr(objects[request["of"]], request["do"])
+    begin = time.perf_counter()
+    result = method(**request["with"])
+    seconds = time.perf_counter() - begin
+    if isinstance(result, np.ndarray):
+        np.save(file, result)
+        result = str(file)
+    return {"result": result, "seconds": seconds}
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,72 @@
+"""The built-in scenes: one file each, found by looking into this folder.
+
+A scene file defines ``scene(*, name: Annotated[type, Parameter(...)] = default, ...) -> Scene``,
+a pure function. Its first docstring line describes it in ``taichi-cloth list``, its parameters
+become flags of ``taichi-cloth run``. Where the scene has a closed form, the file may give it as
+``solution(scene, times)``, which `trade` compares to.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+import typing
+from collections.abc import Callable
+
+import numpy as np
+
+from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.scene.model import Scene, validate
+from taichi_cloth.settings.options import Parameter
+
+
+def names() -> list[str]:
+    """Names of the built-in scenes, in alphabetical order."""
+    found = (module.name for module in pkgutil.iter_modules(__path__))
+    return sorted(name for name in found if not name.startswith("_"))
+
+
+def function(name: str) -> Callable[..., Scene]:
+    """The function of the scene called `name`. Raises InputError for an unknown name."""
+    if name not in names():
+        raise InputError(f"unknown scene '{name}'; {nearest(name, names())}")
+    return importlib.import_module(f"{__name__}.{name}").scene
+
+
+def solution(name: str) -> Callable[..., tuple[np.ndarray, np.ndarray]] | None:
+    """What gives the closed form of the scene called `name` at given times; None without one."""
+    function(name)
+    return getattr(importlib.import_module(f"{__name__}.{name}"), "solution", None)
+
+
+def description(name: str) -> str:
+    """One line on what the scene shows."""
+    return inspect.getdoc(function(name)).splitlines()[0]
+
+
+def parameters(name: str) -> dict[str, Parameter]:
+    """The scene's declared parameters by name, each with its type and default filled in."""
+    scene_function = function(name)
+    hints = typing.get_type_hints(scene_function, include_extras=True)
+    return {
+        key: hints[key].__metadata__[0].of(hints[key].__origin__, parameter.default)
+        for key, parameter in inspect.signature(scene_function).parameters.items()
+    }
+
+
+def build(name: str, **values) -> Scene:
+    """The scene called `name` with the given parameters, checked.
+
+    Raises InputError for an unknown name or parameter and for a value outside its limits.
+    """
+    declared = parameters(name)
+    for key, value in values.items():
+        if key not in declared:
+            raise InputError(
+                f"scene '{name}' has no parameter '{key}'; " + nearest(key, declared)
+                if declared
+                else f"scene '{name}' has no parameters"
+            )
+        declared[key].check(key, value)
+    return validate(function(name)(**values))

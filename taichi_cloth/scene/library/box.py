@@ -1,0 +1,44 @@
+"""The seed's 3-D box: spheres bounce in it, and clicks add spheres and chains."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from taichi_cloth.scene.model import (
+    WALLS,
+    ParticleDefaults,
+    Particles,
+    Scene,
+    SpringDefaults,
+    World,
+)
+from taichi_cloth.scene.scatter import scattered
+from taichi_cloth.settings.options import Parameter
+
+
+def scene(
+    *,
+    particles: Annotated[
+        int, Parameter("spheres at the start, placed at random", minimum=0, maximum=10_000_000)
+    ] = 0,
+    radius: Annotated[float, Parameter("radius of a sphere", unit="px", above=0)] = 30.0,
+    seed: Annotated[int, Parameter("seed of the random placement", minimum=0)] = 0,
+) -> Scene:
+    """A box of bouncing spheres to click into: free ones, fixed ones and chains."""
+    particle = ParticleDefaults(mass=10.0, radius=radius, viscous=0.01, restitution=0.95)
+    world = World(
+        size=(600.0, 400.0, 500.0),
+        gravity=(0.0, 0.1, 0.0),
+        walls=tuple(WALLS),
+        collisions=True,
+        mouse="spawn",
+    )
+    return Scene(
+        name="box",
+        world=world,
+        particles=(
+            scattered(world, particles, particle, seed) if particles else Particles.none(world.dim)
+        ),
+        particle_defaults=particle,
+        spring_defaults=SpringDefaults(stiffness=0.01, rest_length=20.0, break_force=5.0),
+    )

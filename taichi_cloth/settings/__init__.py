@@ -1,0 +1,1 @@
+"""Settings that a person can change: declared once, read from flags."""

@@ -1,0 +1,1 @@
+"""A scene in motion on the device."""

@@ -1,0 +1,1 @@
+"""`stability`: the largest stable step, computed and found by runs."""

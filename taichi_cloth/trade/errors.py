@@ -1,0 +1,177 @@
+"""How wrong a run is: its samples beside those of a reference (NumPy, float64)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.simulation import diagnostics
+
+
+@dataclass(frozen=True)
+class Samples:
+    """States of a run at the start and at the end of each frame.
+
+    x, v: (frames + 1, n, dim); alive: (frames + 1, s), or (frames + 1, 0) where no spring breaks.
+    """
+
+    x: np.ndarray
+    v: np.ndarray
+    alive: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    @classmethod
+    def read(cls, path: Path | str) -> Samples:
+        with np.load(path) as file:
+            return cls(*(file[name].astype(np.float64) for name in "xv"), file["alive"])
+
+    def first(self, frames: int) -> Samples:
+        """Those up to the end of frame number `frames`."""
+        return Samples(self.x[: frames + 1], self.v[: frames + 1], self.alive[: frames + 1])
+
+
+@dataclass(frozen=True)
+class Distance:
+    """How far two runs are apart, in world units, over the particles that are free.
+
+    final_rms, final_max: root of the mean square, and largest, distance of a particle at the end;
+    trajectory, trajectory_max: the same over particles and over the ends of all frames.
+    """
+
+    final_rms: float
+    final_max: float
+    trajectory: float
+    trajectory_max: float
+
+
+def distance(a: Samples, b: Samples, free: np.ndarray) -> Distance:
+    """The distance of two runs of as many frames; free: (n,) bool."""
+    square = ((a.x[1:, free] - b.x[1:, free]) ** 2).sum(axis=2)
+    return Distance(
+        final_rms=float(np.sqrt(square[-1].mean())),
+        final_max=float(np.sqrt(square[-1].max())),
+        trajectory=float(np.sqrt(square.mean())),
+        trajectory_max=float(np.sqrt(square.max())),
+    )
+
+
+def rms_by_frame(a: Samples, b: Samples, free: np.ndarray) -> np.ndarray:
+    """Root of the mean square distance of a particle at each sample, (frames + 1,)."""
+    return np.sqrt(((a.x[:, free] - b.x[:, free]) ** 2).sum(axis=2).mean(axis=1))
+
+
+def displacement(samples: Samples, free: np.ndarray) -> float:
+    """Largest distance of a free particle from where it began."""
+    moved = samples.x[:, free] - samples.x[:1, free]
+    return float(np.sqrt((moved**2).sum(axis=2).max(initial=0.0)))
+
+
+@dataclass(frozen=True)
+class Invariants:
+    """Energy, momentum and stretch of a run by sample.
+
+    energy: (frames + 1,), what springs, speeds and heights hold; scale: the largest energy of
+    springs and speeds, and how much that of heights varies; momentum: (frames + 1, dim) of the free
+    particles; impulse: the largest sum of mass times speed; strain: the largest relative change of
+    a spring's length, of those that hold and have a rest length.
+    """
+
+    energy: np.ndarray
+    scale: float
+    momentum: np.ndarray
+    impulse: float
+    strain: float
+
+    @classmethod
+    def of(cls, scene: Scene, samples: Samples) -> Invariants:
+        particles, springs = scene.particles, scene.springs
+        free, mass = ~particles.fixed, particles.mass
+        energies, momenta, strain = [], [], 0.0
+        impulse = 0.0
+        everything = np.ones(len(springs), bool)
+        a, b = springs.between.T
+        for x, v, alive in zip(samples.x, samples.v, samples.alive, strict=True):
+            holds = alive if len(alive) else everything
+            energies.append(
+                diagnostics.energy(
+                    x,
+                    v,
+                    mass,
+                    particles.fixed,
+                    scene.world.gravity,
+                    springs.between,
+                    springs.stiffness,
+                    springs.rest_length,
+                    holds,
+                )
+            )
+            momenta.append(diagnostics.momentum(v, mass, particles.fixed))
+            impulse = max(impulse, float((mass * np.linalg.norm(v, axis=1))[free].sum()))
+            measured = holds & (springs.rest_length > 0)
+            if measured.any():
+                length = np.linalg.norm(x[b[measured]] - x[a[measured]], axis=1)
+                rest = springs.rest_length[measured]
+                strain = max(strain, float(np.abs(length / rest - 1.0).max()))
+        heights = np.array([energy.gravitational for energy in energies])
+        return cls(
+            energy=np.array([energy.total for energy in energies]),
+            scale=float(max(e.kinetic + e.elastic for e in energies) + np.ptp(heights)),
+            momentum=np.array(momenta),
+            impulse=impulse,
+            strain=strain,
+        )
+
+    def energy_drift(self, reference: Invariants) -> float:
+        """Largest difference from the reference's energy, in parts of the reference's scale."""
+        return _part(np.abs(self.energy - reference.energy).max(), reference.scale)
+
+    def momentum_drift(self, reference: Invariants) -> float:
+        """Largest difference from the reference's momentum, in parts of its impulse."""
+        apart = np.linalg.norm(self.momentum - reference.momentum, axis=1).max()
+        return _part(apart, reference.impulse)
+
+
+def _part(number: float, scale: float) -> float:
+    return float(number / scale) if scale > 0 else float(number)
+
+
+@dataclass(frozen=True)
+class Breaks:
+    """Springs that broke in a run, beside those of a reference.
+
+    count; agreeing: how many of them broke in the reference, too; first: the frame in which the
+    first broke, None where none did; later: by how many frames that is later than in the
+    reference, None where either has none.
+    """
+
+    count: int
+    agreeing: int
+    first: int | None
+    later: int | None
+
+    @classmethod
+    def of(cls, samples: Samples, reference: Samples) -> Breaks:
+        broken, true = (_break_frames(of) for of in (samples, reference))
+        first, true_first = _first(broken), _first(true)
+        return cls(
+            count=int((broken >= 0).sum()),
+            agreeing=int(((broken >= 0) & (true >= 0)).sum()),
+            first=first,
+            later=None if first is None or true_first is None else first - true_first,
+        )
+
+
+def _break_frames(samples: Samples) -> np.ndarray:
+    """The frame in which each spring broke, (s,), -1 for those that hold."""
+    broken = ~samples.alive
+    return np.where(broken.any(axis=0), broken.argmax(axis=0), -1)
+
+
+def _first(frames: np.ndarray) -> int | None:
+    broken = frames[frames >= 0]
+    return int(broken.min()) if len(broken) else None

@@ -1,0 +1,183 @@
+"""The scene as an ordinary differential equation, in NumPy and SciPy, knowing no kernel of ours.
+
+Springs, dashpots, drag and gravity; contacts and breaking springs are events, at which the
+solution ends: beyond them it is not smooth, and no high order survives.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_cloth.scene.model import WALLS, Scene
+
+TOLERANCE = 1e-13  # relative and absolute, of one step
+MOST_MOMENTS = 64  # of a step, at which collisions are looked for
+
+
+class Forces:
+    """Acceleration of a scene's particles, without contacts, and what would be an event."""
+
+    def __init__(self, scene: Scene):
+        from scipy import sparse
+
+        particles, springs = scene.particles, scene.springs
+        n, s = len(particles), len(springs)
+        self.dim = scene.world.dim
+        self.free = ~particles.fixed
+        self.inverse_mass = np.where(particles.fixed, 0.0, 1.0 / particles.mass)[:, None]
+        self.gravity = np.where(self.free[:, None], np.asarray(scene.world.gravity), 0.0)
+        self.viscous = particles.viscous[:, None]
+        rows = np.repeat(np.arange(s), 2)
+        signs = np.tile([-1.0, 1.0], s)
+        # Row of a spring: minus one at its first end, one at its second.
+        self.difference = sparse.csr_matrix((signs, (rows, springs.between.ravel())), shape=(s, n))
+        self.gather = self.difference.T.tocsr()
+        self.stiffness, self.rest_length = springs.stiffness, springs.rest_length
+        self.damping = springs.damping if (springs.damping > 0).any() else None
+        with np.errstate(all="ignore"):
+            self.break_length = springs.rest_length + springs.break_force / springs.stiffness
+        self.breaks = bool(np.isfinite(springs.break_force).any())
+        self.scene = scene
+
+    def acceleration(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Acceleration (n, dim) at positions x and velocities v (n, dim)."""
+        along = self.difference @ x
+        length = np.sqrt((along**2).sum(axis=1))
+        with np.errstate(all="ignore"):
+            unit = np.where(length[:, None] > 0, along / length[:, None], 0.0)
+        tension = self.stiffness * (length - self.rest_length)
+        if self.damping is not None:
+            tension += self.damping * ((self.difference @ v) * unit).sum(axis=1)
+        pull = self.gather @ (tension[:, None] * unit)
+        return self.gravity - self.inverse_mass * (pull + self.viscous * v)
+
+    def slope(self, t: float, y: np.ndarray) -> np.ndarray:
+        """dy/dt of y = (x, v), flat."""
+        x, v = y.reshape(2, -1, self.dim)
+        return np.stack([v, self.acceleration(x, v)]).ravel()
+
+    def event(self, x: np.ndarray, v: np.ndarray) -> str | None:
+        """What happens here that is no part of the equation: a contact, a break; None: nothing."""
+        particles, world = self.scene.particles, self.scene.world
+        for wall in world.walls:
+            axis, side = WALLS[wall]
+            bound = world.high[axis] if side > 0 else world.low[axis]
+            hit = (side * (bound - x[:, axis]) < particles.radius) & (side * v[:, axis] > 0)
+            if (hit & self.free).any():
+                return f"particle {int((hit & self.free).argmax())} hits the wall '{wall}'"
+        if self.breaks:
+            length = np.sqrt(((self.difference @ x) ** 2).sum(axis=1))
+            if (length > self.break_length).any():
+                return f"spring {int((length > self.break_length).argmax())} breaks"
+        if world.collisions and len(x) > 1:
+            return self._collision(x, v)
+        return None
+
+    def _collision(self, x, v):
+        from scipy.spatial import cKDTree
+
+        radius = self.scene.particles.radius
+        pairs = cKDTree(x).query_pairs(2.0 * radius.max(), output_type="ndarray")
+        if len(pairs) == 0:
+            return None
+        i, j = pairs.T
+        d = x[j] - x[i]
+        distance2 = (d**2).sum(axis=1)
+        closing = ((v[i] - v[j]) * d).sum(axis=1) >= 0
+        hit = (distance2 <= (radius[i] + radius[j]) ** 2) & (distance2 > 0) & closing
+        hit &= self.free[i] | self.free[j]
+        if not hit.any():
+            return None
+        first = int(hit.argmax())
+        return f"particles {i[first]} and {j[first]} collide"
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Positions and velocities (times, n, dim) at the times up to `until`; NaN beyond.
+
+    event: what ends it there; None: nothing, it is whole. given_up: it took too long.
+    """
+
+    x: np.ndarray
+    v: np.ndarray
+    until: float
+    event: str | None = None
+    given_up: bool = False
+    evaluations: int = 0
+
+
+def solve(
+    scene: Scene,
+    times: np.ndarray,
+    budget: float = np.inf,
+    tell: Callable[[float], None] = lambda done: None,
+) -> Solution:
+    """The solution at `times` (ascending, from 0) by SciPy's DOP853 at a tolerance of 1e-13.
+
+    Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.5. budget: seconds after
+    which it is given up. tell: shown the part that is done; what it raises ends the solution.
+    """
+    from scipy.integrate import DOP853
+
+    forces, particles = Forces(scene), scene.particles
+    v = np.where(particles.fixed[:, None], 0.0, particles.velocity)
+    y = np.stack([particles.position, v])
+    shape = (len(times), *particles.position.shape)
+    out = np.full((2, *shape), np.nan)
+    out[:, times <= 0] = y[:, None]
+    end = float(times[-1])
+    event = forces.event(*y)
+    if event or end <= 0:
+        return Solution(*out, until=0.0, event=event)
+    begin = time.perf_counter()
+    solver = DOP853(
+        forces.slope,
+        0.0,
+        y.ravel(),
+        end,
+        max_step=float(np.diff(times).max()),  # what is between frames could go unseen
+        rtol=TOLERANCE,
+        atol=TOLERANCE,
+    )
+    until = 0.0
+    while solver.status == "running":
+        solver.step()
+        if solver.status == "failed" or not np.isfinite(solver.y).all():
+            return Solution(*out, until=until, given_up=True, evaluations=solver.nfev)
+        event = _event_in_step(solver, forces, shape[1:])
+        if event:
+            return Solution(*out, until=until, event=event, evaluations=solver.nfev)
+        inside = (times > solver.t_old) & (times <= solver.t)
+        if inside.any():
+            at = solver.dense_output()(times[inside]).T.reshape(-1, 2, *shape[1:])
+            out[:, inside] = at.swapaxes(0, 1)
+        if solver.t == end:
+            out[:, -1] = solver.y.reshape(2, *shape[1:])
+        until = solver.t
+        tell(until / end)
+        if time.perf_counter() - begin > budget:
+            return Solution(*out, until=until, given_up=True, evaluations=solver.nfev)
+    return Solution(*out, until=until, evaluations=solver.nfev)
+
+
+def _event_in_step(solver, forces: Forces, shape: tuple[int, ...]) -> str | None:
+    """What happens within the last step: looked for so often that no particle passes another."""
+    x, v = solver.y.reshape(2, *shape)
+    moments = 1
+    if forces.scene.world.collisions:
+        reach = forces.scene.particles.radius.min(initial=np.inf)
+        fastest = np.linalg.norm(v, axis=1).max(initial=0.0)
+        moved = fastest * (solver.t - solver.t_old)
+        moments = int(np.clip(np.ceil(4.0 * moved / max(reach, 1e-300)), 1, MOST_MOMENTS))
+    if moments > 1:
+        within = solver.dense_output()
+        for t in np.linspace(solver.t_old, solver.t, moments, endpoint=False)[1:]:
+            event = forces.event(*within(t).reshape(2, *shape))
+            if event:
+                return event
+    return forces.event(x, v)

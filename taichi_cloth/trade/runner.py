@@ -1,0 +1,504 @@
+"""A sweep: a scene in many settings, each (backend, precision, fast_math) in its own process.
+
+Processes compile and compute side by side, but whenever one is timed the others wait.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import pickle
+import queue
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_cloth import runtime
+from taichi_cloth.errors import InputError, SimulationFailure
+from taichi_cloth.measuring.worker import Worker, WorkerFailed
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.simulation import adjacency
+from taichi_cloth.trade import ode, reference, settings
+from taichi_cloth.trade.errors import Samples
+from taichi_cloth.trade.settings import Setting
+
+TRIAL = "taichi_cloth.trade.trial:Trial"
+EXACT = ("cpu", "f64", False)  # the process of the references
+MAKING = 4  # how much longer compiling a method takes than running a setting, about
+# Particles times steps times sweeps of a converged solver that are worth the wait: half a minute.
+CONVERGED_WORK = 1e9
+SWEEPS_TO_CONVERGE = 50  # of a solver that ends by its tolerance, about
+REFUSED = "InputError: "  # how a worker says that
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How settings are run, beside what is compared.
+
+    topology, execution, threads: as in `run`, the first two never "auto": to measure which is
+    fastest takes longer than all of a sweep. budget: seconds of timing for each setting;
+    patience: seconds for the references. solver_errors: whether solvers are run converged, too.
+    """
+
+    topology: str
+    execution: str
+    threads: int | None = None
+    budget: float = 0.3
+    patience: float = 20.0
+    solver_errors: bool = True
+
+    def words(self) -> list[str]:
+        """The flags of `run` that stand for it."""
+        words = ["--topology", self.topology, "--execution", self.execution]
+        return words + (["--threads", str(self.threads)] if self.threads else [])
+
+
+@dataclass
+class Outcome:
+    """What came of a setting: its samples' file, its work, the seconds of each timed run."""
+
+    setting: Setting
+    status: str = "ok"
+    file: Path | None = None
+    force_evaluations: int | None = None
+    sweeps: int | None = None
+    unconverged: int | None = None
+    seconds: list[float] = field(default_factory=list)
+    about: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def ok(self) -> bool:
+        return self.status == "ok"
+
+    def samples(self) -> Samples:
+        return Samples.read(self.file)
+
+
+@dataclass
+class Result:
+    """What a sweep found, whole or, where it was interrupted, what was finished.
+
+    outcomes: of the settings, in their order; converged: those with a converged solver, by setting.
+    """
+
+    scene: Scene
+    outcomes: list[Outcome]
+    converged: dict[Setting, Outcome]
+    horizon: reference.Horizon | None
+    reference: reference.Reference | None
+    interrupted: bool = False
+
+
+def plan(scene: Scene, options) -> Plan:
+    """How a scene is run, from the command's settings and the scene's size."""
+    n = len(scene.particles)
+    has_grid = bool(adjacency.find_grids(scene.springs.between, n))
+    if options.topology == "lanes" and not has_grid:
+        raise InputError(
+            f"--topology lanes: the springs of scene '{scene.name}' form no regular grid; "
+            "use --topology graph"
+        )
+    stored, run = options.topology, options.execution
+    if stored == "auto":
+        stored = "lanes" if has_grid and n >= settings.FEW_PARTICLES else "graph"
+    if run == "auto":
+        one = options.threads == 1 or (options.threads is None and n < settings.SERIAL_BEST)
+        run = "serial" if one else "parallel"
+    budget, patience = (0.06, 5.0) if options.quick else (0.3, 20.0)
+    return Plan(stored, run, options.threads, budget, patience)
+
+
+class Quiet:
+    """Many may work at a time, or one alone, who measures."""
+
+    def __init__(self):
+        self._changed = threading.Condition()
+        self._working, self._waiting, self._alone = 0, 0, False
+
+    @contextlib.contextmanager
+    def working(self) -> Iterator[None]:
+        with self._changed:
+            self._changed.wait_for(lambda: not (self._alone or self._waiting))
+            self._working += 1
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._working -= 1
+                self._changed.notify_all()
+
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        with self._changed:
+            self._waiting += 1
+            self._changed.wait_for(lambda: not (self._alone or self._working))
+            self._waiting, self._alone = self._waiting - 1, True
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._alone = False
+                self._changed.notify_all()
+
+
+class Stopped(Exception):
+    """The sweep was interrupted: a thread ends."""
+
+
+class SweepFailure(SimulationFailure):
+    """Not even the reference could be computed (exit status 3). The message is one line."""
+
+    def __init__(self, message: str):
+        RuntimeError.__init__(self, message)
+
+
+class _Course:
+    """What is found out about one scene while the sweep runs."""
+
+    def __init__(self, scene: Scene, closed: Callable[[np.ndarray], Samples | None]):
+        self.scene, self.closed = scene, closed
+        self.outcomes: dict[Setting, Outcome] = {}
+        self.converged: dict[Setting, Outcome] = {}
+        self.horizon: reference.Horizon | None = None
+        self.horizon_known = threading.Event()
+        self.fine: list[tuple[str, Samples]] = []
+        self.solution: ode.Solution | None = None
+
+    def result(self, wanted: Sequence[Setting], dt: float, interrupted: bool) -> Result:
+        found = None
+        if self.horizon:
+            frames = self.horizon.frames
+            times = np.arange(frames + 1) * dt
+            closed, end = self.closed(times), float(times[-1])
+            found = reference.decide(self.scene, frames, closed, self.solution, end, self.fine)
+        outcomes = [self.outcomes[setting] for setting in wanted if setting in self.outcomes]
+        return Result(self.scene, outcomes, self.converged, self.horizon, found, interrupted)
+
+
+class Sweep:
+    """Runs settings of a scene, or of several that differ in numbers alone, compiled once.
+
+    scenes: without a mouse. frames: the horizon asked for. how: the plan of all. closed: the first
+    scene's closed form at given times, or None. tell, to be set: shown what is done (text, done,
+    total).
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        chosen: Sequence[Setting],
+        frames: int,
+        how: Plan,
+        closed: Callable[[np.ndarray], Samples | None] = lambda times: None,
+    ):
+        self.settings, self.how = list(chosen), how
+        self.tell: Callable[[str, int, int], None] = lambda text, done, total: None
+        self._asked, self._dt = frames, self.settings[0].dt
+        self._courses = [_Course(scene, lambda times: None) for scene in scenes]
+        self._courses[0].closed = closed
+        self._wanted = set(self.settings)
+        self._folder = tempfile.TemporaryDirectory(prefix="taichi-cloth-trade-")
+        self.folder = Path(self._folder.name)
+        self._workers: list[Worker] = []
+        self._quiet, self._stop = Quiet(), threading.Event()
+        self._news: queue.Queue = queue.Queue()
+        self._files = 0
+        self._lock = threading.Lock()
+
+    def close(self) -> None:
+        """End all processes and remove what they wrote."""
+        for worker in self._workers:
+            worker.close()
+        self._folder.cleanup()
+
+    # --- the course of a sweep -----------------------------------------------------------
+
+    def run(self) -> list[Result]:
+        """Run everything; what was found for each scene. An interrupt ends it with what is done.
+
+        Raises SweepFailure where not even a reference can be computed.
+        """
+        groups = self._groups()
+        total = MAKING * sum(len(methods) for methods in groups.values())
+        total += len(self._courses) * (
+            2 * MAKING + sum(len(of) for methods in groups.values() for of in methods.values())
+        )
+        done, interrupted, failure = 0, False, None
+        threads = 1 + min(len(groups), runtime.available_cores())
+        with ThreadPoolExecutor(max_workers=threads) as pool:
+            tasks = [pool.submit(self._solve)]
+            tasks += [pool.submit(self._run_group, key, of) for key, of in groups.items()]
+            self.tell("starting", 0, total)
+            try:
+                while any(not task.done() for task in tasks) or not self._news.empty():
+                    with contextlib.suppress(queue.Empty):
+                        text, units = self._news.get(timeout=0.1)
+                        done += units
+                        self.tell(text, min(done, total), total)
+                    failed = [task.exception() for task in tasks if task.done()]
+                    failure = next((f for f in failed if f is not None), None)
+                    if failure:
+                        break
+            except KeyboardInterrupt:
+                interrupted = True
+            self._stop.set()
+            for course in self._courses:
+                course.horizon_known.set()
+            for worker in list(self._workers):
+                worker.kill()
+        if isinstance(failure, WorkerFailed):
+            if str(failure).startswith(REFUSED):
+                raise InputError(str(failure).removeprefix(REFUSED))
+            raise SweepFailure(f"the process of the references: {failure}")
+        if failure:
+            raise failure
+        return [course.result(self.settings, self._dt, interrupted) for course in self._courses]
+
+    def _groups(self) -> dict[tuple, dict[str, list[Setting]]]:
+        """Settings by process and method, that of the references first."""
+        groups: dict[tuple, dict[str, list[Setting]]] = {EXACT: {reference_method(): []}}
+        for setting in self.settings:
+            of = groups.setdefault(setting.process, {}).setdefault(setting.method, [])
+            of.append(setting)
+        for setting in self.settings:
+            exact = settings.converged(setting)
+            if exact is None or not self.how.solver_errors:
+                continue
+            if self._cost_of(exact) > CONVERGED_WORK:
+                continue
+            of = groups[EXACT].setdefault(setting.method, [])
+            if exact not in of:
+                of.append(exact)
+        return groups
+
+    def _cost_of(self, exact: Setting) -> float:
+        """Particles times steps times sweeps."""
+        particles = len(self._courses[0].scene.particles)
+        sweeps = exact.iterations or SWEEPS_TO_CONVERGE
+        return float(particles) * self._asked * exact.substeps * sweeps
+
+    # --- in threads ----------------------------------------------------------------------
+
+    def _solve(self) -> None:
+        """The smooth solutions, in this process."""
+        times = np.arange(self._asked + 1) * self._dt
+
+        def tell(done):
+            if self._stop.is_set():
+                raise Stopped
+
+        with contextlib.suppress(Stopped):
+            for course in self._courses:
+                with self._quiet.working():
+                    course.solution = ode.solve(course.scene, times, self.how.patience, tell)
+                self._news.put(("the differential equation is solved", MAKING))
+
+    def _run_group(self, process: tuple, methods: dict[str, list[Setting]]) -> None:
+        """All of one process; the first one finds the references."""
+        worker = self._start()
+        try:
+            for number, (method, of) in enumerate(methods.items()):
+                finds_references = process == EXACT and number == 0
+                try:
+                    with self._quiet.working():
+                        trial = self._make(worker, method, process)
+                except WorkerFailed as failed:
+                    if finds_references or self._stop.is_set():
+                        raise
+                    for course in self._courses:
+                        for setting in of:
+                            self._finish(course, Outcome(setting, _refusal(failed)))
+                    if not worker.alive:
+                        worker = self._start()
+                    continue
+                if finds_references:
+                    with self._quiet.working():
+                        for course in self._courses:
+                            self._find_references(worker, trial, method, course)
+                for course in self._courses:
+                    self._run_settings(worker, trial, of, course)
+                if worker.alive:
+                    worker.ask(drop=trial["key"])
+                else:
+                    worker = self._start()
+        except (Stopped, WorkerFailed):
+            if not self._stop.is_set():
+                raise
+
+    def _run_settings(self, worker, trial, of: list[Setting], course: _Course) -> None:
+        """Errors of all settings of one method, then, alone, their times."""
+        course.horizon_known.wait()
+        if self._stop.is_set():
+            raise Stopped
+        outcomes = []
+        with self._quiet.working():
+            self._ask(worker, trial, "load", scene=self._keep(course.scene))
+            for setting in of:
+                outcomes.append(self._sample(worker, trial, setting, course.horizon.frames))
+        with self._quiet.alone():
+            for outcome in outcomes:
+                if outcome.ok and outcome.setting in self._wanted:
+                    self._time(worker, trial, outcome, course.horizon.frames)
+        for outcome in outcomes:
+            self._finish(course, outcome)
+
+    def _find_references(self, worker, trial, method: str, course: _Course) -> None:
+        """The horizon, then fine runs within it."""
+        scene = course.scene
+        substeps = reference.coarsest(scene, self._dt)
+
+        def run(substeps, frames):
+            outcome = self._sample(worker, trial, Setting(method, self._dt, substeps), frames)
+            if not outcome.ok:
+                failed = outcome.status.removeprefix("failed: ")
+                raise SweepFailure(
+                    f"the reference ({method} in f64, {substeps} substeps) fails: {failed}; "
+                    "use fewer --frames, a smaller --dt or softer springs"
+                )
+            return outcome.samples()
+
+        self._ask(worker, trial, "load", scene=self._keep(scene))
+        first = run(substeps, self._asked)
+        size = reference.DISTURBANCE * reference.extent(scene, first)[0]
+        other = reference.disturbed(scene, size)
+        self._ask(worker, trial, "load", scene=self._keep(other))
+        second = run(substeps, self._asked)
+        self._ask(worker, trial, "load", scene=self._keep(scene))
+        course.horizon = reference.limit_horizon(scene, first, second)
+        course.horizon_known.set()
+        self._news.put((course.horizon.describe(), MAKING // 2))
+
+        begin = last = time.perf_counter()
+
+        def timed(substeps):
+            nonlocal last
+            last = time.perf_counter()
+            samples = run(substeps, course.horizon.frames)
+            course.fine.append((f"{method} in f64 with {substeps} substeps", samples))
+            self._news.put((f"reference: {substeps} substeps", 0))
+            return samples
+
+        def enough(times_longer):
+            now = time.perf_counter()
+            return now - begin + times_longer * (now - last) > self.how.patience
+
+        reference.refine(timed, scene, substeps, enough)
+        self._news.put(("the references are there", MAKING // 2))
+
+    # --- one request each ----------------------------------------------------------------
+
+    def _start(self) -> Worker:
+        # Else libraries that start threads of their own would disturb what is timed.
+        worker = Worker(self.folder, {"OMP_NUM_THREADS": "1"})
+        with self._lock:
+            self._workers.append(worker)
+        if self._stop.is_set():
+            worker.kill()
+        return worker
+
+    def _make(self, worker, method: str, process: tuple) -> dict[str, Any]:
+        arch, precision, fast_math = process
+        arguments = {
+            "scene": self._keep(self._courses[0].scene),
+            "method": method,
+            "arch": arch,
+            "precision": precision,
+            "fast_math": fast_math,
+            "threads": self.how.threads if arch == "cpu" else None,
+            "topology": self.how.topology,
+            "execution": "parallel" if arch != "cpu" else self.how.execution,
+        }
+        about = worker.ask(make=TRIAL, **{"as": method, "with": arguments})["result"]
+        self._news.put((f"{method}, {arch} {precision}", MAKING))
+        return {"key": method, "about": about}
+
+    def _ask(self, worker, trial, method: str, **arguments):
+        if self._stop.is_set():
+            raise Stopped
+        try:
+            return worker.ask(of=trial["key"], do=method, **{"with": arguments})["result"]
+        except WorkerFailed:
+            if self._stop.is_set():
+                raise Stopped from None
+            raise
+
+    def _sample(self, worker, trial, setting: Setting, frames: int) -> Outcome:
+        """A setting's samples and work; a run that fails is an outcome, too."""
+        outcome, file = Outcome(setting, about=trial["about"]), self._new_file(".npz")
+        try:
+            found = self._ask(
+                worker, trial, "sample", **_step(setting), frames=frames, file=str(file)
+            )
+        except WorkerFailed as failed:
+            outcome.status = _refusal(failed)
+            return outcome
+        outcome.file = file
+        outcome.status = found.pop("failed") or "ok"
+        for name, value in found.items():
+            setattr(outcome, name, value)
+        return outcome
+
+    def _time(self, worker, trial, outcome: Outcome, frames: int) -> None:
+        budget = self.how.budget
+        try:
+            outcome.seconds = self._ask(
+                worker, trial, "time", **_step(outcome.setting), frames=frames, budget=budget
+            )
+        except WorkerFailed as failed:
+            outcome.status = _refusal(failed)
+
+    def _finish(self, course: _Course, outcome: Outcome) -> None:
+        """Keep an outcome: of a setting that is compared, of a converged solver, or of both."""
+        if outcome.setting in self._wanted:
+            course.outcomes[outcome.setting] = outcome
+        if settings.converged(outcome.setting) == outcome.setting and outcome.ok:
+            course.converged[outcome.setting] = outcome
+        self._news.put((outcome.setting.describe(), 1))
+
+    def _new_file(self, suffix: str) -> Path:
+        with self._lock:
+            self._files += 1
+            return self.folder / f"{self._files}{suffix}"
+
+    def _keep(self, scene: Scene) -> str:
+        file = self._new_file(".pickle")
+        file.write_bytes(pickle.dumps(scene))
+        return str(file)
+
+
+def reference_method() -> str:
+    """The method of the fine runs: of the explicit ones that with the highest order."""
+    from taichi_cloth.kernels import methods
+
+    claims = {name: methods.load(name).CLAIMS for name in methods.METHODS}
+    explicit = [name for name, of in claims.items() if not of.implicit]
+    return max(explicit, key=lambda name: claims[name].order)
+
+
+def _step(setting: Setting) -> dict[str, Any]:
+    solver = {"tolerance": setting.tolerance, "iterations": setting.iterations}
+    solver = {name: value for name, value in solver.items() if value is not None}
+    return {"dt": setting.dt, "substeps": setting.substeps, "solver": solver}
+
+
+def _refusal(failed: WorkerFailed) -> str:
+    """The status of settings that a worker could not even make or run."""
+    text = str(failed)
+    if text.startswith(REFUSED):
+        return f"refused: {text.removeprefix(REFUSED)}"
+    return f"failed: {text}"
+
+
+def without_mouse(scene: Scene) -> Scene:
+    """The scene that is compared: nobody moves a mouse. InputError where nothing can move."""
+    if not (~scene.particles.fixed).any():
+        raise InputError(
+            f"scene '{scene.name}' has no particle that can move: there is nothing to compare"
+        )
+    return replace(scene, world=replace(scene.world, mouse="none"))
