@@ -23,10 +23,11 @@ Adding a method is adding a file.
 
 import importlib
 import pkgutil
+from types import ModuleType
 
 METHODS = tuple(sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name != "contract"))
 
 
-def load(name):
+def load(name: str) -> ModuleType:
     """The module of the method `name`, out of `METHODS`. Importing it imports Taichi."""
     return importlib.import_module(f"{__name__}.{name}")
