@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taichi_cloth import __version__
-from taichi_cloth.errors import InputError, SimulationFailure, nearest
+from taichi_cloth.errors import InputError, RunFailure, SimulationFailure, nearest
 from taichi_cloth.settings.arguments import (
     DEFAULT_SCENE,
     PROGRAM,
@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = _dispatch(list(sys.argv[1:] if arguments is None else arguments))
         sys.stdout.flush()
         return status
-    except (InputError, SimulationFailure) as error:
+    except (InputError, RunFailure) as error:
         message = " ".join(str(error).split())
         print(f"{PROGRAM}: error: {message}", file=sys.stderr)
         return error.exit_status

@@ -17,8 +17,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from taichi_cloth.errors import InputError, SimulationFailure, nearest
-from taichi_cloth.files.pending import PendingFile
+from taichi_cloth.errors import InputError, RunFailure, nearest
+from taichi_cloth.files.pending import write_whole
 from taichi_cloth.settings.arguments import PROGRAM, parse_scene_command
 from taichi_cloth.settings.options import TradeOptions
 
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     try:
         _run(given.parts, Path(given.output), given.tables and Path(given.tables))
-    except (InputError, SimulationFailure) as error:
+    except (InputError, RunFailure) as error:
         print(f"{COMMAND}: error: {error}", file=sys.stderr)
         return error.exit_status
     return 0
@@ -90,10 +90,9 @@ def _run(words: Sequence[str], folder: Path, document: Path | None) -> None:
     if document:
         results = read(path)
         text = document.read_text("utf-8")
-        PendingFile(document).fill(lambda file: file.write(tables.filled(text, results).encode()))
+        write_whole(document, tables.filled(text, results).encode())
         for name, content in pictures.draw_all(results).items():
-            picture = document.parent / "images" / f"{name}.png"
-            PendingFile(picture).fill(lambda file, content=content: file.write(content))
+            write_whole(document.parent / "images" / f"{name}.png", content)
 
 
 def measure(part: str) -> dict[str, Any]:
@@ -139,7 +138,7 @@ def _trade(part: str) -> tuple[str, Any]:
         "particles": len(scene.particles),
         "reference": [result.horizon.describe(), *result.reference.describe(result.horizon)],
         "floor": result.reference.floor(result.horizon) / result.horizon.scale,
-        "rows": [{name: getattr(row, name) for name in KEPT} for row in made],
+        "rows": [{name: row.record()[name] for name in KEPT} for row in made],
     }
     return f"{PROGRAM} trade {TRADES[part]}", data
 
@@ -150,7 +149,7 @@ def keep(path: Path, part: str, results: dict[str, Any]) -> None:
     kept = read(path) if path.exists() else {}
     whole = {name: kept[name] for name in PARTS if name in kept} | {part: results}
     text = json.dumps(_rounded(whole), indent=1, allow_nan=False) + "\n"
-    PendingFile(path).fill(lambda file: file.write(text.encode()))
+    write_whole(path, text.encode())
 
 
 def _rounded(data: Any) -> Any:
