@@ -12,6 +12,7 @@ from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench
 from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.benchmarks.structural import SCENE
+from taichi_cloth.console import counted
 
 PART = "lanes"
 SIDE, QUICK_SIDE = 512, 128
@@ -28,7 +29,7 @@ def measure(bench: Bench) -> Iterator[Measurement]:
         ours.enter(
             bench,
             PART,
-            f"{lanes} lane{'s' * (lanes > 1)}",
+            counted(lanes, "lane"),
             scene,
             precision=precision,
             size=f"{side} x {side}",

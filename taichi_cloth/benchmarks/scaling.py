@@ -12,6 +12,7 @@ from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench, compare
 from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.benchmarks.structural import SCENE
+from taichi_cloth.console import counted
 
 PART = "scaling"
 SIDES = (10, 32, 100, 316, 1024, 2048)
@@ -35,7 +36,7 @@ def _measure_size(bench: Bench, side: int) -> Iterator[Measurement]:
         ours.enter(
             bench,
             PART,
-            f"{threads} thread{'s' * (threads > 1)}",
+            counted(threads, "thread"),
             scene,
             precision="f32",
             threads=threads,

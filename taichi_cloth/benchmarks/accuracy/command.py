@@ -23,7 +23,6 @@ from taichi_cloth.settings.arguments import PROGRAM, parse_scene_command
 from taichi_cloth.settings.options import TradeOptions
 
 COMMAND = "python -m taichi_cloth.benchmarks.accuracy"
-PACKAGES = ("taichi-cloth", "taichi", "numpy", "scipy", "python")
 
 # Parts that are trades: the words after `taichi-cloth trade`.
 TRADES = {
@@ -98,6 +97,7 @@ def _run(words: Sequence[str], folder: Path, document: Path | None) -> None:
 def measure(part: str) -> dict[str, Any]:
     """A part's results, with what it takes to measure them again."""
     from taichi_cloth.measuring import machine
+    from taichi_cloth.trade.command import PACKAGES
 
     command, data = _trade(part) if part in TRADES else _experiment(part)
     about = machine.describe()
@@ -131,13 +131,15 @@ def _trade(part: str) -> tuple[str, Any]:
         made = rows.rows_of(result, command.common(scene), command.run_words(request, how))
         if result.interrupted:
             raise KeyboardInterrupt
+    horizon, found = result.horizon, result.reference
+    assert horizon and found  # it went to its end
     data = {
-        "title": f"{scene.name}: {len(scene.particles)} particles, {result.horizon.frames} frames",
-        "scale": result.horizon.scale,
-        "frames": result.horizon.frames,
+        "title": f"{scene.name}: {len(scene.particles)} particles, {horizon.frames} frames",
+        "scale": horizon.scale,
+        "frames": horizon.frames,
         "particles": len(scene.particles),
-        "reference": [result.horizon.describe(), *result.reference.describe(result.horizon)],
-        "floor": result.reference.floor(result.horizon) / result.horizon.scale,
+        "reference": [horizon.describe(), *found.describe(horizon)],
+        "floor": found.floor(horizon) / horizon.scale,
         "rows": [{name: row.record()[name] for name in KEPT} for row in made],
     }
     return f"{PROGRAM} trade {TRADES[part]}", data
@@ -164,6 +166,7 @@ def _rounded(data: Any) -> Any:
 def read(path: Path) -> dict[str, Any]:
     """Results by part. Raises InputError where there are none."""
     try:
-        return json.loads(path.read_text("utf-8"))
+        results: dict[str, Any] = json.loads(path.read_text("utf-8"))
+        return results
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
