@@ -151,8 +151,10 @@ def _tenths() -> Tell:
 # Numbers in words
 
 
-def duration(seconds: float, sign: bool = False) -> str:
-    """A time [s] with the unit that suits it, three digits; sign: also a plus."""
+def duration(seconds: float | None, sign: bool = False) -> str:
+    """A time [s] with the unit that suits it, three digits; nothing for None. sign: also a plus."""
+    if seconds is None:
+        return ""
     plus = "+" if sign and seconds >= 0 else ""
     for unit, scale in (("s", 1.0), ("ms", 1e3), ("µs", 1e6)):
         if abs(seconds) * scale >= 1:

@@ -135,8 +135,8 @@ def tables(rows: Sequence[Measurement]) -> list[tuple[list[str], list[list[str]]
             "numbers": [row.precision for row in timed],
             "threads": [str(row.threads or "") for row in timed],
             "path": [", ".join(filter(None, (row.topology, row.execution))) for row in timed],
-            "time a step": [_shown(row.seconds) for row in timed],
-            "quartiles": [f"{_shown(row.lower)} .. {_shown(row.upper)}" for row in timed],
+            "time a step": [duration(row.seconds) for row in timed],
+            "quartiles": [f"{duration(row.lower)} .. {duration(row.upper)}" for row in timed],
             **_rates(timed),
             "error": ["" if row.error is None else f"{row.error:.1e}" for row in timed],
         }
@@ -189,10 +189,6 @@ def _rates(rows: Sequence[Measurement]) -> dict[str, list[str]]:
 
 def _scale(unit: str) -> float:
     return 1e6 if unit == "particle-steps/s" else 1.0
-
-
-def _shown(seconds: float | None) -> str:
-    return "" if seconds is None else duration(seconds)
 
 
 def _wanted(row: Measurement) -> str:

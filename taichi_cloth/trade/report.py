@@ -60,8 +60,7 @@ def _columns(result: Result, rows: Sequence[Row]) -> dict[str, list[str]]:
         return [text(row) if row.ok else "" for row in rows]
 
     def a_frame(row: Row, seconds: float | None) -> str:
-        of_frame = row.a_frame(seconds)
-        return "" if of_frame is None else duration(of_frame)
+        return duration(row.a_frame(seconds))
 
     columns = {
         "": [FRONT if row.pareto else "" if row.ok else FAILED for row in rows],
