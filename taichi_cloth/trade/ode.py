@@ -160,17 +160,22 @@ def solve(
         event = _event_in_step(solver, forces, shape[1:])
         if event:
             return ended(until, event)
-        inside = (times > solver.t_old) & (times <= solver.t)
-        if inside.any():
-            at = solver.dense_output()(times[inside]).T.reshape(-1, 2, *shape[1:])
-            out[:, inside] = at.swapaxes(0, 1)
-        if solver.t == end:
-            out[:, -1] = solver.y.reshape(2, *shape[1:])
+        _keep_states(solver, times, out)
         until = solver.t
         tell(until / end)
         if time.perf_counter() - begin > budget:
             return ended(until, given_up=True)
     return ended(until)
+
+
+def _keep_states(solver: DOP853, times: np.ndarray, out: np.ndarray) -> None:
+    """Note the states at the times within the last step in `out`, (2, times, n, dim)."""
+    inside = (times > solver.t_old) & (times <= solver.t)
+    if inside.any():
+        at = solver.dense_output()(times[inside]).T.reshape(-1, 2, *out.shape[2:])
+        out[:, inside] = at.swapaxes(0, 1)
+    if solver.t == times[-1]:
+        out[:, -1] = solver.y.reshape(2, *out.shape[2:])
 
 
 def _event_in_step(solver: DOP853, forces: Forces, shape: tuple[int, ...]) -> str | None:

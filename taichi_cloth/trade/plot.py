@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 MARKERS = "osD^vP*X"
 LEAST = 1e-17  # what a logarithmic axis shows of an error that is zero
-STYLES = {"f64": "-", "f32": "--", "compensated": ":"}
+LINES = {"f64": "-", "f32": "--", "compensated": ":"}
 
 
-class Look(NamedTuple):
+class SeriesStyle(NamedTuple):
     """How a series is drawn."""
 
     color: ColorType
@@ -27,7 +27,7 @@ class Look(NamedTuple):
     marker: str
 
 
-Looks = dict[tuple[Any, ...], Look]  # by `Setting.series`
+Styles = dict[tuple[Any, ...], SeriesStyle]  # by `Setting.series`
 
 
 def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str, bytes]:
@@ -43,10 +43,10 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
     floor = max(result.reference.floor(result.horizon) / result.horizon.scale, LEAST)
     figure = Figure(figsize=(13, 6.5), layout="constrained")
     of_time, of_step = figure.subplots(1, 2, sharey=True)
-    looks = _looks(rows)
+    styles = _styles(rows)
     for series in dict.fromkeys(row.setting.series for row in rows):
         alike = sorted((r for r in rows if r.setting.series == series), key=lambda r: -r.step)
-        _draw_series(of_time, of_step, alike, looks[series], floor)
+        _draw_series(of_time, of_step, alike, styles[series], floor)
     shown = [max(error, floor) for error in errors]
     # Failures are drawn along the upper edge.
     room = 2 if all(row.ok for row in rows) else 10
@@ -54,7 +54,7 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
     of_time.set(xscale="log", yscale="log", ylim=(bottom, top))
     steps = [row.step for row in rows]
     of_step.set(xscale="log", xlim=(0.8 * min(steps), 1.25 * max(steps)))
-    _draw_failures(of_time, of_step, rows, looks)
+    _draw_failures(of_time, of_step, rows, styles)
     _draw_front(of_time, rows, floor)
     for axes in (of_time, of_step):
         if floor > bottom:
@@ -70,7 +70,7 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
     _label_axes(of_time, of_step, rows)
     of_time.set_ylabel(f"trajectory error (RMS, in parts of {result.horizon.what.split(',')[0]})")
     figure.suptitle(_title(result), fontsize=11)
-    _legend(figure, looks, rows)
+    _legend(figure, styles, rows)
     return {kind: _file(figure, kind) for kind in kinds}
 
 
@@ -92,7 +92,7 @@ def _file(figure: Figure, kind: str) -> bytes:
     return buffer.getvalue()
 
 
-def _looks(rows: Sequence[Row]) -> Looks:
+def _styles(rows: Sequence[Row]) -> Styles:
     """A colour for each method, a line for each precision, a marker for each solver setting."""
     from matplotlib import color_sequences
 
@@ -100,9 +100,9 @@ def _looks(rows: Sequence[Row]) -> Looks:
     methods = list(dict.fromkeys(row.setting.method for row in rows))
     solvers = list(dict.fromkeys(_solver(row) for row in rows))
     return {
-        row.setting.series: Look(
+        row.setting.series: SeriesStyle(
             color=palette[methods.index(row.setting.method) % len(palette)],
-            linestyle=STYLES.get(row.setting.precision, "-."),
+            linestyle=LINES.get(row.setting.precision, "-."),
             marker=MARKERS[solvers.index(_solver(row)) % len(MARKERS)],
         )
         for row in rows
@@ -114,7 +114,7 @@ def _solver(row: Row) -> tuple[int | None, float | None]:
 
 
 def _draw_series(
-    of_time: Axes, of_step: Axes, rows: Sequence[Row], look: Look, floor: float
+    of_time: Axes, of_step: Axes, rows: Sequence[Row], style: SeriesStyle, floor: float
 ) -> None:
     ok = [(r, e) for r in rows if r.ok and (e := r.error_trajectory_relative) is not None]
     for axes, numbers in (
@@ -122,20 +122,20 @@ def _draw_series(
         (of_step, [row.step for row, _ in ok]),
     ):
         here = [
-            (number, max(error, floor), "none" if row.below_floor else look.color)
+            (number, max(error, floor), "none" if row.below_floor else style.color)
             for number, (row, error) in zip(numbers, ok, strict=True)
             if number
         ]
         if not here:
             continue
         x, y, face = zip(*here, strict=True)
-        axes.plot(x, y, color=look.color, linestyle=look.linestyle, linewidth=1.2, alpha=0.8)
+        axes.plot(x, y, color=style.color, linestyle=style.linestyle, linewidth=1.2, alpha=0.8)
         axes.scatter(
-            x, y, s=22, marker=look.marker, facecolors=face, edgecolors=[look.color], zorder=3
+            x, y, s=22, marker=style.marker, facecolors=face, edgecolors=[style.color], zorder=3
         )
 
 
-def _draw_failures(of_time: Axes, of_step: Axes, rows: Sequence[Row], looks: Looks) -> None:
+def _draw_failures(of_time: Axes, of_step: Axes, rows: Sequence[Row], styles: Styles) -> None:
     """Crosses along the upper edge: at their step, and at the time that they would have taken."""
     at_step: dict[float, int] = {}
     times = []
@@ -143,7 +143,7 @@ def _draw_failures(of_time: Axes, of_step: Axes, rows: Sequence[Row], looks: Loo
         if row.ok:
             continue
         series = row.setting.series
-        cross: dict[str, Any] = {"marker": "x", "s": 40, "color": looks[series].color, "zorder": 4}
+        cross: dict[str, Any] = {"marker": "x", "s": 40, "color": styles[series].color, "zorder": 4}
         # One below the other where they would hide each other.
         rank = at_step[row.step] = at_step.get(row.step, -1) + 1
         height = 0.985 - 0.025 * (rank % 16)
@@ -197,22 +197,22 @@ def _draw_front(axes: Axes, rows: Sequence[Row], floor: float) -> None:
     axes.scatter(x, y, s=110, facecolors="none", edgecolors="black", linewidths=1.0, zorder=4)
 
 
-def _legend(figure: Figure, looks: Looks, rows: Sequence[Row]) -> None:
+def _legend(figure: Figure, styles: Styles, rows: Sequence[Row]) -> None:
     from matplotlib.lines import Line2D
 
     handles: list[Line2D] = []
 
     def add(label: str, **look: Any) -> None:
-        style = {"color": "0.3", "linestyle": "none"} | look
-        handles.append(Line2D([], [], **style, label=label))
+        shown = {"color": "0.3", "linestyle": "none"} | look
+        handles.append(Line2D([], [], **shown, label=label))
 
-    colours = {row.setting.method: looks[row.setting.series].color for row in rows}
+    colours = {row.setting.method: styles[row.setting.series].color for row in rows}
     for method, colour in colours.items():
         add(method, color=colour, linestyle="-", linewidth=2.5)
     for precision in dict.fromkeys(row.setting.precision for row in rows):
-        add(precision, linestyle=STYLES.get(precision, "-."))
+        add(precision, linestyle=LINES.get(precision, "-."))
     solvers = {
-        row.setting.describe_solver() or "no solver setting": looks[row.setting.series].marker
+        row.setting.describe_solver() or "no solver setting": styles[row.setting.series].marker
         for row in rows
     }
     if len(solvers) > 1:
