@@ -26,18 +26,18 @@ class Layout:
     """Places of n particles and s springs.
 
     lanes: particles in a cell; links: offsets of the kinds of link, empty on a graph.
-    n_cells: cells in use, empty ones included; site: (n,) int32, each particle's cell * lanes +
+    n_packs: packs in use, empty ones included; slot: (n,) int32, each particle's cell * lanes +
     lane. grid: (g, 4) int32, first cell, rows, width and whether it has links; grid_of: (n_cells,)
     int32. kind: (s,) int, a spring's kind of link, -1 for one on the graph; owner: (s,) int, site
     of a link's earlier particle. rest_length, damping, break_length2: (kinds, g), of links.
-    row: cells in the widest row with its halos. alike: whether all rows of each grid, but the last
+    row: cells in the widest row with its halos. rows_share_stiffness: whether all rows of each grid, but the last
     ones, have the same links with the same stiffness.
     """
 
     lanes: int
     links: tuple[tuple[int, int], ...]
-    n_cells: int
-    site: np.ndarray
+    n_packs: int
+    slot: np.ndarray
     grid: np.ndarray
     grid_of: np.ndarray
     kind: np.ndarray
@@ -46,7 +46,7 @@ class Layout:
     damping: np.ndarray
     break_length2: np.ndarray
     row: int
-    alike: bool
+    rows_share_stiffness: bool
 
 
 def break_length2(springs: Springs) -> np.ndarray:
@@ -71,8 +71,8 @@ def on_graph(springs: Springs, position: np.ndarray | None, particle_count: int)
     return Layout(
         lanes=1,
         links=(),
-        n_cells=particle_count,
-        site=site,
+        n_packs=particle_count,
+        slot=site,
         grid=np.array([[0, 1, particle_count, 0]], np.int32),
         grid_of=np.zeros(1, np.int32),
         kind=np.full(len(springs), -1),
@@ -81,7 +81,7 @@ def on_graph(springs: Springs, position: np.ndarray | None, particle_count: int)
         damping=none,
         break_length2=none,
         row=1,
-        alike=False,
+        rows_share_stiffness=False,
     )
 
 
@@ -143,7 +143,7 @@ def particle_colours(springs: Springs, grids: Layout | None, particle_count: int
     shared[springs.between[~linked]] = True
     turns = 0
     if grids is not None:
-        g, row, column = _places(grids, grids.site)
+        g, row, column = _places(grids, grids.slot)
         columns, down = np.abs(np.array(grids.links)).max(axis=0)
         turns = (columns + 1) * (down + 1)
         place = row % (down + 1) * (columns + 1) + column % (columns + 1)
@@ -216,9 +216,9 @@ def on_grids(springs: Springs, particle_count: int, lanes: int, period=any_perio
         table.append([first, at_row.max() + 1, LOOSE_WIDTH, 0])
         cell[loose] = first + at_row * pitch + at
         next_cell = first + (at_row.max() + 1) * pitch
-    n_cells = next_cell + halo + 2
+    n_packs = next_cell + halo + 2
 
-    grid_of = np.full(n_cells, -1, np.int32)
+    grid_of = np.full(n_packs, -1, np.int32)
     for g, (first, rows, width, linked) in enumerate(table):
         if linked:
             cells = first + np.arange(rows)[:, None] * (width + 2 * halo) + np.arange(width)
@@ -227,8 +227,8 @@ def on_grids(springs: Springs, particle_count: int, lanes: int, period=any_perio
     return Layout(
         lanes=lanes,
         links=links,
-        n_cells=n_cells,
-        site=site,
+        n_packs=n_packs,
+        slot=site,
         grid=np.array(table, np.int32),
         grid_of=grid_of,
         kind=kind,
@@ -237,7 +237,7 @@ def on_grids(springs: Springs, particle_count: int, lanes: int, period=any_perio
         damping=damping[used],
         break_length2=limit[used],
         row=max(width for _, _, width, _ in table) + 2 * halo,
-        alike=_alike(springs, kind, grids, depth),
+        rows_share_stiffness=_alike(springs, kind, grids, depth),
     )
 
 

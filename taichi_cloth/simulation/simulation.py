@@ -13,7 +13,7 @@ import taichi as ti
 from taichi_cloth.errors import InputError, SimulationFailure, nearest
 from taichi_cloth.kernels import fracture, methods, pointer, transfer, watchdog
 from taichi_cloth.kernels.solvers import newton_cg
-from taichi_cloth.kernels.specialization import Plan
+from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.state import (
     ALIVE,
     BREAKING,
@@ -488,7 +488,7 @@ class Simulation:
         grids = self._lay_out("lanes")
         colour = layouts.spring_colours(self._springs, grids, self.particle_count)[springs]
         # In the order of memory within a colour.
-        near = self._layout.site[self._springs.between[springs]].min(axis=1)
+        near = self._layout.slot[self._springs.between[springs]].min(axis=1)
         order = np.lexsort((near, colour))
         return springs[order], colour[order]
 
@@ -498,7 +498,7 @@ class Simulation:
         return replace(
             plan,
             threads=1 if path == "serial" else device.threads,
-            spread=path == "parallel" and (device.arch != "cpu" or plan.collisions),
+            one_launch_per_step=path == "parallel" and (device.arch != "cpu" or plan.collisions),
         )
 
     def _make_room(self, topology):
@@ -509,19 +509,19 @@ class Simulation:
         features = dict(vars(self._features()))
         spawns = self.scene.world.mouse == "spawn"
         features["springs"] &= spawns or len(self._on_graph) > 0
-        self._spread_plan = plan = Plan(
+        self._spread_plan = plan = Specialization(
             **features,
             lanes=self._layout.lanes,
             links=self._layout.links,
-            alike=self._layout.alike and not features["fracture"],
+            rows_share_stiffness=self._layout.rows_share_stiffness and not features["fracture"],
             compensated=current_device().compensated,
             threads=current_device().threads,
-            spread=True,
+            one_launch_per_step=True,
         )
         needed = Capacity(
             particles=self.particle_count,
             springs=len(self._on_graph),
-            cells=self._layout.n_cells,
+            packs=self._layout.n_packs,
             grids=len(self._layout.grid),
             row=self._layout.row,
         )
@@ -529,7 +529,7 @@ class Simulation:
         factor = 1
         if state is not None:
             stored, of = self._stored
-            same = of == topology and stored.covers(plan)
+            same = of == topology and stored.can_run(plan)
             if same and state.capacity.holds(needed):
                 self._spread_plan = stored
                 return
@@ -541,7 +541,7 @@ class Simulation:
             needed,
             particles=factor * needed.particles + room,
             springs=factor * needed.springs + room,
-            cells=factor * needed.cells + room,
+            packs=factor * needed.packs + room,
         )
         self._state = State(plan, self._real, capacity, self._module)
         # Taichi has room for 512 trees of fields, of which each state takes two.
@@ -578,8 +578,8 @@ class Simulation:
 
     def _load_particles(self, x, v):
         p, layout = self._particles, self._layout
-        transfer.load_cells(
-            self._spread_plan, self._state, layout.n_cells, layout.grid, layout.grid_of
+        transfer.load_packs(
+            self._spread_plan, self._state, layout.n_packs, layout.grid, layout.grid_of
         )
         if len(p) == 0:
             return  # a kernel takes no empty array
@@ -593,8 +593,8 @@ class Simulation:
         vanished = (w > 0) & (rows[:, 2 * x.shape[1]] == 0)
         if vanished.any():
             self._refuse_size("particle", vanished.argmax())
-        transfer.load_particles(self._spread_plan, self._state, layout.site, rows)
-        if "near" in self._needs:
+        transfer.load_particles(self._spread_plan, self._state, layout.slot, rows)
+        if "summed_springs" in self._needs:
             self._load_near()
         if self._plan.halo and "spring_colours" in self._needs:
             transfer.load_halo_numbers(self._spread_plan, self._state)
@@ -609,7 +609,7 @@ class Simulation:
             ]
         )
         rows = rows.astype(self._numpy_real)
-        transfer.load_near(self._spread_plan, self._state, self._layout.site, rows)
+        transfer.load_summed_springs(self._spread_plan, self._state, self._layout.slot, rows)
 
     def _low(self, values):
         """What the device's precision cannot hold of values."""
@@ -634,9 +634,9 @@ class Simulation:
 
     def _load_springs(self):
         """The springs that are on the graph, as rows of half-springs."""
-        site = self._layout.site
+        site = self._layout.slot
         springs, marks = self._springs.of(self._on_graph), self._fracture[self._on_graph]
-        sites = self._layout.n_cells * self._layout.lanes
+        sites = self._layout.n_packs * self._layout.lanes
         half = adjacency.half_springs(site[springs.between], sites)
         near, row = np.arange(sites), half.row
         if self._plan.links:  # only those that have any
@@ -689,9 +689,9 @@ class Simulation:
     def _load_particle_colours(self, near):
         """The particles at the sites `near`, which have springs on the graph, by colour."""
         grids = self._lay_out("lanes")
-        colour = np.full(self._layout.n_cells * self._layout.lanes, -1)
+        colour = np.full(self._layout.n_packs * self._layout.lanes, -1)
         of_particles = layouts.particle_colours(self._springs, grids, self.particle_count)
-        colour[self._layout.site] = of_particles
+        colour[self._layout.slot] = of_particles
         colour = colour[near]
         order = np.argsort(colour, kind="stable")
         order = order[colour[order] >= 0]
@@ -764,7 +764,7 @@ class Simulation:
         """Put the last good frame back, and say who failed, why, and what to change."""
         bad_x, bad_v = self.positions(), self.velocities()
         frame, good_step = self.frame + 1, self.steps
-        watchdog.put_back(self._spread_plan, self._state)
+        watchdog.restore(self._spread_plan, self._state)
         self._changed = True
         if self._plan.fracture:
             status, step = self._read_fracture().T

@@ -33,9 +33,9 @@ SCALARS, COUNTS, SUMS = newton_cg.SCALARS, newton_cg.COUNTS, newton_cg.SUMS
 
 
 @ti.func
-def move(plan: ti.template(), state: ti.template(), c):
-    new_v = newton_cg.new_velocity(plan, state, c, read(plan, state.gain, c))
-    newton_cg.arrive(plan, state, c, state.dt[None] * new_v, new_v)
+def move(spec: ti.template(), state: ti.template(), i):
+    new_v = newton_cg.new_velocity(spec, state, i, read(spec, state.gain, i))
+    newton_cg.arrive(spec, state, i, state.dt[None] * new_v, new_v)
 
 
 PHASES = newton_cg.phases(1.0, newton_cg.start, move)

@@ -39,9 +39,9 @@ SCALARS, COUNTS, SUMS = newton_cg.SCALARS, newton_cg.COUNTS, newton_cg.SUMS
 
 
 @ti.func
-def move(plan: ti.template(), state: ti.template(), c):
-    new_v = newton_cg.new_velocity(plan, state, c, 2.0 * read(plan, state.gain, c))
-    newton_cg.arrive(plan, state, c, state.dt[None] * read(plan, state.v, c), new_v)
+def move(spec: ti.template(), state: ti.template(), i):
+    new_v = newton_cg.new_velocity(spec, state, i, 2.0 * read(spec, state.gain, i))
+    newton_cg.arrive(spec, state, i, state.dt[None] * read(spec, state.v, i), new_v)
 
 
 PHASES = newton_cg.phases(0.5, newton_cg.start, move)

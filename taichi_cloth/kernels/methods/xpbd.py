@@ -5,7 +5,7 @@ Macklin, Mueller, Chentanez, "XPBD: position-based simulation of compliant const
 First order, stable at every dt. One spring is solved by the first visit; many need more sweeps, the
 more the stiffer they are and the more unequal the masses.
 
-A spring of stiffness k = 1/compliance, dashpot c and tension T pulls its ends together by an
+A spring of stiffness k = 1/compliance, dashpot i and tension T pulls its ends together by an
 impulse p, the paper's multiplier over dt, which begins at zero and is kept from sweep to sweep: so
 the number of sweeps does not change the material. In the paper's terms, over compliance/dt,
 
@@ -21,16 +21,16 @@ import math
 import taichi as ti
 
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.compensated import apart
+from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.methods.contract import Claims, backward_euler
 from taichi_cloth.kernels.packs import (
     dot,
-    of_kind,
+    link_index,
     read,
     scaled,
-    set_site_value,
-    site_number,
-    site_value,
+    set_slot_value,
+    slot_number,
+    slot_value,
     write,
     zeros,
 )
@@ -60,57 +60,60 @@ NEEDS = ("spring_colours",)
 
 
 @ti.func
-def project(plan: ti.template(), state: ti.template(), t, colour):
-    each_spring(plan, state, t, colour, project_links, project_spring)
+def project(spec: ti.template(), state: ti.template(), t, colour):
+    each_spring(spec, state, t, colour, project_links, project_spring)
 
 
 @ti.func
-def project_links(plan: ti.template(), state: ti.template(), s, g, c, far, stiffness):
-    """The springs of kind s between cell c and cell `far`."""
-    k = link_stiffness(plan, state, s, stiffness)
-    damping = link_damping(plan, state, s, g, k)
-    at, p = of_kind(state, s, c), zeros(plan, state)
+def project_links(spec: ti.template(), state: ti.template(), s, g, i, far, stiffness):
+    """The springs of kind s between pack i and pack `far`."""
+    k = link_stiffness(spec, state, s, stiffness)
+    damping = link_damping(spec, state, s, g, k)
+    at, p = link_index(state, s, i), zeros(spec, state)
     if state.sweep[None] > 0:
-        p = read(plan, state.link_impulse, at)
-    v, far_v = read(plan, state.v, c), read(plan, state.v, far)
-    w, far_w = mobility(plan, state, read, c), mobility(plan, state, read, far)
-    d, dv = apart(plan, state, read, c, far), relative_velocity(plan, state, read, c, far)
+        p = read(spec, state.link_impulse, at)
+    v, far_v = read(spec, state.v, i), read(spec, state.v, far)
+    w, far_w = mobility(spec, state, read, i), mobility(spec, state, read, far)
+    d, dv = difference(spec, state, read, i, far), relative_velocity(spec, state, read, i, far)
     rest = state.link_rest[s, g]
-    change = impulse_change(plan, state.dt[None], d, dv, w + far_w, k, rest, damping, p)
+    change = impulse_change(spec, state.dt[None], d, dv, w + far_w, k, rest, damping, p)
     if state.sweep[None] + 1 < state.iterations[None]:
-        write(plan, state.link_impulse, at, p + change)
-    write(plan, state.v, c, v + scaled(w, change))
-    write(plan, state.v, far, far_v - scaled(far_w, change))
+        write(spec, state.link_impulse, at, p + change)
+    write(spec, state.v, i, v + scaled(w, change))
+    write(spec, state.v, far, far_v - scaled(far_w, change))
 
 
 @ti.func
-def project_spring(plan: ti.template(), state: ti.template(), s):
+def project_spring(spec: ti.template(), state: ti.template(), s):
     """Spring s on the graph."""
-    k, rest = number(plan, state.spring_k, s), number(plan, state.spring_rest, s)
+    k, rest = number(spec, state.spring_k, s), number(spec, state.spring_rest, s)
     damping = 0.0 * k
-    if ti.static(plan.dashpots):
-        damping = number(plan, state.spring_c, s)
-    if ti.static(plan.fracture):
+    if ti.static(spec.dashpots):
+        damping = number(spec, state.spring_c, s)
+    if ti.static(spec.fracture):
         if state.status[s] == GONE:
             k, damping = 0.0, 0.0
     i, j = state.ends[s, 0], state.ends[s, 1]
-    p = ti.Vector.zero(state.real, plan.dim)
+    p = ti.Vector.zero(state.real, spec.dim)
     if state.sweep[None] > 0:
-        for axis in ti.static(range(plan.dim)):
+        for axis in ti.static(range(spec.dim)):
             p[axis] = state.impulse[s, axis]
-    v, far_v = site_value(plan, state.v, i), site_value(plan, state.v, j)
-    w, far_w = mobility(plan, state, site_number, i), mobility(plan, state, site_number, j)
-    d, dv = apart(plan, state, site_value, i, j), relative_velocity(plan, state, site_value, i, j)
-    change = impulse_change(plan, state.dt[None], d, dv, w + far_w, k, rest, damping, p)
+    v, far_v = slot_value(spec, state.v, i), slot_value(spec, state.v, j)
+    w, far_w = mobility(spec, state, slot_number, i), mobility(spec, state, slot_number, j)
+    d, dv = (
+        difference(spec, state, slot_value, i, j),
+        relative_velocity(spec, state, slot_value, i, j),
+    )
+    change = impulse_change(spec, state.dt[None], d, dv, w + far_w, k, rest, damping, p)
     if state.sweep[None] + 1 < state.iterations[None]:
-        for axis in ti.static(range(plan.dim)):
+        for axis in ti.static(range(spec.dim)):
             state.impulse[s, axis] = p[axis] + change[axis]
-    set_site_value(plan, state.v, i, v + w * change)
-    set_site_value(plan, state.v, j, far_v - far_w * change)
+    set_slot_value(spec, state.v, i, v + w * change)
+    set_slot_value(spec, state.v, j, far_v - far_w * change)
 
 
 @ti.func
-def impulse_change(plan: ti.template(), dt, d, dv, w, k, rest, c, p):
+def impulse_change(spec: ti.template(), dt, d, dv, w, k, rest, c, p):
     """What a visit adds to the impulse p that pulls a spring's ends together.
 
     d: from one end to the other where the step began; dv: velocity of the other one relative to it;
@@ -121,7 +124,7 @@ def impulse_change(plan: ti.template(), dt, d, dv, w, k, rest, c, p):
     along = laws.unit(d, length)
     tension = laws.spring_tension(length, k, rest)
     stiffness = dt * k
-    if ti.static(plan.dashpots):
+    if ti.static(spec.dashpots):
         tension += laws.dashpot_tension(dv, along, c)
         stiffness += c
     along_part = 1.0 / (1.0 + dt * w * stiffness)
