@@ -50,7 +50,7 @@ def resolved(seconds=1.0, frame=FRAME, frames=60, part=0.1):
     """
 
     def choose(module, scene):
-        limit = module.CLAIMS.stability_limit
+        limit = module.claims.stability_limit
         if math.isinf(limit):
             return Steps(frame, 1, frames)
         bounds = modes.gershgorin(modes.Network.of_scene(scene))
@@ -77,7 +77,7 @@ def of_limit(part, count):
     """`count` steps of `part` of the limit, for methods that have one."""
 
     def choose(module, scene):
-        if not 0 < module.CLAIMS.stability_limit < math.inf:
+        if not 0 < module.claims.stability_limit < math.inf:
             return None
         h = part * modes.stable_step(module, modes.Network.of_scene(scene)).dt
         return Steps(10 * h, 10, count // 10)
@@ -87,7 +87,7 @@ def of_limit(part, count):
 
 def of_implicit(frame, frames):
     """One step a frame, for implicit methods."""
-    return lambda module, scene: Steps(frame, 1, frames) if module.CLAIMS.implicit else None
+    return lambda module, scene: Steps(frame, 1, frames) if module.claims.implicit else None
 
 
 def many(count, product):
@@ -96,7 +96,7 @@ def many(count, product):
 
     def choose(module, scene):
         omega = math.sqrt(modes.gershgorin(modes.Network.of_scene(scene)).omega2)
-        limit = module.CLAIMS.stability_limit
+        limit = module.claims.stability_limit
         h = (product if limit > 0 else math.sqrt(math.log(2) / count)) / omega
         return Steps(1000 * h, 1000, count // 1000)
 
@@ -112,10 +112,10 @@ def energy_gain(module, h, omega, steps):
     For a linear system: of a mode, the largest norm of a power of its step as a matrix on
     (omega*x, v), squared. Methods without a limit are taken by their word not to raise it.
     """
-    if math.isinf(module.CLAIMS.stability_limit) or omega == 0:
+    if math.isinf(module.claims.stability_limit) or omega == 0:
         return 1.0
     rates = omega * np.linspace(0.02, 1, 50)
-    if hasattr(module, "stability_function"):
+    if module.stability_function:
         growth = np.abs(module.stability_function(1j * h * rates))
         return float(np.maximum(growth, 1.0).max() ** (2 * steps))
     gains = []
@@ -136,7 +136,7 @@ def _scaled_map(module, h, w):
 
 def mode_after(module, h, w, start):
     """(w*x, v) of a mode after a step h, of methods with a limit."""
-    if hasattr(module, "stability_function"):
+    if module.stability_function:
         z = (start[0] + 1j * start[1]) * module.stability_function(-1j * h * w)
         return np.array([z.real, z.imag])
     return _scaled_map(module, h, w) @ start
@@ -167,7 +167,7 @@ class Run:
 
     @property
     def claims(self):
-        return self.module.CLAIMS
+        return self.module.claims
 
     @cached_property
     def epsilon(self):

@@ -28,7 +28,7 @@ from taichi_cloth.stability import command as stability
 
 pytestmark = pytest.mark.usefixtures("device", "few_lanes")
 
-LIMITED = [m for m in methods.METHODS if methods.load(m).CLAIMS.stability_limit < math.inf]
+LIMITED = [m for m in methods.METHODS if methods.load(m).claims.stability_limit < math.inf]
 GRAPH = {"topology": "graph", "execution": "serial"}
 
 
@@ -106,7 +106,7 @@ def test_the_limit_is_where_the_real_map_of_a_step_begins_to_grow(method):
 @pytest.mark.parametrize("method", LIMITED)
 def test_one_mode_agrees_with_the_claims_and_with_the_formulas(method):
     module = methods.load(method)
-    claimed = module.CLAIMS.stability_limit
+    claimed = module.claims.stability_limit
     assert modes.largest_step(module, 9.0) == pytest.approx(claimed / 3.0)
     if claimed:
         assert modes.growth(module, (1 - 1e-6) * claimed, 1.0, 0.0) <= 1 + 1e-12

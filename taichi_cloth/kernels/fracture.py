@@ -6,20 +6,19 @@ no root is taken and both ends of a spring share one decision.
 
 import taichi as ti
 
+from taichi_cloth.kernels.graph import number
+from taichi_cloth.kernels.grids import link_index, link_offset, pitch_of
+from taichi_cloth.kernels.links import link_stiffness
 from taichi_cloth.kernels.loops import each, each_pack
 from taichi_cloth.kernels.packs import (
     component,
     dot,
     largest,
-    link_index,
-    link_offset,
-    pitch_of,
     read,
     set_slot_number,
     slot_number,
     slot_value,
 )
-from taichi_cloth.kernels.springs import link_stiffness, number
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 
 

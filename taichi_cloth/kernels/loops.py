@@ -14,14 +14,8 @@ import functools
 
 import taichi as ti
 
-from taichi_cloth.kernels.packs import (
-    everywhere,
-    folded,
-    pitch_of,
-    plus,
-    renew_left_halo,
-    renew_right_halo,
-)
+from taichi_cloth.kernels.grids import pitch_of, renew_halos
+from taichi_cloth.kernels.packs import everywhere, folded, plus
 
 # Taichi hands a top-level CPU loop out in pieces of at least 512 iterations, one piece a thread.
 # A loop of 512 iterations a thread, of which one does the work, gives each thread its share.
@@ -207,11 +201,3 @@ def _joining_parts(k, op):
         state.sums[k, 0] = total
 
     return body
-
-
-@ti.func
-def renew_halos(spec: ti.template(), state: ti.template(), begin, width):
-    """Of all that neighbours read, beside the row of packs at `begin`."""
-    for field in ti.static(state.haloed):
-        renew_left_halo(spec, field, begin, width, spec.left_reach)
-        renew_right_halo(spec, field, begin, width, spec.right_reach)

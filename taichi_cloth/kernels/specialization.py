@@ -5,16 +5,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Specialization:
-    """The switches of one compilation; equal plans share their kernels.
+    """The switches of one compilation; equal ones share their kernels.
 
-    dim, uniform_springs, uniform_particles, fracture, dashpots, drag, walls, floor, collisions,
-        blow: the scene's features, as in `scene.Features`.
+    dim, uniform_springs, uniform_particles, fracture, walls, floor, collisions: the scene's, as in
+        `scene.Features`; terms: names of its forces (`forces/`), in the order of their sums.
     springs: whether there are springs on the graph: all of them, or those that no grid holds.
     lanes: particles in a pack (`packs.py`); 1 on a graph and on GPUs.
     links: (columns, rows) offsets of the grid's links to later particles; empty on a graph.
-    alike: whether the rows of grids, but the last ones, have the same links, none of which breaks.
+    rows_share_stiffness: whether the rows of grids, but the last ones, have the same links, none of which breaks.
     compensated: whether positions and velocities have low parts (`compensated.py`).
-    threads, one launch per step: how loops are run (`loops.py`).
+    threads, one_launch_per_step: how loops are run (`loops.py`).
     """
 
     dim: int
@@ -22,12 +22,10 @@ class Specialization:
     uniform_springs: bool
     uniform_particles: bool
     fracture: bool
-    dashpots: bool
-    drag: bool
     walls: tuple[tuple[int, int], ...]
     floor: bool
     collisions: bool
-    blow: bool
+    terms: tuple[str, ...]
     lanes: int = 1
     links: tuple[tuple[int, int], ...] = ()
     rows_share_stiffness: bool = False
@@ -41,15 +39,16 @@ class Specialization:
         They do where they lack nothing, and where what they have besides is without effect.
         """
         mine, theirs = vars(self), vars(other)
-        wider = ("springs", "fracture", "dashpots", "drag", "blow")
+        wider = ("springs", "fracture")
         closer = (
             "uniform_springs",
             "uniform_particles",
             "rows_share_stiffness",
         )  # what a specialization relies on
-        same = all(mine[name] == theirs[name] for name in mine.keys() - {*wider, *closer})
+        same = all(mine[name] == theirs[name] for name in mine.keys() - {*wider, *closer, "terms"})
         return (
             same
+            and set(mine["terms"]) >= set(theirs["terms"])
             and all(mine[name] or not theirs[name] for name in wider)
             and all(theirs[name] or not mine[name] for name in closer)
         )

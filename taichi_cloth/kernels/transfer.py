@@ -2,49 +2,37 @@
 
 import taichi as ti
 
+from taichi_cloth.kernels.grids import link_index, pitch_of
 from taichi_cloth.kernels.loops import each_pack_moving, leave
-from taichi_cloth.kernels.packs import (
-    link_index,
-    pitch_of,
-    set_slot_number,
-    set_slot_value,
-    slot_number,
-    slot_value,
+from taichi_cloth.kernels.packs import set_slot_number, set_slot_value, slot_number, slot_value
+from taichi_cloth.kernels.spring_numbers import (
+    NUMBERS,
+    K,
+    own_columns,
+    own_numbers,
+    shared_columns,
+    stored_fields,
 )
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 from taichi_cloth.kernels.watchdog import NO_FAULT
 
 
 @ti.kernel
-def load_numbers(
-    spec: ti.template(),
-    state: ti.template(),
-    counts: ti.types.ndarray(),
-    numbers: ti.types.ndarray(),
-):
-    """Fill the 0-D fields.
-
-    counts: n, iterations, then the collision grid's size per axis; numbers: dt, speed limit, cell
-    size, tolerance, then per axis gravity, low, high.
-    """
-    dim = ti.static(spec.dim)
+def load_numbers(state: ti.template(), counts: ti.types.ndarray(), numbers: ti.types.ndarray()):
+    """Fill the fields of numbers: in the order of state.count_names and state.number_names."""
     for _ in range(1):
-        state.n[None] = counts[0]
-        state.dt[None] = numbers[0]
-        state.iterations[None] = counts[1]
-        state.speed_limit[None] = numbers[1]
-        state.tolerance[None] = numbers[3]
-        if ti.static(spec.compensated):
-            state.one[None] = 1.0
-        if ti.static(spec.collisions):
-            state.cell_size[None] = numbers[2]
-        for axis in ti.static(range(dim)):
-            state.gravity[axis] = numbers[4 + axis]
-            if ti.static(len(spec.walls) > 0):
-                state.low[axis] = numbers[4 + dim + axis]
-                state.high[axis] = numbers[4 + 2 * dim + axis]
-            if ti.static(spec.collisions):
-                state.grid_size[axis] = counts[2 + axis]
+        for field, at, size in ti.static(state.count_places):
+            if ti.static(size == 0):
+                field[None] = counts[at]
+            else:
+                for axis in ti.static(range(size)):
+                    field[axis] = counts[at + axis]
+        for field, at, size in ti.static(state.number_places):
+            if ti.static(size == 0):
+                field[None] = numbers[at]
+            else:
+                for axis in ti.static(range(size)):
+                    field[axis] = numbers[at + axis]
 
 
 @ti.kernel
@@ -76,7 +64,8 @@ def load_packs(
             if ti.static(spec.links):
                 for s in range(spec.kinds):
                     link = link_index(state, s, 0) * spec.lanes + slot
-                    set_slot_number(spec, state.link_k, link, 0.0)
+                    for field in ti.static(own_numbers(spec, state)):
+                        set_slot_number(spec, field, link, 0.0)
                     if ti.static(spec.fracture):
                         set_slot_number(spec, state.link_status, link, 0)
         if ti.static(spec.kinds > 0 and spec.fracture):
@@ -90,33 +79,20 @@ def load_particles(
     slots: ti.types.ndarray(),
     rows: ti.types.ndarray(),
 ):
-    """Fill the particles from `rows` (n, 2*dim + 4): x, v, w, radius, restitution, viscous.
-
-    Then, in compensated sums, the low parts of x and v: rows (n, 4*dim + 4).
+    """Fill the particles from `rows` (n, ...): the vectors state.vector_names, then the numbers
+    state.particle_names.
     """
-    dim = ti.static(spec.dim)
     for i in range(rows.shape[0]):
         slot = slots[i]
         state.slot[i] = slot
         set_slot_number(spec, state.particle, slot, i)
-        x, v = ti.Vector.zero(state.real, dim), ti.Vector.zero(state.real, dim)
-        for axis in ti.static(range(dim)):
-            x[axis] = rows[i, axis]
-            v[axis] = rows[i, dim + axis]
-        set_slot_value(spec, state.x, slot, x)
-        set_slot_value(spec, state.v, slot, v)
-        set_slot_number(spec, state.w, slot, rows[i, 2 * dim])
-        if ti.static(len(spec.walls) > 0 or spec.collisions):
-            set_slot_number(spec, state.radius, slot, rows[i, 2 * dim + 1])
-            set_slot_number(spec, state.restitution, slot, rows[i, 2 * dim + 2])
-        if ti.static(spec.drag):
-            set_slot_number(spec, state.viscous, slot, rows[i, 2 * dim + 3])
-        if ti.static(spec.compensated):
-            for axis in ti.static(range(dim)):
-                x[axis] = rows[i, 2 * dim + 4 + axis]
-                v[axis] = rows[i, 3 * dim + 4 + axis]
-            set_slot_value(spec, state.x_low, slot, x)
-            set_slot_value(spec, state.v_low, slot, v)
+        for field, at in ti.static(state.vector_places):
+            vector = ti.Vector.zero(state.real, ti.static(spec.dim))
+            for axis in ti.static(range(spec.dim)):
+                vector[axis] = rows[i, at + axis]
+            set_slot_value(spec, field, slot, vector)
+        for field, at in ti.static(state.particle_places):
+            set_slot_number(spec, field, slot, rows[i, at])
     if ti.static(spec.halo > 0):
         each_pack_moving(spec, state, 0, leave)
 
@@ -136,7 +112,7 @@ def load_summed_springs(
 
 @ti.kernel
 def load_halo_numbers(spec: ti.template(), state: ti.template()):
-    """Fill the halos of inverse masses and drag, for methods that read those of neighbours."""
+    """Fill the halos of particles' numbers, for methods that read those of neighbours."""
     for g in range(state.n_grids[None]):
         first, width = state.grid[g, 0], state.grid[g, 2]
         for r in range(state.grid[g, 1]):
@@ -151,9 +127,26 @@ def load_halo_numbers(spec: ti.template(), state: ti.template()):
 @ti.func
 def _copy_numbers(spec: ti.template(), state: ti.template(), i, lane, to, to_lane):
     here, there = i * spec.lanes + lane, to * spec.lanes + to_lane
-    set_slot_number(spec, state.w, there, slot_number(spec, state.w, here))
-    if ti.static(spec.drag and not spec.uniform_particles):
-        set_slot_number(spec, state.viscous, there, slot_number(spec, state.viscous, here))
+    for field in ti.static(_different_numbers(spec, state)):
+        set_slot_number(spec, field, there, slot_number(spec, field, here))
+
+
+def _different_numbers(spec, state):
+    """The fields of particles' numbers that are not the same for all."""
+    return [field for field, _ in state.particle_places if field.shape != ()]
+
+
+@ti.func
+def _fill_springs(
+    spec: ti.template(), state: ti.template(), place: ti.template(), rows: ti.template()
+):
+    """Fill the springs' numbers at a place (`spring_numbers.fields_of`) from rows."""
+    for s in range(rows.shape[0]):
+        for column, field in ti.static(stored_fields(spec, state, place)):
+            if ti.static(spec.uniform_springs):
+                field[None] = rows[s, column]
+            else:
+                field[s] = rows[s, column]
 
 
 @ti.kernel
@@ -175,15 +168,7 @@ def load_colours(
     for s in range(start[colours]):
         for end in ti.static(range(2)):
             state.ends[s, end] = ends[s, end]
-    for s in range(numbers.shape[0]):
-        if ti.static(spec.uniform_springs):
-            state.spring_k[None], state.spring_rest[None] = numbers[s, 0], numbers[s, 1]
-            if ti.static(spec.dashpots):
-                state.spring_c[None] = numbers[s, 2]
-        else:
-            state.spring_k[s], state.spring_rest[s] = numbers[s, 0], numbers[s, 1]
-            if ti.static(spec.dashpots):
-                state.spring_c[s] = numbers[s, 2]
+    _fill_springs(spec, state, "spring", numbers)
 
 
 @ti.kernel
@@ -231,18 +216,10 @@ def load_half_springs(
 
 @ti.kernel
 def load_spring_numbers(spec: ti.template(), state: ti.template(), rows: ti.types.ndarray()):
-    """Fill k, rest and c from rows (2s, 3), or from (1, 3) where all springs have the same."""
-    for h in range(rows.shape[0]):
-        if ti.static(spec.uniform_springs):
-            state.csr_k[None] = rows[h, 0]
-            state.csr_rest[None] = rows[h, 1]
-            if ti.static(spec.dashpots):
-                state.csr_c[None] = rows[h, 2]
-        else:
-            state.csr_k[h] = rows[h, 0]
-            state.csr_rest[h] = rows[h, 1]
-            if ti.static(spec.dashpots):
-                state.csr_c[h] = rows[h, 2]
+    """Fill the half-springs' numbers from rows (2s, numbers), or (1, numbers) where springs share
+    theirs; a column for each of `spring_numbers.NUMBERS`.
+    """
+    _fill_springs(spec, state, "csr", rows)
 
 
 @ti.kernel
@@ -276,28 +253,32 @@ def load_springs(
 def load_links(
     spec: ti.template(),
     state: ti.template(),
-    numbers: ti.types.ndarray(),
+    shared: ti.types.ndarray(),
     links: ti.types.ndarray(),
-    stiffness: ti.types.ndarray(),
+    own: ti.types.ndarray(),
 ):
     """Fill the grids' links.
 
-    numbers: (kinds, grids, 3): rest, i, limit2. links: (l, 4): kind, slot of the earlier end,
-    status, break_step; stiffness: (l,).
+    shared: (kinds, grids, numbers + 1): those of `spring_numbers.NUMBERS` that a kind and grid
+    shares, and the square of the break length. links: (l, 4): kind, slot of the earlier end,
+    status, break_step; own: (l, numbers), of which each link has its own.
     """
     for _ in range(1):
         for s in ti.static(range(spec.kinds)):
             state.link[s, 0], state.link[s, 1] = spec.links[s][0], spec.links[s][1]
             state.forward[s] = spec.forward[s]
-    for s, g in ti.ndrange(numbers.shape[0], numbers.shape[1]):
-        state.link_rest[s, g] = numbers[s, g, 0]
-        state.link_c[s, g] = numbers[s, g, 1]
-        state.link_limit2[s, g] = numbers[s, g, 2]
+    for s, g in ti.ndrange(shared.shape[0], shared.shape[1]):
+        for column, field in ti.static(shared_columns(spec, state)):
+            field[s, g] = shared[s, g, column]
+        state.link_limit2[s, g] = shared[s, g, ti.static(len(NUMBERS))]
     for i in range(links.shape[0]):
         slot, status = links[i, 1], links[i, 2]
         link = link_index(state, links[i, 0], 0) * spec.lanes + slot
-        k = ti.select(status == GONE, 0.0, stiffness[i])
-        set_slot_number(spec, state.link_k, link, k)
+        for column, field in ti.static(own_columns(spec, state)):
+            value = own[i, column]
+            if ti.static(column == K):  # what is gone has no stiffness
+                value = ti.select(status == GONE, 0.0, value)
+            set_slot_number(spec, field, link, value)
         if ti.static(spec.fracture):
             set_slot_number(spec, state.link_status, link, status)
             set_slot_number(spec, state.link_step, link, links[i, 3])

@@ -107,7 +107,7 @@ def above_limit(sim) -> str | None:
 def _stable_method() -> str:
     """An implicit method that is stable at every step, or what there is instead."""
     for name in methods.METHODS:
-        claims = methods.load(name).CLAIMS
+        claims = methods.load(name).claims
         if claims.implicit and math.isinf(claims.stability_limit):
             return name
     return "symplectic_euler"

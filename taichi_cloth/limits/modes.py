@@ -130,7 +130,7 @@ def growth(method, h: float, omega2: float, damping: float) -> float:
 
     method: a module out of `kernels.methods`, with `stability_function` or `amplification`.
     """
-    if hasattr(method, "stability_function"):
+    if method.stability_function:
         root = np.sqrt(complex(damping * damping / 4 - omega2))
         # The smaller root by the product of both: the difference would lose it to round-off.
         fast = -damping / 2 - root
@@ -144,12 +144,12 @@ def largest_step(method, omega2: float, damping: float = 0.0) -> float:
 
     Found by bisection on `growth`; what is unconditionally stable by its claims is not asked.
     """
-    if math.isinf(method.CLAIMS.stability_limit) or (omega2 <= 0 and damping <= 0):
+    if math.isinf(method.claims.stability_limit) or (omega2 <= 0 and damping <= 0):
         return math.inf
     if not (math.isfinite(omega2) and math.isfinite(damping)):
         return 0.0
     if damping <= 0:
-        return method.CLAIMS.stability_limit / math.sqrt(omega2)
+        return method.claims.stability_limit / math.sqrt(omega2)
     # In units of time in which the faster of the two rates is 1.
     rate = max(math.sqrt(omega2), damping)
     omega2, damping = omega2 / rate**2, damping / rate
@@ -176,14 +176,14 @@ def _largest_multiple(grows) -> float:
 
 def step_within(method, bounds: Bounds) -> float:
     """A step at which no mode inside `bounds` grows, whatever pairs of omega^2 and d there are."""
-    if math.isinf(method.CLAIMS.stability_limit):
+    if math.isinf(method.claims.stability_limit):
         return math.inf
     return min(largest_step(method, omega2, d) for omega2, d in _pairs(bounds))
 
 
 def grows_within(method, bounds: Bounds, h: float) -> bool:
     """Whether h is above `step_within`, which takes a fiftieth of the time."""
-    if math.isinf(method.CLAIMS.stability_limit):
+    if math.isinf(method.claims.stability_limit):
         return False
     return any(growth(method, h, *pair) > 1 + ROUND_OFF for pair in _pairs(bounds) if any(pair))
 
@@ -402,7 +402,7 @@ def stable_step(method, network: Network, *, exact: bool = True) -> Limit:
     damped system, which take long; else a step that is safe, and up to a percent shorter.
     """
     bounds = gershgorin(network)
-    if math.isinf(method.CLAIMS.stability_limit) or bounds.omega2 + bounds.damping <= 0:
+    if math.isinf(method.claims.stability_limit) or bounds.omega2 + bounds.damping <= 0:
         return Limit(math.inf)
     if not math.isfinite(bounds.omega2 + bounds.damping):
         return Limit(0.0, bounds.omega2, bounds.damping, particle=bounds.particle)
@@ -415,7 +415,7 @@ def stable_step(method, network: Network, *, exact: bool = True) -> Limit:
             still = largest_step(method, 0.0, diagonal[0])
             if still < found[0][0]:
                 found = [(still, 0.0, float(diagonal[0]), np.eye(len(diagonal), 1)[:, 0])]
-    elif exact and hasattr(method, "stability_function"):
+    elif exact and method.stability_function:
         found = _damped_modes(method, stiffness, damping)
     else:
         found = _quadratic_forms(method, stiffness, damping)

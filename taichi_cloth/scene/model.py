@@ -233,12 +233,9 @@ class Features:
     uniform_springs: bool  # all springs share their numbers, which are then stored once
     uniform_particles: bool  # all particles share radius, restitution and viscous; likewise
     fracture: bool
-    dashpots: bool
-    drag: bool
     walls: tuple[tuple[int, int], ...]  # (axis, side) of each wall
     floor: bool
     collisions: bool
-    blow: bool
 
     def describe(self) -> str:
         """In words, such as '2-D, uniform springs, fracture, drag, 4 walls, floor'."""
@@ -277,14 +274,9 @@ class Scene:
                 np.isfinite(springs.break_force).any()
                 or (spawns and defaults.break_force is not None)
             ),
-            dashpots=bool((springs.damping > 0).any() or (spawns and defaults.damping > 0)),
-            drag=bool(
-                (particles.viscous > 0).any() or (spawns and self.particle_defaults.viscous > 0)
-            ),
             walls=tuple(sorted(WALLS[name] for name in self.world.walls)),
             floor="bottom" in self.world.walls,
             collisions=self.world.collisions,
-            blow=self.world.mouse == "blow",
         )
 
     def _uniform_springs(self) -> bool:

@@ -31,7 +31,7 @@ def run_begin(method, plan, state) -> None:
 
     method: its module; plan: one whose loops are spread.
     """
-    if hasattr(method, "begin"):
+    if method.begin:
         with _compiling(method, plan):
             stepping.begin_launch(method.begin, plan, state)
 
@@ -41,9 +41,9 @@ def run_frames(method, plan, state, done, frames, substeps) -> int:
 
     method: its module.
     """
-    phased = getattr(method, "PHASES", None)
+    phased = method.phases
     by_phases = phased and (
-        plan.one_launch_per_step or (plan.lanes > 1 and hasattr(method, "LAUNCHES"))
+        plan.one_launch_per_step or (plan.lanes > 1 and method.launches)
     )
     with _compiling(method, plan):
         if not (plan.one_launch_per_step or by_phases):
@@ -68,10 +68,10 @@ def _run_phases(method, plan, state, step):
     phase = 0
     while phase != phases.DONE:
         if plan.one_launch_per_step:
-            phase = stepping.phase_launch(method.PHASES[phase], plan, state)
+            phase = stepping.phase_launch(method.phases[phase], plan, state)
         else:
-            these = next(these for these in method.LAUNCHES if phase in these)
-            phase = stepping.phases_in_one_launch(method.PHASES, these, plan, state)
+            these = next(these for these in method.launches if phase in these)
+            phase = stepping.phases_in_one_launch(method.phases, these, plan, state)
     if plan.fracture:
         stepping.end_step_launch(replace(plan, one_launch_per_step=True), state)
 
@@ -82,7 +82,7 @@ def _compiling(method, plan):
     with contextlib.ExitStack() as settings:
         if plan.lanes > 1:
             settings.enter_context(whole_vectors())
-        if getattr(method, "SUMS", 0):
+        if method.sums:
             settings.enter_context(sums_in_order())
         yield
 

@@ -11,7 +11,8 @@ import numpy as np
 import taichi as ti
 
 from taichi_cloth.errors import InputError, SimulationFailure, nearest
-from taichi_cloth.kernels import fracture, methods, pointer, transfer, watchdog
+from taichi_cloth.kernels import forces, fracture, methods, transfer, watchdog
+from taichi_cloth.kernels.forces import blow as pointer
 from taichi_cloth.kernels.solvers import newton_cg
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.state import (
@@ -22,7 +23,9 @@ from taichi_cloth.kernels.state import (
     WORK,
     Capacity,
     State,
+    device_fields,
 )
+from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.limits import modes
 from taichi_cloth.limits.auto_step import Follower, substeps_needed
 from taichi_cloth.runtime import current_device, still_runs
@@ -84,14 +87,14 @@ class Simulation:
         self.method, self.dt, self.substeps = method, dt, substeps
         device = current_device()
         self._module = methods.load(method)
-        self._needs = getattr(self._module, "NEEDS", ())
-        self.claims = self._module.CLAIMS
+        self._needs = self._module.needs
+        self.claims = self._module.claims
         self.solver = _solver_settings(method, self.claims, tolerance, iterations)
         self._follower = Follower(method, self._module, dt) if follows else None
         self._real = getattr(ti, device.real)
         self._numpy_real = np.float64 if device.real == "f64" else np.float32
         self._requested = topology, execution
-        most = min(LANES, getattr(self._module, "LANES", LANES))
+        most = min(LANES, self._module.lanes or LANES)
         self._lanes = lanes or (most if device.arch == "cpu" else 1)
         self._drawn = np.zeros((0, 0))
         self._layouts = {}  # by topology, until something is spawned or reset
@@ -452,7 +455,7 @@ class Simulation:
             self._load_springs()
         if self._plan.links:
             self._load_links()
-        if self._plan.blow and not self._blowing:
+        if "blow" in self._plan.terms and not self._blowing:
             pointer.clear_push(self._state)
         self._changed = True  # from outside, so that forces must be computed anew
 
@@ -511,6 +514,7 @@ class Simulation:
         features["springs"] &= spawns or len(self._on_graph) > 0
         self._spread_plan = plan = Specialization(
             **features,
+            terms=forces.present_in(replace(self.scene, particles=self._particles, springs=self._springs)),
             lanes=self._layout.lanes,
             links=self._layout.links,
             rows_share_stiffness=self._layout.rows_share_stiffness and not features["fracture"],
@@ -549,17 +553,30 @@ class Simulation:
         self._free.atexit = False
 
     def _load_numbers(self):
-        world, particles = self.scene.world, self._particles
+        """Put the numbers of the scene and the run on the device: by name, in its order."""
+        world, particles, state = self.scene.world, self._particles, self._state
         grid_size, cell_size = self._grid(particles)
-        counts = [self.particle_count, self.solver.get("iterations", 0), *grid_size]
-        numbers = [self.dt / self.substeps, self.speed_limit, cell_size]
-        numbers += [self.solver.get("tolerance", 0.0)]
-        numbers += [*world.gravity, *world.low, *world.high]
+        values = {
+            "n": self.particle_count,
+            "iterations": self.solver.get("iterations", 0),
+            "grid_size": grid_size,
+            "dt": self.dt / self.substeps,
+            "speed_limit": self.speed_limit,
+            "tolerance": self.solver.get("tolerance", 0.0),
+            "cell_size": cell_size,
+            "one": 1.0,
+            "low": world.low,
+            "high": world.high,
+        }
+        for field in device_fields(self._spread_plan):
+            if field.value and field.name in (*state.number_names, *state.count_names):
+                values[field.name] = field.value(world, particles)
+        counts, numbers = (
+            np.concatenate([np.ravel(values[name]) for name in names])
+            for names in (state.count_names, state.number_names)
+        )
         transfer.load_numbers(
-            self._spread_plan,
-            self._state,
-            np.array(counts, np.int32),
-            np.array(numbers, self._numpy_real),
+            state, counts.astype(np.int32), numbers.astype(self._numpy_real)
         )
 
     def _grid(self, particles):
@@ -586,11 +603,16 @@ class Simulation:
         with np.errstate(all="ignore"):
             w = np.where(p.fixed, 0.0, 1.0 / p.mass)
         v = np.where(p.fixed[:, None], 0.0, v)  # a fixed particle never moves
-        columns = [x, v, w, p.radius, p.restitution, p.viscous]
+        values = {"x": x, "v": v, "w": w, "radius": p.radius, "restitution": p.restitution}
         if self._spread_plan.compensated:
-            columns += [self._low(x), self._low(v)]
-        rows = self._as_real("particle", *columns)
-        vanished = (w > 0) & (rows[:, 2 * x.shape[1]] == 0)
+            values |= {"x_low": self._low(x), "v_low": self._low(v)}
+        state = self._state
+        names = (*state.vector_names, *state.particle_names)
+        for field in device_fields(self._spread_plan):
+            if field.value and field.name in names:
+                values[field.name] = field.value(self.scene.world, p)
+        rows = self._as_real("particle", *(values[name] for name in names))
+        vanished = (w > 0) & (rows[:, len(state.vector_names) * x.shape[1]] == 0)
         if vanished.any():
             self._refuse_size("particle", vanished.argmax())
         transfer.load_particles(self._spread_plan, self._state, layout.slot, rows)
@@ -643,7 +665,7 @@ class Simulation:
             near = np.flatnonzero(np.diff(half.row))
             row = np.append(half.row[near], len(half.far))
         far = np.where(marks[half.spring, 0] == GONE, half.near, half.far)
-        numbers = self._as_real("spring", springs.stiffness, springs.rest_length, springs.damping)
+        numbers = self._as_real("spring", *(getattr(springs, n.column) for n in NUMBERS))
         break_length2 = layouts.break_length2(springs).astype(self._numpy_real)
         if self._plan.uniform_springs:
             numbers, break_length2 = numbers[:1], break_length2[:1]
@@ -707,12 +729,15 @@ class Simulation:
     def _load_links(self):
         """The springs that are links of grids."""
         layout, springs = self._layout, self._springs
-        numbers = np.stack([layout.rest_length, layout.damping, layout.break_length2], axis=2)
+        shared = {"rest": layout.rest_length, "c": layout.damping}
+        none = np.zeros_like(layout.rest_length)
+        numbers = [shared.get(number.letter, none) for number in NUMBERS]
+        numbers = np.stack([*numbers, layout.break_length2], axis=2)
         # The largest number instead of infinity, which f32 kernels may assume not to occur.
         numbers = np.minimum(numbers, np.finfo(self._numpy_real).max).astype(self._numpy_real)
-        stiffness = self._as_real("spring", springs.stiffness)[self._links, 0]
+        own = self._as_real("spring", *(getattr(springs, n.column) for n in NUMBERS))[self._links]
         links = np.column_stack([self._link_places, self._fracture[self._links]])
-        transfer.load_links(self._spread_plan, self._state, numbers, links, stiffness)
+        transfer.load_links(self._spread_plan, self._state, numbers, links, own)
 
     def _check_blows(self):
         if self.scene.world.mouse != "blow":
@@ -844,7 +869,7 @@ def _solver_settings(method, claims, tolerance, iterations):
         if value is None:
             continue
         if name not in claims.settings:
-            takers = [m for m in methods.METHODS if name in methods.load(m).CLAIMS.settings]
+            takers = [m for m in methods.METHODS if name in methods.load(m).claims.settings]
             raise InputError(f"--{name}: {method} does not take it; {', '.join(takers)} do")
         if not value > 0:
             raise InputError(f"--{name} {value}: must be positive")

@@ -153,7 +153,7 @@ def _methods(chosen: str | None) -> list[str]:
 
 
 def _claimed(name: str) -> float:
-    return methods.load(name).CLAIMS.stability_limit
+    return methods.load(name).claims.stability_limit
 
 
 def _prepare(folder: Path) -> None:

@@ -135,7 +135,7 @@ def _orders(result: Result, rows: Sequence[Row]) -> list[str]:
     for method in dict.fromkeys(row.method for row in rows):
         of = [r for r in rows if r.method == method and r.precision == "f64" and r.order]
         if of:
-            claimed = methods.load(method).CLAIMS.order
+            claimed = methods.load(method).claims.order
             finest = min(row.step for row in of)
             measured = statistics.median(row.order for row in of if row.step <= 2 * finest)
             found.append(f"{method} {measured:.2f} ({claimed})")

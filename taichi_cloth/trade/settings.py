@@ -111,7 +111,7 @@ def choose(scene: Scene, options: TradeOptions) -> list[Setting]:
 
     settings = []
     for method in names:
-        claims = methods.load(method).CLAIMS
+        claims = methods.load(method).claims
         takes = claims.settings
         sweeps, residuals = [None], [None]
         if "iterations" in takes:
@@ -146,7 +146,7 @@ def converged(setting: Setting) -> Setting | None:
     """The same method and step in f64 with its solver converged; None where it has none."""
     from taichi_cloth.kernels import methods
 
-    takes = methods.load(setting.method).CLAIMS.settings
+    takes = methods.load(setting.method).claims.settings
     if not takes:
         return None
     return Setting(

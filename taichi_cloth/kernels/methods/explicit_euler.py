@@ -6,20 +6,12 @@ oscillation grows at every dt, which is why it is here: as the baseline that oth
 
 import taichi as ti
 
+from taichi_cloth.kernels.accelerations import accelerate_then
 from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
-from taichi_cloth.kernels.forces import accelerate_then
-from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.kernels.packs import read
 from taichi_cloth.kernels.watchdog import commit
-
-CLAIMS = Claims(
-    order=1,
-    symplectic=False,
-    implicit=False,
-    stability_limit=0.0,
-    choose="Never: every swing grows. It is the baseline that the others are held against.",
-)
 
 
 def stability_function(z):
@@ -41,3 +33,16 @@ def move(spec: ti.template(), state: ti.template(), i, a):
 def step(spec: ti.template(), state: ti.template(), t):
     compute_contacts(spec, state)
     accelerate_then(spec, state, t, move)
+
+
+METHOD = Method(
+    claims=Claims(
+        order=1,
+        symplectic=False,
+        implicit=False,
+        stability_limit=0.0,
+        choose="Never: every swing grows. It is the baseline that the others are held against.",
+    ),
+    step=step,
+    stability_function=stability_function,
+)

@@ -10,32 +10,14 @@ import math
 
 import taichi as ti
 
-from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.kernels.packs import read
 from taichi_cloth.kernels.solvers import newton_cg
-
-CLAIMS = Claims(
-    order=2,
-    symplectic=True,
-    implicit=True,
-    stability_limit=math.inf,
-    forces=0,
-    settings=("tolerance",),
-    choose=(
-        "Stiff scenes whose energy must last: no amplitude is lost. What is too fast to follow "
-        "rings on, at a lower pitch."
-    ),
-)
 
 
 def stability_function(z):
     """What a step makes of y' = mu y, where z = dt mu."""
     return (1 + z / 2) / (1 - z / 2)
-
-
-LANES, LAUNCHES, NEEDS = newton_cg.LANES, newton_cg.LAUNCHES, newton_cg.NEEDS
-VECTORS, LOW_VECTORS, HALOED = newton_cg.VECTORS, newton_cg.LOW_VECTORS, newton_cg.HALOED
-SCALARS, COUNTS, SUMS = newton_cg.SCALARS, newton_cg.COUNTS, newton_cg.SUMS
 
 
 @ti.func
@@ -44,4 +26,20 @@ def move(spec: ti.template(), state: ti.template(), i):
     newton_cg.arrive(spec, state, i, state.dt[None] * read(spec, state.v, i), new_v)
 
 
-PHASES = newton_cg.phases(0.5, newton_cg.start, move)
+METHOD = Method(
+    claims=Claims(
+        order=2,
+        symplectic=True,
+        implicit=True,
+        stability_limit=math.inf,
+        forces=0,
+        settings=("tolerance",),
+        choose=(
+            "Stiff scenes whose energy must last: no amplitude is lost. What is too fast to follow "
+            "rings on, at a lower pitch."
+        ),
+    ),
+    phases=newton_cg.phases(0.5, newton_cg.start, move),
+    stability_function=stability_function,
+    **newton_cg.keeps(),
+)

@@ -7,34 +7,17 @@ dt*omega < 2*sqrt(2). Contacts are changes of velocity at the step's start, and 
 
 import taichi as ti
 
+from taichi_cloth.kernels.accelerations import accelerate_then
 from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
-from taichi_cloth.kernels.forces import accelerate_then
-from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.kernels.packs import read, write
 from taichi_cloth.kernels.watchdog import commit
-
-CLAIMS = Claims(
-    order=4,
-    symplectic=False,
-    implicit=False,
-    stability_limit=8.0**0.5,
-    forces=4,
-    choose=(
-        "Errors of 1e-4 and below where nothing hits or tears. Not for long runs near its "
-        "limit: it loses energy there."
-    ),
-)
 
 
 def stability_function(z):
     """What a step makes of y' = mu y, where z = dt mu."""
     return 1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4)))
-
-
-# The state at the step's start; sums of the slopes of position and velocity.
-VECTORS = ("start_x", "start_v", "sum_v", "sum_a")
-LOW_VECTORS = ("start_x_low", "start_v_low")
 
 
 @ti.func
@@ -86,3 +69,23 @@ def step(spec: ti.template(), state: ti.template(), t):
         for stage in range(4):  # at run time: unrolled, it takes long to compile
             state.stage[None] = stage  # by every thread alike, none of which is in the last one
             accelerate_then(spec, state, t, move)
+
+
+METHOD = Method(
+    claims=Claims(
+        order=4,
+        symplectic=False,
+        implicit=False,
+        stability_limit=8.0**0.5,
+        forces=4,
+        choose=(
+            "Errors of 1e-4 and below where nothing hits or tears. Not for long runs near its "
+            "limit: it loses energy there."
+        ),
+    ),
+    step=step,
+    stability_function=stability_function,
+    # The state at the step's start; sums of the slopes of position and velocity.
+    vectors=("start_x", "start_v", "sum_v", "sum_a"),
+    low_vectors=("start_x_low", "start_v_low"),
+)

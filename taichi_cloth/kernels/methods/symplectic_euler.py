@@ -8,23 +8,12 @@ dt^2 omega^2 + 2 dt d < 4.
 import numpy as np
 import taichi as ti
 
+from taichi_cloth.kernels.accelerations import accelerate_then
 from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
-from taichi_cloth.kernels.forces import accelerate_then
-from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.kernels.packs import read
 from taichi_cloth.kernels.watchdog import commit
-
-CLAIMS = Claims(
-    order=1,
-    symplectic=True,
-    implicit=False,
-    stability_limit=2.0,
-    choose=(
-        "The default: the cheapest step; as good as any where things hit, tear or are pushed, "
-        "to errors of some percent."
-    ),
-)
 
 
 def amplification(h, omega2, d):
@@ -46,3 +35,19 @@ def move(spec: ti.template(), state: ti.template(), i, a):
 def step(spec: ti.template(), state: ti.template(), t):
     compute_contacts(spec, state)
     accelerate_then(spec, state, t, move)
+
+
+METHOD = Method(
+    claims=Claims(
+        order=1,
+        symplectic=True,
+        implicit=False,
+        stability_limit=2.0,
+        choose=(
+            "The default: the cheapest step; as good as any where things hit, tear or are pushed, "
+            "to errors of some percent."
+        ),
+    ),
+    step=step,
+    amplification=amplification,
+)

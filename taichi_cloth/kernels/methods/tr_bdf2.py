@@ -13,27 +13,9 @@ import math
 import taichi as ti
 
 from taichi_cloth.kernels.contact import velocity_jump
-from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.kernels.packs import read, write
 from taichi_cloth.kernels.solvers import newton_cg
-
-CLAIMS = Claims(
-    order=2,
-    symplectic=False,
-    implicit=True,
-    stability_limit=math.inf,
-    forces=0,
-    settings=("tolerance",),
-    choose=(
-        "Stiff scenes whose slow motion counts: that is hardly damped, and what is too fast is "
-        "damped away."
-    ),
-)
-LANES, LAUNCHES, NEEDS = newton_cg.LANES, newton_cg.LAUNCHES, newton_cg.NEEDS
-# What the first stage gains, and how far the second one starts from the step's start.
-VECTORS = (*newton_cg.VECTORS, "first", "way")
-LOW_VECTORS, HALOED = newton_cg.LOW_VECTORS, newton_cg.HALOED
-SCALARS, COUNTS, SUMS = newton_cg.SCALARS, newton_cg.COUNTS, newton_cg.SUMS
 
 PART = 2.0 - math.sqrt(2.0)  # of the step that the trapezoidal rule takes
 TAU = PART / 2.0  # of both stages
@@ -77,4 +59,21 @@ def go_on(spec: ti.template(), state: ti.template(), i):
         newton_cg.arrive(spec, state, i, read(spec, state.way, i) + tau * new_v, new_v)
 
 
-PHASES = newton_cg.phases(TAU, stay, go_on, first=newton_cg.ONLY_EVALUATE, last=BACKWARD)
+METHOD = Method(
+    claims=Claims(
+        order=2,
+        symplectic=False,
+        implicit=True,
+        stability_limit=math.inf,
+        forces=0,
+        settings=("tolerance",),
+        choose=(
+            "Stiff scenes whose slow motion counts: that is hardly damped, and what is too fast is "
+            "damped away."
+        ),
+    ),
+    phases=newton_cg.phases(TAU, stay, go_on, first=newton_cg.ONLY_EVALUATE, last=BACKWARD),
+    stability_function=stability_function,
+    # What the first stage gains, and how far the second one starts from the step's start.
+    **newton_cg.keeps("first", "way"),
+)

@@ -16,13 +16,13 @@ import math
 
 import taichi as ti
 
-from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.compensated import difference
-from taichi_cloth.kernels.methods.contract import Claims, backward_euler
+from taichi_cloth.kernels.graph import number
+from taichi_cloth.kernels.grids import link_offset, pitch_of
+from taichi_cloth.kernels.links import link_numbers
+from taichi_cloth.kernels.methods.contract import Claims, Method, backward_euler
 from taichi_cloth.kernels.packs import (
     component,
-    link_offset,
-    pitch_of,
     read,
     scaled,
     slot_number,
@@ -37,25 +37,8 @@ from taichi_cloth.kernels.solvers.colours import (
     renew_both_halos,
 )
 from taichi_cloth.kernels.solvers.gauss_seidel import mobility, relative_velocity, short_of_goal
-from taichi_cloth.kernels.springs import link_damping, number
-
-CLAIMS = Claims(
-    order=1,
-    symplectic=False,
-    implicit=True,
-    stability_limit=math.inf,
-    forces=0,
-    settings=("iterations",),
-    choose=(
-        "Where too few sweeps should look like more inertia and not like softer springs; else "
-        "xpbd, which gets nearer in the same time."
-    ),
-)
-stability_function = backward_euler  # once its sweeps have converged
-
-LANES, VECTORS = gauss_seidel.LANES, gauss_seidel.VECTORS
-HALOED, COUNTS = gauss_seidel.HALOED, gauss_seidel.COUNTS
-NEEDS = ("particle_colours",)
+from taichi_cloth.kernels.spring_numbers import fields_of
+from taichi_cloth.kernels.springs import pull, stiffness_across, stiffness_along
 
 
 @ti.func
@@ -68,8 +51,8 @@ def relaxed_pack(spec: ti.template(), state: ti.template(), g, i):
     """New velocities in pack i of grid g, by its links."""
     v, none = read(spec, state.v, i), zeros(spec, state)
     w = mobility(spec, state, read, i)
-    pull, hx, hy, hz = with_links(spec, state, read, read, 1, g, i, w, none, none, none, none)
-    return v + solution(spec, hx, hy, hz, short_of_goal(spec, state, read, i) + pull)
+    pulled, hx, hy, hz = with_links(spec, state, read, read, 1, g, i, w, none, none, none, none)
+    return v + solution(spec, hx, hy, hz, short_of_goal(spec, state, read, i) + pulled)
 
 
 @ti.func
@@ -77,26 +60,23 @@ def relaxed_particle(spec: ti.template(), state: ti.template(), p):
     """New velocity of the p-th particle with springs on the graph, by all its springs."""
     i, none = state.csr_slot[p], ti.Vector.zero(state.real, spec.dim)
     w = mobility(spec, state, slot_number, i)
-    pull, hx, hy, hz = none, none, none, none
+    pulled, hx, hy, hz = none, none, none, none
     if ti.static(spec.kinds > 0):
         g = state.grid_of[i // spec.lanes]
         if g >= 0:
-            pull, hx, hy, hz = with_links(
-                spec, state, slot_value, slot_number, spec.lanes, g, i, w, pull, hx, hy, hz
+            pulled, hx, hy, hz = with_links(
+                spec, state, slot_value, slot_number, spec.lanes, g, i, w, pulled, hx, hy, hz
             )
     for h in range(state.csr_start[p], state.csr_start[p + 1]):
         j = state.csr_other[h]
         if j != i:  # else it is gone
             d = difference(spec, state, slot_value, i, j)
             dv = relative_velocity(spec, state, slot_value, i, j)
-            c = ti.cast(0.0, state.real)
-            if ti.static(spec.dashpots):
-                c = number(spec, state.csr_c, h)
-            k, rest = number(spec, state.csr_k, h), number(spec, state.csr_rest, h)
-            pull, hx, hy, hz = with_spring(
-                spec, state.dt[None], w, d, dv, k, rest, c, pull, hx, hy, hz
+            numbers = [number(spec, field, h) for field in ti.static(fields_of(spec, state, "csr"))]
+            pulled, hx, hy, hz = with_spring(
+                spec, state.dt[None], w, d, dv, numbers, pulled, hx, hy, hz
             )
-    b = short_of_goal(spec, state, slot_value, i) + pull
+    b = short_of_goal(spec, state, slot_value, i) + pulled
     return slot_value(spec, state.v, i) + solution(spec, hx, hy, hz, b)
 
 
@@ -105,17 +85,17 @@ def with_links(
     spec: ti.template(),
     state: ti.template(),
     value: ti.template(),
-    number: ti.template(),
+    number_at: ti.template(),
     stride: ti.template(),
     g,
     i,
     w,
-    pull,
+    pulled,
     hx,
     hy,
     hz,
 ):
-    """The same sums with the links of i added: of a pack (stride 1), or a slot (stride lanes)."""
+    """Add the links of i to the sums of `with_spring`: of a pack (stride 1), or a slot (lanes)."""
     pitch = pitch_of(spec, state, g)
     for q in range(2 * spec.kinds):  # in the order in which a graph has them
         s, j, owner = q, i, i
@@ -125,31 +105,28 @@ def with_links(
         else:
             s = state.forward[q - spec.kinds]
             j = i + link_offset(state, s, pitch) * stride
-        k = number(spec, state.link_k, s * state.packs * stride + owner)
-        c = link_damping(spec, state, s, g, k)
-        d, dv = difference(spec, state, value, i, j), relative_velocity(spec, state, value, i, j)
-        pull, hx, hy, hz = with_spring(
-            spec, state.dt[None], w, d, dv, k, state.link_rest[s, g], c, pull, hx, hy, hz
+        at = s * state.packs * stride + owner
+        k = number_at(spec, state.link_k, at)
+        numbers = link_numbers(spec, state, number_at, s, g, at, k)
+        d = difference(spec, state, value, i, j)
+        dv = relative_velocity(spec, state, value, i, j)
+        pulled, hx, hy, hz = with_spring(
+            spec, state.dt[None], w, d, dv, numbers, pulled, hx, hy, hz
         )
-    return pull, hx, hy, hz
+    return pulled, hx, hy, hz
 
 
 @ti.func
-def with_spring(spec: ti.template(), dt, w, d, dv, k, rest, c, pull, hx, hy, hz):
-    """Sums over springs, with one more: pull = dt*w*sum(T), and the rows of w*sum(dt*c + dt^2*K).
+def with_spring(spec: ti.template(), dt, w, d, dv, numbers: ti.template(), pulled, hx, hy, hz):
+    """Sums over springs, with one more: pulled = dt*w*sum(T), the rows of w*sum(dt*c + dt^2*K).
 
     d, dv: where the other end is at the step's start, and its velocity, relative to this one.
     """
-    at = d + dt * dv
-    length = laws.length(at)
-    along = laws.unit(at, length)
-    tension, stiffness = laws.spring_tension(length, k, rest), dt * k
-    if ti.static(spec.dashpots):
-        tension += laws.dashpot_tension(dv, along, c)
-        stiffness += c
-    across = dt * dt * w * laws.spring_stiffness_across(length, k, rest, 0.0)
+    length, along, tension = pull(spec, d + dt * dv, dv, numbers)
+    stiffness = stiffness_along(spec, dt, numbers)
+    across = dt * dt * w * stiffness_across(spec, length, numbers, 0.0)
     more = scaled(dt * w * stiffness - across, along)
-    new_pull = pull + scaled(dt * w * tension, along)
+    new_pull = pulled + scaled(dt * w * tension, along)
     x, y, z = hx, hy, hz
     x += scaled(component(along, 0), more)
     x = with_component(x, 0, component(x, 0) + across)
@@ -187,4 +164,21 @@ def solution(spec: ti.template(), hx, hy, hz, b):
     return x
 
 
-PHASES = gauss_seidel.phases(colours_of_particles, relax, renew_both_halos)
+METHOD = Method(
+    claims=Claims(
+        order=1,
+        symplectic=False,
+        implicit=True,
+        stability_limit=math.inf,
+        forces=0,
+        settings=("iterations",),
+        choose=(
+            "Where too few sweeps should look like more inertia and not like softer springs; else "
+            "xpbd, which gets nearer in the same time."
+        ),
+    ),
+    phases=gauss_seidel.phases(colours_of_particles, relax, renew_both_halos),
+    stability_function=backward_euler,  # once its sweeps have converged
+    needs=("particle_colours",),
+    **gauss_seidel.KEEPS,
+)

@@ -11,23 +11,12 @@ dt^2 omega^2 + 4 dt d < 4: the price of the predicted velocity.
 import numpy as np
 import taichi as ti
 
+from taichi_cloth.kernels.accelerations import compute_acceleration, kick_after, kicks_at_once
 from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
-from taichi_cloth.kernels.forces import compute_acceleration, kick_after, kicks_at_once
-from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.kernels.packs import read, write
 from taichi_cloth.kernels.watchdog import commit
-
-CLAIMS = Claims(
-    order=2,
-    symplectic=True,
-    implicit=False,
-    stability_limit=2.0,
-    choose=(
-        "Smooth motion: second order at about the price of the default, and energy kept far "
-        "better. Not where drag is strong: its limit falls sooner."
-    ),
-)
 
 
 def amplification(h, omega2, d):
@@ -36,11 +25,6 @@ def amplification(h, omega2, d):
     a = -omega2 * x - d * np.array([0, 1, h])
     v = np.array([0, 1, h / 2]) + h / 2 * a
     return np.array([x, v, a])
-
-
-# The velocity in the middle of a step is v - dt/2*a with the old a. Compensated sums need it
-# exactly; where accelerations have a pass of their own, that would lose the old ones.
-LOW_VECTORS, VECTORS = ("half_v",), ("old_a",)
 
 
 @ti.func
@@ -90,3 +74,24 @@ def kick(spec: ti.template(), state: ti.template(), i, a):
 def step(spec: ti.template(), state: ti.template(), t):
     compute_contacts(spec, state)
     kick_after(spec, state, t, drift, kick)
+
+
+METHOD = Method(
+    claims=Claims(
+        order=2,
+        symplectic=True,
+        implicit=False,
+        stability_limit=2.0,
+        choose=(
+            "Smooth motion: second order at about the price of the default, and energy kept far "
+            "better. Not where drag is strong: its limit falls sooner."
+        ),
+    ),
+    step=step,
+    begin=begin,
+    amplification=amplification,
+    # The velocity in the middle of a step is v - dt/2*a with the old a. Compensated sums need it
+    # exactly; where accelerations have a pass of their own, that would lose the old ones.
+    vectors=("old_a",),
+    low_vectors=("half_v",),
+)

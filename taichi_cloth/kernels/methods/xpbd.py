@@ -20,12 +20,13 @@ import math
 
 import taichi as ti
 
-from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.compensated import difference
-from taichi_cloth.kernels.methods.contract import Claims, backward_euler
+from taichi_cloth.kernels.graph import number
+from taichi_cloth.kernels.grids import link_index
+from taichi_cloth.kernels.links import link_numbers, link_stiffness
+from taichi_cloth.kernels.methods.contract import Claims, Method, backward_euler
 from taichi_cloth.kernels.packs import (
     dot,
-    link_index,
     read,
     scaled,
     set_slot_value,
@@ -37,26 +38,9 @@ from taichi_cloth.kernels.packs import (
 from taichi_cloth.kernels.solvers import gauss_seidel
 from taichi_cloth.kernels.solvers.colours import colours_of_springs, each_spring
 from taichi_cloth.kernels.solvers.gauss_seidel import mobility, relative_velocity
-from taichi_cloth.kernels.springs import link_damping, link_stiffness, number
+from taichi_cloth.kernels.spring_numbers import fields_of
+from taichi_cloth.kernels.springs import pull, stiffness_across, stiffness_along
 from taichi_cloth.kernels.state import GONE
-
-CLAIMS = Claims(
-    order=1,
-    symplectic=False,
-    implicit=True,
-    stability_limit=math.inf,
-    forces=0,
-    settings=("iterations",),
-    choose=(
-        "Stiff scenes whose frames must take a fixed time, masses alike: many substeps of few "
-        "sweeps. Too few look like softer springs."
-    ),
-)
-stability_function = backward_euler  # once its sweeps have converged
-
-LANES, VECTORS = gauss_seidel.LANES, gauss_seidel.VECTORS
-HALOED, COUNTS = gauss_seidel.HALOED, gauss_seidel.COUNTS
-NEEDS = ("spring_colours",)
 
 
 @ti.func
@@ -68,15 +52,14 @@ def project(spec: ti.template(), state: ti.template(), t, colour):
 def project_links(spec: ti.template(), state: ti.template(), s, g, i, far, stiffness):
     """The springs of kind s between pack i and pack `far`."""
     k = link_stiffness(spec, state, s, stiffness)
-    damping = link_damping(spec, state, s, g, k)
     at, p = link_index(state, s, i), zeros(spec, state)
+    numbers = link_numbers(spec, state, read, s, g, at, k)
     if state.sweep[None] > 0:
         p = read(spec, state.link_impulse, at)
     v, far_v = read(spec, state.v, i), read(spec, state.v, far)
     w, far_w = mobility(spec, state, read, i), mobility(spec, state, read, far)
     d, dv = difference(spec, state, read, i, far), relative_velocity(spec, state, read, i, far)
-    rest = state.link_rest[s, g]
-    change = impulse_change(spec, state.dt[None], d, dv, w + far_w, k, rest, damping, p)
+    change = impulse_change(spec, state.dt[None], d, dv, w + far_w, numbers, p)
     if state.sweep[None] + 1 < state.iterations[None]:
         write(spec, state.link_impulse, at, p + change)
     write(spec, state.v, i, v + scaled(w, change))
@@ -86,54 +69,60 @@ def project_links(spec: ti.template(), state: ti.template(), s, g, i, far, stiff
 @ti.func
 def project_spring(spec: ti.template(), state: ti.template(), s):
     """Spring s on the graph."""
-    k, rest = number(spec, state.spring_k, s), number(spec, state.spring_rest, s)
-    damping = 0.0 * k
-    if ti.static(spec.dashpots):
-        damping = number(spec, state.spring_c, s)
+    holds = True
     if ti.static(spec.fracture):
-        if state.status[s] == GONE:
-            k, damping = 0.0, 0.0
-    i, j = state.ends[s, 0], state.ends[s, 1]
-    p = ti.Vector.zero(state.real, spec.dim)
-    if state.sweep[None] > 0:
-        for axis in ti.static(range(spec.dim)):
-            p[axis] = state.impulse[s, axis]
-    v, far_v = slot_value(spec, state.v, i), slot_value(spec, state.v, j)
-    w, far_w = mobility(spec, state, slot_number, i), mobility(spec, state, slot_number, j)
-    d, dv = (
-        difference(spec, state, slot_value, i, j),
-        relative_velocity(spec, state, slot_value, i, j),
-    )
-    change = impulse_change(spec, state.dt[None], d, dv, w + far_w, k, rest, damping, p)
-    if state.sweep[None] + 1 < state.iterations[None]:
-        for axis in ti.static(range(spec.dim)):
-            state.impulse[s, axis] = p[axis] + change[axis]
-    set_slot_value(spec, state.v, i, v + w * change)
-    set_slot_value(spec, state.v, j, far_v - far_w * change)
+        holds = state.status[s] != GONE
+    if holds:
+        i, j = state.ends[s, 0], state.ends[s, 1]
+        p = ti.Vector.zero(state.real, spec.dim)
+        if state.sweep[None] > 0:
+            for axis in ti.static(range(spec.dim)):
+                p[axis] = state.impulse[s, axis]
+        v, far_v = slot_value(spec, state.v, i), slot_value(spec, state.v, j)
+        w, far_w = mobility(spec, state, slot_number, i), mobility(spec, state, slot_number, j)
+        d = difference(spec, state, slot_value, i, j)
+        dv = relative_velocity(spec, state, slot_value, i, j)
+        numbers = [number(spec, field, s) for field in ti.static(fields_of(spec, state, "spring"))]
+        change = impulse_change(spec, state.dt[None], d, dv, w + far_w, numbers, p)
+        if state.sweep[None] + 1 < state.iterations[None]:
+            for axis in ti.static(range(spec.dim)):
+                state.impulse[s, axis] = p[axis] + change[axis]
+        set_slot_value(spec, state.v, i, v + w * change)
+        set_slot_value(spec, state.v, j, far_v - far_w * change)
 
 
 @ti.func
-def impulse_change(spec: ti.template(), dt, d, dv, w, k, rest, c, p):
+def impulse_change(spec: ti.template(), dt, d, dv, w, numbers: ti.template(), p):
     """What a visit adds to the impulse p that pulls a spring's ends together.
 
     d: from one end to the other where the step began; dv: velocity of the other one relative to it;
     w: sum of their mobilities.
     """
-    d += dt * dv
-    length = laws.length(d)
-    along = laws.unit(d, length)
-    tension = laws.spring_tension(length, k, rest)
-    stiffness = dt * k
-    if ti.static(spec.dashpots):
-        tension += laws.dashpot_tension(dv, along, c)
-        stiffness += c
-    along_part = 1.0 / (1.0 + dt * w * stiffness)
-    across_stiffness = laws.spring_stiffness_across(length, k, rest, 0.0)
-    across_part = 1.0 / (1.0 + dt * dt * w * across_stiffness)
+    length, along, tension = pull(spec, d + dt * dv, dv, numbers)
+    along_part = 1.0 / (1.0 + dt * w * stiffness_along(spec, dt, numbers))
+    across = stiffness_across(spec, length, numbers, 0.0)
+    across_part = 1.0 / (1.0 + dt * dt * w * across)
     # A stiff spring's tension is far beyond the impulse: it must not be taken apart into axes.
     has = dot(p, along)
     more = along_part * (dt * tension - has) + across_part * has
     return scaled(more, along) - scaled(across_part, p)
 
 
-PHASES = gauss_seidel.phases(colours_of_springs, project)
+METHOD = Method(
+    claims=Claims(
+        order=1,
+        symplectic=False,
+        implicit=True,
+        stability_limit=math.inf,
+        forces=0,
+        settings=("iterations",),
+        choose=(
+            "Stiff scenes whose frames must take a fixed time, masses alike: many substeps of few "
+            "sweeps. Too few look like softer springs."
+        ),
+    ),
+    phases=gauss_seidel.phases(colours_of_springs, project),
+    stability_function=backward_euler,  # once its sweeps have converged
+    needs=("spring_colours",),
+    **gauss_seidel.KEEPS,
+)

@@ -14,23 +14,26 @@ import functools
 
 import taichi as ti
 
-from taichi_cloth.kernels.loops import PIECE, barrier, each_row, share
-from taichi_cloth.kernels.packs import (
+from taichi_cloth.kernels.grids import (
     link_index,
     link_offset,
     pitch_of,
-    read,
     renew_left_halo,
     renew_right_halo,
     return_left_halo,
     return_right_halo,
+)
+from taichi_cloth.kernels.links import link_stiffness
+from taichi_cloth.kernels.loops import PIECE, barrier, each_row, share
+from taichi_cloth.kernels.packs import (
+    read,
     scaled,
     set_slot_number,
     set_slot_value,
     slot_number,
     write,
 )
-from taichi_cloth.kernels.springs import link_stiffness
+from taichi_cloth.kernels.spring_numbers import own_numbers
 
 
 @ti.func
@@ -292,7 +295,9 @@ def _renew_both_halos(spec: ti.template(), state: ti.template(), begin, width):
         for h in range(spec.halo):
             for lane in range(spec.lanes - 1):
                 to_right, to_left = row + width + h, row - 1 - h
-                k = slot_number(spec, state.link_k, (row + h) * spec.lanes + lane + 1)
-                set_slot_number(spec, state.link_k, to_right * spec.lanes + lane, k)
-                k = slot_number(spec, state.link_k, (row + width - 1 - h) * spec.lanes + lane)
-                set_slot_number(spec, state.link_k, to_left * spec.lanes + lane + 1, k)
+                first, last = row + h, row + width - 1 - h
+                for field in ti.static(own_numbers(spec, state)):
+                    value = slot_number(spec, field, first * spec.lanes + lane + 1)
+                    set_slot_number(spec, field, to_right * spec.lanes + lane, value)
+                    value = slot_number(spec, field, last * spec.lanes + lane)
+                    set_slot_number(spec, field, to_left * spec.lanes + lane + 1, value)

@@ -15,19 +15,28 @@ import functools
 import taichi as ti
 
 from taichi_cloth.kernels import laws
+from taichi_cloth.kernels.accelerations import (
+    acceleration,
+    binds,
+    damping_of,
+    resists,
+    stiffness_of,
+)
 from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
-from taichi_cloth.kernels.forces import acceleration
 from taichi_cloth.kernels.loops import each, each_pack_moving
 from taichi_cloth.kernels.packs import read, scaled, write, zeros
 from taichi_cloth.kernels.solvers.phases import DONE, go_to
 from taichi_cloth.kernels.state import SWEEPS
 from taichi_cloth.kernels.watchdog import commit
 
-VECTORS = ("old_v", "goal_v")  # velocity at the step's start, and after it without springs
-HALOED = ("goal_v",)
-LANES = 4  # in packs: with 8 it is no faster, and takes twice as long to compile
-COUNTS = ("colour", "sweep")
+# What methods keep and need for this (`methods/contract.py`).
+KEEPS = {
+    "vectors": ("old_v", "goal_v"),  # velocity at the step's start, and after it without springs
+    "haloed": ("goal_v",),
+    "counts": ("colour", "sweep"),
+    "lanes": 4,  # with 8 it is no faster, and takes twice as long to compile
+}
 SWEEP, FINISH = 1, 2  # phases, after the first one
 
 
@@ -99,9 +108,11 @@ def predict(spec: ti.template(), state: ti.template(), i):
     v = add_to_velocity(spec, state, i, v, velocity_jump(spec, state, i, x, v))
     write(spec, state.v, i, v)
     a = acceleration(spec, state, i, zeros(spec, state))
-    if ti.static(spec.drag):
-        viscous, w = read(spec, state.viscous, i), read(spec, state.w, i)
-        a = scaled(laws.drag_factor(w, viscous, state.dt[None]), a)
+    if ti.static(binds(spec)):  # its force where the particle goes, not where it is
+        back = state.dt[None] * read(spec, state.w, i) * stiffness_of(spec, state, read, i)
+        a = a - scaled(back, v)
+    if ti.static(resists(spec) or binds(spec)):
+        a = scaled(_softened(spec, state, read, i), a)
     v = add_to_velocity(spec, state, i, v, state.dt[None] * a)
     write(spec, state.goal_v, i, v)
     if ti.static(spec.compensated):
@@ -131,9 +142,21 @@ def short_of_goal(spec: ti.template(), state: ti.template(), value: ti.template(
 def mobility(spec: ti.template(), state: ti.template(), number: ti.template(), i):
     """Inverse masses, of which drag is a part. number: `read`, or of a slot `slot_number`."""
     w = number(spec, state.w, i)
-    if ti.static(spec.drag):
-        w *= laws.drag_factor(w, number(spec, state.viscous, i), state.dt[None])
+    if ti.static(resists(spec) or binds(spec)):
+        w *= _softened(spec, state, number, i)
     return w
+
+
+@ti.func
+def _softened(spec: ti.template(), state: ti.template(), number: ti.template(), i):
+    """What damping and stiffness of the terms on particles leave of a change of velocity."""
+    dt, w = state.dt[None], number(spec, state.w, i)
+    resistance = 0.0 * w
+    if ti.static(resists(spec)):
+        resistance = damping_of(spec, state, number, i)
+    if ti.static(binds(spec)):
+        resistance += dt * stiffness_of(spec, state, number, i)
+    return laws.drag_factor(w, resistance, dt)
 
 
 @ti.func

@@ -33,9 +33,15 @@ import functools
 import taichi as ti
 
 from taichi_cloth.kernels import laws
+from taichi_cloth.kernels.accelerations import (
+    acceleration,
+    binds,
+    damping_of,
+    resists,
+    stiffness_of,
+)
 from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
-from taichi_cloth.kernels.forces import acceleration
 from taichi_cloth.kernels.loops import add_up, barrier, each, each_pack_moving, find_largest
 from taichi_cloth.kernels.packs import (
     component,
@@ -49,19 +55,15 @@ from taichi_cloth.kernels.packs import (
     write,
 )
 from taichi_cloth.kernels.solvers.phases import DONE, set_alone
-from taichi_cloth.kernels.springs import accumulate, force_between
+from taichi_cloth.kernels.springs import (
+    accumulate,
+    force_between,
+    reads_velocity,
+    stiffness_product,
+)
 from taichi_cloth.kernels.state import FORCES, SWEEPS, UNCONVERGED
 from taichi_cloth.kernels.watchdog import commit, is_finite
 
-# old_x, old_v: the state at the step's start; gain: the iterate's; change: a Newton direction,
-# built up by conjugate gradients from residual, direction and its product with A.
-VECTORS = (
-    *("old_x", "old_v", "start_x", "start_v", "gain"),
-    *("change", "residual", "direction", "product"),
-)
-LOW_VECTORS = ("old_x_low", "start_x_low")
-HALOED = ("direction",)
-NEEDS = ("summed_springs",)
 SCALARS = (
     "tau",  # time of a stage
     "scale",  # acceleration that the residual is compared with
@@ -80,11 +82,7 @@ SCALARS = (
     "goal",  # energy at which these end
     "least",  # what a compressed spring's stiffness across is not below: CLAMPED or EXACT
 )
-COUNTS = ("indefinite", "directions", "trials", "stalls", "sweeps", "outcome", "step_outcome")
-SUMS = 3
 BEGIN, EVALUATE, DIRECT, ITERATE, SHIFT, FINISH = range(6)  # phases
-LANES = 4  # in packs: with 8 it is a tenth faster, and takes twice as long to compile
-LAUNCHES = ((BEGIN,), (EVALUATE, SHIFT), (DIRECT, ITERATE), (FINISH,))
 # What came of a stage. ROUNDED: as small as rounding lets it be.
 CONVERGED, ROUNDED, EXHAUSTED, STALLED, SINGULAR, NOT_FINITE = range(6)
 OUTCOMES = (
@@ -105,6 +103,29 @@ CLAMPED, EXACT = 0.0, -1e30
 NEAR = 0.1  # part of the first residual
 FORCING = 0.1  # conjugate gradients leave this part of the residual to the next direction
 ONLY_EVALUATE = -1  # stage: the acceleration of the iterate is wanted, as its residual
+
+
+def keeps(*vectors):
+    """What methods keep and need for this (`methods/contract.py`), with `vectors` of their own.
+
+    old_x, old_v: the state at the step's start; gain: the iterate's; change: a Newton direction,
+    built up by conjugate gradients from residual, direction and its product with A.
+    """
+    state = ("old_x", "old_v", "start_x", "start_v", "gain")
+    return {
+        "vectors": (*state, "change", "residual", "direction", "product", *vectors),
+        "low_vectors": ("old_x_low", "start_x_low"),
+        "haloed": ("direction",),
+        "needs": ("summed_springs",),
+        "scalars": SCALARS,
+        "counts": (
+            *("indefinite", "directions", "trials", "stalls", "sweeps"),
+            *("outcome", "step_outcome"),
+        ),
+        "sums": 3,
+        "launches": ((BEGIN,), (EVALUATE, SHIFT), (DIRECT, ITERATE), (FINISH,)),
+        "lanes": 4,  # with 8 it is a tenth faster, and takes twice as long to compile
+    }
 
 
 def phases(fraction, start, move, first=0, last=0):
@@ -380,9 +401,11 @@ def _preconditioned(spec: ti.template(), state: ti.template(), i, residual):
     tau = state.tau[None]
     w = read(spec, state.w, i)
     diagonal = _mass(spec, state, i) + tau * tau * read(spec, state.summed_k, i)
-    if ti.static(spec.drag):
-        diagonal = diagonal + tau * read(spec, state.viscous, i)
-    if ti.static(spec.dashpots):
+    if ti.static(binds(spec)):
+        diagonal = diagonal + tau * tau * stiffness_of(spec, state, read, i)
+    if ti.static(resists(spec)):
+        diagonal = diagonal + tau * damping_of(spec, state, read, i)
+    if ti.static(reads_velocity(spec)):
         diagonal = diagonal + tau * read(spec, state.summed_c, i)
     return scaled(ti.select(w > 0.0, 1.0 / diagonal, 0.0 * w), residual)
 
@@ -399,17 +422,14 @@ def iterate(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def _product_between(
-    spec: ti.template(), state: ti.template(), value: ti.template(), i, j, k, rest, c
+    spec: ti.template(), state: ti.template(), value: ti.template(), i, j, numbers: ti.template()
 ):
     d = value(spec, state.x, j) - value(spec, state.x, i)
     length = laws.length(d)
     along = laws.unit(d, length)
     moved = value(spec, state.direction, j) - value(spec, state.direction, i)
-    product = laws.spring_stiffness_product(moved, along, length, k, rest, state.least[None])
-    if ti.static(spec.dashpots):
-        damping = (1.0 / state.tau[None]) * c
-        product += scaled(laws.dashpot_tension(moved, along, damping), along)
-    return product
+    least = state.least[None]
+    return stiffness_product(spec, moved, length, along, state.tau[None], numbers, least)
 
 
 @ti.func
@@ -417,8 +437,10 @@ def _store_product(spec: ti.template(), state: ti.template(), i, pulled):
     tau = state.tau[None]
     direction = read(spec, state.direction, i)
     diagonal = _mass(spec, state, i)
-    if ti.static(spec.drag):
-        diagonal = diagonal + tau * read(spec, state.viscous, i)
+    if ti.static(binds(spec)):
+        diagonal = diagonal + tau * tau * stiffness_of(spec, state, read, i)
+    if ti.static(resists(spec)):
+        diagonal = diagonal + tau * damping_of(spec, state, read, i)
     product = scaled(diagonal, direction) - (tau * tau) * pulled
     w = read(spec, state.w, i)
     write(spec, state.product, i, where_positive(w, product, 0.0 * product))

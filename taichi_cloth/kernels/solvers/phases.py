@@ -5,7 +5,7 @@ with `go_to`. In a launch of whole frames all threads go from phase to phase tog
 are one launch per step a phase is a launch, and the host asks which one is next; so a phase must not put its
 loops under a condition: what is not wanted is a loop over nothing, or a phase of its own. In packs
 of lanes, where compile time grows with the square of what is in a kernel, a launch holds some of
-the phases, the method's `LAUNCHES`, for as long as they lead to each other.
+the phases, the method's `launches`, for as long as they lead to each other.
 """
 
 import functools

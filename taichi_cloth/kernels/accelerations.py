@@ -1,23 +1,28 @@
-"""Force accumulation: everything that acts on a particle, as one acceleration."""
+"""Force accumulation: all terms that act on a particle (`forces/`), as one acceleration."""
 
 import functools
 
 import taichi as ti
 
-from taichi_cloth.kernels import laws
+from taichi_cloth.kernels.forces import load
+from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, TENSION, has
 from taichi_cloth.kernels.loops import each_pack_moving
 from taichi_cloth.kernels.packs import (
-    component,
     read,
     scaled,
     set_slot_value,
     slot_number,
     slot_value,
     where_positive,
-    with_component,
     write,
 )
-from taichi_cloth.kernels.springs import accumulate, force_between, move_and_accumulate
+from taichi_cloth.kernels.springs import (
+    accumulate,
+    force_between,
+    move_and_accumulate,
+    reads_velocity,
+    sum_of,
+)
 
 
 @ti.func
@@ -48,7 +53,7 @@ def kicks_at_once(spec):
     if spec.lanes > 1:
         return not spec.springs and not spec.one_launch_per_step
     # Neighbours read positions, which a kick leaves, and for dashpots velocities.
-    return not spec.dashpots and not (spec.springs and spec.kinds > 0)
+    return not reads_velocity(spec) and not (spec.springs and spec.kinds > 0)
 
 
 @ti.func
@@ -91,24 +96,67 @@ def _store_acceleration(spec: ti.template(), state: ti.template(), i, f):
     write(spec, state.a, i, acceleration(spec, state, i, f))
 
 
+def _laws(spec, adds, resists=None):
+    """The laws of the terms on particles of a kind; resists: whether those with damping, or not."""
+    found = [load(name) for name in spec.terms]
+    return [
+        term.law
+        for term in found
+        if term.adds == adds and (resists is None or has(term.damping) == resists)
+    ]
+
+
 @ti.func
 def acceleration(spec: ti.template(), state: ti.template(), i, f):
     """Acceleration of pack i under the spring forces f and all that acts on single particles.
 
     The order of the sums is that of the reference trajectories: a pulled cloth amplifies round-off
-    1e8 times in 600 frames.
+    1e8 times in 600 frames. Forces that resist motion are added up among the accelerations.
     """
     w, v = read(spec, state.w, i), read(spec, state.v, i)
     none = 0.0 * v
     a, total = none, f
-    for axis in ti.static(range(spec.dim)):
-        a = with_component(a, axis, component(a, axis) + state.gravity[axis])
-    if ti.static(spec.drag):
-        a += scaled(w, laws.drag_force(v, read(spec, state.viscous, i)))
-    if ti.static(spec.blow):
-        if state.pushing[None] == 1:
-            total += read(spec, state.push, i)
+    for law in ti.static(_laws(spec, ACCELERATION)):
+        a += law(spec, state, i)
+    for law in ti.static(_laws(spec, FORCE, True)):
+        a += scaled(w, law(spec, state, i))
+    for law in ti.static(_laws(spec, FORCE, False)):
+        total += law(spec, state, i)
     return where_positive(w, a + scaled(w, total), none)
+
+
+def _derivatives(spec, part):
+    """The stiffnesses or dampings of the terms on particles that have one."""
+    found = [load(name) for name in spec.terms]
+    return [getattr(t, part) for t in found if t.adds != TENSION and has(getattr(t, part))]
+
+
+def resists(spec):
+    """Whether a term on particles has damping."""
+    return bool(_derivatives(spec, "damping"))
+
+
+def binds(spec):
+    """Whether a term on particles has stiffness."""
+    return bool(_derivatives(spec, "stiffness"))
+
+
+@ti.func
+def damping_of(spec: ti.template(), state: ti.template(), number: ti.template(), i):
+    """Damping by all terms on particles, a number for each particle. number: `packs.read`, or of
+    a slot `slot_number`.
+    """
+    return sum_of(
+        [part(spec, state, number, i) for part in ti.static(_derivatives(spec, "damping"))]
+    )
+
+
+@ti.func
+def stiffness_of(spec: ti.template(), state: ti.template(), number: ti.template(), i):
+    """Stiffness by all terms on particles, a number for each particle."""
+    return sum_of(
+        [part(spec, state, number, i) for part in ti.static(_derivatives(spec, "stiffness"))]
+    )
 
 
 @ti.func
