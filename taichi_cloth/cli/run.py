@@ -7,11 +7,13 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from taichi_cloth import __version__
+import numpy
+
+from taichi_cloth import __version__, runtime
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.files import events
 from taichi_cloth.files.trajectory import Trajectory
@@ -94,10 +96,7 @@ def _simulate(
     recorder: events.Recorder | None,
     trajectory: Trajectory | None,
 ) -> int:
-    """Run a checked scene; finishes the recorder and the trajectory however the run ends."""
-    import numpy
-
-    from taichi_cloth import runtime
+    """Run a checked scene on the device; return the exit status."""
     from taichi_cloth.ui import app
     from taichi_cloth.ui.opening import open_view
 
@@ -124,8 +123,7 @@ def _simulate(
         if not options.quiet:
             _announce(sim, device, view)
         begin = time.perf_counter()
-        failure: KeyboardInterrupt | SimulationFailure | None = None
-        try:
+        with _kept(sim, device, recorder, trajectory):
             summary = app.run(
                 sim,
                 view,
@@ -140,16 +138,6 @@ def _simulate(
                 seed=seed,
                 device=device.describe(),
             )
-        except (KeyboardInterrupt, SimulationFailure) as error:
-            failure = error
-        if trajectory:
-            if isinstance(failure, SimulationFailure):
-                trajectory.record(sim, last=True)
-            trajectory.save(_meta(sim, device))
-        if recorder:
-            recorder.close()
-        if failure:
-            raise failure
         if not options.quiet:
             print(_last_line(sim, summary, time.perf_counter() - begin))
             _note_unconverged(sim)
@@ -169,6 +157,29 @@ def _simulation(scene: Scene, options: RunOptions) -> Simulation:
         tolerance=options.tolerance,
         iterations=options.iterations,
     )
+
+
+@contextlib.contextmanager
+def _kept(
+    sim: Simulation,
+    device: Device,
+    recorder: events.Recorder | None,
+    trajectory: Trajectory | None,
+) -> Iterator[None]:
+    """Finish the log and the trajectory however the run ends; a failed one has its last frame."""
+    failure: KeyboardInterrupt | SimulationFailure | None = None
+    try:
+        yield
+    except (KeyboardInterrupt, SimulationFailure) as error:
+        failure = error
+    if trajectory:
+        if isinstance(failure, SimulationFailure):
+            trajectory.record(sim, last=True)
+        trajectory.save(_meta(sim, device))
+    if recorder:
+        recorder.close()
+    if failure:
+        raise failure
 
 
 def _seed(options: RunOptions, log: events.Log | None) -> int:
@@ -248,7 +259,6 @@ def _note_differences(recorded: Mapping[str, Any], present: Mapping[str, Any]) -
 
 def _meta(sim: Simulation, device: Device) -> dict[str, Any]:
     """What a saved trajectory says about its run."""
-    import numpy
     import taichi
 
     return {

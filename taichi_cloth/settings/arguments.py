@@ -109,7 +109,7 @@ def _as_argument(parameter: Parameter) -> dict[str, Any]:
     if parameter.type is not bool:
         metavar = parameter.metavar or "|".join(parameter.choices)
         return {"help": help_, "metavar": metavar or ("N" if parameter.type is int else "X")}
-    if parameter.default is None:  # neither on nor off by itself: it can be turned off, too
+    if parameter.default is not False:  # it may be on by itself: it can be turned off, too
         return {"help": help_, "action": argparse.BooleanOptionalAction, "default": None}
     return {"help": help_, "action": "store_true"}
 

@@ -155,12 +155,14 @@ def flag(name: str) -> str:
 
 
 def flag_words(values: Mapping[str, Any]) -> list[str]:
-    """Flags with their values, as one would write them; a switch that is on has none."""
-    return [
-        word
-        for name, value in values.items()
-        for word in ([flag(name)] if value is True else [flag(name), str(value)])
-    ]
+    """The flags that give settings these values, as one would write them."""
+    words = []
+    for name, value in values.items():
+        if isinstance(value, bool):
+            words.append(flag(name if value else f"no_{name}"))
+        else:
+            words += [flag(name), str(value)]
+    return words
 
 
 ARCHS = ("cpu", "gpu", "cuda", "vulkan", "opengl", "metal")
