@@ -72,7 +72,7 @@ class CommandParser(argparse.ArgumentParser):
         wants_help = vars(given).pop("help", False)
         texts = {name: text for name, text in vars(given).items() if text is not None}
         for name, text in texts.items():
-            if not text and not isinstance(text, bool):
+            if not text and text is not False:  # also of `--save=--`, which argparse empties
                 self._refuse_missing(flag(name))
         return Words(texts, others, wants_help)
 
