@@ -32,7 +32,7 @@ from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits import modes
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.settings.arguments import Request
+from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import StabilityOptions
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
@@ -107,11 +107,10 @@ class Map:
     points: list[tuple[float, float, bool]] = field(default_factory=list)
 
 
-def main(request: Request) -> int:
+def main(source: SceneSource, options: StabilityOptions) -> int:
     """Do what the command asks for; the exit status. Ctrl-C keeps what is finished."""
-    options: StabilityOptions = request.options
     names = _methods(options.method)
-    scene = request.build()
+    scene = source.build()
     folder = Path(options.output or f"stability-{scene.name}")
     _prepare(folder)
     np.seterr(all="ignore")  # numbers that overflow are the watchdog's to report

@@ -17,9 +17,8 @@ import numpy as np
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.limits import modes
-from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.settings.arguments import Request
+from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.trade import ode
 from taichi_cloth.trade.errors import Distance, Samples, displacement, distance, rms_by_frame
 
@@ -176,9 +175,9 @@ def extent(scene: Scene, run: Samples) -> tuple[float, str]:
     return float(np.linalg.norm(scene.world.size)), "the world's diagonal, as nothing moves"
 
 
-def closed_form(request: Request, scene: Scene, times: np.ndarray) -> Samples | None:
+def closed_form(source: SceneSource, scene: Scene, times: np.ndarray) -> Samples | None:
     """The scene's own closed form at `times`; None where it has none."""
-    solution = None if request.is_file else library.solution(request.scene)
+    solution = source.solution()
     if solution is None:
         return None
     x, v = solution(scene, times)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.limits import modes
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.settings.options import ARCHS, PRECISIONS, TradeOptions
+from taichi_cloth.settings.options import ARCHS, PRECISIONS, ComparisonOptions
 
 DOUBLINGS = 6  # of the number of substeps, from the fewest that a method takes
 QUICK_DOUBLINGS = 4
@@ -89,7 +89,7 @@ def default_fast_math(precision: str) -> bool:
     return precision == "f32"
 
 
-def choose(scene: Scene, options: TradeOptions) -> list[Setting]:
+def choose(scene: Scene, options: ComparisonOptions) -> list[Setting]:
     """The settings that a scene is compared in. Raises InputError for words that are none.
 
     Where the number of substeps is left open, it doubles from one, or, where a method needs more
