@@ -225,7 +225,7 @@ class Run:
         x, v = (self.x, self.v) if x is None else (x, v)
         p, s = self.scene.particles, self.scene.springs
         a, b = s.between[self.sim.springs_alive()].T
-        holds = s.of(self.sim.springs_alive())
+        holds = s.select(self.sim.springs_alive())
         stretch = np.linalg.norm(x[b] - x[a], axis=1) - holds.rest_length
         fallen = (x - self.x0) @ np.asarray(self.scene.world.gravity)
         free, m = self.free, p.mass

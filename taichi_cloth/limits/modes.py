@@ -58,7 +58,7 @@ class Network:
         """position: absent, that of `particles`; holds: (s,) bool, absent: all springs."""
         position = particles.position if position is None else position
         number = np.arange(len(springs)) if holds is None else np.flatnonzero(holds)
-        return cls(position, particles, springs.of(number), number)
+        return cls(position, particles, springs.select(number), number)
 
     @classmethod
     def of_scene(cls, scene: Scene) -> Network:

@@ -26,7 +26,8 @@ from taichi_cloth.kernels.state import (
 from taichi_cloth.limits import modes
 from taichi_cloth.limits.auto_step import Follower, substeps_needed
 from taichi_cloth.runtime import current_device, still_runs
-from taichi_cloth.scene.model import Particles, Scene, Springs, validate
+from taichi_cloth.scene.checks import validate
+from taichi_cloth.scene.model import Particles, Scene, Springs
 from taichi_cloth.settings.options import SOLVER_SETTINGS, TOPOLOGIES
 from taichi_cloth.simulation import adjacency, diagnostics, execution, layouts
 
@@ -601,7 +602,7 @@ class Simulation:
 
     def _load_near(self):
         """Sums of the stiffness and damping of each particle's springs."""
-        springs = self._springs.of(self._fracture[:, 0] != GONE)
+        springs = self._springs.select(self._fracture[:, 0] != GONE)
         rows = np.column_stack(
             [
                 np.bincount(springs.between.ravel(), np.repeat(of, 2), self.particle_count)
@@ -635,7 +636,7 @@ class Simulation:
     def _load_springs(self):
         """The springs that are on the graph, as rows of half-springs."""
         site = self._layout.site
-        springs, marks = self._springs.of(self._on_graph), self._fracture[self._on_graph]
+        springs, marks = self._springs.select(self._on_graph), self._fracture[self._on_graph]
         sites = self._layout.n_cells * self._layout.lanes
         half = adjacency.half_springs(site[springs.between], sites)
         near, row = np.arange(sites), half.row
