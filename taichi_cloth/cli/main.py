@@ -266,7 +266,7 @@ def _run(scene: Scene, options: RunOptions, log, recorder, trajectory: Trajector
             recorder.write_header(app.log_header(sim, view, seed, replay=log))
         if not options.quiet:
             print(_first_line(sim, device, view), flush=True)
-            warning = above_limit(sim)
+            warning = above_limit(sim.method, scene, sim.dt, sim.substeps)
             if warning:
                 print(f"{PROGRAM}: warning: {warning}", file=sys.stderr, flush=True)
 

@@ -23,8 +23,9 @@ from taichi_cloth.kernels.state import (
     Capacity,
     State,
 )
-from taichi_cloth.limits import modes
-from taichi_cloth.limits.auto_step import Follower, substeps_needed
+from taichi_cloth.limits.auto_step import SubstepController, substeps_needed
+from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
+from taichi_cloth.limits.network import Network
 from taichi_cloth.runtime import current_device, still_runs
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import Particles, Scene, Springs
@@ -88,7 +89,7 @@ class Simulation:
         self._needs = getattr(self._module, "NEEDS", ())
         self.claims = self._module.CLAIMS
         self.solver = _solver_settings(method, self.claims, tolerance, iterations)
-        self._follower = Follower(method, self._module, dt) if follows else None
+        self._follower = SubstepController(method, self._module, dt) if follows else None
         self._real = getattr(ti, device.real)
         self._numpy_real = np.float64 if device.real == "f64" else np.float32
         self._requested = topology, execution
@@ -114,7 +115,7 @@ class Simulation:
         self.scene = validate(scene)
         self.dt, self.substeps = dt, substeps
         if self.follows:
-            self._follower = Follower(self.method, self._module, dt)
+            self._follower = SubstepController(self.method, self._module, dt)
         self.speed_limit = _runaway_speed(scene, dt)
         self.reset()
 
@@ -129,7 +130,7 @@ class Simulation:
         self._particles, self._springs = self.scene.particles, self.scene.springs
         self._fracture = np.tile(np.int32([ALIVE, 0]), (len(self._springs), 1))
         if self._follower:
-            self._follower.forget()
+            self._follower.reset()
             self._choose_substeps(self._particles, self._springs, self._fracture)
         self._load(self._particles.position, self._particles.velocity)
 
@@ -222,10 +223,10 @@ class Simulation:
             if not same:
                 self._changed = True  # what a method keeps may depend on the step
 
-    def network(self) -> modes.Network:
+    def network(self) -> Network:
         """The particles where they are, and the springs that pull."""
         holds = self._read_fracture()[:, 0] != GONE
-        return modes.Network.of(self._particles, self._springs, self.positions(), holds)
+        return Network.from_particles(self._particles, self._springs, self.positions(), holds)
 
     def work(self) -> diagnostics.Work:
         """What has been done since the start, or since `reset`."""
@@ -318,7 +319,7 @@ class Simulation:
         """Substeps for these particles and springs, of which some may be gone."""
         holds = marks[:, 0] != GONE
         self._broken_before, self._breaking = int((marks[:, 0] != ALIVE).sum()), True
-        chosen = self._follower.choose(modes.Network.of(particles, springs, holds=holds))
+        chosen = self._follower.choose(Network.from_particles(particles, springs, holds=holds))
         if chosen != self.substeps:
             self._change_step(self.dt, chosen)
 
@@ -332,8 +333,8 @@ class Simulation:
         if changed or self._breaking:
             self._broken_before, self._breaking = broken, changed
             holds = self._read_fracture()[:, 0] != GONE
-            network = modes.Network.of(self._particles, self._springs, holds=holds)
-            chosen = self._follower.follow(network)
+            network = Network.from_particles(self._particles, self._springs, holds=holds)
+            chosen = self._follower.choose_after_breaks(network)
             if chosen != self.substeps:
                 self._change_step(self.dt, chosen)
 
@@ -784,8 +785,8 @@ class Simulation:
     def _likely_cause(self):
         """(cause, remedy) of a failure: the step against the method's limit in any geometry."""
         network, method = self.network(), methods.load(self.method)
-        bounds = modes.gershgorin(network)
-        dt, limit = self.dt / self.substeps, modes.step_within(method, bounds)
+        bounds = gershgorin(network)
+        dt, limit = self.dt / self.substeps, step_within(method, bounds)
         if limit == 0 and math.isfinite(bounds.omega2):
             which = "undamped springs"
             if bounds.damping > 0:
@@ -797,8 +798,8 @@ class Simulation:
         if not math.isfinite(bounds.omega2):
             return f"springs too stiff for {self._numpy_real.__name__}", "use softer springs"
         if dt > limit > 0:  # by Gershgorin; look closer
-            bounds = modes.any_geometry(network)
-            limit = modes.step_within(method, bounds)
+            bounds = any_geometry(network)
+            limit = step_within(method, bounds)
         if not dt > limit:
             return "forces or starting speeds too large for the step", "use more --substeps"
         needed = f"use --substeps {substeps_needed(self.dt, limit)}"
