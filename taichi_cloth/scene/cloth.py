@@ -74,14 +74,7 @@ def grid(
     slots = [(kind, offset) for kind in LINKS if kind in links for offset in LINKS[kind]]
     if not slots:
         return particles, Springs.none()
-    neighbour_column = column[:, None] + np.array([offset[0] for _, offset in slots])
-    neighbour_row = row[:, None] + np.array([offset[1] for _, offset in slots])
-    # All neighbours lie to the left, above, or both ways within a row above: no lower bound
-    # besides 0 and no upper one besides the last column is ever crossed.
-    present = (neighbour_column >= 0) & (neighbour_column < columns) & (neighbour_row >= 0)
-    particle, slot = np.nonzero(present)
-    between = np.stack([particle, (neighbour_row * columns + neighbour_column)[present]], axis=1)
-
+    between, slot = _ties(row, column, columns, [offset for _, offset in slots])
     # The distance at the start depends on the slot alone, as all other numbers do.
     at_start = [float(np.linalg.norm(c * step_across + r * step_down)) for _, (c, r) in slots]
     spring_columns = {}
@@ -89,8 +82,21 @@ def grid(
         default = getattr(spring_defaults or SpringDefaults(), name)
         values = about.filled([numbers[name].get(kind, default) for kind, _ in slots], at_start)
         spring_columns[name] = np.array(values, np.float64)[slot]
-    between = between.astype(np.int64, copy=False)
     return particles, Springs(between=between, **spring_columns)
+
+
+def _ties(
+    row: np.ndarray, column: np.ndarray, columns: int, offsets: Sequence[tuple[int, int]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Each particle tied to its neighbours at `offsets`: the pairs (s, 2), and of which offset."""
+    neighbour_column = column[:, None] + np.array([across for across, _ in offsets])
+    neighbour_row = row[:, None] + np.array([down for _, down in offsets])
+    # All neighbours lie to the left, above, or both ways within a row above: no lower bound
+    # besides 0 and no upper one besides the last column is ever crossed.
+    present = (neighbour_column >= 0) & (neighbour_column < columns) & (neighbour_row >= 0)
+    particle, slot = np.nonzero(present)
+    between = np.stack([particle, (neighbour_row * columns + neighbour_column)[present]], axis=1)
+    return between.astype(np.int64, copy=False), slot
 
 
 def _check_size(columns: int, rows: int, spacing: float) -> None:

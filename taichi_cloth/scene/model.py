@@ -369,5 +369,5 @@ class Scene:
         return bool((numbers == numbers[:1]).all())
 
     def with_world(self, **changes: Any) -> Scene:
-        """The same scene with some of its world's values changed."""
+        """This scene with some of its world's values changed."""
         return replace(self, world=replace(self.world, **changes))

@@ -35,16 +35,17 @@ FRACTION = Rule("must be between 0 and 1", "must be between 0 and 1", lambda a: 
 
 @dataclass(frozen=True)
 class Property:
-    """What is to know of one number of a particle or spring.
+    """One number of a particle or spring: its default, limits, unit and meaning.
 
-    default: what it is where nothing else is said; None: absent, which means `off`, or with
-        `at_start` the spring's length at the start.
+    default: its value where nothing else is said; None: it is then absent, which means `off`, or
+        with `at_start` the length that the spring starts with.
     rule, unit, help: its limits, unit and meaning.
-    off: what `false` says in a scene file; None: `false` is refused. Infinite: so may it be.
+    off: what `false` means in a scene file; None: `false` is refused. Where it is infinite, the
+        number itself may be.
     shared: whether it is stored once where all particles or all springs have the same.
 
-    Clicks give the defaults of their scene to what they add. Every number of a spring may be given
-    per kind of link.
+    Two things hold for every number: what a click adds has the scene's defaults, and a cloth may
+    give it per kind of link.
     """
 
     default: float | None
@@ -57,10 +58,10 @@ class Property:
 
     def __post_init__(self) -> None:
         if self.default is None and self.off is None and not self.at_start:
-            raise TypeError(f"nothing says what it means that this number is absent: {self.help}")
+            raise TypeError(f"'{self.help}' may be absent: say by off or at_start what that means")
 
     def filled(self, values: Sequence[float | None], length: Sequence[float]) -> list[float | None]:
-        """The values, with what absent ones mean for springs of `length` at the start."""
+        """The values, where None what absence means; length: of the springs at the start."""
         absent = length if self.at_start else [self.off] * len(values)
         return [a if v is None else v for v, a in zip(values, absent, strict=True)]
 
@@ -92,7 +93,7 @@ Absent = TypeVar("Absent")  # likewise, but float | None in defaults
 
 @dataclass(frozen=True)
 class ParticleProperties(Generic[Number]):
-    """The numbers of a particle."""
+    """The numbers of a particle; further ones are added at the end."""
 
     mass: Number = declared(1.0, POSITIVE, "mass", "inertia", shared=False)
     radius: Number = declared(5.0, NOT_NEGATIVE, "length", "of the disc or sphere that collides")
@@ -106,7 +107,7 @@ class ParticleProperties(Generic[Number]):
 
 @dataclass(frozen=True)
 class SpringProperties(Generic[Number, Absent]):
-    """The numbers of a spring."""
+    """The numbers of a spring; further ones are added at the end."""
 
     stiffness: Number = declared(1.0, NOT_NEGATIVE, "force / length", "k of the force k*(l - rest)")
     rest_length: Absent = declared(
