@@ -19,7 +19,7 @@ _HOMES = {  # public name: (module, name in it; None: the module itself)
     "ParticleDefaults": ("scene.model", "ParticleDefaults"),
     "Springs": ("scene.model", "Springs"),
     "SpringDefaults": ("scene.model", "SpringDefaults"),
-    "validate": ("scene.model", "validate"),
+    "validate": ("scene.checks", "validate"),
     "grid": ("scene.cloth", "grid"),
     "load_scene": ("scene.scenefile", "load"),
     "save_scene": ("scene.scenefile", "save"),

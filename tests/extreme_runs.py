@@ -13,7 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from taichi_cloth.limits import modes
+from taichi_cloth.limits.bounds import gershgorin, step_within
+from taichi_cloth.limits.eigenmodes import stable_step
+from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation.simulation import Simulation
 
@@ -53,8 +55,8 @@ def resolved(seconds=1.0, frame=FRAME, frames=60, part=0.1):
         limit = module.claims.stability_limit
         if math.isinf(limit):
             return Steps(frame, 1, frames)
-        bounds = modes.gershgorin(modes.Network.of_scene(scene))
-        h = part * modes.step_within(module, bounds)
+        bounds = gershgorin(Network.from_scene(scene))
+        h = part * step_within(module, bounds)
         if limit == 0:
             h = min(_inverse(seconds * bounds.omega2 / math.log(2)), _inverse(bounds.damping))
         substeps = max(1, math.ceil(frame / h * (1 - 1e-9)))
@@ -79,7 +81,7 @@ def of_limit(part, count):
     def choose(module, scene):
         if not 0 < module.claims.stability_limit < math.inf:
             return None
-        h = part * modes.stable_step(module, modes.Network.of_scene(scene)).dt
+        h = part * stable_step(module, Network.from_scene(scene)).dt
         return Steps(10 * h, 10, count // 10)
 
     return choose
@@ -95,7 +97,7 @@ def many(count, product):
     with which energy cannot double."""
 
     def choose(module, scene):
-        omega = math.sqrt(modes.gershgorin(modes.Network.of_scene(scene)).omega2)
+        omega = math.sqrt(gershgorin(Network.from_scene(scene)).omega2)
         limit = module.claims.stability_limit
         h = (product if limit > 0 else math.sqrt(math.log(2) / count)) / omega
         return Steps(1000 * h, 1000, count // 1000)
@@ -210,7 +212,7 @@ class Run:
 
     @cached_property
     def omega(self):
-        return math.sqrt(modes.gershgorin(modes.Network.of_scene(self.scene)).omega2)
+        return math.sqrt(gershgorin(Network.from_scene(self.scene)).omega2)
 
     @cached_property
     def free(self):
@@ -225,7 +227,7 @@ class Run:
         x, v = (self.x, self.v) if x is None else (x, v)
         p, s = self.scene.particles, self.scene.springs
         a, b = s.between[self.sim.springs_alive()].T
-        holds = s.of(self.sim.springs_alive())
+        holds = s.select(self.sim.springs_alive())
         stretch = np.linalg.norm(x[b] - x[a], axis=1) - holds.rest_length
         fallen = (x - self.x0) @ np.asarray(self.scene.world.gravity)
         free, m = self.free, p.mass

@@ -78,9 +78,9 @@ def edits(draw, springs, count):
     more = [(a, b) for a, b in draw(st.lists(st.tuples(end, end), max_size=4)) if a != b]
     more = [pair for pair in {tuple(sorted(pair)) for pair in more} if pair not in pairs]
     extra = Springs.build(np.reshape(more, (-1, 2)).astype(int), np.zeros((count, 2)))
-    edited = springs.of(kept).joined(extra)
+    edited = springs.select(kept).joined(extra)
     order = np.random.default_rng(draw(st.integers(0, 9))).permutation(len(edited))
-    return edited.of(order)
+    return edited.select(order)
 
 
 def check(stored, count, springs):

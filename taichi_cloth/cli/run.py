@@ -202,7 +202,7 @@ def _announce(sim: Simulation, device: Device, view: View) -> None:
     from taichi_cloth.limits.auto_step import above_limit
 
     print(_first_line(sim, device, view), flush=True)
-    warning = above_limit(sim)
+    warning = above_limit(sim.method, sim.scene, sim.dt, sim.substeps)
     if warning:
         print(f"{PROGRAM}: warning: {warning}", file=sys.stderr, flush=True)
 

@@ -38,7 +38,7 @@ class SceneSource:
     def build(self) -> Scene:
         """The scene, checked. Raises InputError where there is none, or it cannot be simulated."""
         from taichi_cloth.scene import library, scenefile
-        from taichi_cloth.scene.model import mark_checked
+        from taichi_cloth.scene.checks import mark_checked
 
         if self.is_file:
             return mark_checked(scenefile.load(self.name))

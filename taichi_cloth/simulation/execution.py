@@ -42,9 +42,7 @@ def run_frames(method, plan, state, done, frames, substeps) -> int:
     method: its module.
     """
     phased = method.phases
-    by_phases = phased and (
-        plan.one_launch_per_step or (plan.lanes > 1 and method.launches)
-    )
+    by_phases = phased and (plan.one_launch_per_step or (plan.lanes > 1 and method.launches))
     with _compiling(method, plan):
         if not (plan.one_launch_per_step or by_phases):
             step = phases.stepping(phased) if phased else method.step

@@ -15,6 +15,7 @@ from taichi_cloth.kernels import forces, fracture, methods, transfer, watchdog
 from taichi_cloth.kernels.forces import blow as pointer
 from taichi_cloth.kernels.solvers import newton_cg
 from taichi_cloth.kernels.specialization import Specialization
+from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import (
     ALIVE,
     BREAKING,
@@ -25,11 +26,12 @@ from taichi_cloth.kernels.state import (
     State,
     device_fields,
 )
-from taichi_cloth.kernels.spring_numbers import NUMBERS
-from taichi_cloth.limits import modes
-from taichi_cloth.limits.auto_step import Follower, substeps_needed
+from taichi_cloth.limits.auto_step import SubstepController, substeps_needed
+from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
+from taichi_cloth.limits.network import Network
 from taichi_cloth.runtime import current_device, still_runs
-from taichi_cloth.scene.model import Particles, Scene, Springs, validate
+from taichi_cloth.scene.checks import validate
+from taichi_cloth.scene.model import Particles, Scene, Springs
 from taichi_cloth.settings.options import SOLVER_SETTINGS, TOPOLOGIES
 from taichi_cloth.simulation import adjacency, diagnostics, execution, layouts
 
@@ -90,7 +92,7 @@ class Simulation:
         self._needs = self._module.needs
         self.claims = self._module.claims
         self.solver = _solver_settings(method, self.claims, tolerance, iterations)
-        self._follower = Follower(method, self._module, dt) if follows else None
+        self._follower = SubstepController(method, self._module, dt) if follows else None
         self._real = getattr(ti, device.real)
         self._numpy_real = np.float64 if device.real == "f64" else np.float32
         self._requested = topology, execution
@@ -116,7 +118,7 @@ class Simulation:
         self.scene = validate(scene)
         self.dt, self.substeps = dt, substeps
         if self.follows:
-            self._follower = Follower(self.method, self._module, dt)
+            self._follower = SubstepController(self.method, self._module, dt)
         self.speed_limit = _runaway_speed(scene, dt)
         self.reset()
 
@@ -131,7 +133,7 @@ class Simulation:
         self._particles, self._springs = self.scene.particles, self.scene.springs
         self._fracture = np.tile(np.int32([ALIVE, 0]), (len(self._springs), 1))
         if self._follower:
-            self._follower.forget()
+            self._follower.reset()
             self._choose_substeps(self._particles, self._springs, self._fracture)
         self._load(self._particles.position, self._particles.velocity)
 
@@ -224,10 +226,10 @@ class Simulation:
             if not same:
                 self._changed = True  # what a method keeps may depend on the step
 
-    def network(self) -> modes.Network:
+    def network(self) -> Network:
         """The particles where they are, and the springs that pull."""
         holds = self._read_fracture()[:, 0] != GONE
-        return modes.Network.of(self._particles, self._springs, self.positions(), holds)
+        return Network.from_particles(self._particles, self._springs, self.positions(), holds)
 
     def work(self) -> diagnostics.Work:
         """What has been done since the start, or since `reset`."""
@@ -320,7 +322,7 @@ class Simulation:
         """Substeps for these particles and springs, of which some may be gone."""
         holds = marks[:, 0] != GONE
         self._broken_before, self._breaking = int((marks[:, 0] != ALIVE).sum()), True
-        chosen = self._follower.choose(modes.Network.of(particles, springs, holds=holds))
+        chosen = self._follower.choose(Network.from_particles(particles, springs, holds=holds))
         if chosen != self.substeps:
             self._change_step(self.dt, chosen)
 
@@ -334,8 +336,8 @@ class Simulation:
         if changed or self._breaking:
             self._broken_before, self._breaking = broken, changed
             holds = self._read_fracture()[:, 0] != GONE
-            network = modes.Network.of(self._particles, self._springs, holds=holds)
-            chosen = self._follower.follow(network)
+            network = Network.from_particles(self._particles, self._springs, holds=holds)
+            chosen = self._follower.choose_after_breaks(network)
             if chosen != self.substeps:
                 self._change_step(self.dt, chosen)
 
@@ -514,7 +516,9 @@ class Simulation:
         features["springs"] &= spawns or len(self._on_graph) > 0
         self._spread_plan = plan = Specialization(
             **features,
-            terms=forces.present_in(replace(self.scene, particles=self._particles, springs=self._springs)),
+            terms=forces.present_in(
+                replace(self.scene, particles=self._particles, springs=self._springs)
+            ),
             lanes=self._layout.lanes,
             links=self._layout.links,
             rows_share_stiffness=self._layout.rows_share_stiffness and not features["fracture"],
@@ -575,9 +579,7 @@ class Simulation:
             np.concatenate([np.ravel(values[name]) for name in names])
             for names in (state.count_names, state.number_names)
         )
-        transfer.load_numbers(
-            state, counts.astype(np.int32), numbers.astype(self._numpy_real)
-        )
+        transfer.load_numbers(state, counts.astype(np.int32), numbers.astype(self._numpy_real))
 
     def _grid(self, particles):
         """Cells per axis and their width, the largest diameter, for the collision grid.
@@ -623,7 +625,7 @@ class Simulation:
 
     def _load_near(self):
         """Sums of the stiffness and damping of each particle's springs."""
-        springs = self._springs.of(self._fracture[:, 0] != GONE)
+        springs = self._springs.select(self._fracture[:, 0] != GONE)
         rows = np.column_stack(
             [
                 np.bincount(springs.between.ravel(), np.repeat(of, 2), self.particle_count)
@@ -657,7 +659,7 @@ class Simulation:
     def _load_springs(self):
         """The springs that are on the graph, as rows of half-springs."""
         site = self._layout.slot
-        springs, marks = self._springs.of(self._on_graph), self._fracture[self._on_graph]
+        springs, marks = self._springs.select(self._on_graph), self._fracture[self._on_graph]
         sites = self._layout.n_packs * self._layout.lanes
         half = adjacency.half_springs(site[springs.between], sites)
         near, row = np.arange(sites), half.row
@@ -808,8 +810,8 @@ class Simulation:
     def _likely_cause(self):
         """(cause, remedy) of a failure: the step against the method's limit in any geometry."""
         network, method = self.network(), methods.load(self.method)
-        bounds = modes.gershgorin(network)
-        dt, limit = self.dt / self.substeps, modes.step_within(method, bounds)
+        bounds = gershgorin(network)
+        dt, limit = self.dt / self.substeps, step_within(method, bounds)
         if limit == 0 and math.isfinite(bounds.omega2):
             which = "undamped springs"
             if bounds.damping > 0:
@@ -821,8 +823,8 @@ class Simulation:
         if not math.isfinite(bounds.omega2):
             return f"springs too stiff for {self._numpy_real.__name__}", "use softer springs"
         if dt > limit > 0:  # by Gershgorin; look closer
-            bounds = modes.any_geometry(network)
-            limit = modes.step_within(method, bounds)
+            bounds = any_geometry(network)
+            limit = step_within(method, bounds)
         if not dt > limit:
             return "forces or starting speeds too large for the step", "use more --substeps"
         needed = f"use --substeps {substeps_needed(self.dt, limit)}"

@@ -31,6 +31,12 @@ from taichi_cloth.errors import InputError, SimulationFailure, nearest
 from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits import modes
+from taichi_cloth.limits.auto_step import SAFETY
+from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
+from taichi_cloth.limits.eigenmodes import Limit, stable_step
+from taichi_cloth.limits.matrices import stiffness_and_damping
+from taichi_cloth.limits.network import Network
+from taichi_cloth.limits.rounding import Stall, f32_stall
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import StabilityOptions
@@ -86,7 +92,7 @@ class Row:
     method: str
     dt_gershgorin: float
     dt_any_geometry: float
-    limit: modes.Limit
+    limit: Limit
     dt_measured: float | None = None
     runs: int = 0
     steps: int = 0
@@ -116,7 +122,7 @@ def main(source: SceneSource, options: StabilityOptions) -> int:
     np.seterr(all="ignore")  # numbers that overflow are the watchdog's to report
     runtime.start("cpu", "f64")
     prepared = at_rest(scene)
-    network = modes.Network.of_scene(prepared)
+    network = Network.from_scene(prepared)
     rows = [_computed(name, network) for name in names]
     maps: list[Map] = []
     interrupted = None
@@ -187,13 +193,13 @@ def at_rest(scene: Scene) -> Scene:
     )
 
 
-def _computed(name: str, network: modes.Network) -> Row:
+def _computed(name: str, network: Network) -> Row:
     method = methods.load(name)
     return Row(
         name,
-        modes.step_within(method, modes.gershgorin(network)),
-        modes.step_within(method, modes.any_geometry(network)),
-        modes.stable_step(method, network),
+        step_within(method, gershgorin(network)),
+        step_within(method, any_geometry(network)),
+        stable_step(method, network),
     )
 
 
@@ -220,8 +226,8 @@ class Runs:
         self._scene, particles = scene, scene.particles
         self._free = ~particles.fixed
         self._mass = np.sqrt(particles.mass[self._free])[:, None]
-        network = modes.Network.of_scene(scene)
-        self._stiffness = modes.matrices(network)[0]
+        network = Network.from_scene(scene)
+        self._stiffness = stiffness_and_damping(network)[0]
         v = np.zeros_like(particles.position)
         self._force = -diagnostics.spring_forces(particles.position, v, scene.springs)
         a, b = scene.springs.between.T
@@ -239,7 +245,7 @@ class Runs:
         sim.advance()
         return (time.perf_counter() - begin) / 100
 
-    def is_unstable(self, h: float, limit: modes.Limit, look: Look) -> bool:
+    def is_unstable(self, h: float, limit: Limit, look: Look) -> bool:
         """Whether a disturbance grows at steps of h; limit: says along which mode it starts."""
         sim, rng = self._sim, np.random.default_rng(0)
         sim.load_as(sim.topology, sim.execution, *self._disturbed(limit, rng))
@@ -312,7 +318,7 @@ def _long_enough(method, limit, seconds) -> Look:
     return Look(int(np.clip(steps, *RUN_STEPS)))
 
 
-def bisect(runs: Runs, limit: modes.Limit, look: Look, tell=lambda: None) -> tuple[float, str]:
+def bisect(runs: Runs, limit: Limit, look: Look, tell=lambda: None) -> tuple[float, str]:
     """The step between stable and unstable runs, to within ACCURACY, and how it was found.
 
     0 where the disturbance grows at a hundredth of the step that would resolve the mode.
@@ -376,9 +382,7 @@ def _draw_map(drawn, factors, mesh, changed, runs, tell):
     """Fill a map: the line first, then runs at steps below, around and above it."""
     method = methods.load(drawn.method)
     scenes = [changed(factor) for factor in factors]
-    found = [
-        modes.stable_step(method, modes.Network.of_scene(scene), exact=False) for scene in scenes
-    ]
+    found = [stable_step(method, Network.from_scene(scene), exact=False) for scene in scenes]
     drawn.factor, drawn.line = factors.tolist(), [limit.dt for limit in found]
     steps = np.geomspace(min(drawn.line) / 2.2, max(drawn.line) * 2.2, mesh.steps)
     for factor, scene, limit in zip(drawn.factor, scenes, found, strict=True):
@@ -388,14 +392,14 @@ def _draw_map(drawn, factors, mesh, changed, runs, tell):
             drawn.points.append((factor, h, not runs.is_unstable(h, limit, mesh.look)))
 
 
-def _stall(scene: Scene) -> modes.Stall:
+def _stall(scene: Scene) -> Stall:
     """Where f32 stops following the scene's own start, gravity included."""
     p = scene.particles
     with np.errstate(all="ignore"):
         force = diagnostics.spring_forces(p.position, p.velocity, scene.springs)
         force -= p.viscous[:, None] * p.velocity
         a = np.asarray(scene.world.gravity) + force / p.mass[:, None]
-    return modes.f32_stall(p.position, p.velocity, a, p.fixed, scene.world.dt)
+    return f32_stall(p.position, p.velocity, a, p.fixed, scene.world.dt)
 
 
 # --- reporting -------------------------------------------------------------------------------
@@ -506,7 +510,7 @@ def _show(scene, rows, stall, chosen) -> None:
         if row.status != "measured":
             console.print(f"{row.method}: {row.status}", highlight=False)
     dt = scene.world.dt
-    says = f"The scene's frame is {dt:g}; --dt auto stays below {modes.SAFETY} of 'any geometry'."
+    says = f"The scene's frame is {dt:g}; --dt auto stays below {SAFETY} of 'any geometry'."
     console.print(says, highlight=False)
     if chosen is None:
         free = [m for m in methods.METHODS if math.isinf(_claimed(m))]

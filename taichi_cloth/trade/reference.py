@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.limits import modes
+from taichi_cloth.limits.bounds import any_geometry
+from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.trade import ode
@@ -148,7 +149,7 @@ def disturbed(scene: Scene, size: float, seed: int = 0) -> Scene:
 
 def coarsest(scene: Scene, dt: float) -> int:
     """Substeps of the coarsest of the fine runs."""
-    bounds = modes.any_geometry(modes.Network.of_scene(scene))
+    bounds = any_geometry(Network.from_scene(scene))
     rate = max(math.sqrt(bounds.omega2), bounds.damping, 1.0 / dt)
     return 1 << max(0, int(np.ceil(np.log2(RESOLUTION * dt * rate))))
 

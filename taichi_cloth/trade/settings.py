@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from taichi_cloth.errors import InputError, nearest
-from taichi_cloth.limits import modes
+from taichi_cloth.limits.bounds import Bounds, any_geometry, step_within
+from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import ARCHS, PRECISIONS, ComparisonOptions
 
@@ -107,7 +108,7 @@ def choose(scene: Scene, options: ComparisonOptions) -> list[Setting]:
     iterations = _numbers("--iterations", options.iterations, int)
     tolerances = _numbers("--tolerances", options.tolerances, float)
     dt = options.dt or scene.world.dt
-    bounds = modes.any_geometry(modes.Network.of_scene(scene))
+    bounds = any_geometry(Network.from_scene(scene))
 
     settings = []
     for method in names:
@@ -158,13 +159,13 @@ def converged(setting: Setting) -> Setting | None:
     )
 
 
-def largest_step(method: str, bounds: modes.Bounds) -> float:
+def largest_step(method: str, bounds: Bounds) -> float:
     """The largest stable step by the limits of a scene; of a method that is never stable, that of
     one that is while dt * omega < 2, in which it grows slowly.
     """
     from taichi_cloth.kernels import methods
 
-    step = modes.step_within(methods.load(method), bounds)
+    step = step_within(methods.load(method), bounds)
     return step or 2.0 / max(math.sqrt(bounds.omega2), bounds.damping)
 
 

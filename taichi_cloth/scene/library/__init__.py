@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.errors import InputError, nearest
-from taichi_cloth.scene.model import Scene, validate
+from taichi_cloth.scene.checks import validate
+from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import Parameter
 
 
