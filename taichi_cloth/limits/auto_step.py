@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
+from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.limits.bounds import (
     AnyGeometry,
     gershgorin,
@@ -18,7 +19,6 @@ from taichi_cloth.limits.bounds import (
     step_within,
 )
 from taichi_cloth.limits.eigenmodes import stable_step
-from taichi_cloth.limits.modes import Method
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
 

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.limits.matrices import laplacian, largest_eigenvalue
-from taichi_cloth.limits.modes import ROUND_OFF, Method, growth, largest_step
+from taichi_cloth.limits.modes import ROUND_OFF, growth, largest_step
 from taichi_cloth.limits.network import Network
 
 
@@ -61,8 +62,8 @@ def gershgorin(network: Network) -> Bounds:
 
     omega^2 <= max_i (1/m_i) (sum of k to all neighbours + sum of k to free neighbours).
     """
-    springs = network.springs
-    return _row_sums(network, springs.stiffness[:, None], springs.damping[:, None])
+    stiffness, damping = network.along_springs
+    return _row_sums(network, stiffness[:, None], damping[:, None])
 
 
 def gershgorin_here(network: Network) -> Bounds:
@@ -70,9 +71,9 @@ def gershgorin_here(network: Network) -> Bounds:
     along, t = network.geometry
     # Row sums of |n n^T|, and of the whole Hessian.
     longitudinal = np.abs(along) * np.abs(along).sum(axis=1, keepdims=True)
-    k = network.springs.stiffness[:, None]
-    stiff = k * ((1 - t)[:, None] * longitudinal + t[:, None])
-    return _row_sums(network, stiff, network.springs.damping[:, None] * longitudinal)
+    stiffness, damping = network.along_springs
+    stiff = stiffness[:, None] * ((1 - t)[:, None] * longitudinal + t[:, None])
+    return _row_sums(network, stiff, damping[:, None] * longitudinal)
 
 
 def _row_sums(network: Network, stiff: np.ndarray, damped: np.ndarray) -> Bounds:
@@ -82,7 +83,7 @@ def _row_sums(network: Network, stiff: np.ndarray, damped: np.ndarray) -> Bounds
     if not free.any():
         return Bounds(0.0, -1, 0.0, -1, 0.0)
     a, b = network.springs.between.T
-    drag = particles.viscous / particles.mass
+    held, drag = (of / particles.mass for of in network.on_particles)
 
     def rows(weights: np.ndarray) -> np.ndarray:
         sums = np.zeros(n)
@@ -92,7 +93,8 @@ def _row_sums(network: Network, stiff: np.ndarray, damped: np.ndarray) -> Bounds
         return np.where(free, sums, 0.0)
 
     with np.errstate(over="ignore", invalid="ignore"):  # an infinite bound is a true answer
-        omega2, damping = rows(stiff), rows(damped) + np.where(free, drag, 0.0)
+        omega2 = rows(stiff) + np.where(free, held, 0.0)
+        damping = rows(damped) + np.where(free, drag, 0.0)
     stiffest, damped_most = int(omega2.argmax()), int(damping.argmax())
     return Bounds(
         float(omega2[stiffest]),
@@ -121,8 +123,8 @@ class AnyGeometry:
         if not free.any() or not math.isfinite(rough.omega2 + rough.damping):
             return rough
         values = []
-        for i, (weights, drag) in enumerate(_weights_and_drag(network)):
-            matrix = laplacian(network, weights, drag)
+        for i, (weights, diagonal) in enumerate(_weights_and_diagonal(network)):
+            matrix = laplacian(network, weights, diagonal)
             uniform = not weights.any() and (matrix.diagonal() == matrix.diagonal()[0]).all()
             if uniform:
                 values.append(float(matrix.diagonal()[0]))
@@ -147,12 +149,14 @@ class AnyGeometry:
         quotients = []
         free, mass = ~network.particles.fixed, network.particles.mass
         a, b = network.springs.between.T
-        for u, (weights, drag) in zip(self._vectors, _weights_and_drag(network), strict=True):
+        for u, (weights, diagonal) in zip(
+            self._vectors, _weights_and_diagonal(network), strict=True
+        ):
             if u is None:
                 quotients.append(0.0)
                 continue
             scaled = np.where(free, u / np.sqrt(mass), 0.0)
-            energy = (weights * (scaled[b] - scaled[a]) ** 2).sum() + (drag * scaled**2).sum()
+            energy = (weights * (scaled[b] - scaled[a]) ** 2).sum() + (diagonal * scaled**2).sum()
             quotients.append(float(energy / (u * u).sum()))
         least = gershgorin(network).least_damping
         return Bounds(quotients[0], -1, max(quotients[1], least), -1, least)
@@ -163,8 +167,6 @@ def any_geometry(network: Network) -> Bounds:
     return AnyGeometry().bounds(network)
 
 
-def _weights_and_drag(network: Network) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _weights_and_diagonal(network: Network) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The Laplacians of K and C, each as springs' weights (s,) and addends of the diagonal (n,)."""
-    springs, particles = network.springs, network.particles
-    yield springs.stiffness, np.zeros(len(particles))
-    yield springs.damping, particles.viscous
+    yield from zip(network.along_springs, network.on_particles, strict=True)

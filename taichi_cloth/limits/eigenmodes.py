@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.limits.bounds import gershgorin
 from taichi_cloth.limits.matrices import largest_eigenvalue, stiffness_and_damping
-from taichi_cloth.limits.modes import Method, largest_step
+from taichi_cloth.limits.modes import largest_step
 from taichi_cloth.limits.network import Network
 
 if TYPE_CHECKING:
@@ -46,7 +47,9 @@ class Limit:
         if self.spring >= 0:
             a, b = self.ends
             return f"spring {self.spring}, between particles {a} and {b}"
-        return f"the drag on particle {self.particle}" if self.particle >= 0 else "nothing"
+        if self.particle < 0:
+            return "nothing"
+        return f"the {'force' if self.omega2 > 0 else 'drag'} on particle {self.particle}"
 
 
 def stable_step(method: Method, network: Network, *, exact: bool = True) -> Limit:
@@ -189,12 +192,14 @@ def _limit(network: Network, found: _Mode) -> Limit:
 
 
 def _energies(network: Network, mode: np.ndarray, h: float) -> tuple[np.ndarray, float]:
-    """Energies of springs (s,) and of drag in a mode (n, dim), weighed as in a step: h^2 K, h C."""
-    springs = network.springs
+    """Energies in a mode (n, dim), weighed as in a step, h^2 K and h C: of springs (s,), and of all
+    that acts on single particles.
+    """
+    (k, c), (held, drag) = network.along_springs, network.on_particles
     along, t = network.geometry
-    a, b = springs.between.T
+    a, b = network.springs.between.T
     stretch = mode[b] - mode[a]
     axial, whole = (along * stretch).sum(axis=1) ** 2, (stretch**2).sum(axis=1)
-    energy = h * h * springs.stiffness * ((1 - t) * axial + t * whole)
-    energy += h * springs.damping * axial
-    return energy, h * float((network.particles.viscous * (mode**2).sum(axis=1)).sum())
+    energy = h * h * k * ((1 - t) * axial + t * whole)
+    energy += h * c * axial
+    return energy, h * float(((drag + h * held) * (mode**2).sum(axis=1)).sum())

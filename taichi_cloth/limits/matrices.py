@@ -97,12 +97,13 @@ def stiffness_and_damping(network: Network) -> tuple[csr_matrix, csr_matrix]:
     """
     dim = network.position.shape[1]
     along, t = network.geometry
-    k, c = network.springs.stiffness, network.springs.damping
+    k, c = network.along_springs
+    held, drag = network.on_particles
     nn = along[:, :, None] * along[:, None, :]
     stiff = k[:, None, None] * ((1 - t)[:, None, None] * nn + t[:, None, None] * np.eye(dim))
     return (
-        _from_blocks(network, stiff, np.zeros(len(network.position))),
-        _from_blocks(network, c[:, None, None] * nn, network.particles.viscous),
+        _from_blocks(network, stiff, held),
+        _from_blocks(network, c[:, None, None] * nn, drag),
     )
 
 

@@ -30,7 +30,6 @@ from taichi_cloth.kernels.methods.contract import Method
 ROUND_OFF = 1e-11
 
 
-
 def growth(method: Method, h: float, omega2: float, damping: float) -> float:
     """By how much the mode x'' = -omega2 x - damping v grows in a step h, at most."""
     if method.stability_function:
@@ -39,6 +38,7 @@ def growth(method: Method, h: float, omega2: float, damping: float) -> float:
         fast = -damping / 2 - root
         slow = omega2 / fast if fast else 0.0
         return max(float(abs(method.stability_function(h * mu))) for mu in (fast, slow))
+    assert method.amplification  # one of both, by the contract
     return float(np.abs(np.linalg.eigvals(method.amplification(h, omega2, damping))).max())
 
 

@@ -12,7 +12,6 @@ from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene.model import (
     MOUSE_MODES,
     WALLS,
-    WORLD_KEYS,
     Particles,
     Scene,
     Springs,
@@ -24,6 +23,7 @@ from taichi_cloth.scene.properties import (
     SPRING_PROPERTIES,
     Rule,
 )
+from taichi_cloth.scene.world_keys import world_keys
 
 Place = Callable[[str, "int | None", "str | None"], str]
 
@@ -149,9 +149,9 @@ def _check_world(world: World, refusal: _Refusal) -> None:
     if world.mouse not in MOUSE_MODES:
         refuse("mouse", f"unknown mouse mode {world.mouse!r}; {nearest(world.mouse, MOUSE_MODES)}")
     for name, further in world.more.items():
-        if name not in WORLD_KEYS:
-            refuse(name, f"unknown key {name!r}; {nearest(name, WORLD_KEYS)}")
-        key = WORLD_KEYS[name]
+        if name not in world_keys():
+            refuse(name, f"unknown key {name!r}; {nearest(name, world_keys())}")
+        key = world_keys()[name]
         if key.vector:
             _check_vector(world, name, further, key.rule, refusal)
         else:

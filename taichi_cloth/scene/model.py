@@ -11,7 +11,7 @@ Units are the scene's own (the seed scenes use pixels and frames); y points down
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -22,7 +22,6 @@ from taichi_cloth.scene.properties import (
     ParticleProperties,
     Property,
     SpringProperties,
-    WorldKey,
 )
 
 if TYPE_CHECKING:
@@ -60,7 +59,7 @@ class World:
     walls: names out of `WALLS`; a particle bounces off these sides.
     collisions: whether particles bounce off each other.
     mouse: what the pointer does, out of `MOUSE_MODES`.
-    more: values of keys in `WORLD_KEYS`, those that a scene gives.
+    more: values of further keys (`world_keys`), those that a scene gives.
     """
 
     size: tuple[float, ...]
@@ -85,19 +84,6 @@ class World:
         """Upper corner of the world, shape (dim,)."""
         high: np.ndarray = self.low + np.array(self.size)
         return high
-
-
-WORLD_KEYS: dict[str, WorldKey] = {}  # further keys of [world], by name
-
-
-def declare_world_key(key: WorldKey) -> None:
-    """Let scenes give `key` in `[world]`, and read its value in `World.more`.
-
-    Raises ValueError for a name that the world has already.
-    """
-    if key.name in WORLD_KEYS or key.name in (f.name for f in fields(World)):
-        raise ValueError(f"[world] has a key '{key.name}' already")
-    WORLD_KEYS[key.name] = key
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,6 @@ from taichi_cloth.scene.model import (
     MOUSE_MODES,
     PARTICLE_COLOR,
     WALLS,
-    WORLD_KEYS,
     ParticleDefaults,
     Particles,
     Scene,
@@ -35,13 +34,14 @@ from taichi_cloth.scene.model import (
 )
 from taichi_cloth.scene.properties import PARTICLE_PROPERTIES, SPRING_PROPERTIES
 from taichi_cloth.scene.toml import Keys
+from taichi_cloth.scene.world_keys import world_keys
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-# Each table's keys, besides those of `WORLD_KEYS`. `break_force = false` says unbreakable where
+# Each table's keys, besides further ones of [world] (`world_keys`). `break_force = false` says unbreakable where
 # [spring] gives a force.
 _TABLES = {
     "": ("name", "world", "particle", "spring", "particles", "springs", "cloths"),
@@ -168,8 +168,10 @@ class _Reader:
     # Values
 
     def known_keys(self, table: Table, kind: str, path: Keys) -> None:
-        known = (*_TABLES[kind], *WORLD_KEYS) if kind == "world" else _TABLES[kind]
         for key in table:
+            known = _TABLES[kind]
+            if key not in known and kind == "world":
+                known = (*known, *world_keys())
             if key not in known:
                 hint = nearest(key, known)
                 if kind and key in _TABLES[""]:
@@ -292,12 +294,14 @@ class _Reader:
         )
 
     def further_keys(self, table: Table, dim: int) -> dict[str, float | tuple[float, ...]]:
-        """The values of those keys of [world] that are in `WORLD_KEYS`."""
+        """The values of those keys of [world] that not every scene has."""
         more: dict[str, float | tuple[float, ...]] = {}
-        for name, key in WORLD_KEYS.items():
-            if name in table and key.vector:
+        for name in table:
+            if name in _TABLES["world"]:
+                continue
+            if world_keys()[name].vector:
                 more[name] = tuple(self.vector(table, ("world",), name, dim) or ())
-            elif name in table:
+            else:
                 more[name] = self.required(table, ("world",), name, toml.number)
         return more
 

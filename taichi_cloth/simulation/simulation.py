@@ -229,7 +229,7 @@ class Simulation:
     def network(self) -> Network:
         """The particles where they are, and the springs that pull."""
         holds = self._read_fracture()[:, 0] != GONE
-        return Network.from_particles(self._particles, self._springs, self.positions(), holds)
+        return Network.from_scene(self._present_scene(), self.positions(), holds)
 
     def work(self) -> diagnostics.Work:
         """What has been done since the start, or since `reset`."""
@@ -322,7 +322,11 @@ class Simulation:
         """Substeps for these particles and springs, of which some may be gone."""
         holds = marks[:, 0] != GONE
         self._broken_before, self._breaking = int((marks[:, 0] != ALIVE).sum()), True
-        chosen = self._follower.choose(Network.from_particles(particles, springs, holds=holds))
+        chosen = self._follower.choose(
+            Network.from_scene(
+                replace(self.scene, particles=particles, springs=springs), holds=holds
+            )
+        )
         if chosen != self.substeps:
             self._change_step(self.dt, chosen)
 
@@ -336,7 +340,7 @@ class Simulation:
         if changed or self._breaking:
             self._broken_before, self._breaking = broken, changed
             holds = self._read_fracture()[:, 0] != GONE
-            network = Network.from_particles(self._particles, self._springs, holds=holds)
+            network = Network.from_scene(self._present_scene(), holds=holds)
             chosen = self._follower.choose_after_breaks(network)
             if chosen != self.substeps:
                 self._change_step(self.dt, chosen)
@@ -419,6 +423,9 @@ class Simulation:
         return diagnostics.momentum(self.velocities(), self._particles.mass, self._particles.fixed)
 
     # --- loading the device ----------------------------------------------------------------
+
+    def _present_scene(self):
+        return replace(self.scene, particles=self._particles, springs=self._springs)
 
     def _features(self):
         return replace(self.scene, particles=self._particles, springs=self._springs).features()

@@ -217,6 +217,8 @@ def scene_hash(scene: Scene) -> str:
     digest = hashlib.sha256()
     world = scene.world
     digest.update(repr((world.size, world.gravity, world.walls, world.collisions)).encode())
+    if world.more:
+        digest.update(repr(sorted(world.more.items())).encode())
     for part in (scene.particles, scene.springs):
         for of in fields(part):
             if of.name != "color":

@@ -42,17 +42,15 @@ class Absent:
 
 @dataclass(frozen=True)
 class Key:
-    """A key of scene files: world.more[name], or particles.more[name].
+    """A key of [world] in scene files, and of world.more in Python: a number, or a vector.
 
-    table: "world" or "particle"; default: the value that has no effect, a number, or for each axis
-    the same one (vector). unit, help: for documents. minimum, maximum: inclusive limits.
+    help, unit: for documents. minimum, maximum: inclusive limits of each of its numbers; None: it
+    has none. A scene that does not give it must not need the force.
     """
 
     name: str
-    table: str
     help: str
     unit: str
-    default: float = 0.0
     vector: bool = False
     minimum: float | None = None
     maximum: float | None = None
@@ -60,7 +58,7 @@ class Key:
 
 @dataclass(frozen=True)
 class DeviceField:
-    """A field state.<name>, one of `SHAPES`.
+    """A field on the device, state.<name>, one of `SHAPES`.
 
     value(world, particles): what it holds, (), (dim,), (n,); None where nothing is loaded into it:
     the term's own kernels fill it.
