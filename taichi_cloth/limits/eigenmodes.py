@@ -30,6 +30,7 @@ class Limit:
     spring, ends, share: the number of the spring with the largest share of the mode's energy, its
         particles, and that share; -1 where drag alone sets the limit.
     particle: the one that moves most (-1: none does).
+    held: whether it is a force on that particle, and not its drag, that sets the limit.
     """
 
     dt: float
@@ -41,6 +42,7 @@ class Limit:
     ends: tuple[int, int] = (-1, -1)
     share: float = 0.0
     particle: int = -1
+    held: bool = False
 
     def describe(self) -> str:
         """What is responsible, in words."""
@@ -49,7 +51,7 @@ class Limit:
             return f"spring {self.spring}, between particles {a} and {b}"
         if self.particle < 0:
             return "nothing"
-        return f"the {'force' if self.omega2 > 0 else 'drag'} on particle {self.particle}"
+        return f"the {'force' if self.held else 'drag'} on particle {self.particle}"
 
 
 def stable_step(method: Method, network: Network, *, exact: bool = True) -> Limit:
@@ -175,12 +177,10 @@ def _limit(network: Network, found: _Mode) -> Limit:
     mode[free], velocity[free] = u.reshape(-1, dim) / mass, moving.reshape(-1, dim) / mass
     particle = int((network.particles.mass * (mode**2).sum(axis=1)).argmax())
     limit = Limit(h, omega2, rate, mode, velocity, particle=particle)
-    if len(network.springs) == 0:
-        return limit
-    energy, drag = _energies(network, mode, h if 0 < h < math.inf else 1.0)
-    total = energy.sum() + drag
-    if not energy.sum() > drag:
-        return limit
+    energy, drag, held = _energies(network, mode, h if 0 < h < math.inf else 1.0)
+    total = energy.sum() + drag + held
+    if not energy.sum() > drag + held:
+        return replace(limit, held=held > drag)
     spring = int(energy.argmax())
     a, b = network.springs.between[spring]
     return replace(
@@ -191,9 +191,9 @@ def _limit(network: Network, found: _Mode) -> Limit:
     )
 
 
-def _energies(network: Network, mode: np.ndarray, h: float) -> tuple[np.ndarray, float]:
-    """Energies in a mode (n, dim), weighed as in a step, h^2 K and h C: of springs (s,), and of all
-    that acts on single particles.
+def _energies(network: Network, mode: np.ndarray, h: float) -> tuple[np.ndarray, float, float]:
+    """Energies in a mode (n, dim), weighed as in a step, h^2 K and h C: of springs (s,), of the drag
+    on single particles, and of what else holds them.
     """
     (k, c), (held, drag) = network.along_springs, network.on_particles
     along, t = network.geometry
@@ -202,4 +202,5 @@ def _energies(network: Network, mode: np.ndarray, h: float) -> tuple[np.ndarray,
     axial, whole = (along * stretch).sum(axis=1) ** 2, (stretch**2).sum(axis=1)
     energy = h * h * k * ((1 - t) * axial + t * whole)
     energy += h * c * axial
-    return energy, h * float(((drag + h * held) * (mode**2).sum(axis=1)).sum())
+    moved = (mode**2).sum(axis=1)
+    return energy, h * float((drag * moved).sum()), h * h * float((held * moved).sum())
