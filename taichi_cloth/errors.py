@@ -1,4 +1,4 @@
-"""What can end a run early: the user's input is refused, or the simulation fails.
+"""What can end a run early: the user's input is refused, or the run fails.
 
 Both carry one line that says what was wrong, where, and what to do; the command
 line prints that line and nothing else (no traceback for a user's mistake).
@@ -16,15 +16,19 @@ class InputError(ValueError):
     exit_status = 2
 
 
-class SimulationFailure(RuntimeError):
-    """The simulation left its bounds (exit status 3): who, when, why, and what to change.
+class RunFailure(RuntimeError):
+    """What was asked for cannot be computed (exit status 3). The message is one line."""
+
+    exit_status = 3
+
+
+class SimulationFailure(RunFailure):
+    """The simulation left its bounds: who, when, why, and what to change.
 
     particle: index of the first particle at fault.
     frame: 1-based number of the frame that failed; the last good frame is ``frame - 1``.
     cause, remedy: one clause each.
     """
-
-    exit_status = 3
 
     def __init__(self, particle: int, frame: int, what: str, cause: str, remedy: str):
         self.particle, self.frame = particle, frame

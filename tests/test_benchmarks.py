@@ -209,7 +209,7 @@ def test_warp_and_the_compiler_may_be_missing(monkeypatch, bench):
 
 
 def results():
-    timed = report.Row(
+    timed = report.Measurement(
         "seed",
         "ours, lanes",
         size="16 x 12",
@@ -225,8 +225,8 @@ def results():
         rounds=7,
         versions="taichi 1.7.4",
     )
-    ratio = report.Row("seed", "ours to theirs", rate=3.5, unit="times", target=">= 4")
-    gap = report.Row("seed", 'a "peer", too', note="left out: not here")
+    ratio = report.Measurement("seed", "ours to theirs", rate=3.5, unit="times", target=">= 4")
+    gap = report.Measurement("seed", 'a "peer", too', note="left out: not here")
     return [timed, ratio, gap]
 
 

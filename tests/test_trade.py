@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -22,12 +22,12 @@ from test_verification import DISCRETE
 from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
+from taichi_cloth.measuring.timing import Quiet
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.settings.options import TradeOptions
 from taichi_cloth.trade import ode, reference, rows, settings, tune
 from taichi_cloth.trade.errors import Breaks, Invariants, Samples, distance
-from taichi_cloth.trade.runner import Quiet
 from taichi_cloth.trade.settings import Setting
 
 CONTRACT = (
@@ -190,7 +190,7 @@ def test_what_is_known_decides_what_is_compared_to():
         return Samples(moved, x, np.full((11, 1), alive))
 
     fine = [("coarse", samples(1e-3)), ("fine", samples(1e-6))]
-    solved = ode.Solution(x, x, until=10.0)
+    solved = ode.SmoothTrajectory(x, x, until=10.0)
     args = scene, 10
     exact = reference.decide(*args, samples(2e-6), solved, 10.0, fine)
     assert exact.what == "the closed form"
@@ -198,11 +198,11 @@ def test_what_is_known_decides_what_is_compared_to():
     both = reference.decide(*args, None, solved, 10.0, fine)
     assert both.what.startswith("DOP853") and both.against == "fine"
     assert both.apart.trajectory == pytest.approx(1e-6 * math.sqrt(2))
-    hit = ode.Solution(x, x, until=4.0, event="particle 1 hits the wall 'left'")
+    hit = ode.SmoothTrajectory(x, x, until=4.0, event="particle 1 hits the wall 'left'")
     rough = reference.decide(*args, None, hit, 10.0, fine)
     assert (rough.what, rough.against) == ("fine", "coarse") and "wall 'left'" in rough.event
     assert rough.apart.trajectory == pytest.approx((1e-3 - 1e-6) * math.sqrt(2))
-    slow = ode.Solution(x, x, until=4.0, given_up=True)
+    slow = ode.SmoothTrajectory(x, x, until=4.0, given_up=True)
     given_up = reference.decide(*args, None, slow, 10.0, fine)
     assert given_up.event is None and "given up at time 4 of 10" in given_up.note
     torn = [fine[0], ("fine", samples(0.0, alive=False))]
@@ -307,7 +307,14 @@ def test_a_narrow_terminal_is_shown_fewer_columns_and_whole_words(oscillator, ca
     folder, printed, _ = oscillator
     assert "symplectic_euler" in printed and "quartiles" in printed and "…" not in printed
     found = json.loads((folder / "trade.json").read_text())
-    made = [rows.Row(**row) for row in found["rows"]]
+    of_setting = [f.name for f in fields(Setting)]
+    made = [
+        rows.Row(
+            Setting(**{name: row.pop(name) for name in of_setting}),
+            **{name: value for name, value in row.items() if name != "step"},
+        )
+        for row in found["rows"]
+    ]
     horizon = SimpleNamespace(frames=20, scale=1.0, what="", describe=lambda: "")
     result = SimpleNamespace(scene=SimpleNamespace(name="x"), horizon=horizon, reference=None)
     report.show(result, made, Console(width=80))
@@ -535,7 +542,7 @@ def made_up(rng, count):
         }
         made.append(
             rows.Row(
-                **vars(Setting("verlet", 1.0, k + 1)),
+                Setting("verlet", 1.0, k + 1),
                 frames=10,
                 **({"status": "failed: frame 1"} if failed else numbers),
             )

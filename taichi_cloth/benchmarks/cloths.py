@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from taichi_cloth.scene.cloth import grid
@@ -14,7 +16,13 @@ WARP_FRAME, WARP_SUBSTEPS, WARP_GRAVITY = 1 / 60, 16, 9.81
 
 # The structural cloth is advanced in frames of this many steps of 1, its scene's unit of time.
 STRUCTURAL_SUBSTEPS = 16
-STRUCTURAL_FRAME = {"dt": float(STRUCTURAL_SUBSTEPS), "substeps": STRUCTURAL_SUBSTEPS}
+STRUCTURAL_FRAME: dict[str, Any] = {
+    "dt": float(STRUCTURAL_SUBSTEPS),
+    "substeps": STRUCTURAL_SUBSTEPS,
+}
+
+# The function that makes a scene, "module:name", and its arguments.
+SceneCall = tuple[str, dict[str, Any]]
 
 
 def structural(columns: int, rows: int) -> Scene:

@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from taichi_cloth.benchmarks import ours
 from taichi_cloth.benchmarks.contest import Bench
-from taichi_cloth.benchmarks.report import Row
+from taichi_cloth.benchmarks.report import Measurement
+from taichi_cloth.files.pending import PendingFile
 
 PART = "contacts"
 COUNTS = (1_000, 3_000, 10_000, 30_000, 100_000, 200_000)
@@ -27,7 +29,7 @@ WHOLE, SORT, QUERY = "whole step", "build", "query"
 SCENE = "taichi_cloth.scene.library:build"
 
 
-def measure(bench: Bench) -> Iterator[Row]:
+def measure(bench: Bench) -> Iterator[Measurement]:
     """One contest a count: whole steps, building alone, building and querying."""
     rows = []
     for count in QUICK_COUNTS if bench.quick else COUNTS:
@@ -36,15 +38,15 @@ def measure(bench: Bench) -> Iterator[Row]:
     for name in (WHOLE, SORT, QUERY):
         exponent = fitted_exponent([row for row in rows if row.contestant == name])
         if exponent is not None:
-            yield Row(
+            yield Measurement(
                 part=PART,
                 contestant=f"{name}: exponent of the time's growth from {FITTED} spheres on",
                 rate=exponent,
                 target="<= 1.2",
             )
     for row in rows:
-        if row.contestant == WHOLE and row.size == f"{DENSE[0]}":
-            yield Row(
+        if row.contestant == WHOLE and row.size == f"{DENSE[0]}" and row.seconds:
+            yield Measurement(
                 part=PART,
                 contestant=f"frames of {SUBSTEPS} steps",
                 size=row.size,
@@ -54,10 +56,10 @@ def measure(bench: Bench) -> Iterator[Row]:
             )
 
 
-def _measure_count(bench: Bench, count: int) -> list[Row]:
+def _measure_count(bench: Bench, count: int) -> list[Measurement]:
     radius = DENSE[1] * (DENSE[0] / count) ** (1 / 3)
     scene = (SCENE, {"name": "box", "particles": count, "radius": radius})
-    settings = {"substeps": SUBSTEPS, "topology": "graph", "execution": "parallel"}
+    settings: dict[str, Any] = {"substeps": SUBSTEPS, "topology": "graph", "execution": "parallel"}
     reference = ours.reference(bench, PART, scene, count, frames=[1], **settings)
     frames = ours.enter(
         bench,
@@ -71,7 +73,7 @@ def _measure_count(bench: Bench, count: int) -> list[Row]:
         kind="taichi_cloth.benchmarks.contestants:Collisions",
         **settings,
     )
-    if not bench.mark_after(PART, [frames], 1):
+    if not frames or not bench.mark_after(PART, [frames], 1):
         return []
     units = SUBSTEPS * frames.units
     build, query = (
@@ -82,37 +84,36 @@ def _measure_count(bench: Bench, count: int) -> list[Row]:
     if query in finished and build in finished:  # what querying takes is the difference
         pairs = zip(query.seconds, build.seconds, strict=True)
         query.seconds = [both - sorting for both, sorting in pairs]
-    against = "an f64 run at a sixteenth of the step, after the first frame"
+    against = f"{ours.AGAINST}, after the first frame"
     rows = bench.rows(PART, finished, reference, against)
     frames.drop()
     return rows
 
 
-def fitted_exponent(rows: Sequence[Row]) -> float | None:
+def fitted_exponent(rows: Sequence[Measurement]) -> float | None:
     """p in time ~ count**p, fitted to the logarithms; None for less than two counts."""
-    points = [(int(row.size), row.seconds) for row in rows if int(row.size) >= FITTED]
+    timed = [(int(row.size), row.seconds) for row in rows if row.seconds is not None]
+    points = [(count, seconds) for count, seconds in timed if count >= FITTED]
     if len(points) < 2:
         return None
     counts, seconds = np.log(np.array(points)).T
     return float(np.polyfit(counts, seconds, 1)[0])
 
 
-def plot(rows: Sequence[Row], path: Path) -> None:
-    """Time a step by the number of spheres, both logarithmic. Raises ImportError, InputError."""
+def plot(rows: Sequence[Measurement], path: Path) -> None:
+    """Time a step by the number of spheres, both logarithmic. Raises InputError."""
     import matplotlib
-
-    from taichi_cloth.files.pending import PendingFile
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(6, 4), layout="constrained")
     for name in (WHOLE, SORT, QUERY):
-        mine = [row for row in rows if row.contestant == name and row.seconds is not None]
-        counts, seconds = [int(row.size) for row in mine], [1e3 * row.seconds for row in mine]
+        mine = [row for row in rows if row.contestant == name]
+        points = [(int(row.size), 1e3 * row.seconds) for row in mine if row.seconds is not None]
         exponent = fitted_exponent(mine)
         label = name if exponent is None else f"{name} (~ n^{exponent:.2f})"
-        axes.loglog(counts, seconds, "o-", label=label)
+        axes.loglog(*np.array(points).reshape(-1, 2).T, "o-", label=label)
     axes.set(xlabel="spheres", ylabel="ms a step", title="Collisions at constant density, f32")
     axes.grid(which="both", alpha=0.3)
     axes.legend()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import statistics
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,10 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth import runtime
-from taichi_cloth.benchmarks.report import Row
+from taichi_cloth.benchmarks.report import Measurement
+from taichi_cloth.console import Tell, tell_nobody
 from taichi_cloth.measuring import machine
+from taichi_cloth.measuring.timing import quartiles, turns
 from taichi_cloth.measuring.worker import Worker, WorkerFailed
 
 FINER = 16  # the reference's steps are this many times shorter
@@ -52,7 +54,8 @@ class Contestant:
         """Do so many units of work; return the seconds that one took."""
         answer = self.worker.ask(of=self.key, do=self.method, **{"with": {"units": units}})
         self.done += units
-        return answer["seconds"] / units
+        seconds: float = answer["seconds"]
+        return seconds / units
 
     def mark(self) -> None:
         """Keep the positions as they are now."""
@@ -81,7 +84,7 @@ class Bench:
     """One run of the benchmark: its settings, its processes, and what it left out.
 
     rounds: counted rounds of each contest. quick: smaller sizes. arch: backend of the part `gpu`,
-    None for all there are. tell: shown what is going on (text, done, total).
+    None for all there are. tell: shown what is going on.
     """
 
     def __init__(
@@ -89,26 +92,27 @@ class Bench:
         rounds: int = 7,
         quick: bool = False,
         arch: str | None = None,
-        tell: Callable[[str, int, int], None] = lambda text, done, total: None,
+        tell: Tell = tell_nobody,
     ):
         self.rounds, self.quick, self.arch, self.tell = rounds, quick, arch, tell
         self.threads = runtime.available_cores()
-        self.left_out: list[Row] = []
+        self.left_out: list[Measurement] = []
         self._folder = tempfile.TemporaryDirectory(prefix="taichi-cloth-bench-")
         self.folder = Path(self._folder.name)
-        self._workers: dict[tuple, Worker] = {}
+        self._workers: dict[tuple[str, str, int], Worker] = {}
         self._made = 0
 
-    def worker(self, *key) -> Worker:
-        """The process for a library, precision and number of threads (the last of `key`)."""
+    def worker(self, library: str, precision: str, threads: int) -> Worker:
+        """The process for a library, precision and number of threads."""
+        key = library, precision, threads
         if key in self._workers and not self._workers[key].alive:
             self._workers.pop(key).close()
         if key not in self._workers:
             environment = {
-                "OMP_NUM_THREADS": str(key[-1]),
+                "OMP_NUM_THREADS": str(threads),
                 "OMP_PROC_BIND": "true",  # ours are pinned, too
                 # Warp's benchmark empties the cache of kernels: not the user's.
-                **({"WARP_CACHE_PATH": str(self.folder / "warp")} if key[0] == "warp" else {}),
+                **({"WARP_CACHE_PATH": str(self.folder / "warp")} if library == "warp" else {}),
             }
             self._workers[key] = Worker(self.folder, environment)
         return self._workers[key]
@@ -126,7 +130,7 @@ class Bench:
 
     def leave_out(self, part: str, name: str, size: str, why: str) -> None:
         """Note that something is not measured, and why."""
-        row = Row(part=part, contestant=name, size=size, note=f"left out: {why}")
+        row = Measurement(part=part, contestant=name, size=size, note=f"left out: {why}")
         if row not in self.left_out:
             self.left_out.append(row)
 
@@ -183,20 +187,18 @@ class Bench:
         rounds = rounds or self.rounds
         running = [contestant for contestant in contestants if contestant]
         marks = set(marks)
-        for number in range(rounds + 1):
-            for contestant in list(running):
-                text = f"{contestant.size}: {contestant.name}"
-                self.tell(text, number, rounds + 1)
-                try:
-                    seconds = contestant.advance(contestant.units)
-                    if contestant.done in marks:
-                        contestant.mark()
-                except WorkerFailed as failure:
-                    self.leave_out(part, contestant.name, contestant.size, str(failure))
-                    running.remove(contestant)
-                    continue
-                if number > 0:
-                    contestant.seconds.append(seconds)
+        for number, contestant in turns(running, rounds):
+            self.tell(f"{contestant.size}: {contestant.name}", number, rounds + 1)
+            try:
+                seconds = contestant.advance(contestant.units)
+                if contestant.done in marks:
+                    contestant.mark()
+            except WorkerFailed as failure:
+                self.leave_out(part, contestant.name, contestant.size, str(failure))
+                running.remove(contestant)
+                continue
+            if number > 0:
+                contestant.seconds.append(seconds)
         return running
 
     def mark_after(
@@ -220,7 +222,7 @@ class Bench:
         contestants: Iterable[Contestant],
         references: dict[int, np.ndarray],
         against: str,
-    ) -> list[Row]:
+    ) -> list[Measurement]:
         """A row for each contestant: its speed, and its distance from the reference.
 
         references: positions by the units of work after which they stand.
@@ -228,9 +230,9 @@ class Bench:
         rows = []
         for contestant in contestants:
             at = [units for units in references if units in contestant.marks]
-            low, middle, high = statistics.quantiles(contestant.seconds, n=4, method="inclusive")
+            low, middle, high = quartiles(contestant.seconds)
             rows.append(
-                Row(
+                Measurement(
                     part=part,
                     contestant=contestant.name,
                     size=contestant.size,
@@ -260,13 +262,13 @@ def compare(
     fast: Contestant | None,
     slow: Contestant | None,
     target: str = "",
-) -> list[Row]:
+) -> list[Measurement]:
     """The row that says how many times the speed of `slow` `fast` has; none if one is missing."""
     if not (fast and slow and fast.seconds and slow.seconds):
         return []
     per_particle = [c.step_seconds / c.particles for c in (fast, slow)]
     return [
-        Row(
+        Measurement(
             part=part,
             contestant=name,
             size=size,
@@ -284,13 +286,13 @@ def separation(
     units: int,
     unit: str,
     target: str = "",
-) -> list[Row]:
+) -> list[Measurement]:
     """The row that says how far two contestants are apart after `units` of work, in `unit`."""
     if not (one and other and units in one.marks and units in other.marks):
         return []
     names = [f"{c.name} {c.precision}" for c in (one, other)]
     return [
-        Row(
+        Measurement(
             part=part,
             contestant=f"{names[0]}, farthest from {names[1]}",
             size=one.size,

@@ -2,12 +2,13 @@
 
 import functools
 import importlib
+from typing import Any
 
 import numpy as np
 import taichi as ti
 
 from taichi_cloth import runtime
-from taichi_cloth.benchmarks.cloths import STRUCTURAL_SUBSTEPS, structural
+from taichi_cloth.benchmarks.cloths import STRUCTURAL_SUBSTEPS, SceneCall, structural
 from taichi_cloth.kernels.contact import compute_pair_bounces, sort_into_cells
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation import adjacency
@@ -20,10 +21,11 @@ def started(arch: str, precision: str, threads: int | None) -> runtime.Device:
     return runtime.start(arch, precision, threads)
 
 
-def scene_of(words: str, arguments: dict) -> Scene:
+def scene_of(words: str, arguments: dict[str, Any]) -> Scene:
     """The scene that the function "module:name" makes of its arguments."""
     module, _, name = words.partition(":")
-    return getattr(importlib.import_module(module), name)(**arguments)
+    scene: Scene = getattr(importlib.import_module(module), name)(**arguments)
+    return scene
 
 
 class Ours:
@@ -35,12 +37,12 @@ class Ours:
 
     def __init__(
         self,
-        scene: tuple[str, dict],
+        scene: SceneCall,
         precision: str,
         threads: int | None = None,
         arch: str = "cpu",
         batch: int | None = None,
-        **settings,
+        **settings: Any,
     ):
         device = started(arch, precision, threads)
         self.sim = Simulation(scene_of(*scene), **settings)
@@ -95,7 +97,7 @@ class PlainGather:
         self.about = {"execution": "parallel", "topology": "graph"}
 
     @ti.kernel
-    def step(self):
+    def step(self):  # type: ignore[no-untyped-def]  # a kernel that returns nothing says nothing
         for i in self.x:
             x, v, w = self.x[i], self.v[i], self.w[i]
             f = -self.viscous * v
@@ -109,34 +111,36 @@ class PlainGather:
         for i in self.x:
             self.x[i] += self.dt * self.v[i]
 
-    def advance(self, units: int):
+    def advance(self, units: int) -> None:
         for _ in range(units * STRUCTURAL_SUBSTEPS):
             self.step()
         ti.sync()
 
-    def positions(self):
-        return self.x.to_numpy()
+    def positions(self) -> np.ndarray:
+        x: np.ndarray = self.x.to_numpy()
+        return x
 
 
-@ti.kernel
-def sort(plan: ti.template(), state: ti.template()):
+# Taichi reads a kernel's annotations as values, and has no types itself.
+@ti.kernel  # type: ignore[untyped-decorator]
+def sort(plan: ti.template(), state: ti.template()):  # type: ignore[no-untyped-def, valid-type]
     sort_into_cells(plan, state)
 
 
-@ti.kernel
-def sort_and_bounce(plan: ti.template(), state: ti.template()):
+@ti.kernel  # type: ignore[untyped-decorator]
+def sort_and_bounce(plan: ti.template(), state: ti.template()):  # type: ignore[no-untyped-def, valid-type]
     compute_pair_bounces(plan, state)
 
 
 class Collisions(Ours):
     """Ours, of which also the search for collisions can be run alone."""
 
-    def build(self, units: int):
+    def build(self, units: int) -> None:
         for _ in range(units):
             sort(self.sim._plan, self.sim._state)
         ti.sync()
 
-    def build_and_query(self, units: int):
+    def build_and_query(self, units: int) -> None:
         for _ in range(units):
             sort_and_bounce(self.sim._plan, self.sim._state)
         ti.sync()
@@ -149,14 +153,14 @@ class Copy:
         started(arch, "f32", None)
         self.a, self.b = ti.field(ti.f32, count), ti.field(ti.f32, count)
 
-    def advance(self, units: int):
+    def advance(self, units: int) -> None:
         for _ in range(units):
             copy(self.a, self.b)
         ti.sync()
 
 
-@ti.kernel
-def copy(a: ti.template(), b: ti.template()):
+@ti.kernel  # type: ignore[untyped-decorator]
+def copy(a: ti.template(), b: ti.template()):  # type: ignore[no-untyped-def, valid-type]
     stride = ti.static(a.shape[0] // STRIDES)
     for i in range(stride):
         for k in ti.static(range(STRIDES)):

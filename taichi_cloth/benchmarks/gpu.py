@@ -11,12 +11,13 @@ import re
 import shutil
 import subprocess
 from collections.abc import Iterator
+from typing import Any
 
 from taichi_cloth import runtime
 from taichi_cloth.benchmarks import ours
 from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench
-from taichi_cloth.benchmarks.report import Row
+from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.benchmarks.structural import SCENE
 from taichi_cloth.measuring import vulkan
 
@@ -31,7 +32,7 @@ COPIED = 2**26  # floats
 SOFTWARE = re.compile("llvmpipe|lavapipe|swiftshader|softpipe|basic render", re.I)
 
 
-def measure(bench: Bench) -> Iterator[Row]:
+def measure(bench: Bench) -> Iterator[Measurement]:
     """Each backend that is there, one after the other."""
     bench.tell("looking for GPUs", 0, 1)
     usable = runtime.usable_backends()
@@ -60,8 +61,8 @@ def _device(arch: str) -> str | None:
     return None
 
 
-def _measure_backend(bench: Bench, arch: str, note: str) -> Iterator[Row]:
-    shared = {"library": f"ours {arch}", "precision": "f32", "threads": 1}
+def _measure_backend(bench: Bench, arch: str, note: str) -> Iterator[Measurement]:
+    shared: dict[str, Any] = {"library": f"ours {arch}", "precision": "f32", "threads": 1}
     copy = bench.enter(
         PART,
         f"{arch}: copy",
@@ -76,8 +77,10 @@ def _measure_backend(bench: Bench, arch: str, note: str) -> Iterator[Row]:
     )
     bandwidth = None
     for row in bench.rows(PART, bench.race(PART, [copy]), {}, ""):
-        bandwidth = 8 * COPIED / row.seconds
-        row.rate, row.unit, row.threads, row.note = bandwidth / 1e9, "GB/s", None, note
+        if row.seconds:
+            bandwidth = 8 * COPIED / row.seconds
+            row.rate, row.unit = bandwidth / 1e9, "GB/s"
+        row.threads, row.note = None, note
         yield row
     if copy:
         copy.drop()
@@ -87,7 +90,7 @@ def _measure_backend(bench: Bench, arch: str, note: str) -> Iterator[Row]:
 
 def _measure_size(
     bench: Bench, arch: str, side: int, note: str, bandwidth: float | None
-) -> Iterator[Row]:
+) -> Iterator[Measurement]:
     size, scene = f"{side} x {side}", (SCENE, {"columns": side, "rows": side})
     reference = ours.reference(bench, PART, scene, side * side, frames=[FRAMES], **STRUCTURAL_FRAME)
     contestants = [
@@ -111,8 +114,8 @@ def _measure_size(
     for row in bench.rows(PART, finished, reference, against):
         row.threads, row.note = None, note
         yield row
-        if bandwidth:
-            yield Row(
+        if bandwidth and row.rate:
+            yield Measurement(
                 part=PART,
                 contestant=f"{row.contestant}: {BYTES} bytes a particle-step, of the copy's speed",
                 size=size,

@@ -10,8 +10,9 @@ from collections.abc import Iterator
 from taichi_cloth.benchmarks import ours
 from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench
-from taichi_cloth.benchmarks.report import Row
+from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.benchmarks.structural import SCENE
+from taichi_cloth.console import counted
 
 PART = "lanes"
 SIDE, QUICK_SIDE = 512, 128
@@ -19,7 +20,7 @@ LANES = (1, 2, 4, 8, 16)
 FRAMES = 6  # of 16 steps: when the error is measured
 
 
-def measure(bench: Bench) -> Iterator[Row]:
+def measure(bench: Bench) -> Iterator[Measurement]:
     """All widths in both precisions, against each other."""
     side = QUICK_SIDE if bench.quick else SIDE
     scene, particles = (SCENE, {"columns": side, "rows": side}), side * side
@@ -28,7 +29,7 @@ def measure(bench: Bench) -> Iterator[Row]:
         ours.enter(
             bench,
             PART,
-            f"{lanes} lane{'s' * (lanes > 1)}",
+            counted(lanes, "lane"),
             scene,
             precision=precision,
             size=f"{side} x {side}",
@@ -43,6 +44,5 @@ def measure(bench: Bench) -> Iterator[Row]:
         for lanes in LANES
     ]
     finished = bench.race(PART, contestants, marks=[FRAMES])
-    steps = FRAMES * STRUCTURAL_SUBSTEPS
-    against = f"an f64 run at a sixteenth of the step, after {steps} steps"
+    against = f"{ours.AGAINST}, after {FRAMES * STRUCTURAL_SUBSTEPS} steps"
     yield from bench.rows(PART, finished, reference, against)

@@ -15,7 +15,7 @@ import numpy as np
 from taichi_cloth.benchmarks import ours
 from taichi_cloth.benchmarks.cloths import WARP_FRAME, WARP_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
-from taichi_cloth.benchmarks.report import Row
+from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.benchmarks.warp import SCENE, SECOND, enter_ours, their_cloth
 from taichi_cloth.measuring import machine
 
@@ -24,7 +24,7 @@ SIZES = {32: 15, 128: 6}  # side of the cloth: frames in a round
 SOLVERS = {"Newton, semi-implicit": "SolverSemiImplicit", "Newton, XPBD": "SolverXPBD"}
 
 
-def measure(bench: Bench) -> Iterator[Row]:
+def measure(bench: Bench) -> Iterator[Measurement]:
     """One contest a size."""
     if not machine.installed("newton"):
         for name in SOLVERS:
@@ -37,7 +37,7 @@ def measure(bench: Bench) -> Iterator[Row]:
         yield from _measure_size(bench, side, frames)
 
 
-def _measure_size(bench: Bench, side: int, frames: int) -> Iterator[Row]:
+def _measure_size(bench: Bench, side: int, frames: int) -> Iterator[Measurement]:
     size = f"{side} x {side}"
     scene = (SCENE, {"size": side})
     lanes = enter_ours(bench, PART, "ours, lanes", side, frames, "lanes", "f32")
@@ -45,7 +45,7 @@ def _measure_size(bench: Bench, side: int, frames: int) -> Iterator[Row]:
     checked = 2 * frames
     reference = ours.reference(bench, PART, scene, side * side, WARP_SUBSTEPS, [checked])
     finished = bench.race(PART, [lanes, *peers], marks={checked})
-    against = f"an f64 run at a sixteenth of the step, {checked / SECOND:g} s after the start"
+    against = f"{ours.AGAINST}, {checked / SECOND:g} s after the start"
     yield from bench.rows(PART, finished, reference, against)
     for peer in filter(None, peers):
         yield from compare(PART, size, f"ours, lanes, f32, to {peer.name}", lanes, peer)
@@ -72,7 +72,7 @@ def _enter(bench: Bench, name: str, side: int, size: str, frames: int) -> Contes
 
 
 class Solver:
-    """In the contestants' process: a solver of Newton's on Warp's cloth; a unit is a frame."""
+    """A solver of Newton's on Warp's cloth, in the contestants' process; a unit is a frame."""
 
     def __init__(self, solver: str, side: int, folder: str):
         import newton
@@ -106,4 +106,5 @@ class Solver:
             self.now, self.next = self.next, self.now
 
     def positions(self) -> np.ndarray:
-        return self.now.particle_q.numpy()
+        x: np.ndarray = self.now.particle_q.numpy()
+        return x

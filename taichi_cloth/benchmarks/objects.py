@@ -49,13 +49,13 @@ class Particle:
         self.fixed = fixed
         self.force, self.impulse = Vector(0.0, 0.0), Vector(0.0, 0.0)
 
-    def apply_force(self, force: Vector):
+    def apply_force(self, force: Vector) -> None:
         self.force = self.force + force
 
-    def apply_impulse(self, impulse: Vector):
+    def apply_impulse(self, impulse: Vector) -> None:
         self.impulse = self.impulse + impulse
 
-    def move(self, dt: float, gravity: Vector):
+    def move(self, dt: float, gravity: Vector) -> None:
         """Symplectic Euler: the position moves with the new velocity."""
         if not self.fixed:
             force = gravity * self.mass + self.velocity * -self.viscous + self.force
@@ -75,7 +75,7 @@ class Spring:
         self.stiffness, self.rest_length, self.break_force = stiffness, rest_length, break_force
         self.broken = False
 
-    def update(self):
+    def update(self) -> None:
         between = self.b.position - self.a.position
         length = between.length()
         if length == 0:
@@ -97,7 +97,7 @@ class Wall:
         outside = self.normal.dot(particle.position - self.point) + particle.radius > 0
         return outside and self.normal.dot(particle.velocity) > 0
 
-    def bounce(self, particle: Particle):
+    def bounce(self, particle: Particle) -> None:
         speed = self.normal.dot(particle.velocity)
         gain = (1 + particle.restitution) * particle.mass
         particle.apply_impulse(self.normal * (-gain * speed))
@@ -108,7 +108,7 @@ class Cloth:
 
     REACH, STRENGTH = 50.0, 0.002  # of the pointer
 
-    def __init__(self):
+    def __init__(self) -> None:
         columns, rows, spacing = 16, 12, 25.0
         corner, pinned = Vector(100.0, 20.0), (0, columns // 2, columns - 1)
         self.gravity = Vector(0.0, 0.05)
@@ -134,18 +134,19 @@ class Cloth:
                     self.springs.append(Spring(here, above, 0.5, spacing, 5.0))
                 self.particles.append(here)
 
-    def blow(self, pointer: Vector, displacement: Vector):
+    def blow(self, pointer: Vector, displacement: Vector) -> None:
         """The pointer moves: in the next step it pushes what is near it."""
         self.pointer, self.displacement = pointer, displacement
 
-    def push(self):
+    def push(self) -> None:
+        assert self.pointer
         for particle in self.particles:
             distance = (particle.position - self.pointer).length()
             if distance < self.REACH:
                 strength = self.STRENGTH * (self.REACH - distance)
                 particle.apply_force(self.displacement * strength)
 
-    def step(self, dt: float = 1.0):
+    def step(self, dt: float = 1.0) -> None:
         for spring in self.springs:
             spring.update()
         self.springs = [spring for spring in self.springs if not spring.broken]

@@ -1,22 +1,24 @@
-"""The same program as `objects` with its vectors written out by hand, x and y: the leanest one.
+"""The seed cloth as the leanest program of Python objects: `objects`, its vectors written out.
 
 One object per particle and per spring, without NumPy; it has no mouse.
 """
+
+from __future__ import annotations
 
 import math
 
 
 class Particle:
-    def __init__(self, x, y, fixed):
+    def __init__(self, x: float, y: float, fixed: bool):
         self.x, self.y, self.fixed = x, y, fixed
         self.vx = self.vy = self.fx = self.fy = 0.0
         self.mass, self.radius, self.viscous, self.restitution = 1.0, 5.0, 0.05, 0.0
 
-    def accelerate(self, gravity):
+    def accelerate(self, gravity: float) -> None:
         self.fx = -self.viscous * self.vx
         self.fy = self.mass * gravity - self.viscous * self.vy
 
-    def bounce(self, width, height):
+    def bounce(self, width: float, height: float) -> tuple[float, float, bool]:
         """Velocity change from the four walls, and whether the floor was hit."""
         jx = jy = 0.0
         gain = 1.0 + self.restitution
@@ -29,7 +31,7 @@ class Particle:
             jy = -gain * self.vy
         return jx, jy, floor
 
-    def move(self, dt, width, height):
+    def move(self, dt: float, width: float, height: float) -> None:
         if self.fixed:
             return
         jx, jy, floor = self.bounce(width, height)
@@ -42,12 +44,14 @@ class Particle:
 
 
 class Spring:
-    def __init__(self, a, b, stiffness, rest_length, break_force):
+    def __init__(
+        self, a: Particle, b: Particle, stiffness: float, rest_length: float, break_force: float
+    ):
         self.a, self.b = a, b
         self.stiffness, self.rest_length, self.break_force = stiffness, rest_length, break_force
         self.alive = True
 
-    def pull(self):
+    def pull(self) -> None:
         dx, dy = self.b.x - self.a.x, self.b.y - self.a.y
         length = math.sqrt(dx * dx + dy * dy)
         if length == 0:
@@ -64,7 +68,7 @@ class Spring:
 class Cloth:
     """16 x 12 particles, 25 apart, three of the first row fixed, in a room of 600 x 400."""
 
-    def __init__(self, columns=16, rows=12, spacing=25.0):
+    def __init__(self, columns: int = 16, rows: int = 12, spacing: float = 25.0):
         self.width, self.height, self.gravity = 600.0, 400.0, 0.05
         pinned = {0, columns // 2, columns - 1}
         self.particles = [
@@ -72,7 +76,7 @@ class Cloth:
             for r in range(rows)
             for c in range(columns)
         ]
-        self.springs = []
+        self.springs: list[Spring] = []
         for r in range(rows):
             for c in range(columns):
                 here = self.particles[r * columns + c]
@@ -85,7 +89,7 @@ class Cloth:
                         Spring(here, self.particles[(r - 1) * columns + c], 0.5, spacing, 5.0)
                     )
 
-    def step(self, dt=1.0):
+    def step(self, dt: float = 1.0) -> None:
         for particle in self.particles:
             particle.accelerate(self.gravity)
         for spring in self.springs:
@@ -94,5 +98,5 @@ class Cloth:
         for particle in self.particles:
             particle.move(dt, self.width, self.height)
 
-    def positions(self):
+    def positions(self) -> list[tuple[float, float]]:
         return [(particle.x, particle.y) for particle in self.particles]

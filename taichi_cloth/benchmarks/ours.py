@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from taichi_cloth.benchmarks.cloths import SceneCall
 from taichi_cloth.benchmarks.contest import FINER, Bench, Contestant
 from taichi_cloth.measuring.worker import WorkerFailed
+from taichi_cloth.trade.settings import SERIAL_BEST
 
 KIND = "taichi_cloth.benchmarks.contestants:Ours"
 PACKAGES = ("taichi-cloth", "taichi")
 TOPOLOGIES = ("lanes", "graph")
-SERIAL_BEST = 5000  # particles up to which one thread does as well as several
+AGAINST = "an f64 run at a sixteenth of the step"  # what `reference` is, in words
 
 
 def enter(
     bench: Bench,
     part: str,
     name: str,
-    scene: tuple[str, dict],
+    scene: SceneCall,
     *,
     precision: str,
     size: str,
@@ -27,11 +31,16 @@ def enter(
     threads: int | None = None,
     arch: str = "cpu",
     kind: str = KIND,
-    **settings,
+    **settings: Any,
 ) -> Contestant | None:
     """Enter a simulation of ours, `units` frames a round."""
     threads = threads or bench.threads
-    arguments = {"scene": scene, "precision": precision, "arch": arch, "substeps": substeps}
+    arguments: dict[str, Any] = {
+        "scene": scene,
+        "precision": precision,
+        "arch": arch,
+        "substeps": substeps,
+    }
     if arch == "cpu":
         arguments["threads"] = threads
     return bench.enter(
@@ -53,11 +62,11 @@ def enter(
 def reference(
     bench: Bench,
     part: str,
-    scene: tuple[str, dict],
+    scene: SceneCall,
     particles: int,
     substeps: int,
     frames: list[int],
-    **settings,
+    **settings: Any,
 ) -> dict[int, np.ndarray]:
     """Positions after each of `frames` (ascending) in f64 with steps FINER times shorter."""
     # Measuring what is fastest would itself take many of its long frames.

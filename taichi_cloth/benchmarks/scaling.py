@@ -10,8 +10,9 @@ from collections.abc import Iterator
 from taichi_cloth.benchmarks import ours
 from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench, compare
-from taichi_cloth.benchmarks.report import Row
+from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.benchmarks.structural import SCENE
+from taichi_cloth.console import counted
 
 PART = "scaling"
 SIDES = (10, 32, 100, 316, 1024, 2048)
@@ -21,13 +22,13 @@ FRAMES = 6  # of 16 steps: when the error is measured; LARGE_FRAMES from LARGE o
 LARGE, LARGE_FRAMES = 2048, 1
 
 
-def measure(bench: Bench) -> Iterator[Row]:
+def measure(bench: Bench) -> Iterator[Measurement]:
     """One contest a size: one thread against all."""
     for side in QUICK_SIDES if bench.quick else SIDES:
         yield from _measure_size(bench, side)
 
 
-def _measure_size(bench: Bench, side: int) -> Iterator[Row]:
+def _measure_size(bench: Bench, side: int) -> Iterator[Measurement]:
     size, scene = f"{side} x {side}", (SCENE, {"columns": side, "rows": side})
     frames = FRAMES if side < LARGE else LARGE_FRAMES
     reference = ours.reference(bench, PART, scene, side * side, frames=[frames], **STRUCTURAL_FRAME)
@@ -35,7 +36,7 @@ def _measure_size(bench: Bench, side: int) -> Iterator[Row]:
         ours.enter(
             bench,
             PART,
-            f"{threads} thread{'s' * (threads > 1)}",
+            counted(threads, "thread"),
             scene,
             precision="f32",
             threads=threads,
@@ -47,8 +48,7 @@ def _measure_size(bench: Bench, side: int) -> Iterator[Row]:
         for threads in dict.fromkeys((1, bench.threads))
     ]
     finished = bench.race(PART, bench.mark_after(PART, contestants, frames))
-    steps = frames * STRUCTURAL_SUBSTEPS
-    against = f"an f64 run at a sixteenth of the step, after {steps} steps"
+    against = f"{ours.AGAINST}, after {frames * STRUCTURAL_SUBSTEPS} steps"
     yield from bench.rows(PART, finished, reference, against)
     if len(finished) == 2:
         one, all_ = finished

@@ -6,13 +6,15 @@ other. `objects, inlined` is the same with the vectors' arithmetic written out b
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
 from taichi_cloth.benchmarks import ours
 from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
-from taichi_cloth.benchmarks.report import Row
+from taichi_cloth.benchmarks.report import Measurement
 
 PART = "seed"
 SIZE = "16 x 12"
@@ -22,7 +24,7 @@ SCENE = ("taichi_cloth.scene.library:build", {"name": "cloth"})
 BATCH = 1000  # frames in one call, where they share one
 
 
-def measure(bench: Bench) -> Iterator[Row]:
+def measure(bench: Bench) -> Iterator[Measurement]:
     """Advance all by 300 steps and compare; then let them take turns."""
     programs = [
         bench.enter(
@@ -52,7 +54,7 @@ def measure(bench: Bench) -> Iterator[Row]:
     contestants = [*programs, single, *many.values()]
     reference = ours.reference(bench, PART, SCENE, PARTICLES, 1, [STEPS])
     finished = bench.race(PART, bench.mark_after(PART, contestants, STEPS))
-    against = f"an f64 run at a sixteenth of the step, after {STEPS} steps"
+    against = f"{ours.AGAINST}, after {STEPS} steps"
     yield from bench.rows(PART, finished, reference, against)
 
     in_f64 = [c for (_, precision), c in many.items() if c in finished and precision == "f64"]
@@ -64,7 +66,9 @@ def measure(bench: Bench) -> Iterator[Row]:
             yield from separation(PART, fastest, program, STEPS, "px", "<= 1e-9")
 
 
-def _enter(bench: Bench, name: str, layout: str, precision: str, **settings) -> Contestant | None:
+def _enter(
+    bench: Bench, name: str, layout: str, precision: str, **settings: Any
+) -> Contestant | None:
     return ours.enter(
         bench,
         PART,
@@ -79,11 +83,9 @@ def _enter(bench: Bench, name: str, layout: str, precision: str, **settings) -> 
 
 
 class Program:
-    """In the contestants' process: a module's `Cloth` of Python objects; a unit is a step."""
+    """A module's `Cloth` of Python objects, in the contestants' process; a unit is a step."""
 
     def __init__(self, module: str):
-        import importlib
-
         self.cloth = importlib.import_module(module).Cloth()
 
     def advance(self, units: int) -> None:

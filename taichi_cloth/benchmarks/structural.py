@@ -10,15 +10,16 @@ from __future__ import annotations
 
 import ctypes
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from taichi_cloth.benchmarks import ours
-from taichi_cloth.benchmarks.cloths import STRUCTURAL_SUBSTEPS, structural
+from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SUBSTEPS, structural
 from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
-from taichi_cloth.benchmarks.report import Row
+from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.measuring import machine
 from taichi_cloth.simulation import adjacency
 
@@ -29,30 +30,27 @@ FRAMES = 12  # of 16 steps, in a round: fewer are over before idle cores are awa
 SCENE = "taichi_cloth.benchmarks.cloths:structural"
 
 
-def measure(bench: Bench) -> Iterator[Row]:
+def measure(bench: Bench) -> Iterator[Measurement]:
     """Time all contestants on one cloth, then the triad."""
     side = 256 if bench.quick else 1024
     size, scene = f"{side} x {side}", (SCENE, {"columns": side, "rows": side})
-    shared = {"size": size, "particles": side * side, "units": FRAMES}
-    dt = float(STRUCTURAL_SUBSTEPS)
-    reference = ours.reference(
-        bench, PART, scene, side * side, STRUCTURAL_SUBSTEPS, [FRAMES], dt=dt
-    )
-    entered: dict[tuple[str, str], Contestant | None] = {}
-    for precision in ("f32", "f64"):
-        for layout in ours.TOPOLOGIES:
-            entered[layout, precision] = ours.enter(
-                bench,
-                PART,
-                f"ours, {layout}",
-                scene,
-                precision=precision,
-                substeps=STRUCTURAL_SUBSTEPS,
-                dt=dt,
-                topology=layout,
-                execution="parallel",
-                **shared,
-            )
+    shared: dict[str, Any] = {"size": size, "particles": side * side, "units": FRAMES}
+    reference = ours.reference(bench, PART, scene, side * side, frames=[FRAMES], **STRUCTURAL_FRAME)
+    entered = {
+        (layout, precision): ours.enter(
+            bench,
+            PART,
+            f"ours, {layout}",
+            scene,
+            precision=precision,
+            topology=layout,
+            execution="parallel",
+            **STRUCTURAL_FRAME,
+            **shared,
+        )
+        for precision in ("f32", "f64")
+        for layout in ours.TOPOLOGIES
+    }
     gather = bench.enter(
         PART,
         "plain gather in Taichi (yardstick)",
@@ -71,24 +69,23 @@ def measure(bench: Bench) -> Iterator[Row]:
     }
     racing = [*entered.values(), gather, *cpp.values()]
     finished = bench.race(PART, racing, marks=[FRAMES])
-    steps = FRAMES * STRUCTURAL_SUBSTEPS
-    against = f"an f64 run at a sixteenth of the step, after {steps} steps"
+    against = f"{ours.AGAINST}, after {FRAMES * STRUCTURAL_SUBSTEPS} steps"
     yield from bench.rows(PART, finished, reference, against)
 
-    def ratio(name, fast, slow, target):
-        return compare(PART, size, name, fast, slow, target)
-
     lanes, graph = entered["lanes", "f32"], entered["graph", "f32"]
-    yield from ratio("ours, lanes, to C++ grid", lanes, cpp["grid"], ">= 0.75")
-    yield from ratio("ours, lanes, to the plain gather", lanes, gather, ">= 4")
-    yield from ratio("ours, graph, to C++ csr", graph, cpp["csr"], ">= 0.9")
-    yield from ratio("ours, lanes, f64 to f32", entered["lanes", "f64"], lanes, ">= 0.45")
+    for name, fast, slow, target in (
+        ("ours, lanes, to C++ grid", lanes, cpp["grid"], ">= 0.75"),
+        ("ours, lanes, to the plain gather", lanes, gather, ">= 4"),
+        ("ours, graph, to C++ csr", graph, cpp["csr"], ">= 0.9"),
+        ("ours, lanes, f64 to f32", entered["lanes", "f64"], lanes, ">= 0.45"),
+    ):
+        yield from compare(PART, size, name, fast, slow, target)
     for other in (entered["graph", "f64"], cpp["grid"], cpp["csr"], gather):
         yield from separation(PART, lanes, other, FRAMES, "px")
     yield from _triad(bench, side)
 
 
-def _triad(bench: Bench, side: int) -> Iterator[Row]:
+def _triad(bench: Bench, side: int) -> Iterator[Measurement]:
     """How fast the machine moves numbers: arrays of the cloth's size, and larger than caches."""
     numbers = {"the cloth's size": side * side, "64 MiB": 2**24}
     contestants = [
@@ -106,12 +103,18 @@ def _triad(bench: Bench, side: int) -> Iterator[Row]:
     ]
     finished = bench.race(PART, contestants)
     for row, contestant in zip(bench.rows(PART, finished, {}, ""), finished, strict=True):
-        row.rate, row.unit = 12e-9 * contestant.particles / row.seconds, "GB/s"
+        if row.seconds:
+            row.rate, row.unit = 12e-9 * contestant.particles / row.seconds, "GB/s"
         yield row
 
 
 def _enter_compiled(
-    bench: Bench, name: str, kind: str, arguments: dict, steps=STRUCTURAL_SUBSTEPS, **shared
+    bench: Bench,
+    name: str,
+    kind: str,
+    arguments: dict[str, Any],
+    steps: int = STRUCTURAL_SUBSTEPS,
+    **shared: Any,
 ) -> Contestant | None:
     if not machine.installed("g++"):
         bench.leave_out(PART, name, shared["size"], "no g++ here; install a C++ compiler")
@@ -119,7 +122,7 @@ def _enter_compiled(
     return bench.enter(
         PART,
         name,
-        f"{__name__}:{kind.capitalize()}",
+        f"{__name__}:Compiled{kind.capitalize()}",
         {"folder": str(bench.folder), **arguments},
         library="C++",
         precision="f32",
@@ -146,18 +149,20 @@ def compiled(folder: str) -> ctypes.CDLL:
     return ctypes.CDLL(str(library))
 
 
-def _call(function, *arguments) -> None:
-    """Call a C function: int as int, float as float, arrays as pointers; the first is a long."""
-    converted = [ctypes.c_long(arguments[0])]
-    for value in arguments[1:]:
+def _call(function: Callable[..., Any], count: int, *arguments: int | float | np.ndarray) -> None:
+    """Call a C function: `count` as long, int as int, float as float, arrays as pointers."""
+    converted: list[Any] = [ctypes.c_long(count)]
+    for value in arguments:
         if isinstance(value, np.ndarray):
             converted.append(value.ctypes.data_as(ctypes.c_void_p))
+        elif isinstance(value, float):
+            converted.append(ctypes.c_float(value))
         else:
-            converted.append((ctypes.c_float if isinstance(value, float) else ctypes.c_int)(value))
+            converted.append(ctypes.c_int(value))
     function(*converted)
 
 
-class Csr:
+class CompiledCsr:
     """Compressed rows; positions and velocities as arrays of (x, y)."""
 
     def __init__(self, folder: str, side: int, rows: int | None = None):
@@ -178,7 +183,7 @@ class Csr:
         return self.x
 
 
-class Grid:
+class CompiledGrid:
     """A regular grid; an array for each number."""
 
     def __init__(self, folder: str, side: int, rows: int | None = None):
@@ -193,7 +198,7 @@ class Grid:
         arrays = [self._padded(c) for c in (*k, w, *p.position.T, *p.velocity.T)]
         self.x, self.y = arrays[3:5]
         shape = (side, len(p) // side)
-        self.arguments = (*shape, *numbers, float(s.rest_length[0]), *arrays)
+        self.arguments: tuple[Any, ...] = (*shape, *numbers, float(s.rest_length[0]), *arrays)
 
     @staticmethod
     def _padded(values: np.ndarray) -> np.ndarray:
@@ -206,7 +211,7 @@ class Grid:
         return np.stack([self.x, self.y], axis=1)
 
 
-class Stream:
+class CompiledStream:
     """Three arrays of `count` floats."""
 
     def __init__(self, folder: str, count: int):

@@ -14,13 +14,14 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 from taichi_cloth.benchmarks import ours
 from taichi_cloth.benchmarks.cloths import WARP_FRAME, WARP_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
-from taichi_cloth.benchmarks.report import Row
+from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.measuring import machine
 
 PART = "warp"
@@ -36,7 +37,7 @@ PEERS = {  # name: file, class, argument besides the cloth, largest size
 NUMPY_GRAVITY = 9.8  # theirs has 9.8 where the others have 9.81
 
 
-def measure(bench: Bench) -> Iterator[Row]:
+def measure(bench: Bench) -> Iterator[Measurement]:
     """One contest a size."""
     for side, (frames, checked) in SIZES.items():
         if side == 512 and bench.quick:
@@ -48,7 +49,7 @@ def measure(bench: Bench) -> Iterator[Row]:
             bench.leave_out(PART, name, "all sizes", why)
 
 
-def _measure_size(bench: Bench, side: int, frames: int, checked: int) -> Iterator[Row]:
+def _measure_size(bench: Bench, side: int, frames: int, checked: int) -> Iterator[Measurement]:
     size = f"{side} x {side}"
     scene = (SCENE, {"size": side})
     entered = {
@@ -65,7 +66,7 @@ def _measure_size(bench: Bench, side: int, frames: int, checked: int) -> Iterato
     rounds = max(bench.rounds, -(-SECOND // frames) - 1)
     everyone = [*entered.values(), shared, *peers.values()]
     finished = bench.race(PART, everyone, marks={checked, SECOND}, rounds=rounds)
-    against = f"an f64 run at a sixteenth of the step, {checked / SECOND:g} s after the start"
+    against = f"{ours.AGAINST}, {checked / SECOND:g} s after the start"
     numpy_version = peers["Warp's NumPy version"]
     rows = bench.rows(PART, finished, reference, against)
     if numpy_version in finished:
@@ -152,28 +153,32 @@ def _enter_peer(bench: Bench, name: str, side: int, size: str, frames: int) -> C
 class Theirs:
     """One of the package's integrators, driven as its benchmark drives it; a unit is a frame."""
 
-    def __init__(self, file: str, class_name: str, arguments: list, side: int, folder: str):
+    def __init__(self, file: str, class_name: str, arguments: list[Any], side: int, folder: str):
         cloth = their_cloth(side, Path(folder))
         module = _their_module(f"benchmark_cloth_{file}")
         self.integrator = getattr(module, class_name)(cloth, *arguments)
 
     def advance(self, units: int) -> None:
         for _ in range(units):
-            self.at = self.integrator.simulate(WARP_FRAME, WARP_SUBSTEPS)
+            self.at: np.ndarray = self.integrator.simulate(WARP_FRAME, WARP_SUBSTEPS)
 
     def positions(self) -> np.ndarray:
         return self.at
 
 
 def _their_path(name: str) -> Path:
-    package = importlib.util.find_spec("warp").submodule_search_locations[0]
-    return Path(package, "examples", "benchmarks", f"{name}.py")
+    spec = importlib.util.find_spec("warp")
+    if spec is None or not spec.submodule_search_locations:
+        raise ModuleNotFoundError("warp")
+    return Path(spec.submodule_search_locations[0], "examples", "benchmarks", f"{name}.py")
 
 
 def _their_module(name: str) -> ModuleType:
     """A file of the package's, imported once."""
     if name not in sys.modules:
         spec = importlib.util.spec_from_file_location(name, _their_path(name))
+        if spec is None or spec.loader is None:
+            raise ImportError(f"{_their_path(name)}: cannot be imported")
         sys.modules[name] = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(sys.modules[name])
     return sys.modules[name]
@@ -189,7 +194,7 @@ def their_cloth(side: int, folder: Path) -> SimpleNamespace:
     if not saved.exists():
         source = ast.parse(_their_path("benchmark_cloth").read_text("utf-8"))
         source.body = [node for node in source.body if getattr(node, "name", "") == "Cloth"]
-        names = {"np": np}
+        names: dict[str, Any] = {"np": np}
         exec(compile(source, "benchmark_cloth.py", "exec"), names)
         k = 1000.0
         cloth = names["Cloth"](
@@ -203,7 +208,9 @@ def their_cloth(side: int, folder: Path) -> SimpleNamespace:
             mass=0.1,
             fix_corners=True,
         )
-        arrays = {name: a for name, a in vars(cloth).items() if isinstance(a, np.ndarray)}
+        arrays: dict[str, Any] = {
+            name: part for name, part in vars(cloth).items() if isinstance(part, np.ndarray)
+        }
         np.savez(saved, **arrays)
     with np.load(saved) as file:
         cloth = SimpleNamespace(**dict(file))

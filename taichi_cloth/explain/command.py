@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-import contextlib
 import datetime
 import json
 import os
-import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taichi_cloth import __version__
+from taichi_cloth import __version__, console
+from taichi_cloth.console import Tell, counted, duration, markdown_table
 from taichi_cloth.errors import InputError, nearest
-from taichi_cloth.explain.variants import counted
 from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import ExplainOptions, check_run, flag
 
 if TYPE_CHECKING:
-    from taichi_cloth.explain.costs import Cost, Explanation, LinkCost
+    from rich.console import Console
+
+    from taichi_cloth.explain.costs import Compiled, Cost, Explanation, LinkCost
+    from taichi_cloth.runtime import Device
     from taichi_cloth.scene.model import Scene
 
 # The scenes of `--all`: those that are empty at their start are filled.
@@ -36,7 +37,7 @@ LINKS: dict[str, dict[str, float]] = {  # parameters of the scene `cloth`
     "structural, bend": {"bend": 0.05},
     "structural, shear, bend": {"shear": 0.1, "bend": 0.05},
 }
-MARKED = re.compile(r"(<!-- explain:(\w+) -->\n).*?(<!-- end -->)", re.S)
+MARKED = "explain"  # what marks a document's places
 SMALL_FIELD = 1024  # bytes below which fields are shown together
 
 
@@ -47,7 +48,6 @@ def main(source: SceneSource, options: ExplainOptions) -> int:
     scenes = _built_in() if options.all else {" ".join(source.words()): source.build()}
 
     import numpy
-    from rich.console import Console
 
     from taichi_cloth import runtime
     from taichi_cloth.explain import costs
@@ -60,7 +60,11 @@ def main(source: SceneSource, options: ExplainOptions) -> int:
         for name in ("method", "dt", "substeps", "execution", "topology")
     }
     found, cloths = [], []
-    with _progress(options) as tell:
+    with console.progress(("text", "bar", "elapsed")) as show_progress:
+
+        def tell(name: str) -> Tell:
+            return lambda text, done, total: show_progress(f"{name}: {text}", done, total)
+
         for name, scene in scenes.items():
             explanation = costs.explain(scene, how, options.quick, tell(name))
             found.append(replace(explanation, scene=name))
@@ -70,17 +74,17 @@ def main(source: SceneSource, options: ExplainOptions) -> int:
                 told = tell(f"links of a cloth, {side} x {side}")
                 cloths += costs.compare_links(named, side, how, options.quick, told)
     if options.json:
-        said = [asdict(explanation) for explanation in found]
-        said = {"scenes": said, "links": [asdict(c) for c in cloths]} if options.all else said[0]
+        said: dict[str, Any] = asdict(found[0])
+        if options.all:
+            said = {"scenes": [asdict(e) for e in found], "links": [asdict(c) for c in cloths]}
         print(json.dumps({"machine": machine} | said, indent=1))
     else:
-        # A pipe or a file has no width: give whole lines a place where they fit.
-        console = Console() if sys.stdout.isatty() else Console(width=150)
+        to = console.output(150)
         for explanation in found:
-            show(explanation, console)
+            show(explanation, to)
         if cloths:
-            _show_table("What a cloth's links cost", *_table_of_links(cloths), console)
-        console.print("; ".join(f"{k}: {v}" for k, v in machine.items()), highlight=False)
+            _show_table("What a cloth's links cost", *_table_of_links(cloths), to)
+        to.print("; ".join(f"{k}: {v}" for k, v in machine.items()), highlight=False)
     if document:
         text = filled(document.path.read_text("utf-8"), found, cloths, machine)
         document.fill(lambda file: file.write(text.encode()))
@@ -103,7 +107,7 @@ def _document(options: ExplainOptions) -> PendingFile | None:
         return None
     if not os.path.isfile(options.tables):
         raise InputError(f"--tables {options.tables}: there is no such file")
-    if not MARKED.search(Path(options.tables).read_text("utf-8")):
+    if not console.places(Path(options.tables).read_text("utf-8"), MARKED):
         raise InputError(f"--tables {options.tables}: has no '<!-- explain:... -->' to fill")
     return PendingFile(options.tables)
 
@@ -129,7 +133,7 @@ def _cloths(side: int) -> dict[str, Scene]:
     }
 
 
-def _machine(device) -> dict[str, str]:
+def _machine(device: Device) -> dict[str, str]:
     import platform
 
     import taichi
@@ -145,63 +149,39 @@ def _machine(device) -> dict[str, str]:
     }
 
 
-@contextlib.contextmanager
-def _progress(options: ExplainOptions) -> Iterator:
-    """While it lasts, a bar of what is going on: tell(name) gives `costs` what to call."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
-    with Progress(
-        *columns,
-        console=console,
-        transient=True,
-        refresh_per_second=2,  # what is measured needs the processor
-        disable=not console.is_terminal,
-    ) as progress:
-        task = progress.add_task("")
-
-        def tell(name: str):
-            def told(text: str, done: int, total: int) -> None:
-                description = f"{name}: {text}"
-                progress.update(task, description=description, completed=done, total=total)
-
-            return told
-
-        yield tell
-
-
 # ------------------------------------------------------------------------------------------
 # Tables
 
 
-def show(explanation: Explanation, console) -> None:
+def show(explanation: Explanation, to: Console) -> None:
     """Print what is known of a scene: what it uses, what is compiled, stored, and what it costs."""
     e, compiled = explanation, explanation.compiled
-    say = lambda text: console.print(text, highlight=False, markup=False)  # noqa: E731
+
+    def say(text: str) -> None:
+        to.print(text, highlight=False, markup=False)
+
     sizes = f"{counted(e.particles, 'particle')}, {counted(e.springs, 'spring')}"
     say(f"{e.scene}: {sizes}; {e.features}")
     say(
         f"{e.method}, dt {e.dt:g}, {counted(e.substeps, 'substep')}: "
-        f"{_time(e.seconds)} a step (quartiles {_time(e.lower)} .. {_time(e.upper)}), "
+        f"{duration(e.seconds)} a step (quartiles {duration(e.lower)} .. {duration(e.upper)}), "
         f"{e.compile_seconds:.2f} s to compile, {_bytes(compiled.bytes)} on the device"
     )
-    console.print()
+    to.print()
     say(f"compiled: {_path(compiled)}; {_places(compiled)}")
     say(f"  on: {', '.join(_switches(compiled.plan, True)) or 'nothing'}")
     say(f"  off: {', '.join(_switches(compiled.plan, False)) or 'nothing'}")
-    console.print()
-    _show_table("what each feature costs", *_table_of_costs(e), console)
+    to.print()
+    _show_table("what each feature costs", *_table_of_costs(e), to)
     for cost in e.costs:
         if cost.note or cost.failed:
             say(f"{cost.feature}: {'without it ' * cost.used}{cost.failed or cost.note}")
     say("What a scene does without a feature is part of its cost: below zero, the rest is cheaper.")
-    console.print()
-    _show_table("fields on the device", *_table_of_fields(e), console)
+    to.print()
+    _show_table("fields on the device", *_table_of_fields(e), to)
 
 
-def _path(compiled) -> str:
+def _path(compiled: Compiled) -> str:
     plan = compiled.plan
     cells = f", cells of {plan['lanes']} particles" if plan["lanes"] > 1 else ""
     if plan["spread"]:
@@ -211,7 +191,7 @@ def _path(compiled) -> str:
     return f"{compiled.topology}{cells}; {compiled.execution}, {loops}"
 
 
-def _places(compiled) -> str:
+def _places(compiled: Compiled) -> str:
     words = [f"{count} {kind} links" for kind, count in compiled.links.items()]
     if words:
         words = [f"{counted(compiled.grids, 'regular grid')} with {', '.join(words)}"]
@@ -248,14 +228,14 @@ def _table_of_costs(e: Explanation) -> tuple[list[str], list[list[str]]]:
 
 def _line_of_cost(cost: Cost, e: Explanation) -> list[str]:
     line = [cost.feature, "has it" if cost.used else "lacks it", cost.about]
-    if cost.failed:
+    if cost.seconds is None or cost.bytes is None:
         return [*line, "fails", "", "", "", "", "", ""]
     return [
         *line,
-        _time(cost.seconds_with),
-        _time(cost.seconds_without),
-        _time(cost.seconds, sign=True),
-        f"{_time(cost.lower, sign=True)} .. {_time(cost.upper, sign=True)}",
+        duration(cost.seconds_with),
+        duration(cost.seconds_without),
+        duration(cost.seconds, sign=True),
+        f"{duration(cost.lower, sign=True)} .. {duration(cost.upper, sign=True)}",
         f"{100 * cost.seconds / e.seconds:+.0f} %",
         f"{cost.compile_seconds:+.2f} s",
         _bytes(cost.bytes, sign=True),
@@ -284,8 +264,8 @@ def _table_of_links(cloths: Sequence[LinkCost]) -> tuple[list[str], list[list[st
             c.links,
             str(c.springs),
             f"{c.topology}, {c.execution}",
-            _time(c.seconds),
-            f"{_time(c.lower)} .. {_time(c.upper)}",
+            duration(c.seconds),
+            f"{duration(c.lower)} .. {duration(c.upper)}",
             f"{c.ratio:.2f}",
             f"{c.ratio_lower:.2f} .. {c.ratio_upper:.2f}",
             f"{c.compile_seconds:.2f} s",
@@ -295,27 +275,12 @@ def _table_of_links(cloths: Sequence[LinkCost]) -> tuple[list[str], list[list[st
     ]
 
 
-def _show_table(title: str, headers: list[str], lines: list[list[str]], console) -> None:
-    from rich import box
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    for header in headers:
-        left = header in ("feature", "scene", "what", "cloth", "links", "path", "field", "numbers")
-        table.add_column(header, justify="left" if left else "right", overflow="fold")
-    for line in lines:
-        table.add_row(*map(escape, line))
-    console.print(table)
+# Columns of text; numbers are aligned to the right.
+LEFT = ("feature", "scene", "what", "cloth", "links", "path", "field", "numbers")
 
 
-def _time(seconds: float, sign: bool = False) -> str:
-    """Three digits and a unit; sign: also a plus."""
-    plus = "+" if sign and seconds >= 0 else ""
-    for unit, scale in (("s", 1.0), ("ms", 1e3), ("µs", 1e6)):
-        if abs(seconds) * scale >= 1:
-            return f"{plus}{seconds * scale:.3g} {unit}"
-    return f"{plus}{seconds * 1e9:.3g} ns"
+def _show_table(title: str, headers: list[str], lines: list[list[str]], to: Console) -> None:
+    console.print_table(to, title, headers, lines, LEFT, fold=True)
 
 
 def _bytes(count: int, sign: bool = False) -> str:
@@ -336,26 +301,25 @@ def filled(
     cloths: Sequence[LinkCost],
     machine: dict[str, str],
 ) -> str:
-    """`text` with what stands between its markers made anew.
+    """A document with what stands between its markers made anew.
 
     A marker is ``<!-- explain:WHAT -->``, and ends at ``<!-- end -->``; WHAT: scenes, costs, links,
     saving, machine.
     """
     bodies = {
-        "scenes": lambda: _markdown(*_table_of_scenes(found)),
-        "costs": lambda: _markdown(*_table_of_all_costs(found)),
-        "links": lambda: _markdown(*_table_of_links(cloths)),
+        "scenes": lambda: markdown_table(*_table_of_scenes(found)),
+        "costs": lambda: markdown_table(*_table_of_all_costs(found)),
+        "links": lambda: markdown_table(*_table_of_links(cloths)),
         "saving": lambda: _saving(cloths),
         "machine": lambda: "\n".join(f"- {name}: {value}" for name, value in machine.items()),
     }
 
-    def made(match: re.Match) -> str:
-        opening, what, closing = match.groups()
+    def body(what: str, _: str | None) -> str:
         if what not in bodies:
             raise InputError(f"<!-- explain:{what} -->: {nearest(what, bodies)}")
-        return f"{opening}{bodies[what]()}\n{closing}"
+        return bodies[what]()
 
-    return MARKED.sub(made, text)
+    return console.filled(text, MARKED, body)
 
 
 def _table_of_scenes(found: Sequence[Explanation]) -> tuple[list[str], list[list[str]]]:
@@ -367,7 +331,7 @@ def _table_of_scenes(found: Sequence[Explanation]) -> tuple[list[str], list[list
             str(e.particles),
             str(e.springs),
             f"{e.compiled.topology}, {e.compiled.execution}",
-            _time(e.seconds),
+            duration(e.seconds),
             f"{e.compile_seconds:.2f} s",
             _bytes(e.compiled.bytes),
         ]
@@ -390,7 +354,7 @@ def _table_of_all_costs(found: Sequence[Explanation]) -> tuple[list[str], list[l
             elif cost.failed:
                 line.append("fails")
             else:
-                text = f"{_time(cost.seconds, sign=True)}, {cost.compile_seconds:+.2f} s"
+                text = f"{duration(cost.seconds, sign=True)}, {cost.compile_seconds:+.2f} s"
                 line.append(text if cost.used else f"({text})")
         lines.append(line)
     return ["feature", *(f"`{e.scene}`" for e in found)], lines
@@ -402,16 +366,11 @@ def _saving(cloths: Sequence[LinkCost]) -> str:
     for side in dict.fromkeys(c.side for c in cloths):
         one, *_, all_links = (c for c in cloths if c.side == side)
         lines.append(
-            f"At {side} x {side} particles a step takes {_time(one.seconds)} with structural links "
-            f"alone and {_time(all_links.seconds)} with shear and bend links besides: "
+            f"At {side} x {side} particles a step takes {duration(one.seconds)} with structural "
+            f"links alone and {duration(all_links.seconds)} with shear and bend links besides: "
             f"{all_links.ratio:.2f} times as long (quartiles {all_links.ratio_lower:.2f} to "
             f"{all_links.ratio_upper:.2f}), for {all_links.springs / one.springs:.2f} times the "
             f"springs, {all_links.bytes / one.bytes:.2f} times the memory and "
             f"{all_links.compile_seconds - one.compile_seconds:+.2f} s to compile."
         )
     return "\n".join(lines)
-
-
-def _markdown(headers: list[str], lines: list[list[str]]) -> str:
-    rows = [headers, ["---"] * len(headers), *lines]
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows)

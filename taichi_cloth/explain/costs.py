@@ -12,16 +12,18 @@ import gc
 import math
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import taichi as ti
 
+from taichi_cloth.console import Tell
 from taichi_cloth.errors import InputError, SimulationFailure
-from taichi_cloth.explain.variants import variants
+from taichi_cloth.explain.variants import Variant, variants
 from taichi_cloth.kernels.state import State
+from taichi_cloth.measuring.timing import quartiles, turns
 from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation.simulation import Simulation
@@ -30,8 +32,6 @@ SHARE = 0.01  # seconds that a scene runs in a round, at least
 MOST_FRAMES = 600  # frames after which it starts again
 PATIENCE = 30.0  # seconds after which there are no more rounds than LEAST_ROUNDS
 LEAST_ROUNDS = 5
-
-Tell = Callable[[str, int, int], None]  # what is going on, done, in all
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,9 @@ class Stored:
 class Compiled:
     """What is compiled and stored for a simulation.
 
-    plan: the switches of `kernels.plan.Plan`. links: each kind of link of the grids with the
-    springs in lanes that are of it; on_graph: springs stored as lists. fields: the largest first;
-    bytes: of all device memory, with what keeps fields apart.
+    plan: the switches of `kernels.specialization.Plan`. links: each kind of link of the grids with
+    the springs in lanes that are of it; on_graph: springs stored as lists. fields: the largest
+    first; bytes: of all device memory, with what keeps fields apart.
     """
 
     plan: dict[str, Any]
@@ -109,7 +109,7 @@ class Explanation:
 
 
 @dataclass
-class Contestant:
+class Candidate:
     """A scene that takes turns with others.
 
     how: arguments of its simulation. seconds: of a step, one for each round; compile_seconds: of
@@ -155,57 +155,63 @@ class Contestant:
 
     def run(self, frames: int, repeats: int) -> float:
         """Seconds of a step, over `repeats` runs of `frames` frames from the scene's start."""
+        sim = self.compiled
         seconds = 0.0
         for _ in range(repeats):
-            self.sim.reset()
+            sim.reset()
             begin = time.perf_counter()
-            self.sim.advance(frames)
+            sim.advance(frames)
             ti.sync()
             seconds += time.perf_counter() - begin
-        return seconds / (frames * repeats * self.sim.substeps)
+        return seconds / (frames * repeats * sim.substeps)
 
-    def take_turn(self, frames: int, repeats: int, counts: bool) -> None:
-        """Run, and note the time if it counts."""
-        try:
-            seconds = self.run(frames, repeats)
-        except SimulationFailure as failure:
-            self.failed = str(failure)
-            return
-        if counts:
-            self.seconds.append(seconds)
+    def pace(self) -> float:
+        """About how many seconds a frame takes."""
+        substeps = self.compiled.substeps
+        rough = self.run(1, 1) * substeps
+        return min(rough, self.run(max(1, min(MOST_FRAMES, int(SHARE / rough))), 1) * substeps)
+
+    @property
+    def compiled(self) -> Simulation:
+        """Its simulation, once it is compiled."""
+        assert self.sim is not None
+        return self.sim
 
 
-def race(contestants: Sequence[Contestant], rounds: int, compiles: int, tell: Tell) -> None:
-    """Compile contestants and let them take turns; the first round warms up, and does not count.
+def race(candidates: Sequence[Candidate], rounds: int, compiles: int, tell: Tell) -> None:
+    """Compile candidates and let them take turns; the first of them is what all are compared to.
 
-    Each round begins with another one. Those that fail say so in `failed`.
+    Those that fail say so in `failed`; where the first one does, the race is over.
     """
-    total = len(contestants) * compiles + rounds + 1
+    total = len(candidates) * compiles + rounds + 1
     done = 0
     for _ in range(compiles):
-        for contestant in contestants:
+        for candidate in candidates:
             tell("compiling", done, total)
             done += 1
-            if not contestant.failed:
-                contestant.compile()
-    first = contestants[0]
+            if not candidate.failed:
+                candidate.compile()
+    first = candidates[0]
     if first.failed:
         return
-    pace = first.run(1, 1) * first.sim.substeps  # seconds a frame
-    pace = min(pace, first.run(max(1, min(MOST_FRAMES, int(SHARE / pace))), 1) * first.sim.substeps)
+    pace = first.pace()
     frames = max(1, min(MOST_FRAMES, int(SHARE / pace)))
     repeats = max(1, math.ceil(SHARE / (pace * frames)))
-    deadline = time.perf_counter() + PATIENCE
-    for number in range(rounds + 1):
-        if number > LEAST_ROUNDS and time.perf_counter() > deadline:
-            break
+    running = [candidate for candidate in candidates if not candidate.failed]
+    for number, candidate in turns(
+        running, rounds, rotate=True, patience=PATIENCE, least=LEAST_ROUNDS
+    ):
         tell("running", done + number, total)
-        running = [c for c in contestants if not c.failed]
-        start = number % len(running)
-        for contestant in running[start:] + running[:start]:
-            contestant.take_turn(frames, repeats, counts=number > 0)
-        if first.failed:
-            return
+        try:
+            seconds = candidate.run(frames, repeats)
+        except SimulationFailure as failure:
+            candidate.failed = str(failure)
+            running.remove(candidate)
+            if candidate is first:
+                return
+            continue
+        if number > 0:
+            candidate.seconds.append(seconds)
 
 
 def explain(scene: Scene, how: dict[str, Any], quick: bool, tell: Tell) -> Explanation:
@@ -222,13 +228,13 @@ def explain(scene: Scene, how: dict[str, Any], quick: bool, tell: Tell) -> Expla
     del sim
 
     switched = list(variants(scene, on_graph=compiled.topology == "graph"))
-    own = Contestant(scene, how)
-    others = [Contestant(variant.scene, how) for variant in switched]
+    own = Candidate(scene, how)
+    others = [Candidate(variant.scene, how) for variant in switched]
     race([own, *others], 7 if quick else 21, 1 if quick else 2, tell)
     if own.failed:
         Simulation(scene, **how).advance(MOST_FRAMES)  # says why, as a run would
         raise InputError(f"scene '{scene.name}': {own.failed}")
-    lower, median, upper = quartiles(own.seconds)
+    step = quartiles(own.seconds)
     return Explanation(
         scene=scene.name,
         particles=particles,
@@ -238,41 +244,34 @@ def explain(scene: Scene, how: dict[str, Any], quick: bool, tell: Tell) -> Expla
         dt=dt,
         substeps=substeps,
         compiled=compiled,
-        seconds=median,
-        lower=lower,
-        upper=upper,
+        seconds=step.median,
+        lower=step.lower,
+        upper=step.upper,
         compile_seconds=min(own.compile_seconds),
         rounds=len(own.seconds),
         costs=[_cost(v, own, other) for v, other in zip(switched, others, strict=True)],
     )
 
 
-def _cost(variant, own: Contestant, other: Contestant) -> Cost:
+def _cost(variant: Variant, own: Candidate, other: Candidate) -> Cost:
     if other.failed:
         return Cost(variant.feature, variant.used, variant.about, failed=other.failed)
     more, less = (own, other) if variant.used else (other, own)
     differences = [a - b for a, b in zip(more.seconds, less.seconds, strict=True)]
-    lower, median, upper = quartiles(differences)
+    difference = quartiles(differences)
     return Cost(
         feature=variant.feature,
         used=variant.used,
         about=variant.about,
         seconds_with=statistics.median(more.seconds),
         seconds_without=statistics.median(less.seconds),
-        seconds=median,
-        lower=lower,
-        upper=upper,
+        seconds=difference.median,
+        lower=difference.lower,
+        upper=difference.upper,
         compile_seconds=min(more.compile_seconds) - min(less.compile_seconds),
         bytes=more.bytes - less.bytes,
         note=other.note,
     )
-
-
-def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
-    """Lower quartile, median, upper quartile."""
-    if len(values) == 1:
-        return values[0], values[0], values[0]
-    return tuple(statistics.quantiles(values, n=4, method="inclusive"))
 
 
 # ------------------------------------------------------------------------------------------
@@ -362,30 +361,29 @@ def compare_links(
     sim = Simulation(next(iter(cloths.values())), **how)
     how = how | {"topology": sim.topology, "execution": sim.execution}
     del sim
-    contestants = [Contestant(scene, how) for scene in cloths.values()]
-    race(contestants, 7 if quick else 21, 1 if quick else 2, tell)
+    candidates = [Candidate(scene, how) for scene in cloths.values()]
+    race(candidates, 7 if quick else 21, 1 if quick else 2, tell)
     found = []
-    for name, contestant in zip(cloths, contestants, strict=True):
-        if contestant.failed:
-            raise InputError(f"cloth {side} x {side}, {name}: {contestant.failed}")
-        ratios = np.divide(contestant.seconds, contestants[0].seconds)
-        ratio_lower, ratio, ratio_upper = quartiles(ratios.tolist())
-        lower, median, upper = quartiles(contestant.seconds)
+    for name, candidate in zip(cloths, candidates, strict=True):
+        if candidate.failed:
+            raise InputError(f"cloth {side} x {side}, {name}: {candidate.failed}")
+        ratio = quartiles(np.divide(candidate.seconds, candidates[0].seconds).tolist())
+        step = quartiles(candidate.seconds)
         found.append(
             LinkCost(
                 side=side,
                 links=name,
-                springs=len(contestant.scene.springs),
+                springs=len(candidate.scene.springs),
                 topology=how["topology"],
                 execution=how["execution"],
-                seconds=median,
-                lower=lower,
-                upper=upper,
-                ratio=ratio,
-                ratio_lower=ratio_lower,
-                ratio_upper=ratio_upper,
-                compile_seconds=min(contestant.compile_seconds),
-                bytes=contestant.bytes,
+                seconds=step.median,
+                lower=step.lower,
+                upper=step.upper,
+                ratio=ratio.median,
+                ratio_lower=ratio.lower,
+                ratio_upper=ratio.upper,
+                compile_seconds=min(candidate.compile_seconds),
+                bytes=candidate.bytes,
             )
         )
     return found

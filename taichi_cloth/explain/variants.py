@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from taichi_cloth.console import counted
 from taichi_cloth.scene.cloth import LINKS
-from taichi_cloth.scene.model import WALLS, Particles, Scene, SpringDefaults, Springs
+from taichi_cloth.scene.model import WALLS, Features, Particles, Scene, SpringDefaults, Springs
 from taichi_cloth.simulation import adjacency
 
 # Of what is added where a scene has none. Light enough for the scene's own step to stay stable.
@@ -33,76 +34,74 @@ class Variant:
     scene: Scene
 
 
-def counted(count: int, thing: str) -> str:
-    """'1 spring', '2 springs'."""
-    return f"{count} {thing}{'s' * (count != 1)}"
-
-
 def variants(scene: Scene, on_graph: bool) -> Iterator[Variant]:
     """One variant of a checked scene for each feature that can be switched.
 
     on_graph: whether the springs are stored as lists, where it matters that they are all alike.
     """
-    features, world, springs = scene.features(), scene.world, scene.springs
-    particles = scene.particles
-    spawns = world.mouse == "spawn"
-
-    if len(springs) and not spawns:
-        yield Variant(
-            "springs",
-            True,
-            counted(len(springs), "spring"),
-            replace(scene, springs=Springs.none()),
-        )
+    features, springs = scene.features(), scene.springs
+    if len(springs) and scene.world.mouse != "spawn":
+        about = counted(len(springs), "spring")
+        yield Variant("springs", True, about, replace(scene, springs=Springs.none()))
     yield from _links(scene)
     if len(springs):
         yield _fracture(scene, features.fracture)
         yield _dashpots(scene, features.dashpots)
     yield _drag(scene, features.drag)
-    if features.walls:
-        about = counted(len(features.walls), "wall") + ", one is the floor" * features.floor
-        yield Variant("walls", True, about, scene.with_world(walls=()))
-    else:
-        walls = tuple(name for name, (axis, _) in WALLS.items() if axis < world.dim)
-        about = f"{len(walls)} walls, one is the floor"
-        yield Variant("walls", False, about, scene.with_world(walls=walls))
-    radius = float(np.median(particles.radius)) if len(particles) else 0.0
-    about = f"of {counted(len(particles), 'particle')}, radius {radius:g}"
-    yield Variant(
-        "collisions", world.collisions, about, scene.with_world(collisions=not world.collisions)
-    )
-    if spawns:
-        about = "clicks add particles and springs"
-        yield Variant("mouse: spawn", True, about, scene.with_world(mouse="none"))
-    else:
-        blows = world.mouse == "blow"
-        mouse = "none" if blows else "blow"
-        yield Variant("mouse: blow", blows, "not pushing", scene.with_world(mouse=mouse))
-    if on_graph and features.uniform_springs and len(springs) > 1 and not spawns:
-        stiffness = springs.stiffness.copy()
-        stiffness[0] *= ODD
-        yield Variant(
-            "uniform springs",
-            True,
-            "all have the same numbers",
-            replace(scene, springs=replace(springs, stiffness=stiffness)),
-        )
-    if features.uniform_particles and len(particles) > 1 and _numbers_of_particles(features):
-        radius, viscous = particles.radius.copy(), particles.viscous.copy()
-        radius[0], viscous[0] = radius[0] * ODD, viscous[0] * ODD
-        yield Variant(
-            "uniform particles",
-            True,
-            "all have the same numbers but mass",
-            replace(scene, particles=replace(particles, radius=radius, viscous=viscous)),
-        )
-    if world.dim == 2:
+    yield _walls(scene, features)
+    yield _collisions(scene)
+    yield _mouse(scene)
+    if on_graph:
+        yield from _uniform_springs(scene, features)
+    yield from _uniform_particles(scene, features)
+    if scene.world.dim == 2:
         yield Variant("third dimension", False, "the same scene in a plane", _in_space(scene))
 
 
-def _numbers_of_particles(features) -> bool:
-    """Whether anything reads numbers that particles may share."""
-    return bool(features.drag or features.walls or features.collisions)
+def _walls(scene: Scene, features: Features) -> Variant:
+    if features.walls:
+        about = counted(len(features.walls), "wall") + ", one is the floor" * features.floor
+        return Variant("walls", True, about, scene.with_world(walls=()))
+    walls = tuple(name for name, (axis, _) in WALLS.items() if axis < scene.world.dim)
+    about = f"{len(walls)} walls, one is the floor"
+    return Variant("walls", False, about, scene.with_world(walls=walls))
+
+
+def _collisions(scene: Scene) -> Variant:
+    collide, particles = scene.world.collisions, scene.particles
+    radius = float(np.median(particles.radius)) if len(particles) else 0.0
+    about = f"of {counted(len(particles), 'particle')}, radius {radius:g}"
+    return Variant("collisions", collide, about, scene.with_world(collisions=not collide))
+
+
+def _mouse(scene: Scene) -> Variant:
+    if scene.world.mouse == "spawn":
+        about = "clicks add particles and springs"
+        return Variant("mouse: spawn", True, about, scene.with_world(mouse="none"))
+    blows = scene.world.mouse == "blow"
+    changed = scene.with_world(mouse="none" if blows else "blow")
+    return Variant("mouse: blow", blows, "not pushing", changed)
+
+
+def _uniform_springs(scene: Scene, features: Features) -> Iterator[Variant]:
+    """One spring gets a number of its own, where all share theirs and none can be added."""
+    springs = scene.springs
+    if features.uniform_springs and len(springs) > 1 and scene.world.mouse != "spawn":
+        stiffness = springs.stiffness.copy()
+        stiffness[0] *= ODD
+        changed = replace(scene, springs=replace(springs, stiffness=stiffness))
+        yield Variant("uniform springs", True, "all have the same numbers", changed)
+
+
+def _uniform_particles(scene: Scene, features: Features) -> Iterator[Variant]:
+    """One particle gets numbers of its own, where all share theirs and something reads them."""
+    particles = scene.particles
+    read = features.drag or features.walls or features.collisions
+    if features.uniform_particles and len(particles) > 1 and read:
+        radius, viscous = particles.radius.copy(), particles.viscous.copy()
+        radius[0], viscous[0] = radius[0] * ODD, viscous[0] * ODD
+        changed = replace(scene, particles=replace(particles, radius=radius, viscous=viscous))
+        yield Variant("uniform particles", True, "all have the same numbers but mass", changed)
 
 
 def kinds_of_links(scene: Scene) -> np.ndarray:
@@ -123,7 +122,7 @@ def kinds_of_links(scene: Scene) -> np.ndarray:
 
 
 def _links(scene: Scene) -> Iterator[Variant]:
-    """Of each kind of link of a grid: without it, or, where no grid has it, with it."""
+    """A variant for each kind of link of a grid: without it, or, where no grid has it, with it."""
     kind = kinds_of_links(scene)
     present = [name for name in LINKS if (kind == name).any()]
     if not present:

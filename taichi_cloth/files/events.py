@@ -12,7 +12,8 @@ import math
 import string
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, NoReturn
 
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.files.pending import PendingFile
@@ -109,7 +110,7 @@ def load(path: str | Path) -> Log:
     return log
 
 
-def _check_header(where: str, header: dict[str, Any]):
+def _check_header(where: str, header: dict[str, Any]) -> None:
     """Refuse values of the header's keys that a replay uses and that make no sense."""
     window, seed = header.get("window", [1, 1]), header.get("seed", 0)
     if not isinstance(window, list) or len(window) != 2 or not all(map(_is_count, window)):
@@ -133,7 +134,7 @@ def _is_count(value: Any) -> bool:
 def _object(where: str, line: str) -> dict[str, Any]:
     """The JSON object on a line, without NaN, infinities or repeated keys."""
 
-    def unique(pairs):
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         entry = dict(pairs)
         if len(entry) < len(pairs):
             names = [name for name, _ in pairs]
@@ -141,7 +142,7 @@ def _object(where: str, line: str) -> dict[str, Any]:
             raise InputError(f"{where}: '{twice}' is given twice")
         return entry
 
-    def refuse_constant(word):
+    def refuse_constant(word: str) -> NoReturn:
         raise InputError(f"{where}: numbers must be finite, found {word}")
 
     try:
@@ -160,7 +161,7 @@ def _object(where: str, line: str) -> dict[str, Any]:
 _EXAMPLE = '{"frame": 0, "event": "move", "pos": [300, 200]}'
 
 
-def _known_keys(where: str, entry: dict, known: tuple[str, ...]):
+def _known_keys(where: str, entry: dict[str, Any], known: tuple[str, ...]) -> None:
     for key in entry:
         if key not in known:
             raise InputError(f"{where}: unknown key '{key}'; {nearest(key, known)}")
@@ -262,7 +263,7 @@ class Recorder:
             entry["delta"] = float(event.delta)
         self._write(entry)
 
-    def _write(self, entry: dict[str, Any]):
+    def _write(self, entry: dict[str, Any]) -> None:
         self._pending.file.write(json.dumps(entry).encode() + b"\n")
 
     def close(self) -> None:
@@ -276,6 +277,11 @@ class Recorder:
     def __enter__(self) -> Recorder:
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         # Also after a failure or Ctrl-C: what was done until then is what one wants to replay.
         self.close()

@@ -7,7 +7,7 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import BinaryIO
 
@@ -21,20 +21,19 @@ class PendingFile:
     if not. file: binary, open for reading and writing.
     """
 
-    def __init__(self, path: str | os.PathLike):
+    def __init__(self, path: str | os.PathLike[str]):
         self.path = Path(path)
         # What a link points to is replaced, not the link.
         self._target = Path(os.path.realpath(self.path))
+        # None for a device or a pipe, such as /dev/null: that is written to at the end, and never
+        # replaced.
         self._temporary: str | None = None
-        # A device or a pipe, such as /dev/null, is written to at the end, never replaced.
-        self._is_device = False
         try:
             if self._target.is_dir():
                 raise IsADirectoryError
             if self._target.exists() and not os.access(self._target, os.W_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
             if self._target.exists() and not self._target.is_file():
-                self._is_device = True
                 self.file: BinaryIO = tempfile.TemporaryFile()  # noqa: SIM115
                 return
             # Beside the target, so that both are on one disk and the last step is one renaming.
@@ -57,7 +56,7 @@ class PendingFile:
         if self.file.closed:
             return
         try:
-            if self._is_device:
+            if self._temporary is None:  # a device
                 self.file.seek(0)
                 with open(self._target, "wb") as device:
                     shutil.copyfileobj(self.file, device)
@@ -74,7 +73,7 @@ class PendingFile:
             self.discard()
             raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
 
-    def fill(self, write: Callable[[BinaryIO], None]) -> None:
+    def fill(self, write: Callable[[BinaryIO], object]) -> None:
         """Let `write` write the file, then commit; a disk that is full raises InputError."""
         try:
             write(self.file)
@@ -90,3 +89,21 @@ class PendingFile:
         if self._temporary is not None:
             with contextlib.suppress(OSError):
                 os.unlink(self._temporary)
+
+
+def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write a file that appears whole or not at all; raises InputError where it cannot."""
+    PendingFile(path).fill(lambda file: file.write(content))
+
+
+def prepare_folder(folder: Path, names: Iterable[str]) -> None:
+    """See before a long run that files of these names can be written to a folder, which is made.
+
+    Raises InputError in the words of the flag `--output`, which names the folder.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--output {folder}: cannot be made: {error.strerror}") from None
+    for name in names:
+        PendingFile(folder / name).discard()

@@ -6,7 +6,7 @@ import json
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -34,6 +34,33 @@ class Saved:
     meta: dict[str, Any]
 
 
+class _World(Protocol):
+    @property
+    def dim(self) -> int: ...
+
+
+class _Scene(Protocol):
+    @property
+    def world(self) -> _World: ...
+
+
+class Recordable(Protocol):
+    """What a trajectory asks of a simulation."""
+
+    @property
+    def frame(self) -> int: ...
+    @property
+    def time(self) -> float: ...
+    @property
+    def particle_count(self) -> int: ...
+    @property
+    def scene(self) -> _Scene: ...
+    def springs(self) -> np.ndarray: ...
+    def positions(self) -> np.ndarray: ...
+    def velocities(self) -> np.ndarray: ...
+    def springs_alive(self) -> np.ndarray: ...
+
+
 class Trajectory:
     """Collects every `every`-th frame of a simulation and saves them.
 
@@ -48,7 +75,7 @@ class Trajectory:
         self._pending = PendingFile(path)
         self._forget()
 
-    def _forget(self):
+    def _forget(self) -> None:
         self._frames: list[int] = []
         self._times: list[float] = []
         self._positions: list[np.ndarray] = []
@@ -57,7 +84,7 @@ class Trajectory:
         self._springs = np.zeros((0, 2), np.int64)
         self._shape = (0, 2)
 
-    def record(self, sim, *, last: bool = False) -> None:
+    def record(self, sim: Recordable, *, last: bool = False) -> None:
         """Take note of `sim`'s present frame if its number is a multiple of `every`.
 
         Call it after each frame. `last` takes note of any frame: the last good one of a run that

@@ -49,18 +49,20 @@ class Worker:
             env={**os.environ, **environment},
             start_new_session=True,  # Ctrl-C is for the parent, which then ends its workers
         )
+        assert self._process.stdin and self._process.stdout
+        self._requests, self._answers = self._process.stdin, self._process.stdout
 
-    def ask(self, **request) -> dict[str, Any]:
+    def ask(self, **request: Any) -> dict[str, Any]:
         """The answer to a request; raises WorkerFailed."""
         try:
-            print(json.dumps(request), file=self._process.stdin, flush=True)
-            line = self._process.stdout.readline()
+            print(json.dumps(request), file=self._requests, flush=True)
+            line = self._answers.readline()
         except (OSError, ValueError):  # ended, or closed here by another thread
             line = ""
         if not line:
             self.kill()  # it may still be ending, and would pass for alive
             raise WorkerFailed(f"its process ended: {self._last_words()}".rstrip(": "))
-        answer = json.loads(line)
+        answer: dict[str, Any] = json.loads(line)
         if "failed" in answer:
             raise WorkerFailed(answer["failed"])
         return answer
@@ -85,7 +87,7 @@ class Worker:
     def close(self) -> None:
         """End the process, and close what connects to it."""
         self.kill()
-        for stream in (self._process.stdin, self._process.stdout, self._complaints):
+        for stream in (self._requests, self._answers, self._complaints):
             with contextlib.suppress(OSError):
                 stream.close()
 
@@ -95,7 +97,7 @@ def main(folder: Path) -> None:
     # Libraries greet on standard output: the answers keep it for themselves.
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
-    objects = {}
+    objects: dict[str, Any] = {}
     for number, line in enumerate(sys.stdin):
         try:
             answer = _answer(json.loads(line), objects, folder / f"{os.getpid()}-{number}.npy")
@@ -104,7 +106,7 @@ def main(folder: Path) -> None:
         print(json.dumps(answer), file=answers, flush=True)
 
 
-def _answer(request: dict, objects: dict, file: Path) -> dict:
+def _answer(request: dict[str, Any], objects: dict[str, Any], file: Path) -> dict[str, Any]:
     if "make" in request:
         module, _, name = request["make"].partition(":")
         made = getattr(importlib.import_module(module), name)(**request["with"])

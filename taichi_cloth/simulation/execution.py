@@ -16,6 +16,7 @@ from pathlib import Path
 
 from taichi_cloth import __version__
 from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.files.pending import write_whole
 from taichi_cloth.kernels import stepping, watchdog
 from taichi_cloth.kernels.solvers import phases
 from taichi_cloth.runtime import current_device, sums_in_order, whole_vectors
@@ -198,8 +199,6 @@ def _write(table: dict) -> None:
     path = cache_file()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(f".{os.getpid()}.part")
-        part.write_text(json.dumps(table, indent=1))
-        part.replace(path)
-    except OSError:
+        write_whole(path, json.dumps(table, indent=1).encode())
+    except (OSError, InputError):
         pass  # a cache that cannot be written costs a measurement at the next start

@@ -5,16 +5,16 @@ from __future__ import annotations
 import contextlib
 import datetime
 import hashlib
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from taichi_cloth import console
 from taichi_cloth.errors import InputError
-from taichi_cloth.files.pending import PendingFile
+from taichi_cloth.files.pending import prepare_folder, write_whole
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import ARCHS, PROGRAM, ComparisonOptions, TradeOptions
@@ -26,10 +26,7 @@ FILES = ("trade.csv", "trade.json", "trade.png", "trade.svg")
 
 def main(source: SceneSource, options: TradeOptions) -> int:
     """Measure, write the files, print the table; the exit status."""
-    from rich.console import Console
-
-    # A pipe or a file has no width: give whole lines a place where they fit.
-    console = Console() if sys.stdout.isatty() else Console(width=210)
+    to = console.output(210)
     scene, chosen, how = prepare(source, options)
     folder = Path(options.output or f"trade-{scene.name}")
     prepare_folder(folder, FILES)
@@ -42,25 +39,25 @@ def main(source: SceneSource, options: TradeOptions) -> int:
     finally:
         with contextlib.suppress(OSError):
             folder.rmdir()  # where nothing was written
-    report.show(result, made, console)
-    console.print(f"written: {folder}/", ", ".join(written), highlight=False, markup=False)
+    report.show(result, made, to)
+    to.print(f"written: {folder}/", ", ".join(written), highlight=False, markup=False)
     if result.interrupted:
         kept = f"{len(made)} of {len(chosen)} settings were finished, and are kept"
-        console.print(f"interrupted: {kept}", highlight=False)
+        to.print(f"interrupted: {kept}", highlight=False)
         raise KeyboardInterrupt
     return 0
 
 
 def prepare(
     source: SceneSource, options: ComparisonOptions
-) -> tuple[Scene, list[settings.Setting], runner.Plan]:
+) -> tuple[Scene, list[settings.Setting], runner.RunConditions]:
     """The scene, the settings to compare and how they are run; raises InputError."""
     from taichi_cloth import runtime
 
     scene = runner.without_mouse(source.build())
     reference.check_frames(scene, options.frames or 1)
     chosen = settings.choose(scene, options)
-    how = runner.plan(scene, options)
+    how = runner.conditions(scene, options)
     archs = {setting.arch for setting in chosen} - {"cpu"}
     if archs:
         usable = runtime.usable_backends()
@@ -73,33 +70,23 @@ def prepare(
     return scene, chosen, how
 
 
-def prepare_folder(folder: Path, files: tuple[str, ...]) -> None:
-    """See before a long run that results can be written."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--output {folder}: cannot be made: {error.strerror}") from None
-    for name in files:
-        PendingFile(folder / name).discard()
-
-
 @contextlib.contextmanager
 def measured(
     source: SceneSource,
     options: ComparisonOptions,
     scene: Scene,
     chosen: list[settings.Setting],
-    how: runner.Plan,
+    how: runner.RunConditions,
     closed: bool = True,
     quiet: bool = False,
 ) -> Iterator[runner.Result]:
-    """What the sweep found, with its samples as long as the context lasts.
+    """What a study found, with its samples as long as the context lasts.
 
     How far it is shows on standard error, unless `quiet`. closed: whether the scene is the one
     whose closed form is known, if there is one.
     """
     frames = options.frames or reference.default_frames(scene)
-    run = runner.Sweep(
+    study = runner.Study(
         [scene],
         chosen,
         frames,
@@ -107,51 +94,17 @@ def measured(
         lambda times: reference.closed_form(source, scene, times) if closed else None,
     )
     try:
-        with contextlib.nullcontext(run.tell) if quiet else progress() as run.tell:
-            (result,) = run.run()
+        with progress(shown=not quiet) as study.tell:
+            (result,) = study.run()
         yield result
     finally:
-        run.close()
+        study.close()
 
 
-@contextlib.contextmanager
-def progress() -> Iterator[Callable[[str, int, int], None]]:
+def progress(shown: bool = True) -> contextlib.AbstractContextManager[console.Tell]:
     """A bar with the time left on a terminal, a line every tenth elsewhere."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        told = -1
-
-        def tell_line(text: str, done: int, total: int) -> None:
-            nonlocal told
-            if 10 * done // total > told:
-                told = 10 * done // total
-                print(f"{done} of {total}: {text}", file=sys.stderr, flush=True)
-
-        yield tell_line
-        return
-    columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left:")
-    with Progress(
-        *columns,
-        TimeRemainingColumn(),
-        TextColumn("{task.description}"),
-        console=console,
-        transient=True,
-        refresh_per_second=2,  # what is measured needs the processor
-    ) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda text, done, total: bar.update(
-            task, description=text, completed=done, total=total
-        )
+    parts = "bar", "count", "elapsed", "left:", "left", "text"
+    return console.progress(parts, shown=shown, lines=True)
 
 
 def write(
@@ -169,7 +122,7 @@ def write(
     drawn = plot.draw(result, measured, ("png", "svg"))
     texts |= {f"trade.{kind}": content for kind, content in drawn.items()}
     for name, content in texts.items():
-        PendingFile(folder / name).fill(lambda file, content=content: file.write(content))
+        write_whole(folder / name, content)
     return list(texts)
 
 
@@ -187,7 +140,7 @@ def environment(
     from taichi_cloth.measuring import machine
 
     horizon, found = result.horizon, result.reference
-    devices = {o.about["device"]: None for o in result.outcomes if o.about}
+    devices = {outcome.about["device"]: None for outcome in result.outcomes if outcome.about}
     return {
         "command": " ".join([PROGRAM, "trade", *source.words(), *options.words()]),
         "date": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
@@ -206,7 +159,7 @@ def environment(
         "reference": found.what if found else None,
         "reference_against": found.against if found else None,
         "reference_apart": found.apart.trajectory if found else None,
-        "reference_floor": found.floor(horizon) if found else None,
+        "reference_floor": found.floor(horizon) if found and horizon else None,
         "event": found.event if found else None,
         "interrupted": result.interrupted,
     }
@@ -217,15 +170,13 @@ def scene_hash(scene: Scene) -> str:
     digest = hashlib.sha256()
     world = scene.world
     digest.update(repr((world.size, world.gravity, world.walls, world.collisions)).encode())
-    if world.more:
-        digest.update(repr(sorted(world.more.items())).encode())
     for part in (scene.particles, scene.springs):
-        for of in fields(part):
-            if of.name != "color":
-                digest.update(np.ascontiguousarray(getattr(part, of.name)).tobytes())
+        for column in fields(part):
+            if column.name != "color":
+                digest.update(np.ascontiguousarray(getattr(part, column.name)).tobytes())
     return digest.hexdigest()[:16]
 
 
-def run_words(source: SceneSource, how: runner.Plan) -> list[str]:
+def run_words(source: SceneSource, how: runner.RunConditions) -> list[str]:
     """The words of a run of the scene, to which a setting's are added."""
     return [PROGRAM, "run", *source.words(), *how.words()]

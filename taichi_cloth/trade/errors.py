@@ -28,7 +28,8 @@ class Samples:
     @classmethod
     def read(cls, path: Path | str) -> Samples:
         with np.load(path) as file:
-            return cls(*(file[name].astype(np.float64) for name in "xv"), file["alive"])
+            x, v = (file[name].astype(np.float64) for name in "xv")
+            return cls(x, v, file["alive"])
 
     def first(self, frames: int) -> Samples:
         """Those up to the end of frame number `frames`."""
@@ -62,7 +63,8 @@ def distance(a: Samples, b: Samples, free: np.ndarray) -> Distance:
 
 def rms_by_frame(a: Samples, b: Samples, free: np.ndarray) -> np.ndarray:
     """Root of the mean square distance of a particle at each sample, (frames + 1,)."""
-    return np.sqrt(((a.x[:, free] - b.x[:, free]) ** 2).sum(axis=2).mean(axis=1))
+    rms: np.ndarray = np.sqrt(((a.x[:, free] - b.x[:, free]) ** 2).sum(axis=2).mean(axis=1))
+    return rms
 
 
 def displacement(samples: Samples, free: np.ndarray) -> float:

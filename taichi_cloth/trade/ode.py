@@ -9,10 +9,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from taichi_cloth.scene.model import WALLS, Scene
+
+if TYPE_CHECKING:
+    from scipy.integrate import DOP853
 
 TOLERANCE = 1e-13  # relative and absolute, of one step
 MOST_MOMENTS = 64  # of a step, at which collisions are looked for
@@ -53,7 +57,8 @@ class Forces:
         if self.damping is not None:
             tension += self.damping * ((self.difference @ v) * unit).sum(axis=1)
         pull = self.gather @ (tension[:, None] * unit)
-        return self.gravity - self.inverse_mass * (pull + self.viscous * v)
+        a: np.ndarray = self.gravity - self.inverse_mass * (pull + self.viscous * v)
+        return a
 
     def slope(self, t: float, y: np.ndarray) -> np.ndarray:
         """dy/dt of y = (x, v), flat."""
@@ -77,7 +82,7 @@ class Forces:
             return self._collision(x, v)
         return None
 
-    def _collision(self, x, v):
+    def _collision(self, x: np.ndarray, v: np.ndarray) -> str | None:
         from scipy.spatial import cKDTree
 
         radius = self.scene.particles.radius
@@ -97,7 +102,7 @@ class Forces:
 
 
 @dataclass(frozen=True)
-class Solution:
+class SmoothTrajectory:
     """Positions and velocities (times, n, dim) at the times up to `until`; NaN beyond.
 
     event: what ends it there; None: nothing, it is whole. given_up: it took too long.
@@ -108,7 +113,6 @@ class Solution:
     until: float
     event: str | None = None
     given_up: bool = False
-    evaluations: int = 0
 
 
 def solve(
@@ -116,7 +120,7 @@ def solve(
     times: np.ndarray,
     budget: float = np.inf,
     tell: Callable[[float], None] = lambda done: None,
-) -> Solution:
+) -> SmoothTrajectory:
     """The solution at `times` (ascending, from 0) by SciPy's DOP853 at a tolerance of 1e-13.
 
     Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.5. budget: seconds after
@@ -130,10 +134,14 @@ def solve(
     shape = (len(times), *particles.position.shape)
     out = np.full((2, *shape), np.nan)
     out[:, times <= 0] = y[:, None]
+
+    def ended(until: float, event: str | None = None, given_up: bool = False) -> SmoothTrajectory:
+        return SmoothTrajectory(out[0], out[1], until, event, given_up)
+
     end = float(times[-1])
     event = forces.event(*y)
     if event or end <= 0:
-        return Solution(*out, until=0.0, event=event)
+        return ended(0.0, event)
     begin = time.perf_counter()
     solver = DOP853(
         forces.slope,
@@ -148,10 +156,10 @@ def solve(
     while solver.status == "running":
         solver.step()
         if solver.status == "failed" or not np.isfinite(solver.y).all():
-            return Solution(*out, until=until, given_up=True, evaluations=solver.nfev)
+            return ended(until, given_up=True)
         event = _event_in_step(solver, forces, shape[1:])
         if event:
-            return Solution(*out, until=until, event=event, evaluations=solver.nfev)
+            return ended(until, event)
         inside = (times > solver.t_old) & (times <= solver.t)
         if inside.any():
             at = solver.dense_output()(times[inside]).T.reshape(-1, 2, *shape[1:])
@@ -161,11 +169,11 @@ def solve(
         until = solver.t
         tell(until / end)
         if time.perf_counter() - begin > budget:
-            return Solution(*out, until=until, given_up=True, evaluations=solver.nfev)
-    return Solution(*out, until=until, evaluations=solver.nfev)
+            return ended(until, given_up=True)
+    return ended(until)
 
 
-def _event_in_step(solver, forces: Forces, shape: tuple[int, ...]) -> str | None:
+def _event_in_step(solver: DOP853, forces: Forces, shape: tuple[int, ...]) -> str | None:
     """What happens within the last step: looked for so often that no particle passes another."""
     x, v = solver.y.reshape(2, *shape)
     moments = 1

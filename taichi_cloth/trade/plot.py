@@ -4,19 +4,36 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from taichi_cloth.trade.rows import Row
 from taichi_cloth.trade.runner import Result
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.typing import ColorType
 
 MARKERS = "osD^vP*X"
 LEAST = 1e-17  # what a logarithmic axis shows of an error that is zero
 STYLES = {"f64": "-", "f32": "--", "compensated": ":"}
 
 
+class Look(NamedTuple):
+    """How a series is drawn."""
+
+    color: ColorType
+    linestyle: str
+    marker: str
+
+
+Looks = dict[tuple[Any, ...], Look]  # by `Setting.series`
+
+
 def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str, bytes]:
     """The plot as files of these kinds ("png", "svg"); none where there is no error to show."""
-    measured = [row for row in rows if row.ok and row.error_trajectory_relative is not None]
-    if not measured:
+    errors = [e for row in rows if row.ok and (e := row.error_trajectory_relative) is not None]
+    if not (errors and result.reference and result.horizon):
         return {}
     import matplotlib
 
@@ -28,9 +45,9 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
     of_time, of_step = figure.subplots(1, 2, sharey=True)
     looks = _looks(rows)
     for series in dict.fromkeys(row.setting.series for row in rows):
-        of = sorted((r for r in rows if r.setting.series == series), key=lambda r: -r.step)
-        _draw_series(of_time, of_step, of, looks[series], floor)
-    shown = [max(row.error_trajectory_relative, floor) for row in measured]
+        alike = sorted((r for r in rows if r.setting.series == series), key=lambda r: -r.step)
+        _draw_series(of_time, of_step, alike, looks[series], floor)
+    shown = [max(error, floor) for error in errors]
     # Failures are drawn along the upper edge.
     room = 2 if all(row.ok for row in rows) else 10
     top, bottom = room * max(shown), min(shown) / 4
@@ -51,80 +68,93 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
             transform=of_step.get_yaxis_transform(),
         )  # fmt: skip
     _label_axes(of_time, of_step, rows)
-    of_time.set_xlabel("time a frame")
     of_time.set_ylabel(f"trajectory error (RMS, in parts of {result.horizon.what.split(',')[0]})")
-    of_step.set_xlabel(f"step (the scene's time; a frame is {rows[0].dt:g})")
-    frames = result.horizon.frames
+    figure.suptitle(_title(result), fontsize=11)
+    _legend(figure, looks, rows)
+    return {kind: _file(figure, kind) for kind in kinds}
+
+
+def _title(result: Result) -> str:
+    assert result.reference and result.horizon
     title = (
         f"{result.scene.name}: error beside cost, {len(result.scene.particles)} particles, "
-        f"{frames} frames; reference: {result.reference.what}"
+        f"{result.horizon.frames} frames; reference: {result.reference.what}"
     )
     if result.reference.event:
         title += f"\nnot smooth: {result.reference.event}"
-    figure.suptitle(title, fontsize=11)
-    _legend(figure, looks, rows)
-    files = {}
-    for kind in kinds:
-        buffer = io.BytesIO()
-        figure.savefig(
-            buffer, format=kind, dpi=130, metadata={"Date": None} if kind == "svg" else {}
-        )
-        files[kind] = buffer.getvalue()
-    return files
+    return title
 
 
-def _looks(rows: Sequence[Row]) -> dict[tuple, dict]:
+def _file(figure: Figure, kind: str) -> bytes:
+    buffer = io.BytesIO()
+    # A date would make every file another one.
+    figure.savefig(buffer, format=kind, dpi=130, metadata={"Date": None} if kind == "svg" else {})
+    return buffer.getvalue()
+
+
+def _looks(rows: Sequence[Row]) -> Looks:
     """A colour for each method, a line for each precision, a marker for each solver setting."""
-    from matplotlib import colormaps
+    from matplotlib import color_sequences
 
-    palette = [*colormaps["tab10"].colors]
-    methods = list(dict.fromkeys(row.method for row in rows))
-    solvers = list(dict.fromkeys((row.iterations, row.tolerance) for row in rows))
-    looks = {}
-    for row in rows:
-        setting = row.setting
-        looks[setting.series] = {
-            "color": palette[methods.index(row.method) % len(palette)],
-            "linestyle": STYLES.get(row.precision, "-."),
-            "marker": MARKERS[solvers.index((row.iterations, row.tolerance)) % len(MARKERS)],
-        }
-    return looks
+    palette = color_sequences["tab10"]
+    methods = list(dict.fromkeys(row.setting.method for row in rows))
+    solvers = list(dict.fromkeys(_solver(row) for row in rows))
+    return {
+        row.setting.series: Look(
+            color=palette[methods.index(row.setting.method) % len(palette)],
+            linestyle=STYLES.get(row.setting.precision, "-."),
+            marker=MARKERS[solvers.index(_solver(row)) % len(MARKERS)],
+        )
+        for row in rows
+    }
 
 
-def _draw_series(of_time, of_step, rows, look, floor):
-    ok = [row for row in rows if row.ok and row.error_trajectory_relative is not None]
-    errors = [max(row.error_trajectory_relative, floor) for row in ok]
-    faces = ["none" if row.below_floor else look["color"] for row in ok]
+def _solver(row: Row) -> tuple[int | None, float | None]:
+    return row.setting.iterations, row.setting.tolerance
+
+
+def _draw_series(
+    of_time: Axes, of_step: Axes, rows: Sequence[Row], look: Look, floor: float
+) -> None:
+    ok = [(r, e) for r in rows if r.ok and (e := r.error_trajectory_relative) is not None]
     for axes, numbers in (
-        (of_time, [r.wall_seconds / r.frames if r.wall_seconds else None for r in ok]),
-        (of_step, [row.step for row in ok]),
+        (of_time, [row.a_frame(row.wall_seconds) for row, _ in ok]),
+        (of_step, [row.step for row, _ in ok]),
     ):
-        here = [(x, y, face) for x, y, face in zip(numbers, errors, faces, strict=True) if x]
+        here = [
+            (number, max(error, floor), "none" if row.below_floor else look.color)
+            for number, (row, error) in zip(numbers, ok, strict=True)
+            if number
+        ]
         if not here:
             continue
         x, y, face = zip(*here, strict=True)
-        axes.plot(x, y, color=look["color"], linestyle=look["linestyle"], linewidth=1.2, alpha=0.8)
+        axes.plot(x, y, color=look.color, linestyle=look.linestyle, linewidth=1.2, alpha=0.8)
         axes.scatter(
-            x, y, s=22, marker=look["marker"], facecolors=face, edgecolors=[look["color"]], zorder=3
+            x, y, s=22, marker=look.marker, facecolors=face, edgecolors=[look.color], zorder=3
         )
 
 
-def _draw_failures(of_time, of_step, rows, looks):
+def _draw_failures(of_time: Axes, of_step: Axes, rows: Sequence[Row], looks: Looks) -> None:
     """Crosses along the upper edge: at their step, and at the time that they would have taken."""
     at_step: dict[float, int] = {}
     times = []
     for row in rows:
         if row.ok:
             continue
-        cross = {"marker": "x", "s": 40, "color": looks[row.setting.series]["color"], "zorder": 4}
+        series = row.setting.series
+        cross: dict[str, Any] = {"marker": "x", "s": 40, "color": looks[series].color, "zorder": 4}
         # One below the other where they would hide each other.
         rank = at_step[row.step] = at_step.get(row.step, -1) + 1
         height = 0.985 - 0.025 * (rank % 16)
         of_step.scatter([row.step], [height], transform=of_step.get_xaxis_transform(), **cross)
-        alike = [r for r in rows if r.setting.series == row.setting.series and r.wall_seconds]
+        alike = [
+            (abs(r.setting.substeps - row.setting.substeps), k, seconds / r.setting.substeps)
+            for k, r in enumerate(rows)
+            if r.setting.series == series and (seconds := r.a_frame(r.wall_seconds))
+        ]
         if alike:
-            nearest = min(alike, key=lambda r: abs(r.substeps - row.substeps))
-            a_frame = nearest.wall_seconds / nearest.frames * row.substeps / nearest.substeps
+            a_frame = min(alike)[2] * row.setting.substeps
             of_time.scatter([a_frame], [height], transform=of_time.get_xaxis_transform(), **cross)
             times.append(a_frame)
     if times:
@@ -132,8 +162,8 @@ def _draw_failures(of_time, of_step, rows, looks):
         of_time.set_xlim(min(low, 0.8 * min(times)), max(high, 1.2 * max(times)))
 
 
-def _label_axes(of_time, of_step, rows):
-    """Ticks that can be read: times with their unit, and the steps that there are."""
+def _label_axes(of_time: Axes, of_step: Axes, rows: Sequence[Row]) -> None:
+    """What the axes are, and ticks that can be read: times with their unit, the steps there are."""
     from matplotlib.ticker import EngFormatter, FixedLocator, LogLocator, NullFormatter
 
     low, high = of_time.get_xlim()
@@ -147,35 +177,42 @@ def _label_axes(of_time, of_step, rows):
     of_step.xaxis.set_major_locator(FixedLocator(steps))
     of_step.xaxis.set_major_formatter(lambda step, _: f"{step:.3g}")
     of_step.xaxis.set_minor_locator(FixedLocator([]))
+    of_time.set_xlabel("time a frame")
+    of_step.set_xlabel(f"step (the scene's time; a frame is {rows[0].setting.dt:g})")
     for axes in (of_time, of_step):
         axes.tick_params(labelsize=9)
 
 
-def _draw_front(axes, rows, floor):
-    front = sorted((r for r in rows if r.pareto), key=lambda r: r.wall_seconds)
-    x = [row.wall_seconds / row.frames for row in front]
-    y = [max(row.error_trajectory_relative, floor) for row in front]
+def _draw_front(axes: Axes, rows: Sequence[Row], floor: float) -> None:
+    front = [
+        (seconds, max(error, floor))
+        for row in rows
+        if row.pareto
+        and (seconds := row.a_frame(row.wall_seconds)) is not None
+        and (error := row.error_trajectory_relative) is not None
+    ]
+    front.sort(key=lambda point: point[0])
+    x, y = [point[0] for point in front], [point[1] for point in front]
     axes.step(x, y, where="post", color="black", linewidth=2.2, alpha=0.45, zorder=1)
     axes.scatter(x, y, s=110, facecolors="none", edgecolors="black", linewidths=1.0, zorder=4)
 
 
-def _legend(figure, looks, rows):
+def _legend(figure: Figure, looks: Looks, rows: Sequence[Row]) -> None:
     from matplotlib.lines import Line2D
 
-    handles = []
+    handles: list[Line2D] = []
 
-    def add(label, **look):
-        handles.append(
-            Line2D([], [], **({"color": "0.3", "linestyle": "none"} | look), label=label)
-        )
+    def add(label: str, **look: Any) -> None:
+        style = {"color": "0.3", "linestyle": "none"} | look
+        handles.append(Line2D([], [], **style, label=label))
 
-    colours = {row.method: looks[row.setting.series]["color"] for row in rows}
+    colours = {row.setting.method: looks[row.setting.series].color for row in rows}
     for method, colour in colours.items():
         add(method, color=colour, linestyle="-", linewidth=2.5)
-    for precision in dict.fromkeys(row.precision for row in rows):
+    for precision in dict.fromkeys(row.setting.precision for row in rows):
         add(precision, linestyle=STYLES.get(precision, "-."))
     solvers = {
-        row.setting.describe_solver() or "no solver setting": looks[row.setting.series]["marker"]
+        row.setting.describe_solver() or "no solver setting": looks[row.setting.series].marker
         for row in rows
     }
     if len(solvers) > 1:

@@ -1,7 +1,7 @@
 """What runs are compared to, and how far it can be trusted.
 
 Where a scene has a closed form, that; else the solution of the differential equation, by SciPy's
-DOP853 on forces of its own (`smooth.py`) and, independently, by our method of the highest order in
+DOP853 on forces of its own (`ode`) and, independently, by our method of the highest order in
 f64 at a fine step: what they differ by is what they are worth. A contact or a break within the
 horizon is an event, past which there is no smooth solution: then it is our method at a fine step,
 and what it differs by from one four times as long.
@@ -189,21 +189,22 @@ def decide(
     scene: Scene,
     frames: int,
     closed: Samples | None,
-    solution: ode.Solution | None,
+    smooth: ode.SmoothTrajectory | None,
     solved_to: float,
     fine: list[tuple[str, Samples]],
 ) -> Reference | None:
     """The reference, from what there is; None where there is too little.
 
-    fine: runs at ever finer steps, with what they are. solved_to: time of the horizon's end.
+    closed: by the scene's closed form, if it has one. smooth: of the differential equation, as far
+    as it was solved. solved_to: time of the horizon's end. fine: runs at ever finer steps, with
+    what they are.
     """
     free = ~scene.particles.fixed
     runs = [(what, samples.first(frames)) for what, samples in fine]
-    smooth_here = solution is not None and solution.until >= solved_to - 1e-9 * abs(solved_to)
-    if smooth_here:
+    if smooth is not None and smooth.until >= solved_to - 1e-9 * abs(solved_to):
         alive = runs[-1][1].alive if runs else np.ones((frames + 1, 0), bool)
         everywhere = np.ones_like(alive)
-        solved = Samples(solution.x[: frames + 1], solution.v[: frames + 1], everywhere)
+        solved = Samples(smooth.x[: frames + 1], smooth.v[: frames + 1], everywhere)
         what = "DOP853 at a tolerance of 1e-13 (SciPy, forces of its own)"
         if closed is not None:
             exact = replace(closed.first(frames), alive=everywhere)
@@ -216,13 +217,13 @@ def decide(
         return None
     (coarser, before), (what, finest) = runs[-2:]
     event, note = None, ""
-    if solution is not None and solution.event:
-        event = f"{solution.event} after time {solution.until:.4g}"
+    if smooth is not None and smooth.event:
+        event = f"{smooth.event} after time {smooth.until:.4g}"
     elif not finest.alive.all():
         frame, spring = np.argwhere(~finest.alive)[0]
         event = f"spring {spring} breaks in frame {frame}"
     else:
-        until = solution.until if solution is not None else 0.0
+        until = smooth.until if smooth is not None else 0.0
         note = f"DOP853 took too long, and was given up at time {until:.4g} of {solved_to:.4g}"
     return Reference(finest, what, coarser, distance(finest, before, free), event, note)
 

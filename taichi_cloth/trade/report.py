@@ -1,77 +1,74 @@
-"""A sweep on the terminal: a table with the Pareto front marked, and what to know about it."""
+"""A study on the terminal: a table with the Pareto front marked, and what to know about it."""
 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
+from taichi_cloth import console
+from taichi_cloth.console import counted, duration
+from taichi_cloth.trade.reference import Horizon, Reference
 from taichi_cloth.trade.rows import Row
 from taichi_cloth.trade.runner import Result
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
 FRONT, FAILED, FLOOR = "●", "✗", "≤"
 MOST_FAILURES = 8  # that are told one by one
-
-
 # Columns that a narrow terminal goes without, the first ones first; trade.csv has them all.
-SPARED = ("sweeps", "forces", "quartiles", "worst at end", "strain", "energy drift")
-SPARED += ("order", "by solver")
+SPARED = (
+    *("sweeps", "forces", "quartiles", "worst at end", "strain", "energy drift"),
+    *("order", "by solver"),
+)
 
 
-def show(result: Result, rows: Sequence[Row], console) -> None:
+def show(result: Result, rows: Sequence[Row], to: Console) -> None:
     """Print the table and the notes below it."""
-    from rich import box
-    from rich.table import Table
-
     columns = _columns(result, rows)
     spared = []
     for name in SPARED:
-        if sum(_width(name, texts) for name, texts in columns.items()) <= console.width:
+        if sum(_width(name, texts) for name, texts in columns.items()) <= to.width:
             break
         spared.append(name)
         del columns[name]
     frames = result.horizon.frames if result.horizon else 0
-    table = Table(
-        title=f"{result.scene.name}: error beside cost over {frames} frame{'s' * (frames != 1)}",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-    )
-    for name in columns:
-        left = name in ("", "method", "numbers", "solver")
-        table.add_column(name, justify="left" if left else "right")
-    for row, line in zip(rows, zip(*columns.values(), strict=True), strict=True):
-        table.add_row(*line, style="red" if not row.ok else "bold" if row.pareto else None)
-    console.print(table)
+    title = f"{result.scene.name}: error beside cost over {counted(frames, 'frame')}"
+    left = ("", "method", "numbers", "solver")
+    table = console.table(title, columns, left, padding=(0, 1, 0, 0))
+    for row, texts in zip(rows, zip(*columns.values(), strict=True), strict=True):
+        table.add_row(*texts, style="red" if not row.ok else "bold" if row.pareto else None)
+    to.print(table)
     for note in notes(result, rows):
         line = note if note.startswith(" ") else f"- {note}"
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        to.print(line, highlight=False, markup=False, soft_wrap=True)
     if spared:
         left_out = ", ".join(reversed(spared))
-        console.print(f"- left out, for the terminal is narrow: {left_out}", highlight=False)
+        to.print(f"- left out, for the terminal is narrow: {left_out}", highlight=False)
 
 
 def _width(name: str, texts: Sequence[str]) -> int:
-    """Of a column, with the space that parts it from the next."""
+    """Width of a column, with the space that parts it from the next."""
     return max(map(len, [name, *texts])) + 2
 
 
 def _columns(result: Result, rows: Sequence[Row]) -> dict[str, list[str]]:
     """The table's columns by their headers; those that say nothing are left out."""
 
-    def column(text) -> list[str]:
+    def column(text: Callable[[Row], str]) -> list[str]:
         return [text(row) if row.ok else "" for row in rows]
 
-    def a_frame(row: Row, number: float | None) -> str:
-        return "" if number is None else seconds(number / row.frames)
+    def a_frame(row: Row, seconds: float | None) -> str:
+        return duration(row.a_frame(seconds))
 
     columns = {
         "": [FRONT if row.pareto else "" if row.ok else FAILED for row in rows],
-        "method": [row.method for row in rows],
+        "method": [row.setting.method for row in rows],
         "numbers": [_numbers(row) for row in rows],
-        "substeps": [str(row.substeps) for row in rows],
+        "substeps": [str(row.setting.substeps) for row in rows],
         "solver": [_solver(row) for row in rows],
-        "error": [_error(row, result) for row in rows],
+        "error": [_error(row, result.reference, result.horizon) for row in rows],
         "by solver": column(lambda row: _number(row.error_solver, _scale(result))),
         "worst at end": column(lambda row: _percent(row.error_final_max_relative)),
         "order": column(lambda row: "" if row.order is None else f"{row.order:.2f}"),
@@ -113,8 +110,9 @@ def notes(result: Result, rows: Sequence[Row]) -> list[str]:
     if result.reference is None:
         said.append("no reference: errors are not known")
         return said
-    said += result.reference.describe(result.horizon)
-    said += _orders(result, rows)
+    if result.horizon:
+        said += result.reference.describe(result.horizon)
+    said += _orders(result.reference, rows)
     unknown = [row for row in rows if row.ok and row.error_discretisation is None]
     if unknown:
         said.append(
@@ -127,21 +125,21 @@ def notes(result: Result, rows: Sequence[Row]) -> list[str]:
     return said
 
 
-def _orders(result: Result, rows: Sequence[Row]) -> list[str]:
+def _orders(reference: Reference, rows: Sequence[Row]) -> list[str]:
     """Measured orders beside the claimed ones, of f64 runs."""
     from taichi_cloth.kernels import methods
 
     found = []
-    for method in dict.fromkeys(row.method for row in rows):
-        of = [r for r in rows if r.method == method and r.precision == "f64" and r.order]
-        if of:
-            claimed = methods.load(method).claims.order
-            finest = min(row.step for row in of)
-            measured = statistics.median(row.order for row in of if row.step <= 2 * finest)
+    for method in dict.fromkeys(row.setting.method for row in rows):
+        exact = [r for r in rows if (r.setting.method, r.setting.precision) == (method, "f64")]
+        orders = [(row.step, row.order) for row in exact if row.order]
+        if orders:
+            claimed, (finest, _) = methods.load(method).claims.order, min(orders)
+            measured = statistics.median(order for step, order in orders if step <= 2 * finest)
             found.append(f"{method} {measured:.2f} ({claimed})")
     if not found:
         return []
-    what = "orders that survive" if result.reference.event else "orders"
+    what = "orders that survive" if reference.event else "orders"
     return [f"{what} at the finest steps (claimed): {', '.join(found)}"]
 
 
@@ -151,24 +149,26 @@ def _scale(result: Result) -> float:
 
 def _numbers(row: Row) -> str:
     """'f32', with the backend where it is not the CPU."""
-    exact = "" if row.fast_math or row.precision != "f32" else " exact"
-    arch = "" if row.arch == "cpu" else f"{row.arch} "
-    return f"{arch}{row.precision}{exact}"
+    setting = row.setting
+    exact = "" if setting.fast_math or setting.precision != "f32" else " exact"
+    arch = "" if setting.arch == "cpu" else f"{setting.arch} "
+    return f"{arch}{setting.precision}{exact}"
 
 
 def _solver(row: Row) -> str:
-    """In short: '8 sweeps', 'to 1e-06'."""
-    sweeps = f"{row.iterations} sweep{'s' * (row.iterations > 1)}" if row.iterations else ""
-    return ", ".join(filter(None, [sweeps, f"to {row.tolerance:g}" if row.tolerance else ""]))
+    """The solver's settings in short: '8 sweeps', 'to 1e-06'."""
+    iterations, tolerance = row.setting.iterations, row.setting.tolerance
+    sweeps = counted(iterations, "sweep") if iterations else ""
+    return ", ".join(filter(None, [sweeps, f"to {tolerance:g}" if tolerance else ""]))
 
 
-def _error(row: Row, result: Result) -> str:
+def _error(row: Row, reference: Reference | None, horizon: Horizon | None) -> str:
     if not row.ok:
         return row.status.partition(":")[0]
     if row.error_trajectory_relative is None:
         return "not known"
-    if row.below_floor:
-        return FLOOR + _percent(result.reference.floor(result.horizon) / result.horizon.scale)
+    if row.below_floor and reference and horizon:
+        return FLOOR + _percent(reference.floor(horizon) / horizon.scale)
     return _percent(row.error_trajectory_relative)
 
 
@@ -185,13 +185,3 @@ def _percent(part: float | None) -> str:
 
 def _number(error: float | None, scale: float) -> str:
     return "" if error is None else _percent(error / scale)
-
-
-def seconds(number: float | None) -> str:
-    """A time with its unit, three digits."""
-    if number is None:
-        return ""
-    for unit, scale in (("s", 1.0), ("ms", 1e3), ("µs", 1e6)):
-        if number * scale >= 1:
-            return f"{number * scale:.3g} {unit}"
-    return f"{number * 1e9:.3g} ns"

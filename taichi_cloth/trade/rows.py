@@ -6,14 +6,18 @@ import csv
 import io
 import json
 import math
-import statistics
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
+from taichi_cloth.measuring.timing import quartiles
+from taichi_cloth.scene.model import Scene
 from taichi_cloth.trade.errors import Breaks, Invariants, Samples, distance
+from taichi_cloth.trade.reference import Horizon, Reference
 from taichi_cloth.trade.runner import Outcome, Result
-from taichi_cloth.trade.settings import Setting
+from taichi_cloth.trade.settings import Setting, converged
 
 
 @dataclass(frozen=True)
@@ -21,9 +25,9 @@ class Row:
     """One setting. Numbers that it does not have are None.
 
     error_final_rms, error_final_max, error_trajectory, error_trajectory_max: distances from the
-    reference in world units (`measures.Distance`); with `_relative`: in parts of `scale`, the
+    reference in world units (`errors.Distance`); with `_relative`: in parts of `scale`, the
     horizon's. error_discretisation: that of the converged step; error_solver: the distance from it.
-    energy_drift, momentum_drift: in parts of the reference's scales (`measures.Invariants`).
+    energy_drift, momentum_drift: in parts of the reference's scales (`errors.Invariants`).
     order: by which the error falls with the step, from the row with the next longer step.
     wall_seconds: of the whole horizon, the median; wall_lower, wall_upper: its quartiles.
     floor: the least trajectory error that the reference can tell from none, in world units;
@@ -31,13 +35,7 @@ class Row:
     and as good. command: runs it again.
     """
 
-    method: str
-    dt: float
-    substeps: int
-    iterations: int | None
-    precision: str
-    fast_math: bool
-    arch: str
+    setting: Setting
     error_final_rms: float | None = None
     error_final_max: float | None = None
     error_trajectory: float | None = None
@@ -48,8 +46,6 @@ class Row:
     sweeps: int | None = None
     status: str = "ok"
     pareto: bool = False
-    tolerance: float | None = None
-    step: float = 0.0
     error_final_rms_relative: float | None = None
     error_final_max_relative: float | None = None
     error_trajectory_relative: float | None = None
@@ -83,129 +79,166 @@ class Row:
         return self.status == "ok"
 
     @property
-    def setting(self) -> Setting:
-        """What it was measured in."""
-        names = (f.name for f in fields(Setting))
-        return Setting(**{name: getattr(self, name) for name in names})
+    def step(self) -> float:
+        """Time of a step."""
+        return self.setting.step
+
+    def a_frame(self, seconds: float | None) -> float | None:
+        """Seconds of a frame, of those of the whole horizon."""
+        return seconds / self.frames if seconds is not None and self.frames else None
+
+    def record(self) -> dict[str, Any]:
+        """Its values by `COLUMNS`, as files have them."""
+        of_setting = vars(self.setting) | {"step": self.step}
+        return {
+            name: of_setting[name] if name in of_setting else getattr(self, name)
+            for name in COLUMNS
+        }
 
 
-NAMES = tuple(f.name for f in fields(Row))
+# Of the files, in this order. New ones are added at the end: other programs read these.
+COLUMNS = (
+    *("method", "dt", "substeps", "iterations", "precision", "fast_math", "arch"),
+    *("error_final_rms", "error_final_max", "error_trajectory", "energy_drift", "max_strain"),
+    *("wall_seconds", "force_evaluations", "sweeps", "status", "pareto", "tolerance", "step"),
+    *("error_final_rms_relative", "error_final_max_relative", "error_trajectory_relative"),
+    *("error_trajectory_max", "error_discretisation", "error_solver", "below_floor", "floor"),
+    *("scale", "order", "momentum_drift", "unconverged", "breaks", "breaks_agreeing"),
+    *("first_break", "first_break_later", "wall_lower", "wall_upper", "repeats", "frames"),
+    *("topology", "execution", "threads", "device", "scene_hash", "versions", "command"),
+)
+ABOUT = ("device", "threads", "topology", "execution")  # what the process of a setting tells
 
 
 def rows_of(result: Result, common: Mapping[str, Any], command: Sequence[str]) -> list[Row]:
-    """The rows of a sweep.
+    """The rows of a study.
 
     common: what all rows share (scene_hash, versions). command: the words of a run of the scene,
     to which each row's settings are added.
     """
-    scene, found = result.scene, result.reference
-    free = ~scene.particles.fixed
-    true = Invariants.of(scene, found.samples) if found else None
-    breaks = scene.features().fracture
-    exact: dict[Setting, Samples] = {}
+    judge = None
+    if result.reference and result.horizon:
+        judge = _Judge(result.scene, result.reference, result.horizon, result.converged)
     made = []
     for outcome in result.outcomes:
-        setting = outcome.setting
-        row = {name: getattr(setting, name) for name in _SETTING} | dict(common)
-        row |= {name: getattr(outcome, name) for name in _WORK}
-        row |= {name: value for name, value in outcome.about.items() if name in NAMES}
-        row["step"], row["command"] = setting.step, " ".join([*command, *setting.words()])
-        row["frames"] = result.horizon.frames if result.horizon else None
-        if outcome.ok and found:
-            samples = outcome.samples()
-            row |= _errors(samples, result, free, true)
-            row |= _solver_errors(samples, outcome, result, free, exact)
-            if breaks:
-                of = Breaks.of(samples, found.samples)
-                row |= {
-                    "breaks": of.count,
-                    "breaks_agreeing": of.agreeing,
-                    "first_break": of.first,
-                    "first_break_later": of.later,
-                }
+        about = {name: outcome.about[name] for name in ABOUT if name in outcome.about}
+        judged = judge.errors_of(outcome) if judge and outcome.ok else {}
+        row = Row(
+            outcome.setting,
+            status=outcome.status,
+            force_evaluations=outcome.force_evaluations,
+            sweeps=outcome.sweeps,
+            unconverged=outcome.unconverged,
+            frames=result.horizon.frames if result.horizon else None,
+            command=" ".join([*command, *outcome.setting.words()]),
+            **common,
+            **about,
+            **judged,
+        )
         if outcome.seconds:
-            row |= _times(outcome)
-        made.append(Row(**row))
-    made = [_with(row, order=order) for row, order in zip(made, _orders(made), strict=True)]
-    floor = found.floor(result.horizon) if found else 0.0
-    front = pareto([_cost(row, floor) for row in made])
-    return [_with(row, pareto=on) for row, on in zip(made, front, strict=True)]
+            times = quartiles(outcome.seconds)
+            row = replace(
+                row,
+                wall_seconds=times.median,
+                wall_lower=times.lower,
+                wall_upper=times.upper,
+                repeats=len(outcome.seconds),
+            )
+        made.append(row)
+    made = [replace(row, order=order) for row, order in zip(made, _orders(made), strict=True)]
+    front = pareto([_cost(row, judge.floor if judge else 0.0) for row in made])
+    return [replace(row, pareto=on) for row, on in zip(made, front, strict=True)]
 
 
-_SETTING = tuple(f.name for f in fields(Setting))
-_WORK = ("status", "force_evaluations", "sweeps", "unconverged")
+@dataclass
+class _Judge:
+    """A study's reference, and what it says of the study's outcomes.
 
-
-def _with(row: Row, **changes) -> Row:
-    return Row(**(vars(row) | changes))
-
-
-def _errors(samples: Samples, result: Result, free, true: Invariants) -> dict[str, Any]:
-    apart = distance(samples, result.reference.samples, free)
-    mine, scale = Invariants.of(result.scene, samples), result.horizon.scale
-    return {
-        "error_final_rms": apart.final_rms,
-        "error_final_max": apart.final_max,
-        "error_trajectory": apart.trajectory,
-        "error_trajectory_max": apart.trajectory_max,
-        "error_final_rms_relative": apart.final_rms / scale,
-        "error_final_max_relative": apart.final_max / scale,
-        "error_trajectory_relative": apart.trajectory / scale,
-        "energy_drift": mine.energy_drift(true),
-        "momentum_drift": mine.momentum_drift(true),
-        "max_strain": mine.strain,
-        "floor": result.reference.floor(result.horizon),
-        "scale": scale,
-        "below_floor": apart.trajectory < result.reference.floor(result.horizon),
-    }
-
-
-def _solver_errors(samples, outcome: Outcome, result: Result, free, exact) -> dict[str, Any]:
-    """The error of the converged step, and what the solver adds; of a method without one, all of
-    its error is of the first kind.
+    converged: outcomes with a converged solver, by setting.
     """
-    from taichi_cloth.trade.settings import converged
 
-    twin = converged(outcome.setting)
-    if twin is None:
-        apart = distance(samples, result.reference.samples, free)
-        return {"error_discretisation": apart.trajectory}
-    if twin not in result.converged:
-        return {}
-    if twin not in exact:
-        exact[twin] = result.converged[twin].samples()
-    return {
-        "error_discretisation": distance(exact[twin], result.reference.samples, free).trajectory,
-        "error_solver": distance(samples, exact[twin], free).trajectory,
-    }
+    scene: Scene
+    reference: Reference
+    horizon: Horizon
+    converged: Mapping[Setting, Outcome]
+    _exact: dict[Setting, Samples] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        self._free: np.ndarray = ~self.scene.particles.fixed
+        self._true = Invariants.of(self.scene, self.reference.samples)
+        self._fracture = self.scene.features().fracture
+        self.floor = self.reference.floor(self.horizon)
 
-def _times(outcome: Outcome) -> dict[str, Any]:
-    seconds = outcome.seconds
-    low = middle = high = seconds[0]
-    if len(seconds) > 1:
-        low, middle, high = statistics.quantiles(seconds, n=4, method="inclusive")
-    return {
-        "wall_seconds": middle,
-        "wall_lower": low,
-        "wall_upper": high,
-        "repeats": len(seconds),
-    }
+    def errors_of(self, outcome: Outcome) -> dict[str, Any]:
+        """The fields of a row that come from an outcome's samples."""
+        samples, true = outcome.samples(), self.reference.samples
+        apart, scale = distance(samples, true, self._free), self.horizon.scale
+        mine = Invariants.of(self.scene, samples)
+        found: dict[str, Any] = {
+            "error_final_rms": apart.final_rms,
+            "error_final_max": apart.final_max,
+            "error_trajectory": apart.trajectory,
+            "error_trajectory_max": apart.trajectory_max,
+            "error_final_rms_relative": apart.final_rms / scale,
+            "error_final_max_relative": apart.final_max / scale,
+            "error_trajectory_relative": apart.trajectory / scale,
+            "energy_drift": mine.energy_drift(self._true),
+            "momentum_drift": mine.momentum_drift(self._true),
+            "max_strain": mine.strain,
+            "floor": self.floor,
+            "scale": scale,
+            "below_floor": apart.trajectory < self.floor,
+        }
+        found |= self._errors_by_source(outcome.setting, samples, apart.trajectory)
+        if self._fracture:
+            breaks = Breaks.of(samples, true)
+            found |= {
+                "breaks": breaks.count,
+                "breaks_agreeing": breaks.agreeing,
+                "first_break": breaks.first,
+                "first_break_later": breaks.later,
+            }
+        return found
+
+    def _errors_by_source(
+        self, setting: Setting, samples: Samples, error: float
+    ) -> dict[str, float]:
+        """The error of the converged step, and what the solver adds. A method without a solver has
+        the first kind alone; of one whose converged run is missing, neither is known.
+        """
+        twin = converged(setting)
+        if twin is None:
+            return {"error_discretisation": error}
+        if twin not in self.converged:
+            return {}
+        if twin not in self._exact:
+            self._exact[twin] = self.converged[twin].samples()
+        exact = self._exact[twin]
+        return {
+            "error_discretisation": distance(exact, self.reference.samples, self._free).trajectory,
+            "error_solver": distance(samples, exact, self._free).trajectory,
+        }
 
 
 def _orders(rows: Sequence[Row]) -> list[float | None]:
-    """By which power of the step the error fell from the next longer step of the same series."""
-    orders = []
+    """The power of the step by which the error fell from the next longer step of the same series,
+    for each row; None where that cannot be told.
+    """
+    orders: list[float | None] = []
     for row in rows:
         same = [r for r in rows if r.setting.series == row.setting.series and r.step > row.step]
         longer = min(same, key=lambda r: r.step, default=None)
-        usable = [r for r in (row, longer) if r and r.error_trajectory and not r.below_floor]
-        if len(usable) < 2:
+        here, there = _told_error(row), _told_error(longer)
+        if longer is None or not here or not there:
             orders.append(None)
-            continue
-        ratio = longer.error_trajectory / row.error_trajectory
-        orders.append(math.log(ratio) / math.log(longer.step / row.step))
+        else:
+            orders.append(math.log(there / here) / math.log(longer.step / row.step))
     return orders
+
+
+def _told_error(row: Row | None) -> float | None:
+    """A trajectory error that the reference can tell from none."""
+    return None if row is None or row.below_floor else row.error_trajectory
 
 
 def _cost(row: Row, floor: float) -> tuple[float, float] | None:
@@ -235,9 +268,9 @@ def as_csv(rows: Iterable[Row]) -> str:
     """A table with a header, numbers in full."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(NAMES)
+    table.writerow(COLUMNS)
     for row in rows:
-        table.writerow([_plain(getattr(row, name)) for name in NAMES])
+        table.writerow(map(_plain, row.record().values()))
     return text.getvalue()
 
 
@@ -250,6 +283,6 @@ def _plain(value: Any) -> str:
 
 
 def as_json(rows: Iterable[Row], environment: Mapping[str, Any]) -> str:
-    """The same rows after what they were measured with."""
-    whole = {"environment": environment, "rows": [asdict(row) for row in rows]}
+    """The rows after what they were measured with."""
+    whole = {"environment": environment, "rows": [row.record() for row in rows]}
     return json.dumps(whole, indent=1, allow_nan=False, default=str) + "\n"

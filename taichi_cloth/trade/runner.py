@@ -1,4 +1,4 @@
-"""A sweep: a scene in many settings, each (backend, precision, fast_math) in its own process.
+"""A study: a scene in many settings, each (backend, precision, fast_math) in its own process.
 
 Processes compile and compute side by side, but whenever one is timed the others wait.
 """
@@ -11,7 +11,7 @@ import queue
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,16 +20,19 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth import runtime
-from taichi_cloth.errors import InputError, SimulationFailure
+from taichi_cloth.console import Tell, tell_nobody
+from taichi_cloth.errors import InputError, RunFailure
+from taichi_cloth.measuring.timing import Quiet
 from taichi_cloth.measuring.worker import Worker, WorkerFailed
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.settings.options import ComparisonOptions
 from taichi_cloth.simulation import adjacency
 from taichi_cloth.trade import ode, reference, settings
 from taichi_cloth.trade.errors import Samples
-from taichi_cloth.trade.settings import Setting
+from taichi_cloth.trade.settings import Process, Setting
 
 TRIAL = "taichi_cloth.trade.trial:Trial"
-EXACT = ("cpu", "f64", False)  # the process of the references
+EXACT: Process = ("cpu", "f64", False)  # the process of the references
 MAKING = 4  # how much longer compiling a method takes than running a setting, about
 # Particles times steps times sweeps of a converged solver that are worth the wait: half a minute.
 CONVERGED_WORK = 1e9
@@ -38,11 +41,11 @@ REFUSED = "InputError: "  # how a worker says that
 
 
 @dataclass(frozen=True)
-class Plan:
+class RunConditions:
     """How settings are run, beside what is compared.
 
     topology, execution, threads: as in `run`, the first two never "auto": to measure which is
-    fastest takes longer than all of a sweep. budget: seconds of timing for each setting;
+    fastest takes longer than a whole study. budget: seconds of timing for each setting;
     patience: seconds for the references. solver_errors: whether solvers are run converged, too.
     """
 
@@ -77,12 +80,15 @@ class Outcome:
         return self.status == "ok"
 
     def samples(self) -> Samples:
+        """The states that it is judged by."""
+        if self.file is None:
+            raise ValueError(f"{self.setting.describe()}: {self.status}")
         return Samples.read(self.file)
 
 
 @dataclass
 class Result:
-    """What a sweep found, whole or, where it was interrupted, what was finished.
+    """What a study found, whole or, where it was interrupted, what was finished.
 
     outcomes: of the settings, in their order; converged: those with a converged solver, by setting.
     """
@@ -95,7 +101,7 @@ class Result:
     interrupted: bool = False
 
 
-def plan(scene: Scene, options) -> Plan:
+def conditions(scene: Scene, options: ComparisonOptions) -> RunConditions:
     """How a scene is run, from the command's settings and the scene's size."""
     n = len(scene.particles)
     has_grid = bool(adjacency.find_grids(scene.springs.between, n))
@@ -111,55 +117,28 @@ def plan(scene: Scene, options) -> Plan:
         one = options.threads == 1 or (options.threads is None and n < settings.SERIAL_BEST)
         run = "serial" if one else "parallel"
     budget, patience = (0.06, 5.0) if options.quick else (0.3, 20.0)
-    return Plan(stored, run, options.threads, budget, patience)
-
-
-class Quiet:
-    """Many may work at a time, or one alone, who measures."""
-
-    def __init__(self):
-        self._changed = threading.Condition()
-        self._working, self._waiting, self._alone = 0, 0, False
-
-    @contextlib.contextmanager
-    def working(self) -> Iterator[None]:
-        with self._changed:
-            self._changed.wait_for(lambda: not (self._alone or self._waiting))
-            self._working += 1
-        try:
-            yield
-        finally:
-            with self._changed:
-                self._working -= 1
-                self._changed.notify_all()
-
-    @contextlib.contextmanager
-    def alone(self) -> Iterator[None]:
-        with self._changed:
-            self._waiting += 1
-            self._changed.wait_for(lambda: not (self._alone or self._working))
-            self._waiting, self._alone = self._waiting - 1, True
-        try:
-            yield
-        finally:
-            with self._changed:
-                self._alone = False
-                self._changed.notify_all()
+    return RunConditions(stored, run, options.threads, budget, patience)
 
 
 class Stopped(Exception):
-    """The sweep was interrupted: a thread ends."""
+    """The study was interrupted: a thread ends."""
 
 
-class SweepFailure(SimulationFailure):
-    """Not even the reference could be computed (exit status 3). The message is one line."""
+class StudyFailure(RunFailure):
+    """Not even the reference could be computed."""
 
-    def __init__(self, message: str):
-        RuntimeError.__init__(self, message)
+
+@dataclass(frozen=True)
+class _RemoteTrial:
+    """A method's `Trial` in a worker, known there by the method's name; about: what it says."""
+
+    worker: Worker
+    method: str
+    about: dict[str, Any]
 
 
 class _Course:
-    """What is found out about one scene while the sweep runs."""
+    """What is found out about one scene while the study runs."""
 
     def __init__(self, scene: Scene, closed: Callable[[np.ndarray], Samples | None]):
         self.scene, self.closed = scene, closed
@@ -168,7 +147,7 @@ class _Course:
         self.horizon: reference.Horizon | None = None
         self.horizon_known = threading.Event()
         self.fine: list[tuple[str, Samples]] = []
-        self.solution: ode.Solution | None = None
+        self.smooth: ode.SmoothTrajectory | None = None
 
     def result(self, wanted: Sequence[Setting], dt: float, interrupted: bool) -> Result:
         found = None
@@ -176,17 +155,16 @@ class _Course:
             frames = self.horizon.frames
             times = np.arange(frames + 1) * dt
             closed, end = self.closed(times), float(times[-1])
-            found = reference.decide(self.scene, frames, closed, self.solution, end, self.fine)
+            found = reference.decide(self.scene, frames, closed, self.smooth, end, self.fine)
         outcomes = [self.outcomes[setting] for setting in wanted if setting in self.outcomes]
         return Result(self.scene, outcomes, self.converged, self.horizon, found, interrupted)
 
 
-class Sweep:
+class Study:
     """Runs settings of a scene, or of several that differ in numbers alone, compiled once.
 
-    scenes: without a mouse. frames: the horizon asked for. how: the plan of all. closed: the first
-    scene's closed form at given times, or None. tell, to be set: shown what is done (text, done,
-    total).
+    scenes: without a mouse. frames: the horizon asked for. how: what all runs share. closed: the
+    first scene's closed form at given times, or None. tell, to be set: shown what is done.
     """
 
     def __init__(
@@ -194,11 +172,11 @@ class Sweep:
         scenes: Sequence[Scene],
         chosen: Sequence[Setting],
         frames: int,
-        how: Plan,
+        how: RunConditions,
         closed: Callable[[np.ndarray], Samples | None] = lambda times: None,
     ):
         self.settings, self.how = list(chosen), how
-        self.tell: Callable[[str, int, int], None] = lambda text, done, total: None
+        self.tell: Tell = tell_nobody
         self._asked, self._dt = frames, self.settings[0].dt
         self._courses = [_Course(scene, lambda times: None) for scene in scenes]
         self._courses[0].closed = closed
@@ -207,7 +185,7 @@ class Sweep:
         self.folder = Path(self._folder.name)
         self._workers: list[Worker] = []
         self._quiet, self._stop = Quiet(), threading.Event()
-        self._news: queue.Queue = queue.Queue()
+        self._news: queue.Queue[tuple[str, int]] = queue.Queue()
         self._files = 0
         self._lock = threading.Lock()
 
@@ -217,19 +195,20 @@ class Sweep:
             worker.close()
         self._folder.cleanup()
 
-    # --- the course of a sweep -----------------------------------------------------------
+    # --- the course of a study -----------------------------------------------------------
 
     def run(self) -> list[Result]:
         """Run everything; what was found for each scene. An interrupt ends it with what is done.
 
-        Raises SweepFailure where not even a reference can be computed.
+        Raises StudyFailure where not even a reference can be computed.
         """
         groups = self._groups()
         total = MAKING * sum(len(methods) for methods in groups.values())
         total += len(self._courses) * (
             2 * MAKING + sum(len(of) for methods in groups.values() for of in methods.values())
         )
-        done, interrupted, failure = 0, False, None
+        done, interrupted = 0, False
+        failure: BaseException | None = None
         threads = 1 + min(len(groups), runtime.available_cores())
         with ThreadPoolExecutor(max_workers=threads) as pool:
             tasks = [pool.submit(self._solve)]
@@ -255,14 +234,14 @@ class Sweep:
         if isinstance(failure, WorkerFailed):
             if str(failure).startswith(REFUSED):
                 raise InputError(str(failure).removeprefix(REFUSED))
-            raise SweepFailure(f"the process of the references: {failure}")
+            raise StudyFailure(f"the process of the references: {failure}")
         if failure:
             raise failure
         return [course.result(self.settings, self._dt, interrupted) for course in self._courses]
 
-    def _groups(self) -> dict[tuple, dict[str, list[Setting]]]:
+    def _groups(self) -> dict[Process, dict[str, list[Setting]]]:
         """Settings by process and method, that of the references first."""
-        groups: dict[tuple, dict[str, list[Setting]]] = {EXACT: {reference_method(): []}}
+        groups: dict[Process, dict[str, list[Setting]]] = {EXACT: {reference_method(): []}}
         for setting in self.settings:
             of = groups.setdefault(setting.process, {}).setdefault(setting.method, [])
             of.append(setting)
@@ -289,17 +268,17 @@ class Sweep:
         """The smooth solutions, in this process."""
         times = np.arange(self._asked + 1) * self._dt
 
-        def tell(done):
+        def tell(done: float) -> None:
             if self._stop.is_set():
                 raise Stopped
 
         with contextlib.suppress(Stopped):
             for course in self._courses:
                 with self._quiet.working():
-                    course.solution = ode.solve(course.scene, times, self.how.patience, tell)
+                    course.smooth = ode.solve(course.scene, times, self.how.patience, tell)
                 self._news.put(("the differential equation is solved", MAKING))
 
-    def _run_group(self, process: tuple, methods: dict[str, list[Setting]]) -> None:
+    def _run_group(self, process: Process, methods: dict[str, list[Setting]]) -> None:
         """All of one process; the first one finds the references."""
         worker = self._start()
         try:
@@ -320,71 +299,72 @@ class Sweep:
                 if finds_references:
                     with self._quiet.working():
                         for course in self._courses:
-                            self._find_references(worker, trial, method, course)
+                            self._find_references(trial, course)
                 for course in self._courses:
-                    self._run_settings(worker, trial, of, course)
+                    self._run_settings(trial, of, course)
                 if worker.alive:
-                    worker.ask(drop=trial["key"])
+                    worker.ask(drop=method)
                 else:
                     worker = self._start()
         except (Stopped, WorkerFailed):
             if not self._stop.is_set():
                 raise
 
-    def _run_settings(self, worker, trial, of: list[Setting], course: _Course) -> None:
+    def _run_settings(self, trial: _RemoteTrial, of: list[Setting], course: _Course) -> None:
         """Errors of all settings of one method, then, alone, their times."""
         course.horizon_known.wait()
-        if self._stop.is_set():
+        if self._stop.is_set() or course.horizon is None:
             raise Stopped
+        frames = course.horizon.frames
         outcomes = []
         with self._quiet.working():
-            self._ask(worker, trial, "load", scene=self._keep(course.scene))
+            self._ask(trial, "load", scene=self._keep(course.scene))
             for setting in of:
-                outcomes.append(self._sample(worker, trial, setting, course.horizon.frames))
+                outcomes.append(self._sample(trial, setting, frames))
         with self._quiet.alone():
             for outcome in outcomes:
                 if outcome.ok and outcome.setting in self._wanted:
-                    self._time(worker, trial, outcome, course.horizon.frames)
+                    self._time(trial, outcome, frames)
         for outcome in outcomes:
             self._finish(course, outcome)
 
-    def _find_references(self, worker, trial, method: str, course: _Course) -> None:
+    def _find_references(self, trial: _RemoteTrial, course: _Course) -> None:
         """The horizon, then fine runs within it."""
-        scene = course.scene
+        scene, method = course.scene, trial.method
         substeps = reference.coarsest(scene, self._dt)
 
-        def run(substeps, frames):
-            outcome = self._sample(worker, trial, Setting(method, self._dt, substeps), frames)
+        def run(substeps: int, frames: int) -> Samples:
+            outcome = self._sample(trial, Setting(method, self._dt, substeps), frames)
             if not outcome.ok:
                 failed = outcome.status.removeprefix("failed: ")
-                raise SweepFailure(
+                raise StudyFailure(
                     f"the reference ({method} in f64, {substeps} substeps) fails: {failed}; "
                     "use fewer --frames, a smaller --dt or softer springs"
                 )
             return outcome.samples()
 
-        self._ask(worker, trial, "load", scene=self._keep(scene))
+        self._ask(trial, "load", scene=self._keep(scene))
         first = run(substeps, self._asked)
         size = reference.DISTURBANCE * reference.extent(scene, first)[0]
         other = reference.disturbed(scene, size)
-        self._ask(worker, trial, "load", scene=self._keep(other))
+        self._ask(trial, "load", scene=self._keep(other))
         second = run(substeps, self._asked)
-        self._ask(worker, trial, "load", scene=self._keep(scene))
-        course.horizon = reference.limit_horizon(scene, first, second)
+        self._ask(trial, "load", scene=self._keep(scene))
+        horizon = course.horizon = reference.limit_horizon(scene, first, second)
         course.horizon_known.set()
-        self._news.put((course.horizon.describe(), MAKING // 2))
+        self._news.put((horizon.describe(), MAKING // 2))
 
         begin = last = time.perf_counter()
 
-        def timed(substeps):
+        def timed(substeps: int) -> Samples:
             nonlocal last
             last = time.perf_counter()
-            samples = run(substeps, course.horizon.frames)
+            samples = run(substeps, horizon.frames)
             course.fine.append((f"{method} in f64 with {substeps} substeps", samples))
             self._news.put((f"reference: {substeps} substeps", 0))
             return samples
 
-        def enough(times_longer):
+        def enough(times_longer: float) -> bool:
             now = time.perf_counter()
             return now - begin + times_longer * (now - last) > self.how.patience
 
@@ -402,7 +382,7 @@ class Sweep:
             worker.kill()
         return worker
 
-    def _make(self, worker, method: str, process: tuple) -> dict[str, Any]:
+    def _make(self, worker: Worker, method: str, process: Process) -> _RemoteTrial:
         arch, precision, fast_math = process
         arguments = {
             "scene": self._keep(self._courses[0].scene),
@@ -416,39 +396,38 @@ class Sweep:
         }
         about = worker.ask(make=TRIAL, **{"as": method, "with": arguments})["result"]
         self._news.put((f"{method}, {arch} {precision}", MAKING))
-        return {"key": method, "about": about}
+        return _RemoteTrial(worker, method, about)
 
-    def _ask(self, worker, trial, method: str, **arguments):
+    def _ask(self, trial: _RemoteTrial, do: str, **arguments: Any) -> Any:
+        """What a method of the trial answers; raises Stopped once the study is to end."""
         if self._stop.is_set():
             raise Stopped
         try:
-            return worker.ask(of=trial["key"], do=method, **{"with": arguments})["result"]
+            return trial.worker.ask(of=trial.method, do=do, **{"with": arguments})["result"]
         except WorkerFailed:
             if self._stop.is_set():
                 raise Stopped from None
             raise
 
-    def _sample(self, worker, trial, setting: Setting, frames: int) -> Outcome:
+    def _sample(self, trial: _RemoteTrial, setting: Setting, frames: int) -> Outcome:
         """A setting's samples and work; a run that fails is an outcome, too."""
-        outcome, file = Outcome(setting, about=trial["about"]), self._new_file(".npz")
+        outcome, file = Outcome(setting, about=trial.about), self._new_file(".npz")
         try:
-            found = self._ask(
-                worker, trial, "sample", **_step(setting), frames=frames, file=str(file)
-            )
+            found = self._ask(trial, "sample", **_step(setting), frames=frames, file=str(file))
         except WorkerFailed as failed:
             outcome.status = _refusal(failed)
             return outcome
         outcome.file = file
-        outcome.status = found.pop("failed") or "ok"
-        for name, value in found.items():
-            setattr(outcome, name, value)
+        outcome.status = found["failed"] or "ok"
+        outcome.force_evaluations = found["force_evaluations"]
+        outcome.sweeps, outcome.unconverged = found["sweeps"], found["unconverged"]
         return outcome
 
-    def _time(self, worker, trial, outcome: Outcome, frames: int) -> None:
+    def _time(self, trial: _RemoteTrial, outcome: Outcome, frames: int) -> None:
         budget = self.how.budget
         try:
             outcome.seconds = self._ask(
-                worker, trial, "time", **_step(outcome.setting), frames=frames, budget=budget
+                trial, "time", **_step(outcome.setting), frames=frames, budget=budget
             )
         except WorkerFailed as failed:
             outcome.status = _refusal(failed)
@@ -477,13 +456,13 @@ def reference_method() -> str:
     from taichi_cloth.kernels import methods
 
     claims = {name: methods.load(name).claims for name in methods.METHODS}
-    explicit = [name for name, of in claims.items() if not of.implicit]
+    explicit = [name for name, claim in claims.items() if not claim.implicit]
     return max(explicit, key=lambda name: claims[name].order)
 
 
 def _step(setting: Setting) -> dict[str, Any]:
-    solver = {"tolerance": setting.tolerance, "iterations": setting.iterations}
-    solver = {name: value for name, value in solver.items() if value is not None}
+    given = {"tolerance": setting.tolerance, "iterations": setting.iterations}
+    solver = {name: value for name, value in given.items() if value is not None}
     return {"dt": setting.dt, "substeps": setting.substeps, "solver": solver}
 
 

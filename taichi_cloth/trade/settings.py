@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
+from taichi_cloth.console import counted
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.limits.bounds import Bounds, any_geometry, step_within
 from taichi_cloth.limits.network import Network
@@ -22,6 +24,11 @@ CONVERGED_ITERATIONS = 256
 # Scenes with fewer particles run on the graph: lanes compile three times as long for little speed.
 FEW_PARTICLES = 2000
 SERIAL_BEST = 5000  # particles up to which one thread does as well as several
+
+
+Number = TypeVar("Number", int, float)
+# What settings that share a process have in common: backend, precision, fast_math.
+Process = tuple[str, str, bool]
 
 
 @dataclass(frozen=True)
@@ -42,8 +49,8 @@ class Setting:
     tolerance: float | None = None
 
     @property
-    def process(self) -> tuple[str, str, bool]:
-        """What settings that share a process have in common."""
+    def process(self) -> Process:
+        """What it has in common with all settings that share its process."""
         return self.arch, self.precision, self.fast_math
 
     @property
@@ -52,37 +59,38 @@ class Setting:
         return self.dt / self.substeps
 
     @property
-    def series(self) -> tuple:
-        """What settings that differ in nothing but their step have in common."""
+    def series(self) -> tuple[str, str, str, bool, int | None, float | None]:
+        """What it has in common with all settings that differ in nothing but their step."""
         return self.method, *self.process, self.iterations, self.tolerance
 
     def describe_solver(self) -> str:
         """'8 iterations', 'tolerance 1e-06', or nothing."""
         words = []
         if self.iterations is not None:
-            words.append(f"{self.iterations} iteration{'s' * (self.iterations > 1)}")
+            words.append(counted(self.iterations, "iteration"))
         if self.tolerance is not None:
             words.append(f"tolerance {self.tolerance:g}")
         return ", ".join(words)
 
     def describe(self) -> str:
-        """In words: method, steps, solver, device."""
-        steps = f"{self.substeps} substep{'s' * (self.substeps > 1)}"
+        """Method, steps, solver and device in words."""
         exact = "" if self.fast_math or self.precision != "f32" else " without fast_math"
         device = f"{self.arch} {self.precision}{exact}"
-        return ", ".join(filter(None, [self.method, steps, self.describe_solver(), device]))
+        steps, solver = counted(self.substeps, "substep"), self.describe_solver()
+        return ", ".join(filter(None, [self.method, steps, solver, device]))
 
     def words(self) -> list[str]:
         """The flags of `run` that stand for it."""
-        words = ["--method", self.method, "--dt", f"{self.dt:.12g}", "--substeps", self.substeps]
+        words = ["--method", self.method, "--dt", f"{self.dt:.12g}"]
+        words += ["--substeps", str(self.substeps)]
         if self.iterations is not None:
-            words += ["--iterations", self.iterations]
+            words += ["--iterations", str(self.iterations)]
         if self.tolerance is not None:
             words += ["--tolerance", f"{self.tolerance:g}"]
         words += ["--arch", self.arch, "--precision", self.precision]
         if self.precision == "f32" and not self.fast_math:
             words.append("--no-fast-math")
-        return [str(word) for word in words]
+        return words
 
 
 def default_fast_math(precision: str) -> bool:
@@ -110,11 +118,11 @@ def choose(scene: Scene, options: ComparisonOptions) -> list[Setting]:
     dt = options.dt or scene.world.dt
     bounds = any_geometry(Network.from_scene(scene))
 
-    settings = []
+    settings: list[Setting] = []
     for method in names:
-        claims = methods.load(method).claims
-        takes = claims.settings
-        sweeps, residuals = [None], [None]
+        takes = methods.load(method).claims.settings
+        sweeps: Sequence[int | None] = [None]
+        residuals: Sequence[float | None] = [None]
         if "iterations" in takes:
             sweeps = iterations or (QUICK_ITERATIONS if options.quick else ITERATIONS)
         if "tolerance" in takes:
@@ -144,7 +152,7 @@ def _maths(precisions: Sequence[str], also_without: bool) -> list[tuple[str, boo
 
 
 def converged(setting: Setting) -> Setting | None:
-    """The same method and step in f64 with its solver converged; None where it has none."""
+    """The setting with its solver converged, in f64; None where its method has no solver."""
     from taichi_cloth.kernels import methods
 
     takes = methods.load(setting.method).claims.settings
@@ -190,16 +198,16 @@ def _words(flag: str, text: str | None, known: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(words))
 
 
-def _numbers(flag: str, text: str | None, type_: type) -> list:
+def _numbers(flag: str, text: str | None, type_: type[Number]) -> list[Number]:
     """The numbers of a list '1,2,4', sorted; empty where there is none."""
     if text is None:
         return []
-    numbers = set()
+    numbers: set[Number] = set()
     for word in text.split(","):
         try:
             number = type_(word)
         except ValueError:
-            number = 0
+            number = type_(0)
         if not (0 < number <= 1_000_000):
             kind = "whole numbers from 1" if type_ is int else "positive numbers"
             raise InputError(f"{flag} must be {kind}, separated by commas; has '{word.strip()}'")
@@ -207,6 +215,8 @@ def _numbers(flag: str, text: str | None, type_: type) -> list:
     return sorted(numbers)
 
 
-def _refuse_unused(flag: str, given: list, name: str, settings: list[Setting]) -> None:
+def _refuse_unused(
+    flag: str, given: Sequence[float], name: str, settings: Sequence[Setting]
+) -> None:
     if given and all(getattr(setting, name) is None for setting in settings):
         raise InputError(f"{flag}: none of the chosen methods takes it")

@@ -16,10 +16,11 @@ from taichi_cloth import runtime
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.trade.settings import Process
 
 MOST_REPEATS = 101
 
-_started: dict[tuple[str, str, bool], runtime.Device] = {}
+_started: dict[Process, runtime.Device] = {}
 
 
 class Trial:
@@ -50,8 +51,7 @@ class Trial:
 
     def load(self, scene: str) -> None:
         """Another scene with the same features and springs; nothing is compiled anew."""
-        self._sim.scene = _load(scene)
-        self._sim.reset()
+        self._sim.load_scene(_load(scene))
 
     def sample(
         self, dt: float, substeps: int, solver: dict[str, Any], frames: int, file: str
@@ -113,7 +113,7 @@ class Trial:
                 break
         return seconds
 
-    def _begin(self, dt, substeps, solver) -> Simulation:
+    def _begin(self, dt: float, substeps: int, solver: dict[str, Any]) -> Simulation:
         """The simulation at its start, with a step and its solver's settings."""
         sim = self._sim
         sim.set_step(dt, substeps)
@@ -133,4 +133,5 @@ def _start(arch: str, precision: str, fast_math: bool, threads: int | None) -> r
 
 
 def _load(path: str) -> Scene:
-    return pickle.loads(Path(path).read_bytes())
+    scene: Scene = pickle.loads(Path(path).read_bytes())
+    return scene

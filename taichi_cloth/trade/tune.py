@@ -1,24 +1,25 @@
 """The command ``taichi-cloth tune SCENE``: the setting that meets an error, or fits a frame's time.
 
-It chooses from what a sweep measured, and confirms the choice where it was not made: on the scene
+It chooses from what a study measured, and confirms the choice where it was not made: on the scene
 with another start.
 """
 
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from taichi_cloth import console
+from taichi_cloth.console import duration
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import TuneOptions
-from taichi_cloth.trade import command, report, rows
+from taichi_cloth.trade import command, rows
 from taichi_cloth.trade.rows import Row
 
 # Speeds that the confirming run begins with besides its own, in parts of the speeds that the
@@ -29,8 +30,9 @@ TIME_UNITS = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0}
 
 @dataclass(frozen=True)
 class Target:
-    """What is wanted: `error` in world units, or in parts of the largest displacement where
-    `relative`; or `frame_seconds`. The other is None.
+    """What is wanted: a trajectory error or, where `error` is None, a frame's time in seconds.
+
+    error: in world units, or in parts of the largest displacement where `relative`.
     """
 
     error: float | None = None
@@ -39,13 +41,15 @@ class Target:
 
     def describe(self) -> str:
         if self.frame_seconds is not None:
-            return f"--frame-time {report.seconds(self.frame_seconds)}"
+            return f"--frame-time {duration(self.frame_seconds)}"
+        assert self.error is not None
         shown = f"{100 * self.error:g} %" if self.relative else f"{self.error:g}"
         return f"--error {shown}"
 
     def met_by(self, found: Figures) -> bool:
         if self.frame_seconds is not None:
             return found.frame_seconds <= self.frame_seconds
+        assert self.error is not None
         return (found.error_relative if self.relative else found.error) <= self.error
 
 
@@ -61,21 +65,22 @@ class Figures:
 
     @classmethod
     def of(cls, row: Row) -> Figures:
+        """The figures of a row that was timed and has an error."""
         error, relative = row.error_trajectory, row.error_trajectory_relative
-        if row.below_floor:
+        if row.below_floor and row.floor is not None and row.scale:
             error, relative = row.floor, row.floor / row.scale
-        return cls(error, relative, frame_seconds=row.wall_seconds / row.frames)
+        frame_seconds = row.a_frame(row.wall_seconds)
+        assert error is not None and relative is not None and frame_seconds is not None
+        return cls(error, relative, frame_seconds)
 
     def describe(self) -> str:
         percent = 100 * self.error_relative
-        a_frame = report.seconds(self.frame_seconds)
+        a_frame = duration(self.frame_seconds)
         return f"error {percent:.3g} % ({self.error:.3g}), {a_frame} a frame"
 
 
 def main(source: SceneSource, options: TuneOptions) -> int:
     """Choose, confirm, print; the exit status."""
-    from rich.console import Console
-
     target = read_target(options.error, options.frame_time)
     scene, chosen, how = command.prepare(source, options)
     how = replace(how, solver_errors=False)
@@ -83,6 +88,7 @@ def main(source: SceneSource, options: TuneOptions) -> int:
     with command.measured(source, options, scene, chosen, how, quiet=quiet) as result:
         if result.interrupted:
             raise KeyboardInterrupt
+        assert result.reference and result.horizon  # it went to its end
         made = rows.rows_of(result, command.common(scene), command.run_words(source, how))
         best = choose(made, target)
         other = kicked(scene, result.reference.samples.v, options.seed)
@@ -97,8 +103,7 @@ def main(source: SceneSource, options: TuneOptions) -> int:
     if quiet:
         print(json.dumps(_as_json(source, target, best, expected, confirming, held), indent=1))
         return 0
-    # A pipe or a file has no width: give whole lines a place where they fit.
-    console = Console() if sys.stdout.isatty() else Console(width=170)
+    to = console.output(170)
     said = "yes" if held else "no"
     shown = confirmed.describe() if confirmed else confirming.status
     for line in (
@@ -106,8 +111,8 @@ def main(source: SceneSource, options: TuneOptions) -> int:
         f"expected:  {expected.describe()}, over {best.frames} frames",
         f"confirmed: {said}: {shown}, from another start",
     ):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-    console.print(best.command, highlight=False, markup=False, soft_wrap=True)
+        to.print(line, highlight=False, markup=False, soft_wrap=True)
+    to.print(best.command, highlight=False, markup=False, soft_wrap=True)
     return 0
 
 
@@ -120,6 +125,7 @@ def read_target(error: str | None, frame_time: str | None) -> Target:
         relative = number != error.strip()
         value = _positive("--error", number, "a number, or one with %, such as 1%", error)
         return Target(error=value / 100 if relative else value, relative=relative)
+    assert frame_time is not None
     text = frame_time.strip()
     unit = next((unit for unit in TIME_UNITS if text.endswith(unit)), None)
     says = "a time with its unit, s, ms or us, such as 8ms"
@@ -150,8 +156,8 @@ def choose(made: Sequence[Row], target: Target) -> Row:
     if not usable:
         raise InputError(f"{target.describe()}: no setting could be measured")
     if target.frame_seconds is not None:
-        meeting = [row for row in usable if row.wall_upper / row.frames <= target.frame_seconds]
-        best = min(usable, key=lambda row: row.wall_upper)
+        meeting = [row for row in usable if _slow_frame(row) <= target.frame_seconds]
+        best = min(usable, key=_slow_frame)
         order = _error_then_time
     else:
         meeting = [row for row in usable if target.met_by(Figures.of(row))]
@@ -165,13 +171,21 @@ def choose(made: Sequence[Row], target: Target) -> Row:
     return min(meeting, key=order)
 
 
+def _slow_frame(row: Row) -> float:
+    """The upper quartile of a frame's seconds."""
+    seconds = row.a_frame(row.wall_upper)
+    return np.inf if seconds is None else seconds
+
+
 def _error_then_time(row: Row) -> tuple[float, float]:
     """Errors that the reference cannot tell from none are alike."""
-    return 0.0 if row.below_floor else row.error_trajectory, row.wall_seconds
+    found = Figures.of(row)
+    return 0.0 if row.below_floor else found.error, found.frame_seconds
 
 
 def _time_then_error(row: Row) -> tuple[float, float]:
-    return row.wall_seconds, row.error_trajectory
+    """The error as it came out, also where the reference cannot tell it from none."""
+    return Figures.of(row).frame_seconds, row.error_trajectory or 0.0
 
 
 def kicked(scene: Scene, v: np.ndarray, seed: int) -> Scene:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from dataclasses import replace as changed
 
 import numpy as np
 
 from taichi_cloth import runtime
+from taichi_cloth.console import progress
 from taichi_cloth.errors import SimulationFailure
 from taichi_cloth.files.events import Event
 from taichi_cloth.ui import film as films
@@ -101,7 +102,7 @@ def run(
             sim, view, replay=replay, recorder=recorder, trajectory=trajectory,
             film=film_file, paused=paused, seed=seed, device=device,
         )  # fmt: skip
-        bar = stack.enter_context(_Progress(frames, quiet or view.visible))
+        bar = stack.enter_context(_progress(frames, not (quiet or view.visible)))
         failure = None
         try:
             while not view.closed and not loop.quit and (frames is None or loop.frames < frames):
@@ -355,41 +356,17 @@ def _event_window(world, view: View, replay) -> tuple[int, int]:
     return int(w), int(h)
 
 
-class _Progress:
-    """A progress bar on a terminal's standard error; elsewhere nothing.
+@contextmanager
+def _progress(frames: int | None, shown: bool) -> Iterator[Callable[[int], None]]:
+    """A bar on a terminal's standard error; its value is called with the number of frames done."""
+    later = 0.0
 
-    Used as a context whose value is called with the number of frames done.
-    """
-
-    def __init__(self, frames: int | None, quiet: bool):
-        self._bar, self._next = None, 0.0
-        if not quiet and frames and sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import (
-                BarColumn,
-                MofNCompleteColumn,
-                Progress,
-                TextColumn,
-                TimeRemainingColumn,
-            )
-
-            self._bar = Progress(
-                TextColumn("frames"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-                console=Console(stderr=True), transient=True,
-            )  # fmt: skip
-            self._task = self._bar.add_task("frames", total=frames)
-
-    def __enter__(self):
-        if self._bar:
-            self._bar.start()
-        return self._update
-
-    def _update(self, done: int) -> None:
+    def told(done: int) -> None:
         # Terminals are slow next to a frame of a small scene.
-        if self._bar and time.perf_counter() >= self._next:
-            self._next = time.perf_counter() + 0.1
-            self._bar.update(self._task, completed=done)
+        nonlocal later
+        if time.perf_counter() >= later:
+            later = time.perf_counter() + 0.1
+            tell("", done, frames or 0)
 
-    def __exit__(self, *exc) -> None:
-        if self._bar:
-            self._bar.stop()
+    with progress(("frames", "bar", "count", "left"), shown=shown and bool(frames)) as tell:
+        yield told

@@ -17,13 +17,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from taichi_cloth.errors import InputError, SimulationFailure, nearest
-from taichi_cloth.files.pending import PendingFile
+from taichi_cloth.errors import InputError, RunFailure, nearest
+from taichi_cloth.files.pending import write_whole
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import PROGRAM, TradeOptions, flag_words
 
 COMMAND = "python -m taichi_cloth.benchmarks.accuracy"
-PACKAGES = ("taichi-cloth", "taichi", "numpy", "scipy", "python")
 
 # Parts that are trades: the scene, and what is asked for.
 TRADES: dict[str, tuple[SceneSource, dict[str, Any]]] = {
@@ -87,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     try:
         _run(given.parts, Path(given.output), given.tables and Path(given.tables))
-    except (InputError, SimulationFailure) as error:
+    except (InputError, RunFailure) as error:
         print(f"{COMMAND}: error: {error}", file=sys.stderr)
         return error.exit_status
     return 0
@@ -110,15 +109,15 @@ def _run(words: Sequence[str], folder: Path, document: Path | None) -> None:
     if document:
         results = read(path)
         text = document.read_text("utf-8")
-        PendingFile(document).fill(lambda file: file.write(tables.filled(text, results).encode()))
+        write_whole(document, tables.filled(text, results).encode())
         for name, content in pictures.draw_all(results).items():
-            picture = document.parent / "images" / f"{name}.png"
-            PendingFile(picture).fill(lambda file, content=content: file.write(content))
+            write_whole(document.parent / "images" / f"{name}.png", content)
 
 
 def measure(part: str) -> dict[str, Any]:
     """A part's results, with what it takes to measure them again."""
     from taichi_cloth.measuring import machine
+    from taichi_cloth.trade.command import PACKAGES
 
     command, data = _trade(part) if part in TRADES else _experiment(part)
     about = machine.describe()
@@ -152,14 +151,16 @@ def _trade(part: str) -> tuple[str, Any]:
         made = rows.rows_of(result, command.common(scene), command.run_words(source, how))
         if result.interrupted:
             raise KeyboardInterrupt
+    horizon, found = result.horizon, result.reference
+    assert horizon and found  # it went to its end
     data = {
-        "title": f"{scene.name}: {len(scene.particles)} particles, {result.horizon.frames} frames",
-        "scale": result.horizon.scale,
-        "frames": result.horizon.frames,
+        "title": f"{scene.name}: {len(scene.particles)} particles, {horizon.frames} frames",
+        "scale": horizon.scale,
+        "frames": horizon.frames,
         "particles": len(scene.particles),
-        "reference": [result.horizon.describe(), *result.reference.describe(result.horizon)],
-        "floor": result.reference.floor(result.horizon) / result.horizon.scale,
-        "rows": [{name: getattr(row, name) for name in KEPT} for row in made],
+        "reference": [horizon.describe(), *found.describe(horizon)],
+        "floor": found.floor(horizon) / horizon.scale,
+        "rows": [{name: row.record()[name] for name in KEPT} for row in made],
     }
     return " ".join([PROGRAM, "trade", *source.words(), *flag_words(asked)]), data
 
@@ -170,7 +171,7 @@ def keep(path: Path, part: str, results: dict[str, Any]) -> None:
     kept = read(path) if path.exists() else {}
     whole = {name: kept[name] for name in PARTS if name in kept} | {part: results}
     text = json.dumps(_rounded(whole), indent=1, allow_nan=False) + "\n"
-    PendingFile(path).fill(lambda file: file.write(text.encode()))
+    write_whole(path, text.encode())
 
 
 def _rounded(data: Any) -> Any:
@@ -185,6 +186,7 @@ def _rounded(data: Any) -> Any:
 def read(path: Path) -> dict[str, Any]:
     """Results by part. Raises InputError where there are none."""
     try:
-        return json.loads(path.read_text("utf-8"))
+        results: dict[str, Any] = json.loads(path.read_text("utf-8"))
+        return results
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None

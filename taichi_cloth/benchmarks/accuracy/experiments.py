@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import json
 import statistics
+import tempfile
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from taichi_cloth import runtime
 from taichi_cloth.kernels import methods
-from taichi_cloth.limits import modes
+from taichi_cloth.measuring.timing import quartiles, turns
+from taichi_cloth.measuring.worker import Worker
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import (
     ParticleDefaults,
@@ -37,10 +41,10 @@ DEFAULT = parameters_of(RunOptions)["method"].default
 RATE = 60  # steps a second, of the damping
 FREQUENCIES = (1.0, 2.0, 5.0, 10.0)  # Hz
 SWEEPS = 64  # enough for what is not stiff to converge
-ON_GRAPH = {"topology": "graph", "execution": "serial"}
+ON_GRAPH: dict[str, Any] = {"topology": "graph", "execution": "serial"}
 
 
-def solved(method: str) -> dict[str, float]:
+def solved(method: str) -> dict[str, Any]:
     """Settings with which a method's solver leaves nothing but rounding, on scenes not stiff."""
     exact = {"tolerance": CONVERGED_TOLERANCE, "iterations": SWEEPS}
     return {name: exact[name] for name in methods.load(method).claims.settings}
@@ -55,14 +59,16 @@ LEAST_ERROR = 1e-10  # of the largest one: rounding spoils what is smaller
 
 
 def orders(names: Sequence[str] = methods.METHODS) -> dict[str, dict[str, float]]:
-    """Of each method the order by which its error falls: on a linear chain, against the closed
+    """The order by which the error falls, of each method: on a linear chain, against the closed
     form, and on the nonlinear cloth of 8 x 8, against the reference method at a fine step.
     """
     chain = library.build("chain", particles=8)
     cloth = library.build("cloth", columns=8, rows=8).with_world(mouse="none", walls=())
     times = np.arange(ORDER_FRAMES + 1) * chain.world.dt
+    closed = library.solution("chain")
+    assert closed
     exact = {
-        "chain": (chain, library.solution("chain")(chain, times)[0][1:]),
+        "chain": (chain, closed(chain, times)[0][1:]),
         "cloth": (cloth, _fine(cloth, ORDER_FRAMES)),
     }
     found: dict[str, dict[str, float]] = {name: {} for name in names}
@@ -73,7 +79,7 @@ def orders(names: Sequence[str] = methods.METHODS) -> dict[str, dict[str, float]
 
 
 def _order(scene: Scene, method: str, exact: np.ndarray) -> float:
-    """By the finest two of steps that halve, whose errors are no rounding."""
+    """The order by the finest two of steps that halve, whose errors are no rounding."""
     sim = Simulation(scene, method, **ON_GRAPH, **solved(method))
     errors: list[float] = []
     for halvings in range(2, MOST_HALVINGS + 1):
@@ -97,7 +103,7 @@ def _trajectory(sim: Simulation, frames: int, substeps: int) -> np.ndarray:
 
 
 def _fine(scene: Scene, frames: int, finer: int = 8) -> np.ndarray:
-    """The same by the method of the references at a fine step."""
+    """Positions at the ends of frames by the method of the references at a fine step."""
     sim = Simulation(scene, reference_method(), **ON_GRAPH)
     return _trajectory(sim, frames, finer * coarsest(scene, scene.world.dt))
 
@@ -122,8 +128,8 @@ class Swing:
     pitch: float
 
 
-def swing(module, frequency: float, rate: float = RATE) -> Swing:
-    """By the method's own theory, on x'' = -omega^2 x at `rate` steps a second.
+def swing(module: ModuleType, frequency: float, rate: float = RATE) -> Swing:
+    """The swing by the method's own theory, on x'' = -omega^2 x at `rate` steps a second.
 
     module: of `kernels.methods`, with `stability_function` or `amplification`.
     """
@@ -137,7 +143,7 @@ def swing(module, frequency: float, rate: float = RATE) -> Swing:
 
 
 def measured_swings(method: str, frequencies: Sequence[float], rate: int = RATE) -> list[Swing]:
-    """By runs of one second of the scene `oscillator`, with these frequencies.
+    """The swings by runs of one second of the scene `oscillator`, with these frequencies [Hz].
 
     A step is a linear map of (x, v), so positions follow x[n+1] = trace x[n] - det x[n-1]; both are
     fitted to a run, and the map's eigenvalues, a step's decay and angle, are theirs.
@@ -150,12 +156,12 @@ def measured_swings(method: str, frequencies: Sequence[float], rate: int = RATE)
         if sim is None:
             sim = Simulation(scene, method, dt=1 / rate, **ON_GRAPH, **solved(method))
         sim.load_scene(scene, dt=1 / rate)
-        x = [SMALL]
+        run = [SMALL]
         # What grows without limit ends where the spring would pass its other end.
-        while sim.frame < rate and abs(x[-1]) < LARGE:
+        while sim.frame < rate and abs(run[-1]) < LARGE:
             sim.advance()
-            x.append(sim.positions()[1, 0] - _at_rest(scene))
-        x = np.array(x)
+            run.append(sim.positions()[1, 0] - _at_rest(scene))
+        x = np.array(run)
         terms = np.stack([x[1:-1], -x[:-2]], axis=1)
         (trace, det), *_ = np.linalg.lstsq(terms, x[2:], rcond=None)
         angle = np.angle(trace / 2 + np.sqrt(complex(trace * trace / 4 - det)))
@@ -169,7 +175,7 @@ def _at_rest(oscillator: Scene) -> float:
 
 
 def damping(names: Sequence[str] = methods.METHODS) -> dict[str, dict[str, dict[str, float]]]:
-    """Of each method the measured swing at some frequencies [Hz]."""
+    """The measured swing of each method at some frequencies [Hz]."""
     found = {}
     for name in names:
         swings = zip(FREQUENCIES, measured_swings(name, FREQUENCIES), strict=True)
@@ -197,15 +203,15 @@ def long_runs(names: Sequence[str] = methods.METHODS) -> dict[str, Any]:
     found: dict[str, Any] = {"step_times_omega": omega * scene.world.dt, "methods": {}, "ended": []}
     for name in names:
         sim = Simulation(scene, name, **ON_GRAPH, **solved(name))
-        z = [complex(amplitude)]
+        run = [complex(amplitude)]
         # Beyond its rest length the spring would turn over.
-        while sim.time < PERIODS * period and abs(z[-1]) < scene.springs.rest_length[0]:
+        while sim.time < PERIODS * period and abs(run[-1]) < scene.springs.rest_length[0]:
             sim.advance()
             x, v = sim.positions()[1, 0] - at_rest, sim.velocities()[1, 0]
-            z.append(complex(x, -v / omega))
+            run.append(complex(x, -v / omega))
         if sim.time < PERIODS * period:
             found["ended"].append(name)
-        z = np.array(z)
+        z = np.array(run)
         times = np.arange(len(z)) * scene.world.dt
         energy = np.maximum.accumulate(np.abs(np.abs(z / amplitude) ** 2 - 1))
         # Behind or ahead: the mean over a period, in which the speed of turning varies.
@@ -249,14 +255,14 @@ def events() -> dict[str, Scene]:
     pairs = np.stack([np.arange(MANY), MANY + np.arange(MANY)], axis=1)
     fixed = np.arange(2 * MANY) < MANY
 
-    def swinging(**of_springs) -> Scene:
+    def swinging(**of_springs: Any) -> Scene:
         x = np.concatenate([top, hanging])
         v = np.concatenate([0 * top, np.stack([0.6 * part + 0.4, 1 + part], axis=1)])
         springs = Springs.build(pairs, x, defaults=spring, **of_springs)
         particles = Particles.build(x, v, fixed=fixed)
         return Scene("swinging", world, particles, springs)
 
-    def falling(**of_world) -> Scene:
+    def falling(**of_world: Any) -> Scene:
         floor = np.stack([place, 350.0 - 20 * part], axis=1)
         v = np.stack([0 * part, 2 + part], axis=1)
         particle = ParticleDefaults(radius=5.0, restitution=0.9, viscous=0.02)
@@ -264,7 +270,7 @@ def events() -> dict[str, Scene]:
             "falling", replace(world, **of_world), Particles.build(floor, v, defaults=particle)
         )
 
-    def meeting(**of_world) -> Scene:
+    def meeting(**of_world: Any) -> Scene:
         rows = 100 + 12.0 * np.arange(MANY)
         left, right = (
             np.stack([0 * part + 100, rows], axis=1),
@@ -285,8 +291,8 @@ def events() -> dict[str, Scene]:
 
 
 def orders_with_events(names: Sequence[str] = methods.METHODS) -> dict[str, dict[str, float]]:
-    """Of each method the order that is left where something happens within the run: the slope of
-    a line through the errors at the last frame.
+    """The order of each method that is left where something happens within the run: the slope of a
+    line through the errors at the last frame.
     """
     found: dict[str, dict[str, float]] = {name: {} for name in names}
     for event, scene in events().items():
@@ -299,7 +305,8 @@ def orders_with_events(names: Sequence[str] = methods.METHODS) -> dict[str, dict
                 error = _rms(_trajectory(sim, EVENT_FRAMES, substeps)[-1], exact)
                 if error > 1e-9:
                     points.append((np.log2(substeps), np.log2(error)))
-            found[name][event] = float(-np.polyfit(*np.array(points).T, 1)[0])
+            halvings, errors = np.array(points).T
+            found[name][event] = float(-np.polyfit(halvings, errors, 1)[0])
     return found
 
 
@@ -312,7 +319,7 @@ LEAST_SECONDS = 0.03  # of a timed run, so that the clock and the launch do not 
 
 
 class Turns:
-    """In a worker: all methods on one scene, which run in turns.
+    """All methods on one scene, in a worker, which run in turns.
 
     scene: parameters of the scene `cloth`.
     """
@@ -334,20 +341,24 @@ class Turns:
 
     def race(self, rounds: int) -> dict[str, list[float]]:
         """Seconds a step of each method by round, each from the scene's start."""
-        for sim in self._sims.values():
-            sim.advance(COST_FRAMES)
         found: dict[str, list[float]] = {name: [] for name in self._sims}
-        for _ in range(rounds):
-            for name, sim in self._sims.items():
-                spent, steps = 0.0, 0
-                while spent < LEAST_SECONDS:
-                    sim.reset()
-                    begin = time.perf_counter()
-                    sim.advance(COST_FRAMES)
-                    spent += time.perf_counter() - begin
-                    steps += COST_FRAMES
-                found[name].append(spent / steps)
+        for number, (name, sim) in turns(list(self._sims.items()), rounds):
+            seconds = _seconds_a_step(sim)
+            if number > 0:
+                found[name].append(seconds)
         return found
+
+
+def _seconds_a_step(sim: Simulation) -> float:
+    """The mean over runs from the scene's start that take LEAST_SECONDS together."""
+    spent, steps = 0.0, 0
+    while spent < LEAST_SECONDS:
+        sim.reset()
+        begin = time.perf_counter()
+        sim.advance(COST_FRAMES)
+        spent += time.perf_counter() - begin
+        steps += COST_FRAMES
+    return spent / steps
 
 
 COSTS: dict[str, dict[str, Any]] = {
@@ -365,12 +376,7 @@ COSTS: dict[str, dict[str, Any]] = {
 
 
 def costs(names: Sequence[str] = methods.METHODS, rounds: int = ROUNDS) -> dict[str, Any]:
-    """Of each method a step's seconds, also in parts of the default's of the same round."""
-    import tempfile
-    from pathlib import Path
-
-    from taichi_cloth.measuring.worker import Worker
-
+    """A step's seconds of each method, also in parts of the default's of the same round."""
     found: dict[str, Any] = {}
     for which, how in COSTS.items():
         with tempfile.TemporaryDirectory() as folder:
@@ -388,17 +394,9 @@ def costs(names: Sequence[str] = methods.METHODS, rounds: int = ROUNDS) -> dict[
         found[which] = {
             "about": about["result"] | how,
             "methods": {
-                name: {"seconds": statistics.median(of), "ratio": _quartiles(ratios[name])}
+                name: {"seconds": statistics.median(of), "ratio": quartiles(ratios[name])}
                 for name, of in times.items()
             },
         }
-    return json.loads(json.dumps(found))
-
-
-def _quartiles(numbers: Sequence[float]) -> list[float]:
-    return statistics.quantiles(numbers, n=4, method="inclusive")
-
-
-def limit(method: str) -> float:
-    """The largest stable step times omega: what the claims say, which the tests hold them to."""
-    return modes.largest_step(methods.load(method), 1.0)
+    as_kept: dict[str, Any] = json.loads(json.dumps(found))
+    return as_kept

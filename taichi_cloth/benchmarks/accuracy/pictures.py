@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from taichi_cloth.benchmarks.accuracy.experiments import DEFAULT, RATE, swing
 from taichi_cloth.benchmarks.accuracy.tables import called, in_order, series_of, usable
+from taichi_cloth.console import counted
 from taichi_cloth.kernels import methods
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
 
 SIZE = 9.0, 5.2  # inches, at 130 dots each: a page's width
 MARKERS = "osD^vP*X"
@@ -19,7 +29,7 @@ LEAST_ENERGY = 1e-14  # what is less is rounding
 
 def draw_all(results: Mapping[str, Any]) -> dict[str, bytes]:
     """Pictures (PNG) by name, of the parts that there are."""
-    drawn: dict[str, Callable] = {
+    drawn: dict[str, Callable[[Mapping[str, Any]], bytes]] = {
         "smooth": _trade,
         "stiff": _trade,
         "long": _long,
@@ -30,7 +40,7 @@ def draw_all(results: Mapping[str, Any]) -> dict[str, bytes]:
     return {f"accuracy-{p}": draw(results[p]["data"]) for p, draw in drawn.items() if p in results}
 
 
-def _figure(columns: int = 1):
+def _figure(columns: int = 1) -> tuple[Figure, Sequence[Axes]]:
     import matplotlib
 
     matplotlib.use("Agg")
@@ -44,12 +54,17 @@ def _figure(columns: int = 1):
     return figure, axes
 
 
-def _png(figure, handles=None, columns: int = 1) -> bytes:
+def _png(figure: Figure, handles: Sequence[Artist] | None = None, columns: int = 1) -> bytes:
     axes = figure.axes[0]
     if handles is None:
         handles = axes.get_legend_handles_labels()[0]
-    where = "outside right upper" if columns == 1 else "outside lower center"
-    figure.legend(handles=handles, loc=where, fontsize=9.5, frameon=False, ncols=columns)
+    figure.legend(
+        handles=handles,
+        loc="outside right upper" if columns == 1 else "outside lower center",
+        fontsize=9.5,
+        frameon=False,
+        ncols=columns,
+    )
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=130)
     return buffer.getvalue()
@@ -57,12 +72,12 @@ def _png(figure, handles=None, columns: int = 1) -> bytes:
 
 def _look(name: str) -> dict[str, Any]:
     """A method's line: the default is black and thick, the others lie upon it in colours."""
-    from matplotlib import colormaps
+    from matplotlib import color_sequences
 
     if name == DEFAULT:
         return {"color": "black", "linewidth": 3.5, "zorder": 2}
     others = [other for other in in_order(methods.METHODS) if other != DEFAULT]
-    colours = [c for k, c in enumerate(colormaps["tab10"].colors) if k != GREY]
+    colours = [c for k, c in enumerate(color_sequences["tab10"]) if k != GREY]
     return {"color": colours[others.index(name) % len(colours)], "linewidth": 1.5, "zorder": 3}
 
 
@@ -71,7 +86,7 @@ def _label(names: Iterable[str]) -> str:
     return "\n= ".join(f"{name} (default)" if name == DEFAULT else name for name in names)
 
 
-def _seconds_axis(axis) -> None:
+def _seconds_axis(axis: Axis) -> None:
     from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
     low, high = axis.get_view_interval()
@@ -91,7 +106,7 @@ def _trade(data: Mapping[str, Any]) -> bytes:
     figure, (axes,) = _figure()
     rows, floor = data["rows"], data["floor"]
     solvers = list(dict.fromkeys(r["iterations"] for r in rows if r["iterations"]))
-    handles = []
+    handles: list[Artist] = []
     for name in in_order(list(dict.fromkeys(r["method"] for r in rows))):
         look = _look(name)
         all_fail = not usable([r for r in rows if r["method"] == name])
@@ -130,7 +145,7 @@ def _trade(data: Mapping[str, Any]) -> bytes:
     return _png(figure, handles)
 
 
-def _failures(axes, rows) -> None:
+def _failures(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
     """Crosses at the upper edge, at the times that runs would have taken (at the default's, where
     all of a method fail), one below the other.
     """
@@ -149,7 +164,7 @@ def _failures(axes, rows) -> None:
         )  # fmt: skip
 
 
-def _band():
+def _band() -> Patch:
     """What the grey band means, for the legend."""
     from matplotlib.patches import Patch
 
@@ -161,8 +176,6 @@ def _band():
 
 
 def _damping(data: Mapping[str, Any]) -> bytes:
-    import numpy as np
-
     figure, (amplitude, pitch) = _figure(2)
     grid = np.geomspace(0.2, 15.0, 80)
     curves = {
@@ -196,8 +209,6 @@ def _damping(data: Mapping[str, Any]) -> bytes:
 
 def _alike(curves: Mapping[str, Any]) -> list[list[str]]:
     """Methods in groups whose curves are one."""
-    import numpy as np
-
     groups: list[list[str]] = []
     for name in in_order(list(curves)):
         for group in groups:
@@ -211,8 +222,6 @@ def _alike(curves: Mapping[str, Any]) -> list[list[str]]:
 
 
 def _long(data: Mapping[str, Any]) -> bytes:
-    import numpy as np
-
     figure, (energy, phase) = _figure(2)
     curves = {
         name: np.array([of["period"], of["energy"], of["phase"]])
@@ -241,8 +250,12 @@ def _long(data: Mapping[str, Any]) -> bytes:
 
     handles = energy.get_legend_handles_labels()[0]
     if data["ended"]:
-        cross = {"color": "0.3", "linestyle": "", "marker": "x", "markeredgewidth": 2}
-        handles.append(Line2D([], [], **cross, label="swings too far for its spring"))
+        handles.append(
+            Line2D(
+                [], [], color="0.3", linestyle="", marker="x", markeredgewidth=2,
+                label="swings too far for its spring",
+            )
+        )  # fmt: skip
     return _png(figure, handles, columns=3)
 
 
@@ -256,14 +269,14 @@ def _sweeps(data: Mapping[str, Any]) -> bytes:
     lines = "-", "--", ":"
     for k, substeps in enumerate(sorted({r["substeps"] for r in rows})):
         of_step = [r for r in rows if r["substeps"] == substeps]
-        plural = f"{substeps} substep{'s' * (substeps > 1)}"
+        plural = counted(substeps, "substep")
         for name in in_order(list(dict.fromkeys(r["method"] for r in of_step))):
             of = [r for r in of_step if r["method"] == name]
             if of[0]["iterations"] is None:
                 own = of[0]["error_discretisation"] / scale
                 x = of[0]["wall_seconds"] / of[0]["frames"]
                 says = f"converged, {plural}: its own\nerror, at the time of {name}"
-                look = {"color": "0.35", "linestyle": lines[k]}
+                look: dict[str, Any] = {"color": "0.35", "linestyle": lines[k]}
                 axes.axhline(own, **look)
                 axes.plot([x], [own], marker="*", markersize=13, label=says, **look)
                 continue

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from taichi_cloth import console
+from taichi_cloth.console import counted, duration, markdown_table
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
-from taichi_cloth.trade.report import seconds
 
-MARKED = re.compile(r"(<!-- accuracy:(\w+)(?: (\w+))? -->\n).*?(<!-- end -->)", re.S)
+MARKED = "accuracy"  # what marks the document's places
 TARGETS = (0.05, 0.01, 1e-3, 1e-4, 1e-6)  # errors, in parts of the largest displacement
 SHOWN = ("1", "5")  # Hz
 
@@ -19,14 +19,11 @@ SHOWN = ("1", "5")  # Hz
 def filled(text: str, results: Mapping[str, Any]) -> str:
     """The document with its marked places filled. Raises InputError for results that lack."""
 
-    def fill(found: re.Match) -> str:
-        return f"{found[1]}{_content(found[2], found[3], results)}{found[4]}"
-
-    return MARKED.sub(fill, text)
+    return console.filled(text, MARKED, lambda name, part: _content(name, part, results))
 
 
 def _content(name: str, part: str | None, results: Mapping[str, Any]) -> str:
-    makers = {
+    whole = {
         "machine": _machine,
         "methods": _methods,
         "events": _events,
@@ -34,16 +31,16 @@ def _content(name: str, part: str | None, results: Mapping[str, Any]) -> str:
         "sweeps": _sweeps,
         "precisions": _precisions,
     }
-    if name not in (*makers, "source", "cheapest"):
-        raise InputError(f"the document asks for the unknown table '{name}'")
     try:
+        if name in whole:
+            return whole[name](results)
         if name == "source":
-            return _source(results[part])
+            return _source(results[part or ""])
         if name == "cheapest":
-            return _cheapest(results[part]["data"])
-        return makers[name](results)
+            return _cheapest(results[part or ""]["data"])
     except KeyError as missing:
         raise InputError(f"'{name}' needs results of the part {missing}: measure it") from None
+    raise InputError(f"the document asks for the unknown table '{name}'")
 
 
 def in_order(names: Sequence[str]) -> list[str]:
@@ -59,7 +56,7 @@ def _source(part: Mapping[str, Any]) -> str:
     """The command, and what errors were measured against."""
     lines = part["data"].get("reference", [])
     said = [f"Measured by `{part['command']}`", *(line[0].upper() + line[1:] for line in lines)]
-    return f"<sub>{'. '.join(said)}.</sub>\n"
+    return f"<sub>{'. '.join(said)}.</sub>"
 
 
 def _machine(results: Mapping[str, Any]) -> str:
@@ -67,9 +64,9 @@ def _machine(results: Mapping[str, Any]) -> str:
     places: dict[tuple[str, str], list[str]] = {}
     for part in results.values():
         places.setdefault((part["machine"], part["versions"]), []).append(part["date"])
-    return "".join(
+    return "\n".join(
         f"Measured on {machine}, {' to '.join(sorted({min(dates), max(dates)}))}, "
-        f"with {versions}, by the command below each table.\n"
+        f"with {versions}, by the command below each table."
         for (machine, versions), dates in places.items()
     )
 
@@ -98,7 +95,7 @@ def _methods(results: Mapping[str, Any]) -> str:
                 claims.choose,
             ]
         )
-    return _table(header, lines)
+    return markdown_table(header, lines)
 
 
 def _limit(limit: float) -> str:
@@ -136,7 +133,7 @@ def _events(results: Mapping[str, Any]) -> str:
         "breaks": "springs break",
     }
     lines = [[f"`{n}`", *(f"{data[n][event]:.2f}" for event in said)] for n in in_order(list(data))]
-    return _table(["method", *said.values()], lines)
+    return markdown_table(["method", *said.values()], lines)
 
 
 def _contacts(results: Mapping[str, Any]) -> str:
@@ -149,9 +146,9 @@ def _contacts(results: Mapping[str, Any]) -> str:
     for name in in_order(sorted({r["method"] for r in rows})):
         of = {r["substeps"]: r for r in rows if r["method"] == name}
         cells = [_error(of[c], floor) if c in of else "fails" for c in counts]
-        last = seconds(_of_frame(of[counts[-1]])) if counts[-1] in of else ""
+        last = duration(_of_frame(of[counts[-1]])) if counts[-1] in of else ""
         lines.append([f"`{name}`", *cells, last])
-    return _table(["substeps", *map(str, counts), "a frame"], lines)
+    return markdown_table(["substeps", *map(str, counts), "a frame"], lines)
 
 
 def usable(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -173,7 +170,7 @@ def _cheapest(data: Mapping[str, Any]) -> str:
         best = min(good, key=_of_frame)
         ours = [r for r in rows if r["method"] == DEFAULT]
         enough = [r for r in ours if r in good]
-        line = [f"{100 * target:g} %", _setting(best), seconds(_of_frame(best))]
+        line = [f"{100 * target:g} %", _setting(best), duration(_of_frame(best))]
         if enough:
             mine = min(enough, key=_of_frame)
             substeps, cost, about = mine["substeps"], _of_frame(mine), ""
@@ -183,19 +180,19 @@ def _cheapest(data: Mapping[str, Any]) -> str:
             more = (mine["error_trajectory_relative"] / target) ** (1 / order)
             substeps, cost, about = mine["substeps"] * more, _of_frame(mine) * more, "≈ "
         said = f"{about}{substeps:.0f} substep{'s' * (substeps > 1)}"
-        line += [said, about + seconds(cost), f"{about}{_times(cost / _of_frame(best))} ×"]
+        line += [said, about + duration(cost), f"{about}{_times(cost / _of_frame(best))} ×"]
         lines.append(line)
-    return _table(header, lines)
+    return markdown_table(header, lines)
 
 
 def _of_frame(row: Mapping[str, Any]) -> float:
-    return row["wall_seconds"] / row["frames"]
+    seconds: float = row["wall_seconds"] / row["frames"]
+    return seconds
 
 
 def _setting(row: Mapping[str, Any]) -> str:
-    substeps = f"{row['substeps']} substep{'s' * (row['substeps'] > 1)}"
     sweeps = f", {row['iterations']} iterations" if row["iterations"] else ""
-    return f"`{row['method']}`, {substeps}{sweeps}"
+    return f"`{row['method']}`, {counted(row['substeps'], 'substep')}{sweeps}"
 
 
 def _sweeps(results: Mapping[str, Any]) -> str:
@@ -213,8 +210,8 @@ def _sweeps(results: Mapping[str, Any]) -> str:
                 else "fails"
                 for c in counts
             ]
-            lines.append([f"`{name}`, {substeps} substep{'s' * (substeps > 1)}", *cells])
-    return _table(["sweeps", *map(str, counts)], lines)
+            lines.append([f"`{name}`, {counted(substeps, 'substep')}", *cells])
+    return markdown_table(["sweeps", *map(str, counts)], lines)
 
 
 def _precisions(results: Mapping[str, Any]) -> str:
@@ -232,7 +229,7 @@ def _precisions(results: Mapping[str, Any]) -> str:
             cost = _of_frame(of[counts[-1]]) if counts[-1] in of else math.nan
             base = base or cost
             lines.append([f"`{name}`", called(*kind), *cells, _times(cost / base)])
-    return _table(["method", "numbers", *map(str, counts), "cost"], lines)
+    return markdown_table(["method", "numbers", *map(str, counts), "cost"], lines)
 
 
 def series_of(row: Mapping[str, Any]) -> tuple[str, bool]:
@@ -247,8 +244,3 @@ def called(precision: str, fast_math: bool) -> str:
 def _error(row: Mapping[str, Any], floor: float) -> str:
     error = row["error_trajectory_relative"]
     return f"≤ {floor:.0e}" if error < floor else f"{error:.1e}"
-
-
-def _table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    rows = [header, ["---"] * len(header), *lines]
-    return "".join(f"| {' | '.join(row)} |\n" for row in rows)

@@ -1,6 +1,6 @@
 """How often a choice that `tune` makes holds, on many variants of scenes:
 
-    python -m taichi_cloth.trade.confirmation [VARIANTS]
+    python -m taichi_cloth.benchmarks.confirmation [VARIANTS]
 
 Each variant has other stiffness, masses, drag, gravity and speeds at the start. For each, and for
 some errors to meet and times to fit, it chooses as `tune` does, and looks whether the choice holds
@@ -13,6 +13,7 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -20,14 +21,14 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import TuneOptions
-from taichi_cloth.trade import command, rows, runner, settings
+from taichi_cloth.trade import command, ode, rows, runner, settings
 from taichi_cloth.trade.settings import Setting
 from taichi_cloth.trade.tune import Figures, Target, choose, kicked
 
 FRAMES = 24
 VARIANTS = 40
 # What is varied: one scene for each way of compiling. Variants of one share its kernels.
-BASES = (
+BASES: tuple[tuple[str, dict[str, Any]], ...] = (
     ("cloth", {"columns": 8, "rows": 6}),
     ("cloth", {"columns": 10, "rows": 8, "shear": 0.2, "bend": 0.1}),
     ("cloth", {"columns": 9, "rows": 9, "shear": 0.2, "damping": 0.05}),
@@ -69,7 +70,7 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def varied(name: str, parameters: dict, count: int, seed: int) -> Iterator[Scene]:
+def varied(name: str, parameters: dict[str, Any], count: int, seed: int) -> Iterator[Scene]:
     """Variants of a built-in scene: numbers differ, features do not."""
     rng = np.random.default_rng(seed)
     base = runner.without_mouse(library.build(name, **parameters))
@@ -97,34 +98,35 @@ def measured(variants: Sequence[Scene]) -> Iterator[tuple[list[rows.Row], dict[S
     """For each variant its rows, and, by setting, those of the same from another start."""
     options = TuneOptions(precisions="f32,f64", quick=True)
     chosen = settings.choose(variants[0], options)
-    plan = replace(
-        runner.plan(variants[0], options), budget=0.03, patience=3.0, solver_errors=False
+    how = replace(
+        runner.conditions(variants[0], options), budget=0.03, patience=3.0, solver_errors=False
     )
     # How fast is usual is known after a run; before, by the start and gravity alone.
     others = [kicked(scene, _usual(scene), seed=1) for scene in variants]
-    run = runner.Sweep([*variants, *others], chosen, FRAMES, plan)
+    study = runner.Study([*variants, *others], chosen, FRAMES, how)
     try:
-        with command.progress() as run.tell:
-            results = run.run()
+        with command.progress() as study.tell:
+            results = study.run()
         made = [rows.rows_of(result, {}, []) for result in results]
     finally:
-        run.close()
+        study.close()
     for mine, again in zip(made[: len(variants)], made[len(variants) :], strict=True):
         yield mine, {row.setting: row for row in again}
 
 
 def _usual(scene: Scene) -> np.ndarray:
     """Velocities of a run of the scene, by its smooth solution."""
-    from taichi_cloth.trade import ode
-
     times = np.arange(FRAMES + 1) * scene.world.dt
     v = ode.solve(scene, times).v
-    return v[np.isfinite(v).all(axis=(1, 2))]
+    solved: np.ndarray = v[np.isfinite(v).all(axis=(1, 2))]
+    return solved
 
 
-def _judge(made: list[rows.Row], again: dict[Setting, rows.Row], errors: Count, times: Count):
+def _judge(
+    made: list[rows.Row], again: dict[Setting, rows.Row], errors: Count, times: Count
+) -> None:
     """Choose for each target; count what holds."""
-    fastest = min(row.wall_upper / row.frames for row in made if row.wall_upper)
+    fastest = min(seconds for row in made if (seconds := row.a_frame(row.wall_upper)))
     targets = [(Target(error=error), errors) for error in ERRORS]
     targets += [(Target(frame_seconds=factor * fastest), times) for factor in TIMES]
     for target, count in targets:
