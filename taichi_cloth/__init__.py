@@ -6,6 +6,7 @@ Public names are imported when they are first used: importing this package start
 from __future__ import annotations
 
 import importlib
+from typing import Any
 
 __version__ = "0.1.0"
 
@@ -18,7 +19,7 @@ _HOMES = {  # public name: (module, name in it; None: the module itself)
     "ParticleDefaults": ("scene.model", "ParticleDefaults"),
     "Springs": ("scene.model", "Springs"),
     "SpringDefaults": ("scene.model", "SpringDefaults"),
-    "validate": ("scene.model", "validate"),
+    "validate": ("scene.checks", "validate"),
     "grid": ("scene.cloth", "grid"),
     "load_scene": ("scene.scenefile", "load"),
     "save_scene": ("scene.scenefile", "save"),
@@ -32,7 +33,7 @@ _HOMES = {  # public name: (module, name in it; None: the module itself)
 __all__ = ["__version__", *_HOMES]  # noqa: PLE0604
 
 
-def __getattr__(name: str):
+def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'taichi_cloth' has no attribute {name!r}")
     module_name, attribute = _HOMES[name]

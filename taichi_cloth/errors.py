@@ -40,7 +40,7 @@ class SimulationFailure(RunFailure):
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """'; did you mean X?' for the known word most like `word`, else a list of the known ones."""
+    """'did you mean X?' for the known word most like `word`, else a list of the known ones."""
     known = sorted(known)
     close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
     if close:

@@ -10,7 +10,9 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.settings.options import ARCHS, PRECISIONS
@@ -148,10 +150,11 @@ def start(
             "give one of them"
         )
     if arch == "gpu":
-        usable = usable_backends()
-        arch = next((name for name in GPU_ORDER if usable[name] is None), None)
-        if arch is None:
+        lacks = usable_backends()
+        best = next((name for name in GPU_ORDER if lacks[name] is None), None)
+        if best is None:
             raise InputError("--arch gpu: no GPU backend is usable here; usable: cpu")
+        arch = best
     if arch == "metal" and precision == "f64":
         raise InputError("--precision f64: Metal has no f64; use --precision f32 or --arch cpu")
     if not _initialize(arch, precision, threads, fast_math, cache):
@@ -169,7 +172,7 @@ def _real(precision: str) -> str:
     return "f64" if precision == "f64" else "f32"
 
 
-def _import_taichi():
+def _import_taichi() -> Any:
     # Taichi prints a banner and asks for its newest version at import: neither is the user's.
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
     os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
@@ -206,7 +209,7 @@ def _initialize(
 
 
 @contextlib.contextmanager
-def whole_vectors():
+def whole_vectors() -> Iterator[None]:
     """While it lasts, kernels are compiled with each vector or matrix as one vector of LLVM's.
 
     Taichi takes them apart into numbers otherwise, and LLVM (15), told nothing of the processor's
@@ -224,7 +227,7 @@ def whole_vectors():
 
 
 @contextlib.contextmanager
-def sums_in_order():
+def sums_in_order() -> Iterator[None]:
     """While it lasts, kernels are compiled without `fast_math`.
 
     It lets the compiler add in another order, and another one for each number of threads: sums over
@@ -266,7 +269,7 @@ def _pin(workers: list[int], threads: int) -> None:
 
 
 @contextlib.contextmanager
-def _silence():
+def _silence() -> Iterator[None]:
     """Neither what Taichi announces nor what its C++ parts complain of: callers check and say."""
     sys.stderr.flush()
     kept = os.dup(2)

@@ -342,7 +342,7 @@ LIMIT = [
     Case(
         "no_limit",
         linear_oscillator,
-        lambda module, made: Steps(0.1, 100, 100) if module.CLAIMS.stability_limit == 0 else None,
+        lambda module, made: Steps(0.1, 100, 100) if module.claims.stability_limit == 0 else None,
         (Ask("energy grows by (1 + dt^2 omega^2) a step, no more and no less", _growth),),
     ),
 ]
@@ -1036,7 +1036,7 @@ DRIVEN = [
     Case(
         "dt_changes_every_step",
         varied,
-        lambda module, made: Steps(0.5, 1, 300 if module.CLAIMS.stability_limit > 0 else 50),
+        lambda module, made: Steps(0.5, 1, 300 if module.claims.stability_limit > 0 else 50),
         (
             Ask(
                 "it follows the discrete map with the same steps; implicit: energy falls", _followed

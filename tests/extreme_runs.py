@@ -13,7 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from taichi_cloth.limits import modes
+from taichi_cloth.limits.bounds import gershgorin, step_within
+from taichi_cloth.limits.eigenmodes import stable_step
+from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation.simulation import Simulation
 
@@ -50,11 +52,11 @@ def resolved(seconds=1.0, frame=FRAME, frames=60, part=0.1):
     """
 
     def choose(module, scene):
-        limit = module.CLAIMS.stability_limit
+        limit = module.claims.stability_limit
         if math.isinf(limit):
             return Steps(frame, 1, frames)
-        bounds = modes.gershgorin(modes.Network.of_scene(scene))
-        h = part * modes.step_within(module, bounds)
+        bounds = gershgorin(Network.from_scene(scene))
+        h = part * step_within(module, bounds)
         if limit == 0:
             h = min(_inverse(seconds * bounds.omega2 / math.log(2)), _inverse(bounds.damping))
         substeps = max(1, math.ceil(frame / h * (1 - 1e-9)))
@@ -77,9 +79,9 @@ def of_limit(part, count):
     """`count` steps of `part` of the limit, for methods that have one."""
 
     def choose(module, scene):
-        if not 0 < module.CLAIMS.stability_limit < math.inf:
+        if not 0 < module.claims.stability_limit < math.inf:
             return None
-        h = part * modes.stable_step(module, modes.Network.of_scene(scene)).dt
+        h = part * stable_step(module, Network.from_scene(scene)).dt
         return Steps(10 * h, 10, count // 10)
 
     return choose
@@ -87,7 +89,7 @@ def of_limit(part, count):
 
 def of_implicit(frame, frames):
     """One step a frame, for implicit methods."""
-    return lambda module, scene: Steps(frame, 1, frames) if module.CLAIMS.implicit else None
+    return lambda module, scene: Steps(frame, 1, frames) if module.claims.implicit else None
 
 
 def many(count, product):
@@ -95,8 +97,8 @@ def many(count, product):
     with which energy cannot double."""
 
     def choose(module, scene):
-        omega = math.sqrt(modes.gershgorin(modes.Network.of_scene(scene)).omega2)
-        limit = module.CLAIMS.stability_limit
+        omega = math.sqrt(gershgorin(Network.from_scene(scene)).omega2)
+        limit = module.claims.stability_limit
         h = (product if limit > 0 else math.sqrt(math.log(2) / count)) / omega
         return Steps(1000 * h, 1000, count // 1000)
 
@@ -112,10 +114,10 @@ def energy_gain(module, h, omega, steps):
     For a linear system: of a mode, the largest norm of a power of its step as a matrix on
     (omega*x, v), squared. Methods without a limit are taken by their word not to raise it.
     """
-    if math.isinf(module.CLAIMS.stability_limit) or omega == 0:
+    if math.isinf(module.claims.stability_limit) or omega == 0:
         return 1.0
     rates = omega * np.linspace(0.02, 1, 50)
-    if hasattr(module, "stability_function"):
+    if module.stability_function:
         growth = np.abs(module.stability_function(1j * h * rates))
         return float(np.maximum(growth, 1.0).max() ** (2 * steps))
     gains = []
@@ -136,7 +138,7 @@ def _scaled_map(module, h, w):
 
 def mode_after(module, h, w, start):
     """(w*x, v) of a mode after a step h, of methods with a limit."""
-    if hasattr(module, "stability_function"):
+    if module.stability_function:
         z = (start[0] + 1j * start[1]) * module.stability_function(-1j * h * w)
         return np.array([z.real, z.imag])
     return _scaled_map(module, h, w) @ start
@@ -167,7 +169,7 @@ class Run:
 
     @property
     def claims(self):
-        return self.module.CLAIMS
+        return self.module.claims
 
     @cached_property
     def epsilon(self):
@@ -210,7 +212,7 @@ class Run:
 
     @cached_property
     def omega(self):
-        return math.sqrt(modes.gershgorin(modes.Network.of_scene(self.scene)).omega2)
+        return math.sqrt(gershgorin(Network.from_scene(self.scene)).omega2)
 
     @cached_property
     def free(self):
@@ -225,7 +227,7 @@ class Run:
         x, v = (self.x, self.v) if x is None else (x, v)
         p, s = self.scene.particles, self.scene.springs
         a, b = s.between[self.sim.springs_alive()].T
-        holds = s.of(self.sim.springs_alive())
+        holds = s.select(self.sim.springs_alive())
         stretch = np.linalg.norm(x[b] - x[a], axis=1) - holds.rest_length
         fallen = (x - self.x0) @ np.asarray(self.scene.world.gravity)
         free, m = self.free, p.mass

@@ -82,7 +82,7 @@ def test_its_table_has_a_row_for_every_method_and_says_what_was_measured():
     by_method = {row[0].strip("`"): row for row in rows[2:]}
     assert set(by_method) == set(methods.METHODS) and len(rows) == len(methods.METHODS) + 2
     for name, row in by_method.items():
-        claims = methods.load(name).CLAIMS
+        claims = methods.load(name).claims
         chain, cloth = map(float, row[1].split(", "))
         assert abs(chain - claims.order) <= 0.05 and abs(cloth - claims.order) <= 0.1
         assert row[-1] == claims.choose and claims.choose.endswith(".")

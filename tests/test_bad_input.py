@@ -9,8 +9,9 @@ import pytest
 from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene import library, scenefile
+from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import grid
-from taichi_cloth.scene.model import Particles, Scene, SpringDefaults, Springs, World, validate
+from taichi_cloth.scene.model import Particles, Scene, SpringDefaults, Springs, World
 
 COMMAND_LINES = [
     # (arguments, what the line must say)

@@ -10,11 +10,19 @@ import time
 import numpy as np
 import pytest
 
-from taichi_cloth.cli import doctor
+from taichi_cloth.cli import doctor, scene_command
 from taichi_cloth.cli.main import main
+from taichi_cloth.errors import InputError
 from taichi_cloth.files import trajectory as trajectories
-from taichi_cloth.scene import library
-from taichi_cloth.settings.options import PATHS, TOPOLOGIES, RunOptions, parameters_of
+from taichi_cloth.scene import library, model
+from taichi_cloth.scene.source import SceneSource
+from taichi_cloth.settings.options import (
+    PATHS,
+    TOPOLOGIES,
+    RunOptions,
+    TradeOptions,
+    parameters_of,
+)
 from taichi_cloth.simulation.simulation import Simulation
 
 COMMAND = [sys.executable, "-m", "taichi_cloth"]
@@ -89,6 +97,44 @@ def test_help_shows_every_flag_of_a_scene(name, capsys):
 def test_help_and_version(capsys):
     assert main(["--help"]) == 0 and "taichi-cloth run --help" in capsys.readouterr().out
     assert main(["--version"]) == 0 and capsys.readouterr().out.startswith("taichi-cloth ")
+
+
+@pytest.mark.parametrize(
+    ("words", "source", "given"),
+    [
+        ("oscillator --amplitude -5", SceneSource("oscillator", {"amplitude": -5.0}), {}),
+        ("--amplitude=-1e1 oscillator", SceneSource("oscillator", {"amplitude": -10.0}), {}),
+        ("--frames 3 box --quiet", SceneSource("box"), {"frames": 3, "quiet": True}),
+        ("box --seed 4", SceneSource("box", {"seed": 4}), {"seed": 4}),
+        ("--no-fast-math --save -x", SceneSource(), {"fast_math": False, "save": "-x"}),
+        ("--frames 3 --frames 5", SceneSource(), {"frames": 5}),
+        ("a.toml --dt auto --size 80x60", SceneSource("a.toml"), {"dt": "auto", "size": (80, 60)}),
+    ],
+)
+def test_words_say_a_scene_and_what_is_given(words, source, given):
+    asked = scene_command.read("run", RunOptions, words.split(), "")
+    assert asked == (source, RunOptions.from_given(given))
+
+
+@pytest.mark.parametrize("word", ["--frame", "--head", "--", "-5", "-hx"])
+def test_flags_are_written_out(word):
+    with pytest.raises(InputError, match=f"unknown flag '{word}'"):
+        scene_command.read("run", RunOptions, [word, "3"], "")
+
+
+def test_a_scene_source_and_options_are_written_as_they_are_read():
+    words = ["chain", "--particles", "5", "--methods", "rk4", "--dt", "0.5", "--quick"]
+    source, options = scene_command.read("trade", TradeOptions, words, "")
+    assert [*source.words(), *options.words()] == words
+
+
+def test_a_scene_is_checked_once_on_its_way_to_the_device(monkeypatch):
+    checked = []
+    monkeypatch.setattr(model, "_check_world", lambda world, _: checked.append(world))
+    scene = SceneSource("oscillator").build()
+    assert model.validate(scene) is scene and len(checked) == 1
+    ours = library.build("oscillator")  # whose arrays may be written to before it is run
+    assert model.validate(ours) is ours and len(checked) == 3
 
 
 def test_list_names_every_scene_method_and_backend():

@@ -15,7 +15,7 @@ from taichi_cloth.scene.library import build
 from taichi_cloth.simulation.simulation import Simulation
 
 FRAMES, COARSE, FINE = 48, 8, 8 * 32
-EXPLICIT = [name for name in methods.METHODS if not methods.load(name).CLAIMS.settings]
+EXPLICIT = [name for name in methods.METHODS if not methods.load(name).claims.settings]
 WAYS = [(t, e) for t in ("lanes", "graph") for e in ("serial", "parallel")]
 CASES = [
     *(("oscillator", method, "graph", "serial") for method in EXPLICIT),
@@ -115,7 +115,7 @@ def fall(folder, precision, arch, substeps, frames=1, method="symplectic_euler")
     with np.load(folder / "falling.npz") as file:
         fallen = file["position"][-1, 0, 1] - 1.45
     h, n = 0.016 / substeps, frames * substeps
-    claims = methods.load(method).CLAIMS
+    claims = methods.load(method).claims
     backward = claims.implicit or claims.symplectic  # velocities at the ends of first-order steps
     steps = n * n if claims.order > 1 else n * (n + 1) if backward else n * (n - 1)
     return fallen / (9.81 * h * h * steps / 2)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene import library, scenefile
+from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import grid
 from taichi_cloth.scene.model import (
     MOUSE_MODES,
@@ -19,7 +20,6 @@ from taichi_cloth.scene.model import (
     SpringDefaults,
     Springs,
     World,
-    validate,
 )
 
 EXAMPLE = """

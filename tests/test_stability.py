@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,11 @@ from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits import auto_step, modes
+from taichi_cloth.limits.bounds import any_geometry, gershgorin, gershgorin_here, step_within
+from taichi_cloth.limits.eigenmodes import stable_step
+from taichi_cloth.limits.matrices import stiffness_and_damping
+from taichi_cloth.limits.network import Network
+from taichi_cloth.limits.rounding import f32_stall
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import (
     ParticleDefaults,
@@ -24,11 +30,11 @@ from taichi_cloth.scene.model import (
 )
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
-from taichi_cloth.stability import experiment, report
+from taichi_cloth.stability import command as stability
 
 pytestmark = pytest.mark.usefixtures("device", "few_lanes")
 
-LIMITED = [m for m in methods.METHODS if methods.load(m).CLAIMS.stability_limit < math.inf]
+LIMITED = [m for m in methods.METHODS if methods.load(m).claims.stability_limit < math.inf]
 GRAPH = {"topology": "graph", "execution": "serial"}
 
 
@@ -90,23 +96,23 @@ def real_growth(sim, scene, force, h, steps=40):
 @pytest.mark.parametrize("method", LIMITED)
 def test_the_limit_is_where_the_real_map_of_a_step_begins_to_grow(method):
     """No formula: the method's kernels, disturbed in every direction, with drag and dashpots."""
-    scene = experiment.at_rest(tangle())
-    limit = modes.stable_step(methods.load(method), modes.Network.of_scene(scene))
+    scene = stability.at_rest(tangle())
+    limit = stable_step(methods.load(method), Network.from_scene(scene))
     sim = Simulation(scene, method, **GRAPH)
     still = np.zeros_like(scene.particles.position)
     force = -diagnostics.spring_forces(scene.particles.position, still, scene.springs)
     assert real_growth(sim, scene, force, 0.995 * limit.dt) < 1 - 1e-7
     assert real_growth(sim, scene, force, 1.005 * limit.dt) > 1 + 1e-7
     # What it says to a pair of rates, and so to Gershgorin's bounds, is safe.
-    bounds = modes.gershgorin(modes.Network.of_scene(scene))
+    bounds = gershgorin(Network.from_scene(scene))
     if method != "explicit_euler":  # whose worst mode is one without damping, if there is one
-        assert 0.3 * limit.dt < modes.step_within(methods.load(method), bounds) < limit.dt
+        assert 0.3 * limit.dt < step_within(methods.load(method), bounds) < limit.dt
 
 
 @pytest.mark.parametrize("method", LIMITED)
 def test_one_mode_agrees_with_the_claims_and_with_the_formulas(method):
     module = methods.load(method)
-    claimed = module.CLAIMS.stability_limit
+    claimed = module.claims.stability_limit
     assert modes.largest_step(module, 9.0) == pytest.approx(claimed / 3.0)
     if claimed:
         assert modes.growth(module, (1 - 1e-6) * claimed, 1.0, 0.0) <= 1 + 1e-12
@@ -124,37 +130,37 @@ def test_one_mode_agrees_with_the_claims_and_with_the_formulas(method):
 
 
 def test_limits_of_oscillator_and_chain_are_their_closed_forms():
-    oscillator = modes.Network.of_scene(build("oscillator", stiffness=3.0, mass=2.0))
+    oscillator = Network.from_scene(build("oscillator", stiffness=3.0, mass=2.0))
     euler = methods.load("symplectic_euler")
-    limit = modes.stable_step(euler, oscillator)
+    limit = stable_step(euler, oscillator)
     assert limit.dt == pytest.approx(2 / math.sqrt(1.5), rel=1e-9)
     assert (limit.spring, limit.particle, limit.share) == (0, 1, pytest.approx(1.0))
     for n in (1, 5, 40, 300):
         omega = 2 * math.sqrt(0.7 / 0.3) * math.sin(math.pi * n / (2 * (n + 1)))
-        network = modes.Network.of_scene(build("chain", particles=n, stiffness=0.7, mass=0.3))
-        found = modes.stable_step(euler, network)
+        network = Network.from_scene(build("chain", particles=n, stiffness=0.7, mass=0.3))
+        found = stable_step(euler, network)
         assert found.dt == pytest.approx(2 / omega, rel=1e-5)
-        around = modes.step_within(euler, modes.any_geometry(network))
+        around = step_within(euler, any_geometry(network))
         assert around == pytest.approx(2 / omega, rel=1e-4)
 
 
 def test_bounds_hold_in_every_geometry_and_each_is_closer_than_the_last():
     scene, rng = stretched_cloth(), np.random.default_rng(2)
     euler = methods.load("symplectic_euler")
-    start = modes.Network.of_scene(scene)
-    rough, close = modes.gershgorin(start), modes.any_geometry(start)
+    start = Network.from_scene(scene)
+    rough, close = gershgorin(start), any_geometry(start)
     assert close.omega2 < 0.95 * rough.omega2 and close.damping < rough.damping
     crumpled = scene.particles.position * rng.uniform(0.05, 3.0, scene.particles.position.shape)
     for position in (scene.particles.position, crumpled, rng.normal(0, 50, crumpled.shape)):
-        network = modes.Network.of(scene.particles, scene.springs, position)
+        network = Network.from_scene(scene, position)
         for matrix, bound in zip(
-            modes.matrices(network), (close.omega2, close.damping), strict=True
+            stiffness_and_damping(network), (close.omega2, close.damping), strict=True
         ):
             assert np.linalg.eigvalsh(matrix.toarray())[-1] <= bound * (1 + 1e-9)
-        here = modes.gershgorin_here(network)
-        own = modes.stable_step(euler, network)
-        assert modes.step_within(euler, here) <= own.dt
-        assert modes.step_within(euler, close) <= own.dt * (1 + 1e-9)
+        here = gershgorin_here(network)
+        own = stable_step(euler, network)
+        assert step_within(euler, here) <= own.dt
+        assert step_within(euler, close) <= own.dt * (1 + 1e-9)
 
 
 def test_the_matrices_are_the_derivatives_of_the_force_and_the_force_that_of_the_energy():
@@ -175,7 +181,7 @@ def test_the_matrices_are_the_derivatives_of_the_force_and_the_force_that_of_the
         ).elastic
 
     direction = np.where(free[:, None], v, 0.0)
-    stiffness, damping = modes.matrices(modes.Network.of_scene(scene))  # masses are 1
+    stiffness, damping = stiffness_and_damping(Network.from_scene(scene))  # masses are 1
     slope = (forces(direction, 1e-4) - forces(direction, -1e-4)) / 2e-4
     np.testing.assert_allclose(slope, -stiffness @ direction[free].ravel(), rtol=0, atol=1e-6)
     work = (energy(direction, 1e-4) - energy(direction, -1e-4)) / 2e-4
@@ -191,30 +197,30 @@ def test_the_matrices_are_the_derivatives_of_the_force_and_the_force_that_of_the
 def test_the_spring_responsible_is_the_one_that_is_stiff():
     scene = stretched_cloth()
     scene.springs.stiffness[17] = 200.0
-    euler, network = methods.load("symplectic_euler"), modes.Network.of_scene(scene)
-    limit = modes.stable_step(euler, network)
+    euler, network = methods.load("symplectic_euler"), Network.from_scene(scene)
+    limit = stable_step(euler, network)
     assert limit.spring == 17 and limit.share > 0.9
     assert limit.ends == tuple(scene.springs.between[17])
     holds = np.arange(len(scene.springs)) != 17
-    rest = modes.Network.of(scene.particles, scene.springs, holds=holds)
-    without = modes.stable_step(euler, rest)
+    rest = Network.from_scene(scene, holds=holds)
+    without = stable_step(euler, rest)
     assert without.dt > 5 * limit.dt and without.spring != 17
     # A number counts all springs, those that are gone, too.
     holds[:10] = False
-    rest = modes.Network.of(scene.particles, scene.springs, holds=holds)
-    named = modes.stable_step(euler, rest)
+    rest = Network.from_scene(scene, holds=holds)
+    named = stable_step(euler, rest)
     assert named.spring >= 10 and named.ends == tuple(scene.springs.between[named.spring])
 
 
 def test_f32_stalls_where_the_lower_limit_says():
     x, v = np.array([[300.0, 5.0], [20.0, 900.0]]), np.array([[0.01, 0.0], [0.0, 3.0]])
     a = np.array([[0.0, 0.002], [0.01, 0.0]])
-    stall = modes.f32_stall(x, v, a, np.array([False, False]), 1.0)
+    stall = f32_stall(x, v, a, np.array([False, False]), 1.0)
     assert (stall.what, stall.particle, stall.value) == ("x", 0, 300.0)
     for factor, moves in ((0.99, False), (1.01, True)):
         place, step = np.float32(stall.value), np.float32(factor * stall.dt * stall.rate)
         assert (place + step != place) == moves
-    fast = modes.f32_stall(0 * x, v * 1e6, a, np.array([False, True]), 1.0)
+    fast = f32_stall(0 * x, v * 1e6, a, np.array([False, True]), 1.0)
     assert (fast.what, fast.particle) == ("v", 0)
     place, step = np.float32(fast.value), fast.rate * fast.dt
     assert place + np.float32(0.99 * step) == place != place + np.float32(1.01 * step)
@@ -236,9 +242,11 @@ def brittle(method="symplectic_euler"):
 def fits(sim):
     """Whether the substeps are the fewest that keep to 0.9 of what holds in every geometry."""
     holds = sim.springs_alive()
-    network = modes.Network.of(sim._particles, sim._springs, holds=holds)
+    network = Network.from_scene(
+        replace(sim.scene, particles=sim._particles, springs=sim._springs), holds=holds
+    )
     method = methods.load(sim.method)
-    limit = 0.9 * modes.step_within(method, modes.any_geometry(network))
+    limit = 0.9 * step_within(method, any_geometry(network))
     few = sim.substeps == 1 or sim.dt / (sim.substeps - 1) > limit * 0.999
     return few and sim.dt / sim.substeps <= limit * 1.001
 
@@ -316,16 +324,16 @@ def test_verlet_keeps_its_acceleration_when_the_step_changes():
 
 def test_a_step_above_the_limit_is_warned_of_with_a_remedy_that_helps():
     sim = Simulation(build("cloth", columns=5, rows=4), dt=3.0, **GRAPH)
-    said = auto_step.above_limit(sim)
-    limit = modes.stable_step(methods.load(sim.method), sim.network())
+    said = auto_step.above_limit(sim.method, sim.scene, sim.dt, sim.substeps)
+    limit = stable_step(methods.load(sim.method), sim.network())
     assert f"a step of 3 is above {limit.dt:.4g}, the stable limit of symplectic_euler" in said
     assert limit.describe() in said and "--dt auto" in said
     sim.set_step(substeps=int(re.search(r"--substeps (\d+)", said)[1]))
-    assert auto_step.above_limit(sim) is None
+    assert auto_step.above_limit(sim.method, sim.scene, sim.dt, sim.substeps) is None
     sim.set_step(0.999 * limit.dt, 1)
-    assert auto_step.above_limit(sim) is None
+    assert auto_step.above_limit(sim.method, sim.scene, sim.dt, sim.substeps) is None
     sim.set_step(1.001 * limit.dt, 1)
-    assert auto_step.above_limit(sim) is not None
+    assert auto_step.above_limit(sim.method, sim.scene, sim.dt, sim.substeps) is not None
 
 
 def test_run_warns_on_standard_error_and_auto_does_not():
@@ -386,7 +394,7 @@ def test_the_command_finds_the_chain_s_limit_and_writes_its_files(tmp_path):
         cwd=tmp_path,
     )  # fmt: skip
     folder = tmp_path / "stability-chain"
-    assert sorted(p.name for p in folder.iterdir()) == sorted(report.FILES)
+    assert sorted(p.name for p in folder.iterdir()) == sorted(stability.FILES)
     with open(folder / "stability.csv") as file:
         (row,) = csv.DictReader(file)
     exact = 1 / (math.sqrt(0.7) * math.sin(math.pi * 5 / 12))

@@ -22,7 +22,7 @@ from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.simulation import adjacency, layouts
 from taichi_cloth.simulation.simulation import Simulation
 
-SWEEPING = [m for m in methods.METHODS if "iterations" in methods.load(m).CLAIMS.settings]
+SWEEPING = [m for m in methods.METHODS if "iterations" in methods.load(m).claims.settings]
 sweeping = pytest.mark.parametrize("method", SWEEPING)
 
 

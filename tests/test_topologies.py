@@ -12,15 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.loops import add_up, each_cell_moving
+from taichi_cloth.kernels.loops import add_up, each_pack_moving
 from taichi_cloth.kernels.packs import (
     dot,
     link_offset,
     pitch_of,
     read,
     scaled,
-    set_site_value,
-    site_value,
+    set_slot_value,
+    slot_value,
     write,
 )
 from taichi_cloth.kernels.springs import (
@@ -78,37 +78,37 @@ def edits(draw, springs, count):
     more = [(a, b) for a, b in draw(st.lists(st.tuples(end, end), max_size=4)) if a != b]
     more = [pair for pair in {tuple(sorted(pair)) for pair in more} if pair not in pairs]
     extra = Springs.build(np.reshape(more, (-1, 2)).astype(int), np.zeros((count, 2)))
-    edited = springs.of(kept).joined(extra)
+    edited = springs.select(kept).joined(extra)
     order = np.random.default_rng(draw(st.integers(0, 9))).permutation(len(edited))
-    return edited.of(order)
+    return edited.select(order)
 
 
 def check(stored, count, springs):
     """A layout holds together: one site a particle; each link leads from end to end."""
-    assert len(np.unique(stored.site)) == len(stored.site) == count
+    assert len(np.unique(stored.slot)) == len(stored.slot) == count
     lanes, halo = stored.lanes, 0
     if lanes > 1:
         halo = max(abs(column) for column, _ in stored.links)
     depth = max(row for _, row in stored.links)
-    in_use = np.zeros(stored.n_cells, int)  # 1: cells of rows; 2: their halos and empty rows
-    home, linked = np.full(stored.n_cells, -1), np.full(stored.n_cells, -1)
+    in_use = np.zeros(stored.n_packs, int)  # 1: cells of rows; 2: their halos and empty rows
+    home, linked = np.full(stored.n_packs, -1), np.full(stored.n_packs, -1)
     for g, (first, rows, width, has_links) in enumerate(stored.grid):
         pitch, empty = width + 2 * halo, depth * has_links
         assert width >= halo and pitch <= stored.row
         begin, end = first - halo - empty * pitch, first - halo + (rows + empty) * pitch
-        assert begin >= 0 and end <= stored.n_cells and not in_use[begin:end].any()
+        assert begin >= 0 and end <= stored.n_packs and not in_use[begin:end].any()
         in_use[begin:end] = 2
         cells = (first + np.arange(rows)[:, None] * pitch + np.arange(width)).ravel()
         in_use[cells], home[cells] = 1, g
         if has_links:
             linked[cells] = g
-    cell, lane = np.divmod(stored.site, lanes)
+    cell, lane = np.divmod(stored.slot, lanes)
     assert (home[cell] >= 0).all()
     np.testing.assert_array_equal(stored.grid_of, linked)
 
     low, high = springs.between.min(axis=1), springs.between.max(axis=1)
     links = np.flatnonzero(stored.kind >= 0)
-    np.testing.assert_array_equal(stored.owner[links], stored.site[low[links]])
+    np.testing.assert_array_equal(stored.owner[links], stored.slot[low[links]])
     first, _, width, _ = stored.grid[home[cell[low[links]]]].T
     column, row = np.array(stored.links)[stored.kind[links]].T
     far = cell[low[links]] + column + row * (width + 2 * halo)
@@ -500,8 +500,8 @@ def keep_sum(plan: ti.template(), state: ti.template(), c, total):
 
 @ti.func
 def add_to_sum(plan: ti.template(), state: ti.template(), site, total):
-    before = site_value(plan, state.sum, site)
-    set_site_value(plan, state.sum, site, before + total)
+    before = slot_value(plan, state.sum, site)
+    set_slot_value(plan, state.sum, site, before + total)
 
 
 @ti.func
@@ -522,11 +522,11 @@ def sum_springs(
         u_i = ti.Vector.zero(state.real, plan.dim)
         for axis in ti.static(range(plan.dim)):
             u_i[axis] = u[i, axis]
-        set_site_value(plan, state.u, state.site[i], u_i)
-    each_cell_moving(plan, state, 0, leave)
+        set_slot_value(plan, state.u, state.slot[i], u_i)
+    each_pack_moving(plan, state, 0, leave)
     accumulate(plan, state, 0, between, keep_sum, add_to_sum)
     for i in range(u.shape[0]):
-        sum_i = site_value(plan, state.sum, state.site[i])
+        sum_i = slot_value(plan, state.sum, state.slot[i])
         for axis in ti.static(range(plan.dim)):
             out[i, axis] = sum_i[axis]
 
@@ -589,13 +589,13 @@ def elastic_energy(plan: ti.template(), state: ti.template()) -> ti.f64:
         for _ in range(1):
             total += state.sums[0, 0]
     if ti.static(plan.springs):
-        for p in range(state.n_near[None]):
-            i = state.near[p]
-            for h in range(state.near_row[p], state.near_row[p + 1]):
-                k, rest = number(plan, state.k, h), number(plan, state.rest, h)
-                j = state.far[h]
+        for p in range(state.n_csr_rows[None]):
+            i = state.csr_slot[p]
+            for h in range(state.csr_start[p], state.csr_start[p + 1]):
+                k, rest = number(plan, state.csr_k, h), number(plan, state.csr_rest, h)
+                j = state.csr_other[h]
                 if j != i:  # else it is gone
-                    total += 0.5 * energy_between(plan, state, site_value, i, j, k, rest, 0.0)
+                    total += 0.5 * energy_between(plan, state, slot_value, i, j, k, rest, 0.0)
     return total
 
 

@@ -94,7 +94,7 @@ def test_errors_are_those_of_the_exact_discrete_map(oscillator):
         assert row["max_strain"] == pytest.approx(stretch, rel=1e-9)
         assert row["force_evaluations"] == frames * row["substeps"]
         if row["substeps"] > 1:
-            order = methods.load(row["method"]).CLAIMS.order
+            order = methods.load(row["method"]).claims.order
             assert row["order"] == pytest.approx(order, abs=0.05)
         seen += 1
     assert seen == 6
@@ -441,7 +441,7 @@ def test_default_settings_follow_from_the_claims():
     chosen = settings.choose(scene, TradeOptions())
     assert {s.method for s in chosen} == set(methods.METHODS)
     for method in methods.METHODS:
-        claims = methods.load(method).CLAIMS
+        claims = methods.load(method).claims
         counts = sorted({s.substeps for s in chosen if s.method == method})
         assert len(counts) == settings.DOUBLINGS
         assert all(b == 2 * a for a, b in itertools.pairwise(counts))

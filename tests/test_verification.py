@@ -75,7 +75,7 @@ DISCRETE |= {
 
 def precisely(method):
     """Settings with which a method that solves for its step leaves nothing but rounding."""
-    settings = methods.load(method).CLAIMS.settings
+    settings = methods.load(method).claims.settings
     return {name: {"tolerance": 1e-15, "iterations": 30}[name] for name in settings}
 
 
@@ -93,7 +93,7 @@ def test_order_on_a_linear_chain_is_the_claimed_one(method):
     """Error against the closed form of a normal mode, of position and velocity together."""
     scene = library.build("chain", particles=8, mode=2)
     omega = 2 * math.sqrt(0.1) * math.sin(math.pi * 2 / 18)
-    order = methods.load(method).CLAIMS.order
+    order = methods.load(method).claims.order
     sim = Simulation(scene, method, dt=5.0 / omega, **SERIALLY, **precisely(method))
     x, v = (of[0] for of in library.solution("chain")(scene, np.array([5.0 / omega])))
 
@@ -120,7 +120,7 @@ def cloth():
 @pytest.mark.parametrize("method", methods.METHODS)
 def test_order_on_a_nonlinear_cloth_is_the_claimed_one(method, cloth):
     scene, exact = cloth
-    order = methods.load(method).CLAIMS.order
+    order = methods.load(method).claims.order
     sim = Simulation(scene, method, 8.0, **SERIALLY, **precisely(method))
 
     def error(steps):

@@ -9,10 +9,14 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from taichi_cloth import __version__, runtime
 from taichi_cloth.measuring import machine, vulkan
 from taichi_cloth.settings.options import PATHS, TOPOLOGIES
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 MEASUREMENTS = 8  # shown of those kept
 
@@ -47,7 +51,7 @@ def main() -> int:
     return 0
 
 
-def _print_choices(console) -> None:
+def _print_choices(console: Console) -> None:
     """How scenes are run here: what a step took in each way, the newest measurements first."""
     from rich import box
     from rich.table import Table

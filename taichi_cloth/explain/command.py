@@ -15,8 +15,8 @@ from taichi_cloth import __version__, console
 from taichi_cloth.console import Tell, counted, duration, markdown_table
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.files.pending import PendingFile
-from taichi_cloth.settings.arguments import DEFAULT_SCENE, Request
-from taichi_cloth.settings.options import ExplainOptions
+from taichi_cloth.scene.source import SceneSource
+from taichi_cloth.settings.options import ExplainOptions, check_run, flag
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -41,11 +41,11 @@ MARKED = "explain"  # what marks a document's places
 SMALL_FIELD = 1024  # bytes below which fields are shown together
 
 
-def main(request: Request) -> int:
+def main(source: SceneSource, options: ExplainOptions) -> int:
     """Explain a scene, or all of them; returns the exit status."""
-    options = _consistent(request)
+    options = _consistent(source, options)
     document = _document(options)
-    scenes = _built_in() if options.all else {" ".join(request.words()): request.build()}
+    scenes = _built_in() if options.all else {" ".join(source.words()): source.build()}
 
     import numpy
 
@@ -92,25 +92,13 @@ def main(request: Request) -> int:
     return 0
 
 
-def _consistent(request: Request) -> ExplainOptions:
+def _consistent(source: SceneSource, options: ExplainOptions) -> ExplainOptions:
     """The options with what follows from them filled in; refuses what makes no sense."""
-    from taichi_cloth.kernels.methods import METHODS
-
-    options: ExplainOptions = request.options
-    if options.method not in METHODS:
-        raise InputError(
-            f"--method: unknown method '{options.method}'; {nearest(options.method, METHODS)}"
-        )
-    if options.all and (request.scene != DEFAULT_SCENE or request.scene_parameters):
-        raise InputError(f"--all: explains all built-in scenes, not '{request.scene}' alone")
+    options = check_run(options)
+    if options.all and source != SceneSource():
+        raise InputError(f"--all: explains all built-in scenes, not '{source.name}' alone")
     if options.tables and not options.all:
         raise InputError("--tables: give --all, too, whose tables a document gets")
-    if options.threads is not None:
-        if options.arch != "cpu":
-            raise InputError(f"--threads: only --arch cpu takes it, not {options.arch}")
-        if options.execution == "auto":
-            path = "serial" if options.threads == 1 else "parallel"
-            options = replace(options, execution=path)
     return options
 
 
@@ -127,7 +115,6 @@ def _document(options: ExplainOptions) -> PendingFile | None:
 def _built_in() -> dict[str, Scene]:
     """All built-in scenes, by the words that one would write after a command."""
     from taichi_cloth.scene import library
-    from taichi_cloth.settings.arguments import flag
 
     named = {}
     for name in library.names():

@@ -135,7 +135,7 @@ def _links(scene: Scene) -> Iterator[Variant]:
                 with_more = replace(scene, springs=scene.springs.joined(more))
                 yield Variant(f"{name} links", False, about, with_more)
         elif len(present) > 1:
-            without = replace(scene, springs=scene.springs.of(kind != name))
+            without = replace(scene, springs=scene.springs.select(kind != name))
             about = counted(int((kind == name).sum()), "spring")
             yield Variant(f"{name} links", True, about, without)
 
@@ -151,7 +151,7 @@ def _more_links(scene: Scene, name: str, like: np.ndarray) -> Springs:
             here = of.first + np.flatnonzero(there)
             far = of.first + (far_row * of.columns + far_column)[there]
             pairs.append(np.stack([here, far], axis=1))
-    between, springs = np.concatenate(pairs), scene.springs.of(like)
+    between, springs = np.concatenate(pairs), scene.springs.select(like)
     count = len(scene.particles)
     keys, taken = (np.sort(of, axis=1) @ (count, 1) for of in (between, scene.springs.between))
     between = between[~np.isin(keys, taken)]  # none twice between the same two

@@ -18,46 +18,46 @@ from taichi_cloth.kernels.packs import component, read, with_component, write
 
 
 @ti.func
-def moved(plan: ti.template(), state: ti.template(), c, x, change):
-    """Cell c's positions x, changed: x + change, with what state.x_low still owes them."""
-    if ti.static(plan.compensated):
-        return _added(plan, state, state.x_low, c, x, change)
+def add_to_position(spec: ti.template(), state: ti.template(), i, x, change):
+    """Pack i's positions x, changed: x + change, with what state.x_low still owes them."""
+    if ti.static(spec.compensated):
+        return _added(spec, state, state.x_low, i, x, change)
     else:
         return x + change
 
 
 @ti.func
-def sped_up(plan: ti.template(), state: ti.template(), c, v, change):
+def add_to_velocity(spec: ti.template(), state: ti.template(), i, v, change):
     """The same for its velocities v."""
-    if ti.static(plan.compensated):
-        return _added(plan, state, state.v_low, c, v, change)
+    if ti.static(spec.compensated):
+        return _added(spec, state, state.v_low, i, v, change)
     else:
         return v + change
 
 
 @ti.func
-def _added(plan: ti.template(), state: ti.template(), low: ti.template(), c, value, change):
+def _added(spec: ti.template(), state: ti.template(), low: ti.template(), i, value, change):
     one = state.one[None]
-    change_and_low = change + read(plan, low, c)
+    change_and_low = change + read(spec, low, i)
     total = one * (value + change_and_low)
     added = one * (total - value)
-    write(plan, low, c, (value - (total - added)) + (change_and_low - added))
+    write(spec, low, i, (value - (total - added)) + (change_and_low - added))
     return total
 
 
 @ti.func
-def apart(plan: ti.template(), state: ti.template(), value: ti.template(), i, j):
-    """Vector from i to j, of whole cells or of particles as `value` reads them."""
-    d = value(plan, state.x, j) - value(plan, state.x, i)
-    if ti.static(plan.compensated):
-        d += value(plan, state.x_low, j) - value(plan, state.x_low, i)
+def difference(spec: ti.template(), state: ti.template(), value: ti.template(), i, j):
+    """Vector from i to j, of whole packs or of particles as `value` reads them."""
+    d = value(spec, state.x, j) - value(spec, state.x, i)
+    if ti.static(spec.compensated):
+        d += value(spec, state.x_low, j) - value(spec, state.x_low, i)
     return d
 
 
 @ti.func
-def forget_low(plan: ti.template(), state: ti.template(), c, axis: ti.template(), where):
+def forget_low(spec: ti.template(), state: ti.template(), i, axis: ti.template(), where):
     """Where the numbers `where` are positive, positions were set on an axis, not changed."""
-    low = read(plan, state.x_low, c)
+    low = read(spec, state.x_low, i)
     part = component(low, axis)
     none = ti.select(where > 0.0, 0.0 * part, part)
-    write(plan, state.x_low, c, with_component(low, axis, none))
+    write(spec, state.x_low, i, with_component(low, axis, none))

@@ -16,9 +16,9 @@ from taichi_cloth.kernels.packs import (
     component,
     largest,
     read,
-    set_site_value,
-    site_number,
-    site_value,
+    set_slot_value,
+    slot_number,
+    slot_value,
     where_positive,
     with_component,
     zeros,
@@ -58,21 +58,21 @@ def cell_count(state: ti.template()):
 
 
 @ti.func
-def site_of(plan: ti.template(), state: ti.template(), i):
+def slot_of(spec: ti.template(), state: ti.template(), i):
     """Where particle i is stored."""
-    if ti.static(plan.kinds > 0):
-        return state.site[i]
+    if ti.static(spec.kinds > 0):
+        return state.slot[i]
     else:
         return i
 
 
 @ti.func
-def sort_into_cells(plan: ti.template(), state: ti.template()):
+def sort_into_cells(spec: ti.template(), state: ti.template()):
     """Counting sort of the particles by cell: cell_start, sorted_index, sorted_x, sorted_radius."""
     for c in range(cell_count(state)):
         state.cell_fill[c] = 0
     for i in range(state.n[None]):
-        x = site_value(plan, state.x, site_of(plan, state, i))
+        x = slot_value(spec, state.x, slot_of(spec, state, i))
         c = cell_index(state, cell_coordinates(state, x))
         state.cell_of[i] = c
         ti.atomic_add(state.cell_fill[c], 1)
@@ -112,9 +112,9 @@ def sort_into_cells(plan: ti.template(), state: ti.template()):
                 to -= 1
             state.sorted_index[to] = i
     for at in range(state.n[None]):
-        site = site_of(plan, state, state.sorted_index[at])
-        set_sorted_x(state, at, site_value(plan, state.x, site))
-        state.sorted_radius[at] = site_number(plan, state.radius, site)
+        slot = slot_of(spec, state, state.sorted_index[at])
+        set_sorted_x(state, at, slot_value(spec, state.x, slot))
+        state.sorted_radius[at] = slot_number(spec, state.radius, slot)
 
 
 @ti.func
@@ -130,7 +130,7 @@ def set_sorted_x(state: ti.template(), at, x):
 
 
 @ti.func
-def bounce_off_cell(plan: ti.template(), state: ti.template(), c, i, x, v, w, radius, e):
+def bounce_off_cell(spec: ti.template(), state: ti.template(), c, i, x, v, w, radius, e):
     """Sum of the velocity changes of particle i from colliding with the particles of one cell."""
     change = 0.0 * x
     for at in range(state.cell_start[c], state.cell_start[c + 1]):
@@ -139,43 +139,43 @@ def bounce_off_cell(plan: ti.template(), state: ti.template(), c, i, x, v, w, ra
         if d.dot(d) <= reach * reach:
             j = state.sorted_index[at]
             if j != i:
-                site = site_of(plan, state, j)
+                slot = slot_of(spec, state, j)
                 change += laws.pair_bounce(
                     d,
                     v,
-                    site_value(plan, state.v, site),
+                    slot_value(spec, state.v, slot),
                     w,
-                    site_number(plan, state.w, site),
+                    slot_number(spec, state.w, slot),
                     reach,
-                    e * site_number(plan, state.restitution, site),
+                    e * slot_number(spec, state.restitution, slot),
                 )
     return change
 
 
 @ti.func
-def compute_pair_bounces(plan: ti.template(), state: ti.template()):
+def compute_pair_bounces(spec: ti.template(), state: ti.template()):
     """jump: change of each particle's velocity from all its collisions, equal time for all."""
-    sort_into_cells(plan, state)
+    sort_into_cells(spec, state)
     for at in range(state.n[None]):  # cell by cell: one after the other looks at the same memory
         i = state.sorted_index[at]
-        site = site_of(plan, state, i)
-        x, v = sorted_x(state, at), site_value(plan, state.v, site)
-        w = site_number(plan, state.w, site)
+        slot = slot_of(spec, state, i)
+        x, v = sorted_x(state, at), slot_value(spec, state.v, slot)
+        w = slot_number(spec, state.w, slot)
         jump = 0.0 * x
         if w > 0.0:
             centre = cell_coordinates(state, x)
-            radius, e = state.sorted_radius[at], site_number(plan, state.restitution, site)
-            for offset in ti.grouped(ti.ndrange(*((-1, 2),) * plan.dim)):
+            radius, e = state.sorted_radius[at], slot_number(spec, state.restitution, slot)
+            for offset in ti.grouped(ti.ndrange(*((-1, 2),) * spec.dim)):
                 c = cell_index(state, centre + offset)
-                jump += bounce_off_cell(plan, state, c, i, x, v, w, radius, e)
-        set_site_value(plan, state.jump, site, jump)
+                jump += bounce_off_cell(spec, state, c, i, x, v, w, radius, e)
+        set_slot_value(spec, state.jump, slot, jump)
 
 
 @ti.func
-def compute_contacts(plan: ti.template(), state: ti.template()):
+def compute_contacts(spec: ti.template(), state: ti.template()):
     """Prepare the step's contacts; nothing for a scene without collisions."""
-    if ti.static(plan.collisions):
-        compute_pair_bounces(plan, state)
+    if ti.static(spec.collisions):
+        compute_pair_bounces(spec, state)
 
 
 @ti.func
@@ -189,49 +189,49 @@ def wall_gap(state: ti.template(), x, radius, axis: ti.template(), side: ti.temp
 
 
 @ti.func
-def past_wall(plan: ti.template(), state: ti.template(), x, radius):
+def past_wall(spec: ti.template(), state: ti.template(), x, radius):
     """Whether a particle of a cell is past any wall: most are not, and that is all they pay."""
     most = 0.0 * radius
-    for axis, side in ti.static(plan.walls):
+    for axis, side in ti.static(spec.walls):
         most = ti.max(most, -1.0 * wall_gap(state, x, radius, axis, side))
-    return largest(plan, most) > 0.0
+    return largest(spec, most) > 0.0
 
 
 @ti.func
-def velocity_jump(plan: ti.template(), state: ti.template(), c, x, v):
+def velocity_jump(spec: ti.template(), state: ti.template(), i, x, v):
     """Change of the velocities in cell c from walls and pairs.
 
     x, v: the cell's positions and velocities at the start of the step.
     """
-    jump = zeros(plan, state)
-    if ti.static(len(plan.walls) > 0):
-        radius = read(plan, state.radius, c)
-        if past_wall(plan, state, x, radius):
-            restitution = read(plan, state.restitution, c)
-            for axis, side in ti.static(plan.walls):
+    jump = zeros(spec, state)
+    if ti.static(len(spec.walls) > 0):
+        radius = read(spec, state.radius, i)
+        if past_wall(spec, state, x, radius):
+            restitution = read(spec, state.restitution, i)
+            for axis, side in ti.static(spec.walls):
                 gap, vn = wall_gap(state, x, radius, axis, side), float(side) * component(v, axis)
                 bounce = float(side) * laws.wall_bounce(gap, vn, restitution)
                 jump = with_component(jump, axis, component(jump, axis) + bounce)
-            jump = where_positive(read(plan, state.w, c), jump, zeros(plan, state))
-    if ti.static(plan.collisions):
-        jump += read(plan, state.jump, c)
+            jump = where_positive(read(spec, state.w, i), jump, zeros(spec, state))
+    if ti.static(spec.collisions):
+        jump += read(spec, state.jump, i)
     return jump
 
 
 @ti.func
-def kept_above_floor(plan: ti.template(), state: ti.template(), c, x, v, new_x, new_v):
+def kept_above_floor(spec: ti.template(), state: ti.template(), i, x, v, new_x, new_v):
     """Positions new_x after the move; on the floor where that was hit and new_v points down.
 
     x, v: those at the start of the step, which decide what was hit.
     """
     kept = new_x
-    if ti.static(plan.floor):
-        radius = read(plan, state.radius, c)
+    if ti.static(spec.floor):
+        radius = read(spec, state.radius, i)
         hit = ti.min(-1.0 * wall_gap(state, x, radius, 1, 1), component(v, 1))  # where positive
-        sinks = ti.min(ti.min(hit, component(new_v, 1)), read(plan, state.w, c))  # likewise
-        if largest(plan, sinks) > 0.0:
+        sinks = ti.min(ti.min(hit, component(new_v, 1)), read(spec, state.w, i))  # likewise
+        if largest(spec, sinks) > 0.0:
             y = ti.select(sinks > 0.0, state.high[1] - radius, component(new_x, 1))
             kept = with_component(new_x, 1, y)
-            if ti.static(plan.compensated):
-                forget_low(plan, state, c, 1, sinks)
+            if ti.static(spec.compensated):
+                forget_low(spec, state, i, 1, sinks)
     return kept

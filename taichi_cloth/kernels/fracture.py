@@ -6,52 +6,51 @@ no root is taken and both ends of a spring share one decision.
 
 import taichi as ti
 
-from taichi_cloth.kernels.loops import each, each_cell
+from taichi_cloth.kernels.graph import number
+from taichi_cloth.kernels.grids import link_index, link_offset, pitch_of
+from taichi_cloth.kernels.links import link_stiffness
+from taichi_cloth.kernels.loops import each, each_pack
 from taichi_cloth.kernels.packs import (
     component,
     dot,
     largest,
-    link_offset,
-    of_kind,
-    pitch_of,
     read,
-    set_site_number,
-    site_number,
-    site_value,
+    set_slot_number,
+    slot_number,
+    slot_value,
 )
-from taichi_cloth.kernels.springs import link_stiffness, number
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 
 
 @ti.func
-def break_springs(plan: ti.template(), state: ti.template(), t):
+def break_springs(spec: ti.template(), state: ti.template(), t):
     """End of a step: remove the springs that were breaking; mark those now over their limit."""
-    if ti.static(plan.kinds > 0):
-        each_cell(plan, state, t, _break_links)
-    if ti.static(plan.springs):
-        each(plan, state, t, state.n_springs[None], _break_spring)
+    if ti.static(spec.kinds > 0):
+        each_pack(spec, state, t, _break_links)
+    if ti.static(spec.springs):
+        each(spec, state, t, state.n_springs[None], _break_spring)
 
 
 # --- on a graph ------------------------------------------------------------------------------
 
 
 @ti.func
-def _break_spring(plan: ti.template(), state: ti.template(), s):
+def _break_spring(spec: ti.template(), state: ti.template(), s):
     if state.status[s] == BREAKING:
         state.status[s] = GONE
         for end in ti.static(range(2)):
             # A spring from a particle to itself pulls nowhere.
-            state.far[state.half[s, end]] = state.ends[s, end]
+            state.csr_other[state.half[s, end]] = state.ends[s, end]
     else:
-        _mark_spring(plan, state, s)
+        _mark_spring(spec, state, s)
 
 
 @ti.func
-def _mark_spring(plan: ti.template(), state: ti.template(), s):
+def _mark_spring(spec: ti.template(), state: ti.template(), s):
     if state.status[s] == ALIVE:
         near, far = state.ends[s, 0], state.ends[s, 1]
-        d = site_value(plan, state.x, far) - site_value(plan, state.x, near)
-        if d.dot(d) > number(plan, state.break_length2, s):
+        d = slot_value(spec, state.x, far) - slot_value(spec, state.x, near)
+        if d.dot(d) > number(spec, state.break_length2, s):
             state.status[s] = BREAKING
             state.break_step[s] = state.step[None]
 
@@ -60,57 +59,57 @@ def _mark_spring(plan: ti.template(), state: ti.template(), s):
 
 
 @ti.func
-def _break_links(plan: ti.template(), state: ti.template(), c):
-    """One test for a whole cell: in most none breaks, and that is all they pay."""
-    g = state.grid_of[c]
+def _break_links(spec: ti.template(), state: ti.template(), i):
+    """One test for a whole pack: in most none breaks, and that is all they pay."""
+    g = state.grid_of[i]
     if g >= 0:
-        x = read(plan, state.x, c)
+        x = read(spec, state.x, i)
         none = -1.0 + 0.0 * component(x, 0)
         most = none
-        for s in range(plan.kinds):
-            far = c + link_offset(state, s, pitch_of(plan, state, g))
-            d = read(plan, state.x, far) - x
+        for s in range(spec.kinds):
+            far = i + link_offset(state, s, pitch_of(spec, state, g))
+            d = read(spec, state.x, far) - x
             excess = dot(d, d) - state.link_limit2[s, g]
-            k = link_stiffness(plan, state, s, c)
+            k = link_stiffness(spec, state, s, i)
             most = ti.max(most, ti.select(k > 0.0, excess, none))
-        if largest(plan, most) > 0.0 or state.breaking[c] > 0:
-            for lane in range(plan.lanes):
-                for s in range(plan.kinds):
-                    link = of_kind(state, s, c) * plan.lanes + lane
-                    if site_number(plan, state.link_status, link) == BREAKING:
-                        set_site_number(plan, state.link_status, link, GONE)
-                        set_site_number(plan, state.link_k, link, 0.0)
-                        state.breaking[c] -= 1
+        if largest(spec, most) > 0.0 or state.breaking[i] > 0:
+            for lane in range(spec.lanes):
+                for s in range(spec.kinds):
+                    link = link_index(state, s, i) * spec.lanes + lane
+                    if slot_number(spec, state.link_status, link) == BREAKING:
+                        set_slot_number(spec, state.link_status, link, GONE)
+                        set_slot_number(spec, state.link_k, link, 0.0)
+                        state.breaking[i] -= 1
                     else:
-                        _mark_link(plan, state, s, g, c, lane)
+                        _mark_link(spec, state, s, g, i, lane)
 
 
 @ti.func
-def _mark_link(plan: ti.template(), state: ti.template(), s, g, c, lane):
-    site, link = c * plan.lanes + lane, of_kind(state, s, c) * plan.lanes + lane
-    alive = site_number(plan, state.link_status, link) == ALIVE
-    if alive and site_number(plan, state.link_k, link) > 0.0:
-        far = site + link_offset(state, s, pitch_of(plan, state, g)) * plan.lanes
-        d = site_value(plan, state.x, far) - site_value(plan, state.x, site)
+def _mark_link(spec: ti.template(), state: ti.template(), s, g, i, lane):
+    slot, link = i * spec.lanes + lane, link_index(state, s, i) * spec.lanes + lane
+    alive = slot_number(spec, state.link_status, link) == ALIVE
+    if alive and slot_number(spec, state.link_k, link) > 0.0:
+        far = slot + link_offset(state, s, pitch_of(spec, state, g)) * spec.lanes
+        d = slot_value(spec, state.x, far) - slot_value(spec, state.x, slot)
         if d.dot(d) > state.link_limit2[s, g]:
-            set_site_number(plan, state.link_status, link, BREAKING)
-            set_site_number(plan, state.link_step, link, state.step[None])
-            state.breaking[c] += 1
+            set_slot_number(spec, state.link_status, link, BREAKING)
+            set_slot_number(spec, state.link_step, link, state.step[None])
+            state.breaking[i] += 1
 
 
 @ti.func
-def _mark_links(plan: ti.template(), state: ti.template(), c):
-    g = state.grid_of[c]
+def _mark_links(spec: ti.template(), state: ti.template(), i):
+    g = state.grid_of[i]
     if g >= 0:
-        for lane in range(plan.lanes):
-            for s in range(plan.kinds):
-                _mark_link(plan, state, s, g, c, lane)
+        for lane in range(spec.lanes):
+            for s in range(spec.kinds):
+                _mark_link(spec, state, s, g, i, lane)
 
 
 @ti.kernel
-def mark_new_springs(plan: ti.template(), state: ti.template()):
+def mark_new_springs(spec: ti.template(), state: ti.template()):
     """Outside of steps: springs that are over their limit from the start pull once and are gone."""
-    if ti.static(plan.kinds > 0):
-        each_cell(plan, state, 0, _mark_links)
-    if ti.static(plan.springs):
-        each(plan, state, 0, state.n_springs[None], _mark_spring)
+    if ti.static(spec.kinds > 0):
+        each_pack(spec, state, 0, _mark_links)
+    if ti.static(spec.springs):
+        each(spec, state, 0, state.n_springs[None], _mark_spring)

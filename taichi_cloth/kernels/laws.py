@@ -33,21 +33,20 @@ def spring_tension(length, k, rest):
 
 
 @ti.func
-def spring_stiffness_product(d, along, length, k, rest, least):
-    """The spring's stiffness, its force's derivative, times d.
-
-    Along the axis it is k, across it k*(1 - rest/length): negative where the spring is compressed.
-    These are its eigenvalues, so that with `least` = 0, below which that factor is not taken, it is
-    the nearest matrix without negative ones (Choi, Ko, "Stable but responsive cloth", 2002). Where
-    both ends coincide, and there is no axis, it is k in every direction.
-    """
-    across = spring_stiffness_across(length, k, rest, least)
+def stiffness_product(d, along, k, across):
+    """A stiffness k along the unit vectors `along`, and another one across them, times d."""
     return scaled(across, d) + scaled((k - across) * dot(along, d), along)
 
 
 @ti.func
 def spring_stiffness_across(length, k, rest, least):
-    """The spring's stiffness across its axis, at least `least` times k."""
+    """The spring's stiffness across its axis, k*(1 - rest/length), at least `least` times k.
+
+    It is negative where the spring is compressed. With k along the axis it makes the derivative of
+    the spring's force, whose eigenvalues these are: with `least` = 0 that is the nearest matrix
+    without negative ones (Choi, Ko, "Stable but responsive cloth", 2002). Where both ends coincide,
+    and there is no axis, it is k in every direction.
+    """
     return k * ti.max(1.0 - rest * ti.select(length > 0.0, 1.0 / length, 0.0 * length), least)
 
 

@@ -1,29 +1,29 @@
-"""Cells of lanes: how the particles of a regular grid lie in memory, and arithmetic on cells.
+"""Packs of lanes: how the particles of a regular grid lie in memory, and arithmetic on packs.
 
-A grid of `columns` is cut into L vertical strips, each W = ceil(columns / L) wide. A cell holds
+A grid of `columns` is cut into L vertical strips, each W = ceil(columns / L) wide. A pack holds
 the particles at one place of all strips, one per lane, so a neighbour in the grid is the same lane
-of a neighbouring cell, and straight-line code on cells becomes vector instructions:
+of a neighbouring pack, and straight-line code on packs becomes vector instructions:
 
-      columns of the grid, L = 4, W = 3             cells of a row, each |lane 0 1 2 3|
+      columns of the grid, L = 4, W = 3             packs of a row, each |lane 0 1 2 3|
 
-       strip 0   strip 1   strip 2   strip 3        halo          W cells           halo
+       strip 0   strip 1   strip 2   strip 3        halo          W packs           halo
       +---------+---------+---------+-------+     +-------+-------+-------+-------+-------+
       | 0  1  2 | 3  4  5 | 6  7  8 | 9  .  |     |-2 5 8 |0 3 6 9|1 4 7 .|2 5 8 .|3 6 9 -|
       +---------+---------+---------+-------+     +-------+-------+-------+-------+-------+
                                                     first-1 first                 first+W
 
-Column c of a row is lane c // W of the cell first + c % W. What is right of a strip's last column
-is the next strip's first one: the halo cells beside a row hold the row's other end, one lane on,
+Column c of a row is lane c // W of the pack first + c % W. What is right of a strip's last column
+is the next strip's first one: the halo packs beside a row hold the row's other end, one lane on,
 and are renewed when a row has moved. Places marked . have no particle (inverse mass and stiffness
-0), those marked - no neighbour. A cell's values are stored component by component, a matrix of
+0), those marked - no neighbour. A pack's values are stored component by component, a matrix of
 dim x L: |x x x x|y y y y|. Rows follow each other at a pitch of W plus both halos; empty rows above
 and below let every link's neighbour be read.
 
-With L = 1, on GPUs and for particles on a graph, a cell is one particle, its value a vector of
+With L = 1, on GPUs and for particles on a graph, a pack is one particle, its value a vector of
 `dim`, and there are no halos. The functions below do the same on both, so physics is written once.
-A *site* is a place for one particle: its cell times L, plus its lane.
+A *slot* is a place for one particle: its pack times L, plus its lane.
 
-Kernels that run on cells of lanes are compiled with vectors kept whole (`runtime.whole_vectors`),
+Kernels that run on packs are compiled with vectors kept whole (`runtime.whole_vectors`),
 which Taichi 1.7 does only in part. In them
 - fields are read and written number by number, as `read` and `write` do: fields of vectors crash;
 - vectors take + - * /, min, max, sqrt, comparisons and select; not unary minus (-1.0 * a), -=
@@ -41,61 +41,61 @@ def lanes_of(a):
     return 1 if len(shape) == 1 else shape[1]
 
 
-def rows_of(plan, of):
-    """How many numbers a field of cells holds for each particle."""
-    return of.shape[1] // plan.lanes
+def rows_of(spec, field):
+    """How many numbers a field of packs holds for each particle."""
+    return field.shape[1] // spec.lanes
 
 
 @ti.func
-def read(plan: ti.template(), of: ti.template(), c):
-    """What a field holds for cell c: vectors, or a number for each lane; 0-D fields hold the same
+def read(spec: ti.template(), field: ti.template(), i):
+    """What a field holds for pack i: vectors, or a number for each lane; 0-D fields hold the same
     number for all.
     """
-    if ti.static(of.shape == ()):
-        return everywhere(plan, of[None])
-    elif ti.static(plan.lanes == 1):
-        return of[c]
-    elif ti.static(rows_of(plan, of) == 1):
-        return ti.Vector([of[c, lane] for lane in range(plan.lanes)])
+    if ti.static(field.shape == ()):
+        return everywhere(spec, field[None])
+    elif ti.static(spec.lanes == 1):
+        return field[i]
+    elif ti.static(rows_of(spec, field) == 1):
+        return ti.Vector([field[i, lane] for lane in range(spec.lanes)])
     else:
         return ti.Matrix(
             [
-                [of[c, axis * plan.lanes + lane] for lane in range(plan.lanes)]
-                for axis in range(rows_of(plan, of))
+                [field[i, axis * spec.lanes + lane] for lane in range(spec.lanes)]
+                for axis in range(rows_of(spec, field))
             ]
         )
 
 
 @ti.func
-def everywhere(plan: ti.template(), number):
+def everywhere(spec: ti.template(), number):
     """One number for all lanes."""
-    if ti.static(plan.lanes == 1):
+    if ti.static(spec.lanes == 1):
         return number
     else:
-        return ti.Vector([number for _ in range(plan.lanes)])
+        return ti.Vector([number for _ in range(spec.lanes)])
 
 
 @ti.func
-def zeros(plan: ti.template(), state: ti.template()):
-    """Zero vectors, for a cell."""
-    if ti.static(plan.lanes == 1):
-        return ti.Vector.zero(state.real, plan.dim)
+def zeros(spec: ti.template(), state: ti.template()):
+    """Zero vectors, for a pack."""
+    if ti.static(spec.lanes == 1):
+        return ti.Vector.zero(state.real, spec.dim)
     else:
-        return ti.Matrix.zero(state.real, plan.dim, plan.lanes)
+        return ti.Matrix.zero(state.real, spec.dim, spec.lanes)
 
 
 @ti.func
-def write(plan: ti.template(), of: ti.template(), c, value):
-    """Store what a field holds for cell c."""
-    if ti.static(plan.lanes == 1):
-        of[c] = value
+def write(spec: ti.template(), field: ti.template(), i, value):
+    """Store what a field holds for pack i."""
+    if ti.static(spec.lanes == 1):
+        field[i] = value
     else:
-        for axis in ti.static(range(rows_of(plan, of))):
-            for lane in ti.static(range(plan.lanes)):
-                if ti.static(rows_of(plan, of) == 1):
-                    of[c, lane] = value[lane]
+        for axis in ti.static(range(rows_of(spec, field))):
+            for lane in ti.static(range(spec.lanes)):
+                if ti.static(rows_of(spec, field) == 1):
+                    field[i, lane] = value[lane]
                 else:
-                    of[c, axis * plan.lanes + lane] = value[axis, lane]
+                    field[i, axis * spec.lanes + lane] = value[axis, lane]
 
 
 @ti.func
@@ -136,18 +136,18 @@ def where_positive(s, a, b):
 
 
 @ti.func
-def largest(plan: ti.template(), a):
+def largest(spec: ti.template(), a):
     """Largest number in any lane."""
-    if ti.static(plan.lanes == 1):
+    if ti.static(spec.lanes == 1):
         return a
     else:
         return folded(ti.max, a)
 
 
 @ti.func
-def over_lanes(plan: ti.template(), a):
+def over_lanes(spec: ti.template(), a):
     """Sum of the numbers in all lanes."""
-    if ti.static(plan.lanes == 1):
+    if ti.static(spec.lanes == 1):
         return a
     else:
         return folded(plus, a)
@@ -198,97 +198,42 @@ def with_component(a, axis: ti.template(), value):
 
 
 @ti.func
-def site_value(plan: ti.template(), of: ti.template(), site):
-    """The vector of one particle, by its site: for code that runs particle by particle."""
-    if ti.static(plan.lanes == 1):
-        return of[site]
+def slot_value(spec: ti.template(), field: ti.template(), slot):
+    """The vector of one particle, by its slot: for code that runs particle by particle."""
+    if ti.static(spec.lanes == 1):
+        return field[slot]
     else:
-        cell, lane = site // plan.lanes, site % plan.lanes
-        return ti.Vector([of[cell, axis * plan.lanes + lane] for axis in range(plan.dim)])
+        cell, lane = slot // spec.lanes, slot % spec.lanes
+        return ti.Vector([field[cell, axis * spec.lanes + lane] for axis in range(spec.dim)])
 
 
 @ti.func
-def site_number(plan: ti.template(), of: ti.template(), site):
-    """The number of one particle, by its site."""
-    if ti.static(of.shape == ()):
-        return of[None]
-    elif ti.static(plan.lanes == 1):
-        return of[site]
+def slot_number(spec: ti.template(), field: ti.template(), slot):
+    """The number of one particle, by its slot."""
+    if ti.static(field.shape == ()):
+        return field[None]
+    elif ti.static(spec.lanes == 1):
+        return field[slot]
     else:
-        return of[site // plan.lanes, site % plan.lanes]
+        return field[slot // spec.lanes, slot % spec.lanes]
 
 
 @ti.func
-def set_site_value(plan: ti.template(), of: ti.template(), site, value):
+def set_slot_value(spec: ti.template(), field: ti.template(), slot, value):
     """Store the vector of one particle."""
-    for axis in ti.static(range(plan.dim)):
-        if ti.static(plan.lanes == 1):
-            of[site][axis] = value[axis]
+    for axis in ti.static(range(spec.dim)):
+        if ti.static(spec.lanes == 1):
+            field[slot][axis] = value[axis]
         else:
-            of[site // plan.lanes, axis * plan.lanes + site % plan.lanes] = value[axis]
+            field[slot // spec.lanes, axis * spec.lanes + slot % spec.lanes] = value[axis]
 
 
 @ti.func
-def set_site_number(plan: ti.template(), of: ti.template(), site, value):
+def set_slot_number(spec: ti.template(), field: ti.template(), slot, value):
     """Store the number of one particle; in 0-D fields, that of all."""
-    if ti.static(of.shape == ()):
-        of[None] = value
-    elif ti.static(plan.lanes == 1):
-        of[site] = value
+    if ti.static(field.shape == ()):
+        field[None] = value
+    elif ti.static(spec.lanes == 1):
+        field[slot] = value
     else:
-        of[site // plan.lanes, site % plan.lanes] = value
-
-
-@ti.func
-def pitch_of(plan: ti.template(), state: ti.template(), g):
-    """Cells from a row of grid g to the next."""
-    return state.grid[g, 2] + 2 * plan.halo
-
-
-@ti.func
-def link_offset(state: ti.template(), s, pitch):
-    """Cells from a cell to the other end of its links of kind s."""
-    return state.link[s, 0] + state.link[s, 1] * pitch
-
-
-@ti.func
-def of_kind(state: ti.template(), s, c):
-    """Where the fields of links keep those of kind s that begin at cell c."""
-    return s * state.cells + c
-
-
-@ti.func
-def renew_left_halo(plan: ti.template(), of: ti.template(), first, width, reach):
-    """Left of a row that begins at cell `first`: the columns before each strip's first one."""
-    for h in range(1, reach + 1):
-        a = read(plan, of, first + width - h)
-        rows = [[0.0] + [a[i, lane] for lane in range(plan.lanes - 1)] for i in range(plan.dim)]
-        write(plan, of, first - h, ti.Matrix(rows))
-
-
-@ti.func
-def renew_right_halo(plan: ti.template(), of: ti.template(), first, width, reach):
-    """Right of it: the columns after each strip's last one."""
-    for h in range(reach):
-        a = read(plan, of, first + h)
-        rows = [[a[i, lane] for lane in range(1, plan.lanes)] + [0.0] for i in range(plan.dim)]
-        write(plan, of, first + width + h, ti.Matrix(rows))
-
-
-@ti.func
-def return_left_halo(plan: ti.template(), of: ti.template(), first, width, reach):
-    """The other way: what was changed in the left halo goes to where its particles are."""
-    for h in range(1, reach + 1):
-        a, b = read(plan, of, first - h), read(plan, of, first + width - h)
-        last = ti.static(plan.lanes - 1)
-        rows = [[a[i, lane + 1] for lane in range(last)] + [b[i, last]] for i in range(plan.dim)]
-        write(plan, of, first + width - h, ti.Matrix(rows))
-
-
-@ti.func
-def return_right_halo(plan: ti.template(), of: ti.template(), first, width, reach):
-    """The same of the right halo."""
-    for h in range(reach):
-        a, b = read(plan, of, first + width + h), read(plan, of, first + h)
-        rows = [[b[i, 0]] + [a[i, lane] for lane in range(plan.lanes - 1)] for i in range(plan.dim)]
-        write(plan, of, first + h, ti.Matrix(rows))
+        field[slot // spec.lanes, slot % spec.lanes] = value

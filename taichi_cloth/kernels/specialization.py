@@ -4,17 +4,17 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Plan:
-    """The switches of one compilation; equal plans share their kernels.
+class Specialization:
+    """The switches of one compilation; equal ones share their kernels.
 
-    dim, uniform_springs, uniform_particles, fracture, dashpots, drag, walls, floor, collisions,
-        blow: the scene's features, as in `scene.Features`.
+    dim, uniform_springs, uniform_particles, fracture, walls, floor, collisions: the scene's, as in
+        `scene.Features`; terms: names of its forces (`forces/`), in the order of their sums.
     springs: whether there are springs on the graph: all of them, or those that no grid holds.
-    lanes: particles in a cell (`lanes.py`); 1 on a graph and on GPUs.
+    lanes: particles in a pack (`packs.py`); 1 on a graph and on GPUs.
     links: (columns, rows) offsets of the grid's links to later particles; empty on a graph.
-    alike: whether the rows of grids, but the last ones, have the same links, none of which breaks.
-    compensated: whether positions and velocities have low parts (`sums.py`).
-    threads, spread: how loops are run (`loops.py`).
+    rows_share_stiffness: whether the rows of grids, but the last ones, have the same links, none of which breaks.
+    compensated: whether positions and velocities have low parts (`compensated.py`).
+    threads, one_launch_per_step: how loops are run (`loops.py`).
     """
 
     dim: int
@@ -22,30 +22,33 @@ class Plan:
     uniform_springs: bool
     uniform_particles: bool
     fracture: bool
-    dashpots: bool
-    drag: bool
     walls: tuple[tuple[int, int], ...]
     floor: bool
     collisions: bool
-    blow: bool
+    terms: tuple[str, ...]
     lanes: int = 1
     links: tuple[tuple[int, int], ...] = ()
-    alike: bool = False
+    rows_share_stiffness: bool = False
     compensated: bool = False
     threads: int = 1
-    spread: bool = False
+    one_launch_per_step: bool = False
 
-    def covers(self, other: "Plan") -> bool:
-        """Whether kernels of this plan run what needs `other`.
+    def can_run(self, other: "Specialization") -> bool:
+        """Whether kernels of this specialization run what needs `other`.
 
         They do where they lack nothing, and where what they have besides is without effect.
         """
         mine, theirs = vars(self), vars(other)
-        wider = ("springs", "fracture", "dashpots", "drag", "blow")
-        closer = ("uniform_springs", "uniform_particles", "alike")  # what a plan relies on
-        alike = all(mine[name] == theirs[name] for name in mine.keys() - {*wider, *closer})
+        wider = ("springs", "fracture")
+        closer = (
+            "uniform_springs",
+            "uniform_particles",
+            "rows_share_stiffness",
+        )  # what a specialization relies on
+        same = all(mine[name] == theirs[name] for name in mine.keys() - {*wider, *closer, "terms"})
         return (
-            alike
+            same
+            and set(mine["terms"]) >= set(theirs["terms"])
             and all(mine[name] or not theirs[name] for name in wider)
             and all(theirs[name] or not mine[name] for name in closer)
         )
@@ -62,7 +65,7 @@ class Plan:
 
     @property
     def halo(self) -> int:
-        """Cells beside each row that repeat its other strips' ends; none where a cell is one."""
+        """Packs beside each row that repeat its other strips' ends; none where a pack is one."""
         return self.reach if self.lanes > 1 else 0
 
     @property
@@ -80,7 +83,7 @@ class Plan:
         return max((r for _, r in self.links), default=0)
 
     @property
-    def ring(self) -> int:
+    def ring_depth(self) -> int:
         """Rows of link forces that a sweep remembers: a power of two above the depth and one more,
         for those of the next row.
         """

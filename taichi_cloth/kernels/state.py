@@ -8,7 +8,18 @@ from dataclasses import astuple, dataclass
 
 import taichi as ti
 
+from taichi_cloth.kernels.forces import load
+from taichi_cloth.kernels.forces.contract import (
+    COUNT,
+    NUMBER,
+    PARTICLE_NUMBER,
+    PARTICLE_VECTOR,
+    VECTOR,
+    has,
+)
 from taichi_cloth.kernels.loops import COUNTER_SIZE
+from taichi_cloth.kernels.spring_numbers import NUMBERS
+from taichi_cloth.kernels.springs import reads_velocity
 
 ALIVE, BREAKING, GONE = 0, 1, 2  # BREAKING: over its limit, pulls for one more step
 
@@ -21,11 +32,11 @@ CACHE_LINE = 32  # numbers: two lines of 64 bytes, which processors fetch in pai
 
 @dataclass(frozen=True)
 class Capacity:
-    """How much fits: particles, springs on the graph, cells, grids; cells in a row with halos."""
+    """How much fits: particles, springs on the graph, packs, grids; packs in a row with halos."""
 
     particles: int
     springs: int
-    cells: int
+    packs: int
     grids: int
     row: int
 
@@ -38,203 +49,298 @@ class Capacity:
 class State:
     """All device data of one simulation.
 
-    Cells (`lanes.py`), each value a vector of `dim` or a number for each of the cell's particles:
+    Packs (`packs.py`), each value a vector of `dim` or a number for each of the pack's particles:
         x, v: position and velocity; a: acceleration of the current step;
-        w: inverse mass (0 = fixed); radius, restitution (walls or collisions), viscous (drag),
-        0-D where all particles share them; push (blow): force of the pointer, held for a frame;
-        good_x, good_v: the state at the start of the frame under way, the last good one;
-        x_low, v_low, good_x_low, good_v_low (compensated): what sums lost to rounding;
-        particle: index of the particle there; site: where particle i is.
-    Springs on the graph, in both directions, as compressed rows: the p-th particle that has any
-        is near[p], its half-springs are near_row[p] .. near_row[p+1], each with its far end, and
-        k, rest and c (dashpots), which are 0-D where all springs have the same. What is gone has
-        its own particle as its far end.
+        w: inverse mass (0 = fixed); radius, restitution (walls or collisions), 0-D where all
+        particles share them; the particle fields of the scene's forces (`forces/`), likewise;
+        saved_x, saved_v: the state at the start of the frame under way, the last good one;
+        x_low, v_low, saved_x_low, saved_v_low (compensated): what sums lost to rounding;
+        particle: index of the particle there; slot: where particle i is.
+    Springs on the graph, from both ends, in compressed rows (`graph.py`): csr_slot, csr_start,
+        csr_other, csr_<letter> (`spring_numbers.py`). What is gone has its own particle as its
+        other end.
     Springs on the graph once each (fracture): ends, break_length2 (square of the length at which
         the force reaches the break force), status (ALIVE, BREAKING, GONE), break_step, half (its
         two half-springs).
-    Grids: grid: first cell, rows, width in cells, whether it has links; grid_of: a cell's grid, -1
-        in the empty rows; breaking: how many of a cell's links are about to go.
-    Kinds of link: link: columns and rows to the other end; forward: the kinds in the order in
-        which the other ends are numbered; link_rest, link_c, link_limit2 by kind and grid. One
-        kind after the other (`lanes.of_kind`): link_k (0 = absent or gone), link_status and
-        link_step (fracture) of cells; given: what links give: rows of zeros, a ring of rows for
-        each thread, then the last rows of each thread's share of each grid.
-    Numbers a run may change are fields too: n, n_cells, n_grids, dt, gravity, low, high, ...; step:
-        the number of the step under way, stage: which of its stages, in methods that have several.
-    Solvers (`phases.py`): phase: the one that comes next; tolerance, iterations: settings; work:
-        counts since the host last asked, FORCES, SWEEPS, UNCONVERGED; near_k, near_c: sums of the
-        stiffness and damping of a particle's springs (needs "near").
-        one (compensated): 1, which compilers do not know (`sums.py`).
-    Colours of springs on the graph (needs "spring_colours"; `colours.py`): those of colour k are
-        colour_start[k] .. colour_start[k+1], each with its ends, spring_k, spring_rest, spring_c.
+    Grids (`grids.py`): grid: first pack, rows, width in packs, whether it has links; grid_of: a
+        pack's grid, -1 in the empty rows; breaking: how many of a pack's links are about to go.
+    Links (`links.py`): link: columns and rows to the other end of each kind; forward: the kinds in
+        the order in which the other ends are numbered; link_limit2 and those link_<letter> that a
+        kind shares, by kind and grid. One kind after the other (`grids.link_index`): the other
+        link_<letter>, link_status and link_step (fracture). ring_forces: what links give: rows of
+        zeros, a ring of rows for each thread, then the last rows of each thread's share of each grid.
+    Numbers a run may change are fields too: n, n_packs, n_grids, dt, low, high, ..., and those of
+        the scene's forces; step: the number of the step under way, stage: which of its stages.
+    Solvers (`solvers/`): phase: the one that comes next; tolerance, iterations: settings; work:
+        counts since the host last asked, FORCES, SWEEPS, UNCONVERGED; summed_k, summed_c: sums of
+        the stiffness and damping of a particle's springs (needs "summed_springs").
+        one (compensated): 1, which compilers do not know (`compensated.py`).
+    Colours of springs on the graph (needs "spring_colours"; `solvers/colours.py`): those of colour k
+        are colour_start[k] .. colour_start[k+1], each with its ends and spring_<letter>.
         impulse, link_impulse: a vector for each spring, for each link.
     Colours of particles with springs on the graph (needs "particle_colours"): those of colour k are
-        near[coloured[i]] from i = colour_start[k] to colour_start[k+1]; own: 0 for those, 1 for
+        csr_slot[coloured[i]] from i = colour_start[k] to colour_start[k+1]; own: 0 for those, 1 for
         others.
+
+    What the host loads is listed by name, so that it comes in the order in which kernels take it:
+    number_places and count_places (field, where, how many: 0 of a single one), particle_places and
+    vector_places (field, where). number_names, ... are their names.
     """
 
-    def __init__(self, plan, real, capacity, method=None):
-        """Allocate. real: ti.f32 or ti.f64; method: the module of a method, whose VECTORS,
-        LOW_VECTORS, HALOED, SUMS, SCALARS, COUNTS and NEEDS get room.
+    def __init__(self, spec, real, capacity, method):
+        """Allocate. real: ti.f32 or ti.f64; method: a `methods.contract.Method`, whose fields and
+        needs get room.
         """
-        vectors, haloed = getattr(method, "VECTORS", ()), getattr(method, "HALOED", ())
-        needs = getattr(method, "NEEDS", ())
-        dim, lanes, kinds = plan.dim, plan.lanes, plan.kinds
-        n, s, m = max(capacity.particles, 1), max(capacity.springs, 1), max(capacity.cells, 1)
-        self.real, self.capacity, self.cells = real, capacity, m
+        self.real, self.capacity = real, capacity
+        self.packs = max(capacity.packs, 1)
+        self.number_names, self.count_names = [], []
+        self.particle_names, self.vector_names = [], []
         # Two trees, one per width of number: where both share a tree, Vulkan and OpenGL read f64
         # at addresses that are no multiple of 8, which are not the ones that were written.
-        reals, integers = ti.FieldsBuilder(), ti.FieldsBuilder()
-
-        def scalars(*shape):
-            return _placed(reals, ti.field(real), *shape)
-
-        def counts(*shape):
-            return _placed(integers, ti.field(ti.i32), *shape)
-
-        def cell_vectors(m=m):
-            return self._cell_vectors(plan, reals, m)
-
-        def cell_numbers(m=m):
-            return scalars(m) if lanes == 1 else scalars(m, lanes)
-
-        def cell_counts(m=m):
-            return counts(m) if lanes == 1 else counts(m, lanes)
-
-        # Cells first, so that they lie at multiples of their size, as vectors are best read.
-        self.x, self.v, self.a = cell_vectors(), cell_vectors(), cell_vectors()
-        self.good_x, self.good_v = cell_vectors(), cell_vectors()
-        if plan.compensated:
-            self.x_low, self.v_low = cell_vectors(), cell_vectors()
-            self.good_x_low, self.good_v_low = cell_vectors(), cell_vectors()
-            vectors = (*vectors, *getattr(method, "LOW_VECTORS", ()))
-        for name in vectors:
-            setattr(self, name, cell_vectors())
-        self.w = cell_numbers()
-        self.particle, self.site = cell_counts(), counts(n)
-        self.haloed = (self.x, self.v) if plan.dashpots else (self.x,)
-        self.haloed += tuple(getattr(self, name) for name in haloed)
-        if "near" in needs:
-            self.near_k, self.near_c = cell_numbers(), cell_numbers()
-        if plan.compensated:
-            self.haloed = (*self.haloed, self.x_low)
-        coloured = "spring_colours" in needs
-        if "particle_colours" in needs and plan.springs:
-            self.own = cell_numbers()
-            self.n_colours, self.colour_start, self.coloured = counts(), counts(n + 1), counts(n)
-        if coloured and plan.links:
-            self.link_impulse = cell_vectors(kinds * m)
-        if coloured and plan.springs:
-            self.impulse = scalars(s, dim)
-        particle_numbers = scalars if plan.uniform_particles else cell_numbers
-        if plan.drag:
-            self.viscous = particle_numbers()
-        if plan.blow:
-            self.push = cell_vectors()
-        if plan.walls or plan.collisions:
-            self.radius, self.restitution = particle_numbers(), particle_numbers()
-        if plan.links:
-            self.row = capacity.row
-            self.link, self.forward = counts(kinds, 2), counts(kinds)
-            self.link_k = cell_numbers(kinds * m)
-            tails = max(capacity.grids, 1) * (plan.threads + 1) * plan.depth
-            given = (plan.threads * plan.ring + tails) * capacity.row if lanes > 1 else 1
-            self.given_size = given
-            self.given = cell_vectors(kinds * given)
-            self.grid_of = counts(m)
-
+        self._reals, self._integers = ti.FieldsBuilder(), ti.FieldsBuilder()
+        self._place_packs(spec, method)
+        if spec.links:
+            self._place_links_of_packs(spec, method)
         # What threads write at every step is kept off the cache lines of what they only read.
-        counts(CACHE_LINE)
-        self.arrivals = counts(COUNTER_SIZE)
-        self.step, self.stage, self.passed = counts(), counts(), counts()
-        self.phase, self.work = counts(), counts(len(WORK))
-        self.fault, self.watching = counts(), counts()
-        counts(CACHE_LINE)
-        self.n, self.n_cells, self.n_grids = counts(), counts(), counts()
-        self.dt, self.gravity = scalars(), scalars(dim)
-        self.speed_limit = scalars()
-        self.tolerance, self.iterations = scalars(), counts()
-        for name in getattr(method, "SCALARS", ()):
-            setattr(self, name, scalars())
-        for name in getattr(method, "COUNTS", ()):
-            setattr(self, name, counts())
-        if plan.compensated:
-            self.one = scalars()
-        self.grid = counts(max(capacity.grids, 1), 4)
-        if plan.blow:
-            self.pushing = counts()
-            self.pointer = scalars(3, dim)
-            self.pointer_reach, self.pointer_strength = scalars(), scalars()
-        if plan.walls:
-            self.low, self.high = scalars(dim), scalars(dim)
-        if plan.links:
-            of_kinds = plan.kinds, max(capacity.grids, 1)
-            self.link_rest, self.link_c, self.link_limit2 = (scalars(*of_kinds) for _ in range(3))
-            if plan.fracture:
-                self.link_status, self.link_step = cell_counts(kinds * m), cell_counts(kinds * m)
-                self.breaking = counts(m)
-        if plan.springs:
-            self.n_near = counts()
-            self.near, self.near_row = counts(n), counts(n + 1)
-            self.far = counts(2 * s)
-            each = () if plan.uniform_springs else (2 * s,)
-            self.k, self.rest = scalars(*each), scalars(*each)
-            if plan.dashpots:
-                self.c = scalars(*each)
-            if plan.fracture or coloured:
-                self.ends = counts(s, 2)
-            if coloured:
-                self.n_colours, self.colour_start = counts(), counts(s + 1)
-                own = () if plan.uniform_springs else (s,)
-                self.spring_k, self.spring_rest = scalars(*own), scalars(*own)
-                if plan.dashpots:
-                    self.spring_c = scalars(*own)
-            if plan.fracture:
-                self.n_springs = counts()
-                self.half = counts(s, 2)
-                self.break_length2 = scalars(*([] if plan.uniform_springs else [s]))
-                self.status, self.break_step = counts(s), counts(s)
-        if plan.collisions:
-            self.cell_capacity = CELLS_PER_PARTICLE * n + 64
-            self.block = 1024  # cells whose counts one loop iteration sums
-            self.grid_size = counts(dim)
-            self.cell_size = scalars()
-            self.cell_start = counts(self.cell_capacity + 1)
-            self.cell_fill = counts(self.cell_capacity)
-            self.block_start = counts(self.cell_capacity // self.block + 2)
-            self.cell_of = counts(n)
-            self.sorted_index = counts(n)
-            self.sorted_x, self.sorted_radius = scalars(n, dim), scalars(n)
-            self.jump = cell_vectors()
-        self._trees = [reals.finalize(), integers.finalize()]
-        if sums := getattr(method, "SUMS", 0):
-            self.add_sums(sums)
+        self._counts(CACHE_LINE)
+        self._place_progress()
+        self._counts(CACHE_LINE)
+        self._place_numbers(spec, method)
+        if spec.links:
+            self._place_links_of_kinds(spec)
+        if spec.springs:
+            self._place_graph(spec, method)
+        if spec.collisions:
+            self._place_collision_grid(spec)
+        self._trees = [self._reals.finalize(), self._integers.finalize()]
+        if method.sums:
+            self.add_sums(method.sums)
+        self._list_what_is_loaded(spec)
 
-    def add_vectors(self, plan, name, haloed=False):
-        """A further field of cells for a method: one vector a particle, state.<name>.
+    # --- allocation ------------------------------------------------------------------------------
+
+    def _scalars(self, *shape):
+        return _placed(self._reals, ti.field(self.real), *shape)
+
+    def _counts(self, *shape):
+        return _placed(self._integers, ti.field(ti.i32), *shape)
+
+    def _pack_vectors(self, spec, packs=None, tree=None):
+        tree, packs = tree or self._reals, packs or self.packs
+        if spec.lanes == 1:
+            return _placed(tree, ti.Vector.field(spec.dim, self.real), packs)
+        return _placed(tree, ti.field(self.real), packs, spec.dim * spec.lanes)
+
+    def _pack_numbers(self, spec, packs=None):
+        packs = packs or self.packs
+        return self._scalars(packs) if spec.lanes == 1 else self._scalars(packs, spec.lanes)
+
+    def _pack_counts(self, spec, packs=None):
+        packs = packs or self.packs
+        return self._counts(packs) if spec.lanes == 1 else self._counts(packs, spec.lanes)
+
+    def _particle_numbers(self, spec):
+        return self._scalars() if spec.uniform_particles else self._pack_numbers(spec)
+
+    def _place_packs(self, spec, method):
+        """Packs first, so that they lie at multiples of their size, as vectors are best read."""
+        vectors = list(method.vectors)
+        for name in ("x", "v", "a", "saved_x", "saved_v"):
+            setattr(self, name, self._pack_vectors(spec))
+        if spec.compensated:
+            for name in ("x_low", "v_low", "saved_x_low", "saved_v_low"):
+                setattr(self, name, self._pack_vectors(spec))
+            vectors += method.low_vectors
+        for name in vectors:
+            self._add(name, self._pack_vectors(spec))
+        self.w = self._pack_numbers(spec)
+        self.particle = self._pack_counts(spec)
+        self.slot = self._counts(max(self.capacity.particles, 1))
+        self.haloed = (self.x, self.v) if reads_velocity(spec) else (self.x,)
+        self.haloed += tuple(getattr(self, name) for name in method.haloed)
+        if spec.compensated:
+            self.haloed = (*self.haloed, self.x_low)
+        if "summed_springs" in method.needs:
+            self.summed_k, self.summed_c = self._pack_numbers(spec), self._pack_numbers(spec)
+        if "particle_colours" in method.needs and spec.springs:
+            self.own = self._pack_numbers(spec)
+        for field in device_fields(spec):
+            if field.shape == PARTICLE_NUMBER:
+                self._add(field.name, self._particle_numbers(spec))
+                self.particle_names += [field.name] if field.value else []
+            elif field.shape == PARTICLE_VECTOR:
+                self._add(field.name, self._pack_vectors(spec))
+                self.vector_names += [field.name] if field.value else []
+        if spec.walls or spec.collisions:
+            self.radius, self.restitution = (
+                self._particle_numbers(spec),
+                self._particle_numbers(spec),
+            )
+            self.particle_names += ["radius", "restitution"]
+        if spec.collisions:
+            self.jump = self._pack_vectors(spec)
+
+    def _place_links_of_packs(self, spec, method):
+        kinds, row = spec.kinds, self.capacity.row
+        self.row = row
+        self.link, self.forward = self._counts(kinds, 2), self._counts(kinds)
+        for number in NUMBERS:
+            if number.stored(spec) and number.per_link:
+                numbers = self._pack_numbers(spec, kinds * self.packs)
+                setattr(self, f"link_{number.letter}", numbers)
+        if "spring_colours" in method.needs:
+            self.link_impulse = self._pack_vectors(spec, kinds * self.packs)
+        carried = max(self.capacity.grids, 1) * (spec.threads + 1) * spec.depth
+        self.ring_size = 1
+        if spec.lanes > 1:
+            self.ring_size = (spec.threads * spec.ring_depth + carried) * row
+        self.ring_forces = self._pack_vectors(spec, kinds * self.ring_size)
+        self.grid_of = self._counts(self.packs)
+        if spec.fracture:
+            self.link_status = self._pack_counts(spec, kinds * self.packs)
+            self.link_step = self._pack_counts(spec, kinds * self.packs)
+            self.breaking = self._counts(self.packs)
+
+    def _place_progress(self):
+        self.arrivals = self._counts(COUNTER_SIZE)
+        self.step, self.stage, self.passed = self._counts(), self._counts(), self._counts()
+        self.phase, self.work = self._counts(), self._counts(len(WORK))
+        self.fault, self.watching = self._counts(), self._counts()
+
+    def _place_numbers(self, spec, method):
+        """The numbers of the scene and the run."""
+        dim = spec.dim
+        self.n, self.n_packs, self.n_grids = self._counts(), self._counts(), self._counts()
+        self.grid = self._counts(max(self.capacity.grids, 1), 4)
+        self.dt, self.speed_limit, self.tolerance = (self._scalars() for _ in range(3))
+        self.iterations = self._counts()
+        self.number_names += ["dt", "speed_limit", "tolerance"]
+        self.count_names += ["n", "iterations"]
+        for field in device_fields(spec):
+            if field.shape in (NUMBER, VECTOR):
+                self._add(field.name, self._scalars(*([dim] if field.shape == VECTOR else [])))
+                self.number_names += [field.name] if field.value else []
+            elif field.shape == COUNT:
+                self._add(field.name, self._counts())
+                self.count_names += [field.name] if field.value else []
+        for name in method.scalars:
+            self._add(name, self._scalars())
+        for name in method.counts:
+            self._add(name, self._counts())
+        if spec.compensated:
+            self.one = self._scalars()
+            self.number_names.append("one")
+        if spec.walls:
+            self.low, self.high = self._scalars(dim), self._scalars(dim)
+            self.number_names += ["low", "high"]
+
+    def _place_links_of_kinds(self, spec):
+        of_kinds = spec.kinds, max(self.capacity.grids, 1)
+        for number in NUMBERS:
+            if number.stored(spec) and not number.per_link:
+                setattr(self, f"link_{number.letter}", self._scalars(*of_kinds))
+        self.link_limit2 = self._scalars(*of_kinds)
+
+    def _place_graph(self, spec, method):
+        n, s = max(self.capacity.particles, 1), max(self.capacity.springs, 1)
+        coloured = "spring_colours" in method.needs
+        self.n_csr_rows = self._counts()
+        self.csr_slot, self.csr_start = self._counts(n), self._counts(n + 1)
+        self.csr_other = self._counts(2 * s)
+        self._place_spring_numbers(spec, "csr", 2 * s)
+        if spec.fracture or coloured:
+            self.ends = self._counts(s, 2)
+        if coloured or "particle_colours" in method.needs:
+            self.n_colours = self._counts()
+            self.colour_start = self._counts(max(n, s) + 1)
+        if coloured:
+            self._place_spring_numbers(spec, "spring", s)
+            self.impulse = self._scalars(s, spec.dim)
+        if "particle_colours" in method.needs:
+            self.coloured = self._counts(n)
+        if spec.fracture:
+            self.n_springs = self._counts()
+            self.half = self._counts(s, 2)
+            self.break_length2 = self._scalars(*([] if spec.uniform_springs else [s]))
+            self.status, self.break_step = self._counts(s), self._counts(s)
+
+    def _place_spring_numbers(self, spec, place, count):
+        for number in NUMBERS:
+            if number.stored(spec):
+                own = () if spec.uniform_springs else (count,)
+                setattr(self, f"{place}_{number.letter}", self._scalars(*own))
+
+    def _place_collision_grid(self, spec):
+        n = max(self.capacity.particles, 1)
+        self.cell_capacity = CELLS_PER_PARTICLE * n + 64
+        self.block = 1024  # cells whose counts one loop iteration sums
+        self.grid_size, self.cell_size = self._counts(spec.dim), self._scalars()
+        self.count_names.append("grid_size")
+        self.number_names.append("cell_size")
+        self.cell_start = self._counts(self.cell_capacity + 1)
+        self.cell_fill = self._counts(self.cell_capacity)
+        self.block_start = self._counts(self.cell_capacity // self.block + 2)
+        self.cell_of, self.sorted_index = self._counts(n), self._counts(n)
+        self.sorted_x, self.sorted_radius = self._scalars(n, spec.dim), self._scalars(n)
+
+    def _add(self, name, field):
+        """A field that a method or a force names: none may take another one's name."""
+        if hasattr(self, name):
+            raise TypeError(f"two things store a field called {name!r}; rename one of them")
+        setattr(self, name, field)
+
+    def _list_what_is_loaded(self, spec):
+        self.particle_names.insert(0, "w")
+        low = ["x_low", "v_low"] if spec.compensated else []
+        self.vector_names[:0] = ["x", "v", *low]
+        self.number_places = self._places(self.number_names)
+        self.count_places = self._places(self.count_names)
+        self.vector_places = [
+            (getattr(self, name), at * spec.dim) for at, name in enumerate(self.vector_names)
+        ]
+        begin = len(self.vector_names) * spec.dim
+        self.particle_places = [
+            (getattr(self, name), begin + at) for at, name in enumerate(self.particle_names)
+        ]
+
+    def _places(self, names):
+        """(field, where its first number is, how many it has) one after the other."""
+        found, at = [], 0
+        for name in names:
+            field = getattr(self, name)
+            size = field.shape[0] if field.shape else 0
+            found.append((field, at, size))
+            at += max(size, 1)
+        return found
+
+    # --- more, for methods and tests ---------------------------------------------------------------
+
+    def add_vectors(self, spec, name, haloed=False):
+        """A further field of packs for a method: one vector a particle, state.<name>.
 
         haloed: whether what a particle has there is read by those it is tied to.
         """
-        of = self._cell_vectors(plan, tree := ti.FieldsBuilder(), self.cells)
+        field = self._pack_vectors(spec, tree=(tree := ti.FieldsBuilder()))
         self._trees.append(tree.finalize())
-        setattr(self, name, of)
+        setattr(self, name, field)
         if haloed:
-            self.haloed = (*self.haloed, of)
+            self.haloed = (*self.haloed, field)
 
     def add_sums(self, count):
         """Room for `count` sums by `loops.add_up`: sums[k, 0], and their parts after it."""
-        self.sums = _placed(tree := ti.FieldsBuilder(), ti.field(self.real), count, self.cells + 1)
+        self.sums = _placed(tree := ti.FieldsBuilder(), ti.field(self.real), count, self.packs + 1)
         self._trees.append(tree.finalize())
-
-    def _cell_vectors(self, plan, tree, cells):
-        if plan.lanes == 1:
-            return _placed(tree, ti.Vector.field(plan.dim, self.real), cells)
-        return _placed(tree, ti.field(self.real), cells, plan.dim * plan.lanes)
 
     def free(self):
         """Give the device memory back; no field of this container may be used afterwards."""
         for tree in self._trees:
             tree.destroy()
+
+
+def device_fields(spec):
+    """The fields that the forces of a specialization declare."""
+    terms = [load(name) for name in spec.terms]
+    return [field for term in terms if has(term.fields) for field in term.fields]
 
 
 def _placed(tree, field, *shape):

@@ -8,21 +8,21 @@ import taichi as ti
 from taichi_cloth.kernels.fracture import break_springs
 from taichi_cloth.kernels.loops import COUNTER, PIECE, barrier
 from taichi_cloth.kernels.solvers.phases import run_one_of
-from taichi_cloth.kernels.watchdog import all_well, begin_step, keep
+from taichi_cloth.kernels.watchdog import all_well, begin_step, checkpoint
 
 
 @ti.func
-def substep(method: ti.template(), plan: ti.template(), state: ti.template(), t, step):
+def substep(method: ti.template(), spec: ti.template(), state: ti.template(), t, step):
     """Step number `step` (from 1) of a method, then fracture from the positions it reached."""
     begin_step(state, step)
-    method(plan, state, t)
-    if ti.static(plan.fracture):
-        break_springs(plan, state, t)
+    method(spec, state, t)
+    if ti.static(spec.fracture):
+        break_springs(spec, state, t)
 
 
 @ti.func
 def frames_as_thread(
-    method: ti.template(), plan: ti.template(), state: ti.template(), t, done, frames, substeps
+    method: ti.template(), spec: ti.template(), state: ti.template(), t, done, frames, substeps
 ):
     """Frames after `done` steps, each kept and checked; state.passed counts those that passed.
 
@@ -32,12 +32,12 @@ def frames_as_thread(
     for k in range(frames * substeps):
         if passed == k // substeps:
             if k % substeps == 0:
-                keep(plan, state, t)
-            substep(method, plan, state, t, done + k + 1)
+                checkpoint(spec, state, t)
+            substep(method, spec, state, t, done + k + 1)
             if (k + 1) % substeps == 0:
                 if all_well(state):
                     passed += 1
-                barrier(plan, state)  # before the next frame forgets the fault
+                barrier(spec, state)  # before the next frame forgets the fault
     if t == 0:
         state.passed[None] = passed
 
@@ -45,38 +45,38 @@ def frames_as_thread(
 @ti.kernel
 def frames_in_one_launch(
     method: ti.template(),
-    plan: ti.template(),
+    spec: ti.template(),
     state: ti.template(),
     done: ti.i32,
     frames: ti.i32,
     substeps: ti.i32,
 ) -> ti.i32:
-    """Frames after `done` steps on plan.threads threads; returns how many passed."""
-    if ti.static(plan.threads == 1):
+    """Frames after `done` steps on spec.threads threads; returns how many passed."""
+    if ti.static(spec.threads == 1):
         ti.loop_config(serialize=True)
         for t in range(1):
-            frames_as_thread(method, plan, state, t, done, frames, substeps)
+            frames_as_thread(method, spec, state, t, done, frames, substeps)
     else:
         state.arrivals[COUNTER] = 0
         # Else Taichi starts no more threads than there are cores, and the others wait forever.
-        ti.loop_config(parallelize=plan.threads)
-        for i in range(plan.threads * PIECE):
+        ti.loop_config(parallelize=spec.threads)
+        for i in range(spec.threads * PIECE):
             if i % PIECE == 0:
-                frames_as_thread(method, plan, state, i // PIECE, done, frames, substeps)
+                frames_as_thread(method, spec, state, i // PIECE, done, frames, substeps)
     return state.passed[None]
 
 
 @ti.kernel
-def begin_spread(begin: ti.template(), plan: ti.template(), state: ti.template()):
+def begin_launch(begin: ti.template(), spec: ti.template(), state: ti.template()):
     """What a method computes before its first step, every loop of it a parallel one.
 
     A kernel of its own: compile time grows with the square of what is in one.
     """
-    begin(plan, state, 0)
+    begin(spec, state, 0)
 
 
 @ti.kernel
-def begin_step_spread(state: ti.template(), step: ti.i32):
+def begin_step_launch(state: ti.template(), step: ti.i32):
     """Before the phases of step number `step`."""
     for _ in range(1):
         begin_step(state, step)
@@ -84,39 +84,39 @@ def begin_step_spread(state: ti.template(), step: ti.i32):
 
 
 @ti.kernel
-def phase_spread(phase: ti.template(), plan: ti.template(), state: ti.template()) -> ti.i32:
+def phase_launch(phase: ti.template(), spec: ti.template(), state: ti.template()) -> ti.i32:
     """One phase of a step, every loop of it a parallel one; returns the next one."""
-    phase(plan, state, 0)
+    phase(spec, state, 0)
     return state.phase[None]
 
 
 @ti.kernel
 def phases_in_one_launch(
-    phased: ti.template(), these: ti.template(), plan: ti.template(), state: ti.template()
+    phased: ti.template(), these: ti.template(), spec: ti.template(), state: ti.template()
 ) -> ti.i32:
-    """Phases of a step on plan.threads threads, while they are among `these`; returns the next."""
-    if ti.static(plan.threads == 1):
+    """Phases of a step on spec.threads threads, while they are among `these`; returns the next."""
+    if ti.static(spec.threads == 1):
         ti.loop_config(serialize=True)
         for t in range(1):
-            while run_one_of(phased, these, plan, state, t):
+            while run_one_of(phased, these, spec, state, t):
                 pass
     else:
         state.arrivals[COUNTER] = 0
-        ti.loop_config(parallelize=plan.threads)
-        for i in range(plan.threads * PIECE):
+        ti.loop_config(parallelize=spec.threads)
+        for i in range(spec.threads * PIECE):
             if i % PIECE == 0:
-                while run_one_of(phased, these, plan, state, i // PIECE):
+                while run_one_of(phased, these, spec, state, i // PIECE):
                     pass
     return state.phase[None]
 
 
 @ti.kernel
-def end_step_spread(plan: ti.template(), state: ti.template()):
+def end_step_launch(spec: ti.template(), state: ti.template()):
     """After the phases of a step: fracture."""
-    break_springs(plan, state, 0)
+    break_springs(spec, state, 0)
 
 
 @ti.kernel
-def substep_spread(method: ti.template(), plan: ti.template(), state: ti.template(), step: ti.i32):
+def substep_launch(method: ti.template(), spec: ti.template(), state: ti.template(), step: ti.i32):
     """Step number `step`, every loop of it a parallel one."""
-    substep(method, plan, state, 0, step)
+    substep(method, spec, state, 0, step)

@@ -2,14 +2,14 @@
 
 import taichi as ti
 
-from taichi_cloth.kernels.loops import each_cell, each_cell_moving
+from taichi_cloth.kernels.loops import each_pack, each_pack_moving
 from taichi_cloth.kernels.packs import (
     component,
     dot,
     over_lanes,
     read,
-    site_number,
-    site_value,
+    slot_number,
+    slot_value,
     write,
 )
 
@@ -28,21 +28,21 @@ def is_finite(a):
 
 
 @ti.func
-def keep(plan: ti.template(), state: ti.template(), t):
+def checkpoint(spec: ti.template(), state: ti.template(), t):
     """Before a frame: copy the state, so that a frame that fails can be undone."""
     if t == 0:
         state.fault[None] = NO_FAULT
         state.watching[None] = 1
-    each_cell(plan, state, t, _keep_cell)
+    each_pack(spec, state, t, _checkpoint_pack)
 
 
 @ti.func
-def _keep_cell(plan: ti.template(), state: ti.template(), c):
-    write(plan, state.good_x, c, read(plan, state.x, c))
-    write(plan, state.good_v, c, read(plan, state.v, c))
-    if ti.static(plan.compensated):
-        write(plan, state.good_x_low, c, read(plan, state.x_low, c))
-        write(plan, state.good_v_low, c, read(plan, state.v_low, c))
+def _checkpoint_pack(spec: ti.template(), state: ti.template(), i):
+    write(spec, state.saved_x, i, read(spec, state.x, i))
+    write(spec, state.saved_v, i, read(spec, state.v, i))
+    if ti.static(spec.compensated):
+        write(spec, state.saved_x_low, i, read(spec, state.x_low, i))
+        write(spec, state.saved_v_low, i, read(spec, state.v_low, i))
 
 
 @ti.func
@@ -60,36 +60,36 @@ def all_well(state: ti.template()):
 
 
 @ti.func
-def store(plan: ti.template(), state: ti.template(), c, x, v):
-    """End of a step for a cell: store its state, and note it where that is at fault.
+def commit(spec: ti.template(), state: ti.template(), i, x, v):
+    """End of a step for a pack: store its state, and note it where that is at fault.
 
     fault is the lowest index of a particle that was not finite or too fast in the first step
     that had one. The values are at hand here; a pass of its own would read them all again.
     """
-    write(plan, state.x, c, x)
-    write(plan, state.v, c, v)
+    write(spec, state.x, i, x)
+    write(spec, state.v, i, v)
     limit2 = state.speed_limit[None] * state.speed_limit[None]
     # Sums are finite only if all of their parts are, and small only if no part is large.
-    speed2, place = over_lanes(plan, dot(v, v)), component(x, 0)
-    for axis in ti.static(range(1, plan.dim)):
+    speed2, place = over_lanes(spec, dot(v, v)), component(x, 0)
+    for axis in ti.static(range(1, spec.dim)):
         place += component(x, axis)
-    if not is_finite(speed2 + over_lanes(plan, place)) or speed2 > limit2:
-        for lane in range(plan.lanes):
-            _note_fault(plan, state, c * plan.lanes + lane, limit2)
+    if not is_finite(speed2 + over_lanes(spec, place)) or speed2 > limit2:
+        for lane in range(spec.lanes):
+            _note_fault(spec, state, i * spec.lanes + lane, limit2)
 
 
 @ti.func
-def _note_fault(plan: ti.template(), state: ti.template(), site, limit2):
-    x, v = site_value(plan, state.x, site), site_value(plan, state.v, site)
+def _note_fault(spec: ti.template(), state: ti.template(), slot, limit2):
+    x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)
     speed2 = v.dot(v)
     if not (is_finite(speed2) and is_finite(x.sum())) or speed2 > limit2:
         if state.watching[None] == 1:
-            ti.atomic_min(state.fault[None], site_number(plan, state.particle, site))
+            ti.atomic_min(state.fault[None], slot_number(spec, state.particle, slot))
 
 
 @ti.kernel
-def keep_spread(plan: ti.template(), state: ti.template()):
-    keep(plan, state, 0)
+def checkpoint_launch(spec: ti.template(), state: ti.template()):
+    checkpoint(spec, state, 0)
 
 
 @ti.kernel
@@ -99,15 +99,15 @@ def last_fault(state: ti.template()) -> ti.i32:
 
 
 @ti.kernel
-def put_back(plan: ti.template(), state: ti.template()):
+def restore(spec: ti.template(), state: ti.template()):
     """Undo a frame: the state is again the one that was kept."""
-    each_cell_moving(plan, state, 0, _put_back_cell)
+    each_pack_moving(spec, state, 0, _restore_pack)
 
 
 @ti.func
-def _put_back_cell(plan: ti.template(), state: ti.template(), c):
-    write(plan, state.x, c, read(plan, state.good_x, c))
-    write(plan, state.v, c, read(plan, state.good_v, c))
-    if ti.static(plan.compensated):
-        write(plan, state.x_low, c, read(plan, state.good_x_low, c))
-        write(plan, state.v_low, c, read(plan, state.good_v_low, c))
+def _restore_pack(spec: ti.template(), state: ti.template(), i):
+    write(spec, state.x, i, read(spec, state.saved_x, i))
+    write(spec, state.v, i, read(spec, state.saved_v, i))
+    if ti.static(spec.compensated):
+        write(spec, state.x_low, i, read(spec, state.saved_x_low, i))
+        write(spec, state.v_low, i, read(spec, state.saved_v_low, i))

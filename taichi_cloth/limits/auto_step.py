@@ -6,45 +6,59 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Sequence
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
-from taichi_cloth.limits import modes
+from taichi_cloth.kernels.methods.contract import Method
+from taichi_cloth.limits.bounds import (
+    AnyGeometry,
+    gershgorin,
+    gershgorin_here,
+    grows_within,
+    step_within,
+)
+from taichi_cloth.limits.eigenmodes import stable_step
+from taichi_cloth.limits.network import Network
+from taichi_cloth.scene.model import Scene
 
+SAFETY = 0.9  # of the limit: what `--dt auto` takes, and remedies propose
 MOST = 1_000_000  # substeps a frame
 
 
 def substeps_needed(dt: float, limit: float) -> int:
-    """Substeps that a frame of `dt` takes with each at most `limits.SAFETY` of the limit."""
+    """Substeps that a frame of `dt` takes with each at most `SAFETY` of the limit."""
     if math.isinf(limit):
         return 1
     # A quotient that is whole but for round-off is whole.
-    return max(1, math.ceil(min(dt / modes.SAFETY / limit * (1 - 1e-12), 1e18)))
+    return max(1, math.ceil(min(dt / SAFETY / limit * (1 - 1e-12), 1e18)))
 
 
-class Follower:
+class SubstepController:
     """Chooses the substeps of frames of length `dt` for a method, by a limit that holds in every
     geometry, since springs turn during a run.
 
     The same states in the same order give the same answers, so that a replay has the same bits.
-    InputError where no number of substeps will do.
+    Raises InputError where no number of substeps will do.
+
+    name, method: of the method, and its module.
     """
 
-    def __init__(self, name: str, method, dt: float):
+    def __init__(self, name: str, method: Method, dt: float):
         self._name, self._method, self._dt = name, method, dt
-        self.forget()
+        self.reset()
 
-    def forget(self) -> None:
-        """As new: the scene is at its start again."""
-        self._geometry = modes.AnyGeometry()
+    def reset(self) -> None:
+        """Forget all states: the scene is at its start again."""
+        self._geometry = AnyGeometry()
         self._substeps = 1
 
-    def choose(self, network: modes.Network) -> int:
+    def choose(self, network: Network) -> int:
         """The substeps of a frame of this network."""
-        rough = modes.step_within(self._method, modes.gershgorin(network))
+        rough = step_within(self._method, gershgorin(network))
         limit = rough
         if rough > 0 and substeps_needed(self._dt, rough) > 1:
-            limit = modes.step_within(self._method, self._geometry.bounds(network))
+            limit = step_within(self._method, self._geometry.bounds(network))
         if limit == 0:
             raise InputError(
                 f"--dt auto: {self._name} is unstable on these springs at every step; "
@@ -60,46 +74,47 @@ class Follower:
         self._substeps = needed
         return needed
 
-    def follow(self, network: modes.Network) -> int:
-        """The same after some of the springs have gone, which can only make it fewer.
+    def choose_after_breaks(self, network: Network) -> int:
+        """The substeps of a frame after some of the springs have gone, which are never more.
 
         Where those that went hardly took part in the fastest mode, no eigenvalue is needed.
         """
         if self._substeps == 1:
             return 1
-        longer = self._dt / (self._substeps - 1) / modes.SAFETY
-        if modes.grows_within(self._method, self._geometry.at_least(network), longer):
+        longer = self._dt / (self._substeps - 1) / SAFETY
+        if grows_within(self._method, self._geometry.at_least(network), longer):
             return self._substeps
         return self.choose(network)
 
 
-def above_limit(sim) -> str | None:
-    """One line where the step of a simulation is too long for its scene's start: by how much, why,
-    what to do; else None.
+def above_limit(method: str, scene: Scene, dt: float, substeps: int) -> str | None:
+    """One line where a step is too long for a scene's start: by how much, why, what to do.
 
-    The cheapest bound that settles it is all that is computed; the device is asked for nothing.
+    None where it is not. The cheapest bound that settles it is all that is computed.
+
+    method: its name; dt: time of a frame; substeps: steps a frame is cut into.
     """
-    method, network = methods.load(sim.method), modes.Network.of_scene(sim.scene)
-    step = sim.dt / sim.substeps
-    for bounds in (modes.gershgorin, modes.gershgorin_here):
-        if step <= modes.step_within(method, bounds(network)):
+    module, network = methods.load(method), Network.from_scene(scene)
+    step = dt / substeps
+    for bounds in (gershgorin, gershgorin_here):
+        if step <= step_within(module, bounds(network)):
             return None
-    limit = modes.stable_step(method, network)
+    limit = stable_step(module, network)
     if step <= limit.dt:
         return None
-    what = "step" if sim.substeps == 1 else "substep"
+    what = "step" if substeps == 1 else "substep"
     if limit.dt == 0:
         return (
-            f"no {what} of {sim.method} is stable here: {limit.describe()}, is the first to "
+            f"no {what} of {method} is stable here: {limit.describe()}, is the first to "
             f"grow; use --method {_stable_method()}"
         )
     remedies = []
     with contextlib.suppress(InputError):  # where there are more than there may be
-        needed = Follower(sim.method, method, sim.dt).choose(network)
+        needed = SubstepController(method, module, dt).choose(network)
         remedies = [f"--substeps {needed}", "--dt auto"]
-    remedies += [f"--method {name}" for name in [_stable_method()] if name != sim.method]
+    remedies += [f"--method {name}" for name in [_stable_method()] if name != method]
     return (
-        f"a {what} of {step:.4g} is above {limit.dt:.4g}, the stable limit of {sim.method} here, "
+        f"a {what} of {step:.4g} is above {limit.dt:.4g}, the stable limit of {method} here, "
         f"set by {limit.describe()}; use {_or(remedies)}"
     )
 
@@ -107,11 +122,11 @@ def above_limit(sim) -> str | None:
 def _stable_method() -> str:
     """An implicit method that is stable at every step, or what there is instead."""
     for name in methods.METHODS:
-        claims = methods.load(name).CLAIMS
+        claims = methods.load(name).claims
         if claims.implicit and math.isinf(claims.stability_limit):
             return name
     return "symplectic_euler"
 
 
-def _or(words) -> str:
+def _or(words: Sequence[str]) -> str:
     return " or ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))

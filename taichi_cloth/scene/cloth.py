@@ -11,6 +11,7 @@ import numpy as np
 
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene.model import ParticleDefaults, Particles, SpringDefaults, Springs
+from taichi_cloth.scene.properties import SPRING_PROPERTIES
 
 # Kind of link: (column, row) offsets to the neighbours a particle is tied to. The order here is
 # the order in which the links of one particle are numbered.
@@ -35,10 +36,7 @@ def grid(
     down: Sequence[float] | None = None,
     particle_defaults: ParticleDefaults | None = None,
     spring_defaults: SpringDefaults | None = None,
-    stiffness: Mapping[str, float] | None = None,
-    rest_length: Mapping[str, float] | None = None,
-    break_force: Mapping[str, float] | None = None,
-    damping: Mapping[str, float] | None = None,
+    **per_kind: Mapping[str, float] | None,
 ) -> tuple[Particles, Springs]:
     """Particles and springs of a `columns` x `rows` cloth, numbered row by row from 0.
 
@@ -48,45 +46,26 @@ def grid(
     links: kinds out of `LINKS`. Springs are numbered particle by particle: left, upper; then
         upper left, upper right (shear); then two left, two up (bend).
     across, down: directions of a row and of a column, any length (default: x and y).
-    stiffness, rest_length, break_force, damping: values per kind of link; a kind that is absent
-        takes `spring_defaults` (whose absent rest length is the distance at the start).
+    per_kind: stiffness, rest_length and the others of `SpringProperties`, each as values by kind of
+        link; a kind that is absent takes `spring_defaults` (whose absent rest length is the
+        distance at the start).
 
-    Raises InputError for a grid, pin, direction or kind that makes no sense; `scene.validate`
+    Raises InputError for a grid, pin, direction or kind that makes no sense; `checks.validate`
     checks the numbers.
     """
-    spring_defaults = spring_defaults or SpringDefaults()
-    origin = np.asarray(origin, np.float64)
-    if min(columns, rows) < 1:
-        raise InputError(f"columns and rows must be at least 1, are {columns} and {rows}")
-    if columns * rows > LARGEST_GRID:
-        raise InputError(
-            f"{columns} columns x {rows} rows are more than {LARGEST_GRID} particles; use fewer"
-        )
-    if not (np.isfinite(spacing) and spacing > 0):
-        raise InputError(f"spacing must be positive and finite, is {spacing:g}")
-    step_across = spacing * _direction("across", across, 0, len(origin))
-    step_down = spacing * _direction("down", down, 1, len(origin))
+    _check_size(columns, rows, spacing)
+    start = np.asarray(origin, np.float64)
+    step_across = spacing * _direction("across", across, 0, len(start))
+    step_down = spacing * _direction("down", down, 1, len(start))
     if np.linalg.matrix_rank(np.stack([step_across, step_down]), tol=1e-9 * spacing) < 2:
         raise InputError("across and down must not be parallel")
-    pinned_at = _pinned_rows_and_columns(pinned, columns, rows)
-    per_kind = {
-        "stiffness": stiffness or {},
-        "rest_length": rest_length or {},
-        "break_force": break_force or {},
-        "damping": damping or {},
-    }
-    for name, kinds in (("links", links), *per_kind.items()):
-        for kind in kinds:
-            if kind not in LINKS:
-                raise InputError(f"{name}: unknown kind {kind!r}; {nearest(kind, LINKS)}")
-            if name != "links" and kind not in links:
-                raise InputError(f"{name}: this cloth has no {kind} links; add '{kind}' to links")
-
     fixed = np.zeros((rows, columns), bool)
-    fixed[pinned_at] = True
+    fixed[_pinned_rows_and_columns(pinned, columns, rows)] = True
+    numbers = _numbers_by_kind(links, per_kind)
+
     row, column = np.divmod(np.arange(rows * columns), columns)
     particles = Particles.build(
-        origin + column[:, None] * step_across + row[:, None] * step_down,
+        start + column[:, None] * step_across + row[:, None] * step_down,
         defaults=particle_defaults,
         fixed=fixed.ravel(),
     )
@@ -95,45 +74,77 @@ def grid(
     slots = [(kind, offset) for kind in LINKS if kind in links for offset in LINKS[kind]]
     if not slots:
         return particles, Springs.none()
-    neighbour_column = column[:, None] + np.array([offset[0] for _, offset in slots])
-    neighbour_row = row[:, None] + np.array([offset[1] for _, offset in slots])
+    between, slot = _ties(row, column, columns, [offset for _, offset in slots])
+    # The distance at the start depends on the slot alone, as all other numbers do.
+    at_start = [float(np.linalg.norm(c * step_across + r * step_down)) for _, (c, r) in slots]
+    spring_columns = {}
+    for name, about in SPRING_PROPERTIES.items():
+        default = getattr(spring_defaults or SpringDefaults(), name)
+        values = about.filled([numbers[name].get(kind, default) for kind, _ in slots], at_start)
+        spring_columns[name] = np.array(values, np.float64)[slot]
+    return particles, Springs(between=between, **spring_columns)
+
+
+def _ties(
+    row: np.ndarray, column: np.ndarray, columns: int, offsets: Sequence[tuple[int, int]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Each particle tied to its neighbours at `offsets`: the pairs (s, 2), and of which offset."""
+    neighbour_column = column[:, None] + np.array([across for across, _ in offsets])
+    neighbour_row = row[:, None] + np.array([down for _, down in offsets])
     # All neighbours lie to the left, above, or both ways within a row above: no lower bound
     # besides 0 and no upper one besides the last column is ever crossed.
     present = (neighbour_column >= 0) & (neighbour_column < columns) & (neighbour_row >= 0)
     particle, slot = np.nonzero(present)
     between = np.stack([particle, (neighbour_row * columns + neighbour_column)[present]], axis=1)
-
-    # The distance at the start depends on the slot alone.
-    at_start = np.array(
-        [np.linalg.norm(dc * step_across + dr * step_down) for _, (dc, dr) in slots]
-    )
-
-    def per_spring(name: str, default) -> np.ndarray:
-        values = [per_kind[name].get(kind, default) for kind, _ in slots]
-        if name == "rest_length":
-            values = [at_start[i] if v is None else v for i, v in enumerate(values)]
-        return np.array([np.inf if v is None else v for v in values], np.float64)[slot]
-
-    return particles, Springs(
-        between=between.astype(np.int64, copy=False),
-        **{name: per_spring(name, getattr(spring_defaults, name)) for name in per_kind},
-    )
+    return between.astype(np.int64, copy=False), slot
 
 
-def _direction(name: str, vector, axis: int, dim: int) -> np.ndarray:
+def _check_size(columns: int, rows: int, spacing: float) -> None:
+    if min(columns, rows) < 1:
+        raise InputError(f"columns and rows must be at least 1, are {columns} and {rows}")
+    if columns * rows > LARGEST_GRID:
+        raise InputError(
+            f"{columns} columns x {rows} rows are more than {LARGEST_GRID} particles; use fewer"
+        )
+    if not (np.isfinite(spacing) and spacing > 0):
+        raise InputError(f"spacing must be positive and finite, is {spacing:g}")
+
+
+def _numbers_by_kind(
+    links: Sequence[str], per_kind: Mapping[str, Mapping[str, float] | None]
+) -> dict[str, Mapping[str, float]]:
+    """Every property's values by kind of link; refuses kinds that there are not."""
+    for name in per_kind:
+        if name not in SPRING_PROPERTIES:
+            raise TypeError(f"grid() got an unexpected keyword argument '{name}'")
+    numbers = {name: per_kind.get(name) or {} for name in SPRING_PROPERTIES}
+    for name, kinds in (("links", links), *numbers.items()):
+        for kind in kinds:
+            if kind not in LINKS:
+                raise InputError(f"{name}: unknown kind {kind!r}; {nearest(kind, LINKS)}")
+            if name != "links" and kind not in links:
+                raise InputError(f"{name}: this cloth has no {kind} links; add '{kind}' to links")
+    return numbers
+
+
+def _direction(name: str, vector: Sequence[float] | None, axis: int, dim: int) -> np.ndarray:
     """`vector` at length 1, or the unit vector of `axis` if it is None; shape (dim,)."""
     if vector is None:
-        return np.eye(dim)[axis]
-    vector = np.asarray(vector, np.float64)
-    if vector.shape != (dim,):
-        raise InputError(f"{name} must have {dim} numbers like origin, has {vector.size}")
-    length = np.linalg.norm(vector)
+        unit: np.ndarray = np.eye(dim)[axis]
+        return unit
+    along = np.asarray(vector, np.float64)
+    if along.shape != (dim,):
+        raise InputError(f"{name} must have {dim} numbers like origin, has {along.size}")
+    length = np.linalg.norm(along)
     if not (np.isfinite(length) and length > 0):
         raise InputError(f"{name} must be a finite direction other than zero")
-    return vector / length
+    unit = along / length
+    return unit
 
 
-def _pinned_rows_and_columns(pinned, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
+def _pinned_rows_and_columns(
+    pinned: Iterable[Sequence[int]], columns: int, rows: int
+) -> tuple[np.ndarray, np.ndarray]:
     pairs = np.array(list(pinned), np.int64).reshape(-1, 2)
     column, row = pairs.T
     inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)

@@ -5,11 +5,15 @@ Flags of the command line are made from these declarations, so a setting is desc
 
 from __future__ import annotations
 
+import builtins
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from taichi_cloth.errors import InputError, nearest
+
+PROGRAM = "taichi-cloth"  # the command whose flags set them
 
 
 @dataclass(frozen=True)
@@ -31,8 +35,8 @@ class Parameter:
     type: type = str
     default: Any = None
 
-    def of(self, type_: type, default: Any) -> Parameter:
-        """The same parameter with its type and default."""
+    def with_type(self, type_: builtins.type, default: Any) -> Parameter:
+        """The parameter with the type and default that it has where it is used."""
         return replace(self, type=type_, default=default)
 
     def check(self, name: str, value: Any) -> Any:
@@ -84,17 +88,17 @@ class Parameter:
         if self.above is not None:
             notes.append(f"above {self.above:g}" if self.above else "positive")
         if self.minimum is not None and self.maximum is not None:
-            notes.append(f"{_plain(self.minimum)} to {_plain(self.maximum)}")
+            notes.append(f"{_written(self.minimum)} to {_written(self.maximum)}")
         elif self.minimum is not None:
-            notes.append(f"at least {_plain(self.minimum)}")
+            notes.append(f"at least {_written(self.minimum)}")
         elif self.maximum is not None:
-            notes.append(f"at most {_plain(self.maximum)}")
+            notes.append(f"at most {_written(self.maximum)}")
         if self.default not in (None, False, True):
             notes.append(f"default {self.default}")
         return f"{self.help} ({', '.join(notes)})" if notes else self.help
 
 
-def _plain(limit: float) -> str:
+def _written(limit: float) -> str:
     """A limit as one writes it: 100000, not 1e+05."""
     return str(limit) if isinstance(limit, int) else f"{limit:g}"
 
@@ -112,13 +116,53 @@ def _parse_size(name: str, text: str) -> tuple[int, int]:
 
 def setting(default: Any, help_: str, type_: type | None = None, **limits: Any) -> Any:
     """A dataclass field with its `Parameter` in its metadata."""
-    parameter = Parameter(help_, **limits).of(type_ or type(default), default)
+    parameter = Parameter(help_, **limits).with_type(type_ or type(default), default)
     return field(default=default, metadata={"parameter": parameter})
 
 
-def parameters_of(settings: type) -> dict[str, Parameter]:
-    """The declared parameters of a dataclass of settings, by field name."""
-    return {f.name: f.metadata["parameter"] for f in fields(settings)}
+AnyOptions = TypeVar("AnyOptions", bound="Options")
+
+
+@dataclass(frozen=True)
+class Options:
+    """The settings of a command: each field is declared by `setting`.
+
+    given: names of the settings that were asked for; the others have their defaults.
+    """
+
+    given: frozenset[str] = field(default=frozenset(), kw_only=True)
+
+    @classmethod
+    def from_given(cls: type[AnyOptions], values: Mapping[str, Any]) -> AnyOptions:
+        """The options with these values, which were asked for, and defaults for the rest."""
+        return cls(**values, given=frozenset(values))
+
+    def words(self) -> list[str]:
+        """The settings that were asked for, as one would write them after a command."""
+        names = [name for name in parameters_of(type(self)) if name in self.given]
+        return flag_words({name: getattr(self, name) for name in names})
+
+
+def parameters_of(settings: type[Options]) -> dict[str, Parameter]:
+    """The declared parameters of a command's settings, by field name."""
+    declared = {f.name: f.metadata.get("parameter") for f in fields(settings)}
+    return {name: parameter for name, parameter in declared.items() if parameter is not None}
+
+
+def flag(name: str) -> str:
+    """The flag of the setting called `name`."""
+    return "--" + name.replace("_", "-")
+
+
+def flag_words(values: Mapping[str, Any]) -> list[str]:
+    """The flags that give settings these values, as one would write them."""
+    words = []
+    for name, value in values.items():
+        if isinstance(value, bool):
+            words.append(flag(name if value else f"no_{name}"))
+        else:
+            words += [flag(name), str(value)]
+    return words
 
 
 ARCHS = ("cpu", "gpu", "cuda", "vulkan", "opengl", "metal")
@@ -132,7 +176,7 @@ HEADLESS_FRAMES = 600
 
 
 @dataclass(frozen=True)
-class RunOptions:
+class RunOptions(Options):
     """Settings of one run."""
 
     arch: str = setting("cpu", "where to compute; gpu is the best there is", choices=ARCHS)
@@ -223,7 +267,7 @@ class RunOptions:
 
 
 @dataclass(frozen=True)
-class StabilityOptions:
+class StabilityOptions(Options):
     """Settings of the command `stability`."""
 
     output: str | None = setting(
@@ -236,7 +280,7 @@ class StabilityOptions:
 
 
 @dataclass(frozen=True)
-class BenchOptions:
+class BenchOptions(Options):
     """Settings of the benchmark."""
 
     rounds: int | None = setting(
@@ -264,7 +308,7 @@ class BenchOptions:
 
 
 @dataclass(frozen=True)
-class ComparisonOptions:
+class ComparisonOptions(Options):
     """What `trade` and `tune` compare, and how."""
 
     methods: str | None = setting(None, "methods to compare (default: all)", str, metavar="A,B")
@@ -340,7 +384,7 @@ def _as_in_run(name: str) -> Any:
 
 
 @dataclass(frozen=True)
-class ExplainOptions:
+class ExplainOptions(Options):
     """Settings of `explain`."""
 
     arch: str = _as_in_run("arch")
@@ -361,3 +405,26 @@ class ExplainOptions:
     tables: str | None = setting(
         None, "with --all: fill a document's tables", str, metavar="FILE.md"
     )
+
+
+OneRun = TypeVar("OneRun", RunOptions, ExplainOptions)
+
+
+def check_run(options: OneRun) -> OneRun:
+    """Return the options of one run, with the execution path that `threads` implies.
+
+    Raises InputError for an unknown method, and for threads of a backend that has none.
+    """
+    from taichi_cloth.kernels.methods import METHODS
+
+    if options.method not in METHODS:
+        raise InputError(
+            f"--method: unknown method '{options.method}'; {nearest(options.method, METHODS)}"
+        )
+    if options.threads is None:
+        return options
+    if options.arch != "cpu":
+        raise InputError(f"--threads: only --arch cpu takes it, not {options.arch}")
+    if options.execution != "auto":
+        return options
+    return replace(options, execution="serial" if options.threads == 1 else "parallel")

@@ -1,4 +1,4 @@
-"""The graph of particles and springs, as arrays (NumPy)."""
+"""The graph of particles and springs as arrays: compressed rows, colours, orders, grids (NumPy)."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ import numpy as np
 
 @dataclass(frozen=True)
 class HalfSprings:
-    """Every spring seen from both of its ends, grouped by particle (compressed rows).
+    """Compressed rows: every spring seen from both of its ends, grouped by particle.
 
     Particle i's half-springs are row[i] .. row[i + 1], in the order of the springs' numbers.
-    row: (n + 1,) int32; near, far: (2s,) int32, the particle i and the one at the other end;
-    spring: (2s,) int64, the spring's number; half: (s, 2) int32, a spring's two half-springs, in
-    the order of its ends.
+
+    row: (n + 1,) int32, where each particle's row begins.
+    near, far: (2s,) int32, the particle of the row, and the one at the other end.
+    spring: (2s,) int64, the spring's number.
+    half: (s, 2) int32, a spring's two half-springs, in the order of its ends.
     """
 
     row: np.ndarray
@@ -25,7 +27,7 @@ class HalfSprings:
 
 
 def half_springs(between: np.ndarray, particle_count: int) -> HalfSprings:
-    """Adjacency of the springs `between` (s, 2) among `particle_count` particles."""
+    """The compressed rows of the springs `between` (s, 2) among `particle_count` particles."""
     s = len(between)
     near, far = between.ravel(), between[:, ::-1].ravel()
     order = np.argsort(near, kind="stable")
@@ -45,8 +47,9 @@ def half_springs(between: np.ndarray, particle_count: int) -> HalfSprings:
 def edge_colours(between: np.ndarray, particle_count: int) -> np.ndarray:
     """A colour for each of the springs `between` (s, 2), so that no two at a particle share one.
 
-    Each gets the first that is free at both ends, so there are fewer than twice as many as the most
-    springs at a particle. A particle's colours are the bits of a number, which has no largest size.
+    Each gets the first colour that is free at both ends, so there are fewer than twice as many as
+    the most springs at a particle. A particle's colours are the bits of a number, which has no
+    largest size.
     """
     colour = np.empty(len(between), np.int64)
     used = [0] * particle_count
@@ -62,7 +65,7 @@ def edge_colours(between: np.ndarray, particle_count: int) -> np.ndarray:
 def vertex_colours(between: np.ndarray, particle_count: int) -> np.ndarray:
     """A colour for each particle, so that no two that the springs `between` (s, 2) tie share one.
 
-    Each gets the first that none of those before it has; -1 for particles without springs.
+    Each gets the first colour that no neighbour before it has; -1 for particles without springs.
     """
     colour = np.full(particle_count, -1, np.int64)
     half = half_springs(between, particle_count)
@@ -78,7 +81,7 @@ def vertex_colours(between: np.ndarray, particle_count: int) -> np.ndarray:
 
 
 def z_order(position: np.ndarray) -> np.ndarray:
-    """Numbers of the particles at `position` (n, dim) along a Z-order curve: near ones together.
+    """The order of the particles at `position` (n, dim) along a Z-order curve: near ones together.
 
     Morton, "A computer oriented geodetic data base", 1966; 16 bits per axis.
     """
@@ -95,7 +98,10 @@ def z_order(position: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Grid:
-    """Particles first .. first + rows * columns, numbered row by row, tied to their neighbours."""
+    """A regular grid: particles first .. first + rows * columns, numbered row by row.
+
+    All are tied to their neighbours in their row and column.
+    """
 
     first: int
     columns: int
@@ -105,9 +111,10 @@ class Grid:
 def find_grids(between: np.ndarray, particle_count: int) -> list[Grid]:
     """The regular grids among the particles, in order: blocks of consecutive numbers.
 
-    A grid has at least two rows and two columns; in each row every particle is tied to the next
-    one and the last is not, in each column every particle to the one below. Of two columns the
-    last may be, as shear springs do. Further springs, to whatever particle, are no obstacle.
+    A grid has at least two rows and two columns. In each row every particle is tied to the next
+    one, and the last is not tied to the first of the next row (in a grid of two columns it may be,
+    by a shear spring). In each column every particle is tied to the one below. Further springs, to
+    whatever particle, are no obstacle.
     """
     low, high = between.min(axis=1, initial=particle_count), between.max(axis=1, initial=0)
     apart = high - low

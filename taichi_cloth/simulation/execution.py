@@ -32,9 +32,9 @@ def run_begin(method, plan, state) -> None:
 
     method: its module; plan: one whose loops are spread.
     """
-    if hasattr(method, "begin"):
+    if method.begin:
         with _compiling(method, plan):
-            stepping.begin_spread(method.begin, plan, state)
+            stepping.begin_launch(method.begin, plan, state)
 
 
 def run_frames(method, plan, state, done, frames, substeps) -> int:
@@ -42,20 +42,20 @@ def run_frames(method, plan, state, done, frames, substeps) -> int:
 
     method: its module.
     """
-    phased = getattr(method, "PHASES", None)
-    by_phases = phased and (plan.spread or (plan.lanes > 1 and hasattr(method, "LAUNCHES")))
+    phased = method.phases
+    by_phases = phased and (plan.one_launch_per_step or (plan.lanes > 1 and method.launches))
     with _compiling(method, plan):
-        if not (plan.spread or by_phases):
+        if not (plan.one_launch_per_step or by_phases):
             step = phases.stepping(phased) if phased else method.step
             return stepping.frames_in_one_launch(step, plan, state, done, frames, substeps)
-        spread = replace(plan, spread=True)
+        spread = replace(plan, one_launch_per_step=True)
         for frame in range(frames):
-            watchdog.keep_spread(spread, state)
+            watchdog.checkpoint_launch(spread, state)
             for step in range(done + frame * substeps + 1, done + (frame + 1) * substeps + 1):
                 if by_phases:
                     _run_phases(method, plan, state, step)
                 else:
-                    stepping.substep_spread(method.step, plan, state, step)
+                    stepping.substep_launch(method.step, plan, state, step)
             if watchdog.last_fault(state) != watchdog.NO_FAULT:
                 return frame
         return frames
@@ -63,16 +63,16 @@ def run_frames(method, plan, state, done, frames, substeps) -> int:
 
 def _run_phases(method, plan, state, step):
     """One step, in several launches."""
-    stepping.begin_step_spread(state, step)
+    stepping.begin_step_launch(state, step)
     phase = 0
     while phase != phases.DONE:
-        if plan.spread:
-            phase = stepping.phase_spread(method.PHASES[phase], plan, state)
+        if plan.one_launch_per_step:
+            phase = stepping.phase_launch(method.phases[phase], plan, state)
         else:
-            these = next(these for these in method.LAUNCHES if phase in these)
-            phase = stepping.phases_in_one_launch(method.PHASES, these, plan, state)
+            these = next(these for these in method.launches if phase in these)
+            phase = stepping.phases_in_one_launch(method.phases, these, plan, state)
     if plan.fracture:
-        stepping.end_step_spread(replace(plan, spread=True), state)
+        stepping.end_step_launch(replace(plan, one_launch_per_step=True), state)
 
 
 @contextlib.contextmanager
@@ -81,7 +81,7 @@ def _compiling(method, plan):
     with contextlib.ExitStack() as settings:
         if plan.lanes > 1:
             settings.enter_context(whole_vectors())
-        if getattr(method, "SUMS", 0):
+        if method.sums:
             settings.enter_context(sums_in_order())
         yield
 

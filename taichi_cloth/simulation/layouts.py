@@ -1,10 +1,12 @@
-"""Where particles and springs are stored: on a graph, or in the cells of regular grids (NumPy).
+"""Where particles and springs are stored: on a graph, or on regular grids in packs (NumPy).
 
-`kernels/lanes.py` draws how a grid lies in its cells.
+A pack holds several particles side by side, its width in number, each in a slot of its own.
+`kernels/packs.py` draws how a grid lies in its packs. On a graph, packs hold one particle each.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,28 +18,33 @@ from taichi_cloth.simulation import adjacency
 # Offsets (columns, rows) from a particle to those that come later and are tied to it.
 FORWARD = tuple((-column, -row) for kind in LINKS.values() for column, row in kind)
 WORTH_SORTING = 4096  # particles; fewer are in the processor's fastest caches anyway
-LOOSE_WIDTH = 16  # cells in a row of particles that are on no grid
+LOOSE_WIDTH = 16  # packs in a row of particles that are on no grid
 # Rest lengths of links of one kind may differ by the rounding of the positions they come from.
 SAME = 1e-11
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Places of n particles and s springs.
+    """Where n particles and s springs are stored.
 
-    lanes: particles in a cell; links: offsets of the kinds of link, empty on a graph.
-    n_cells: cells in use, empty ones included; site: (n,) int32, each particle's cell * lanes +
-    lane. grid: (g, 4) int32, first cell, rows, width and whether it has links; grid_of: (n_cells,)
-    int32. kind: (s,) int, a spring's kind of link, -1 for one on the graph; owner: (s,) int, site
-    of a link's earlier particle. rest_length, damping, break_length2: (kinds, g), of links.
-    row: cells in the widest row with its halos. alike: whether all rows of each grid, but the last
-    ones, have the same links with the same stiffness.
+    lanes: the width of packs, in particles.
+    links: offsets (columns, rows) of the kinds of link, empty on a graph.
+    n_packs: packs in use, empty ones included.
+    slot: (n,) int32, each particle's slot: its pack times the width, plus its place in the pack.
+    grid: (g, 4) int32, each grid's first pack, rows, packs in a row, and whether it has links.
+    grid_of: (n_packs,) int32, each pack's grid; -1: none with links.
+    kind: (s,) int, each spring's kind of link, -1 for one on the graph.
+    owner: (s,) int, the slot of a link's earlier particle.
+    rest_length, damping, break_length2: (kinds, g), what the links of a kind share in a grid.
+    row: packs in the widest row, halos included.
+    rows_share_stiffness: whether all rows of each grid, but the last ones, have the same links with the same
+        stiffness.
     """
 
     lanes: int
     links: tuple[tuple[int, int], ...]
-    n_cells: int
-    site: np.ndarray
+    n_packs: int
+    slot: np.ndarray
     grid: np.ndarray
     grid_of: np.ndarray
     kind: np.ndarray
@@ -46,33 +53,35 @@ class Layout:
     damping: np.ndarray
     break_length2: np.ndarray
     row: int
-    alike: bool
+    rows_share_stiffness: bool
 
 
 def break_length2(springs: Springs) -> np.ndarray:
     """Square of the length at which a spring's force reaches its break force, (s,)."""
     with np.errstate(all="ignore"):  # an infinite length never breaks
-        return (springs.rest_length + springs.break_force / springs.stiffness) ** 2
+        length: np.ndarray = springs.rest_length + springs.break_force / springs.stiffness
+        return length**2
 
 
 def on_graph(springs: Springs, position: np.ndarray | None, particle_count: int) -> Layout:
-    """Particles one by one, all springs on the graph.
+    """The layout in which particles stand one by one, and all springs are on the graph.
 
-    In the order of their numbers, or, where springs reach far between those and `position` is
-    given, along a curve through space, so that neighbours are near in memory.
+    Particles are in the order of their numbers, or, where springs reach far between those and
+    `position` (n, dim) is given, along a curve through space, so that neighbours are near in
+    memory.
     """
-    site = np.arange(particle_count, dtype=np.int32)
+    slot = np.arange(particle_count, dtype=np.int32)
     if position is not None and particle_count >= WORTH_SORTING:
-        curve = np.empty_like(site)
-        curve[adjacency.z_order(position)] = site
-        if _reach(springs, curve) < 0.5 * _reach(springs, site):
-            site = curve
+        curve = np.empty_like(slot)
+        curve[adjacency.z_order(position)] = slot
+        if _reach(springs, curve) < 0.5 * _reach(springs, slot):
+            slot = curve
     none = np.zeros((0, 0))
     return Layout(
         lanes=1,
         links=(),
-        n_cells=particle_count,
-        site=site,
+        n_packs=particle_count,
+        slot=slot,
         grid=np.array([[0, 1, particle_count, 0]], np.int32),
         grid_of=np.zeros(1, np.int32),
         kind=np.full(len(springs), -1),
@@ -81,23 +90,23 @@ def on_graph(springs: Springs, position: np.ndarray | None, particle_count: int)
         damping=none,
         break_length2=none,
         row=1,
-        alike=False,
+        rows_share_stiffness=False,
     )
 
 
-def _reach(springs: Springs, site) -> float:
+def _reach(springs: Springs, slot: np.ndarray) -> float:
     """Mean distance in memory between the ends of springs."""
-    a, b = site[springs.between].astype(np.int64).T
+    a, b = slot[springs.between].astype(np.int64).T
     return float(np.abs(a - b).mean()) if len(a) else 0.0
 
 
 def any_period(halo: int) -> int:
-    """For `on_grids`: strips may be as wide as they like."""
+    """The period for `on_grids` with which strips may be as wide as they like: 1 column."""
     return 1
 
 
 def spring_period(halo: int) -> int:
-    """Columns after which colours of links repeat (`spring_colours`): for `on_grids`.
+    """Columns after which colours of links repeat (`spring_colours`), for `on_grids`.
 
     halo: the most columns that a link reaches.
     """
@@ -105,11 +114,13 @@ def spring_period(halo: int) -> int:
 
 
 def spring_colours(springs: Springs, grids: Layout | None, particle_count: int) -> np.ndarray:
-    """Colours (s,) of all springs; those of one colour share no particle (`kernels/colours.py`).
+    """Colours (s,) of all springs; those of one colour share no particle (`solvers/colours.py`).
 
     Links of a kind take turns: by as many rows as they reach down, or columns where they stay in
     their row. So the colours of kind k are 2k and 2k + 1; the springs on the graph have those that
-    follow. grids: the layout on grids, if there is one, of any number of lanes.
+    follow.
+
+    grids: the layout on grids, if there is one, with packs of any width.
     """
     colour = np.zeros(len(springs), np.int64)
     linked = np.zeros(len(springs), bool)
@@ -127,15 +138,20 @@ def spring_colours(springs: Springs, grids: Layout | None, particle_count: int) 
 
 
 def particle_period(halo: int) -> int:
-    """The same for colours of particles (`particle_colours`)."""
+    """Columns after which colours of particles repeat (`particle_colours`), for `on_grids`.
+
+    halo: the most columns that a link reaches.
+    """
     return halo + 1
 
 
 def particle_colours(springs: Springs, grids: Layout | None, particle_count: int) -> np.ndarray:
-    """Colours (n,) of all particles, no two of them tied where they are equal; -1 without springs.
+    """Colours (n,) of all particles; no two of one colour are tied. Without springs: -1.
 
     On grids rows and columns take turns, by one more than links reach. Particles that have springs
-    on the graph have colours that follow. grids: as in `spring_colours`.
+    on the graph have colours that follow.
+
+    grids: the layout on grids, if there is one, with packs of any width.
     """
     linked = np.zeros(len(springs), bool) if grids is None else grids.kind >= 0
     colour = np.full(particle_count, -1, np.int64)
@@ -143,7 +159,7 @@ def particle_colours(springs: Springs, grids: Layout | None, particle_count: int
     shared[springs.between[~linked]] = True
     turns = 0
     if grids is not None:
-        g, row, column = _places(grids, grids.site)
+        g, row, column = _places(grids, grids.slot)
         columns, down = np.abs(np.array(grids.links)).max(axis=0)
         turns = (columns + 1) * (down + 1)
         place = row % (down + 1) * (columns + 1) + column % (columns + 1)
@@ -154,9 +170,9 @@ def particle_colours(springs: Springs, grids: Layout | None, particle_count: int
     return colour
 
 
-def _places(grids: Layout, site):
-    """Grid (-1: none), row and column of sites."""
-    cell, lane = np.divmod(site, grids.lanes)
+def _places(grids: Layout, slot: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Grid (-1: none), row and column of slots."""
+    cell, lane = np.divmod(slot, grids.lanes)
     g = grids.grid_of[cell]
     first, _, width, _ = grids.grid[g].T
     halo = max(abs(c) for c, _ in grids.links) if grids.lanes > 1 else 0
@@ -164,22 +180,32 @@ def _places(grids: Layout, site):
     return g, row, lane * width + place
 
 
-def on_grids(springs: Springs, particle_count: int, lanes: int, period=any_period) -> Layout | None:
-    """Regular grids in cells of `lanes`, what else there is besides; None without a grid.
+def on_grids(
+    springs: Springs,
+    particle_count: int,
+    lanes: int,
+    period: Callable[[int], int] = any_period,
+) -> Layout | None:
+    """The layout of regular grids in packs, and of what else there is; None without a grid.
 
     A spring that differs from the others of its kind in its grid, in more than its stiffness,
-    stays on the graph. Strips are a multiple of `period` wide, a function of the most columns that
-    a link reaches.
+    stays on the graph.
+
+    lanes: the width of packs.
+    period: strips are a multiple of this many columns wide, a function of the most columns that a
+        link reaches.
     """
     grids = adjacency.find_grids(springs.between, particle_count)
     if not grids:
         return None
     grid = np.full(particle_count, -1)
     column, row = np.zeros((2, particle_count), np.int64)
-    for g, of in enumerate(grids):
-        block = slice(of.first, of.first + of.rows * of.columns)
-        grid[block] = g
-        row[block], column[block] = np.divmod(np.arange(of.rows * of.columns), of.columns)
+    for g, block in enumerate(grids):
+        inside = slice(block.first, block.first + block.rows * block.columns)
+        grid[inside] = g
+        row[inside], column[inside] = np.divmod(
+            np.arange(block.rows * block.columns), block.columns
+        )
 
     kind = _kinds(springs, grid, column, row)
     rest_length, damping, limit, kind = _shared_numbers(springs, kind, grid, len(grids))
@@ -193,58 +219,83 @@ def on_grids(springs: Springs, particle_count: int, lanes: int, period=any_perio
 
     halo = max(abs(c) for c, _ in links) if lanes > 1 else 0
     depth = max(r for _, r in links)
-    # Before the first cell: what the links of a row above the first one reach back to.
-    table, next_cell = [], halo + 2
-    cell, lane = np.zeros((2, particle_count), np.int64)
-    for g, of in enumerate(grids):
-        width = max(-(-of.columns // lanes), halo, 1)
-        if lanes > 1:
-            width = -(-width // period(halo)) * period(halo)
-        pitch = width + 2 * halo
-        first = next_cell + depth * pitch + halo
-        table.append([first, of.rows, width, 1])
-        mine = grid == g
-        lane[mine], place = np.divmod(column[mine], width)
-        cell[mine] = first + row[mine] * pitch + place
-        next_cell = first + (of.rows + depth) * pitch
-    loose = np.flatnonzero(grid < 0)
-    if len(loose):
-        pitch = LOOSE_WIDTH + 2 * halo
-        first = next_cell + halo
-        place, lane[loose] = np.divmod(np.arange(len(loose)), lanes)
-        at_row, at = np.divmod(place, LOOSE_WIDTH)
-        table.append([first, at_row.max() + 1, LOOSE_WIDTH, 0])
-        cell[loose] = first + at_row * pitch + at
-        next_cell = first + (at_row.max() + 1) * pitch
-    n_cells = next_cell + halo + 2
-
-    grid_of = np.full(n_cells, -1, np.int32)
-    for g, (first, rows, width, linked) in enumerate(table):
-        if linked:
-            cells = first + np.arange(rows)[:, None] * (width + 2 * halo) + np.arange(width)
-            grid_of[cells] = g
-    site = (cell * lanes + lane).astype(np.int32)
+    multiple = period(halo) if lanes > 1 else 1
+    table, slot, n_packs = _packed(grids, grid, column, row, lanes, halo, depth, multiple)
     return Layout(
         lanes=lanes,
         links=links,
-        n_cells=n_cells,
-        site=site,
-        grid=np.array(table, np.int32),
-        grid_of=grid_of,
+        n_packs=n_packs,
+        slot=slot,
+        grid=table,
+        grid_of=_grid_of_packs(table, halo, n_packs),
         kind=kind,
-        owner=site[springs.between.min(axis=1)].astype(np.int64),
+        owner=slot[springs.between.min(axis=1)].astype(np.int64),
         rest_length=rest_length[used],
         damping=damping[used],
         break_length2=limit[used],
-        row=max(width for _, _, width, _ in table) + 2 * halo,
-        alike=_alike(springs, kind, grids, depth),
+        row=int(table[:, 2].max()) + 2 * halo,
+        rows_share_stiffness=_alike(springs, kind, grids, depth),
     )
 
 
-def _kinds(springs: Springs, grid, column, row) -> np.ndarray:
+def _packed(
+    grids: Sequence[adjacency.Grid],
+    grid: np.ndarray,
+    column: np.ndarray,
+    row: np.ndarray,
+    lanes: int,
+    halo: int,
+    depth: int,
+    multiple: int,
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """`Layout.grid`, the slots of particles (n,) int32, and how many packs that takes.
+
+    grid, column, row: (n,), where each particle is; grid -1: on none.
+    lanes: the width of packs; halo: packs beside a row at either end; depth: rows that links
+        reach down; multiple: columns of which strips are a multiple wide.
+    """
+    # Before the first pack: what the links of a row above the first one reach back to.
+    table, next_pack = [], halo + 2
+    pack, place = np.zeros((2, len(grid)), np.int64)
+    for g, block in enumerate(grids):
+        width = max(-(-block.columns // lanes), halo, 1)
+        width = -(-width // multiple) * multiple
+        pitch = width + 2 * halo
+        first = next_pack + depth * pitch + halo
+        table.append([first, block.rows, width, 1])
+        mine = grid == g
+        place[mine], along = np.divmod(column[mine], width)
+        pack[mine] = first + row[mine] * pitch + along
+        next_pack = first + (block.rows + depth) * pitch
+    loose = np.flatnonzero(grid < 0)
+    if len(loose):
+        pitch = LOOSE_WIDTH + 2 * halo
+        first = next_pack + halo
+        along, place[loose] = np.divmod(np.arange(len(loose)), lanes)
+        at_row, at = np.divmod(along, LOOSE_WIDTH)
+        table.append([first, at_row.max() + 1, LOOSE_WIDTH, 0])
+        pack[loose] = first + at_row * pitch + at
+        next_pack = first + (at_row.max() + 1) * pitch
+    slot = (pack * lanes + place).astype(np.int32)
+    return np.array(table, np.int32), slot, int(next_pack + halo + 2)
+
+
+def _grid_of_packs(table: np.ndarray, halo: int, n_packs: int) -> np.ndarray:
+    """`Layout.grid_of`, from `Layout.grid`."""
+    grid_of = np.full(n_packs, -1, np.int32)
+    for g, (first, rows, width, linked) in enumerate(table):
+        if linked:
+            packs = first + np.arange(rows)[:, None] * (width + 2 * halo) + np.arange(width)
+            grid_of[packs] = g
+    return grid_of
+
+
+def _kinds(springs: Springs, grid: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:
     """Each spring's kind, an index into FORWARD, or -1 where it is no link of a grid.
 
     A link without stiffness cannot be told from an absent one, and stays on the graph.
+
+    grid, column, row: (n,), where each particle is; grid -1: on none.
     """
     a, b = springs.between.min(axis=1), springs.between.max(axis=1)
     offset = np.stack([column[b] - column[a], row[b] - row[a]], axis=1)
@@ -255,22 +306,24 @@ def _kinds(springs: Springs, grid, column, row) -> np.ndarray:
     return kind
 
 
-def _alike(springs: Springs, kind, grids, depth: int) -> bool:
+def _alike(springs: Springs, kind: np.ndarray, grids: Sequence[adjacency.Grid], depth: int) -> bool:
     """Whether the links of all rows, but the last `depth` of each grid, are those of the first."""
     first = springs.between.min(axis=1)
-    for of in grids:
-        inside = (first >= of.first) & (first < of.first + of.rows * of.columns)
+    for block in grids:
+        inside = (first >= block.first) & (first < block.first + block.rows * block.columns)
         for k in np.unique(kind[inside & (kind >= 0)]):
             links = inside & (kind == k)
-            stiffness = np.zeros(of.rows * of.columns)
-            stiffness[first[links] - of.first] = springs.stiffness[links]
-            rows = stiffness.reshape(of.rows, of.columns)[: max(of.rows - depth, 0)]
+            stiffness = np.zeros(block.rows * block.columns)
+            stiffness[first[links] - block.first] = springs.stiffness[links]
+            rows = stiffness.reshape(block.rows, block.columns)[: max(block.rows - depth, 0)]
             if (rows != rows[:1]).any():
                 return False
     return True
 
 
-def _shared_numbers(springs: Springs, kind, grid, grid_count: int):
+def _shared_numbers(
+    springs: Springs, kind: np.ndarray, grid: np.ndarray, grid_count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """(rest length, damping, break length squared), each (kinds, grids), and the kinds again.
 
     A spring with other numbers than most of its kind and grid (their median) gets kind -1.
@@ -280,15 +333,23 @@ def _shared_numbers(springs: Springs, kind, grid, grid_count: int):
     linked = np.flatnonzero(kind >= 0)
     group = kind[linked] * grid_count + grid[springs.between[linked, 0]]
     groups, begin, count = np.unique(np.sort(group), return_index=True, return_counts=True)
-    tables, same = [], np.ones(len(linked), bool)
-    for of in (springs.rest_length, springs.damping, limit2):
+    same = np.ones(len(linked), bool)
+
+    def shared(values: np.ndarray) -> np.ndarray:
+        """The values that most have; what has another one is no longer `same`."""
         table = np.zeros(shape)
-        ranked = linked[np.lexsort((of[linked], group))]
-        table.flat[groups] = of[ranked[begin + count // 2]]
+        ranked = linked[np.lexsort((values[linked], group))]
+        table.flat[groups] = values[ranked[begin + count // 2]]
         mine = table.flat[group]
         with np.errstate(invalid="ignore"):
-            same &= (of[linked] == mine) | (np.abs(of[linked] - mine) <= SAME * mine)
-        tables.append(table)
+            same[:] &= (values[linked] == mine) | (np.abs(values[linked] - mine) <= SAME * mine)
+        return table
+
+    rest_length, damping, limit = (
+        shared(springs.rest_length),
+        shared(springs.damping),
+        shared(limit2),
+    )
     kind = kind.copy()
     kind[linked[~same]] = -1
-    return (*tables, kind)
+    return rest_length, damping, limit, kind

@@ -11,9 +11,11 @@ import numpy as np
 import taichi as ti
 
 from taichi_cloth.errors import InputError, SimulationFailure, nearest
-from taichi_cloth.kernels import fracture, methods, pointer, transfer, watchdog
+from taichi_cloth.kernels import forces, fracture, methods, transfer, watchdog
+from taichi_cloth.kernels.forces import blow as pointer
 from taichi_cloth.kernels.solvers import newton_cg
-from taichi_cloth.kernels.specialization import Plan
+from taichi_cloth.kernels.specialization import Specialization
+from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import (
     ALIVE,
     BREAKING,
@@ -22,11 +24,14 @@ from taichi_cloth.kernels.state import (
     WORK,
     Capacity,
     State,
+    device_fields,
 )
-from taichi_cloth.limits import modes
-from taichi_cloth.limits.auto_step import Follower, substeps_needed
+from taichi_cloth.limits.auto_step import SubstepController, substeps_needed
+from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
+from taichi_cloth.limits.network import Network
 from taichi_cloth.runtime import current_device, still_runs
-from taichi_cloth.scene.model import Particles, Scene, Springs, validate
+from taichi_cloth.scene.checks import validate
+from taichi_cloth.scene.model import Particles, Scene, Springs
 from taichi_cloth.settings.options import SOLVER_SETTINGS, TOPOLOGIES
 from taichi_cloth.simulation import adjacency, diagnostics, execution, layouts
 
@@ -84,14 +89,14 @@ class Simulation:
         self.method, self.dt, self.substeps = method, dt, substeps
         device = current_device()
         self._module = methods.load(method)
-        self._needs = getattr(self._module, "NEEDS", ())
-        self.claims = self._module.CLAIMS
+        self._needs = self._module.needs
+        self.claims = self._module.claims
         self.solver = _solver_settings(method, self.claims, tolerance, iterations)
-        self._follower = Follower(method, self._module, dt) if follows else None
+        self._follower = SubstepController(method, self._module, dt) if follows else None
         self._real = getattr(ti, device.real)
         self._numpy_real = np.float64 if device.real == "f64" else np.float32
         self._requested = topology, execution
-        most = min(LANES, getattr(self._module, "LANES", LANES))
+        most = min(LANES, self._module.lanes or LANES)
         self._lanes = lanes or (most if device.arch == "cpu" else 1)
         self._drawn = np.zeros((0, 0))
         self._layouts = {}  # by topology, until something is spawned or reset
@@ -113,7 +118,7 @@ class Simulation:
         self.scene = validate(scene)
         self.dt, self.substeps = dt, substeps
         if self.follows:
-            self._follower = Follower(self.method, self._module, dt)
+            self._follower = SubstepController(self.method, self._module, dt)
         self.speed_limit = _runaway_speed(scene, dt)
         self.reset()
 
@@ -128,7 +133,7 @@ class Simulation:
         self._particles, self._springs = self.scene.particles, self.scene.springs
         self._fracture = np.tile(np.int32([ALIVE, 0]), (len(self._springs), 1))
         if self._follower:
-            self._follower.forget()
+            self._follower.reset()
             self._choose_substeps(self._particles, self._springs, self._fracture)
         self._load(self._particles.position, self._particles.velocity)
 
@@ -221,10 +226,10 @@ class Simulation:
             if not same:
                 self._changed = True  # what a method keeps may depend on the step
 
-    def network(self) -> modes.Network:
+    def network(self) -> Network:
         """The particles where they are, and the springs that pull."""
         holds = self._read_fracture()[:, 0] != GONE
-        return modes.Network.of(self._particles, self._springs, self.positions(), holds)
+        return Network.from_scene(self._present_scene(), self.positions(), holds)
 
     def work(self) -> diagnostics.Work:
         """What has been done since the start, or since `reset`."""
@@ -317,7 +322,11 @@ class Simulation:
         """Substeps for these particles and springs, of which some may be gone."""
         holds = marks[:, 0] != GONE
         self._broken_before, self._breaking = int((marks[:, 0] != ALIVE).sum()), True
-        chosen = self._follower.choose(modes.Network.of(particles, springs, holds=holds))
+        chosen = self._follower.choose(
+            Network.from_scene(
+                replace(self.scene, particles=particles, springs=springs), holds=holds
+            )
+        )
         if chosen != self.substeps:
             self._change_step(self.dt, chosen)
 
@@ -331,8 +340,8 @@ class Simulation:
         if changed or self._breaking:
             self._broken_before, self._breaking = broken, changed
             holds = self._read_fracture()[:, 0] != GONE
-            network = modes.Network.of(self._particles, self._springs, holds=holds)
-            chosen = self._follower.follow(network)
+            network = Network.from_scene(self._present_scene(), holds=holds)
+            chosen = self._follower.choose_after_breaks(network)
             if chosen != self.substeps:
                 self._change_step(self.dt, chosen)
 
@@ -415,6 +424,9 @@ class Simulation:
 
     # --- loading the device ----------------------------------------------------------------
 
+    def _present_scene(self):
+        return replace(self.scene, particles=self._particles, springs=self._springs)
+
     def _features(self):
         return replace(self.scene, particles=self._particles, springs=self._springs).features()
 
@@ -452,7 +464,7 @@ class Simulation:
             self._load_springs()
         if self._plan.links:
             self._load_links()
-        if self._plan.blow and not self._blowing:
+        if "blow" in self._plan.terms and not self._blowing:
             pointer.clear_push(self._state)
         self._changed = True  # from outside, so that forces must be computed anew
 
@@ -488,7 +500,7 @@ class Simulation:
         grids = self._lay_out("lanes")
         colour = layouts.spring_colours(self._springs, grids, self.particle_count)[springs]
         # In the order of memory within a colour.
-        near = self._layout.site[self._springs.between[springs]].min(axis=1)
+        near = self._layout.slot[self._springs.between[springs]].min(axis=1)
         order = np.lexsort((near, colour))
         return springs[order], colour[order]
 
@@ -498,7 +510,7 @@ class Simulation:
         return replace(
             plan,
             threads=1 if path == "serial" else device.threads,
-            spread=path == "parallel" and (device.arch != "cpu" or plan.collisions),
+            one_launch_per_step=path == "parallel" and (device.arch != "cpu" or plan.collisions),
         )
 
     def _make_room(self, topology):
@@ -509,19 +521,22 @@ class Simulation:
         features = dict(vars(self._features()))
         spawns = self.scene.world.mouse == "spawn"
         features["springs"] &= spawns or len(self._on_graph) > 0
-        self._spread_plan = plan = Plan(
+        self._spread_plan = plan = Specialization(
             **features,
+            terms=forces.present_in(
+                replace(self.scene, particles=self._particles, springs=self._springs)
+            ),
             lanes=self._layout.lanes,
             links=self._layout.links,
-            alike=self._layout.alike and not features["fracture"],
+            rows_share_stiffness=self._layout.rows_share_stiffness and not features["fracture"],
             compensated=current_device().compensated,
             threads=current_device().threads,
-            spread=True,
+            one_launch_per_step=True,
         )
         needed = Capacity(
             particles=self.particle_count,
             springs=len(self._on_graph),
-            cells=self._layout.n_cells,
+            packs=self._layout.n_packs,
             grids=len(self._layout.grid),
             row=self._layout.row,
         )
@@ -529,7 +544,7 @@ class Simulation:
         factor = 1
         if state is not None:
             stored, of = self._stored
-            same = of == topology and stored.covers(plan)
+            same = of == topology and stored.can_run(plan)
             if same and state.capacity.holds(needed):
                 self._spread_plan = stored
                 return
@@ -541,7 +556,7 @@ class Simulation:
             needed,
             particles=factor * needed.particles + room,
             springs=factor * needed.springs + room,
-            cells=factor * needed.cells + room,
+            packs=factor * needed.packs + room,
         )
         self._state = State(plan, self._real, capacity, self._module)
         # Taichi has room for 512 trees of fields, of which each state takes two.
@@ -549,18 +564,29 @@ class Simulation:
         self._free.atexit = False
 
     def _load_numbers(self):
-        world, particles = self.scene.world, self._particles
+        """Put the numbers of the scene and the run on the device: by name, in its order."""
+        world, particles, state = self.scene.world, self._particles, self._state
         grid_size, cell_size = self._grid(particles)
-        counts = [self.particle_count, self.solver.get("iterations", 0), *grid_size]
-        numbers = [self.dt / self.substeps, self.speed_limit, cell_size]
-        numbers += [self.solver.get("tolerance", 0.0)]
-        numbers += [*world.gravity, *world.low, *world.high]
-        transfer.load_numbers(
-            self._spread_plan,
-            self._state,
-            np.array(counts, np.int32),
-            np.array(numbers, self._numpy_real),
+        values = {
+            "n": self.particle_count,
+            "iterations": self.solver.get("iterations", 0),
+            "grid_size": grid_size,
+            "dt": self.dt / self.substeps,
+            "speed_limit": self.speed_limit,
+            "tolerance": self.solver.get("tolerance", 0.0),
+            "cell_size": cell_size,
+            "one": 1.0,
+            "low": world.low,
+            "high": world.high,
+        }
+        for field in device_fields(self._spread_plan):
+            if field.value and field.name in (*state.number_names, *state.count_names):
+                values[field.name] = field.value(world, particles)
+        counts, numbers = (
+            np.concatenate([np.ravel(values[name]) for name in names])
+            for names in (state.count_names, state.number_names)
         )
+        transfer.load_numbers(state, counts.astype(np.int32), numbers.astype(self._numpy_real))
 
     def _grid(self, particles):
         """Cells per axis and their width, the largest diameter, for the collision grid.
@@ -578,30 +604,35 @@ class Simulation:
 
     def _load_particles(self, x, v):
         p, layout = self._particles, self._layout
-        transfer.load_cells(
-            self._spread_plan, self._state, layout.n_cells, layout.grid, layout.grid_of
+        transfer.load_packs(
+            self._spread_plan, self._state, layout.n_packs, layout.grid, layout.grid_of
         )
         if len(p) == 0:
             return  # a kernel takes no empty array
         with np.errstate(all="ignore"):
             w = np.where(p.fixed, 0.0, 1.0 / p.mass)
         v = np.where(p.fixed[:, None], 0.0, v)  # a fixed particle never moves
-        columns = [x, v, w, p.radius, p.restitution, p.viscous]
+        values = {"x": x, "v": v, "w": w, "radius": p.radius, "restitution": p.restitution}
         if self._spread_plan.compensated:
-            columns += [self._low(x), self._low(v)]
-        rows = self._as_real("particle", *columns)
-        vanished = (w > 0) & (rows[:, 2 * x.shape[1]] == 0)
+            values |= {"x_low": self._low(x), "v_low": self._low(v)}
+        state = self._state
+        names = (*state.vector_names, *state.particle_names)
+        for field in device_fields(self._spread_plan):
+            if field.value and field.name in names:
+                values[field.name] = field.value(self.scene.world, p)
+        rows = self._as_real("particle", *(values[name] for name in names))
+        vanished = (w > 0) & (rows[:, len(state.vector_names) * x.shape[1]] == 0)
         if vanished.any():
             self._refuse_size("particle", vanished.argmax())
-        transfer.load_particles(self._spread_plan, self._state, layout.site, rows)
-        if "near" in self._needs:
+        transfer.load_particles(self._spread_plan, self._state, layout.slot, rows)
+        if "summed_springs" in self._needs:
             self._load_near()
         if self._plan.halo and "spring_colours" in self._needs:
             transfer.load_halo_numbers(self._spread_plan, self._state)
 
     def _load_near(self):
         """Sums of the stiffness and damping of each particle's springs."""
-        springs = self._springs.of(self._fracture[:, 0] != GONE)
+        springs = self._springs.select(self._fracture[:, 0] != GONE)
         rows = np.column_stack(
             [
                 np.bincount(springs.between.ravel(), np.repeat(of, 2), self.particle_count)
@@ -609,7 +640,7 @@ class Simulation:
             ]
         )
         rows = rows.astype(self._numpy_real)
-        transfer.load_near(self._spread_plan, self._state, self._layout.site, rows)
+        transfer.load_summed_springs(self._spread_plan, self._state, self._layout.slot, rows)
 
     def _low(self, values):
         """What the device's precision cannot hold of values."""
@@ -634,16 +665,16 @@ class Simulation:
 
     def _load_springs(self):
         """The springs that are on the graph, as rows of half-springs."""
-        site = self._layout.site
-        springs, marks = self._springs.of(self._on_graph), self._fracture[self._on_graph]
-        sites = self._layout.n_cells * self._layout.lanes
+        site = self._layout.slot
+        springs, marks = self._springs.select(self._on_graph), self._fracture[self._on_graph]
+        sites = self._layout.n_packs * self._layout.lanes
         half = adjacency.half_springs(site[springs.between], sites)
         near, row = np.arange(sites), half.row
         if self._plan.links:  # only those that have any
             near = np.flatnonzero(np.diff(half.row))
             row = np.append(half.row[near], len(half.far))
         far = np.where(marks[half.spring, 0] == GONE, half.near, half.far)
-        numbers = self._as_real("spring", springs.stiffness, springs.rest_length, springs.damping)
+        numbers = self._as_real("spring", *(getattr(springs, n.column) for n in NUMBERS))
         break_length2 = layouts.break_length2(springs).astype(self._numpy_real)
         if self._plan.uniform_springs:
             numbers, break_length2 = numbers[:1], break_length2[:1]
@@ -689,9 +720,9 @@ class Simulation:
     def _load_particle_colours(self, near):
         """The particles at the sites `near`, which have springs on the graph, by colour."""
         grids = self._lay_out("lanes")
-        colour = np.full(self._layout.n_cells * self._layout.lanes, -1)
+        colour = np.full(self._layout.n_packs * self._layout.lanes, -1)
         of_particles = layouts.particle_colours(self._springs, grids, self.particle_count)
-        colour[self._layout.site] = of_particles
+        colour[self._layout.slot] = of_particles
         colour = colour[near]
         order = np.argsort(colour, kind="stable")
         order = order[colour[order] >= 0]
@@ -707,12 +738,15 @@ class Simulation:
     def _load_links(self):
         """The springs that are links of grids."""
         layout, springs = self._layout, self._springs
-        numbers = np.stack([layout.rest_length, layout.damping, layout.break_length2], axis=2)
+        shared = {"rest": layout.rest_length, "c": layout.damping}
+        none = np.zeros_like(layout.rest_length)
+        numbers = [shared.get(number.letter, none) for number in NUMBERS]
+        numbers = np.stack([*numbers, layout.break_length2], axis=2)
         # The largest number instead of infinity, which f32 kernels may assume not to occur.
         numbers = np.minimum(numbers, np.finfo(self._numpy_real).max).astype(self._numpy_real)
-        stiffness = self._as_real("spring", springs.stiffness)[self._links, 0]
+        own = self._as_real("spring", *(getattr(springs, n.column) for n in NUMBERS))[self._links]
         links = np.column_stack([self._link_places, self._fracture[self._links]])
-        transfer.load_links(self._spread_plan, self._state, numbers, links, stiffness)
+        transfer.load_links(self._spread_plan, self._state, numbers, links, own)
 
     def _check_blows(self):
         if self.scene.world.mouse != "blow":
@@ -764,7 +798,7 @@ class Simulation:
         """Put the last good frame back, and say who failed, why, and what to change."""
         bad_x, bad_v = self.positions(), self.velocities()
         frame, good_step = self.frame + 1, self.steps
-        watchdog.put_back(self._spread_plan, self._state)
+        watchdog.restore(self._spread_plan, self._state)
         self._changed = True
         if self._plan.fracture:
             status, step = self._read_fracture().T
@@ -783,8 +817,8 @@ class Simulation:
     def _likely_cause(self):
         """(cause, remedy) of a failure: the step against the method's limit in any geometry."""
         network, method = self.network(), methods.load(self.method)
-        bounds = modes.gershgorin(network)
-        dt, limit = self.dt / self.substeps, modes.step_within(method, bounds)
+        bounds = gershgorin(network)
+        dt, limit = self.dt / self.substeps, step_within(method, bounds)
         if limit == 0 and math.isfinite(bounds.omega2):
             which = "undamped springs"
             if bounds.damping > 0:
@@ -796,8 +830,8 @@ class Simulation:
         if not math.isfinite(bounds.omega2):
             return f"springs too stiff for {self._numpy_real.__name__}", "use softer springs"
         if dt > limit > 0:  # by Gershgorin; look closer
-            bounds = modes.any_geometry(network)
-            limit = modes.step_within(method, bounds)
+            bounds = any_geometry(network)
+            limit = step_within(method, bounds)
         if not dt > limit:
             return "forces or starting speeds too large for the step", "use more --substeps"
         needed = f"use --substeps {substeps_needed(self.dt, limit)}"
@@ -844,7 +878,7 @@ def _solver_settings(method, claims, tolerance, iterations):
         if value is None:
             continue
         if name not in claims.settings:
-            takers = [m for m in methods.METHODS if name in methods.load(m).CLAIMS.settings]
+            takers = [m for m in methods.METHODS if name in methods.load(m).claims.settings]
             raise InputError(f"--{name}: {method} does not take it; {', '.join(takers)} do")
         if not value > 0:
             raise InputError(f"--{name} {value}: must be positive")

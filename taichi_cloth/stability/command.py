@@ -13,8 +13,8 @@ from taichi_cloth import console, runtime
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.files.pending import prepare_folder
 from taichi_cloth.kernels import methods
-from taichi_cloth.limits import modes
-from taichi_cloth.settings.arguments import Request
+from taichi_cloth.limits.network import Network
+from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import StabilityOptions
 from taichi_cloth.stability import experiment, report
 from taichi_cloth.stability.experiment import Map, StepLimits, TellRun, claimed
@@ -24,17 +24,16 @@ BISECTION = 10
 WEIGHT = 14
 
 
-def main(request: Request) -> int:
+def main(source: SceneSource, options: StabilityOptions) -> int:
     """Do what the command asks for; the exit status. Ctrl-C keeps what is finished."""
-    options: StabilityOptions = request.options
     names = _methods(options.method)
-    scene = request.build()
+    scene = source.build()
     folder = Path(options.output or f"stability-{scene.name}")
     prepare_folder(folder, report.FILES)
     np.seterr(all="ignore")  # numbers that overflow are the watchdog's to report
     runtime.start("cpu", "f64")
     prepared = experiment.at_rest(scene)
-    network = modes.Network.of_scene(prepared)
+    network = Network.from_scene(prepared)
     limits = [experiment.computed(name, network) for name in names]
     maps: list[Map] = []
     interrupted = None

@@ -26,6 +26,11 @@ import numpy as np
 from taichi_cloth.errors import SimulationFailure
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits import modes
+from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
+from taichi_cloth.limits.eigenmodes import Limit, stable_step
+from taichi_cloth.limits.matrices import stiffness_and_damping
+from taichi_cloth.limits.network import Network
+from taichi_cloth.limits.rounding import Stall, f32_stall
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
@@ -86,7 +91,7 @@ class StepLimits:
     method: str
     dt_gershgorin: float
     dt_any_geometry: float
-    limit: modes.Limit
+    limit: Limit
     dt_measured: float | None = None
     runs: int = 0
     steps: int = 0
@@ -109,7 +114,7 @@ class Map:
 
 def claimed(method: str) -> float:
     """The largest stable dt times omega that a method claims: 0 never stable, inf always."""
-    limit: float = methods.load(method).CLAIMS.stability_limit
+    limit: float = methods.load(method).claims.stability_limit
     return limit
 
 
@@ -132,14 +137,14 @@ def at_rest(scene: Scene) -> Scene:
     )
 
 
-def computed(name: str, network: modes.Network) -> StepLimits:
+def computed(name: str, network: Network) -> StepLimits:
     """The limits of a method that follow from the springs, before any run."""
     method = methods.load(name)
     return StepLimits(
         name,
-        modes.step_within(method, modes.gershgorin(network)),
-        modes.step_within(method, modes.any_geometry(network)),
-        modes.stable_step(method, network),
+        step_within(method, gershgorin(network)),
+        step_within(method, any_geometry(network)),
+        stable_step(method, network),
     )
 
 
@@ -165,8 +170,8 @@ class Runs:
         self._scene, particles = scene, scene.particles
         self._free = ~particles.fixed
         self._mass = np.sqrt(particles.mass[self._free])[:, None]
-        network = modes.Network.of_scene(scene)
-        self._stiffness = modes.matrices(network)[0]
+        network = Network.from_scene(scene)
+        self._stiffness = stiffness_and_damping(network)[0]
         v = np.zeros_like(particles.position)
         self._force = -diagnostics.spring_forces(particles.position, v, scene.springs)
         a, b = scene.springs.between.T
@@ -184,7 +189,7 @@ class Runs:
         sim.advance()
         return (time.perf_counter() - begin) / 100
 
-    def is_unstable(self, h: float, limit: modes.Limit, look: Look) -> bool:
+    def is_unstable(self, h: float, limit: Limit, look: Look) -> bool:
         """Whether a disturbance grows at steps of h; limit: says along which mode it starts."""
         sim, rng = self._sim, np.random.default_rng(0)
         sim.load_as(sim.topology, sim.execution, *self._disturbed(limit, rng))
@@ -207,9 +212,7 @@ class Runs:
             largest[k >= half] = max(largest[k >= half], energy)
         return largest[1] > look.margin**2 * largest[0]
 
-    def _disturbed(
-        self, limit: modes.Limit, rng: np.random.Generator
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _disturbed(self, limit: Limit, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities (n, dim) of the disturbed state."""
         position = self._scene.particles.position
         rate = math.sqrt(limit.omega2) or limit.damping or 1.0
@@ -257,7 +260,7 @@ def measure(scene: Scene, limits: StepLimits, maps: list[Map], tell: TellRun) ->
         _fill_map(drawn, factors, mesh, changed, runs, tell)
 
 
-def _long_enough(method: ModuleType, limit: modes.Limit, seconds: float) -> Look:
+def _long_enough(method: ModuleType, limit: Limit, seconds: float) -> Look:
     """How runs of steps that take `seconds` each show what grows a little above the limit."""
     beyond = (1 + 2 * ACCURACY) * limit.dt
     rate = math.log(max(modes.growth(method, beyond, limit.omega2, limit.damping), 1 + 1e-12))
@@ -267,7 +270,7 @@ def _long_enough(method: ModuleType, limit: modes.Limit, seconds: float) -> Look
 
 
 def bisect(
-    runs: Runs, limit: modes.Limit, look: Look, tell: Callable[[], None] = lambda: None
+    runs: Runs, limit: Limit, look: Look, tell: Callable[[], None] = lambda: None
 ) -> tuple[float, str]:
     """The step between stable and unstable runs, to within ACCURACY, and how it was found.
 
@@ -338,9 +341,7 @@ def _fill_map(
     """Fill a map: the line first, then runs at steps below, around and above it."""
     method = methods.load(drawn.method)
     scenes = [changed(factor) for factor in factors]
-    found = [
-        modes.stable_step(method, modes.Network.of_scene(scene), exact=False) for scene in scenes
-    ]
+    found = [stable_step(method, Network.from_scene(scene), exact=False) for scene in scenes]
     drawn.factor, drawn.line = factors.tolist(), [limit.dt for limit in found]
     steps = np.geomspace(min(drawn.line) / 2.2, max(drawn.line) * 2.2, mesh.steps)
     for factor, scene, limit in zip(drawn.factor, scenes, found, strict=True):
@@ -350,11 +351,11 @@ def _fill_map(
             drawn.points.append((factor, h, not runs.is_unstable(h, limit, mesh.look)))
 
 
-def stall(scene: Scene) -> modes.Stall:
+def stall(scene: Scene) -> Stall:
     """Where f32 stops following the scene's own start, gravity included."""
     p = scene.particles
     with np.errstate(all="ignore"):
         force = diagnostics.spring_forces(p.position, p.velocity, scene.springs)
         force -= p.viscous[:, None] * p.velocity
         a = np.asarray(scene.world.gravity) + force / p.mass[:, None]
-    return modes.f32_stall(p.position, p.velocity, a, p.fixed, scene.world.dt)
+    return f32_stall(p.position, p.velocity, a, p.fixed, scene.world.dt)

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 from taichi_cloth import console
 from taichi_cloth.files.pending import write_whole
 from taichi_cloth.kernels import methods
-from taichi_cloth.limits import modes
+from taichi_cloth.limits.auto_step import SAFETY
+from taichi_cloth.limits.rounding import Stall
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.stability.experiment import Map, StepLimits, claimed
 
@@ -29,7 +30,7 @@ def write(
     scene: Scene,
     limits: Sequence[StepLimits],
     maps: Sequence[Map],
-    stall: modes.Stall,
+    stall: Stall,
 ) -> list[Path]:
     """Write the files, each whole or not at all; return their paths."""
     table = [_record(scene, of_method, stall) for of_method in limits]
@@ -60,7 +61,7 @@ def write(
     return [folder / name for name in FILES]
 
 
-def _record(scene: Scene, found: StepLimits, stall: modes.Stall) -> dict[str, Any]:
+def _record(scene: Scene, found: StepLimits, stall: Stall) -> dict[str, Any]:
     """One row of stability.csv."""
     limit = found.limit
     return {
@@ -101,7 +102,7 @@ def _number(value: float | None) -> str:
     return "none" if value == 0 else f"{value:.4g}"
 
 
-def show(scene: Scene, limits: Sequence[StepLimits], stall: modes.Stall, all_methods: bool) -> None:
+def show(scene: Scene, limits: Sequence[StepLimits], stall: Stall, all_methods: bool) -> None:
     """Print the table and what is to be known about it.
 
     all_methods: whether it is about all of them, and not about one that was chosen.
@@ -117,7 +118,7 @@ def show(scene: Scene, limits: Sequence[StepLimits], stall: modes.Stall, all_met
         if found.status != "measured":
             to.print(f"{found.method}: {found.status}", highlight=False)
     dt = scene.world.dt
-    says = f"The scene's frame is {dt:g}; --dt auto stays below {modes.SAFETY} of 'any geometry'."
+    says = f"The scene's frame is {dt:g}; --dt auto stays below {SAFETY} of 'any geometry'."
     to.print(says, highlight=False)
     free = [m for m in methods.METHODS if math.isinf(claimed(m))]
     if all_methods and free:

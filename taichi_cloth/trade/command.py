@@ -16,26 +16,26 @@ from taichi_cloth import console
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.pending import prepare_folder, write_whole
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.settings.arguments import PROGRAM, Request
-from taichi_cloth.settings.options import ARCHS, parameters_of
+from taichi_cloth.scene.source import SceneSource
+from taichi_cloth.settings.options import ARCHS, PROGRAM, ComparisonOptions, TradeOptions
 from taichi_cloth.trade import plot, reference, report, rows, runner, settings
 
 PACKAGES = ("taichi-cloth", "taichi", "numpy", "scipy", "python")
 FILES = ("trade.csv", "trade.json", "trade.png", "trade.svg")
 
 
-def main(request: Request) -> int:
+def main(source: SceneSource, options: TradeOptions) -> int:
     """Measure, write the files, print the table; the exit status."""
     to = console.output(210)
-    scene, chosen, how = prepare(request)
-    folder = Path(request.options.output or f"trade-{scene.name}")
+    scene, chosen, how = prepare(source, options)
+    folder = Path(options.output or f"trade-{scene.name}")
     prepare_folder(folder, FILES)
     try:
-        with measured(request, scene, chosen, how) as result:
+        with measured(source, options, scene, chosen, how) as result:
             if not result.outcomes:
                 raise KeyboardInterrupt  # before anything was finished
-            made = rows.rows_of(result, common(scene), run_words(request, how))
-        written = write(folder, request, result, made)
+            made = rows.rows_of(result, common(scene), run_words(source, how))
+        written = write(folder, source, options, result, made)
     finally:
         with contextlib.suppress(OSError):
             folder.rmdir()  # where nothing was written
@@ -48,14 +48,16 @@ def main(request: Request) -> int:
     return 0
 
 
-def prepare(request: Request) -> tuple[Scene, list[settings.Setting], runner.RunConditions]:
+def prepare(
+    source: SceneSource, options: ComparisonOptions
+) -> tuple[Scene, list[settings.Setting], runner.RunConditions]:
     """The scene, the settings to compare and how they are run; raises InputError."""
     from taichi_cloth import runtime
 
-    scene = runner.without_mouse(request.build())
-    reference.check_frames(scene, request.options.frames or 1)
-    chosen = settings.choose(scene, request.options)
-    how = runner.conditions(scene, request.options)
+    scene = runner.without_mouse(source.build())
+    reference.check_frames(scene, options.frames or 1)
+    chosen = settings.choose(scene, options)
+    how = runner.conditions(scene, options)
     archs = {setting.arch for setting in chosen} - {"cpu"}
     if archs:
         usable = runtime.usable_backends()
@@ -70,7 +72,8 @@ def prepare(request: Request) -> tuple[Scene, list[settings.Setting], runner.Run
 
 @contextlib.contextmanager
 def measured(
-    request: Request,
+    source: SceneSource,
+    options: ComparisonOptions,
     scene: Scene,
     chosen: list[settings.Setting],
     how: runner.RunConditions,
@@ -82,13 +85,13 @@ def measured(
     How far it is shows on standard error, unless `quiet`. closed: whether the scene is the one
     whose closed form is known, if there is one.
     """
-    frames = request.options.frames or reference.default_frames(scene)
+    frames = options.frames or reference.default_frames(scene)
     study = runner.Study(
         [scene],
         chosen,
         frames,
         how,
-        lambda times: reference.closed_form(request, scene, times) if closed else None,
+        lambda times: reference.closed_form(source, scene, times) if closed else None,
     )
     try:
         with progress(shown=not quiet) as study.tell:
@@ -105,12 +108,16 @@ def progress(shown: bool = True) -> contextlib.AbstractContextManager[console.Te
 
 
 def write(
-    folder: Path, request: Request, result: runner.Result, measured: list[rows.Row]
+    folder: Path,
+    source: SceneSource,
+    options: ComparisonOptions,
+    result: runner.Result,
+    measured: list[rows.Row],
 ) -> list[str]:
     """Write the files, each whole; return their names. There is no plot without an error."""
     texts = {
         "trade.csv": rows.as_csv(measured).encode(),
-        "trade.json": rows.as_json(measured, environment(request, result)).encode(),
+        "trade.json": rows.as_json(measured, environment(source, options, result)).encode(),
     }
     drawn = plot.draw(result, measured, ("png", "svg"))
     texts |= {f"trade.{kind}": content for kind, content in drawn.items()}
@@ -126,14 +133,16 @@ def common(scene: Scene) -> dict[str, str]:
     return {"scene_hash": scene_hash(scene), "versions": machine.versions(PACKAGES)}
 
 
-def environment(request: Request, result: runner.Result) -> dict[str, Any]:
+def environment(
+    source: SceneSource, options: ComparisonOptions, result: runner.Result
+) -> dict[str, Any]:
     """What it takes to measure the same again."""
     from taichi_cloth.measuring import machine
 
     horizon, found = result.horizon, result.reference
     devices = {outcome.about["device"]: None for outcome in result.outcomes if outcome.about}
     return {
-        "command": command_words(request),
+        "command": " ".join([PROGRAM, "trade", *source.words(), *options.words()]),
         "date": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
         "versions": machine.versions(PACKAGES),
         "machine": machine.describe(),
@@ -168,16 +177,6 @@ def scene_hash(scene: Scene) -> str:
     return digest.hexdigest()[:16]
 
 
-def command_words(request: Request, command: str = "trade") -> str:
-    """The command as one would type it."""
-    words = [PROGRAM, command, *request.words()]
-    for name in parameters_of(type(request.options)):
-        if name in request.given:
-            value = getattr(request.options, name)
-            words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
-    return " ".join(words)
-
-
-def run_words(request: Request, how: runner.RunConditions) -> list[str]:
+def run_words(source: SceneSource, how: runner.RunConditions) -> list[str]:
     """The words of a run of the scene, to which a setting's are added."""
-    return [PROGRAM, "run", *request.words(), *how.words()]
+    return [PROGRAM, "run", *source.words(), *how.words()]

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.limits import modes
-from taichi_cloth.scene import library
+from taichi_cloth.limits.bounds import any_geometry
+from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.settings.arguments import Request
+from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.trade import ode
 from taichi_cloth.trade.errors import Distance, Samples, displacement, distance, rms_by_frame
 
@@ -149,7 +149,7 @@ def disturbed(scene: Scene, size: float, seed: int = 0) -> Scene:
 
 def coarsest(scene: Scene, dt: float) -> int:
     """Substeps of the coarsest of the fine runs."""
-    bounds = modes.any_geometry(modes.Network.of_scene(scene))
+    bounds = any_geometry(Network.from_scene(scene))
     rate = max(math.sqrt(bounds.omega2), bounds.damping, 1.0 / dt)
     return 1 << max(0, int(np.ceil(np.log2(RESOLUTION * dt * rate))))
 
@@ -176,9 +176,9 @@ def extent(scene: Scene, run: Samples) -> tuple[float, str]:
     return float(np.linalg.norm(scene.world.size)), "the world's diagonal, as nothing moves"
 
 
-def closed_form(request: Request, scene: Scene, times: np.ndarray) -> Samples | None:
+def closed_form(source: SceneSource, scene: Scene, times: np.ndarray) -> Samples | None:
     """The scene's own closed form at `times`; None where it has none."""
-    solution = None if request.is_file else library.solution(request.scene)
+    solution = source.solution()
     if solution is None:
         return None
     x, v = solution(scene, times)

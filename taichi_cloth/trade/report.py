@@ -134,7 +134,7 @@ def _orders(reference: Reference, rows: Sequence[Row]) -> list[str]:
         exact = [r for r in rows if (r.setting.method, r.setting.precision) == (method, "f64")]
         orders = [(row.step, row.order) for row in exact if row.order]
         if orders:
-            claimed, (finest, _) = methods.load(method).CLAIMS.order, min(orders)
+            claimed, (finest, _) = methods.load(method).claims.order, min(orders)
             measured = statistics.median(order for step, order in orders if step <= 2 * finest)
             found.append(f"{method} {measured:.2f} ({claimed})")
     if not found:

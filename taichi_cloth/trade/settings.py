@@ -9,7 +9,8 @@ from typing import TypeVar
 
 from taichi_cloth.console import counted
 from taichi_cloth.errors import InputError, nearest
-from taichi_cloth.limits import modes
+from taichi_cloth.limits.bounds import Bounds, any_geometry, step_within
+from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import ARCHS, PRECISIONS, ComparisonOptions
 
@@ -115,11 +116,11 @@ def choose(scene: Scene, options: ComparisonOptions) -> list[Setting]:
     iterations = _numbers("--iterations", options.iterations, int)
     tolerances = _numbers("--tolerances", options.tolerances, float)
     dt = options.dt or scene.world.dt
-    bounds = modes.any_geometry(modes.Network.of_scene(scene))
+    bounds = any_geometry(Network.from_scene(scene))
 
     settings: list[Setting] = []
     for method in names:
-        takes = methods.load(method).CLAIMS.settings
+        takes = methods.load(method).claims.settings
         sweeps: Sequence[int | None] = [None]
         residuals: Sequence[float | None] = [None]
         if "iterations" in takes:
@@ -154,7 +155,7 @@ def converged(setting: Setting) -> Setting | None:
     """The setting with its solver converged, in f64; None where its method has no solver."""
     from taichi_cloth.kernels import methods
 
-    takes = methods.load(setting.method).CLAIMS.settings
+    takes = methods.load(setting.method).claims.settings
     if not takes:
         return None
     return Setting(
@@ -166,13 +167,13 @@ def converged(setting: Setting) -> Setting | None:
     )
 
 
-def largest_step(method: str, bounds: modes.Bounds) -> float:
+def largest_step(method: str, bounds: Bounds) -> float:
     """The largest stable step by the limits of a scene; of a method that is never stable, that of
     one that is while dt * omega < 2, in which it grows slowly.
     """
     from taichi_cloth.kernels import methods
 
-    step = modes.step_within(methods.load(method), bounds)
+    step = step_within(methods.load(method), bounds)
     return step or 2.0 / max(math.sqrt(bounds.omega2), bounds.damping)
 
 

@@ -17,7 +17,8 @@ from taichi_cloth import console
 from taichi_cloth.console import duration
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.settings.arguments import Request
+from taichi_cloth.scene.source import SceneSource
+from taichi_cloth.settings.options import TuneOptions
 from taichi_cloth.trade import command, rows
 from taichi_cloth.trade.rows import Row
 
@@ -78,21 +79,21 @@ class Figures:
         return f"error {percent:.3g} % ({self.error:.3g}), {a_frame} a frame"
 
 
-def main(request: Request) -> int:
+def main(source: SceneSource, options: TuneOptions) -> int:
     """Choose, confirm, print; the exit status."""
-    target = read_target(request.options.error, request.options.frame_time)
-    scene, chosen, how = command.prepare(request)
+    target = read_target(options.error, options.frame_time)
+    scene, chosen, how = command.prepare(source, options)
     how = replace(how, solver_errors=False)
-    quiet = request.options.json
-    with command.measured(request, scene, chosen, how, quiet=quiet) as result:
+    quiet = options.json
+    with command.measured(source, options, scene, chosen, how, quiet=quiet) as result:
         if result.interrupted:
             raise KeyboardInterrupt
         assert result.reference and result.horizon  # it went to its end
-        made = rows.rows_of(result, command.common(scene), command.run_words(request, how))
+        made = rows.rows_of(result, command.common(scene), command.run_words(source, how))
         best = choose(made, target)
-        other = kicked(scene, result.reference.samples.v, request.options.seed)
-    frames = replace(request, options=replace(request.options, frames=result.horizon.asked))
-    with command.measured(frames, other, [best.setting], how, False, quiet) as again:
+        other = kicked(scene, result.reference.samples.v, options.seed)
+    options = replace(options, frames=result.horizon.asked)
+    with command.measured(source, options, other, [best.setting], how, False, quiet) as again:
         if again.interrupted:
             raise KeyboardInterrupt
         (confirming,) = rows.rows_of(again, command.common(other), [])
@@ -100,7 +101,7 @@ def main(request: Request) -> int:
     confirmed = Figures.of(confirming) if confirming.wall_seconds else None
     held = confirmed is not None and target.met_by(confirmed)
     if quiet:
-        print(json.dumps(_as_json(request, target, best, expected, confirming, held), indent=1))
+        print(json.dumps(_as_json(source, target, best, expected, confirming, held), indent=1))
         return 0
     to = console.output(170)
     said = "yes" if held else "no"
@@ -202,11 +203,11 @@ def kicked(scene: Scene, v: np.ndarray, seed: int) -> Scene:
 
 
 def _as_json(
-    request: Request, target: Target, best: Row, expected: Figures, confirming: Row, held: bool
+    source: SceneSource, target: Target, best: Row, expected: Figures, confirming: Row, held: bool
 ) -> dict[str, Any]:
     done = confirming.wall_seconds is not None
     return {
-        "scene": " ".join(request.words()),
+        "scene": " ".join(source.words()),
         "target": vars(target),
         "setting": vars(best.setting),
         "command": best.command,

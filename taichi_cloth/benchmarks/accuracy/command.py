@@ -19,25 +19,45 @@ from typing import Any
 
 from taichi_cloth.errors import InputError, RunFailure, nearest
 from taichi_cloth.files.pending import write_whole
-from taichi_cloth.settings.arguments import PROGRAM, parse_scene_command
-from taichi_cloth.settings.options import TradeOptions
+from taichi_cloth.scene.source import SceneSource
+from taichi_cloth.settings.options import PROGRAM, TradeOptions, flag_words
 
 COMMAND = "python -m taichi_cloth.benchmarks.accuracy"
 
-# Parts that are trades: the words after `taichi-cloth trade`.
-TRADES = {
-    "smooth": "cloth --precisions f64 --iterations 10",
-    "stiff": "docs/cable.toml --precisions f64 --frames 30 --iterations 10,100",
+# Parts that are trades: the scene, and what is asked for.
+TRADES: dict[str, tuple[SceneSource, dict[str, Any]]] = {
+    "smooth": (SceneSource("cloth"), {"precisions": "f64", "iterations": "10"}),
+    "stiff": (
+        SceneSource("docs/cable.toml"),
+        {"precisions": "f64", "frames": 30, "iterations": "10,100"},
+    ),
     "sweeps": (
-        "cloth --shear 5 --bend 5 --precisions f64 --frames 30 --methods implicit_euler,xpbd,vbd "
-        "--substeps 1,4 --iterations 1,2,4,8,16,32,64,128"
+        SceneSource("cloth", {"shear": 5, "bend": 5}),
+        {
+            "precisions": "f64",
+            "frames": 30,
+            "methods": "implicit_euler,xpbd,vbd",
+            "substeps": "1,4",
+            "iterations": "1,2,4,8,16,32,64,128",
+        },
     ),
     "contacts": (
-        "box --particles 40 --radius 12 --precisions f64 --iterations 10 --frames 60 "
-        "--substeps 2,8,32,128,512"
+        SceneSource("box", {"particles": 40, "radius": 12}),
+        {
+            "precisions": "f64",
+            "iterations": "10",
+            "frames": 60,
+            "substeps": "2,8,32,128,512",
+        },
     ),
     "precisions": (
-        "cloth --methods verlet,rk4 --frames 60 --without-fast-math --substeps 2,8,32,128,512,2048"
+        SceneSource("cloth"),
+        {
+            "methods": "verlet,rk4",
+            "frames": 60,
+            "without_fast_math": True,
+            "substeps": "2,8,32,128,512,2048",
+        },
     ),
 }
 # Parts of `experiments`, which run in this process, in f64, or in workers of their own.
@@ -124,11 +144,11 @@ def _trade(part: str) -> tuple[str, Any]:
     """The rows of `taichi-cloth trade`, what they were compared to, and the scale of errors."""
     from taichi_cloth.trade import command, rows
 
-    words = TRADES[part].split()
-    request = parse_scene_command("trade", TradeOptions, words, "")
-    scene, chosen, how = command.prepare(request)
-    with command.measured(request, scene, chosen, how) as result:
-        made = rows.rows_of(result, command.common(scene), command.run_words(request, how))
+    source, asked = TRADES[part]
+    options = TradeOptions.from_given(asked)
+    scene, chosen, how = command.prepare(source, options)
+    with command.measured(source, options, scene, chosen, how) as result:
+        made = rows.rows_of(result, command.common(scene), command.run_words(source, how))
         if result.interrupted:
             raise KeyboardInterrupt
     horizon, found = result.horizon, result.reference
@@ -142,7 +162,7 @@ def _trade(part: str) -> tuple[str, Any]:
         "floor": found.floor(horizon) / horizon.scale,
         "rows": [{name: row.record()[name] for name in KEPT} for row in made],
     }
-    return f"{PROGRAM} trade {TRADES[part]}", data
+    return " ".join([PROGRAM, "trade", *source.words(), *flag_words(asked)]), data
 
 
 def keep(path: Path, part: str, results: dict[str, Any]) -> None:

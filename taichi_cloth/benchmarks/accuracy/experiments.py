@@ -47,7 +47,7 @@ ON_GRAPH: dict[str, Any] = {"topology": "graph", "execution": "serial"}
 def solved(method: str) -> dict[str, Any]:
     """Settings with which a method's solver leaves nothing but rounding, on scenes not stiff."""
     exact = {"tolerance": CONVERGED_TOLERANCE, "iterations": SWEEPS}
-    return {name: exact[name] for name in methods.load(method).CLAIMS.settings}
+    return {name: exact[name] for name in methods.load(method).claims.settings}
 
 
 # ------------------------------------------------------------------------------------------
@@ -134,7 +134,7 @@ def swing(module: ModuleType, frequency: float, rate: float = RATE) -> Swing:
     module: of `kernels.methods`, with `stability_function` or `amplification`.
     """
     h, omega = 1 / rate, 2 * np.pi * frequency
-    if hasattr(module, "stability_function"):
+    if module.stability_function:
         factor = complex(module.stability_function(1j * h * omega))
     else:
         eigenvalues = np.linalg.eigvals(module.amplification(h, omega**2, 0.0))

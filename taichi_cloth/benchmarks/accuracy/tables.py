@@ -45,7 +45,7 @@ def _content(name: str, part: str | None, results: Mapping[str, Any]) -> str:
 
 def in_order(names: Sequence[str]) -> list[str]:
     """Methods as they are shown: explicit ones, those that solve, those that sweep, by order."""
-    claims = {name: methods.load(name).CLAIMS for name in names}
+    claims = {name: methods.load(name).claims for name in names}
     return sorted(
         names,
         key=lambda n: (claims[n].implicit, "iterations" in claims[n].settings, claims[n].order, n),
@@ -83,7 +83,7 @@ def _methods(results: Mapping[str, Any]) -> str:
     header += ["cost, 16 × 12", "cost, 64 × 64", "when to choose it"]
     lines = []
     for name in in_order(list(orders)):
-        claims = methods.load(name).CLAIMS
+        claims = methods.load(name).claims
         swings = [damping[name][f] for f in SHOWN]
         lines.append(
             [
@@ -176,7 +176,7 @@ def _cheapest(data: Mapping[str, Any]) -> str:
             substeps, cost, about = mine["substeps"], _of_frame(mine), ""
         else:  # its error falls with the first power of the step, and its cost rises alike
             mine = min(ours, key=lambda r: r["error_trajectory_relative"])
-            order = methods.load(DEFAULT).CLAIMS.order
+            order = methods.load(DEFAULT).claims.order
             more = (mine["error_trajectory_relative"] / target) ** (1 / order)
             substeps, cost, about = mine["substeps"] * more, _of_frame(mine) * more, "≈ "
         said = f"{about}{substeps:.0f} substep{'s' * (substeps > 1)}"

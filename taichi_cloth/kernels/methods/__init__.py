@@ -1,33 +1,30 @@
-"""Time-integration methods, one file each, discovered by name.
+"""Time-integration methods, one file each, found by looking into this folder.
 
-A method's file has a docstring with its formula and source, `CLAIMS`, and `step(plan, state, t)`,
-a ti.func that advances the state by state.dt[None], as thread t of those that share the work.
-`begin(plan, state, t)`, where it has one, comes before its first step, and after every change of
-the state from outside: forces that it keeps from step to step are computed there.
-`VECTORS` names what it must remember of each particle: state.<name>, fields of cells; those in
-`HALOED` are read by neighbours, those in `LOW_VECTORS` are there in compensated sums only.
-`SCALARS` and `COUNTS` name 0-D fields of real and whole numbers, `SUMS` counts its sums over all
-particles (`loops.add_up`). What it needs of the host beside the state is in `NEEDS`: "near" for
-state.near_k and state.near_c, "spring_colours" or "particle_colours" for what
-`kernels/colours.py` goes through.
-
-A method whose rounds are not known beforehand has, instead of `step`, `PHASES`: a step is then
-`PHASES[0]`, and whatever phases `go_to` leads to, until it leads to DONE (`kernels/phases.py`);
-`LAUNCHES`, where there are too many of them for one kernel, says which ones share a launch, and
-`LANES` how many lanes cells have at most.
-
-Positions and velocities are changed by `sums.moved` and `sums.sped_up`, which are plain sums but in
-the precision `compensated`.
-Adding a method is adding a file.
+A method's file has a docstring with its formula and source, and METHOD = Method(...), whose parts
+`contract.Method` explains. Positions and velocities are changed by `compensated.add_to_position` and
+`add_to_velocity`, which are plain sums but in the precision `compensated`. Adding a method is
+adding a file.
 """
 
+import functools
 import importlib
 import pkgutil
-from types import ModuleType
 
 METHODS = tuple(sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name != "contract"))
 
 
-def load(name: str) -> ModuleType:
-    """The module of the method `name`, out of `METHODS`. Importing it imports Taichi."""
-    return importlib.import_module(f"{__name__}.{name}")
+@functools.cache
+def load(name):
+    """The `Method` called `name`, out of `METHODS`. Importing it imports Taichi.
+
+    TypeError, which names the file, where it declares something unknown or not everything.
+    """
+    from taichi_cloth.kernels.methods.contract import Method
+
+    try:
+        method = getattr(importlib.import_module(f"{__name__}.{name}"), "METHOD", None)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"kernels/methods/{name}.py: {error}") from error
+    if not isinstance(method, Method):
+        raise TypeError(f"kernels/methods/{name}.py: declares no METHOD = Method(...)")
+    return method

@@ -1,24 +1,99 @@
-"""What a method promises; tests and reports read it and hold the method to it."""
+"""What a method declares: a frozen contract, checked when its file is loaded."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+
+SETTINGS = ("tolerance", "iterations")  # that a method may take
+# What a method may need of the host beside the state: sums of the stiffness and damping of each
+# particle's springs (state.summed_k, summed_c), and the colours of springs or particles that
+# `solvers/colours.py` goes through.
+NEEDS = ("summed_springs", "spring_colours", "particle_colours")
 
 
 @dataclass(frozen=True)
 class Claims:
-    """order: global order of accuracy; symplectic, implicit: as the words say;
-    stability_limit: largest stable dt*omega for an undamped oscillator (0: none is stable, inf: all
-    are). forces: force evaluations a step, 0 where they depend on the solution and are counted on
-    the device. settings: those of `options.SOLVER_SETTINGS` that the method takes. choose: when to
-    take it, in words for users.
+    """What a method promises; tests and reports read it and hold the method to it.
+
+    order: global order of accuracy; symplectic, implicit: as the words say; stability_limit:
+    largest stable dt*omega for an undamped oscillator (0: none is stable, inf: all are). choose:
+    when to take it, in words for users. forces: force evaluations a step, 0 where they depend on
+    the solution and are counted on the device. settings: those out of `SETTINGS` that it takes.
     """
 
     order: int
     symplectic: bool
     implicit: bool
     stability_limit: float
+    choose: str
     forces: int = 1
     settings: tuple[str, ...] = ()
-    choose: str = ""
+
+    def __post_init__(self):
+        _check_known("settings", self.settings, SETTINGS)
+        if not (self.order >= 1 and self.stability_limit >= 0 and self.choose):
+            raise ValueError("claims: order, stability_limit and choose must say something")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """A time-integration method.
+
+    claims: what it promises. Either step(spec, state, t), a ti.func that advances the state by
+    state.dt[None] as thread t of those that share the work; or, where its rounds are not known
+    beforehand, phases, a tuple of such functions (`solvers/phases.py`): a step is then the first
+    one and whatever phases `go_to` leads to. launches: which phases share a kernel in packs, where
+    there are too many for one; absent, all do.
+    begin(spec, state, t): what comes before its first step, and after every change of the state
+    from outside: forces that it keeps from step to step are computed there.
+
+    Either stability_function(z), what a step makes of y' = mu y, where z = dt mu, of a Runge-Kutta
+    method; or amplification(h, omega2, d), its step of x'' = -omega2 x - d x' as a matrix.
+
+    vectors: what it remembers of each particle, state.<name>, fields of packs; haloed: those of
+    them that neighbours read; low_vectors: more of them in compensated sums. scalars, counts: 0-D
+    fields of real and of whole numbers; sums: how many sums over all particles it takes
+    (`loops.add_up`). needs: out of `NEEDS`. lanes: how many lanes its packs have at most; None: any.
+
+    ValueError where something is missing, twice there, or not known.
+    """
+
+    claims: Claims
+    step: Callable | None = None
+    phases: tuple[Callable, ...] = ()
+    launches: tuple[tuple[int, ...], ...] = ()
+    begin: Callable | None = None
+    stability_function: Callable | None = None
+    amplification: Callable | None = None
+    vectors: tuple[str, ...] = ()
+    haloed: tuple[str, ...] = ()
+    low_vectors: tuple[str, ...] = ()
+    scalars: tuple[str, ...] = ()
+    counts: tuple[str, ...] = ()
+    sums: int = 0
+    needs: tuple[str, ...] = ()
+    lanes: int | None = None
+
+    def __post_init__(self):
+        if bool(self.step) == bool(self.phases):
+            raise ValueError("give either step or phases")
+        if bool(self.stability_function) == bool(self.amplification):
+            raise ValueError("give either stability_function or amplification")
+        _check_known("needs", self.needs, NEEDS)
+        _check_known("haloed", self.haloed, self.vectors)
+        if self.launches:
+            launched = sorted(phase for these in self.launches for phase in these)
+            if launched != list(range(len(self.phases))):
+                raise ValueError("launches must name each phase once")
+        names = [*self.vectors, *self.low_vectors, *self.scalars, *self.counts]
+        for name in names:
+            if not name.isidentifier() or names.count(name) > 1:
+                raise ValueError(f"{name!r} is no name of a field, or names two")
+
+
+def _check_known(what, words, known):
+    for word in words:
+        if word not in known:
+            raise ValueError(f"{what}: unknown {word!r}; known: {', '.join(known)}")
 
 
 def backward_euler(z):

@@ -9,33 +9,31 @@ import math
 
 import taichi as ti
 
-from taichi_cloth.kernels.methods.contract import Claims, backward_euler
+from taichi_cloth.kernels.methods.contract import Claims, Method, backward_euler
 from taichi_cloth.kernels.packs import read
 from taichi_cloth.kernels.solvers import newton_cg
 
-CLAIMS = Claims(
-    order=1,
-    symplectic=False,
-    implicit=True,
-    stability_limit=math.inf,
-    forces=0,
-    settings=("tolerance",),
-    choose=(
-        "Stiff scenes at the frame's step that are to come to rest: it damps what is too fast, "
-        "and slow motion with it."
-    ),
-)
-stability_function = backward_euler
-
-LANES, LAUNCHES, NEEDS = newton_cg.LANES, newton_cg.LAUNCHES, newton_cg.NEEDS
-VECTORS, LOW_VECTORS, HALOED = newton_cg.VECTORS, newton_cg.LOW_VECTORS, newton_cg.HALOED
-SCALARS, COUNTS, SUMS = newton_cg.SCALARS, newton_cg.COUNTS, newton_cg.SUMS
-
 
 @ti.func
-def move(plan: ti.template(), state: ti.template(), c):
-    new_v = newton_cg.new_velocity(plan, state, c, read(plan, state.gain, c))
-    newton_cg.arrive(plan, state, c, state.dt[None] * new_v, new_v)
+def move(spec: ti.template(), state: ti.template(), i):
+    new_v = newton_cg.new_velocity(spec, state, i, read(spec, state.gain, i))
+    newton_cg.arrive(spec, state, i, state.dt[None] * new_v, new_v)
 
 
-PHASES = newton_cg.phases(1.0, newton_cg.start, move)
+METHOD = Method(
+    claims=Claims(
+        order=1,
+        symplectic=False,
+        implicit=True,
+        stability_limit=math.inf,
+        forces=0,
+        settings=("tolerance",),
+        choose=(
+            "Stiff scenes at the frame's step that are to come to rest: it damps what is too fast, "
+            "and slow motion with it."
+        ),
+    ),
+    phases=newton_cg.phases(1.0, newton_cg.start, move),
+    stability_function=backward_euler,
+    **newton_cg.keeps(),
+)

@@ -10,22 +10,9 @@ import math
 
 import taichi as ti
 
-from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.kernels.packs import read
 from taichi_cloth.kernels.solvers import newton_cg
-
-CLAIMS = Claims(
-    order=2,
-    symplectic=True,
-    implicit=True,
-    stability_limit=math.inf,
-    forces=0,
-    settings=("tolerance",),
-    choose=(
-        "Stiff scenes whose energy must last: no amplitude is lost. What is too fast to follow "
-        "rings on, at a lower pitch."
-    ),
-)
 
 
 def stability_function(z):
@@ -33,15 +20,26 @@ def stability_function(z):
     return (1 + z / 2) / (1 - z / 2)
 
 
-LANES, LAUNCHES, NEEDS = newton_cg.LANES, newton_cg.LAUNCHES, newton_cg.NEEDS
-VECTORS, LOW_VECTORS, HALOED = newton_cg.VECTORS, newton_cg.LOW_VECTORS, newton_cg.HALOED
-SCALARS, COUNTS, SUMS = newton_cg.SCALARS, newton_cg.COUNTS, newton_cg.SUMS
-
-
 @ti.func
-def move(plan: ti.template(), state: ti.template(), c):
-    new_v = newton_cg.new_velocity(plan, state, c, 2.0 * read(plan, state.gain, c))
-    newton_cg.arrive(plan, state, c, state.dt[None] * read(plan, state.v, c), new_v)
+def move(spec: ti.template(), state: ti.template(), i):
+    new_v = newton_cg.new_velocity(spec, state, i, 2.0 * read(spec, state.gain, i))
+    newton_cg.arrive(spec, state, i, state.dt[None] * read(spec, state.v, i), new_v)
 
 
-PHASES = newton_cg.phases(0.5, newton_cg.start, move)
+METHOD = Method(
+    claims=Claims(
+        order=2,
+        symplectic=True,
+        implicit=True,
+        stability_limit=math.inf,
+        forces=0,
+        settings=("tolerance",),
+        choose=(
+            "Stiff scenes whose energy must last: no amplitude is lost. What is too fast to follow "
+            "rings on, at a lower pitch."
+        ),
+    ),
+    phases=newton_cg.phases(0.5, newton_cg.start, move),
+    stability_function=stability_function,
+    **newton_cg.keeps(),
+)

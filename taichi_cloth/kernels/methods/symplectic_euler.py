@@ -8,23 +8,12 @@ dt^2 omega^2 + 2 dt d < 4.
 import numpy as np
 import taichi as ti
 
-from taichi_cloth.kernels.compensated import moved, sped_up
+from taichi_cloth.kernels.accelerations import accelerate_then
+from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
-from taichi_cloth.kernels.forces import accelerate_then
-from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.kernels.packs import read
-from taichi_cloth.kernels.watchdog import store
-
-CLAIMS = Claims(
-    order=1,
-    symplectic=True,
-    implicit=False,
-    stability_limit=2.0,
-    choose=(
-        "The default: the cheapest step; as good as any where things hit, tear or are pushed, "
-        "to errors of some percent."
-    ),
-)
+from taichi_cloth.kernels.watchdog import commit
 
 
 def amplification(h, omega2, d):
@@ -33,16 +22,32 @@ def amplification(h, omega2, d):
 
 
 @ti.func
-def move(plan: ti.template(), state: ti.template(), c, a):
-    dt, x, v = state.dt[None], read(plan, state.x, c), read(plan, state.v, c)
-    jump = velocity_jump(plan, state, c, x, v)
-    new_v = sped_up(plan, state, c, sped_up(plan, state, c, v, dt * a), jump)
-    new_x = moved(plan, state, c, x, dt * new_v)
-    new_x = kept_above_floor(plan, state, c, x, v, new_x, new_v)
-    store(plan, state, c, new_x, new_v)
+def move(spec: ti.template(), state: ti.template(), i, a):
+    dt, x, v = state.dt[None], read(spec, state.x, i), read(spec, state.v, i)
+    jump = velocity_jump(spec, state, i, x, v)
+    new_v = add_to_velocity(spec, state, i, add_to_velocity(spec, state, i, v, dt * a), jump)
+    new_x = add_to_position(spec, state, i, x, dt * new_v)
+    new_x = kept_above_floor(spec, state, i, x, v, new_x, new_v)
+    commit(spec, state, i, new_x, new_v)
 
 
 @ti.func
-def step(plan: ti.template(), state: ti.template(), t):
-    compute_contacts(plan, state)
-    accelerate_then(plan, state, t, move)
+def step(spec: ti.template(), state: ti.template(), t):
+    compute_contacts(spec, state)
+    accelerate_then(spec, state, t, move)
+
+
+METHOD = Method(
+    claims=Claims(
+        order=1,
+        symplectic=True,
+        implicit=False,
+        stability_limit=2.0,
+        choose=(
+            "The default: the cheapest step; as good as any where things hit, tear or are pushed, "
+            "to errors of some percent."
+        ),
+    ),
+    step=step,
+    amplification=amplification,
+)

@@ -13,27 +13,9 @@ import math
 import taichi as ti
 
 from taichi_cloth.kernels.contact import velocity_jump
-from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.kernels.packs import read, write
 from taichi_cloth.kernels.solvers import newton_cg
-
-CLAIMS = Claims(
-    order=2,
-    symplectic=False,
-    implicit=True,
-    stability_limit=math.inf,
-    forces=0,
-    settings=("tolerance",),
-    choose=(
-        "Stiff scenes whose slow motion counts: that is hardly damped, and what is too fast is "
-        "damped away."
-    ),
-)
-LANES, LAUNCHES, NEEDS = newton_cg.LANES, newton_cg.LAUNCHES, newton_cg.NEEDS
-# What the first stage gains, and how far the second one starts from the step's start.
-VECTORS = (*newton_cg.VECTORS, "first", "way")
-LOW_VECTORS, HALOED = newton_cg.LOW_VECTORS, newton_cg.HALOED
-SCALARS, COUNTS, SUMS = newton_cg.SCALARS, newton_cg.COUNTS, newton_cg.SUMS
 
 PART = 2.0 - math.sqrt(2.0)  # of the step that the trapezoidal rule takes
 TAU = PART / 2.0  # of both stages
@@ -49,32 +31,49 @@ def stability_function(z):
 
 
 @ti.func
-def stay(plan: ti.template(), state: ti.template(), c):
+def stay(spec: ti.template(), state: ti.template(), i):
     """The trapezoidal rule needs the acceleration at the step's start."""
-    newton_cg.keep_start(plan, state, c)
-    v = read(plan, state.v, c)
-    write(plan, state.gain, c, 0.0 * v)  # so that the residual is the acceleration
+    newton_cg.keep_start(spec, state, i)
+    v = read(spec, state.v, i)
+    write(spec, state.gain, i, 0.0 * v)  # so that the residual is the acceleration
 
 
 @ti.func
-def go_on(plan: ti.template(), state: ti.template(), c):
+def go_on(spec: ti.template(), state: ti.template(), i):
     """From one stage to the next, and from the last one to the new state."""
     tau, stage = TAU * state.dt[None], state.stage[None]
-    x, v = read(plan, state.old_x, c), read(plan, state.old_v, c)
-    old_v, gain = v + velocity_jump(plan, state, c, x, v), read(plan, state.gain, c)
+    x, v = read(spec, state.old_x, i), read(spec, state.old_v, i)
+    old_v, gain = v + velocity_jump(spec, state, i, x, v), read(spec, state.gain, i)
     if stage == newton_cg.ONLY_EVALUATE:
-        first = tau * read(plan, state.residual, c)
-        write(plan, state.first, c, first)
-        newton_cg.start_from(plan, state, c, tau * old_v, old_v + first)
+        first = tau * read(spec, state.residual, i)
+        write(spec, state.first, i, first)
+        newton_cg.start_from(spec, state, i, tau * old_v, old_v + first)
     elif stage == TRAPEZOIDAL:
-        first = FROM_FIRST * (read(plan, state.first, c) + gain)
-        write(plan, state.first, c, first)
-        way = (FROM_FIRST * tau) * (old_v + read(plan, state.v, c))
-        write(plan, state.way, c, way)
-        newton_cg.start_from(plan, state, c, way, old_v + first)
+        first = FROM_FIRST * (read(spec, state.first, i) + gain)
+        write(spec, state.first, i, first)
+        way = (FROM_FIRST * tau) * (old_v + read(spec, state.v, i))
+        write(spec, state.way, i, way)
+        newton_cg.start_from(spec, state, i, way, old_v + first)
     else:
-        new_v = newton_cg.new_velocity(plan, state, c, read(plan, state.first, c) + gain)
-        newton_cg.arrive(plan, state, c, read(plan, state.way, c) + tau * new_v, new_v)
+        new_v = newton_cg.new_velocity(spec, state, i, read(spec, state.first, i) + gain)
+        newton_cg.arrive(spec, state, i, read(spec, state.way, i) + tau * new_v, new_v)
 
 
-PHASES = newton_cg.phases(TAU, stay, go_on, first=newton_cg.ONLY_EVALUATE, last=BACKWARD)
+METHOD = Method(
+    claims=Claims(
+        order=2,
+        symplectic=False,
+        implicit=True,
+        stability_limit=math.inf,
+        forces=0,
+        settings=("tolerance",),
+        choose=(
+            "Stiff scenes whose slow motion counts: that is hardly damped, and what is too fast is "
+            "damped away."
+        ),
+    ),
+    phases=newton_cg.phases(TAU, stay, go_on, first=newton_cg.ONLY_EVALUATE, last=BACKWARD),
+    stability_function=stability_function,
+    # What the first stage gains, and how far the second one starts from the step's start.
+    **newton_cg.keeps("first", "way"),
+)

@@ -16,17 +16,17 @@ import math
 
 import taichi as ti
 
-from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.compensated import apart
-from taichi_cloth.kernels.methods.contract import Claims, backward_euler
+from taichi_cloth.kernels.compensated import difference
+from taichi_cloth.kernels.graph import number
+from taichi_cloth.kernels.grids import link_offset, pitch_of
+from taichi_cloth.kernels.links import link_numbers
+from taichi_cloth.kernels.methods.contract import Claims, Method, backward_euler
 from taichi_cloth.kernels.packs import (
     component,
-    link_offset,
-    pitch_of,
     read,
     scaled,
-    site_number,
-    site_value,
+    slot_number,
+    slot_value,
     with_component,
     zeros,
 )
@@ -37,132 +37,109 @@ from taichi_cloth.kernels.solvers.colours import (
     renew_both_halos,
 )
 from taichi_cloth.kernels.solvers.gauss_seidel import mobility, relative_velocity, short_of_goal
-from taichi_cloth.kernels.springs import link_damping, number
-
-CLAIMS = Claims(
-    order=1,
-    symplectic=False,
-    implicit=True,
-    stability_limit=math.inf,
-    forces=0,
-    settings=("iterations",),
-    choose=(
-        "Where too few sweeps should look like more inertia and not like softer springs; else "
-        "xpbd, which gets nearer in the same time."
-    ),
-)
-stability_function = backward_euler  # once its sweeps have converged
-
-LANES, VECTORS = gauss_seidel.LANES, gauss_seidel.VECTORS
-HALOED, COUNTS = gauss_seidel.HALOED, gauss_seidel.COUNTS
-NEEDS = ("particle_colours",)
+from taichi_cloth.kernels.spring_numbers import fields_of
+from taichi_cloth.kernels.springs import pull, stiffness_across, stiffness_along
 
 
 @ti.func
-def relax(plan: ti.template(), state: ti.template(), t, colour):
-    each_particle(plan, state, t, colour, relaxed_cell, relaxed_particle)
+def relax(spec: ti.template(), state: ti.template(), t, colour):
+    each_particle(spec, state, t, colour, relaxed_pack, relaxed_particle)
 
 
 @ti.func
-def relaxed_cell(plan: ti.template(), state: ti.template(), g, c):
-    """New velocities in cell c of grid g, by its links."""
-    v, none = read(plan, state.v, c), zeros(plan, state)
-    w = mobility(plan, state, read, c)
-    pull, hx, hy, hz = with_links(plan, state, read, read, 1, g, c, w, none, none, none, none)
-    return v + solution(plan, hx, hy, hz, short_of_goal(plan, state, read, c) + pull)
+def relaxed_pack(spec: ti.template(), state: ti.template(), g, i):
+    """New velocities in pack i of grid g, by its links."""
+    v, none = read(spec, state.v, i), zeros(spec, state)
+    w = mobility(spec, state, read, i)
+    pulled, hx, hy, hz = with_links(spec, state, read, read, 1, g, i, w, none, none, none, none)
+    return v + solution(spec, hx, hy, hz, short_of_goal(spec, state, read, i) + pulled)
 
 
 @ti.func
-def relaxed_particle(plan: ti.template(), state: ti.template(), p):
+def relaxed_particle(spec: ti.template(), state: ti.template(), p):
     """New velocity of the p-th particle with springs on the graph, by all its springs."""
-    i, none = state.near[p], ti.Vector.zero(state.real, plan.dim)
-    w = mobility(plan, state, site_number, i)
-    pull, hx, hy, hz = none, none, none, none
-    if ti.static(plan.kinds > 0):
-        g = state.grid_of[i // plan.lanes]
+    i, none = state.csr_slot[p], ti.Vector.zero(state.real, spec.dim)
+    w = mobility(spec, state, slot_number, i)
+    pulled, hx, hy, hz = none, none, none, none
+    if ti.static(spec.kinds > 0):
+        g = state.grid_of[i // spec.lanes]
         if g >= 0:
-            pull, hx, hy, hz = with_links(
-                plan, state, site_value, site_number, plan.lanes, g, i, w, pull, hx, hy, hz
+            pulled, hx, hy, hz = with_links(
+                spec, state, slot_value, slot_number, spec.lanes, g, i, w, pulled, hx, hy, hz
             )
-    for h in range(state.near_row[p], state.near_row[p + 1]):
-        j = state.far[h]
+    for h in range(state.csr_start[p], state.csr_start[p + 1]):
+        j = state.csr_other[h]
         if j != i:  # else it is gone
-            d = apart(plan, state, site_value, i, j)
-            dv = relative_velocity(plan, state, site_value, i, j)
-            c = ti.cast(0.0, state.real)
-            if ti.static(plan.dashpots):
-                c = number(plan, state.c, h)
-            k, rest = number(plan, state.k, h), number(plan, state.rest, h)
-            pull, hx, hy, hz = with_spring(
-                plan, state.dt[None], w, d, dv, k, rest, c, pull, hx, hy, hz
+            d = difference(spec, state, slot_value, i, j)
+            dv = relative_velocity(spec, state, slot_value, i, j)
+            numbers = [number(spec, field, h) for field in ti.static(fields_of(spec, state, "csr"))]
+            pulled, hx, hy, hz = with_spring(
+                spec, state.dt[None], w, d, dv, numbers, pulled, hx, hy, hz
             )
-    b = short_of_goal(plan, state, site_value, i) + pull
-    return site_value(plan, state.v, i) + solution(plan, hx, hy, hz, b)
+    b = short_of_goal(spec, state, slot_value, i) + pulled
+    return slot_value(spec, state.v, i) + solution(spec, hx, hy, hz, b)
 
 
 @ti.func
 def with_links(
-    plan: ti.template(),
+    spec: ti.template(),
     state: ti.template(),
     value: ti.template(),
-    number: ti.template(),
+    number_at: ti.template(),
     stride: ti.template(),
     g,
     i,
     w,
-    pull,
+    pulled,
     hx,
     hy,
     hz,
 ):
-    """The same sums with the links of i added: of a cell (stride 1), or a site (stride lanes)."""
-    pitch = pitch_of(plan, state, g)
-    for q in range(2 * plan.kinds):  # in the order in which a graph has them
+    """Add the links of i to the sums of `with_spring`: of a pack (stride 1), or a slot (lanes)."""
+    pitch = pitch_of(spec, state, g)
+    for q in range(2 * spec.kinds):  # in the order in which a graph has them
         s, j, owner = q, i, i
-        if q < plan.kinds:
+        if q < spec.kinds:
             j = i - link_offset(state, s, pitch) * stride
             owner = j
         else:
-            s = state.forward[q - plan.kinds]
+            s = state.forward[q - spec.kinds]
             j = i + link_offset(state, s, pitch) * stride
-        k = number(plan, state.link_k, s * state.cells * stride + owner)
-        c = link_damping(plan, state, s, g, k)
-        d, dv = apart(plan, state, value, i, j), relative_velocity(plan, state, value, i, j)
-        pull, hx, hy, hz = with_spring(
-            plan, state.dt[None], w, d, dv, k, state.link_rest[s, g], c, pull, hx, hy, hz
+        at = s * state.packs * stride + owner
+        k = number_at(spec, state.link_k, at)
+        numbers = link_numbers(spec, state, number_at, s, g, at, k)
+        d = difference(spec, state, value, i, j)
+        dv = relative_velocity(spec, state, value, i, j)
+        pulled, hx, hy, hz = with_spring(
+            spec, state.dt[None], w, d, dv, numbers, pulled, hx, hy, hz
         )
-    return pull, hx, hy, hz
+    return pulled, hx, hy, hz
 
 
 @ti.func
-def with_spring(plan: ti.template(), dt, w, d, dv, k, rest, c, pull, hx, hy, hz):
-    """Sums over springs, with one more: pull = dt*w*sum(T), and the rows of w*sum(dt*c + dt^2*K).
+def with_spring(spec: ti.template(), dt, w, d, dv, numbers: ti.template(), pulled, hx, hy, hz):
+    """Sums over springs, with one more: pulled = dt*w*sum(T), the rows of w*sum(dt*c + dt^2*K).
 
     d, dv: where the other end is at the step's start, and its velocity, relative to this one.
     """
-    at = d + dt * dv
-    length = laws.length(at)
-    along = laws.unit(at, length)
-    tension, stiffness = laws.spring_tension(length, k, rest), dt * k
-    if ti.static(plan.dashpots):
-        tension += laws.dashpot_tension(dv, along, c)
-        stiffness += c
-    across = dt * dt * w * laws.spring_stiffness_across(length, k, rest, 0.0)
+    length, along, tension = pull(spec, d + dt * dv, dv, numbers)
+    stiffness = stiffness_along(spec, dt, numbers)
+    across = dt * dt * w * stiffness_across(spec, length, numbers, 0.0)
     more = scaled(dt * w * stiffness - across, along)
-    new_pull = pull + scaled(dt * w * tension, along)
+    new_pull = pulled + scaled(dt * w * tension, along)
     x, y, z = hx, hy, hz
     x += scaled(component(along, 0), more)
     x = with_component(x, 0, component(x, 0) + across)
     y += scaled(component(along, 1), more)
     y = with_component(y, 1, component(y, 1) + across)
-    if ti.static(plan.dim == 3):
+    if ti.static(spec.dim == 3):
         z += scaled(component(along, 2), more)
         z = with_component(z, 2, component(z, 2) + across)
     return new_pull, x, y, z
 
 
 @ti.func
-def solution(plan: ti.template(), hx, hy, hz, b):
+def solution(spec: ti.template(), hx, hy, hz, b):
     """x of (1 + H) x = b, by the factors L D L^T of the symmetric H with rows hx, hy, hz."""
     d0 = 1.0 + component(hx, 0)
     l1 = component(hx, 1) / d0
@@ -170,7 +147,7 @@ def solution(plan: ti.template(), hx, hy, hz, b):
     y0 = component(b, 0)
     y1 = component(b, 1) - l1 * y0
     x = b
-    if ti.static(plan.dim == 3):
+    if ti.static(spec.dim == 3):
         l2 = component(hx, 2) / d0
         m = component(hy, 2) - l1 * component(hx, 2)
         l3 = m / d1
@@ -187,4 +164,21 @@ def solution(plan: ti.template(), hx, hy, hz, b):
     return x
 
 
-PHASES = gauss_seidel.phases(colours_of_particles, relax, renew_both_halos)
+METHOD = Method(
+    claims=Claims(
+        order=1,
+        symplectic=False,
+        implicit=True,
+        stability_limit=math.inf,
+        forces=0,
+        settings=("iterations",),
+        choose=(
+            "Where too few sweeps should look like more inertia and not like softer springs; else "
+            "xpbd, which gets nearer in the same time."
+        ),
+    ),
+    phases=gauss_seidel.phases(colours_of_particles, relax, renew_both_halos),
+    stability_function=backward_euler,  # once its sweeps have converged
+    needs=("particle_colours",),
+    **gauss_seidel.KEEPS,
+)

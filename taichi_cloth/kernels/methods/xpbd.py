@@ -5,7 +5,7 @@ Macklin, Mueller, Chentanez, "XPBD: position-based simulation of compliant const
 First order, stable at every dt. One spring is solved by the first visit; many need more sweeps, the
 more the stiffer they are and the more unequal the masses.
 
-A spring of stiffness k = 1/compliance, dashpot c and tension T pulls its ends together by an
+A spring of stiffness k = 1/compliance, dashpot i and tension T pulls its ends together by an
 impulse p, the paper's multiplier over dt, which begins at zero and is kept from sweep to sweep: so
 the number of sweeps does not change the material. In the paper's terms, over compliance/dt,
 
@@ -20,117 +20,109 @@ import math
 
 import taichi as ti
 
-from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.compensated import apart
-from taichi_cloth.kernels.methods.contract import Claims, backward_euler
+from taichi_cloth.kernels.compensated import difference
+from taichi_cloth.kernels.graph import number
+from taichi_cloth.kernels.grids import link_index
+from taichi_cloth.kernels.links import link_numbers, link_stiffness
+from taichi_cloth.kernels.methods.contract import Claims, Method, backward_euler
 from taichi_cloth.kernels.packs import (
     dot,
-    of_kind,
     read,
     scaled,
-    set_site_value,
-    site_number,
-    site_value,
+    set_slot_value,
+    slot_number,
+    slot_value,
     write,
     zeros,
 )
 from taichi_cloth.kernels.solvers import gauss_seidel
 from taichi_cloth.kernels.solvers.colours import colours_of_springs, each_spring
 from taichi_cloth.kernels.solvers.gauss_seidel import mobility, relative_velocity
-from taichi_cloth.kernels.springs import link_damping, link_stiffness, number
+from taichi_cloth.kernels.spring_numbers import fields_of
+from taichi_cloth.kernels.springs import pull, stiffness_across, stiffness_along
 from taichi_cloth.kernels.state import GONE
 
-CLAIMS = Claims(
-    order=1,
-    symplectic=False,
-    implicit=True,
-    stability_limit=math.inf,
-    forces=0,
-    settings=("iterations",),
-    choose=(
-        "Stiff scenes whose frames must take a fixed time, masses alike: many substeps of few "
-        "sweeps. Too few look like softer springs."
-    ),
-)
-stability_function = backward_euler  # once its sweeps have converged
 
-LANES, VECTORS = gauss_seidel.LANES, gauss_seidel.VECTORS
-HALOED, COUNTS = gauss_seidel.HALOED, gauss_seidel.COUNTS
-NEEDS = ("spring_colours",)
+@ti.func
+def project(spec: ti.template(), state: ti.template(), t, colour):
+    each_spring(spec, state, t, colour, project_links, project_spring)
 
 
 @ti.func
-def project(plan: ti.template(), state: ti.template(), t, colour):
-    each_spring(plan, state, t, colour, project_links, project_spring)
-
-
-@ti.func
-def project_links(plan: ti.template(), state: ti.template(), s, g, c, far, stiffness):
-    """The springs of kind s between cell c and cell `far`."""
-    k = link_stiffness(plan, state, s, stiffness)
-    damping = link_damping(plan, state, s, g, k)
-    at, p = of_kind(state, s, c), zeros(plan, state)
+def project_links(spec: ti.template(), state: ti.template(), s, g, i, far, stiffness):
+    """The springs of kind s between pack i and pack `far`."""
+    k = link_stiffness(spec, state, s, stiffness)
+    at, p = link_index(state, s, i), zeros(spec, state)
+    numbers = link_numbers(spec, state, read, s, g, at, k)
     if state.sweep[None] > 0:
-        p = read(plan, state.link_impulse, at)
-    v, far_v = read(plan, state.v, c), read(plan, state.v, far)
-    w, far_w = mobility(plan, state, read, c), mobility(plan, state, read, far)
-    d, dv = apart(plan, state, read, c, far), relative_velocity(plan, state, read, c, far)
-    rest = state.link_rest[s, g]
-    change = impulse_change(plan, state.dt[None], d, dv, w + far_w, k, rest, damping, p)
+        p = read(spec, state.link_impulse, at)
+    v, far_v = read(spec, state.v, i), read(spec, state.v, far)
+    w, far_w = mobility(spec, state, read, i), mobility(spec, state, read, far)
+    d, dv = difference(spec, state, read, i, far), relative_velocity(spec, state, read, i, far)
+    change = impulse_change(spec, state.dt[None], d, dv, w + far_w, numbers, p)
     if state.sweep[None] + 1 < state.iterations[None]:
-        write(plan, state.link_impulse, at, p + change)
-    write(plan, state.v, c, v + scaled(w, change))
-    write(plan, state.v, far, far_v - scaled(far_w, change))
+        write(spec, state.link_impulse, at, p + change)
+    write(spec, state.v, i, v + scaled(w, change))
+    write(spec, state.v, far, far_v - scaled(far_w, change))
 
 
 @ti.func
-def project_spring(plan: ti.template(), state: ti.template(), s):
+def project_spring(spec: ti.template(), state: ti.template(), s):
     """Spring s on the graph."""
-    k, rest = number(plan, state.spring_k, s), number(plan, state.spring_rest, s)
-    damping = 0.0 * k
-    if ti.static(plan.dashpots):
-        damping = number(plan, state.spring_c, s)
-    if ti.static(plan.fracture):
-        if state.status[s] == GONE:
-            k, damping = 0.0, 0.0
-    i, j = state.ends[s, 0], state.ends[s, 1]
-    p = ti.Vector.zero(state.real, plan.dim)
-    if state.sweep[None] > 0:
-        for axis in ti.static(range(plan.dim)):
-            p[axis] = state.impulse[s, axis]
-    v, far_v = site_value(plan, state.v, i), site_value(plan, state.v, j)
-    w, far_w = mobility(plan, state, site_number, i), mobility(plan, state, site_number, j)
-    d, dv = apart(plan, state, site_value, i, j), relative_velocity(plan, state, site_value, i, j)
-    change = impulse_change(plan, state.dt[None], d, dv, w + far_w, k, rest, damping, p)
-    if state.sweep[None] + 1 < state.iterations[None]:
-        for axis in ti.static(range(plan.dim)):
-            state.impulse[s, axis] = p[axis] + change[axis]
-    set_site_value(plan, state.v, i, v + w * change)
-    set_site_value(plan, state.v, j, far_v - far_w * change)
+    holds = True
+    if ti.static(spec.fracture):
+        holds = state.status[s] != GONE
+    if holds:
+        i, j = state.ends[s, 0], state.ends[s, 1]
+        p = ti.Vector.zero(state.real, spec.dim)
+        if state.sweep[None] > 0:
+            for axis in ti.static(range(spec.dim)):
+                p[axis] = state.impulse[s, axis]
+        v, far_v = slot_value(spec, state.v, i), slot_value(spec, state.v, j)
+        w, far_w = mobility(spec, state, slot_number, i), mobility(spec, state, slot_number, j)
+        d = difference(spec, state, slot_value, i, j)
+        dv = relative_velocity(spec, state, slot_value, i, j)
+        numbers = [number(spec, field, s) for field in ti.static(fields_of(spec, state, "spring"))]
+        change = impulse_change(spec, state.dt[None], d, dv, w + far_w, numbers, p)
+        if state.sweep[None] + 1 < state.iterations[None]:
+            for axis in ti.static(range(spec.dim)):
+                state.impulse[s, axis] = p[axis] + change[axis]
+        set_slot_value(spec, state.v, i, v + w * change)
+        set_slot_value(spec, state.v, j, far_v - far_w * change)
 
 
 @ti.func
-def impulse_change(plan: ti.template(), dt, d, dv, w, k, rest, c, p):
+def impulse_change(spec: ti.template(), dt, d, dv, w, numbers: ti.template(), p):
     """What a visit adds to the impulse p that pulls a spring's ends together.
 
     d: from one end to the other where the step began; dv: velocity of the other one relative to it;
     w: sum of their mobilities.
     """
-    d += dt * dv
-    length = laws.length(d)
-    along = laws.unit(d, length)
-    tension = laws.spring_tension(length, k, rest)
-    stiffness = dt * k
-    if ti.static(plan.dashpots):
-        tension += laws.dashpot_tension(dv, along, c)
-        stiffness += c
-    along_part = 1.0 / (1.0 + dt * w * stiffness)
-    across_stiffness = laws.spring_stiffness_across(length, k, rest, 0.0)
-    across_part = 1.0 / (1.0 + dt * dt * w * across_stiffness)
+    length, along, tension = pull(spec, d + dt * dv, dv, numbers)
+    along_part = 1.0 / (1.0 + dt * w * stiffness_along(spec, dt, numbers))
+    across = stiffness_across(spec, length, numbers, 0.0)
+    across_part = 1.0 / (1.0 + dt * dt * w * across)
     # A stiff spring's tension is far beyond the impulse: it must not be taken apart into axes.
     has = dot(p, along)
     more = along_part * (dt * tension - has) + across_part * has
     return scaled(more, along) - scaled(across_part, p)
 
 
-PHASES = gauss_seidel.phases(colours_of_springs, project)
+METHOD = Method(
+    claims=Claims(
+        order=1,
+        symplectic=False,
+        implicit=True,
+        stability_limit=math.inf,
+        forces=0,
+        settings=("iterations",),
+        choose=(
+            "Stiff scenes whose frames must take a fixed time, masses alike: many substeps of few "
+            "sweeps. Too few look like softer springs."
+        ),
+    ),
+    phases=gauss_seidel.phases(colours_of_springs, project),
+    stability_function=backward_euler,  # once its sweeps have converged
+    needs=("spring_colours",),
+    **gauss_seidel.KEEPS,
+)

@@ -14,37 +14,40 @@ import functools
 
 import taichi as ti
 
-from taichi_cloth.kernels.loops import PIECE, barrier, each_row, share
-from taichi_cloth.kernels.packs import (
+from taichi_cloth.kernels.grids import (
+    link_index,
     link_offset,
-    of_kind,
     pitch_of,
-    read,
     renew_left_halo,
     renew_right_halo,
     return_left_halo,
     return_right_halo,
+)
+from taichi_cloth.kernels.links import link_stiffness
+from taichi_cloth.kernels.loops import PIECE, barrier, each_row, share
+from taichi_cloth.kernels.packs import (
+    read,
     scaled,
-    set_site_number,
-    set_site_value,
-    site_number,
+    set_slot_number,
+    set_slot_value,
+    slot_number,
     write,
 )
-from taichi_cloth.kernels.springs import link_stiffness
+from taichi_cloth.kernels.spring_numbers import own_numbers
 
 
 @ti.func
-def colours_of_springs(plan: ti.template(), state: ti.template()):
+def colours_of_springs(spec: ti.template(), state: ti.template()):
     """How many colours there are."""
-    if ti.static(plan.springs):
-        return 2 * plan.kinds + state.n_colours[None]
+    if ti.static(spec.springs):
+        return 2 * spec.kinds + state.n_colours[None]
     else:
-        return 2 * plan.kinds
+        return 2 * spec.kinds
 
 
 @ti.func
 def each_spring(
-    plan: ti.template(),
+    spec: ti.template(),
     state: ti.template(),
     t,
     colour,
@@ -53,66 +56,66 @@ def each_spring(
 ):
     """Visit the springs of a colour, of which each may change the velocities of its ends.
 
-    on_links(plan, state, s, g, c, far, stiffness): those of kind s in grid g from cell c to far;
-    the cell `stiffness` has the stiffness that is theirs. on_spring(plan, state, s): spring s on
-    the graph. Where loops are spread, these are loops of the launch's top level.
+    on_links(spec, state, s, g, i, far, stiffness): those of kind s in grid g from pack i to far;
+    the pack `stiffness` has the stiffness that is theirs. on_spring(spec, state, s): spring s on
+    the graph. Where loops are one launch per step, these are loops of the launch's top level.
     """
-    if ti.static(plan.kinds > 0):
-        s = ti.min(colour // 2, plan.kinds - 1)
+    if ti.static(spec.kinds > 0):
+        s = ti.min(colour // 2, spec.kinds - 1)
         # Of a colour that is not one of links there are none: a parity that no row has.
-        parity = ti.select(colour < 2 * plan.kinds, colour % 2, 2)
-        if ti.static(plan.lanes == 1 and plan.spread):
-            for c in range(state.n_cells[None]):
-                _visit_cell(plan, state, c, s, parity, on_links)
-        elif ti.static(plan.lanes == 1):
-            count = state.n_cells[None]
-            for c in range(share(plan, count, t), share(plan, count, t + 1)):
-                _visit_cell(plan, state, c, s, parity, on_links)
-        elif ti.static(plan.spread):
-            for i in range(plan.threads * PIECE):
+        parity = ti.select(colour < 2 * spec.kinds, colour % 2, 2)
+        if ti.static(spec.lanes == 1 and spec.one_launch_per_step):
+            for c in range(state.n_packs[None]):
+                _visit_pack(spec, state, c, s, parity, on_links)
+        elif ti.static(spec.lanes == 1):
+            count = state.n_packs[None]
+            for c in range(share(spec, count, t), share(spec, count, t + 1)):
+                _visit_pack(spec, state, c, s, parity, on_links)
+        elif ti.static(spec.one_launch_per_step):
+            for i in range(spec.threads * PIECE):
                 if i % PIECE == 0:
-                    _visit_rows(plan, state, i // PIECE, s, parity, on_links)
+                    _visit_rows(spec, state, i // PIECE, s, parity, on_links)
         else:
-            _visit_rows(plan, state, t, s, parity, on_links)
-    if ti.static(plan.springs):
+            _visit_rows(spec, state, t, s, parity, on_links)
+    if ti.static(spec.springs):
         first, end = 0, 0
-        if colour >= 2 * plan.kinds:
-            first = state.colour_start[colour - 2 * plan.kinds]
-            end = state.colour_start[colour - 2 * plan.kinds + 1]
-        _each_from(plan, state, t, first, end, on_spring)
-    barrier(plan, state)
+        if colour >= 2 * spec.kinds:
+            first = state.colour_start[colour - 2 * spec.kinds]
+            end = state.colour_start[colour - 2 * spec.kinds + 1]
+        _each_from(spec, state, t, first, end, on_spring)
+    barrier(spec, state)
 
 
 @ti.func
-def _each_from(plan: ti.template(), state: ti.template(), t, first, end, visit: ti.template()):
-    if ti.static(plan.spread):
+def _each_from(spec: ti.template(), state: ti.template(), t, first, end, visit: ti.template()):
+    if ti.static(spec.one_launch_per_step):
         for i in range(first, end):
-            visit(plan, state, i)
+            visit(spec, state, i)
     else:
         count = end - first
-        for i in range(share(plan, count, t), share(plan, count, t + 1)):
-            visit(plan, state, first + i)
+        for i in range(share(spec, count, t), share(spec, count, t + 1)):
+            visit(spec, state, first + i)
 
 
 @ti.func
-def _visit_cell(plan: ti.template(), state: ti.template(), c, s, parity, visit: ti.template()):
-    """The link of kind s that begins at cell c, where there is one and it has the colour.
+def _visit_pack(spec: ti.template(), state: ti.template(), i, s, parity, visit: ti.template()):
+    """The link of kind s that begins at pack i, where there is one and it has the colour.
 
     One that is absent must be left alone: what lies at its far end is another link's.
     """
-    g = state.grid_of[c]
+    g = state.grid_of[i]
     if g >= 0:
-        columns, down, pitch = state.link[s, 0], state.link[s, 1], pitch_of(plan, state, g)
-        at = c - state.grid[g, 0]
+        columns, down, pitch = state.link[s, 0], state.link[s, 1], pitch_of(spec, state, g)
+        at = i - state.grid[g, 0]
         turn, period = at // pitch, down
         if down == 0:
             turn, period = at % pitch, columns
-        if (turn & period) == parity * period and link_stiffness(plan, state, s, c) > 0.0:
-            visit(plan, state, s, g, c, c + link_offset(state, s, pitch), c)
+        if (turn & period) == parity * period and link_stiffness(spec, state, s, i) > 0.0:
+            visit(spec, state, s, g, i, i + link_offset(state, s, pitch), i)
 
 
 @ti.func
-def _visit_rows(plan: ti.template(), state: ti.template(), t, s, parity, visit: ti.template()):
+def _visit_rows(spec: ti.template(), state: ti.template(), t, s, parity, visit: ti.template()):
     """The links of kind s and of one colour that begin in thread t's share of rows.
 
     What is beyond a row's end is looked up and put back where the particles are, in the row's other
@@ -121,178 +124,180 @@ def _visit_rows(plan: ti.template(), state: ti.template(), t, s, parity, visit: 
     columns, down = state.link[s, 0], state.link[s, 1]
     for g in range(state.n_grids[None]):
         first, rows, width = state.grid[g, 0], state.grid[g, 1], state.grid[g, 2]
-        pitch = pitch_of(plan, state, g)
+        pitch = pitch_of(spec, state, g)
         linked = ti.select(state.grid[g, 3] == 1, rows - down, 0)
-        end = ti.min(share(plan, rows, t + 1), linked)
+        end = ti.min(share(spec, rows, t + 1), linked)
         count, beyond = width, columns  # links in a row; how far they reach beyond it
         if down == 0:
             count, beyond = width // 2, ti.select(parity == 0, 0, columns)
         if parity == 2:
             count, beyond = 0, 0
-        for r in range(share(plan, rows, t), end):
+        for r in range(share(spec, rows, t), end):
             if (r & down) == parity * down:
                 row, far_row = first + r * pitch, first + (r + down) * pitch
                 stiffness = row
-                if ti.static(plan.alike):
-                    if r < rows - plan.depth:
+                if ti.static(spec.rows_share_stiffness):
+                    if r < rows - spec.depth:
                         stiffness = first
-                renew_right_halo(plan, state.v, far_row, width, beyond)
-                renew_left_halo(plan, state.v, far_row, width, -beyond)
+                renew_right_halo(spec, state.v, far_row, width, beyond)
+                renew_left_halo(spec, state.v, far_row, width, -beyond)
                 for i in range(count):
                     p = i
                     if down == 0:
                         p = 2 * i - (i & (columns - 1)) + parity * columns
-                    visit(plan, state, s, g, row + p, far_row + p + columns, stiffness + p)
-                return_right_halo(plan, state.v, far_row, width, beyond)
-                return_left_halo(plan, state.v, far_row, width, -beyond)
+                    visit(spec, state, s, g, row + p, far_row + p + columns, stiffness + p)
+                return_right_halo(spec, state.v, far_row, width, beyond)
+                return_left_halo(spec, state.v, far_row, width, -beyond)
 
 
 # --- particles -------------------------------------------------------------------------------
 
 
-def turns(plan):
+def turns(spec):
     """Colours of the particles on grids. In lanes a thread goes through those of a row by itself,
     so only rows take turns.
     """
-    if plan.kinds == 0:
+    if spec.kinds == 0:
         return 0
-    return (plan.depth + 1) * (plan.reach + 1 if plan.lanes == 1 else 1)
+    return (spec.depth + 1) * (spec.reach + 1 if spec.lanes == 1 else 1)
 
 
 @ti.func
-def colours_of_particles(plan: ti.template(), state: ti.template()):
+def colours_of_particles(spec: ti.template(), state: ti.template()):
     """How many colours there are."""
-    if ti.static(plan.springs):
-        return ti.static(turns(plan)) + state.n_colours[None]
+    if ti.static(spec.springs):
+        return ti.static(turns(spec)) + state.n_colours[None]
     else:
-        return ti.static(turns(plan))
+        return ti.static(turns(spec))
 
 
 @ti.func
 def each_particle(
-    plan: ti.template(),
+    spec: ti.template(),
     state: ti.template(),
     t,
     colour,
-    of_cell: ti.template(),
-    of_particle: ti.template(),
+    on_pack: ti.template(),
+    on_particle: ti.template(),
 ):
     """Set the velocities of the particles of a colour.
 
-    To of_cell(plan, state, g, c) those of a cell of grid g; to of_particle(plan, state, p) that of
+    To of_cell(spec, state, g, i) those of a pack of grid g; to of_particle(spec, state, p) that of
     the p-th particle that has springs on the graph.
     """
-    if ti.static(plan.kinds > 0):
-        if ti.static(plan.lanes == 1 and plan.spread):
-            for c in range(state.n_cells[None]):
-                _set_cell(plan, state, c, colour, of_cell)
-        elif ti.static(plan.lanes == 1):
-            count = state.n_cells[None]
-            for c in range(share(plan, count, t), share(plan, count, t + 1)):
-                _set_cell(plan, state, c, colour, of_cell)
-        elif ti.static(plan.spread):
-            for i in range(plan.threads * PIECE):
+    if ti.static(spec.kinds > 0):
+        if ti.static(spec.lanes == 1 and spec.one_launch_per_step):
+            for c in range(state.n_packs[None]):
+                _set_pack(spec, state, c, colour, on_pack)
+        elif ti.static(spec.lanes == 1):
+            count = state.n_packs[None]
+            for c in range(share(spec, count, t), share(spec, count, t + 1)):
+                _set_pack(spec, state, c, colour, on_pack)
+        elif ti.static(spec.one_launch_per_step):
+            for i in range(spec.threads * PIECE):
                 if i % PIECE == 0:
-                    _set_rows(plan, state, i // PIECE, colour, of_cell)
+                    _set_rows(spec, state, i // PIECE, colour, on_pack)
         else:
-            _set_rows(plan, state, t, colour, of_cell)
-    if ti.static(plan.springs):
+            _set_rows(spec, state, t, colour, on_pack)
+    if ti.static(spec.springs):
         first, end = 0, 0
-        if colour >= ti.static(turns(plan)):
-            first = state.colour_start[colour - ti.static(turns(plan))]
-            end = state.colour_start[colour - ti.static(turns(plan)) + 1]
-        _each_from(plan, state, t, first, end, ti.static(_setting(of_particle)))
-    barrier(plan, state)
+        if colour >= ti.static(turns(spec)):
+            first = state.colour_start[colour - ti.static(turns(spec))]
+            end = state.colour_start[colour - ti.static(turns(spec)) + 1]
+        _each_from(spec, state, t, first, end, ti.static(_setting(on_particle)))
+    barrier(spec, state)
 
 
 @ti.func
-def _set_cell(plan: ti.template(), state: ti.template(), c, colour, of_cell: ti.template()):
-    g = state.grid_of[c]
+def _set_pack(spec: ti.template(), state: ti.template(), i, colour, on_pack: ti.template()):
+    g = state.grid_of[i]
     if g >= 0:
-        at, pitch = c - state.grid[g, 0], pitch_of(plan, state, g)
-        place = at % pitch % (plan.reach + 1)
-        if colour == at // pitch % (plan.depth + 1) * (plan.reach + 1) + place:
-            _set_own(plan, state, g, c, of_cell)
+        at, pitch = i - state.grid[g, 0], pitch_of(spec, state, g)
+        place = at % pitch % (spec.reach + 1)
+        if colour == at // pitch % (spec.depth + 1) * (spec.reach + 1) + place:
+            _set_own(spec, state, g, i, on_pack)
 
 
 @ti.func
-def _set_own(plan: ti.template(), state: ti.template(), g, c, of_cell: ti.template()):
+def _set_own(spec: ti.template(), state: ti.template(), g, i, on_pack: ti.template()):
     """Particles with springs on the graph are left alone: they have their own turn."""
-    v = of_cell(plan, state, g, c)
-    if ti.static(plan.springs):
-        old_v = read(plan, state.v, c)
-        v = old_v + scaled(read(plan, state.own, c), v - old_v)
-    write(plan, state.v, c, v)
+    v = on_pack(spec, state, g, i)
+    if ti.static(spec.springs):
+        old_v = read(spec, state.v, i)
+        v = old_v + scaled(read(spec, state.own, i), v - old_v)
+    write(spec, state.v, i, v)
 
 
 @ti.func
-def _set_rows(plan: ti.template(), state: ti.template(), t, colour, of_cell: ti.template()):
+def _set_rows(spec: ti.template(), state: ti.template(), t, colour, on_pack: ti.template()):
     for g in range(state.n_grids[None]):
-        first, width, pitch = state.grid[g, 0], state.grid[g, 2], pitch_of(plan, state, g)
+        first, width, pitch = state.grid[g, 0], state.grid[g, 2], pitch_of(spec, state, g)
         rows = ti.select(state.grid[g, 3] == 1, state.grid[g, 1], 0)
-        for r in range(share(plan, rows, t), share(plan, rows, t + 1)):
-            if r % (plan.depth + 1) == colour:
+        for r in range(share(spec, rows, t), share(spec, rows, t + 1)):
+            if r % (spec.depth + 1) == colour:
                 row = first + r * pitch
-                for place in range(plan.reach + 1):
-                    for i in range(width // (plan.reach + 1)):
-                        _set_own(plan, state, g, row + i * (plan.reach + 1) + place, of_cell)
-                    renew_left_halo(plan, state.v, row, width, plan.halo)
-                    renew_right_halo(plan, state.v, row, width, plan.halo)
+                for place in range(spec.reach + 1):
+                    for i in range(width // (spec.reach + 1)):
+                        _set_own(spec, state, g, row + i * (spec.reach + 1) + place, on_pack)
+                    renew_left_halo(spec, state.v, row, width, spec.halo)
+                    renew_right_halo(spec, state.v, row, width, spec.halo)
 
 
 @functools.cache
-def _setting(of_particle):
+def _setting(on_particle):
     @ti.func
-    def visit(plan: ti.template(), state: ti.template(), i):
+    def visit(spec: ti.template(), state: ti.template(), i):
         p = state.coloured[i]
-        _set_particle(plan, state, state.near[p], of_particle(plan, state, p))
+        _set_particle(spec, state, state.csr_slot[p], on_particle(spec, state, p))
 
     return visit
 
 
 @ti.func
-def _set_particle(plan: ti.template(), state: ti.template(), site, v):
+def _set_particle(spec: ti.template(), state: ti.template(), slot, v):
     """Velocity of one particle, and of its images in the halos of its row."""
-    set_site_value(plan, state.v, site, v)
-    if ti.static(plan.halo > 0):
-        c, lane = site // plan.lanes, site % plan.lanes
-        g = state.grid_of[c]
+    set_slot_value(spec, state.v, slot, v)
+    if ti.static(spec.halo > 0):
+        i, lane = slot // spec.lanes, slot % spec.lanes
+        g = state.grid_of[i]
         if g >= 0:
             width = state.grid[g, 2]
-            place = (c - state.grid[g, 0]) % pitch_of(plan, state, g)
-            if place < plan.halo and lane > 0:
-                set_site_value(plan, state.v, site + width * plan.lanes - 1, v)
-            if place >= width - plan.halo and lane < plan.lanes - 1:
-                set_site_value(plan, state.v, site - width * plan.lanes + 1, v)
+            place = (i - state.grid[g, 0]) % pitch_of(spec, state, g)
+            if place < spec.halo and lane > 0:
+                set_slot_value(spec, state.v, slot + width * spec.lanes - 1, v)
+            if place >= width - spec.halo and lane < spec.lanes - 1:
+                set_slot_value(spec, state.v, slot - width * spec.lanes + 1, v)
 
 
 @ti.func
-def renew_both_halos(plan: ti.template(), state: ti.template(), t):
+def renew_both_halos(spec: ti.template(), state: ti.template(), t):
     """Before the sweeps of a step: what `each_particle` reads beside a row, on both sides.
 
     Positions, velocities, and the stiffness of links that begin there, which may have broken.
-    Nothing where cells are single particles.
+    Nothing where packs are single particles.
     """
-    if ti.static(plan.halo > 0):
-        each_row(plan, state, t, _renew_both_halos)
+    if ti.static(spec.halo > 0):
+        each_row(spec, state, t, _renew_both_halos)
 
 
-def _read_beside(plan, state):
-    low = (state.x_low, state.goal_v) if plan.compensated else ()
+def _read_beside(spec, state):
+    low = (state.x_low, state.goal_v) if spec.compensated else ()
     return (state.x, state.v, *low)
 
 
 @ti.func
-def _renew_both_halos(plan: ti.template(), state: ti.template(), begin, width):
-    for of in ti.static(_read_beside(plan, state)):
-        renew_left_halo(plan, of, begin, width, plan.halo)
-        renew_right_halo(plan, of, begin, width, plan.halo)
-    for s in range(plan.kinds):
-        row = of_kind(state, s, begin)
-        for h in range(plan.halo):
-            for lane in range(plan.lanes - 1):
+def _renew_both_halos(spec: ti.template(), state: ti.template(), begin, width):
+    for field in ti.static(_read_beside(spec, state)):
+        renew_left_halo(spec, field, begin, width, spec.halo)
+        renew_right_halo(spec, field, begin, width, spec.halo)
+    for s in range(spec.kinds):
+        row = link_index(state, s, begin)
+        for h in range(spec.halo):
+            for lane in range(spec.lanes - 1):
                 to_right, to_left = row + width + h, row - 1 - h
-                k = site_number(plan, state.link_k, (row + h) * plan.lanes + lane + 1)
-                set_site_number(plan, state.link_k, to_right * plan.lanes + lane, k)
-                k = site_number(plan, state.link_k, (row + width - 1 - h) * plan.lanes + lane)
-                set_site_number(plan, state.link_k, to_left * plan.lanes + lane + 1, k)
+                first, last = row + h, row + width - 1 - h
+                for field in ti.static(own_numbers(spec, state)):
+                    value = slot_number(spec, field, first * spec.lanes + lane + 1)
+                    set_slot_number(spec, field, to_right * spec.lanes + lane, value)
+                    value = slot_number(spec, field, last * spec.lanes + lane)
+                    set_slot_number(spec, field, to_left * spec.lanes + lane + 1, value)

@@ -15,54 +15,63 @@ import functools
 import taichi as ti
 
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.compensated import moved, sped_up
+from taichi_cloth.kernels.accelerations import (
+    acceleration,
+    binds,
+    damping_of,
+    resists,
+    stiffness_of,
+)
+from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
-from taichi_cloth.kernels.forces import acceleration
-from taichi_cloth.kernels.loops import each, each_cell_moving
+from taichi_cloth.kernels.loops import each, each_pack_moving
 from taichi_cloth.kernels.packs import read, scaled, write, zeros
 from taichi_cloth.kernels.solvers.phases import DONE, go_to
 from taichi_cloth.kernels.state import SWEEPS
-from taichi_cloth.kernels.watchdog import store
+from taichi_cloth.kernels.watchdog import commit
 
-VECTORS = ("old_v", "goal_v")  # velocity at the step's start, and after it without springs
-HALOED = ("goal_v",)
-LANES = 4  # in cells: with 8 it is no faster, and takes twice as long to compile
-COUNTS = ("colour", "sweep")
+# What methods keep and need for this (`methods/contract.py`).
+KEEPS = {
+    "vectors": ("old_v", "goal_v"),  # velocity at the step's start, and after it without springs
+    "haloed": ("goal_v",),
+    "counts": ("colour", "sweep"),
+    "lanes": 4,  # with 8 it is no faster, and takes twice as long to compile
+}
 SWEEP, FINISH = 1, 2  # phases, after the first one
 
 
 @ti.func
-def _nothing(plan: ti.template(), state: ti.template(), t):
+def _nothing(spec: ti.template(), state: ti.template(), t):
     pass
 
 
 def phases(colours, visit, prepare=_nothing):
     """The phases of a method's step.
 
-    prepare(plan, state, t): what else comes first.
-    colours(plan, state): how many colours there are; visit(plan, state, t, colour): go through one,
-    by loops of the top level where they are spread. state.sweep says in which sweep, from 0.
+    prepare(spec, state, t): what else comes first.
+    colours(spec, state): how many colours there are; visit(spec, state, t, colour): go through one,
+    by loops of the top level where they are one launch per step. state.sweep says in which sweep, from 0.
     """
 
     @ti.func
-    def begin(plan: ti.template(), state: ti.template(), t):
-        compute_contacts(plan, state)
-        each_cell_moving(plan, state, t, predict)
-        prepare(plan, state, t)
-        each(plan, state, t, 1, ti.static(_beginning(colours)))
+    def begin(spec: ti.template(), state: ti.template(), t):
+        compute_contacts(spec, state)
+        each_pack_moving(spec, state, t, predict)
+        prepare(spec, state, t)
+        each(spec, state, t, 1, ti.static(_beginning(colours)))
 
     @ti.func
-    def sweep(plan: ti.template(), state: ti.template(), t):
-        if ti.static(plan.spread):  # one colour, a launch each
-            visit(plan, state, t, state.colour[None])
-            each(plan, state, t, 1, ti.static(_turning(colours)))
+    def sweep(spec: ti.template(), state: ti.template(), t):
+        if ti.static(spec.one_launch_per_step):  # one colour, a launch each
+            visit(spec, state, t, state.colour[None])
+            each(spec, state, t, 1, ti.static(_turning(colours)))
         else:
             for k in range(state.iterations[None]):
                 # By every thread alike, none of which is still in the sweep before.
                 state.sweep[None] = k
-                for colour in range(colours(plan, state)):
-                    visit(plan, state, t, colour)
-            go_to(plan, state, t, FINISH)
+                for colour in range(colours(spec, state)):
+                    visit(spec, state, t, colour)
+            go_to(spec, state, t, FINISH)
 
     return begin, sweep, finish
 
@@ -70,9 +79,9 @@ def phases(colours, visit, prepare=_nothing):
 @functools.cache
 def _beginning(colours):
     @ti.func
-    def body(plan: ti.template(), state: ti.template(), i):
+    def body(spec: ti.template(), state: ti.template(), i):
         state.colour[None], state.sweep[None] = 0, 0
-        state.phase[None] = ti.select(colours(plan, state) > 0, SWEEP, FINISH)
+        state.phase[None] = ti.select(colours(spec, state) > 0, SWEEP, FINISH)
 
     return body
 
@@ -80,9 +89,9 @@ def _beginning(colours):
 @functools.cache
 def _turning(colours):
     @ti.func
-    def body(plan: ti.template(), state: ti.template(), i):
+    def body(spec: ti.template(), state: ti.template(), i):
         state.colour[None] += 1
-        if state.colour[None] == colours(plan, state):
+        if state.colour[None] == colours(spec, state):
             state.colour[None] = 0
             state.sweep[None] += 1
             if state.sweep[None] == state.iterations[None]:
@@ -92,67 +101,81 @@ def _turning(colours):
 
 
 @ti.func
-def predict(plan: ti.template(), state: ti.template(), c):
+def predict(spec: ti.template(), state: ti.template(), i):
     """goal_v, from which the sweeps begin; drag acts on the new velocity."""
-    x, v = read(plan, state.x, c), read(plan, state.v, c)
-    write(plan, state.old_v, c, v)
-    v = sped_up(plan, state, c, v, velocity_jump(plan, state, c, x, v))
-    write(plan, state.v, c, v)
-    a = acceleration(plan, state, c, zeros(plan, state))
-    if ti.static(plan.drag):
-        viscous, w = read(plan, state.viscous, c), read(plan, state.w, c)
-        a = scaled(laws.drag_factor(w, viscous, state.dt[None]), a)
-    v = sped_up(plan, state, c, v, state.dt[None] * a)
-    write(plan, state.goal_v, c, v)
-    if ti.static(plan.compensated):
-        v = zeros(plan, state)
-    write(plan, state.v, c, v)
+    x, v = read(spec, state.x, i), read(spec, state.v, i)
+    write(spec, state.old_v, i, v)
+    v = add_to_velocity(spec, state, i, v, velocity_jump(spec, state, i, x, v))
+    write(spec, state.v, i, v)
+    a = acceleration(spec, state, i, zeros(spec, state))
+    if ti.static(binds(spec)):  # its force where the particle goes, not where it is
+        back = state.dt[None] * read(spec, state.w, i) * stiffness_of(spec, state, read, i)
+        a = a - scaled(back, v)
+    if ti.static(resists(spec) or binds(spec)):
+        a = scaled(_softened(spec, state, read, i), a)
+    v = add_to_velocity(spec, state, i, v, state.dt[None] * a)
+    write(spec, state.goal_v, i, v)
+    if ti.static(spec.compensated):
+        v = zeros(spec, state)
+    write(spec, state.v, i, v)
 
 
 @ti.func
-def relative_velocity(plan: ti.template(), state: ti.template(), value: ti.template(), i, j):
-    """Velocity of j relative to i, in the sweeps; value: `read` of cells, `site_value` of sites."""
-    dv = value(plan, state.v, j) - value(plan, state.v, i)
-    if ti.static(plan.compensated):
-        dv += value(plan, state.goal_v, j) - value(plan, state.goal_v, i)
+def relative_velocity(spec: ti.template(), state: ti.template(), value: ti.template(), i, j):
+    """Velocity of j relative to i, in the sweeps; value: `read` of packs, `slot_value` of slots."""
+    dv = value(spec, state.v, j) - value(spec, state.v, i)
+    if ti.static(spec.compensated):
+        dv += value(spec, state.goal_v, j) - value(spec, state.goal_v, i)
     return dv
 
 
 @ti.func
-def short_of_goal(plan: ti.template(), state: ti.template(), value: ti.template(), i):
+def short_of_goal(spec: ti.template(), state: ti.template(), value: ti.template(), i):
     """goal_v - v, in the sweeps."""
-    missing = -1.0 * value(plan, state.v, i)
-    if ti.static(not plan.compensated):
-        missing += value(plan, state.goal_v, i)
+    missing = -1.0 * value(spec, state.v, i)
+    if ti.static(not spec.compensated):
+        missing += value(spec, state.goal_v, i)
     return missing
 
 
 @ti.func
-def mobility(plan: ti.template(), state: ti.template(), number: ti.template(), i):
-    """Inverse masses, of which drag is a part. number: `read`, or of a site `site_number`."""
-    w = number(plan, state.w, i)
-    if ti.static(plan.drag):
-        w *= laws.drag_factor(w, number(plan, state.viscous, i), state.dt[None])
+def mobility(spec: ti.template(), state: ti.template(), number: ti.template(), i):
+    """Inverse masses, of which drag is a part. number: `read`, or of a slot `slot_number`."""
+    w = number(spec, state.w, i)
+    if ti.static(resists(spec) or binds(spec)):
+        w *= _softened(spec, state, number, i)
     return w
 
 
 @ti.func
-def finish(plan: ti.template(), state: ti.template(), t):
-    each_cell_moving(plan, state, t, _move)
-    each(plan, state, t, 1, _end_step)
+def _softened(spec: ti.template(), state: ti.template(), number: ti.template(), i):
+    """What damping and stiffness of the terms on particles leave of a change of velocity."""
+    dt, w = state.dt[None], number(spec, state.w, i)
+    resistance = 0.0 * w
+    if ti.static(resists(spec)):
+        resistance = damping_of(spec, state, number, i)
+    if ti.static(binds(spec)):
+        resistance += dt * stiffness_of(spec, state, number, i)
+    return laws.drag_factor(w, resistance, dt)
 
 
 @ti.func
-def _move(plan: ti.template(), state: ti.template(), c):
-    x, v = read(plan, state.x, c), read(plan, state.v, c)
-    old_v = read(plan, state.old_v, c)
-    if ti.static(plan.compensated):
-        v = sped_up(plan, state, c, read(plan, state.goal_v, c), v)
-    new_x = moved(plan, state, c, x, state.dt[None] * v)
-    store(plan, state, c, kept_above_floor(plan, state, c, x, old_v, new_x, v), v)
+def finish(spec: ti.template(), state: ti.template(), t):
+    each_pack_moving(spec, state, t, _move)
+    each(spec, state, t, 1, _end_step)
 
 
 @ti.func
-def _end_step(plan: ti.template(), state: ti.template(), i):
+def _move(spec: ti.template(), state: ti.template(), i):
+    x, v = read(spec, state.x, i), read(spec, state.v, i)
+    old_v = read(spec, state.old_v, i)
+    if ti.static(spec.compensated):
+        v = add_to_velocity(spec, state, i, read(spec, state.goal_v, i), v)
+    new_x = add_to_position(spec, state, i, x, state.dt[None] * v)
+    commit(spec, state, i, kept_above_floor(spec, state, i, x, old_v, new_x, v), v)
+
+
+@ti.func
+def _end_step(spec: ti.template(), state: ti.template(), i):
     state.work[SWEEPS] += state.iterations[None]
     state.phase[None] = DONE

@@ -33,35 +33,37 @@ import functools
 import taichi as ti
 
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.compensated import moved, sped_up
+from taichi_cloth.kernels.accelerations import (
+    acceleration,
+    binds,
+    damping_of,
+    resists,
+    stiffness_of,
+)
+from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
 from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
-from taichi_cloth.kernels.forces import acceleration
-from taichi_cloth.kernels.loops import add_up, barrier, each, each_cell_moving, find_largest
+from taichi_cloth.kernels.loops import add_up, barrier, each, each_pack_moving, find_largest
 from taichi_cloth.kernels.packs import (
     component,
     dot,
     read,
     scaled,
-    set_site_value,
-    site_number,
-    site_value,
+    set_slot_value,
+    slot_number,
+    slot_value,
     where_positive,
     write,
 )
 from taichi_cloth.kernels.solvers.phases import DONE, set_alone
-from taichi_cloth.kernels.springs import accumulate, force_between
-from taichi_cloth.kernels.state import FORCES, SWEEPS, UNCONVERGED
-from taichi_cloth.kernels.watchdog import is_finite, store
-
-# old_x, old_v: the state at the step's start; gain: the iterate's; change: a Newton direction,
-# built up by conjugate gradients from residual, direction and its product with A.
-VECTORS = (
-    *("old_x", "old_v", "start_x", "start_v", "gain"),
-    *("change", "residual", "direction", "product"),
+from taichi_cloth.kernels.springs import (
+    accumulate,
+    force_between,
+    reads_velocity,
+    stiffness_product,
 )
-LOW_VECTORS = ("old_x_low", "start_x_low")
-HALOED = ("direction",)
-NEEDS = ("near",)
+from taichi_cloth.kernels.state import FORCES, SWEEPS, UNCONVERGED
+from taichi_cloth.kernels.watchdog import commit, is_finite
+
 SCALARS = (
     "tau",  # time of a stage
     "scale",  # acceleration that the residual is compared with
@@ -80,11 +82,7 @@ SCALARS = (
     "goal",  # energy at which these end
     "least",  # what a compressed spring's stiffness across is not below: CLAMPED or EXACT
 )
-COUNTS = ("indefinite", "directions", "trials", "stalls", "sweeps", "outcome", "step_outcome")
-SUMS = 3
 BEGIN, EVALUATE, DIRECT, ITERATE, SHIFT, FINISH = range(6)  # phases
-LANES = 4  # in cells: with 8 it is a tenth faster, and takes twice as long to compile
-LAUNCHES = ((BEGIN,), (EVALUATE, SHIFT), (DIRECT, ITERATE), (FINISH,))
 # What came of a stage. ROUNDED: as small as rounding lets it be.
 CONVERGED, ROUNDED, EXHAUSTED, STALLED, SINGULAR, NOT_FINITE = range(6)
 OUTCOMES = (
@@ -107,114 +105,140 @@ FORCING = 0.1  # conjugate gradients leave this part of the residual to the next
 ONLY_EVALUATE = -1  # stage: the acceleration of the iterate is wanted, as its residual
 
 
+def keeps(*vectors):
+    """What methods keep and need for this (`methods/contract.py`), with `vectors` of their own.
+
+    old_x, old_v: the state at the step's start; gain: the iterate's; change: a Newton direction,
+    built up by conjugate gradients from residual, direction and its product with A.
+    """
+    state = ("old_x", "old_v", "start_x", "start_v", "gain")
+    return {
+        "vectors": (*state, "change", "residual", "direction", "product", *vectors),
+        "low_vectors": ("old_x_low", "start_x_low"),
+        "haloed": ("direction",),
+        "needs": ("summed_springs",),
+        "scalars": SCALARS,
+        "counts": (
+            *("indefinite", "directions", "trials", "stalls", "sweeps"),
+            *("outcome", "step_outcome"),
+        ),
+        "sums": 3,
+        "launches": ((BEGIN,), (EVALUATE, SHIFT), (DIRECT, ITERATE), (FINISH,)),
+        "lanes": 4,  # with 8 it is a tenth faster, and takes twice as long to compile
+    }
+
+
 def phases(fraction, start, move, first=0, last=0):
     """The phases of a method's step, whose stages take `fraction` of dt and are numbered from
     `first` (ONLY_EVALUATE or 0) to `last`.
 
-    start(plan, state, c) sets the start of the first stage in cell c; move(plan, state, c) takes
+    start(spec, state, i) sets the start of the first stage in pack i; move(spec, state, i) takes
     the solution of stage state.stage: it starts the next one from there (`start_from`) or, after
     the last, ends with `arrive`.
     """
 
     @ti.func
-    def begin(plan: ti.template(), state: ti.template(), t):
-        set_tau(plan, state, t, fraction * state.dt[None])
-        compute_contacts(plan, state)
-        each_cell_moving(plan, state, t, start)
-        begin_stage(plan, state, t, first)
+    def begin(spec: ti.template(), state: ti.template(), t):
+        set_tau(spec, state, t, fraction * state.dt[None])
+        compute_contacts(spec, state)
+        each_pack_moving(spec, state, t, start)
+        begin_stage(spec, state, t, first)
 
     @ti.func
-    def finish(plan: ti.template(), state: ti.template(), t):
-        each_cell_moving(plan, state, t, move)
-        each(plan, state, t, 1, ti.static(_ending(last)))
+    def finish(spec: ti.template(), state: ti.template(), t):
+        each_pack_moving(spec, state, t, move)
+        each(spec, state, t, 1, ti.static(_ending(last)))
 
     return begin, evaluate, direct, iterate, shift, finish
 
 
 @ti.func
-def set_tau(plan: ti.template(), state: ti.template(), t, tau):
+def set_tau(spec: ti.template(), state: ti.template(), t, tau):
     """Before anything of a step's stages: their time."""
-    set_alone(plan, state.tau, t, tau)
-    set_alone(plan, state.step_outcome, t, CONVERGED)
-    barrier(plan, state)
+    set_alone(spec, state.tau, t, tau)
+    set_alone(spec, state.step_outcome, t, CONVERGED)
+    barrier(spec, state)
 
 
 @ti.func
-def keep_start(plan: ti.template(), state: ti.template(), c):
-    """In cell c, keep the state at the step's start."""
-    write(plan, state.old_x, c, read(plan, state.x, c))
-    write(plan, state.old_v, c, read(plan, state.v, c))
-    if ti.static(plan.compensated):
-        write(plan, state.old_x_low, c, read(plan, state.x_low, c))
+def keep_start(spec: ti.template(), state: ti.template(), i):
+    """In pack i, keep the state at the step's start."""
+    write(spec, state.old_x, i, read(spec, state.x, i))
+    write(spec, state.old_v, i, read(spec, state.v, i))
+    if ti.static(spec.compensated):
+        write(spec, state.old_x_low, i, read(spec, state.x_low, i))
 
 
 @ti.func
-def start_from(plan: ti.template(), state: ti.template(), c, change, v):
-    """In cell c, start a stage `change` away from the step's start with the velocities v, which
+def start_from(spec: ti.template(), state: ti.template(), i, change, v):
+    """In pack i, start a stage `change` away from the step's start with the velocities v, which
     are the first iterate's, too.
     """
-    x = moved_from_old(plan, state, c, change)
-    write(plan, state.start_x, c, x)
-    write(plan, state.start_v, c, v)
-    if ti.static(plan.compensated):
-        write(plan, state.start_x_low, c, read(plan, state.x_low, c))
-    iterate_from(plan, state, c, 0.0 * v)
+    x = moved_from_old(spec, state, i, change)
+    write(spec, state.start_x, i, x)
+    write(spec, state.start_v, i, v)
+    if ti.static(spec.compensated):
+        write(spec, state.start_x_low, i, read(spec, state.x_low, i))
+    iterate_from(spec, state, i, 0.0 * v)
 
 
 @ti.func
-def moved_from_old(plan: ti.template(), state: ti.template(), c, change):
-    """Cell c's positions at the step's start, changed."""
-    if ti.static(plan.compensated):
-        write(plan, state.x_low, c, read(plan, state.old_x_low, c))
-    return moved(plan, state, c, read(plan, state.old_x, c), change)
+def moved_from_old(spec: ti.template(), state: ti.template(), i, change):
+    """Pack i's positions at the step's start, changed."""
+    if ti.static(spec.compensated):
+        write(spec, state.x_low, i, read(spec, state.old_x_low, i))
+    return add_to_position(spec, state, i, read(spec, state.old_x, i), change)
 
 
 @ti.func
-def iterate_from(plan: ti.template(), state: ti.template(), c, gain):
-    """Make `gain` what the velocities of cell c gain in the iterate."""
-    write(plan, state.gain, c, gain)
-    v = read(plan, state.start_v, c) + gain
-    write(plan, state.v, c, v)
-    if ti.static(plan.compensated):
-        write(plan, state.x_low, c, read(plan, state.start_x_low, c))
+def iterate_from(spec: ti.template(), state: ti.template(), i, gain):
+    """Make `gain` what the velocities of pack i gain in the iterate."""
+    write(spec, state.gain, i, gain)
+    v = read(spec, state.start_v, i) + gain
+    write(spec, state.v, i, v)
+    if ti.static(spec.compensated):
+        write(spec, state.x_low, i, read(spec, state.start_x_low, i))
     write(
-        plan, state.x, c, moved(plan, state, c, read(plan, state.start_x, c), state.tau[None] * v)
+        spec,
+        state.x,
+        i,
+        add_to_position(spec, state, i, read(spec, state.start_x, i), state.tau[None] * v),
     )
 
 
 @ti.func
-def new_velocity(plan: ti.template(), state: ti.template(), c, gain):
-    """Cell c's velocities at the step's end: those of its start, contacts, and what they gain."""
-    x, v = read(plan, state.old_x, c), read(plan, state.old_v, c)
-    new_v = sped_up(plan, state, c, v, velocity_jump(plan, state, c, x, v))
-    return sped_up(plan, state, c, new_v, gain)
+def new_velocity(spec: ti.template(), state: ti.template(), i, gain):
+    """Pack i's velocities at the step's end: those of its start, contacts, and what they gain."""
+    x, v = read(spec, state.old_x, i), read(spec, state.old_v, i)
+    new_v = add_to_velocity(spec, state, i, v, velocity_jump(spec, state, i, x, v))
+    return add_to_velocity(spec, state, i, new_v, gain)
 
 
 @ti.func
-def arrive(plan: ti.template(), state: ti.template(), c, change, new_v):
-    """End of a step for cell c: `change` away from where it started, with the velocities new_v."""
-    x, v = read(plan, state.old_x, c), read(plan, state.old_v, c)
-    new_x = moved_from_old(plan, state, c, change)
-    store(plan, state, c, kept_above_floor(plan, state, c, x, v, new_x, new_v), new_v)
+def arrive(spec: ti.template(), state: ti.template(), i, change, new_v):
+    """End of a step for pack i: `change` away from where it started, with the velocities new_v."""
+    x, v = read(spec, state.old_x, i), read(spec, state.old_v, i)
+    new_x = moved_from_old(spec, state, i, change)
+    commit(spec, state, i, kept_above_floor(spec, state, i, x, v, new_x, new_v), new_v)
 
 
 @ti.func
-def start(plan: ti.template(), state: ti.template(), c):
-    """In cell c, start a stage from the step's start, with contacts."""
-    keep_start(plan, state, c)
-    x, v = read(plan, state.x, c), read(plan, state.v, c)
-    start_from(plan, state, c, 0.0 * v, v + velocity_jump(plan, state, c, x, v))
+def start(spec: ti.template(), state: ti.template(), i):
+    """In pack i, start a stage from the step's start, with contacts."""
+    keep_start(spec, state, i)
+    x, v = read(spec, state.x, i), read(spec, state.v, i)
+    start_from(spec, state, i, 0.0 * v, v + velocity_jump(spec, state, i, x, v))
 
 
 @ti.func
-def begin_stage(plan: ti.template(), state: ti.template(), t, stage):
+def begin_stage(spec: ti.template(), state: ti.template(), t, stage):
     """End of `begin`: the first stage."""
-    set_alone(plan, state.stage, t, stage)
-    each(plan, state, t, 1, _begin_stage)
+    set_alone(spec, state.stage, t, stage)
+    each(spec, state, t, 1, _begin_stage)
 
 
 @ti.func
-def _begin_stage(plan: ti.template(), state: ti.template(), i):
+def _begin_stage(spec: ti.template(), state: ti.template(), i):
     state.directions[None], state.trials[None], state.stalls[None] = 0, 0, 0
     state.outcome[None], state.indefinite[None] = CONVERGED, 0
     state.phase[None] = EVALUATE
@@ -227,10 +251,10 @@ def _ending(last):
     """
 
     @ti.func
-    def body(plan: ti.template(), state: ti.template(), i):
+    def body(spec: ti.template(), state: ti.template(), i):
         if state.stage[None] < last:
             state.stage[None] += 1
-            _begin_stage(plan, state, i)
+            _begin_stage(spec, state, i)
         else:
             if state.step_outcome[None] > ROUNDED:
                 state.work[UNCONVERGED] += 1
@@ -240,50 +264,50 @@ def _ending(last):
 
 
 @ti.func
-def evaluate(plan: ti.template(), state: ti.template(), t):
-    accumulate(plan, state, t, force_between, _store_residual, _residual_more)
-    find_largest(plan, state, t, _rounding_of, 0)
-    each(plan, state, t, 1, _keep_rounding)
-    find_largest(plan, state, t, _size, 0)
-    add_up(plan, state, t, _square, 1)
-    add_up(plan, state, t, _slope, 2)
-    each(plan, state, t, 1, _judge)
+def evaluate(spec: ti.template(), state: ti.template(), t):
+    accumulate(spec, state, t, force_between, _store_residual, _residual_more)
+    find_largest(spec, state, t, _rounding_of, 0)
+    each(spec, state, t, 1, _keep_rounding)
+    find_largest(spec, state, t, _size, 0)
+    add_up(spec, state, t, _square, 1)
+    add_up(spec, state, t, _slope, 2)
+    each(spec, state, t, 1, _judge)
 
 
 @ti.func
-def _store_residual(plan: ti.template(), state: ti.template(), c, f):
-    a = acceleration(plan, state, c, f)
-    residual = a - (1.0 / state.tau[None]) * read(plan, state.gain, c)
-    w = read(plan, state.w, c)
-    write(plan, state.residual, c, where_positive(w, residual, 0.0 * residual))
+def _store_residual(spec: ti.template(), state: ti.template(), i, f):
+    a = acceleration(spec, state, i, f)
+    residual = a - (1.0 / state.tau[None]) * read(spec, state.gain, i)
+    w = read(spec, state.w, i)
+    write(spec, state.residual, i, where_positive(w, residual, 0.0 * residual))
 
 
 @ti.func
-def _residual_more(plan: ti.template(), state: ti.template(), site, f):
-    w = site_number(plan, state.w, site)
-    residual = site_value(plan, state.residual, site) + w * f
-    set_site_value(plan, state.residual, site, residual)
+def _residual_more(spec: ti.template(), state: ti.template(), slot, f):
+    w = slot_number(spec, state.w, slot)
+    residual = slot_value(spec, state.residual, slot) + w * f
+    set_slot_value(spec, state.residual, slot, residual)
 
 
 @ti.func
-def _rounding_of(plan: ti.template(), state: ti.template(), c):
+def _rounding_of(spec: ti.template(), state: ti.template(), i):
     """What rounding of positions, over all springs, and of the gain leaves of a residual."""
-    w, x = read(plan, state.w, c), _largest_component(plan, state.x, c)
-    gain = (1.0 / state.tau[None]) * _largest_component(plan, state.gain, c)
-    return ti.select(w > 0.0, w * read(plan, state.near_k, c) * x + gain, 0.0 * w)
+    w, x = read(spec, state.w, i), _largest_component(spec, state.x, i)
+    gain = (1.0 / state.tau[None]) * _largest_component(spec, state.gain, i)
+    return ti.select(w > 0.0, w * read(spec, state.summed_k, i) * x + gain, 0.0 * w)
 
 
 @ti.func
-def _judge(plan: ti.template(), state: ti.template(), i):
+def _judge(spec: ti.template(), state: ti.template(), i):
     """After an evaluation: whether the stage is done, and what comes next if it is not."""
     state.work[FORCES] += 1
     most, squares, slope = state.sums[0, 0], state.sums[1, 0], state.sums[2, 0]
     state.residual_max[None] = most
-    state.residual_rms[None] = ti.sqrt(squares / ti.max(state.n[None] * plan.dim, 1))
+    state.residual_rms[None] = ti.sqrt(squares / ti.max(state.n[None] * spec.dim, 1))
     first = state.directions[None] == 0
     if first:
         state.scale[None], state.best[None] = most, most
-        for axis in ti.static(range(plan.dim)):
+        for axis in ti.static(range(spec.dim)):
             state.scale[None] = ti.max(state.scale[None], ti.abs(state.gravity[axis]))
     wanted = _wanted(state)
     finite = is_finite(squares) and (first or is_finite(slope))
@@ -345,159 +369,160 @@ def _next_length(state: ti.template(), slope, finite):
 
 
 @ti.func
-def direct(plan: ti.template(), state: ti.template(), t):
+def direct(spec: ti.template(), state: ti.template(), t):
     """Begin conjugate gradients: no change yet, the first direction is downhill."""
-    add_up(plan, state, t, _first_energy, 0)
-    each_cell_moving(plan, state, t, _downhill)
-    each(plan, state, t, 1, _begin_iterating)
+    add_up(spec, state, t, _first_energy, 0)
+    each_pack_moving(spec, state, t, _downhill)
+    each(spec, state, t, 1, _begin_iterating)
 
 
 @ti.func
-def _first_energy(plan: ti.template(), state: ti.template(), c):
-    residual = _momentum(plan, state, c, read(plan, state.residual, c))
-    write(plan, state.residual, c, residual)
-    write(plan, state.change, c, 0.0 * residual)
-    return dot(residual, _preconditioned(plan, state, c, residual))
+def _first_energy(spec: ti.template(), state: ti.template(), i):
+    residual = _momentum(spec, state, i, read(spec, state.residual, i))
+    write(spec, state.residual, i, residual)
+    write(spec, state.change, i, 0.0 * residual)
+    return dot(residual, _preconditioned(spec, state, i, residual))
 
 
 @ti.func
-def _momentum(plan: ti.template(), state: ti.template(), c, residual):
+def _momentum(spec: ti.template(), state: ti.template(), i, residual):
     """tau*M times an acceleration."""
-    return scaled(state.tau[None] * _mass(plan, state, c), residual)
+    return scaled(state.tau[None] * _mass(spec, state, i), residual)
 
 
 @ti.func
-def _downhill(plan: ti.template(), state: ti.template(), c):
-    residual = read(plan, state.residual, c)
-    write(plan, state.direction, c, _preconditioned(plan, state, c, residual))
+def _downhill(spec: ti.template(), state: ti.template(), i):
+    residual = read(spec, state.residual, i)
+    write(spec, state.direction, i, _preconditioned(spec, state, i, residual))
 
 
 @ti.func
-def _preconditioned(plan: ti.template(), state: ti.template(), c, residual):
+def _preconditioned(spec: ti.template(), state: ti.template(), i, residual):
     tau = state.tau[None]
-    w = read(plan, state.w, c)
-    diagonal = _mass(plan, state, c) + tau * tau * read(plan, state.near_k, c)
-    if ti.static(plan.drag):
-        diagonal = diagonal + tau * read(plan, state.viscous, c)
-    if ti.static(plan.dashpots):
-        diagonal = diagonal + tau * read(plan, state.near_c, c)
+    w = read(spec, state.w, i)
+    diagonal = _mass(spec, state, i) + tau * tau * read(spec, state.summed_k, i)
+    if ti.static(binds(spec)):
+        diagonal = diagonal + tau * tau * stiffness_of(spec, state, read, i)
+    if ti.static(resists(spec)):
+        diagonal = diagonal + tau * damping_of(spec, state, read, i)
+    if ti.static(reads_velocity(spec)):
+        diagonal = diagonal + tau * read(spec, state.summed_c, i)
     return scaled(ti.select(w > 0.0, 1.0 / diagonal, 0.0 * w), residual)
 
 
 @ti.func
-def iterate(plan: ti.template(), state: ti.template(), t):
+def iterate(spec: ti.template(), state: ti.template(), t):
     """One step of conjugate gradients."""
-    accumulate(plan, state, t, _product_between, _store_product, _product_more)
-    add_up(plan, state, t, _curvature, 0)
-    add_up(plan, state, t, _approach, 1)
-    each_cell_moving(plan, state, t, _turn)
-    each(plan, state, t, 1, _count_iteration)
+    accumulate(spec, state, t, _product_between, _store_product, _product_more)
+    add_up(spec, state, t, _curvature, 0)
+    add_up(spec, state, t, _approach, 1)
+    each_pack_moving(spec, state, t, _turn)
+    each(spec, state, t, 1, _count_iteration)
 
 
 @ti.func
 def _product_between(
-    plan: ti.template(), state: ti.template(), value: ti.template(), i, j, k, rest, c
+    spec: ti.template(), state: ti.template(), value: ti.template(), i, j, numbers: ti.template()
 ):
-    d = value(plan, state.x, j) - value(plan, state.x, i)
+    d = value(spec, state.x, j) - value(spec, state.x, i)
     length = laws.length(d)
     along = laws.unit(d, length)
-    moved = value(plan, state.direction, j) - value(plan, state.direction, i)
-    product = laws.spring_stiffness_product(moved, along, length, k, rest, state.least[None])
-    if ti.static(plan.dashpots):
-        damping = (1.0 / state.tau[None]) * c
-        product += scaled(laws.dashpot_tension(moved, along, damping), along)
-    return product
+    moved = value(spec, state.direction, j) - value(spec, state.direction, i)
+    least = state.least[None]
+    return stiffness_product(spec, moved, length, along, state.tau[None], numbers, least)
 
 
 @ti.func
-def _store_product(plan: ti.template(), state: ti.template(), c, pulled):
+def _store_product(spec: ti.template(), state: ti.template(), i, pulled):
     tau = state.tau[None]
-    direction = read(plan, state.direction, c)
-    diagonal = _mass(plan, state, c)
-    if ti.static(plan.drag):
-        diagonal = diagonal + tau * read(plan, state.viscous, c)
+    direction = read(spec, state.direction, i)
+    diagonal = _mass(spec, state, i)
+    if ti.static(binds(spec)):
+        diagonal = diagonal + tau * tau * stiffness_of(spec, state, read, i)
+    if ti.static(resists(spec)):
+        diagonal = diagonal + tau * damping_of(spec, state, read, i)
     product = scaled(diagonal, direction) - (tau * tau) * pulled
-    w = read(plan, state.w, c)
-    write(plan, state.product, c, where_positive(w, product, 0.0 * product))
+    w = read(spec, state.w, i)
+    write(spec, state.product, i, where_positive(w, product, 0.0 * product))
 
 
 @ti.func
-def _product_more(plan: ti.template(), state: ti.template(), site, pulled):
-    if site_number(plan, state.w, site) > 0.0:
+def _product_more(spec: ti.template(), state: ti.template(), slot, pulled):
+    if slot_number(spec, state.w, slot) > 0.0:
         tau = state.tau[None]
-        product = site_value(plan, state.product, site) - (tau * tau) * pulled
-        set_site_value(plan, state.product, site, product)
+        product = slot_value(spec, state.product, slot) - (tau * tau) * pulled
+        set_slot_value(spec, state.product, slot, product)
 
 
 @ti.func
-def _approach(plan: ti.template(), state: ti.template(), c):
+def _approach(spec: ti.template(), state: ti.template(), i):
     step = _step_length(state)
-    change, direction = read(plan, state.change, c), read(plan, state.direction, c)
-    residual, product = read(plan, state.residual, c), read(plan, state.product, c)
-    write(plan, state.change, c, change + step * direction)
+    change, direction = read(spec, state.change, i), read(spec, state.direction, i)
+    residual, product = read(spec, state.residual, i), read(spec, state.product, i)
+    write(spec, state.change, i, change + step * direction)
     residual = residual - step * product
-    write(plan, state.residual, c, residual)
-    return dot(residual, _preconditioned(plan, state, c, residual))
+    write(spec, state.residual, i, residual)
+    return dot(residual, _preconditioned(spec, state, i, residual))
 
 
 @ti.func
-def _turn(plan: ti.template(), state: ti.template(), c):
+def _turn(spec: ti.template(), state: ti.template(), i):
     part = state.sums[1, 0] / state.energy[None]
-    residual = _preconditioned(plan, state, c, read(plan, state.residual, c))
-    write(plan, state.direction, c, residual + part * read(plan, state.direction, c))
+    residual = _preconditioned(spec, state, i, read(spec, state.residual, i))
+    write(spec, state.direction, i, residual + part * read(spec, state.direction, i))
 
 
 @ti.func
-def shift(plan: ti.template(), state: ti.template(), t):
+def shift(spec: ti.template(), state: ti.template(), t):
     """Go the length that is still to go along `change`."""
-    each_cell_moving(plan, state, t, _shift_cell)
-    each(plan, state, t, 1, _to_evaluate)
+    each_pack_moving(spec, state, t, _shift_pack)
+    each(spec, state, t, 1, _to_evaluate)
 
 
 @ti.func
-def _shift_cell(plan: ti.template(), state: ti.template(), c):
-    change = read(plan, state.change, c)
-    iterate_from(plan, state, c, read(plan, state.gain, c) + state.go[None] * change)
+def _shift_pack(spec: ti.template(), state: ti.template(), i):
+    change = read(spec, state.change, i)
+    iterate_from(spec, state, i, read(spec, state.gain, i) + state.go[None] * change)
 
 
 @ti.func
-def _mass(plan: ti.template(), state: ti.template(), c):
-    """Masses of cell c's particles; 0 where they are fixed."""
-    w = read(plan, state.w, c)
+def _mass(spec: ti.template(), state: ti.template(), i):
+    """Masses of pack i's particles; 0 where they are fixed."""
+    w = read(spec, state.w, i)
     return ti.select(w > 0.0, 1.0 / w, 0.0 * w)
 
 
 @ti.func
-def _largest_component(plan: ti.template(), of: ti.template(), c):
-    """Of each vector in cell c, without its sign."""
-    a = read(plan, of, c)
+def _largest_component(spec: ti.template(), field: ti.template(), i):
+    """Of each vector in pack i, without its sign."""
+    a = read(spec, field, i)
     most = 0.0 * component(a, 0)
-    for axis in ti.static(range(plan.dim)):
+    for axis in ti.static(range(spec.dim)):
         part = component(a, axis)
         most = ti.max(most, ti.max(part, -1.0 * part))
     return most
 
 
 @ti.func
-def _size(plan: ti.template(), state: ti.template(), c):
-    return _largest_component(plan, state.residual, c)
+def _size(spec: ti.template(), state: ti.template(), i):
+    return _largest_component(spec, state.residual, i)
 
 
 @ti.func
-def _square(plan: ti.template(), state: ti.template(), c):
-    residual = read(plan, state.residual, c)
+def _square(spec: ti.template(), state: ti.template(), i):
+    residual = read(spec, state.residual, i)
     return dot(residual, residual)
 
 
 @ti.func
-def _slope(plan: ti.template(), state: ti.template(), c):
+def _slope(spec: ti.template(), state: ti.template(), i):
     """Directional derivative along `change` of what a stage minimizes, negated."""
-    change, residual = read(plan, state.change, c), read(plan, state.residual, c)
-    return dot(change, _momentum(plan, state, c, residual))
+    change, residual = read(spec, state.change, i), read(spec, state.residual, i)
+    return dot(change, _momentum(spec, state, i, residual))
 
 
 @ti.func
-def _keep_rounding(plan: ti.template(), state: ti.template(), i):
+def _keep_rounding(spec: ti.template(), state: ti.template(), i):
     state.rounding[None] = ROUNDING * ti.static(_epsilon(state)) * state.sums[0, 0]
 
 
@@ -517,7 +542,7 @@ def _wanted(state: ti.template()):
 
 
 @ti.func
-def _begin_iterating(plan: ti.template(), state: ti.template(), i):
+def _begin_iterating(spec: ti.template(), state: ti.template(), i):
     energy = state.sums[0, 0]
     part = ti.min(ti.max(0.3 * _wanted(state) / state.residual_max[None], FORCING), 0.5)
     state.energy[None], state.goal[None] = energy, part * part * energy
@@ -531,8 +556,8 @@ def _begin_iterating(plan: ti.template(), state: ti.template(), i):
 
 
 @ti.func
-def _curvature(plan: ti.template(), state: ti.template(), c):
-    return dot(read(plan, state.direction, c), read(plan, state.product, c))
+def _curvature(spec: ti.template(), state: ti.template(), i):
+    return dot(read(spec, state.direction, i), read(spec, state.product, i))
 
 
 @ti.func
@@ -543,13 +568,13 @@ def _step_length(state: ti.template()):
 
 
 @ti.func
-def _count_iteration(plan: ti.template(), state: ti.template(), i):
+def _count_iteration(spec: ti.template(), state: ti.template(), i):
     energy, step = state.sums[1, 0], _step_length(state)
     state.slope[None] += step * state.energy[None]
     state.energy[None] = energy
     state.sweeps[None] += 1
     state.work[SWEEPS] += 1
-    most = 2 * plan.dim * state.n[None] + 20
+    most = 2 * spec.dim * state.n[None] + 20
     ends = not (energy > state.goal[None]) or state.sweeps[None] >= most
     if not (step > 0.0):
         # Exact, A may be indefinite: the change so far is downhill. Clamped it is not, unless
@@ -566,5 +591,5 @@ def _count_iteration(plan: ti.template(), state: ti.template(), i):
 
 
 @ti.func
-def _to_evaluate(plan: ti.template(), state: ti.template(), i):
+def _to_evaluate(spec: ti.template(), state: ti.template(), i):
     state.phase[None] = EVALUATE

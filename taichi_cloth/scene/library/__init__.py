@@ -13,11 +13,13 @@ import inspect
 import pkgutil
 import typing
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from taichi_cloth.errors import InputError, nearest
-from taichi_cloth.scene.model import Scene, validate
+from taichi_cloth.scene.checks import validate
+from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import Parameter
 
 
@@ -31,7 +33,8 @@ def function(name: str) -> Callable[..., Scene]:
     """The function of the scene called `name`. Raises InputError for an unknown name."""
     if name not in names():
         raise InputError(f"unknown scene '{name}'; {nearest(name, names())}")
-    return importlib.import_module(f"{__name__}.{name}").scene
+    found: Callable[..., Scene] = importlib.import_module(f"{__name__}.{name}").scene
+    return found
 
 
 def solution(name: str) -> Callable[..., tuple[np.ndarray, np.ndarray]] | None:
@@ -42,7 +45,7 @@ def solution(name: str) -> Callable[..., tuple[np.ndarray, np.ndarray]] | None:
 
 def description(name: str) -> str:
     """One line on what the scene shows."""
-    return inspect.getdoc(function(name)).splitlines()[0]
+    return (inspect.getdoc(function(name)) or "").partition("\n")[0]
 
 
 def parameters(name: str) -> dict[str, Parameter]:
@@ -50,12 +53,12 @@ def parameters(name: str) -> dict[str, Parameter]:
     scene_function = function(name)
     hints = typing.get_type_hints(scene_function, include_extras=True)
     return {
-        key: hints[key].__metadata__[0].of(hints[key].__origin__, parameter.default)
+        key: hints[key].__metadata__[0].with_type(hints[key].__origin__, parameter.default)
         for key, parameter in inspect.signature(scene_function).parameters.items()
     }
 
 
-def build(name: str, **values) -> Scene:
+def build(name: str, **values: Any) -> Scene:
     """The scene called `name` with the given parameters, checked.
 
     Raises InputError for an unknown name or parameter and for a value outside its limits.

@@ -1,0 +1,281 @@
+"""``taichi-cloth run``: a scene in a window or headless, and the files that it reads and writes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy
+
+from taichi_cloth import __version__, runtime
+from taichi_cloth.errors import InputError, SimulationFailure
+from taichi_cloth.files import events
+from taichi_cloth.files.trajectory import Trajectory
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.source import SceneSource
+from taichi_cloth.settings.options import HEADLESS_FRAMES, PROGRAM, RunOptions, check_run
+
+if TYPE_CHECKING:
+    from taichi_cloth.runtime import Device
+    from taichi_cloth.simulation.simulation import Simulation
+    from taichi_cloth.ui.app import Summary
+    from taichi_cloth.ui.view import View
+
+
+def main(source: SceneSource, options: RunOptions) -> int:
+    """Run a scene; return the exit status.
+
+    Everything that can be refused is refused before Taichi starts, and leaves no file.
+    """
+    options = _consistent(options)
+    if options.dt == "auto" and "substeps" in options.given:
+        raise InputError("--substeps: --dt auto chooses them; give one of the two")
+    scene = source.build()
+
+    from taichi_cloth.ui import film
+
+    log = events.load(options.events) if options.events else None
+    if log:
+        options = _as_recorded(options, log.header)
+    if options.image:
+        film.Image(options.image).discard()
+    if options.video:
+        film.Film(options.video).discard()
+    with contextlib.ExitStack() as unfinished:
+        trajectory = Trajectory(options.save, options.every) if options.save else None
+        if trajectory:
+            unfinished.callback(trajectory.discard)
+        recorder = events.Recorder(options.record) if options.record else None
+        if recorder:
+            unfinished.callback(recorder.discard)
+        return _simulate(scene, options, log, recorder, trajectory)
+
+
+def _as_recorded(options: RunOptions, header: Mapping[str, Any]) -> RunOptions:
+    """The options with the recording's dt, substeps and so on where none are given."""
+    recorded = {
+        name: header[name]
+        for name in ("dt", "substeps", "method", "topology")
+        if name in header and name not in options.given
+    }
+    if recorded.get("dt") == "auto" and "substeps" in options.given:
+        del recorded["dt"]  # substeps of the user's own: of the scene's frames, too
+    if options.dt == "auto":
+        recorded.pop("substeps", None)
+    return _consistent(replace(options, **recorded))
+
+
+def _consistent(options: RunOptions) -> RunOptions:
+    """The options with what follows from them filled in; refuses those that exclude each other."""
+    options = check_run(options)
+    if options.headless:
+        if options.view not in ("auto", "none"):
+            raise InputError(f"--headless and --view {options.view} exclude each other; give one")
+        options = replace(options, view="none")
+    written: dict[str, str] = {}
+    for name in ("record", "save", "image", "video"):
+        path = getattr(options, name)
+        if path is None:
+            continue
+        twin = written.setdefault(os.path.realpath(path), name)
+        if twin != name and os.path.isfile(path) | (not os.path.exists(path)):
+            raise InputError(f"--{twin} and --{name} would write the same file, {path}")
+    return options
+
+
+def _simulate(
+    scene: Scene,
+    options: RunOptions,
+    log: events.Log | None,
+    recorder: events.Recorder | None,
+    trajectory: Trajectory | None,
+) -> int:
+    """Run a checked scene on the device; return the exit status."""
+    from taichi_cloth.ui import app
+    from taichi_cloth.ui.opening import open_view
+
+    # Numbers that overflow are the watchdog's to report, in one line.
+    numpy.seterr(all="ignore")
+    device = runtime.start(
+        options.arch, options.precision, options.threads, fast_math=options.fast_math
+    )
+    sim = _simulation(scene, options)
+    view = open_view(
+        options.view,
+        scene.world,
+        size=options.size,
+        title=f"{PROGRAM}: {scene.name}",
+        pictures=bool(options.image or options.video),
+    )
+    with contextlib.closing(view):
+        seed = _seed(options, log)
+        if log:
+            log.header["seed"] = seed
+            _note_differences(log.header, app.log_header(sim, view, seed))
+        if recorder:
+            recorder.write_header(app.log_header(sim, view, seed, replay=log))
+        if not options.quiet:
+            _announce(sim, device, view)
+        begin = time.perf_counter()
+        with _kept(sim, device, recorder, trajectory):
+            summary = app.run(
+                sim,
+                view,
+                frames=_frames(options, view),
+                replay=log,
+                recorder=recorder,
+                trajectory=trajectory,
+                film=options.video,
+                image=options.image,
+                paused=options.paused,
+                quiet=options.quiet,
+                seed=seed,
+                device=device.describe(),
+            )
+        if not options.quiet:
+            print(_last_line(sim, summary, time.perf_counter() - begin))
+            _note_unconverged(sim)
+    return 0
+
+
+def _simulation(scene: Scene, options: RunOptions) -> Simulation:
+    from taichi_cloth.simulation.simulation import Simulation
+
+    return Simulation(
+        scene,
+        method=options.method,
+        dt=options.dt,
+        substeps=options.substeps,
+        execution=options.execution,
+        topology=options.topology,
+        tolerance=options.tolerance,
+        iterations=options.iterations,
+    )
+
+
+@contextlib.contextmanager
+def _kept(
+    sim: Simulation,
+    device: Device,
+    recorder: events.Recorder | None,
+    trajectory: Trajectory | None,
+) -> Iterator[None]:
+    """Finish the log and the trajectory however the run ends; a failed one has its last frame."""
+    failure: KeyboardInterrupt | SimulationFailure | None = None
+    try:
+        yield
+    except (KeyboardInterrupt, SimulationFailure) as error:
+        failure = error
+    if trajectory:
+        if isinstance(failure, SimulationFailure):
+            trajectory.record(sim, last=True)
+        trajectory.save(_meta(sim, device))
+    if recorder:
+        recorder.close()
+    if failure:
+        raise failure
+
+
+def _seed(options: RunOptions, log: events.Log | None) -> int:
+    """The seed that is asked for, else the log's, else 0."""
+    if options.seed is not None:
+        return options.seed
+    seed: int = log.header.get("seed", 0) if log else 0
+    return seed
+
+
+def _frames(options: RunOptions, view: View) -> int | None:
+    """After how many frames the run ends; None: when the user quits."""
+    if options.frames is None and not view.visible:
+        return HEADLESS_FRAMES
+    return options.frames
+
+
+def _announce(sim: Simulation, device: Device, view: View) -> None:
+    """Say what runs, and on standard error if its steps are too long to be stable."""
+    from taichi_cloth.limits.auto_step import above_limit
+
+    print(_first_line(sim, device, view), flush=True)
+    warning = above_limit(sim.method, sim.scene, sim.dt, sim.substeps)
+    if warning:
+        print(f"{PROGRAM}: warning: {warning}", file=sys.stderr, flush=True)
+
+
+def _first_line(sim: Simulation, device: Device, view: View) -> str:
+    """Scene, method, dt, substeps, device, execution path and view."""
+    steps = f"{sim.substeps} substep{'s' * (sim.substeps > 1)}"
+    width, height = view.size
+    window = f"window {view.name} {width}x{height}" if view.visible else "headless"
+    return (
+        f"{sim.scene.name}: {sim.particle_count} particles, {sim.spring_count} springs; "
+        f"{sim.method}, dt {sim.dt:g}, {steps}; "
+        f"{device.describe()}, {sim.execution} {sim.topology}; {window}"
+    )
+
+
+def _last_line(sim: Simulation, summary: Summary, seconds: float) -> str:
+    """Frames, time a frame, steps a second, and the execution path."""
+    frames = summary.frames
+    if not frames:
+        return f"0 frames in {seconds:.2f} s"
+    done = f"{frames} frame{'s' * (frames > 1)} in {seconds:.2f} s"
+    if frames == 1:
+        return done
+    a_frame = summary.simulate / (frames - 1)
+    return (
+        f"{done}: {1e3 * a_frame:.3g} ms a frame to simulate after the first, "
+        f"{sim.substeps / a_frame:.4g} steps/s, {sim.execution} {sim.topology}"
+    )
+
+
+def _note_unconverged(sim: Simulation) -> None:
+    """Say on standard error how many steps' solutions missed their tolerance."""
+    work = sim.work()
+    if work.unconverged:
+        tolerance = sim.solver["tolerance"]
+        print(
+            f"{PROGRAM}: note: {work.unconverged} of {work.steps} steps did not converge to a "
+            f"relative residual of {tolerance:g}; use a smaller step or a larger --tolerance",
+            file=sys.stderr,
+        )
+
+
+def _note_differences(recorded: Mapping[str, Any], present: Mapping[str, Any]) -> None:
+    """Say on standard error where a replay's settings are not those of the recording."""
+    notes = [
+        f"{key} {present[key]} (recorded: {recorded[key]})"
+        for key in ("scene", "dt", "substeps", "method", "topology")
+        if key in recorded and key in present and recorded[key] != present[key]
+    ]
+    if notes:
+        print(f"{PROGRAM}: note: replaying with {', '.join(notes)}", file=sys.stderr)
+
+
+def _meta(sim: Simulation, device: Device) -> dict[str, Any]:
+    """What a saved trajectory says about its run."""
+    import taichi
+
+    return {
+        "scene": sim.scene.name,
+        "method": sim.method,
+        "dt": sim.dt,
+        "substeps": sim.substeps,  # the last ones, where they follow the springs
+        "dt_auto": sim.follows,
+        "precision": device.precision,
+        "arch": device.arch,
+        "device": device.describe(),
+        "execution": sim.execution,
+        "topology": sim.topology,
+        "versions": {
+            "taichi_cloth": __version__,
+            "taichi": ".".join(map(str, taichi.__version__)),
+            "numpy": numpy.__version__,
+            "python": platform.python_version(),
+        },
+    }

@@ -1,0 +1,32 @@
+"""Forces, one file each, found by looking into this folder: `contract.Term` says what one declares.
+
+Adding a force is adding a file.
+"""
+
+import functools
+import importlib
+import pkgutil
+
+TERMS = tuple(sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name != "contract"))
+
+
+@functools.cache
+def load(name):
+    """The `Term` of the force `name`, out of `TERMS`. Importing it imports Taichi.
+
+    TypeError, which names the file and the part, where its declaration is not whole.
+    """
+    from taichi_cloth.kernels.forces.contract import Term
+
+    try:
+        term = getattr(importlib.import_module(f"{__name__}.{name}"), "TERM", None)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"kernels/forces/{name}.py: {error}") from error
+    if not isinstance(term, Term):
+        raise TypeError(f"kernels/forces/{name}.py: declares no TERM = Term(...)")
+    return term
+
+
+def present_in(scene):
+    """Names of the terms that a scene needs, in the order in which they are added up."""
+    return tuple(name for name in TERMS if load(name).present(scene))

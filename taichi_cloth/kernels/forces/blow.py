@@ -1,0 +1,129 @@
+"""The pointer's force: what is near it is blown along as it moves, through the next frame.
+
+On a particle at distance r from the pointer that moved by d: f = STRENGTH max(REACH - r, 0) d, the
+law of the original program. In 3-D the pointer is a line, the ray of sight. A program may hold a
+force of its own for each particle in its place.
+"""
+
+import taichi as ti
+
+from taichi_cloth.kernels import laws
+from taichi_cloth.kernels.forces.contract import (
+    COUNT,
+    FORCE,
+    NUMBER,
+    PARTICLE_VECTOR,
+    VECTOR,
+    Absent,
+    DeviceField,
+    Switch,
+    Term,
+)
+from taichi_cloth.kernels.loops import each_pack
+from taichi_cloth.kernels.packs import (
+    component,
+    dot,
+    read,
+    scaled,
+    set_slot_value,
+    with_component,
+    write,
+    zeros,
+)
+
+REACH = 50.0  # world units from the pointer at which its force ends
+STRENGTH = 0.002  # force per unit of displacement and of distance short of the reach
+
+
+@ti.func
+def law(spec: ti.template(), state: ti.template(), i):
+    f = zeros(spec, state)
+    if state.pushing[None] == 1:
+        f = read(spec, state.push, i)
+    return f
+
+
+@ti.kernel
+def compute_push(spec: ti.template(), state: ti.template(), numbers: ti.types.ndarray()):
+    """push: the pointer's force on each particle, by its distance to the pointer's line.
+
+    numbers: per axis a point of the line, its unit direction (zero: the line is a point, as in
+    2-D), the pointer's displacement; then reach and strength.
+    """
+    for _ in range(1):
+        state.pushing[None] = 1
+        for axis in ti.static(range(spec.dim)):
+            state.pointer[axis] = numbers[axis]
+            state.pointer_ray[axis] = numbers[spec.dim + axis]
+            state.pointer_moved[axis] = numbers[2 * spec.dim + axis]
+        state.pointer_reach[None] = numbers[3 * spec.dim]
+        state.pointer_strength[None] = numbers[3 * spec.dim + 1]
+    each_pack(spec, state, 0, _push_pack)
+
+
+@ti.func
+def _push_pack(spec: ti.template(), state: ti.template(), i):
+    x = read(spec, state.x, i)
+    d, ray = 0.0 * x, 0.0 * x
+    for axis in ti.static(range(spec.dim)):
+        from_pointer = component(x, axis) - state.pointer[axis]
+        d = with_component(d, axis, from_pointer)
+        ray = with_component(ray, axis, 0.0 * from_pointer + state.pointer_ray[axis])
+    d -= scaled(dot(d, ray), ray)
+    reach, strength = state.pointer_reach[None], state.pointer_strength[None]
+    distance, push = laws.length(d), 0.0 * x
+    for axis in ti.static(range(spec.dim)):
+        force = laws.blow_force(distance, state.pointer_moved[axis], reach, strength)
+        push = with_component(push, axis, force)
+    write(spec, state.push, i, push)
+
+
+@ti.kernel
+def clear_push(state: ti.template()):
+    """No pointer force."""
+    for _ in range(1):
+        state.pushing[None] = 0
+
+
+@ti.kernel
+def hold_push(spec: ti.template(), state: ti.template(), forces: ti.types.ndarray()):
+    """push: a force for each particle, forces (n, dim), instead of the pointer's."""
+    for _ in range(1):
+        state.pushing[None] = 1
+    for i in range(forces.shape[0]):
+        force = ti.Vector.zero(state.real, ti.static(spec.dim))
+        for axis in ti.static(range(spec.dim)):
+            force[axis] = forces[i, axis]
+        set_slot_value(spec, state.push, state.slot[i], force)
+
+
+def variant(scene):
+    used = scene.world.mouse == "blow"
+    if scene.world.mouse == "spawn":
+        return None
+    changed = scene.with_world(mouse="none" if used else "blow")
+    return Switch("mouse: blow", used, "not pushing", changed)
+
+
+TERM = Term(
+    adds=FORCE,
+    keys=Absent('[world] mouse = "blow" is a key that every scene has'),
+    present=lambda scene: scene.world.mouse == "blow",
+    fields=(
+        DeviceField("push", PARTICLE_VECTOR),
+        DeviceField("pushing", COUNT),
+        DeviceField("pointer", VECTOR),
+        DeviceField("pointer_ray", VECTOR),
+        DeviceField("pointer_moved", VECTOR),
+        DeviceField("pointer_reach", NUMBER),
+        DeviceField("pointer_strength", NUMBER),
+    ),
+    law=law,
+    stiffness=Absent("it is held through a frame, wherever the particle goes"),
+    damping=Absent("it does not depend on velocity"),
+    across=Absent("it does not act along springs"),
+    energy=Absent("it comes from outside: it has no potential"),
+    twin=Absent("it is no part of a scene: references are computed without the pointer"),
+    bound=Absent("a force that is held makes no step unstable"),
+    variant=variant,
+)

@@ -1,0 +1,70 @@
+"""Dashpots beside the springs: T = c times the rate at which a spring lengthens.
+
+Along the spring's axis alone, so that a turning spring is not slowed: Baraff, Witkin, "Large steps
+in cloth simulation", 1998, section 4.5.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import taichi as ti
+
+from taichi_cloth.kernels import laws
+from taichi_cloth.kernels.forces.contract import TENSION, Absent, Switch, Term, counted
+from taichi_cloth.kernels.spring_numbers import C
+
+LIGHT = 0.02  # of sqrt(stiffness * mass): the damping that a variant gets
+
+
+@ti.func
+def law(length, along, dv, numbers: ti.template()):
+    return laws.dashpot_tension(dv, along, numbers[C])
+
+
+@ti.func
+def damping(numbers: ti.template()):
+    return numbers[C]
+
+
+def present(scene):
+    clicked = scene.world.mouse == "spawn" and scene.spring_defaults.damping > 0
+    return bool((scene.springs.damping > 0).any() or clicked)
+
+
+def twin(length, rate, springs):
+    return springs.damping * rate
+
+
+def variant(scene):
+    springs, defaults = scene.springs, scene.spring_defaults
+    if len(springs) == 0:
+        return None
+    used = present(scene)
+    if used:
+        about = f"{counted(int((springs.damping > 0).sum()), 'spring')}"
+        damping = np.zeros(len(springs))
+        defaults = replace(defaults, damping=0.0)
+    else:
+        about = f"{counted(len(springs), 'spring')}, damped lightly"
+        mass = float(scene.particles.mass.min())
+        damping = LIGHT * np.sqrt(springs.stiffness * mass)
+    springs = replace(springs, damping=damping)
+    return Switch(
+        "dashpots", used, about, replace(scene, springs=springs, spring_defaults=defaults)
+    )
+
+
+TERM = Term(
+    adds=TENSION,
+    keys=Absent("[spring] damping is a key that every scene has"),
+    present=present,
+    fields=Absent("a spring's numbers are stored by topology (spring_numbers.py)"),
+    law=law,
+    stiffness=Absent("it does not depend on length"),
+    damping=damping,
+    across=Absent("across the spring nothing is damped"),
+    energy=Absent("it has no potential: it takes energy"),
+    twin=twin,
+    bound=lambda world, particles, springs: (np.zeros(len(springs)), springs.damping),
+    variant=variant,
+)

@@ -1,0 +1,257 @@
+"""Springs of regular grids in packs, their links: each computed once, row by row.
+
+`between(spec, state, value, i, j, numbers)` is whatever a spring gives its ends: see `springs.py`.
+"""
+
+import taichi as ti
+
+from taichi_cloth.kernels.grids import (
+    link_index,
+    link_offset,
+    pitch_of,
+    renew_halos,
+    renew_left_halo,
+    renew_right_halo,
+)
+from taichi_cloth.kernels.loops import PIECE, barrier, leave, share
+from taichi_cloth.kernels.packs import read, write, zeros
+from taichi_cloth.kernels.spring_numbers import NUMBERS, fields_of, is_stored
+
+# --- numbers of links --------------------------------------------------------------------------
+
+
+@ti.func
+def link_stiffness(spec: ti.template(), state: ti.template(), s, i):
+    """Stiffness of pack i's links of kind s; 0 where there is none, or none any more."""
+    return read(spec, state.link_k, link_index(state, s, i))
+
+
+def _others(spec, state):
+    """The fields of a link's numbers but its stiffness, each with its declaration."""
+    return list(zip(NUMBERS, fields_of(spec, state, "link"), strict=True))[1:]
+
+
+@ti.func
+def link_numbers(spec: ti.template(), state: ti.template(), number: ti.template(), s, g, at, k):
+    """The numbers of links of kind s in grid g, of stiffness k.
+
+    at: where fields of links keep them; number: reads such a field there, `packs.read` of a pack or
+    `packs.slot_number` of a slot.
+    """
+    others = [
+        _number_of_link(spec, declared, field, number, s, g, at, k)
+        for declared, field in ti.static(_others(spec, state))
+    ]
+    return [k] + others
+
+
+@ti.func
+def _number_of_link(
+    spec: ti.template(),
+    declared: ti.template(),
+    field: ti.template(),
+    number: ti.template(),
+    s,
+    g,
+    at,
+    k,
+):
+    """One of the numbers of links: their own, or that of their kind and grid."""
+    if ti.static(not is_stored(field)):
+        return 0.0 * k
+    elif ti.static(declared.per_link):
+        return number(spec, field, at)
+    elif ti.static(declared.void):  # an absent link, of stiffness 0, has no dashpot either
+        return ti.select(k > 0.0, field[s, g], 0.0 * k)
+    else:
+        return field[s, g]
+
+
+@ti.func
+def link_value(
+    spec: ti.template(), state: ti.template(), between: ti.template(), s, g, i, far, k, at
+):
+    """What pack i gets from its links of kind s, of stiffness k, to later particles at far.
+
+    at: where fields of links keep the other numbers of these.
+    """
+    numbers = link_numbers(spec, state, read, s, g, at, k)
+    return between(spec, state, read, i, far, numbers)
+
+
+@ti.func
+def sum_of_links(spec: ti.template(), state: ti.template(), between: ti.template(), i):
+    """Sum over the links of pack i, each computed from both of its ends: for GPUs."""
+    g = state.grid_of[i]
+    pitch = pitch_of(spec, state, ti.max(g, 0))
+    total = zeros(spec, state)
+    if g >= 0:  # not an empty row, beyond which there may be nothing
+        for s in ti.static(range(spec.kinds)):
+            giver = i - link_offset(state, s, pitch)
+            k, at = link_stiffness(spec, state, s, giver), link_index(state, s, giver)
+            total = total - link_value(spec, state, between, s, g, giver, i, k, at)
+        for s in ti.static(spec.forward):
+            far = i + link_offset(state, s, pitch)
+            k, at = link_stiffness(spec, state, s, i), link_index(state, s, i)
+            total += link_value(spec, state, between, s, g, i, far, k, at)
+    return total
+
+
+# --- a pass over all links ---------------------------------------------------------------------
+
+
+@ti.func
+def grid_share(spec: ti.template(), rows, t):
+    """First row of thread t's share of a grid; too few rows for all threads are the first one's."""
+    first = share(spec, rows, t)
+    if rows < spec.threads * spec.depth:
+        first = ti.select(t == 0, 0, rows)
+    return first
+
+
+@ti.func
+def carried_row(spec: ti.template(), state: ti.template(), g, t):
+    """Where the links of the last rows of thread t's share of grid g are kept; before thread 0's
+    there are rows of zeros, for a grid's first rows: they come first, where a run with another
+    number of threads has written nothing.
+    """
+    rows = spec.depth + spec.threads * spec.ring_depth + (g * spec.threads + t) * spec.depth
+    return ti.select(t < 0, 0, rows) * state.row + spec.halo
+
+
+@ti.func
+def ring_row(spec: ti.template(), state: ti.template(), g, t, begin, end, r):
+    """Where the links of row r are kept while thread t sweeps rows begin .. end of grid g."""
+    at = (spec.depth + t * spec.ring_depth + (r & (spec.ring_depth - 1))) * state.row + spec.halo
+    if r < begin:
+        at = carried_row(spec, state, g, t - 1) + (r - begin + spec.depth) * state.row
+    elif spec.threads > 1 and r >= end - spec.depth:
+        at = carried_row(spec, state, g, t) + (r - end + spec.depth) * state.row
+    return at
+
+
+@ti.func
+def compute_links(
+    spec: ti.template(), state: ti.template(), between: ti.template(), g, i, stiffness, pitch, to
+):
+    """Compute what pack i of grid g gets from its links to later particles, into state.ring_forces[to].
+
+    stiffness: the pack whose links' stiffness is theirs.
+    """
+    for s in range(spec.kinds):
+        far, k = i + link_offset(state, s, pitch), link_stiffness(spec, state, s, stiffness)
+        value = link_value(spec, state, between, s, g, i, far, k, link_index(state, s, i))
+        write(spec, state.ring_forces, s * state.ring_size + to, value)
+
+
+def _moves(move):
+    return move is not leave
+
+
+@ti.func
+def move_row(spec: ti.template(), state: ti.template(), g, r, move: ti.template()):
+    begin, width = state.grid[g, 0] + r * pitch_of(spec, state, g), state.grid[g, 2]
+    for i in range(begin, begin + width):
+        move(spec, state, i)
+    renew_halos(spec, state, begin, width)
+
+
+@ti.func
+def pass_over_rows(
+    spec: ti.template(),
+    state: ti.template(),
+    t,
+    phase,
+    move: ti.template(),
+    between: ti.template(),
+    consume: ti.template(),
+):
+    """Each link once, row by row, in thread t's share of every grid.
+
+    The links of a row are computed before its turn, into a ring of rows; in its turn its packs add
+    up what they give and, negated, what is given to them, while those of the next row are computed:
+    one waits for memory and the other computes. Rows above are never looked at again, so `consume`
+    may change what `between` reads of its pack. So that no thread changes what another one needs,
+    the last rows of a share, whose links reach into the next one, are computed before all else:
+    that is phase 0, and phase 1 the rest; with one thread there is only phase 1.
+
+    A row moves (`move_and_accumulate`) right before the first links that reach it are computed; the
+    first and last rows of a share have moved already.
+    """
+    for g in range(state.n_grids[None]):
+        first, rows, width = state.grid[g, 0], state.grid[g, 1], state.grid[g, 2]
+        linked, pitch = state.grid[g, 3] == 1, pitch_of(spec, state, g)
+        begin, end = grid_share(spec, rows, t), grid_share(spec, rows, t + 1)
+        start, turns, computed = begin, end, end  # the rows whose turn it is, and to be computed
+        if ti.static(spec.threads > 1):
+            computed = end - spec.depth
+            if phase == 0:
+                start, turns, computed = ti.max(begin, end - spec.depth), end - 1, end
+        for r in range(start - 1, turns):
+            if ti.static(_moves(move)):
+                next_row = r + 1 + spec.depth
+                if phase == 1 and begin + spec.depth <= next_row and next_row < end - spec.depth:
+                    move_row(spec, state, g, next_row, move)
+            row = first + r * pitch
+            computes, consumes = linked and r + 1 < computed, phase == 1 and r >= start
+            here = ring_row(spec, state, g, t, begin, end, r)
+            ahead = ring_row(spec, state, g, t, begin, end, r + 1)
+            stiffness = row + pitch
+            if ti.static(
+                spec.rows_share_stiffness
+            ):  # the first row's, which stays in the processor's caches
+                if r + 1 < rows - spec.depth:
+                    stiffness = first
+            from_above = ti.Vector([0 for _ in range(spec.kinds)])
+            from_here = ti.Vector([0 for _ in range(spec.kinds)])
+            for s in ti.static(range(spec.kinds)):
+                giver = ring_row(spec, state, g, t, begin, end, r - spec.links[s][1])
+                from_above[s] = s * state.ring_size + giver - spec.links[s][0]
+                from_here[s] = spec.forward[s] * state.ring_size + here
+                if not linked:
+                    from_above[s] = from_here[s] = carried_row(spec, state, g, -1)
+            for i in range(width):
+                if computes:
+                    next_pack = row + pitch + i
+                    compute_links(
+                        spec, state, between, g, next_pack, stiffness + i, pitch, ahead + i
+                    )
+                if consumes:
+                    total = zeros(spec, state)
+                    for s in range(spec.kinds):
+                        total = total - read(spec, state.ring_forces, from_above[s] + i)
+                    for s in range(spec.kinds):
+                        total += read(spec, state.ring_forces, from_here[s] + i)
+                    consume(spec, state, row + i, total)
+            if computes:
+                for s in range(spec.kinds):
+                    to, columns = s * state.ring_size + ahead, state.link[s, 0]
+                    renew_left_halo(spec, state.ring_forces, to, width, columns)
+                    renew_right_halo(spec, state.ring_forces, to, width, -columns)
+            if consumes:
+                renew_halos(spec, state, row, width)
+
+
+@ti.func
+def pass_over_grids(
+    spec: ti.template(),
+    state: ti.template(),
+    t,
+    move: ti.template(),
+    between: ti.template(),
+    consume: ti.template(),
+):
+    """`pass_over_rows` of every grid, by all threads: first what reaches into other shares."""
+    if ti.static(spec.one_launch_per_step):
+        for phase in ti.static(range(2)):
+            for i in range(spec.threads * PIECE):
+                if i % PIECE == 0:
+                    pass_over_rows(spec, state, i // PIECE, phase, move, between, consume)
+    elif ti.static(spec.threads == 1):
+        pass_over_rows(spec, state, t, 1, move, between, consume)
+    else:
+        for phase in range(2):  # at run time: unrolled, it takes twice as long to compile
+            if phase == 1:
+                barrier(spec, state)
+            pass_over_rows(spec, state, t, phase, move, between, consume)
+    barrier(spec, state)

@@ -1,0 +1,172 @@
+"""Bounds of all modes: of a state's own geometry, or such that hold however its springs turn.
+
+Three answers, each costlier and closer than the one before: `gershgorin` (NumPy alone, holds in
+every geometry), `any_geometry` (the largest eigenvalue of the springs' Laplacian; holds in every
+geometry, as springs turn during a run), and `eigenmodes.stable_step` (the state's own geometry).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_cloth.kernels.methods.contract import Method
+from taichi_cloth.limits.matrices import laplacian, largest_eigenvalue
+from taichi_cloth.limits.modes import ROUND_OFF, growth, largest_step
+from taichi_cloth.limits.network import Network
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What no mode exceeds.
+
+    omega2, particle: the largest omega^2, and the particle that sets it (-1: none does).
+    damping, damped: the largest d, and the particle that sets it (-1: none does).
+    least_damping: the least d.
+    """
+
+    omega2: float
+    particle: int
+    damping: float
+    damped: int
+    least_damping: float
+
+
+def step_within(method: Method, bounds: Bounds) -> float:
+    """A step at which no mode inside `bounds` grows, whatever pairs of omega^2 and d there are."""
+    if math.isinf(method.claims.stability_limit):
+        return math.inf
+    return min(largest_step(method, omega2, d) for omega2, d in _pairs(bounds))
+
+
+def grows_within(method: Method, bounds: Bounds, h: float) -> bool:
+    """Whether a mode inside `bounds` grows at the step h; fifty times as fast as `step_within`."""
+    if math.isinf(method.claims.stability_limit):
+        return False
+    return any(growth(method, h, *pair) > 1 + ROUND_OFF for pair in _pairs(bounds) if any(pair))
+
+
+def _pairs(bounds: Bounds) -> list[tuple[float, float]]:
+    """Pairs (omega^2, d) on the border of `bounds`, of which the worst stands for all inside."""
+    rates = np.linspace(bounds.least_damping, bounds.damping, 5)
+    if bounds.least_damping == bounds.damping:
+        rates = rates[:1]
+    return [(0.0, bounds.damping), *((bounds.omega2, float(d)) for d in rates)]
+
+
+def gershgorin(network: Network) -> Bounds:
+    """Gershgorin's bounds: the largest row sums of |M^-1 K| and |M^-1 C|, in every geometry.
+
+    omega^2 <= max_i (1/m_i) (sum of k to all neighbours + sum of k to free neighbours).
+    """
+    stiffness, damping = network.along_springs
+    return _row_sums(network, stiffness[:, None], damping[:, None])
+
+
+def gershgorin_here(network: Network) -> Bounds:
+    """Gershgorin's bounds of the state's own geometry: closer where springs lie along the axes."""
+    along, t = network.geometry
+    # Row sums of |n n^T|, and of the whole Hessian.
+    longitudinal = np.abs(along) * np.abs(along).sum(axis=1, keepdims=True)
+    stiffness, damping = network.along_springs
+    stiff = stiffness[:, None] * ((1 - t)[:, None] * longitudinal + t[:, None])
+    return _row_sums(network, stiff, damping[:, None] * longitudinal)
+
+
+def _row_sums(network: Network, stiff: np.ndarray, damped: np.ndarray) -> Bounds:
+    """Bounds from what springs add to a row of K and of C, each (s, axes)."""
+    particles = network.particles
+    free, n = ~particles.fixed, len(network.position)
+    if not free.any():
+        return Bounds(0.0, -1, 0.0, -1, 0.0)
+    a, b = network.springs.between.T
+    held, drag = (of / particles.mass for of in network.on_particles)
+
+    def rows(weights: np.ndarray) -> np.ndarray:
+        sums = np.zeros(n)
+        for w in weights.T:
+            row = np.bincount(a, w * (1.0 + free[b]), n) + np.bincount(b, w * (1.0 + free[a]), n)
+            np.maximum(sums, row / particles.mass, out=sums)
+        return np.where(free, sums, 0.0)
+
+    with np.errstate(over="ignore", invalid="ignore"):  # an infinite bound is a true answer
+        omega2 = rows(stiff) + np.where(free, held, 0.0)
+        damping = rows(damped) + np.where(free, drag, 0.0)
+    stiffest, damped_most = int(omega2.argmax()), int(damping.argmax())
+    return Bounds(
+        float(omega2[stiffest]),
+        stiffest if omega2[stiffest] > 0 else -1,
+        float(damping[damped_most]),
+        damped_most if damping[damped_most] > 0 else -1,
+        float(drag[free].min()),
+    )
+
+
+class AnyGeometry:
+    """Bounds that hold however springs turn, followed from state to state.
+
+    Since n n^T + t (I - n n^T) <= I, K is at most the Laplacian of the graph with weights k, one
+    number a particle, and C that with weights c plus drag. Their largest eigenvalues are found
+    starting from the vectors of the last time.
+    """
+
+    def __init__(self) -> None:
+        self._vectors: list[np.ndarray | None] = [None, None]
+
+    def bounds(self, network: Network) -> Bounds:
+        """Bounds of this network."""
+        rough = gershgorin(network)
+        free = ~network.particles.fixed
+        if not free.any() or not math.isfinite(rough.omega2 + rough.damping):
+            return rough
+        values = []
+        for i, (weights, diagonal) in enumerate(_weights_and_diagonal(network)):
+            matrix = laplacian(network, weights, diagonal)
+            uniform = not weights.any() and (matrix.diagonal() == matrix.diagonal()[0]).all()
+            if uniform:
+                values.append(float(matrix.diagonal()[0]))
+                continue
+            start = self._vectors[i]
+            if start is not None:
+                start = np.concatenate([start, np.ones(max(len(free) - len(start), 0))])[free]
+            value, vector = largest_eigenvalue(matrix, start, rough=True)
+            # What is left of the residual may belong to a larger eigenvalue.
+            residual = float(np.sqrt(((matrix @ vector - value * vector) ** 2).sum()))
+            bound = (rough.omega2, rough.damping)[i]
+            values.append(min(value + residual, bound))
+            self._vectors[i] = whole = np.zeros(len(free))
+            whole[free] = vector
+        return Bounds(values[0], rough.particle, values[1], rough.damped, rough.least_damping)
+
+    def at_least(self, network: Network) -> Bounds:
+        """What the bounds cannot fall below: Rayleigh's quotients of the last vectors.
+
+        After springs broke it tells, without an eigenvalue, where the bounds cannot have changed.
+        """
+        quotients = []
+        free, mass = ~network.particles.fixed, network.particles.mass
+        a, b = network.springs.between.T
+        for u, (weights, diagonal) in zip(
+            self._vectors, _weights_and_diagonal(network), strict=True
+        ):
+            if u is None:
+                quotients.append(0.0)
+                continue
+            scaled = np.where(free, u / np.sqrt(mass), 0.0)
+            energy = (weights * (scaled[b] - scaled[a]) ** 2).sum() + (diagonal * scaled**2).sum()
+            quotients.append(float(energy / (u * u).sum()))
+        least = gershgorin(network).least_damping
+        return Bounds(quotients[0], -1, max(quotients[1], least), -1, least)
+
+
+def any_geometry(network: Network) -> Bounds:
+    """Bounds that hold however springs turn; at most those of `gershgorin`."""
+    return AnyGeometry().bounds(network)
+
+
+def _weights_and_diagonal(network: Network) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """The Laplacians of K and C, each as springs' weights (s,) and addends of the diagonal (n,)."""
+    yield from zip(network.along_springs, network.on_particles, strict=True)

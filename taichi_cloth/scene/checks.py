@@ -1,0 +1,232 @@
+"""Refuses scenes that cannot be simulated: one line that says what, where, and what is allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NoReturn
+from weakref import WeakValueDictionary
+
+import numpy as np
+
+from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.scene.model import (
+    MOUSE_MODES,
+    WALLS,
+    Particles,
+    Scene,
+    Springs,
+    World,
+)
+from taichi_cloth.scene.properties import (
+    PARTICLE_PROPERTIES,
+    POSITIVE,
+    SPRING_PROPERTIES,
+    Rule,
+)
+from taichi_cloth.scene.world_keys import world_keys
+
+Place = Callable[[str, "int | None", "str | None"], str]
+
+
+def _plain_place(kind: str, index: int | None, field_name: str | None) -> str:
+    """'particle 3': the place of a fault in a scene that comes from no file."""
+    return kind if index is None else f"{kind} {index}"
+
+
+def validate(scene: Scene, place: Place = _plain_place) -> Scene:
+    """Return `scene` if it can be simulated, else raise InputError with one line that says why.
+
+    place: names the place of a fault in the message: ``place(kind, index, field)`` with kind
+        "world", "particle", "spring", "particle defaults" or "spring defaults", the index of the
+        particle or spring (None for the rest) and the field at fault (None: the whole of it).
+        A scene file names its line there.
+
+    Raises InputError for: a NaN or infinite number (an infinite break force is allowed: it says
+    unbreakable); a number that breaks its rule (`properties`); dt not positive; an unknown wall,
+    mouse mode or further key of the world; arrays whose shapes do not fit each other or the world's
+    dimension; a particle outside the world; a spring between missing or equal particles, or a
+    second spring between the same two.
+    """
+    if _checked.get(id(scene)) is scene:
+        return scene
+    refusal = _Refusal(place)
+    _check_world(scene.world, refusal)
+    for kind, defaults, properties in (
+        ("particle defaults", scene.particle_defaults, PARTICLE_PROPERTIES),
+        ("spring defaults", scene.spring_defaults, SPRING_PROPERTIES),
+    ):
+        for name, about in properties.items():
+            value = getattr(defaults, name)
+            if value is not None:
+                refusal.check_number(kind, name, value, about.rule)
+    _check_particles(scene.particles, scene.world, refusal)
+    _check_springs(scene.springs, len(scene.particles), refusal)
+    return scene
+
+
+# The scenes that `mark_checked` was given, by id: arrays have no hash.
+_checked: WeakValueDictionary[int, Scene] = WeakValueDictionary()
+
+
+def mark_checked(scene: Scene) -> Scene:
+    """Return a scene that `validate` has accepted, which does not look at it again.
+
+    Only for a scene whose arrays nobody writes to, which a frozen scene does not exclude.
+    """
+    _checked[id(scene)] = scene
+    return scene
+
+
+def _show(value: Any) -> str:
+    """A number or a list of numbers as a person would write it: 0, 1.5, nan, (3, 4.5)."""
+    array = np.asarray(value)
+    if array.ndim:
+        return "(" + ", ".join(_show(v) for v in array) + ")"
+    return f"{array.item():.10g}" if array.dtype.kind == "f" else str(array.item())
+
+
+class _Refusal:
+    """Raises InputError for the first value that breaks a rule, naming its place."""
+
+    def __init__(self, place: Place):
+        self.place = place
+
+    def refuse(self, kind: str, index: int | None, name: str | None, text: str) -> NoReturn:
+        raise InputError(f"{self.place(kind, index, name)}: {text}")
+
+    def check_number(self, kind: str, name: str, value: Any, rule: Rule | None = None) -> None:
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+            self.refuse(kind, None, name, f"{name} must be a number, is {value!r}")
+        if not np.isfinite(value):
+            self.refuse(kind, None, name, f"{name} must be a finite number, is {_show(value)}")
+        if rule and not rule.holds(value):
+            self.refuse(kind, None, name, f"{name} {rule.says}, is {_show(value)}")
+
+    def check_rows(
+        self,
+        kind: str,
+        name: str,
+        values: np.ndarray,
+        rule: Rule | None = None,
+        finite: bool = True,
+    ) -> None:
+        """One value (or one vector) per particle or spring: the first bad row is named."""
+        if finite:
+            says = "must be a finite number" if values.ndim == 1 else "must be finite numbers"
+            self._check_good(kind, name, values, np.isfinite(values), says)
+        if rule:
+            self._check_good(kind, name, values, rule.holds(values), rule.says)
+
+    def _check_good(
+        self, kind: str, name: str, values: np.ndarray, good: np.ndarray, says: str
+    ) -> None:
+        if not good.all():
+            row = int(np.argmin(good if good.ndim == 1 else good.all(axis=1)))
+            self.refuse(kind, row, name, f"{name} {says}, is {_show(values[row])}")
+
+    def check_shape(self, kind: str, name: str, values: Any, shape: tuple[int, ...]) -> None:
+        if np.shape(values) != shape:
+            text = f"{name} must have shape {shape}, has {np.shape(values)}"
+            self.refuse(f"{kind}s", None, name, text)
+
+
+def _check_world(world: World, refusal: _Refusal) -> None:
+    def refuse(name: str, text: str) -> NoReturn:
+        refusal.refuse("world", None, name, text)
+
+    if len(world.size) not in (2, 3):
+        refuse("size", f"size must be 2 or 3 lengths, is {_show(world.size)}")
+    for value in world.size:
+        refusal.check_number("world", "size", value, POSITIVE)
+    _check_vector(world, "gravity", world.gravity, None, refusal)
+    refusal.check_number("world", "dt", world.dt, POSITIVE)
+    walls = [name for name, (axis, _) in WALLS.items() if axis < world.dim]
+    for name in world.walls:
+        if name not in WALLS:
+            refuse("walls", f"unknown wall {name!r}; {nearest(name, walls)}")
+        if name not in walls:
+            refuse("walls", f"a 2-D world has no {name} wall; known: {', '.join(walls)}")
+    if world.mouse not in MOUSE_MODES:
+        refuse("mouse", f"unknown mouse mode {world.mouse!r}; {nearest(world.mouse, MOUSE_MODES)}")
+    for name, further in world.more.items():
+        if name not in world_keys():
+            refuse(name, f"unknown key {name!r}; {nearest(name, world_keys())}")
+        key = world_keys()[name]
+        if key.vector:
+            _check_vector(world, name, further, key.rule, refusal)
+        else:
+            refusal.check_number("world", name, further, key.rule)
+
+
+def _check_vector(
+    world: World, name: str, vector: Any, rule: Rule | None, refusal: _Refusal
+) -> None:
+    if np.ndim(vector) != 1 or len(vector) != world.dim:
+        text = f"must have {world.dim} numbers in a {world.dim}-D world, is {_show(vector)}"
+        refusal.refuse("world", None, name, f"{name} {text}")
+    for value in vector:
+        refusal.check_number("world", name, value, rule)
+
+
+def _check_particles(particles: Particles, world: World, refusal: _Refusal) -> None:
+    n, dim = len(particles), world.dim
+    for name, shape in (("position", (n, dim)), ("velocity", (n, dim)), ("color", (n, 3))):
+        values = getattr(particles, name)
+        if name != "color" and np.ndim(values) == 2 and np.shape(values)[1] != dim:
+            has = np.shape(values)[1]
+            text = f"{name} has {has} numbers a particle in a {dim}-D world"
+            refusal.refuse("particles", None, name, text)
+        refusal.check_shape("particle", name, values, shape)
+    refusal.check_shape("particle", "fixed", particles.fixed, (n,))
+    for name, about in PARTICLE_PROPERTIES.items():
+        refusal.check_shape("particle", name, getattr(particles, name), (n,))
+        refusal.check_rows("particle", name, getattr(particles, name), about.rule)
+    refusal.check_rows("particle", "position", particles.position)
+    refusal.check_rows("particle", "velocity", particles.velocity)
+    inside = ((particles.position >= world.low) & (particles.position <= world.high)).all(axis=1)
+    if not inside.all():
+        i = int(np.argmin(inside))
+        refusal.refuse(
+            "particle",
+            i,
+            "position",
+            f"position {_show(particles.position[i])} is outside the world, which reaches "
+            f"from {_show(world.low)} to {_show(world.high)}",
+        )
+
+
+def _check_springs(springs: Springs, particle_count: int, refusal: _Refusal) -> None:
+    s = len(springs)
+    refusal.check_shape("spring", "between", springs.between, (s, 2))
+    for name, about in SPRING_PROPERTIES.items():
+        refusal.check_shape("spring", name, getattr(springs, name), (s,))
+        finite = about.off is None or np.isfinite(about.off)
+        refusal.check_rows("spring", name, getattr(springs, name), about.rule, finite)
+    if s > 0:
+        _check_ends(springs.between, particle_count, refusal)
+
+
+def _check_ends(between: np.ndarray, particle_count: int, refusal: _Refusal) -> None:
+    def refuse(spring: int, text: str) -> NoReturn:
+        refusal.refuse("spring", spring, "between", text)
+
+    present = ((between >= 0) & (between < particle_count)).all(axis=1)
+    if not present.all():
+        i = int(np.argmin(present))
+        a, b = between[i]
+        missing = b if 0 <= a < particle_count else a
+        has = f"particles 0 to {particle_count - 1}" if particle_count else "none"
+        refuse(i, f"there is no particle {missing}; the scene has {has}")
+    low, high = between.min(axis=1), between.max(axis=1)
+    if (low == high).any():
+        i = int(np.argmax(low == high))
+        refuse(i, f"it ties particle {low[i]} to itself; give two different ones")
+    pair = low * particle_count + high
+    in_order = np.sort(pair)  # ten times as fast as np.unique, which hashes
+    if (in_order[1:] == in_order[:-1]).any():
+        first_of: dict[int, int] = {}
+        for i, key in enumerate(pair.tolist()):
+            first = first_of.setdefault(key, i)
+            if first != i:
+                ends = f"particles {low[i]} and {high[i]}"
+                refuse(i, f"it ties {ends}, as spring {first} already does")
