@@ -42,19 +42,26 @@ def table(
     left: Collection[str] | None = None,
     *,
     fold: bool = False,
+    show_header: bool = True,
     padding: tuple[int, int, int, int] = (0, 1, 0, 1),
 ) -> Table:
     """An empty table in the style of all tables.
 
     left: headers of the columns that are aligned to the left, None for all of them.
     fold: whether texts too long for their column go on in the next line, instead of being cut.
+    show_header: False leaves the line of headers out.
     padding: spaces around a cell, from the top clockwise.
     """
     from rich import box
     from rich.table import Table
 
     made = Table(
-        title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=padding, pad_edge=False
+        title=title,
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=padding,
+        pad_edge=False,
+        show_header=show_header,
     )
     for header in headers:
         made.add_column(

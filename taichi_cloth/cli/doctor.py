@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from taichi_cloth import __version__, runtime
+from taichi_cloth import __version__, console, runtime
 from taichi_cloth.measuring import machine, vulkan
 from taichi_cloth.settings.options import PATHS, TOPOLOGIES
 
@@ -32,42 +32,33 @@ class Finding:
 
 def main() -> int:
     """Print the report; return the exit status, which is 0: missing things are no failure."""
-    from rich import box
-    from rich.console import Console
     from rich.markup import escape
-    from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD, show_header=False, pad_edge=False)
-    table.add_column()
-    table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
+    table = console.table(None, ("good", "name", "text"), show_header=False)
+    table.columns[1].no_wrap, table.columns[2].overflow = True, "fold"
     for finding in findings():
         mark = "[green]ok[/]" if finding.good else "[yellow]--[/]"
         table.add_row(mark, finding.name, escape(finding.text))
-    # A pipe or a file has no width: give whole sentences a line where they fit.
-    console = Console() if sys.stdout.isatty() else Console(width=160)
-    console.print(table)
-    _print_choices(console)
+    to = console.output(160)
+    to.print(table)
+    _print_choices(to)
     return 0
 
 
-def _print_choices(console: Console) -> None:
+def _print_choices(to: Console) -> None:
     """How scenes are run here: what a step took in each way, the newest measurements first."""
-    from rich import box
-    from rich.table import Table
-
     from taichi_cloth.simulation import execution
 
     measured = [kind for kind in reversed(execution.measurements()) if kind.seconds]
     if not measured:
-        console.print("Fastest way to run a scene: nothing measured yet; the first run does it.")
+        to.print("Fastest way to run a scene: nothing measured yet; the first run does it.")
         return
     ways = [f"{topology} {path}" for topology in TOPOLOGIES for path in PATHS]
     title = "Microseconds a step, as measured at a scene's first start; * is what runs by itself"
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("device; method; features and size of the scene", overflow="fold")
-    for way in ways:
-        table.add_column(way.replace(" ", "\n"), justify="right")
+    what = "device; method; features and size of the scene"
+    headers = [what, *(way.replace(" ", "\n") for way in ways)]
+    table = console.table(title, headers, left=(what,))
+    table.columns[0].overflow = "fold"
     for kind in measured[:MEASUREMENTS]:
         best = execution.fastest(kind.seconds)
         times = [
@@ -75,9 +66,9 @@ def _print_choices(console: Console) -> None:
             for way in ways
         ]
         table.add_row(kind.what.replace("/", "; "), *times)
-    console.print(table)
+    to.print(table)
     if len(measured) > MEASUREMENTS:
-        console.print(f"{len(measured) - MEASUREMENTS} older ones: {execution.cache_file()}")
+        to.print(f"{len(measured) - MEASUREMENTS} older ones: {execution.cache_file()}")
 
 
 def findings() -> Iterator[Finding]:

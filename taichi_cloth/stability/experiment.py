@@ -19,7 +19,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,6 +34,9 @@ from taichi_cloth.limits.rounding import Stall, f32_stall
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
+
+if TYPE_CHECKING:
+    from taichi_cloth.kernels.methods.contract import Method
 
 DISTURBANCE = 1e-6  # of a spring's length: so small that springs are linear
 NOISE = 1e-3  # of the disturbance
@@ -114,8 +117,7 @@ class Map:
 
 def claimed(method: str) -> float:
     """The largest stable dt times omega that a method claims: 0 never stable, inf always."""
-    limit: float = methods.load(method).claims.stability_limit
-    return limit
+    return methods.load(method).claims.stability_limit
 
 
 def at_rest(scene: Scene) -> Scene:
@@ -260,7 +262,7 @@ def measure(scene: Scene, limits: StepLimits, maps: list[Map], tell: TellRun) ->
         _fill_map(drawn, factors, mesh, changed, runs, tell)
 
 
-def _long_enough(method: ModuleType, limit: Limit, seconds: float) -> Look:
+def _long_enough(method: Method, limit: Limit, seconds: float) -> Look:
     """How runs of steps that take `seconds` each show what grows a little above the limit."""
     beyond = (1 + 2 * ACCURACY) * limit.dt
     rate = math.log(max(modes.growth(method, beyond, limit.omega2, limit.damping), 1 + 1e-12))

@@ -13,8 +13,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,6 +35,9 @@ from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.trade.reference import coarsest
 from taichi_cloth.trade.runner import reference_method
 from taichi_cloth.trade.settings import CONVERGED_TOLERANCE
+
+if TYPE_CHECKING:
+    from taichi_cloth.kernels.methods.contract import Method
 
 DEFAULT = parameters_of(RunOptions)["method"].default
 RATE = 60  # steps a second, of the damping
@@ -128,16 +130,17 @@ class Swing:
     pitch: float
 
 
-def swing(module: ModuleType, frequency: float, rate: float = RATE) -> Swing:
+def swing(method: Method, frequency: float, rate: float = RATE) -> Swing:
     """The swing by the method's own theory, on x'' = -omega^2 x at `rate` steps a second.
 
-    module: of `kernels.methods`, with `stability_function` or `amplification`.
+    method: has a `stability_function` or an `amplification`. frequency: [Hz].
     """
     h, omega = 1 / rate, 2 * np.pi * frequency
-    if module.stability_function:
-        factor = complex(module.stability_function(1j * h * omega))
+    if method.stability_function:
+        factor = complex(method.stability_function(1j * h * omega))
     else:
-        eigenvalues = np.linalg.eigvals(module.amplification(h, omega**2, 0.0))
+        assert method.amplification
+        eigenvalues = np.linalg.eigvals(method.amplification(h, omega**2, 0.0))
         factor = complex(max(eigenvalues, key=lambda z: (round(abs(z), 12), z.imag)))
     return Swing(abs(factor) ** rate, abs(np.angle(factor)) / (h * omega) - 1)
 
