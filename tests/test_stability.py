@@ -30,7 +30,7 @@ from taichi_cloth.scene.model import (
 )
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
-from taichi_cloth.stability import command as stability
+from taichi_cloth.stability import experiment, report
 
 pytestmark = pytest.mark.usefixtures("device", "few_lanes")
 
@@ -96,7 +96,7 @@ def real_growth(sim, scene, force, h, steps=40):
 @pytest.mark.parametrize("method", LIMITED)
 def test_the_limit_is_where_the_real_map_of_a_step_begins_to_grow(method):
     """No formula: the method's kernels, disturbed in every direction, with drag and dashpots."""
-    scene = stability.at_rest(tangle())
+    scene = experiment.at_rest(tangle())
     limit = stable_step(methods.load(method), Network.from_scene(scene))
     sim = Simulation(scene, method, **GRAPH)
     still = np.zeros_like(scene.particles.position)
@@ -394,7 +394,7 @@ def test_the_command_finds_the_chain_s_limit_and_writes_its_files(tmp_path):
         cwd=tmp_path,
     )  # fmt: skip
     folder = tmp_path / "stability-chain"
-    assert sorted(p.name for p in folder.iterdir()) == sorted(stability.FILES)
+    assert sorted(p.name for p in folder.iterdir()) == sorted(report.FILES)
     with open(folder / "stability.csv") as file:
         (row,) = csv.DictReader(file)
     exact = 1 / (math.sqrt(0.7) * math.sin(math.pi * 5 / 12))
