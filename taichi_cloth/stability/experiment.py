@@ -19,12 +19,12 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from types import ModuleType
 
 import numpy as np
 
 from taichi_cloth.errors import SimulationFailure
 from taichi_cloth.kernels import methods
+from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.limits import modes
 from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
 from taichi_cloth.limits.eigenmodes import Limit, stable_step
@@ -260,7 +260,7 @@ def measure(scene: Scene, limits: StepLimits, maps: list[Map], tell: TellRun) ->
         _fill_map(drawn, factors, mesh, changed, runs, tell)
 
 
-def _long_enough(method: ModuleType, limit: Limit, seconds: float) -> Look:
+def _long_enough(method: Method, limit: Limit, seconds: float) -> Look:
     """How runs of steps that take `seconds` each show what grows a little above the limit."""
     beyond = (1 + 2 * ACCURACY) * limit.dt
     rate = math.log(max(modes.growth(method, beyond, limit.omega2, limit.damping), 1 + 1e-12))

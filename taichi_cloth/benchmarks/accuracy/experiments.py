@@ -13,13 +13,13 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from taichi_cloth import runtime
 from taichi_cloth.kernels import methods
+from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.measuring.timing import quartiles, turns
 from taichi_cloth.measuring.worker import Worker
 from taichi_cloth.scene import library
@@ -128,7 +128,7 @@ class Swing:
     pitch: float
 
 
-def swing(module: ModuleType, frequency: float, rate: float = RATE) -> Swing:
+def swing(module: Method, frequency: float, rate: float = RATE) -> Swing:
     """The swing by the method's own theory, on x'' = -omega^2 x at `rate` steps a second.
 
     module: of `kernels.methods`, with `stability_function` or `amplification`.

@@ -70,8 +70,8 @@ class DeviceField:
 
 
 @dataclass(frozen=True)
-class Switch:
-    """A scene with a term switched over, by which its cost is measured.
+class Variant:
+    """A scene with one feature switched over, by which the feature's cost is measured.
 
     feature: its name for users; used: whether the scene itself has it, and this one does not.
     about: what the scene has, or what this one was given.
@@ -135,7 +135,7 @@ class Term:
 PARTS = tuple(part.name for part in fields(Term) if part.default is MISSING)
 
 
-def has(part) -> bool:
+def has(part: Any) -> bool:
     """Whether a term has a part: it is not declared absent."""
     return not isinstance(part, Absent)
 
