@@ -36,13 +36,13 @@ class Forces:
         self.free = ~particles.fixed
         self.inverse_mass = np.where(particles.fixed, 0.0, 1.0 / particles.mass)[:, None]
         terms = [forces.load(name) for name in forces.present_in(scene)]
-        self.terms = [term for term in terms if has(term.twin)]
+        self.twins = [(term.adds, term.twin) for term in terms if has(term.twin)]
         rows = np.repeat(np.arange(s), 2)
         signs = np.tile([-1.0, 1.0], s)
         # Row of a spring: minus one at its first end, one at its second.
         self.difference = sparse.csr_matrix((signs, (rows, springs.between.ravel())), shape=(s, n))
         self.gather = self.difference.T.tocsr()
-        self.reads_rate = any(t.adds == TENSION and has(t.damping) for t in self.terms)
+        self.reads_rate = any(t.adds == TENSION and has(t.damping) for t in terms)
         with np.errstate(all="ignore"):
             self.break_length = springs.rest_length + springs.break_force / springs.stiffness
         self.breaks = bool(np.isfinite(springs.break_force).any())
@@ -53,11 +53,11 @@ class Forces:
         world, particles = self.scene.world, self.scene.particles
         force = -self._pull(x, v)
         a = np.zeros_like(x)
-        for term in self.terms:
-            if term.adds == ACCELERATION:
-                a += term.twin(x, v, world, particles)
-            elif term.adds == FORCE:
-                force += term.twin(x, v, world, particles)
+        for adds, twin in self.twins:
+            if adds == ACCELERATION:
+                a += twin(x, v, world, particles)
+            elif adds == FORCE:
+                force += twin(x, v, world, particles)
         total: np.ndarray = np.where(self.free[:, None], a, 0.0) + self.inverse_mass * force
         return total
 
@@ -69,9 +69,9 @@ class Forces:
             unit = np.where(length[:, None] > 0, along / length[:, None], 0.0)
         rate = ((self.difference @ v) * unit).sum(axis=1) if self.reads_rate else None
         tension = np.zeros_like(length)
-        for term in self.terms:
-            if term.adds == TENSION:
-                tension += term.twin(length, rate, self.scene.springs)
+        for adds, twin in self.twins:
+            if adds == TENSION:
+                tension += twin(length, rate, self.scene.springs)
         pull: np.ndarray = self.gather @ (tension[:, None] * unit)
         return pull
 

@@ -137,6 +137,7 @@ def swing(module: Method, frequency: float, rate: float = RATE) -> Swing:
     if module.stability_function:
         factor = complex(module.stability_function(1j * h * omega))
     else:
+        assert module.amplification  # one of the two, by the contract
         eigenvalues = np.linalg.eigvals(module.amplification(h, omega**2, 0.0))
         factor = complex(max(eigenvalues, key=lambda z: (round(abs(z), 12), z.imag)))
     return Swing(abs(factor) ** rate, abs(np.angle(factor)) / (h * omega) - 1)

@@ -21,7 +21,9 @@ scene, the springs those that hold; `scene` a whole one.
 
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields
-from typing import Any
+from typing import Any, TypeGuard, TypeVar
+
+Part = TypeVar("Part")
 
 ACCELERATION, FORCE, TENSION = KINDS = ("acceleration", "force", "tension")
 PARTICLE_NUMBER, PARTICLE_VECTOR, NUMBER, VECTOR, COUNT = SHAPES = (
@@ -135,7 +137,7 @@ class Term:
 PARTS = tuple(part.name for part in fields(Term) if part.default is MISSING)
 
 
-def has(part: Any) -> bool:
+def has(part: Part | Absent) -> TypeGuard[Part]:
     """Whether a term has a part: it is not declared absent."""
     return not isinstance(part, Absent)
 
