@@ -159,9 +159,9 @@ def _run_command(arguments: Sequence[str]) -> int:
     # Everything that can be refused is refused before Taichi starts, and leaves no file.
     from taichi_cloth.files import events
     from taichi_cloth.files.trajectory import Trajectory
-    from taichi_cloth.ui import film
+    from taichi_cloth.ui import film, interaction
 
-    log = events.load(options.events) if options.events else None
+    log = interaction.load(options.events) if options.events else None
     if log:
         options = _as_recorded(request, log.header)
     for path, kind in ((options.image, film.Image), (options.video, film.Film)):
