@@ -156,8 +156,8 @@ class Tool(Generic[M]):
         ):
             raise ValueError(f"key must be a letter that has no other meaning, is {self.key!r}")
         for key in self.modifiers:
-            if key not in KEYS or COMMANDS.get(key, "pause") != "pause":
-                raise ValueError(f"modifiers: {key!r} is no key, or means something else")
+            if key not in KEYS - {"ctrl"} or COMMANDS.get(key, "pause") != "pause":
+                raise ValueError(f"modifiers: {key!r} is no key, or has another meaning")
         for part in ("actions", "remember", "motion", "press", "release", "draw"):
             slot = getattr(self, part)
             if not callable(slot) and (slot is not None or part in ("actions", "remember")):
