@@ -23,7 +23,7 @@ _HOMES = {  # public name: (module, name in it; None: the module itself)
     "grid": ("scene.cloth", "grid"),
     "load_scene": ("scene.scenefile", "load"),
     "save_scene": ("scene.scenefile", "save"),
-    "load_events": ("files.events", "load"),
+    "load_events": ("ui.interaction", "load"),
     "load_trajectory": ("files.trajectory", "load"),
     "Trajectory": ("files.trajectory", "Trajectory"),
     "Simulation": ("simulation.simulation", "Simulation"),

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taichi_cloth.ui.camera import Camera
-from taichi_cloth.ui.layout import Layout, default_window
+from taichi_cloth.ui.window_map import WindowMap, default_window
 
 GOLDEN = json.loads((Path(__file__).parent / "golden" / "projection.json").read_text())
 
@@ -93,7 +93,7 @@ sizes = st.tuples(st.integers(50, 3000), st.integers(50, 3000))
 
 @given(sizes, sizes, pixels)
 def test_layout_keeps_the_aspect_and_inverts(world, window, pixel):
-    layout = Layout(world, window)
+    layout = WindowMap(world, window)
     np.testing.assert_allclose(layout.to_window(layout.to_world(pixel)), pixel, atol=1e-6)
     low, high = layout.to_window([0, 0]), layout.to_window(world)
     width, height = high - low
@@ -104,7 +104,7 @@ def test_layout_keeps_the_aspect_and_inverts(world, window, pixel):
 
 def test_one_pixel_is_one_unit_in_a_window_of_the_worlds_size():
     assert default_window((600.0, 400.0, 500.0)) == (600, 400)
-    assert Layout((600, 400), (600, 400)).to_world((12.25, 7.5)).tolist() == [12.25, 7.5]
+    assert WindowMap((600, 400), (600, 400)).to_world((12.25, 7.5)).tolist() == [12.25, 7.5]
 
 
 @given(st.floats(1e-3, 1e6), st.floats(1e-3, 1e6))
@@ -115,7 +115,7 @@ def test_default_windows_fit_a_screen(w, h):
 
 def test_camera_needs_no_taichi():
     code = (
-        "import sys, taichi_cloth.ui.camera, taichi_cloth.ui.view, taichi_cloth.ui.app;"
+        "import sys, taichi_cloth.ui.camera, taichi_cloth.ui.views.contract, taichi_cloth.ui.app;"
         "bad = {'taichi', 'matplotlib', 'imageio', 'scipy', 'rich', 'PIL'} & set(sys.modules);"
         "sys.exit(str(bad) if bad else 0)"
     )

@@ -7,8 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.files import events
-from taichi_cloth.files.events import Event, Recorder
+from taichi_cloth.files.events import Recorder
+from taichi_cloth.ui import inputs, interaction
+from taichi_cloth.ui.inputs import Event
 
 # Once Taichi has started, the processor takes subnormal numbers for zero in the whole process.
 finite = st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=False)
@@ -16,13 +17,13 @@ pos = st.tuples(finite, finite)
 any_event = st.one_of(
     st.builds(Event, st.just("move"), pos),
     st.builds(
-        Event, st.sampled_from(("press", "release")), pos, button=st.sampled_from(events.BUTTONS)
+        Event, st.sampled_from(("press", "release")), pos, button=st.sampled_from(inputs.BUTTONS)
     ),
     st.builds(
         Event,
         st.sampled_from(("press", "release")),
         st.none() | pos,
-        key=st.sampled_from(sorted(events.KEYS)),
+        key=st.sampled_from(sorted(inputs.KEYS)),
     ),
     st.builds(Event, st.just("wheel"), st.none() | pos, delta=finite),
 )
@@ -37,13 +38,13 @@ def test_what_is_recorded_is_read_back(tmp_path_factory, header, happened):
     with Recorder(path, header) as recorder:
         for frame, event in happened:
             recorder.write(frame, event)
-    log = events.load(path)
+    log = interaction.load(path)
     assert log.header == (header or {})
     assert [(f, e) for f, of_frame in log.by_frame.items() for e in of_frame] == happened
 
 
 def test_the_golden_log_is_read(request):
-    log = events.load(request.path.parent / "golden" / "cloth_blow.jsonl")
+    log = interaction.load(request.path.parent / "golden" / "cloth_blow.jsonl")
     assert log.last_frame == 599 and len(log.by_frame) == 600
     assert log.by_frame[1] == [Event("move", (327.445, 207.047))]
 
@@ -89,7 +90,7 @@ def test_a_malformed_line_is_refused_by_its_number(tmp_path, line, says):
     path = tmp_path / "log.jsonl"
     path.write_text(f'{{"header": {{}}}}\n{GOOD}\n\n{line}\n{GOOD}\n', encoding="utf-8")
     with pytest.raises(InputError, match="log.jsonl line 4: ") as refused:
-        events.load(path)
+        interaction.load(path)
     assert says in str(refused.value) and "\n" not in str(refused.value)
 
 
@@ -100,20 +101,20 @@ def test_a_header_that_makes_no_sense_is_refused(tmp_path, header):
     path = tmp_path / "log.jsonl"
     path.write_text(f'{{"header": {header}}}\n')
     with pytest.raises(InputError, match="log.jsonl line 1: "):
-        events.load(path)
+        interaction.load(path)
 
 
 def test_bytes_that_are_no_text_are_refused(tmp_path):
     path = tmp_path / "log.jsonl"
     path.write_bytes(GOOD.encode() + b"\n\xff\n")
     with pytest.raises(InputError, match="line 2: is not text in UTF-8"):
-        events.load(path)
+        interaction.load(path)
 
 
 @pytest.mark.parametrize("name", ["missing.jsonl", "."])
 def test_a_log_that_is_not_there_is_refused(tmp_path, name):
     with pytest.raises(InputError):
-        events.load(tmp_path / name)
+        interaction.load(tmp_path / name)
 
 
 def test_a_log_appears_whole_or_not_at_all(tmp_path):

@@ -17,15 +17,17 @@ import pytest
 from conftest import command, virtual_screen
 
 from taichi_cloth import runtime
-from taichi_cloth.files.events import Event
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import COLOR_CYCLE, Particles, Scene, World
 from taichi_cloth.simulation.diagnostics import Work
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app, hud, text
 from taichi_cloth.ui.camera import Camera
-from taichi_cloth.ui.tools import Tools
-from taichi_cloth.ui.view import Kept, NullView, Picture
+from taichi_cloth.ui.controls import Controls
+from taichi_cloth.ui.drawing import Cached
+from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.views.contract import Picture
+from taichi_cloth.ui.views.none import NullView
 
 # Windows need a server and something that presses keys, which not every machine has. .ci/run
 # installs both, so that nothing is skipped there; where CI is set, a lack of them fails.
@@ -36,7 +38,7 @@ needs_x = pytest.mark.skipif(
 
 
 class FakeSimulation:
-    """What `app` and `Tools` use of a Simulation, remembering the calls."""
+    """What `app` and `Controls` use of a Simulation, remembering the calls."""
 
     method, dt, substeps, execution = "symplectic_euler", 1.0, 1, "serial"
     topology = "graph"
@@ -106,7 +108,7 @@ def calls(sim, kind):
 
 def test_the_first_position_blows_nothing_and_later_ones_their_displacement():
     sim = simulation("blow")
-    tools = Tools(sim, None, (600, 400))
+    tools = Controls(sim, None, (600, 400))
     for moves in [[(10, 20)], [(30, 25)], [], [(31, 26), (40, 30)]]:
         for pos in moves:
             tools.apply(Event("move", pos=pos))
@@ -119,7 +121,7 @@ def test_the_first_position_blows_nothing_and_later_ones_their_displacement():
 
 def test_a_larger_window_scales_the_blow():
     sim = simulation("blow")
-    tools = Tools(sim, None, (1200, 1000))  # scale 2, 100 pixels of surround above and below
+    tools = Controls(sim, None, (1200, 1000))  # scale 2, 100 pixels of surround above and below
     for pos in [(100, 300), (120, 300)]:
         tools.apply(Event("move", pos=pos))
         tools.before_frame()
@@ -129,7 +131,7 @@ def test_a_larger_window_scales_the_blow():
 def test_in_3d_the_pointers_ray_blows():
     sim = simulation("blow", 3)
     camera = Camera((600, 400, 500), rot_x=0, rot_y=0)
-    tools = Tools(sim, camera, (600, 400))
+    tools = Controls(sim, camera, (600, 400))
     for pos in [(300, 200), (310, 200)]:
         tools.apply(Event("move", pos=pos))
         tools.before_frame()
@@ -142,7 +144,7 @@ def test_in_3d_the_pointers_ray_blows():
 def test_clicks_spawn_what_they_say():
     sim = simulation("spawn", 3)
     camera = Camera((600, 400, 500))
-    tools = Tools(sim, camera, (600, 400), seed=5)
+    tools = Controls(sim, camera, (600, 400), seed=5)
     tools.apply(press("left", (300, 200)))
     tools.apply(press("right", (320, 210)))
     tools.apply(press("middle", (320, 210)))
@@ -158,7 +160,7 @@ def test_clicks_spawn_what_they_say():
 
 def test_space_ties_each_new_particle_to_the_one_before():
     sim = simulation("spawn")
-    tools = Tools(sim, None, (600, 400))
+    tools = Controls(sim, None, (600, 400))
     tools.apply(press("left", (100, 100)))
     assert tools.apply(press(key="space")) is None  # the chain key does not pause here
     for x in (200, 300):
@@ -173,7 +175,7 @@ def test_space_ties_each_new_particle_to_the_one_before():
 def test_ctrl_turns_and_never_spawns():
     sim = simulation("spawn", 3)
     camera = Camera((600, 400, 500))
-    tools = Tools(sim, camera, (600, 400))
+    tools = Controls(sim, camera, (600, 400))
     tools.apply(Event("move", pos=(300, 200)))
     tools.apply(press(key="ctrl"))
     tools.apply(Event("move", pos=(330, 190)))
@@ -186,7 +188,7 @@ def test_ctrl_turns_and_never_spawns():
 
 def test_wheel_and_keys_change_the_distance():
     camera = Camera((600, 400, 500))
-    tools = Tools(simulation("spawn", 3), camera, (600, 400))
+    tools = Controls(simulation("spawn", 3), camera, (600, 400))
     tools.apply(Event("wheel", pos=(1, 1), delta=1))
     assert camera.distance == pytest.approx(2000 / 1.1)
     tools.apply(press(key="-"))
@@ -197,7 +199,7 @@ def test_wheel_and_keys_change_the_distance():
 
 def test_a_click_outside_the_world_is_said_and_ignored():
     sim = simulation("spawn")
-    tools = Tools(sim, None, (1200, 1000))
+    tools = Controls(sim, None, (1200, 1000))
     tools.apply(press("left", (600, 50)))
     assert not calls(sim, "spawn") and "outside" in tools.notice
     tools.apply(press("left", (600, 500)))
@@ -246,15 +248,16 @@ def test_what_clicks_add_is_drawn(device):
 
 
 def test_kept_values_follow_what_they_are_made_of():
-    made, kept, color = [], Kept(), np.zeros(2)
+    made, color = [], np.zeros(2)
 
     def make(*of):
         made.append(of)
         return len(made)
 
-    assert [kept.get(make, color, 2.0), kept.get(make, color, 1.0 + 1.0)] == [1, 1]
-    assert kept.get(make, color, 3.0) == 2
-    assert kept.get(make, np.zeros(2), 3.0) == 3  # an equal array is another one
+    kept = Cached(make)
+    assert [kept(color, 2.0), kept(color, 1.0 + 1.0)] == [1, 1]
+    assert kept(color, 3.0) == 2
+    assert kept(np.zeros(2), 3.0) == 3  # an equal array is another one
 
 
 # The loop
@@ -619,8 +622,8 @@ def test_the_picture_without_a_window_shows_the_scene(kind, dim, tmp_path):
         textwrap.dedent(PROGRAM)
         .replace(
             'view = open_view(kind, world, title="taichi-cloth probe")',
-            f"from taichi_cloth.ui.{kind}_view import {kind.capitalize()}View as View\n"
-            "view = View(world, (900, 600), 'probe', visible=False)",
+            f"from taichi_cloth.ui.views.{kind} import VIEW\n"
+            "view = VIEW.open(world, (900, 600), 'probe', visible=False)",
         )
         .replace("app.run(sim, view, recorder=Recorder(), ", "app.run(sim, view, frames=1, ")
     )

@@ -15,7 +15,7 @@ import numpy
 
 from taichi_cloth import __version__, runtime
 from taichi_cloth.errors import InputError, SimulationFailure
-from taichi_cloth.files import events
+from taichi_cloth.files.events import Recorder
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from taichi_cloth.runtime import Device
     from taichi_cloth.simulation.simulation import Simulation
     from taichi_cloth.ui.app import Summary
-    from taichi_cloth.ui.view import View
+    from taichi_cloth.ui.interaction import Log
+    from taichi_cloth.ui.views.contract import View
 
 
 def main(source: SceneSource, options: RunOptions) -> int:
@@ -38,9 +39,9 @@ def main(source: SceneSource, options: RunOptions) -> int:
         raise InputError("--substeps: --dt auto chooses them; give one of the two")
     scene = source.build()
 
-    from taichi_cloth.ui import film
+    from taichi_cloth.ui import film, interaction
 
-    log = events.load(options.events) if options.events else None
+    log = interaction.load(options.events) if options.events else None
     if log:
         options = _as_recorded(options, log.header)
     if options.image:
@@ -51,7 +52,7 @@ def main(source: SceneSource, options: RunOptions) -> int:
         trajectory = Trajectory(options.save, options.every) if options.save else None
         if trajectory:
             unfinished.callback(trajectory.discard)
-        recorder = events.Recorder(options.record) if options.record else None
+        recorder = Recorder(options.record) if options.record else None
         if recorder:
             unfinished.callback(recorder.discard)
         return _simulate(scene, options, log, recorder, trajectory)
@@ -92,8 +93,8 @@ def _consistent(options: RunOptions) -> RunOptions:
 def _simulate(
     scene: Scene,
     options: RunOptions,
-    log: events.Log | None,
-    recorder: events.Recorder | None,
+    log: Log | None,
+    recorder: Recorder | None,
     trajectory: Trajectory | None,
 ) -> int:
     """Run a checked scene on the device; return the exit status."""
@@ -163,7 +164,7 @@ def _simulation(scene: Scene, options: RunOptions) -> Simulation:
 def _kept(
     sim: Simulation,
     device: Device,
-    recorder: events.Recorder | None,
+    recorder: Recorder | None,
     trajectory: Trajectory | None,
 ) -> Iterator[None]:
     """Finish the log and the trajectory however the run ends; a failed one has its last frame."""
@@ -182,7 +183,7 @@ def _kept(
         raise failure
 
 
-def _seed(options: RunOptions, log: events.Log | None) -> int:
+def _seed(options: RunOptions, log: Log | None) -> int:
     """The seed that is asked for, else the log's, else 0."""
     if options.seed is not None:
         return options.seed

@@ -21,7 +21,9 @@ import taichi as ti
 
 from taichi_cloth.console import Tell
 from taichi_cloth.errors import InputError, SimulationFailure
-from taichi_cloth.explain.variants import Variant, variants
+from taichi_cloth.explain.variants import variants
+from taichi_cloth.kernels import forces
+from taichi_cloth.kernels.forces.contract import Variant
 from taichi_cloth.kernels.state import State
 from taichi_cloth.measuring.timing import quartiles, turns
 from taichi_cloth.scene.cloth import LINKS
@@ -239,7 +241,7 @@ def explain(scene: Scene, how: dict[str, Any], quick: bool, tell: Tell) -> Expla
         scene=scene.name,
         particles=particles,
         springs=springs,
-        features=scene.features().describe(),
+        features=forces.describe(scene),
         method=method,
         dt=dt,
         substeps=substeps,

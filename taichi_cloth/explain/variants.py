@@ -3,35 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from taichi_cloth.console import counted
+from taichi_cloth.kernels import forces
+from taichi_cloth.kernels.forces.contract import PARTICLE_NUMBER, Variant, counted, has
 from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.model import WALLS, Features, Particles, Scene, SpringDefaults, Springs
 from taichi_cloth.simulation import adjacency
 
 # Of what is added where a scene has none. Light enough for the scene's own step to stay stable.
 LIGHT_SPRING = 0.2  # stiffness of a link, of the median spring's
-LIGHT_DAMPING = 0.02  # of sqrt(stiffness * mass)
-LIGHT_DRAG = 0.01  # of mass / dt
 FAR_TO_BREAK = 1e3  # break force, of stiffness * length: never reached
 ODD = 1.0 + 1e-6  # what one number is multiplied by, so that it has to be stored for each
-
-
-@dataclass(frozen=True)
-class Variant:
-    """A scene with one feature switched over.
-
-    feature: its name. used: whether the scene itself has it, and the variant does not; otherwise
-    the variant has it. about: what the scene has, or what the variant was given.
-    """
-
-    feature: str
-    used: bool
-    about: str
-    scene: Scene
 
 
 def variants(scene: Scene, on_graph: bool) -> Iterator[Variant]:
@@ -39,23 +24,30 @@ def variants(scene: Scene, on_graph: bool) -> Iterator[Variant]:
 
     on_graph: whether the springs are stored as lists, where it matters that they are all alike.
     """
-    features, springs = scene.features(), scene.springs
-    if len(springs) and scene.world.mouse != "spawn":
-        about = counted(len(springs), "spring")
-        yield Variant("springs", True, about, replace(scene, springs=Springs.none()))
+    features = scene.features()
+    yield from _forces(scene)
     yield from _links(scene)
-    if len(springs):
+    if len(scene.springs):
         yield _fracture(scene, features.fracture)
-        yield _dashpots(scene, features.dashpots)
-    yield _drag(scene, features.drag)
     yield _walls(scene, features)
     yield _collisions(scene)
-    yield _mouse(scene)
+    if scene.world.mouse == "spawn":
+        about = "clicks add particles and springs"
+        yield Variant("mouse: spawn", True, about, scene.with_world(mouse="none"))
     if on_graph:
         yield from _uniform_springs(scene, features)
     yield from _uniform_particles(scene, features)
     if scene.world.dim == 2:
         yield Variant("third dimension", False, "the same scene in a plane", _in_space(scene))
+
+
+def _forces(scene: Scene) -> Iterator[Variant]:
+    """A variant for each force, as its file makes it."""
+    for name in forces.TERMS:
+        term = forces.load(name)
+        variant = term.variant(scene) if has(term.variant) else None
+        if variant is not None:
+            yield variant
 
 
 def _walls(scene: Scene, features: Features) -> Variant:
@@ -74,15 +66,6 @@ def _collisions(scene: Scene) -> Variant:
     return Variant("collisions", collide, about, scene.with_world(collisions=not collide))
 
 
-def _mouse(scene: Scene) -> Variant:
-    if scene.world.mouse == "spawn":
-        about = "clicks add particles and springs"
-        return Variant("mouse: spawn", True, about, scene.with_world(mouse="none"))
-    blows = scene.world.mouse == "blow"
-    changed = scene.with_world(mouse="none" if blows else "blow")
-    return Variant("mouse: blow", blows, "not pushing", changed)
-
-
 def _uniform_springs(scene: Scene, features: Features) -> Iterator[Variant]:
     """One spring gets a number of its own, where all share theirs and none can be added."""
     springs = scene.springs
@@ -96,7 +79,9 @@ def _uniform_springs(scene: Scene, features: Features) -> Iterator[Variant]:
 def _uniform_particles(scene: Scene, features: Features) -> Iterator[Variant]:
     """One particle gets numbers of its own, where all share theirs and something reads them."""
     particles = scene.particles
-    read = features.drag or features.walls or features.collisions
+    terms = [forces.load(name) for name in forces.present_in(scene)]
+    stored = [field.shape for term in terms if has(term.fields) for field in term.fields]
+    read = PARTICLE_NUMBER in stored or features.walls or features.collisions
     if features.uniform_particles and len(particles) > 1 and read:
         radius, viscous = particles.radius.copy(), particles.viscous.copy()
         radius[0], viscous[0] = radius[0] * ODD, viscous[0] * ODD
@@ -179,38 +164,6 @@ def _fracture(scene: Scene, used: bool) -> Variant:
     springs = replace(springs, break_force=force)
     changed = replace(scene, springs=springs, spring_defaults=defaults)
     return Variant("fracture", used, about, changed)
-
-
-def _dashpots(scene: Scene, used: bool) -> Variant:
-    springs, defaults = scene.springs, scene.spring_defaults
-    if used:
-        about = f"{counted(int((springs.damping > 0).sum()), 'spring')}"
-        damping = np.zeros(len(springs))
-        defaults = replace(defaults, damping=0.0)
-    else:
-        about = f"{counted(len(springs), 'spring')}, damped lightly"
-        mass = float(scene.particles.mass.min())
-        damping = LIGHT_DAMPING * np.sqrt(springs.stiffness * mass)
-    springs = replace(springs, damping=damping)
-    return Variant(
-        "dashpots", used, about, replace(scene, springs=springs, spring_defaults=defaults)
-    )
-
-
-def _drag(scene: Scene, used: bool) -> Variant:
-    particles, defaults = scene.particles, scene.particle_defaults
-    if used:
-        about = f"of {counted(int((particles.viscous > 0).sum()), 'particle')}"
-        viscous = np.zeros(len(particles))
-        defaults = replace(defaults, viscous=0.0)
-    else:
-        about = f"{LIGHT_DRAG:g} of mass / dt for each particle"
-        same = scene.features().uniform_particles and len(particles)
-        mass = np.full(len(particles), particles.mass[0]) if same else particles.mass
-        viscous = LIGHT_DRAG * mass / scene.world.dt
-    particles = replace(particles, viscous=viscous)
-    changed = replace(scene, particles=particles, particle_defaults=defaults)
-    return Variant("drag", used, about, changed)
 
 
 def _in_space(scene: Scene) -> Scene:

@@ -1,66 +1,84 @@
-"""The interaction log: what the user did, frame by frame, in window pixels.
+"""Interaction logs: what the user did, frame by frame.
 
 A log is a text file, one JSON object a line, in frame order:
 ``{"frame": 0, "event": "move", "pos": [300.0, 200.0]}``. The first line may be a header:
 ``{"header": {...}}``. Events of frame f (from 0) are applied before that frame is advanced.
+
+Here a line is a frame, the name of an event's kind, and fields. Which kinds there are and what
+their fields hold is declared by those who make the events (`Kind`); `ui/interaction.py` reads the
+logs of this program.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import string
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NoReturn
+from typing import Any, Generic, Protocol, TypeVar
 
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.files.pending import PendingFile
 
-KINDS = ("move", "press", "release", "wheel")
-BUTTONS = ("left", "middle", "right")
-# Names of the keys a log can hold. Shifted letters and signs are keys of their own only where the
-# program gives them a meaning.
-NAMED_KEYS = (
-    *("space", "ctrl", "shift", "alt", "tab", "return", "escape", "backspace", "delete"),
-    *("up", "down", "left", "right", "home", "end", "page_up", "page_down"),
-    *(f"f{n}" for n in range(1, 13)),
-)
-KEYS = frozenset(NAMED_KEYS) | (
-    frozenset(string.ascii_lowercase + string.digits + string.punctuation)
-)
-# Each kind's JSON keys besides "frame" and "event": those it must have, those it may have.
-_FIELDS = {
-    "move": (("pos",), ()),
-    "press": ((), ("pos", "button", "key")),
-    "release": ((), ("pos", "button", "key")),
-    "wheel": (("delta",), ("pos",)),
-}
+# Reads a field: (its name, its JSON value) -> the value that events carry. It raises InputError
+# with a clause such as "pos must be two finite numbers, is [1]".
+Reader = Callable[[str, Any], Any]
+
+_EXAMPLE = '{"frame": 0, "event": "move", "pos": [300, 200]}'
+
+
+class Recordable(Protocol):
+    """An event that a log can hold."""
+
+    @property
+    def kind(self) -> str:
+        """The name of its kind."""
+
+    def fields(self) -> dict[str, Any]:
+        """Its fields as JSON values, in the order in which they are written."""
+
+
+E = TypeVar("E", bound=Recordable)
+E_co = TypeVar("E_co", bound=Recordable, covariant=True)
 
 
 @dataclass(frozen=True)
-class Event:
-    """One thing the user did with mouse or keyboard.
+class Kind(Generic[E_co]):
+    """A kind of event: its name and its fields.
 
-    kind: out of `KINDS`. pos: (x, y) in window pixels, origin top left, y down (None for keys).
-    button: out of `BUTTONS`; key: lower-case name out of `KEYS` ("space", "ctrl", "f1", ".",
-    "a"); delta: wheel notches, positive away from the user.
+    name: the word in a line's "event".
+    required: readers of the fields that each event has, by name.
+    optional: readers of those that it may have.
+    make: the event with these fields; it raises InputError where they do not go together.
     """
 
-    kind: str
-    pos: tuple[float, float] | None = None
-    button: str | None = None
-    key: str | None = None
-    delta: float = 0.0
+    name: str
+    required: Mapping[str, Reader]
+    optional: Mapping[str, Reader]
+    make: Callable[[dict[str, Any]], E_co]
+
+    @property
+    def fields(self) -> dict[str, Reader]:
+        """The readers of all fields, by name."""
+        return {**self.required, **self.optional}
+
+    def read(self, entry: Mapping[str, Any]) -> E_co:
+        """The event whose fields are `entry`. Raises InputError with a clause that says why not."""
+        _check_keys(entry, ("frame", "event", *self.fields))
+        for name in self.required:
+            if name not in entry:
+                raise InputError(f"'{name}' is missing; a {self.name} event needs it")
+        readers = self.fields.items()
+        return self.make({name: read(name, entry[name]) for name, read in readers if name in entry})
 
 
 @dataclass(frozen=True)
-class Log:
+class Log(Generic[E]):
     """A log that was read: its header (empty if it has none) and its events by frame."""
 
     header: dict[str, Any] = field(default_factory=dict)
-    by_frame: dict[int, list[Event]] = field(default_factory=dict)
+    by_frame: dict[int, list[E]] = field(default_factory=dict)
 
     @property
     def last_frame(self) -> int:
@@ -68,21 +86,15 @@ class Log:
         return max(self.by_frame, default=-1)
 
 
-def load(path: str | Path) -> Log:
-    """The interaction log at `path`. Raises InputError naming the first line that is wrong."""
-    path = Path(path)
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder; name the interaction log in it") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: cannot be read: {reason}") from None
-    log = Log()
+def load(path: str | Path, kinds: Iterable[Kind[E]]) -> Log[E]:
+    """The interaction log at `path`, whose events are of `kinds`.
+
+    Raises InputError naming the first line that is wrong.
+    """
+    path, by_name = Path(path), {kind.name: kind for kind in kinds}
+    log: Log[E] = Log()
     last_frame = 0
-    for number, raw in enumerate(content.split(b"\n"), start=1):
+    for number, raw in enumerate(_content(path).split(b"\n"), start=1):
         where = f"{path.name} line {number}"
         try:
             line = raw.decode("utf-8-sig" if number == 1 else "utf-8").strip()
@@ -90,48 +102,36 @@ def load(path: str | Path) -> Log:
             raise InputError(f"{where}: is not text in UTF-8") from None
         if not line:
             continue
-        entry = _object(where, line)
-        if "header" in entry:
-            if number != 1:
-                raise InputError(f"{where}: a header can only be the first line")
-            _known_keys(where, entry, ("header",))
-            if not isinstance(entry["header"], dict):
-                raise InputError(f"{where}: header must be an object in braces")
-            _check_header(where, entry["header"])
-            log.header.update(entry["header"])
-            continue
-        frame, event = _event(where, entry)
-        if frame < last_frame:
-            raise InputError(
-                f"{where}: frame {frame} comes after frame {last_frame}; events must be in order"
-            )
+        try:
+            entry = _object(line)
+            if "header" in entry:
+                log.header.update(_header(number, entry))
+                continue
+            frame, event = _event(entry, by_name)
+            if frame < last_frame:
+                raise InputError(
+                    f"frame {frame} comes after frame {last_frame}; events must be in order"
+                )
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
         last_frame = frame
         log.by_frame.setdefault(frame, []).append(event)
     return log
 
 
-def _check_header(where: str, header: dict[str, Any]) -> None:
-    """Refuse values of the header's keys that a replay uses and that make no sense."""
-    window, seed = header.get("window", [1, 1]), header.get("seed", 0)
-    if not isinstance(window, list) or len(window) != 2 or not all(map(_is_count, window)):
-        raise InputError(f"{where}: window must be [width, height] in pixels, is {_show(window)}")
-    if seed != 0 and not _is_count(seed):
-        raise InputError(f"{where}: seed must be a whole number from 0, is {_show(seed)}")
-    for key in ("scene", "method", "topology"):
-        if not isinstance(header.get(key, ""), str):
-            raise InputError(f"{where}: {key} must be a name, is {_show(header[key])}")
-    dt, substeps = header.get("dt", 1.0), header.get("substeps", 1)
-    if dt != "auto" and (not _is_finite(dt) or dt <= 0):
-        raise InputError(f"{where}: dt must be a positive number or auto, is {_show(dt)}")
-    if not _is_count(substeps):
-        raise InputError(f"{where}: substeps must be a whole number from 1, is {_show(substeps)}")
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a folder; name the interaction log in it") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read: {reason}") from None
 
 
-def _is_count(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 < value < 2**63
-
-
-def _object(where: str, line: str) -> dict[str, Any]:
+def _object(line: str) -> dict[str, Any]:
     """The JSON object on a line, without NaN, infinities or repeated keys."""
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -139,75 +139,119 @@ def _object(where: str, line: str) -> dict[str, Any]:
         if len(entry) < len(pairs):
             names = [name for name, _ in pairs]
             twice = next(name for name in names if names.count(name) > 1)
-            raise InputError(f"{where}: '{twice}' is given twice")
+            raise InputError(f"'{twice}' is given twice")
         return entry
 
-    def refuse_constant(word: str) -> NoReturn:
-        raise InputError(f"{where}: numbers must be finite, found {word}")
+    def refuse_constant(word: str) -> None:
+        raise InputError(f"numbers must be finite, found {word}")
 
     try:
         entry = json.loads(line, object_pairs_hook=unique, parse_constant=refuse_constant)
     except json.JSONDecodeError as error:
-        raise InputError(f"{where}: is not JSON: {error.msg} (column {error.colno})") from None
+        raise InputError(f"is not JSON: {error.msg} (column {error.colno})") from None
     except (RecursionError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{where}: is not JSON that can be read: {error}") from None
+        raise InputError(f"is not JSON that can be read: {error}") from None
     if not isinstance(entry, dict):
-        raise InputError(f"{where}: must be an object such as {_EXAMPLE}")
+        raise InputError(f"must be an object such as {_EXAMPLE}")
     return entry
 
 
-_EXAMPLE = '{"frame": 0, "event": "move", "pos": [300, 200]}'
+def _header(number: int, entry: dict[str, Any]) -> dict[str, Any]:
+    """The header that line `number` holds, checked."""
+    if number != 1:
+        raise InputError("a header can only be the first line")
+    _check_keys(entry, ("header",))
+    header = entry["header"]
+    if not isinstance(header, dict):
+        raise InputError("header must be an object in braces")
+    _check_header(header)
+    return header
 
 
-def _known_keys(where: str, entry: dict[str, Any], known: tuple[str, ...]) -> None:
-    for key in entry:
-        if key not in known:
-            raise InputError(f"{where}: unknown key '{key}'; {nearest(key, known)}")
+def _check_header(header: dict[str, Any]) -> None:
+    """Refuse values of the header's keys that a replay uses and that make no sense."""
+    window, seed = header.get("window", [1, 1]), header.get("seed", 0)
+    if not isinstance(window, list) or len(window) != 2 or not all(map(_is_count, window)):
+        raise InputError(f"window must be [width, height] in pixels, is {show(window)}")
+    if seed != 0 and not _is_count(seed):
+        raise InputError(f"seed must be a whole number from 0, is {show(seed)}")
+    for key in ("scene", "method", "topology"):
+        if not isinstance(header.get(key, ""), str):
+            raise InputError(f"{key} must be a name, is {show(header[key])}")
+    dt, substeps = header.get("dt", 1.0), header.get("substeps", 1)
+    if dt != "auto" and (not _is_finite(dt) or dt <= 0):
+        raise InputError(f"dt must be a positive number or auto, is {show(dt)}")
+    if not _is_count(substeps):
+        raise InputError(f"substeps must be a whole number from 1, is {show(substeps)}")
 
 
-def _event(where: str, entry: dict[str, Any]) -> tuple[int, Event]:
+def _event(entry: dict[str, Any], kinds: Mapping[str, Kind[E]]) -> tuple[int, E]:
     """Frame and event of one line's object, checked."""
     for key in ("frame", "event"):
         if key not in entry:
-            every = ("frame", "event", "pos", "button", "key", "delta")
-            _known_keys(where, entry, every)
-            raise InputError(f"{where}: '{key}' is missing; a line is such as {_EXAMPLE}")
-    frame, kind = entry["frame"], entry["event"]
-    if isinstance(frame, bool) or not isinstance(frame, int) or frame < 0:
-        raise InputError(f"{where}: frame must be a whole number from 0, is {_show(frame)}")
-    if kind not in KINDS:
-        hint = nearest(kind, KINDS) if isinstance(kind, str) else f"known: {', '.join(KINDS)}"
-        raise InputError(f"{where}: unknown event {_show(kind)}; {hint}")
-    required, optional = _FIELDS[kind]
-    _known_keys(where, entry, ("frame", "event", *required, *optional))
-    for key in required:
-        if key not in entry:
-            raise InputError(f"{where}: '{key}' is missing; a {kind} event needs it")
-    values: dict[str, Any] = {}
-    if "pos" in entry:
-        pos = entry["pos"]
-        if not isinstance(pos, list) or len(pos) != 2 or not all(map(_is_finite, pos)):
-            raise InputError(f"{where}: pos must be two finite numbers, is {_show(pos)}")
-        values["pos"] = (float(pos[0]), float(pos[1]))
-    if kind in ("press", "release"):
-        if ("button" in entry) == ("key" in entry):
-            raise InputError(f"{where}: a {kind} event needs either 'button' or 'key'")
-        name, known = ("button", BUTTONS) if "button" in entry else ("key", KEYS)
-        word = entry[name]
-        if not isinstance(word, str) or word not in known:
-            words = BUTTONS if name == "button" else NAMED_KEYS
-            hint = nearest(word, words) if isinstance(word, str) else f"known: {', '.join(words)}"
-            raise InputError(f"{where}: unknown {name} {_show(word)}; {hint}")
-        if name == "button" and "pos" not in entry:
-            raise InputError(f"{where}: 'pos' is missing; a {kind} of a button needs it")
-        values[name] = word
-    if kind == "wheel":
-        if not _is_finite(entry["delta"]):
-            raise InputError(f"{where}: delta must be a finite number, is {_show(entry['delta'])}")
-        values["delta"] = float(entry["delta"])
-    return frame, Event(kind, **values)
+            fields = (name for kind in kinds.values() for name in kind.fields)
+            _check_keys(entry, ("frame", "event", *fields))
+            raise InputError(f"'{key}' is missing; a line is such as {_EXAMPLE}")
+    frame, name = whole_number("frame", entry["frame"]), entry["event"]
+    if not isinstance(name, str) or name not in kinds:
+        raise InputError(f"unknown event {show(name)}; {_hint(name, kinds)}")
+    fields_only = {k: v for k, v in entry.items() if k not in ("frame", "event")}
+    return frame, kinds[name].read(fields_only)
+
+
+def _check_keys(entry: Mapping[str, Any], known: Iterable[str]) -> None:
+    known = tuple(dict.fromkeys(known))
+    for key in entry:
+        if key not in known:
+            raise InputError(f"unknown key '{key}'; {nearest(key, known)}")
+
+
+def _hint(word: object, known: Iterable[str]) -> str:
+    """The known word that is most like `word`; all of them where it is no word."""
+    return nearest(word, known) if isinstance(word, str) else f"known: {', '.join(known)}"
+
+
+# Readers of fields
+
+
+def number(name: str, value: Any) -> float:
+    """A finite number."""
+    if not _is_finite(value):
+        raise InputError(f"{name} must be a finite number, is {show(value)}")
+    return float(value)
+
+
+def whole_number(name: str, value: Any) -> int:
+    """A whole number from 0, such as a particle's index."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise InputError(f"{name} must be a whole number from 0, is {show(value)}")
+    return value
+
+
+def pair(name: str, value: Any) -> tuple[float, float]:
+    """Two finite numbers, such as a position in a window."""
+    if not isinstance(value, list) or len(value) != 2 or not all(map(_is_finite, value)):
+        raise InputError(f"{name} must be two finite numbers, is {show(value)}")
+    return float(value[0]), float(value[1])
+
+
+def word_of(known: Iterable[str], shown: tuple[str, ...] | None = None) -> Reader:
+    """The reader of a word out of `known`; shown: the words that hints choose from (all)."""
+    words = frozenset(known)
+
+    def word(name: str, value: Any) -> str:
+        if not isinstance(value, str) or value not in words:
+            hint = _hint(value, shown or sorted(words))
+            raise InputError(f"unknown {name} {show(value)}; {hint}")
+        return value
+
+    return word
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 < value < 2**63
 
 
 def _is_finite(value: Any) -> bool:
@@ -219,7 +263,8 @@ def _is_finite(value: Any) -> bool:
         return False
 
 
-def _show(value: Any) -> str:
+def show(value: Any) -> str:
+    """`value` as JSON, cut where it is long."""
     text = json.dumps(value)
     return text if len(text) <= 40 else text[:37] + "..."
 
@@ -242,26 +287,12 @@ class Recorder:
             raise ValueError("a log's header is its first line")
         self._write({"header": header})
 
-    def write(self, frame: int, event: Event) -> None:
-        """Append what happened before `frame` (from 0) was advanced. Frames must not decrease.
-
-        A key that logs have no name for is left out: nothing in the program reacts to one.
-        """
+    def write(self, frame: int, event: Recordable) -> None:
+        """Append what happened before `frame` (from 0) was advanced. Frames must not decrease."""
         if frame < self._last_frame:
             raise ValueError(f"event of frame {frame} after one of frame {self._last_frame}")
-        if event.key is not None and event.key not in KEYS:
-            return
         self._last_frame = int(frame)
-        entry: dict[str, Any] = {"frame": int(frame), "event": event.kind}
-        if event.pos is not None:
-            entry["pos"] = [float(event.pos[0]), float(event.pos[1])]
-        if event.button is not None:
-            entry["button"] = event.button
-        if event.key is not None:
-            entry["key"] = event.key
-        if event.kind == "wheel":
-            entry["delta"] = float(event.delta)
-        self._write(entry)
+        self._write({"frame": int(frame), "event": event.kind, **event.fields()})
 
     def _write(self, entry: dict[str, Any]) -> None:
         self._pending.file.write(json.dumps(entry).encode() + b"\n")
@@ -277,11 +308,6 @@ class Recorder:
     def __enter__(self) -> Recorder:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         # Also after a failure or Ctrl-C: what was done until then is what one wants to replay.
         self.close()

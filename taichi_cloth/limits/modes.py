@@ -38,7 +38,7 @@ def growth(method: Method, h: float, omega2: float, damping: float) -> float:
         fast = -damping / 2 - root
         slow = omega2 / fast if fast else 0.0
         return max(float(abs(method.stability_function(h * mu))) for mu in (fast, slow))
-    assert method.amplification  # one of both, by the contract
+    assert method.amplification  # one of the two, by the contract
     return float(np.abs(np.linalg.eigvals(method.amplification(h, omega2, damping))).max())
 
 

@@ -253,7 +253,7 @@ class Simulation:
     def describe_size(self) -> str:
         """What decides a step's cost besides the device: features, and sizes by powers of two."""
         sizes = self.particle_count.bit_length(), self.spring_count.bit_length()
-        return f"{self._features().describe()}, 2^{sizes[0]} particles, 2^{sizes[1]} springs"
+        return f"{forces.describe(self._present_scene())}; 2^{sizes[0]} particles, 2^{sizes[1]} springs"
 
     def set_speed_limit(self, limit: float) -> None:
         """The speed above which the watchdog says that a particle runs away (world units/time)."""

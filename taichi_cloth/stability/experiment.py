@@ -19,12 +19,12 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from taichi_cloth.errors import SimulationFailure
 from taichi_cloth.kernels import methods
+from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.limits import modes
 from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
 from taichi_cloth.limits.eigenmodes import Limit, stable_step
@@ -34,9 +34,6 @@ from taichi_cloth.limits.rounding import Stall, f32_stall
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
-
-if TYPE_CHECKING:
-    from taichi_cloth.kernels.methods.contract import Method
 
 DISTURBANCE = 1e-6  # of a spring's length: so small that springs are linear
 NOISE = 1e-3  # of the disturbance
@@ -117,7 +114,8 @@ class Map:
 
 def claimed(method: str) -> float:
     """The largest stable dt times omega that a method claims: 0 never stable, inf always."""
-    return methods.load(method).claims.stability_limit
+    limit: float = methods.load(method).claims.stability_limit
+    return limit
 
 
 def at_rest(scene: Scene) -> Scene:

@@ -1,6 +1,6 @@
-"""The scene as an ordinary differential equation, in NumPy and SciPy, knowing no kernel of ours.
+"""The scene as an ordinary differential equation, in NumPy and SciPy, running no kernel of ours.
 
-Springs, dashpots, drag and gravity; contacts and breaking springs are events, at which the
+The forces are the twins that their terms declare (`kernels/forces`); contacts and breaking springs are events, at which the
 solution ends: beyond them it is not smooth, and no high order survives.
 """
 
@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taichi_cloth.kernels import forces
+from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, TENSION, has
 from taichi_cloth.scene.model import WALLS, Scene
 
 if TYPE_CHECKING:
@@ -33,15 +35,14 @@ class Forces:
         self.dim = scene.world.dim
         self.free = ~particles.fixed
         self.inverse_mass = np.where(particles.fixed, 0.0, 1.0 / particles.mass)[:, None]
-        self.gravity = np.where(self.free[:, None], np.asarray(scene.world.gravity), 0.0)
-        self.viscous = particles.viscous[:, None]
+        terms = [forces.load(name) for name in forces.present_in(scene)]
+        self.twins = [(term.adds, term.twin) for term in terms if has(term.twin)]
         rows = np.repeat(np.arange(s), 2)
         signs = np.tile([-1.0, 1.0], s)
         # Row of a spring: minus one at its first end, one at its second.
         self.difference = sparse.csr_matrix((signs, (rows, springs.between.ravel())), shape=(s, n))
         self.gather = self.difference.T.tocsr()
-        self.stiffness, self.rest_length = springs.stiffness, springs.rest_length
-        self.damping = springs.damping if (springs.damping > 0).any() else None
+        self.reads_rate = any(t.adds == TENSION and has(t.damping) for t in terms)
         with np.errstate(all="ignore"):
             self.break_length = springs.rest_length + springs.break_force / springs.stiffness
         self.breaks = bool(np.isfinite(springs.break_force).any())
@@ -49,16 +50,30 @@ class Forces:
 
     def acceleration(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Acceleration (n, dim) at positions x and velocities v (n, dim)."""
+        world, particles = self.scene.world, self.scene.particles
+        force = -self._pull(x, v)
+        a = np.zeros_like(x)
+        for adds, twin in self.twins:
+            if adds == ACCELERATION:
+                a += twin(x, v, world, particles)
+            elif adds == FORCE:
+                force += twin(x, v, world, particles)
+        total: np.ndarray = np.where(self.free[:, None], a, 0.0) + self.inverse_mass * force
+        return total
+
+    def _pull(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """What the springs give their particles, negated (n, dim)."""
         along = self.difference @ x
         length = np.sqrt((along**2).sum(axis=1))
         with np.errstate(all="ignore"):
             unit = np.where(length[:, None] > 0, along / length[:, None], 0.0)
-        tension = self.stiffness * (length - self.rest_length)
-        if self.damping is not None:
-            tension += self.damping * ((self.difference @ v) * unit).sum(axis=1)
-        pull = self.gather @ (tension[:, None] * unit)
-        a: np.ndarray = self.gravity - self.inverse_mass * (pull + self.viscous * v)
-        return a
+        rate = ((self.difference @ v) * unit).sum(axis=1) if self.reads_rate else None
+        tension = np.zeros_like(length)
+        for adds, twin in self.twins:
+            if adds == TENSION:
+                tension += twin(length, rate, self.scene.springs)
+        pull: np.ndarray = self.gather @ (tension[:, None] * unit)
+        return pull
 
     def slope(self, t: float, y: np.ndarray) -> np.ndarray:
         """dy/dt of y = (x, v), flat."""

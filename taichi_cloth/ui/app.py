@@ -7,19 +7,29 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from dataclasses import replace as changed
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taichi_cloth import runtime
 from taichi_cloth.console import progress
 from taichi_cloth.errors import SimulationFailure
-from taichi_cloth.files.events import Event
+from taichi_cloth.files.events import Recorder
+from taichi_cloth.files.trajectory import Trajectory
+from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import hud
-from taichi_cloth.ui.layout import Layout
+from taichi_cloth.ui.controls import Controls
+from taichi_cloth.ui.drawing import Cached
+from taichi_cloth.ui.inputs import COMMANDS, HELP_KEYS, KEYS, STEP_KEYS, Event
+from taichi_cloth.ui.interaction import Log, LogEvent
 from taichi_cloth.ui.opening import offscreen
-from taichi_cloth.ui.tools import HELP_KEYS, STEP_KEYS, Tools
-from taichi_cloth.ui.view import Kept, Picture, View
+from taichi_cloth.ui.tools.contract import Marks
+from taichi_cloth.ui.views.contract import Picture, View
+from taichi_cloth.ui.window_map import WindowMap
+
+if TYPE_CHECKING:
+    from taichi_cloth.simulation.simulation import Simulation
 
 # Keys that act on the window alone. They work while a log is replayed, too.
 WINDOW_KEYS = ("escape", "h", "p", *STEP_KEYS, *HELP_KEYS)
@@ -43,7 +53,9 @@ class Summary:
     quit: bool
 
 
-def log_header(sim, view: View, seed: int = 0, replay=None) -> dict:
+def log_header(
+    sim: Simulation, view: View, seed: int = 0, replay: Log | None = None
+) -> dict[str, Any]:
     """The first line of an interaction log: what a replay must know beside the events.
 
     replay: the log that is being replayed while this one is recorded; its window is kept.
@@ -59,15 +71,15 @@ def log_header(sim, view: View, seed: int = 0, replay=None) -> dict:
 
 
 def run(
-    sim,
+    sim: Simulation,
     view: View,
     *,
     frames: int | None = None,
-    replay=None,
-    recorder=None,
-    trajectory=None,
-    film=None,
-    image=None,
+    replay: Log | None = None,
+    recorder: Recorder | None = None,
+    trajectory: Trajectory | None = None,
+    film: str | None = None,
+    image: str | None = None,
     paused: bool = False,
     quiet: bool = False,
     seed: int = 0,
@@ -78,14 +90,14 @@ def run(
     Each turn polls the user's events, records and applies them, advances one frame, and draws
     it. A window shows at most 60 frames a second and never catches up what it was late.
 
-    replay: an `events.Log`; its events of frame f (0-based, counted over resets) are applied
+    replay: a log; its events of frame f (0-based, counted over resets) are applied
         before that frame is advanced. Until its last event the user's mouse is ignored.
-    recorder: an `events.Recorder` made with `log_header`; every applied event is written.
-    trajectory: a `results.Trajectory`; is shown every frame. Saving it is the caller's.
+    recorder: made with `log_header`; every applied event is written.
+    trajectory: is shown every frame. Saving it is the caller's.
     film, image: paths of a film of the run and of a picture of its last frame; the view must
         draw pictures for them. Refused paths raise InputError before anything is run.
     paused: start paused (a window only). quiet: no progress bar.
-    seed: of thrown particles' velocities; a log's header overrides it.
+    seed: of the tools' random numbers; a log's header overrides it.
     device: from `Device.describe()`, for the status; absent: of the device that was started.
 
     A SimulationFailure pauses a window with a banner until R. Without a window, or where the user
@@ -103,7 +115,7 @@ def run(
             film=film_file, paused=paused, seed=seed, device=device,
         )  # fmt: skip
         bar = stack.enter_context(_progress(frames, not (quiet or view.visible)))
-        failure = None
+        failure: SimulationFailure | None = None
         try:
             while not view.closed and not loop.quit and (frames is None or loop.frames < frames):
                 loop.turn()
@@ -124,20 +136,33 @@ def run(
 class _Loop:
     """The state of a run between turns."""
 
-    def __init__(self, sim, view, *, replay, recorder, trajectory, film, paused, seed, device):
+    def __init__(
+        self,
+        sim: Simulation,
+        view: View,
+        *,
+        replay: Log | None,
+        recorder: Recorder | None,
+        trajectory: Trajectory | None,
+        film: films.Film | None,
+        paused: bool,
+        seed: int,
+        device: str | None,
+    ):
         self.sim, self.view = sim, view
         self._recorder, self._trajectory = recorder, trajectory
         self._film = film
         self._device = device or runtime.current_device().describe()
-        header = dict(getattr(replay, "header", None) or {})
-        self._log = {f: list(e) for f, e in sorted((replay.by_frame if replay else {}).items())}
+        if replay is not None:
+            seed = int(replay.header.get("seed", seed))
+        self._log = dict(replay.by_frame) if replay is not None else {}
         self._log_end = max(self._log, default=-1)
         # What the user does here is converted to the log's window before it is applied or
         # recorded, so that resizing does not spoil a replay.
         self._log_window = _event_window(sim.scene.world, view, replay)
-        seed = int(header.get("seed", seed))
-        self._tools = Tools(sim, view.camera, self._log_window, seed)
-        self._largest_disc, self._radius = _largest_disc(sim.scene), Kept()
+        self._controls = Controls(sim, view.camera, self._log_window, seed, self._note)
+        self._radius = Cached(_drawn_radius)
+        self._largest_disc = _largest_disc(sim.scene)
         self._paused = paused and view.visible
         self._step = False
         self._show_status, self._show_help = True, False
@@ -145,7 +170,8 @@ class _Loop:
         self._meter = hud.Meter()
         self._status: tuple[str, ...] = ()
         self._status_due = 0.0
-        self._notice, self._notice_until = None, 0.0
+        self._notice: str | None = None
+        self._notice_until = 0.0
         self._next_frame = 0.0
         self._drawn = False
         self._started: float | None = None
@@ -174,12 +200,12 @@ class _Loop:
             advanced = False
         self._step = False
         begin = time.perf_counter()
-        wanted = bool(self._film) and advanced and self._film.wants()
-        self._drawn = self.view.visible or wanted
+        film = self._film if self._film and advanced and self._film.wants() else None
+        self._drawn = self.view.visible or film is not None
         if self._drawn:
             self.view.draw(self._picture())
-        if wanted:
-            self._film.add(self.view.grab())
+        if film is not None:
+            film.add(self.view.grab())
         draw = time.perf_counter() - begin
         self._draw += draw
         if advanced:
@@ -188,7 +214,7 @@ class _Loop:
             self._wait()
 
     def _advance(self) -> None:
-        self._tools.before_frame()
+        self._controls.before_frame(replayed=self._replaying)
         try:
             self.sim.advance(1)
         except SimulationFailure as error:
@@ -213,23 +239,28 @@ class _Loop:
 
     # Events
 
+    @property
+    def _replaying(self) -> bool:
+        """Whether the log still has events for this frame or a later one."""
+        return self.frames <= self._log_end
+
     def _take_events(self) -> None:
-        replaying = self.frames <= self._log_end
-        for event in self._log.pop(self.frames, ()):
-            self._note(event)
+        for logged in self._log.pop(self.frames, ()):
+            self._note(logged)
             # Pauses and steps only say when frames were made; a log says that itself.
-            command = self._tools.apply(event)
+            command = self._controls.apply(logged, replayed=True)
             if command in ("reset", "status", "help", "quit"):
                 self._obey(command)
         for event in self.view.poll():
-            if replaying:
+            if self._replaying:
                 if event.key in WINDOW_KEYS and event.kind == "press":
-                    self._obey(_WINDOW_COMMANDS[event.key])
+                    self._obey(COMMANDS[event.key])
                 continue
             event = self._in_log_window(event)
-            if not (event.key == "escape" or self.quit):
+            # What no log has a name for, nothing reacts to.
+            if (event.key is None or event.key in KEYS - {"escape"}) and not self.quit:
                 self._note(event)
-            command = self._tools.apply(event)
+            command = self._controls.apply(event)
             if command:
                 self._obey(command)
 
@@ -238,11 +269,11 @@ class _Loop:
         if event.pos is None or tuple(self.view.size) == self._log_window:
             return event
         world = self.sim.scene.world.size[:2]
-        place = Layout(world, self.view.size).to_world(event.pos)
-        x, y = Layout(world, self._log_window).to_window(place)
+        place = WindowMap(world, self.view.size).to_world(event.pos)
+        x, y = WindowMap(world, self._log_window).to_window(place)
         return changed(event, pos=(float(x), float(y)))
 
-    def _note(self, event: Event) -> None:
+    def _note(self, event: LogEvent) -> None:
         if self._recorder is not None:
             self._recorder.write(self.frames, event)
 
@@ -256,7 +287,7 @@ class _Loop:
             self._step = self._paused
         elif command == "reset":
             self.sim.reset()
-            self._tools.reset()
+            self._controls.reset()
             self.failure = None
             self._meter.restart()
         elif command == "status":
@@ -270,8 +301,8 @@ class _Loop:
     def _picture(self) -> Picture:
         sim, view = self.sim, self.view
         now = time.perf_counter()
-        if self._tools.notice != self._notice:
-            self._notice, self._notice_until = self._tools.notice, now + NOTICE_SECONDS
+        if self._controls.notice != self._notice:
+            self._notice, self._notice_until = self._controls.notice, now + NOTICE_SECONDS
             self._status_due = 0.0
         if now >= self._status_due:
             self._status_due = now + hud.REFRESH
@@ -283,19 +314,20 @@ class _Loop:
         banner = None
         if self.failure is not None:
             banner = f"Stopped: {self.failure}\nr goes back to the start, escape quits"
-        return Picture(
+        keys: tuple[str, ...] = ()
+        if self._show_help:
+            keys = hud.help_lines(sim.scene, view.has_wheel, self._controls.tool)
+        picture = Picture(
             position=sim.drawn_positions(),
-            radius=self._radius.get(self._disc_radius, sim.radii()),
+            radius=self._radius(sim.radii(), self._largest_disc),
             color=sim.colors(),
             segments=sim.drawn_springs(),
             text=self._status if self._show_status else (),
-            help=hud.help_lines(sim.scene, view.has_wheel) if self._show_help else (),
+            help=keys,
             banner=banner,
         )
-
-    def _disc_radius(self, radius) -> np.ndarray:
-        """Radii to draw, (n,) float32."""
-        return np.minimum(radius, self._largest_disc).astype(np.float32)
+        marks = self._controls.marks()
+        return picture if marks is None else _with_marks(picture, marks)
 
     def finish(self, image: films.Image | None) -> None:
         """Save the film, and the last frame as a picture."""
@@ -321,16 +353,25 @@ class _Loop:
         return Summary(self.frames, seconds, self._simulate, self._draw, self.quit)
 
 
-_WINDOW_COMMANDS = {
-    "escape": "quit",
-    "h": "status",
-    "p": "pause",
-    **dict.fromkeys(STEP_KEYS, "step"),
-    **dict.fromkeys(HELP_KEYS, "help"),
-}
+def _drawn_radius(radius: np.ndarray, largest: float) -> np.ndarray:
+    """Radii to draw, (n,) float32."""
+    drawn: np.ndarray = np.minimum(radius, largest).astype(np.float32)
+    return drawn
 
 
-def _largest_disc(scene) -> float:
+def _with_marks(picture: Picture, marks: Marks) -> Picture:
+    """`picture` with what a tool draws beside the scene."""
+    count, real = len(picture.position), picture.position.dtype
+    return changed(
+        picture,
+        position=np.concatenate([picture.position, marks.position.astype(real)]),
+        radius=np.concatenate([picture.radius, marks.radius.astype(np.float32)]),
+        color=np.concatenate([picture.color, marks.color]),
+        segments=np.concatenate([picture.segments, count + marks.segments]),
+    )
+
+
+def _largest_disc(scene: Scene) -> float:
     """The radius above which a particle is drawn smaller than it is, world units.
 
     Particles that pass through each other may be larger than the mesh they sit in, and would
@@ -343,7 +384,7 @@ def _largest_disc(scene) -> float:
     return 0.3 * float(np.median(np.linalg.norm(position[a] - position[b], axis=1))) or np.inf
 
 
-def _event_window(world, view: View, replay) -> tuple[int, int]:
+def _event_window(world: World, view: View, replay: Log | None) -> tuple[int, int]:
     """The window (width, height) that events' positions refer to.
 
     That is the one a replayed log was recorded in, or where it does not say, the one in which
@@ -351,7 +392,7 @@ def _event_window(world, view: View, replay) -> tuple[int, int]:
     """
     if replay is None:
         return int(view.size[0]), int(view.size[1])
-    said = (replay.header or {}).get("window")
+    said = replay.header.get("window")
     w, h = said or (max(round(world.size[0]), 1), max(round(world.size[1]), 1))
     return int(w), int(h)
 

@@ -3,15 +3,17 @@
 A point is moved so that the world's centre (w/2, h/2, 0) is the origin, turned about the y
 axis by `rot_y` and then about the x axis by `rot_x`, and projected with the scale
 ``focal_length / (distance + z)``; the image of the world's centre is the pixel (w/2, h/2).
-Pixels here belong to a window of the world's own width and height (`layout` scales other
-windows); y points down, z away from the viewer.
+Pixels here belong to a window of the world's own width and height (`window_map` scales
+other windows); y points down, z away from the viewer.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 class Camera:
@@ -23,7 +25,14 @@ class Camera:
     rot_x, rot_y: degrees.
     """
 
-    def __init__(self, world_size, distance=2000.0, focal_length=1000.0, rot_x=15.0, rot_y=15.0):
+    def __init__(
+        self,
+        world_size: Sequence[float],
+        distance: float = 2000.0,
+        focal_length: float = 1000.0,
+        rot_x: float = 15.0,
+        rot_y: float = 15.0,
+    ):
         self.world_size = tuple(float(length) for length in world_size)
         self.distance = float(distance)
         self.focal_length = float(focal_length)
@@ -33,6 +42,11 @@ class Camera:
         # turned towards it never passes through it, and near enough that the world is visible.
         radius = 0.5 * math.sqrt(sum(length**2 for length in self.world_size))
         self.nearest, self.farthest = 1.05 * radius, 40.0 * radius
+
+    @property
+    def nearest_drawn(self) -> float:
+        """The depth from which on things are drawn, world units."""
+        return self.distance / 50
 
     @property
     def centre(self) -> np.ndarray:
@@ -48,13 +62,18 @@ class Camera:
         about_y = np.array(
             [[math.cos(b), 0, math.sin(b)], [0, 1, 0], [-math.sin(b), 0, math.cos(b)]]
         )
-        return about_x @ about_y
+        rotation: np.ndarray = about_x @ about_y
+        return rotation
 
-    def rotate_points(self, positions) -> np.ndarray:
+    def rotate_points(self, positions: ArrayLike) -> np.ndarray:
         """World `positions` (n, 3) relative to the centre, in the camera's axes, shape (n, 3)."""
-        return (np.asarray(positions, np.float64).reshape(-1, 3) - self.centre) @ self.rotation().T
+        offset = np.asarray(positions, np.float64).reshape(-1, 3) - self.centre
+        turned: np.ndarray = offset @ self.rotation().T
+        return turned
 
-    def project(self, positions, radius=0.0):
+    def project(
+        self, positions: ArrayLike, radius: ArrayLike = 0.0
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where spheres appear: ``(pixels (n, 2), radii (n,), depths (n,))``.
 
         positions: (n, 3) world units; radius: one for all or (n,), world units.
@@ -69,14 +88,15 @@ class Camera:
             radii = np.broadcast_to(np.asarray(radius, np.float64), depths.shape) * scale
         return pixels, radii, depths
 
-    def unproject(self, pixel) -> np.ndarray:
+    def unproject(self, pixel: ArrayLike) -> np.ndarray:
         """The world point (3,) under `pixel` (2,) on the plane through the centre that faces us."""
         offset = (np.asarray(pixel, np.float64) - self.centre[:2]) * (
             self.distance / self.focal_length
         )
-        return np.array([offset[0], offset[1], 0.0]) @ self.rotation() + self.centre
+        point: np.ndarray = np.array([*offset, 0.0]) @ self.rotation() + self.centre
+        return point
 
-    def ray(self, pixel) -> tuple[np.ndarray, np.ndarray]:
+    def ray(self, pixel: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """The line of sight through `pixel` (2,): eye (3,) and unit direction (3,), world axes."""
         rotation = self.rotation()
         eye = np.array([0.0, 0.0, -self.distance]) @ rotation + self.centre

@@ -6,11 +6,15 @@ import os
 import shutil
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.pending import PendingFile
+
+if TYPE_CHECKING:
+    from PIL import Image as Pillow
 
 FILM_RATE = 60  # frames a second of an .mp4: real time
 GIF_DELAY = 2  # hundredths of a second: 50 a second, the most that viewers honour
@@ -78,8 +82,8 @@ class Film:
             # ffmpeg writes by name and seeks back in its file, so it gets one of its own.
             self._folder = tempfile.TemporaryDirectory(prefix="taichi-cloth-")
         self._size: tuple[int, int] | None = None
-        self._writer = None
-        self._pictures: list = []
+        self._writer: Any = None  # of imageio, from the first frame of an .mp4 on
+        self._pictures: list[Pillow.Image] = []
         self._frames = 0
 
     def wants(self) -> bool:
@@ -100,7 +104,9 @@ class Film:
             from PIL import Image as Pillow
 
             self._pictures.append(
-                Pillow.fromarray(pixels).quantize(128, method=Pillow.Quantize.FASTOCTREE, dither=0)
+                Pillow.fromarray(pixels).quantize(
+                    128, method=Pillow.Quantize.FASTOCTREE, dither=Pillow.Dither.NONE
+                )
             )
             return
         if self._writer is None:

@@ -4,6 +4,15 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.ui import tools
+from taichi_cloth.ui.tools.contract import Tool
+
+if TYPE_CHECKING:
+    from taichi_cloth.simulation.simulation import Simulation
 
 FRAME_RATE = 60.0  # frames a second that count as real time
 WINDOW = 0.75  # seconds over which rates are averaged
@@ -13,7 +22,7 @@ REFRESH = 0.2  # seconds between changes of the text: faster cannot be read
 class Meter:
     """Measures frames: how long they take to simulate and to draw, and how many a second."""
 
-    def __init__(self, clock=time.perf_counter):
+    def __init__(self, clock: Callable[[], float] = time.perf_counter):
         self._clock = clock
         self._frames: deque[tuple[float, float, float]] = deque()
         self._busy = 0.0  # seconds since frames began to be due, pauses left out
@@ -70,7 +79,13 @@ class Meter:
 
 
 def status_lines(
-    sim, meter: Meter, device: str, *, windowed: bool, paused: bool, notice: str | None = None
+    sim: Simulation,
+    meter: Meter,
+    device: str,
+    *,
+    windowed: bool,
+    paused: bool,
+    notice: str | None = None,
 ) -> tuple[str, ...]:
     """The status: rates, counts, time, settings, backend.
 
@@ -104,25 +119,19 @@ def status_lines(
     return (notice, *lines) if notice else lines
 
 
-def help_lines(scene, has_wheel: bool) -> tuple[str, ...]:
-    """Every key and mouse action of this scene, as "key<tab>action"."""
-    world = scene.world
-    lines = []
-    if world.mouse == "blow":
-        lines.append("move the mouse\tblow at the particles near the pointer")
-    elif world.mouse == "spawn":
-        chain = scene.spring_defaults
-        tear = "" if chain.break_force is None else f", tears at force {chain.break_force:g}"
-        lines += [
-            "left click\ta new particle, thrown at random",
-            "right click\ta new particle that stays where it is (grey)",
-            f"hold space\ttie each new particle to the one before{tear}",
-        ]
-    if world.dim == 3:
+def help_lines(scene: Scene, has_wheel: bool, tool: Tool[Any] | None = None) -> tuple[str, ...]:
+    """Every key and mouse action of this scene, as "key<tab>action".
+
+    tool: the one in hand; None: the one that the pointer is from the start.
+    """
+    tool = tool or tools.for_mouse(scene.world.mouse)
+    lines = list(tool.actions(scene)) if tool else []
+    lines += [f"{other.key}\t{other.help}" for other in tools.load_all().values() if other.key]
+    if scene.world.dim == 3:
         nearer = "wheel, + -, up down" if has_wheel else "+ -, up down"
         lines += ["ctrl + mouse motion\tturn the scene", f"{nearer}\tcome nearer, go farther"]
     lines += [
-        ("p" if world.mouse == "spawn" else "space, p") + "\tpause and go on",
+        ("p" if tool and "space" in tool.modifiers else "space, p") + "\tpause and go on",
         ".  or right arrow\tone frame, while paused",
         "r\tback to the start",
         "h\thide or show the status",

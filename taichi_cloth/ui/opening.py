@@ -4,33 +4,24 @@ from __future__ import annotations
 
 import sys
 
-from taichi_cloth import runtime
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene.model import World
 from taichi_cloth.settings.options import VIEWS
-from taichi_cloth.ui.layout import default_window
-from taichi_cloth.ui.view import NullView, View
-
-_DISPLAY = "there is no display (is DISPLAY set, and is its X server running?)"
-_VULKAN = "GGUI needs Vulkan, which is not there (install a Vulkan driver, such as Mesa's)"
+from taichi_cloth.ui import views
+from taichi_cloth.ui.views.contract import View, ViewKind
+from taichi_cloth.ui.window_map import default_window
 
 
 def usable_views() -> dict[str, str | None]:
     """Every kind of view: None if it can open here, else why not. Taichi is imported."""
-    display = None if runtime.display_available() else _DISPLAY
-    return {
-        "ggui": display or (None if runtime.vulkan_available() else _VULKAN),
-        "gui": display,
-        "none": None,
-    }
+    return {name: kind.lack() for name, kind in views.load_all().items()}
 
 
 def offscreen(view: View, world: World) -> View:
     """A view in memory that shows what `view` shows, also after its window was closed."""
-    from taichi_cloth.ui.gui_view import GuiView
-
-    # On ti.GUI, because a second GGUI window in a process ends it.
-    copy = GuiView(world, tuple(view.size), "", visible=False)
+    kinds = views.load_all().values()
+    kind = next(kind for kind in kinds if kind.several and kind.pictures())
+    copy = kind.open(world, view.size, "", visible=False)
     copy.camera = view.camera
     return copy
 
@@ -55,25 +46,27 @@ def open_view(
     """
     if kind not in VIEWS:
         raise InputError(f"unknown view '{kind}'; {nearest(kind, VIEWS)}")
-    if kind == "none" and not pictures:
-        return NullView(world, size)
-    size = tuple(size or default_window(world.size))
-    from taichi_cloth.ui.ggui_view import GguiView
-    from taichi_cloth.ui.gui_view import GuiView
-
-    if kind != "none":
-        usable = usable_views()
-        if kind == "auto":
-            kind = next(name for name, reason in usable.items() if reason is None)
-            if kind == "none":
-                print(f"no window: {_DISPLAY}; running headless", file=sys.stderr)
-                return open_view("none", world, size=size, title=title, pictures=pictures)
-        elif usable[kind] is not None:
-            raise InputError(f"--view {kind}: {usable[kind]}; --view none runs without a window")
-    visible = kind != "none"
-    of = GguiView if kind == "ggui" or (not visible and runtime.vulkan_available()) else GuiView
+    kinds = views.load_all()
+    chosen = _best(kinds) if kind == "auto" else kinds[kind]
+    lack = chosen.lack()
+    if lack is not None:
+        raise InputError(f"--view {kind}: {lack}; --view none runs without a window")
+    kind, visible = chosen.name, chosen.windows
+    if pictures and not visible:
+        chosen = next(other for other in kinds.values() if other.pictures())
     try:
-        return of(world, size, title, visible=visible)
+        return chosen.open(world, size or default_window(world.size), title, visible=visible)
     except RuntimeError as error:  # of Taichi: a display or driver that fails after all
         reason = str(error).strip().partition("\n")[0]
         raise InputError(f"--view {kind}: the window could not open: {reason}") from None
+
+
+def _best(kinds: dict[str, ViewKind]) -> ViewKind:
+    """The first kind that can be opened here; a line on standard error where it has no window."""
+    lacks = {name: kind.lack() for name, kind in kinds.items()}
+    best = next(kind for name, kind in kinds.items() if lacks[name] is None)
+    if not best.windows:
+        # What the view lacks that needs least.
+        lack = [reason for reason in lacks.values() if reason is not None][-1]
+        print(f"no window: {lack}; running headless", file=sys.stderr)
+    return best

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 SURROUND = (15, 17, 23)  # outside a 2-D world, and behind the text
 WORLD = (23, 26, 35)  # inside a 2-D world, and behind a 3-D one
@@ -22,37 +25,41 @@ LIGHT = np.array([-0.45, -0.65, -0.62])  # direction to the light: left, above, 
 LIGHT /= np.linalg.norm(LIGHT)
 
 
-def spring_colors(color, segments) -> np.ndarray:
+def spring_colors(color: np.ndarray, segments: np.ndarray) -> np.ndarray:
     """One colour a spring, (s, 3) float 0..1: its ends' mean, mixed half and half with neutral.
 
     color: (n, 3) uint8; segments: (s, 2) int.
     """
     c = np.asarray(color, np.float32) / 255
     mean = (c[segments[:, 0]] + c[segments[:, 1]]) / 2
-    return 0.5 * mean + 0.5 * np.array(NEUTRAL, np.float32) / 255
+    mixed: np.ndarray = 0.5 * mean + 0.5 * np.array(NEUTRAL, np.float32) / 255
+    return mixed
 
 
-def unit(color) -> tuple[float, float, float]:
+def unit(color: Sequence[int]) -> tuple[float, float, float]:
     """`color` as floats 0..1."""
-    return tuple(float(c) / 255 for c in color)
+    red, green, blue = (float(c) / 255 for c in color)
+    return red, green, blue
 
 
-def packed(color) -> np.ndarray:
+def packed(color: ArrayLike) -> np.ndarray:
     """Float colours (n, 3) in 0..1 as 0xRRGGBB integers, shape (n,)."""
     c = np.clip(np.asarray(color) * 255 + 0.5, 0, 255).astype(np.uint32)
-    return (c[:, 0] << 16) | (c[:, 1] << 8) | c[:, 2]
+    codes: np.ndarray = (c[:, 0] << 16) | (c[:, 1] << 8) | c[:, 2]
+    return codes
 
 
-def packed_one(color) -> int:
+def packed_one(color: Sequence[int]) -> int:
     """One 0..255 colour as a 0xRRGGBB integer."""
     return (int(color[0]) << 16) | (int(color[1]) << 8) | int(color[2])
 
 
-def box_edges(world_size) -> np.ndarray:
+def box_edges(world_size: Sequence[float]) -> np.ndarray:
     """The twelve edges of a 3-D world, (12, 2, 3) world units."""
     w, h, d = world_size
     corner = np.array(
         [(x, y, z) for x in (0, w) for y in (0, h) for z in (-d / 2, d / 2)], np.float64
     )
     pairs = [(a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit]
-    return corner[np.array(pairs)]
+    edges: np.ndarray = corner[np.array(pairs)]
+    return edges

@@ -6,14 +6,20 @@ either copies the pixels or draws `runs` of equal colour as rectangles.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from taichi_cloth.ui import style
-from taichi_cloth.ui.view import Picture
+from taichi_cloth.ui.views.contract import Picture
 
+if TYPE_CHECKING:
+    from PIL.ImageFont import FreeTypeFont, ImageFont
+
+Color = tuple[int, int, int]  # 0..255
 SHADES = 6  # ink coverage levels: few enough for long runs, enough for smooth letters
 
 
@@ -32,7 +38,7 @@ def font_height(window_height: int) -> int:
 
 
 @lru_cache(maxsize=8)
-def _font(height: int):
+def _font(height: int) -> ImageFont | FreeTypeFont:
     from PIL import ImageFont
 
     return ImageFont.load_default(height)
@@ -51,7 +57,14 @@ def wrapped(line: str, width: int, height: int) -> list[str]:
     return [*out, current]
 
 
-def rasterise(lines, height: int, *, paper, inks, width: int | None = None) -> np.ndarray:
+def rasterise(
+    lines: Iterable[str],
+    height: int,
+    *,
+    paper: Color,
+    inks: tuple[Color, Color],
+    width: int | None = None,
+) -> np.ndarray:
     """`lines` as pixels (h, w, 3) uint8 on `paper`.
 
     A tab starts the second column. inks: a pair of colours, for what stands before and after the
@@ -90,7 +103,9 @@ def panels(picture: Picture, size: tuple[int, int]) -> tuple[Panel, ...]:
 
 
 @lru_cache(maxsize=4)
-def _panels(status, keys, banner, size) -> tuple[Panel, ...]:
+def _panels(
+    status: tuple[str, ...], keys: tuple[str, ...], banner: str | None, size: tuple[int, int]
+) -> tuple[Panel, ...]:
     width, window_height = size
     out = []
     if status:

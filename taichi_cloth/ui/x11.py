@@ -12,6 +12,7 @@ import ctypes
 import ctypes.util
 import os
 import sys
+from collections.abc import Callable
 
 KEY_PRESS, KEY_RELEASE, GENERIC = 2, 3, 35
 KEY_PRESS_MASK, KEY_RELEASE_MASK = 1, 2
@@ -105,14 +106,14 @@ BAD_WINDOW, BAD_DRAWABLE = 3, 9
 _ErrorHandler = ctypes.CFUNCTYPE(_int, _pointer, _pointer)
 
 
-def _library(name: str):
+def _library(name: str) -> ctypes.CDLL | None:
     try:
         return ctypes.CDLL(ctypes.util.find_library(name) or f"lib{name}.so.6")
     except OSError:
         return None
 
 
-def _xlib():
+def _xlib() -> ctypes.CDLL | None:
     """Xlib with the signatures used here, or None where it is not installed."""
     x = _library("X11") if sys.platform.startswith(("linux", "freebsd")) else None
     if x is None:
@@ -152,7 +153,7 @@ class Connection:
     title: the window's exact name at the time (it may change afterwards).
     """
 
-    def __init__(self, x, title: str, *, keys: bool):
+    def __init__(self, x: ctypes.CDLL, title: str, *, keys: bool):
         self._x = x
         self._display = x.XOpenDisplay(None)
         if not self._display:
@@ -175,20 +176,22 @@ class Connection:
 
         Xlib's own handler would end the process before its files are saved.
         """
-        ours, previous = self._display, None
+        ours = self._display
+        before: list[Callable[[int | None, int], int]] = []
 
-        def handle(display, event):
+        def handle(display: int | None, event: int) -> int:
             error = ctypes.cast(event, ctypes.POINTER(_Error))[0].code
-            if display == ours or previous is None or error in (BAD_WINDOW, BAD_DRAWABLE):
+            if display == ours or not before or error in (BAD_WINDOW, BAD_DRAWABLE):
                 return 0
-            return previous(display, event)
+            return before[0](display, event)
 
-        self._handler = _ErrorHandler(handle)
-        before = self._x.XSetErrorHandler(self._handler)
-        previous = _ErrorHandler(before) if before else None
-        _KEPT_HANDLERS.append(self._handler)
+        handler = _ErrorHandler(handle)
+        address = self._x.XSetErrorHandler(handler)
+        if address:
+            before.append(_ErrorHandler(address))
+        _KEPT_HANDLERS.append(handler)
 
-    def _children(self, window) -> list[int]:
+    def _children(self, window: int) -> list[int]:
         root, parent = _window(), _window()
         children, count = ctypes.POINTER(_window)(), ctypes.c_uint()
         out = [ctypes.byref(v) for v in (root, parent, children, count)]
@@ -198,7 +201,7 @@ class Connection:
         self._x.XFree(children)
         return found
 
-    def _find(self, window, title: bytes, depth: int) -> int:
+    def _find(self, window: int, title: bytes, depth: int) -> int:
         name = ctypes.c_char_p()
         if self._x.XFetchName(self._display, window, ctypes.byref(name)) and name.value == title:
             return window
@@ -225,7 +228,8 @@ class Connection:
         mask = _EventMask(ALL_MASTER_DEVICES, len(bits), bytes(bits))
         xi.XISelectEvents.argtypes = [_pointer, _window, _pointer, _int]
         self._opcode = opcode.value
-        return xi.XISelectEvents(self._display, self._root, ctypes.byref(mask), 1) == 0
+        status: int = xi.XISelectEvents(self._display, self._root, ctypes.byref(mask), 1)
+        return status == 0
 
     def _pointer_is_here(self) -> bool:
         """Whether the pointer is over our window with nothing in front of it."""
@@ -298,7 +302,7 @@ class Connection:
 
 
 # Xlib keeps the address of the newest handler for the life of the process.
-_KEPT_HANDLERS: list = []
+_KEPT_HANDLERS: list[object] = []
 
 
 def connect(title: str, *, keys: bool) -> Connection | None:

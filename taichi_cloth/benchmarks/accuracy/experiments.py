@@ -13,12 +13,13 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from taichi_cloth import runtime
 from taichi_cloth.kernels import methods
+from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.measuring.timing import quartiles, turns
 from taichi_cloth.measuring.worker import Worker
 from taichi_cloth.scene import library
@@ -35,9 +36,6 @@ from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.trade.reference import coarsest
 from taichi_cloth.trade.runner import reference_method
 from taichi_cloth.trade.settings import CONVERGED_TOLERANCE
-
-if TYPE_CHECKING:
-    from taichi_cloth.kernels.methods.contract import Method
 
 DEFAULT = parameters_of(RunOptions)["method"].default
 RATE = 60  # steps a second, of the damping
@@ -130,17 +128,17 @@ class Swing:
     pitch: float
 
 
-def swing(method: Method, frequency: float, rate: float = RATE) -> Swing:
+def swing(module: Method, frequency: float, rate: float = RATE) -> Swing:
     """The swing by the method's own theory, on x'' = -omega^2 x at `rate` steps a second.
 
-    method: has a `stability_function` or an `amplification`. frequency: [Hz].
+    module: of `kernels.methods`, with `stability_function` or `amplification`.
     """
     h, omega = 1 / rate, 2 * np.pi * frequency
-    if method.stability_function:
-        factor = complex(method.stability_function(1j * h * omega))
+    if module.stability_function:
+        factor = complex(module.stability_function(1j * h * omega))
     else:
-        assert method.amplification
-        eigenvalues = np.linalg.eigvals(method.amplification(h, omega**2, 0.0))
+        assert module.amplification  # one of the two, by the contract
+        eigenvalues = np.linalg.eigvals(module.amplification(h, omega**2, 0.0))
         factor = complex(max(eigenvalues, key=lambda z: (round(abs(z), 12), z.imag)))
     return Swing(abs(factor) ** rate, abs(np.angle(factor)) / (h * omega) - 1)
 

@@ -6,18 +6,19 @@ Adding a force is adding a file.
 import functools
 import importlib
 import pkgutil
+from typing import Any
+
+from taichi_cloth.kernels.forces.contract import Term
 
 TERMS = tuple(sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name != "contract"))
 
 
 @functools.cache
-def load(name):
+def load(name: str) -> Term:
     """The `Term` of the force `name`, out of `TERMS`. Importing it imports Taichi.
 
     TypeError, which names the file and the part, where its declaration is not whole.
     """
-    from taichi_cloth.kernels.forces.contract import Term
-
     try:
         term = getattr(importlib.import_module(f"{__name__}.{name}"), "TERM", None)
     except (TypeError, ValueError) as error:
@@ -27,6 +28,11 @@ def load(name):
     return term
 
 
-def present_in(scene):
+def present_in(scene: Any) -> tuple[str, ...]:
     """Names of the terms that a scene needs, in the order in which they are added up."""
     return tuple(name for name in TERMS if load(name).present(scene))
+
+
+def describe(scene: Any) -> str:
+    """A scene's features and forces in words: what decides which kernels it runs."""
+    return f"{scene.features().describe()}; {', '.join(present_in(scene))}"

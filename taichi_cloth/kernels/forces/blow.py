@@ -16,8 +16,8 @@ from taichi_cloth.kernels.forces.contract import (
     VECTOR,
     Absent,
     DeviceField,
-    Switch,
     Term,
+    Variant,
 )
 from taichi_cloth.kernels.loops import each_pack
 from taichi_cloth.kernels.packs import (
@@ -102,7 +102,7 @@ def variant(scene):
     if scene.world.mouse == "spawn":
         return None
     changed = scene.with_world(mouse="none" if used else "blow")
-    return Switch("mouse: blow", used, "not pushing", changed)
+    return Variant("mouse: blow", used, "not pushing", changed)
 
 
 TERM = Term(

@@ -21,7 +21,9 @@ scene, the springs those that hold; `scene` a whole one.
 
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields
-from typing import Any
+from typing import Any, TypeGuard, TypeVar
+
+Part = TypeVar("Part")
 
 ACCELERATION, FORCE, TENSION = KINDS = ("acceleration", "force", "tension")
 PARTICLE_NUMBER, PARTICLE_VECTOR, NUMBER, VECTOR, COUNT = SHAPES = (
@@ -70,8 +72,8 @@ class DeviceField:
 
 
 @dataclass(frozen=True)
-class Switch:
-    """A scene with a term switched over, by which its cost is measured.
+class Variant:
+    """A scene with one feature switched over, by which the feature's cost is measured.
 
     feature: its name for users; used: whether the scene itself has it, and this one does not.
     about: what the scene has, or what this one was given.
@@ -135,7 +137,7 @@ class Term:
 PARTS = tuple(part.name for part in fields(Term) if part.default is MISSING)
 
 
-def has(part) -> bool:
+def has(part: Part | Absent) -> TypeGuard[Part]:
     """Whether a term has a part: it is not declared absent."""
     return not isinstance(part, Absent)
 

@@ -10,7 +10,7 @@ import numpy as np
 import taichi as ti
 
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.forces.contract import TENSION, Absent, Switch, Term, counted
+from taichi_cloth.kernels.forces.contract import TENSION, Absent, Term, Variant, counted
 from taichi_cloth.kernels.spring_numbers import C
 
 LIGHT = 0.02  # of sqrt(stiffness * mass): the damping that a variant gets
@@ -49,7 +49,7 @@ def variant(scene):
         mass = float(scene.particles.mass.min())
         damping = LIGHT * np.sqrt(springs.stiffness * mass)
     springs = replace(springs, damping=damping)
-    return Switch(
+    return Variant(
         "dashpots", used, about, replace(scene, springs=springs, spring_defaults=defaults)
     )
 

@@ -11,8 +11,8 @@ from taichi_cloth.kernels.forces.contract import (
     PARTICLE_NUMBER,
     Absent,
     DeviceField,
-    Switch,
     Term,
+    Variant,
     counted,
 )
 from taichi_cloth.kernels.packs import read
@@ -53,7 +53,7 @@ def variant(scene):
         viscous = LIGHT * mass / scene.world.dt
     particles = replace(particles, viscous=viscous)
     changed = replace(scene, particles=particles, particle_defaults=defaults)
-    return Switch("drag", used, about, changed)
+    return Variant("drag", used, about, changed)
 
 
 TERM = Term(

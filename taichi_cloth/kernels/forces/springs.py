@@ -6,7 +6,7 @@ import numpy as np
 import taichi as ti
 
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.forces.contract import TENSION, Absent, Switch, Term, counted
+from taichi_cloth.kernels.forces.contract import TENSION, Absent, Term, Variant, counted
 from taichi_cloth.kernels.spring_numbers import REST, K
 
 
@@ -44,7 +44,7 @@ def variant(scene):
     if len(springs) == 0 or scene.world.mouse == "spawn":
         return None
     without = replace(scene, springs=springs.select(np.zeros(len(springs), bool)))
-    return Switch("springs", True, counted(len(springs), "spring"), without)
+    return Variant("springs", True, counted(len(springs), "spring"), without)
 
 
 TERM = Term(

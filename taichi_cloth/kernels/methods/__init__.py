@@ -9,22 +9,18 @@ adding a file.
 import functools
 import importlib
 import pkgutil
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from taichi_cloth.kernels.methods.contract import Method
+from taichi_cloth.kernels.methods.contract import Method
 
 METHODS = tuple(sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name != "contract"))
 
 
 @functools.cache
-def load(name: str) -> "Method":
+def load(name: str) -> Method:
     """The `Method` called `name`, out of `METHODS`. Importing it imports Taichi.
 
     TypeError, which names the file, where it declares something unknown or not everything.
     """
-    from taichi_cloth.kernels.methods.contract import Method
-
     try:
         method = getattr(importlib.import_module(f"{__name__}.{name}"), "METHOD", None)
     except (TypeError, ValueError) as error:

@@ -9,21 +9,27 @@ and colours and sizes only where these changed. GGUI has copied them when a call
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from taichi_cloth.files.events import Event
+from taichi_cloth import runtime
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui import style, text, x11
+from taichi_cloth.ui import drawing, style, text, x11
 from taichi_cloth.ui.camera import Camera
-from taichi_cloth.ui.layout import Layout
-from taichi_cloth.ui.view import KEYS, Kept, Picture, are_numbers, between_shown
+from taichi_cloth.ui.drawing import Cached
+from taichi_cloth.ui.inputs import BUTTON_NAMES, Event, key_name
+from taichi_cloth.ui.text import Panel
+from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
+from taichi_cloth.ui.window_map import WindowMap
 
 # Columns of a GGUI vertex: position, normal (a circle's or particle's radius in its first),
 # texture, colour with its opacity.
 POSITION, NORMAL, RADIUS, COLOR, ALPHA, STRIDE = slice(0, 3), slice(3, 6), 3, slice(8, 11), 11, 12
-BUTTONS = {"LMB": "left", "MMB": "middle", "RMB": "right"}
+NO_VULKAN = "GGUI needs Vulkan, which is not there (install a Vulkan driver, such as Mesa's)"
 SETTINGS = Path("imgui.ini")  # of GGUI's text library, which we do not use
 MESH_VERTICES = 170_000  # spheres are meshes up to so many vertices (10-40 ms in software)
 SPHERES = ((10.0, 1), (45.0, 2), (math.inf, 3))  # up to this radius in pixels: subdivisions
@@ -32,7 +38,7 @@ SPHERES = ((10.0, 1), (45.0, 2), (math.inf, 3))  # up to this radius in pixels: 
 def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
     """The unit sphere as triangles: vertices (v, 3) float32 and corners (t, 3) int32."""
     p = (1 + 5**0.5) / 2
-    vertex = [
+    start = [
         (-1, p, 0), (1, p, 0), (-1, -p, 0), (1, -p, 0), (0, -1, p), (0, 1, p),
         (0, -1, -p), (0, 1, -p), (p, 0, -1), (p, 0, 1), (-p, 0, -1), (-p, 0, 1),
     ]  # fmt: skip
@@ -41,11 +47,11 @@ def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
         (11, 10, 2), (10, 7, 6), (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8),
         (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1),
     ]  # fmt: skip
-    vertex = [np.array(v) / np.linalg.norm(v) for v in vertex]
+    vertex: list[np.ndarray] = [np.array(v) / np.linalg.norm(v) for v in start]
     for _ in range(subdivisions):
         middles: dict[tuple[int, int], int] = {}
 
-        def middle(a, b, middles=middles):
+        def middle(a: int, b: int, middles: dict[tuple[int, int], int] = middles) -> int:
             key = (min(a, b), max(a, b))
             if key not in middles:
                 point = vertex[a] + vertex[b]
@@ -61,16 +67,68 @@ def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(vertex, np.float32), np.array(triangle, np.int32)
 
 
-def vertices(color) -> np.ndarray:
+def vertices(color: ArrayLike) -> np.ndarray:
     """Vertices (k, STRIDE) float32 in the colours (k, 3), floats 0..1, nowhere yet."""
+    color = np.asarray(color)
     vertex = np.zeros((len(color), STRIDE), np.float32)
     vertex[:, COLOR], vertex[:, ALPHA] = color, 1
     return vertex
 
 
-def spring_vertices(segments, color) -> np.ndarray:
+def spring_vertices(segments: np.ndarray, color: np.ndarray) -> np.ndarray:
     """Vertices of the springs' ends (2s, STRIDE), nowhere yet; color: of the particles."""
     return vertices(np.repeat(style.spring_colors(color, segments), 2, axis=0))
+
+
+def disc_vertices(
+    radius: np.ndarray, color: np.ndarray, scale: float, height: int
+) -> list[np.ndarray]:
+    """Vertices of the particles' rims and, to be drawn over them, of their discs, nowhere yet.
+
+    radius: (n,) world units. color: (n, 3) uint8. scale: pixels per world unit.
+    height: of the window in pixels.
+    """
+    out = []
+    for pixels, rgb in drawing.disc_layers(radius, color, scale):
+        vertex = vertices(rgb)
+        vertex[:, RADIUS] = pixels / height
+        out.append(vertex)
+    return out
+
+
+@dataclass
+class SphereMeshes:
+    """Spheres as one mesh. From frame to frame only the positions are filled in anew.
+
+    count, level: of spheres; of their subdivisions.
+    unit: (v, 3), the unit sphere. vertex: (count, v, STRIDE). index: of the triangles' corners.
+    color: (count, 3) uint8, which the vertices have; None: none yet.
+    """
+
+    count: int
+    level: int
+    unit: np.ndarray
+    vertex: np.ndarray
+    index: np.ndarray
+    color: np.ndarray | None = None
+
+    @classmethod
+    def build(cls, count: int, level: int) -> SphereMeshes:
+        """Meshes without colours and positions."""
+        unit, corner = icosphere(level)
+        vertex = np.zeros((count, len(unit), STRIDE), np.float32)
+        vertex[:, :, NORMAL] = unit
+        vertex[:, :, ALPHA] = 1
+        index = corner.reshape(-1) + (len(unit) * np.arange(count, dtype=np.int32))[:, None]
+        return cls(count, level, unit, vertex, np.ascontiguousarray(index.reshape(-1), np.int32))
+
+    def fill(self, centre: np.ndarray, radius: np.ndarray, color: np.ndarray) -> None:
+        """Put the spheres at `centre` (count, 3); radius (count,); color (count, 3) uint8."""
+        if self.color is None or not np.array_equal(self.color, color):
+            self.vertex[:, :, COLOR] = (color / 255)[:, None, :]
+            self.color = color.copy()
+        centre, radius = centre.astype(np.float32), radius.astype(np.float32)
+        self.vertex[:, :, POSITION] = centre[:, None, :] + radius[:, None, None] * self.unit
 
 
 class GguiView:
@@ -82,22 +140,24 @@ class GguiView:
         import taichi as ti
         from taichi.ui.utils import get_field_info
 
-        self._ti, self._info = ti, get_field_info
+        self._ti: Any = ti
+        self._info: Any = get_field_info
         self.world, self.visible = world, visible
         self.camera = Camera(world.size) if world.dim == 3 else None
         self._had_settings = SETTINGS.exists()
         # The app paces itself; GGUI's own limit would count as time spent drawing.
         self._window = ti.ui.Window(title, size, vsync=False, show_window=visible, fps_limit=1000)
         self._canvas = self._window.get_canvas()
-        self._scene = self._window.get_scene() if self.camera else None
-        self._eye = ti.ui.Camera() if self.camera else None
+        self._scene: Any = self._window.get_scene() if self.camera else None
+        self._eye: Any = ti.ui.Camera() if self.camera else None
         self._tap = x11.connect(title, keys=True) if visible else None
         self._pointer: tuple[float, float] | None = None
         self._held: set[str] = set()
         self._last: Picture | None = None
-        self._spheres: dict = {}
-        self._springs, self._discs = Kept(), Kept()
-        self._overlay_key, self._overlay = None, None
+        self._fresh = False  # whether what was drawn last can still be taken from the window
+        self._spheres: SphereMeshes | None = None
+        self._springs, self._discs = Cached(spring_vertices), Cached(disc_vertices)
+        self._overlay = Cached(self._overlay_vertices)
         self.has_wheel = bool(self._tap and self._tap.has_wheel)
         self.closed = False
         self._size = size
@@ -124,7 +184,7 @@ class GguiView:
         w, h = self.size
         x, y = self._window.get_cursor_pos()
         pointer = (round(x * w, 3), round((1 - y) * h, 3))  # to what a mouse resolves
-        out = []
+        out: list[Event] = []
         if pointer != self._pointer and 0 <= x <= 1 and 0 <= y <= 1:
             # The position at the start is where the pointer happens to be, not a motion.
             if self._pointer is not None:
@@ -138,16 +198,16 @@ class GguiView:
             for event in self._window.get_events(tag):
                 out += self._translated(kind, event.key, pointer)
         for kind, value in self._tap.poll() if self._tap else ():
-            if kind == "wheel":
-                out.append(Event("wheel", pos=pointer, delta=value))
-            else:
+            if isinstance(value, str):
                 out += self._changed(kind, value)
+            else:
+                out.append(Event(kind, pos=pointer, delta=value))
         return out
 
-    def _translated(self, kind: str, key: str, pointer) -> list[Event]:
-        if key in BUTTONS:
-            return [Event(kind, pos=pointer, button=BUTTONS[key])]
-        name = KEYS.get(key) or (key.lower() if len(key) == 1 and key.isalpha() else None)
+    def _translated(self, kind: str, key: str, pointer: tuple[float, float]) -> list[Event]:
+        if key in BUTTON_NAMES:
+            return [Event(kind, pos=pointer, button=BUTTON_NAMES[key])]
+        name = key_name(key)
         return self._changed(kind, name) if name else []
 
     def _changed(self, kind: str, key: str) -> list[Event]:
@@ -179,8 +239,7 @@ class GguiView:
             # What was shown or taken is gone; the same picture is drawn again.
             self._compose(self._last)
         self._fresh = False
-        pixels = self._window.get_image_buffer_as_numpy()[:, ::-1, :3]
-        return (np.clip(pixels.transpose(1, 0, 2), 0, 1) * 255 + 0.5).astype(np.uint8)
+        return drawing.as_image(self._window.get_image_buffer_as_numpy())
 
     def close(self) -> None:
         """Give the window back. May be called twice."""
@@ -195,86 +254,68 @@ class GguiView:
 
     def _compose(self, picture: Picture) -> None:
         if self.camera:
-            self._compose_3d(picture)
+            self._compose_3d(picture, self.camera)
         else:
             self._compose_2d(picture)
         self._compose_overlay(picture)
 
-    def _on_canvas(self, points) -> np.ndarray:
-        """Window pixels (k, 2) in the canvas's coordinates: 0..1, y up."""
-        return Layout(self.world.size[:2], self.size).to_canvas(points)
+    @property
+    def _map(self) -> WindowMap:
+        return WindowMap(self.world.size[:2], self.size)
 
     def _compose_2d(self, picture: Picture) -> None:
-        layout = Layout(self.world.size[:2], self.size)
-        height = self.size[1]
+        window, (_, height) = self._map, self.size
         self._canvas.set_background_color(style.unit(style.SURROUND))
-        low, high = layout.to_window([0, 0]), layout.to_window(self.world.size[:2])
-        self._rectangles(np.array([[*low, *high]]), np.array([style.unit(style.WORLD)]))
-        walls = layout.walls(self.world.walls)
+        low, high = window.to_window([0, 0]), window.to_window(self.world.size[:2])
+        world = np.array([[*low, *high]])
+        self._triangles(self._rectangle_vertices(world, np.array([style.unit(style.WORLD)])))
+        walls = window.walls(self.world.walls)
         if len(walls):
             vertex = vertices(np.tile(style.unit(style.WALL), (2 * len(walls), 1)))
-            vertex[:, :2] = self._on_canvas(walls.reshape(-1, 2))
+            vertex[:, :2] = window.to_canvas(walls.reshape(-1, 2))
             self._lines_2d(vertex, 1.5 / height)
-        place = layout.world_to_canvas(picture.position)
-        shown = are_numbers(place)
-        segments = between_shown(picture.segments, shown)
+        place = window.world_to_canvas(picture.position)
+        shown = drawing.are_numbers(place)
+        segments = drawing.between_shown(picture.segments, shown)
         if len(segments):
-            vertex = self._springs.get(spring_vertices, segments, picture.color)
+            vertex = self._springs(segments, picture.color)
             vertex[:, :2] = place.take(segments.reshape(-1), axis=0)
-            self._lines_2d(vertex, max(1.6, 1.4 * layout.scale) / height)
+            self._lines_2d(vertex, max(1.6, 1.4 * window.scale) / height)
         if shown.any():
-            radius, color = picture.radius, picture.color
-            if not shown.all():
-                place, radius, color = place[shown], radius[shown], color[shown]
-            for vertex in self._discs.get(self._disc_vertices, radius, color, layout.scale, height):
+            place, radius, color = drawing.shown_particles(place, picture, shown)
+            for vertex in self._discs(radius, color, window.scale, height):
                 vertex[:, :2] = place
                 self._canvas.canvas.circles(self._info(vertex), True, True, (1.0, 1.0, 1.0), 0.01)
 
-    def _lines_2d(self, vertex, width: float) -> None:
+    def _lines_2d(self, vertex: np.ndarray, width: float) -> None:
         """Lines between consecutive pairs of vertices; width in window heights."""
         info = self._info(vertex)
         self._canvas.canvas.lines(info, self._info(None), True, (1.0, 1.0, 1.0), width)
 
-    def _disc_vertices(self, radius, color, scale: float, height: int):
-        """Vertices of the particles' rims and, to be drawn over them, of their discs.
-
-        A darker rim under each disc keeps neighbours of one colour apart.
-        """
-        radius, color = np.maximum(radius * scale, 0.8), color / 255
-        rim, disc = vertices(0.45 * color), vertices(color)
-        rim[:, RADIUS] = radius / height
-        disc[:, RADIUS] = np.maximum(radius - 1.2, 0.6 * radius) / height
-        return rim, disc
-
-    def _rectangles(self, corners, color) -> None:
-        """Rectangles (k, 4) x0, y0, x1, y1 in window pixels, with colours (k, 3)."""
-        vertex = self._rectangle_vertices(corners, color)
-        self._triangles(vertex)
-
-    def _rectangle_vertices(self, corners, color) -> np.ndarray:
+    def _rectangle_vertices(self, corners: ArrayLike, color: np.ndarray) -> np.ndarray:
+        """Vertices of rectangles (k, 4) x0, y0, x1, y1 in window pixels, with colours (k, 3)."""
         x0, y0, x1, y1 = np.asarray(corners, np.float64).T
         points = np.stack([x0, y0, x1, y0, x1, y1, x0, y0, x1, y1, x0, y1], axis=1)
         vertex = vertices(np.repeat(color, 6, axis=0))
-        vertex[:, :2] = self._on_canvas(points.reshape(-1, 2))
+        vertex[:, :2] = self._map.to_canvas(points.reshape(-1, 2))
         return vertex
 
-    def _triangles(self, vertex) -> None:
+    def _triangles(self, vertex: np.ndarray) -> None:
         info = self._info(vertex)
         self._canvas.canvas.triangles(info, self._info(None), True, (1.0, 1.0, 1.0))
 
     def _compose_overlay(self, picture: Picture) -> None:
         panels = text.panels(picture, self.size)
-        if not panels:
-            return
-        if self._overlay_key != (panels, self.size):
-            parts = [self._rectangle_vertices(*text.runs(panel)) for panel in panels]
-            self._overlay = np.concatenate(parts)
-            self._overlay_key = (panels, self.size)
-        self._triangles(self._overlay)
+        if panels:
+            self._triangles(self._overlay(panels, self.size))
 
-    def _compose_3d(self, picture: Picture) -> None:
-        camera, (w, h) = self.camera, self.size
-        focal = camera.focal_length * Layout(self.world.size[:2], (w, h)).scale
+    def _overlay_vertices(self, panels: tuple[Panel, ...], size: tuple[int, int]) -> np.ndarray:
+        """Vertices of the panels in a window of this size."""
+        return np.concatenate([self._rectangle_vertices(*text.runs(panel)) for panel in panels])
+
+    def _compose_3d(self, picture: Picture, camera: Camera) -> None:
+        _, h = self.size
+        focal = camera.focal_length * self._map.scale
         self._canvas.set_background_color(style.unit(style.WORLD))
         eye, span = self._eye, camera.farthest
         eye.position(0, 0, -camera.distance)
@@ -294,32 +335,42 @@ class GguiView:
         self._lines_3d(vertex, 1.6)
 
         position = camera.rotate_points(picture.position)
-        shown = are_numbers(position)
-        shown &= position[:, 2] + camera.distance > camera.distance / 50
-        segments = between_shown(picture.segments, shown)
+        shown = drawing.are_numbers(position)
+        shown &= position[:, 2] + camera.distance > camera.nearest_drawn
+        segments = drawing.between_shown(picture.segments, shown)
         if len(segments):
-            vertex = self._springs.get(spring_vertices, segments, picture.color)
+            vertex = self._springs(segments, picture.color)
             vertex[:, POSITION] = position.take(segments.reshape(-1), axis=0)
-            self._lines_3d(vertex, max(2.0, h / 260))
+            self._lines_3d(vertex, drawing.spring_width(h))
 
         origin = camera.rotate_points(np.zeros((1, 3)))
         centre = np.concatenate([position[shown], origin])
-        dot = 3.5 * max(1.0, h / 600) * camera.distance / focal
+        dot = drawing.origin_radius(h) * camera.distance / focal
         radius = np.concatenate([picture.radius[shown], [dot]])
         color = np.concatenate([picture.color[shown], [style.ORIGIN]])
-        self._spheres_3d(centre, radius, color, focal)
+        self._spheres_3d(centre, radius, color, centre[:, 2] + camera.distance, focal)
         self._canvas.scene(self._scene)
 
-    def _lines_3d(self, vertex, width: float) -> None:
+    def _lines_3d(self, vertex: np.ndarray, width: float) -> None:
         """Lines between consecutive pairs of vertices; width in pixels."""
         count = len(vertex)
         self._scene.scene.lines(
             self._info(vertex), self._info(None), True, (1.0, 1.0, 1.0), width, count, 0, count, 0
         )
 
-    def _spheres_3d(self, centre, radius, color, focal: float) -> None:
-        """Shaded spheres at `centre` (k, 3) camera axes, world units; colours (k, 3) uint8."""
-        depth = centre[:, 2] + self.camera.distance
+    def _spheres_3d(
+        self,
+        centre: np.ndarray,
+        radius: np.ndarray,
+        color: np.ndarray,
+        depth: np.ndarray,
+        focal: float,
+    ) -> None:
+        """Draw shaded spheres.
+
+        centre: (k, 3) camera axes, world units. radius: (k,) world units. color: (k, 3) uint8.
+        depth: (k,) from the eye, world units. focal: pixels per unit of x/z slope.
+        """
         largest = float(np.max(radius * focal / depth))
         level = next(n for limit, n in SPHERES if largest <= limit)
         while level > 0 and len(centre) * (10 * 4**level + 2) > MESH_VERTICES:
@@ -327,32 +378,19 @@ class GguiView:
         if level == 0:
             self._particles_3d(centre, radius, color, depth)
             return
-        # Normals, colours and triangles stay from frame to frame; only positions are refilled.
-        n = len(centre)
-        if self._spheres.get("for") != (n, level):
-            unit, corner = icosphere(level)
-            vertex = np.zeros((n, len(unit), STRIDE), np.float32)
-            vertex[:, :, NORMAL] = unit
-            vertex[:, :, ALPHA] = 1
-            index = corner.reshape(-1) + (len(unit) * np.arange(n, dtype=np.int32))[:, None]
-            self._spheres = {
-                "for": (n, level), "unit": unit, "vertex": vertex, "color": None,
-                "index": np.ascontiguousarray(index.reshape(-1), np.int32),
-            }  # fmt: skip
-        kept = self._spheres
-        if kept["color"] is None or not np.array_equal(kept["color"], color):
-            kept["vertex"][:, :, COLOR] = (color / 255)[:, None, :]
-            kept["color"] = color.copy()
-        vertex = kept["vertex"]
-        centre, radius = centre.astype(np.float32), radius.astype(np.float32)
-        vertex[:, :, POSITION] = centre[:, None, :] + radius[:, None, None] * kept["unit"]
-        count, indices = vertex.shape[0] * vertex.shape[1], kept["index"]
+        meshes = self._spheres
+        if meshes is None or (meshes.count, meshes.level) != (len(centre), level):
+            meshes = self._spheres = SphereMeshes.build(len(centre), level)
+        meshes.fill(centre, radius, color)
+        vertex, index = meshes.vertex.reshape(-1, STRIDE), meshes.index
         self._scene.scene.mesh(
-            self._info(vertex.reshape(count, STRIDE)), True, self._info(indices),
-            (1.0, 1.0, 1.0), False, len(indices), 0, count, 0, False,
+            self._info(vertex), True, self._info(index),
+            (1.0, 1.0, 1.0), False, len(index), 0, len(vertex), 0, False,
         )  # fmt: skip
 
-    def _particles_3d(self, centre, radius, color, depth) -> None:
+    def _particles_3d(
+        self, centre: np.ndarray, radius: np.ndarray, color: np.ndarray, depth: np.ndarray
+    ) -> None:
         """Many spheres as GGUI's particles: one quad each, with the depth of a sphere.
 
         GGUI sizes them by width/height of the window and by the distance along the ray, not
@@ -365,3 +403,13 @@ class GguiView:
         vertex[:, RADIUS] = radius * (h / w) * ray / depth
         white = (1.0, 1.0, 1.0)
         self._scene.scene.particles(self._info(vertex), True, True, white, 1.0, len(vertex), 0)
+
+
+VIEW = ViewKind(
+    name="ggui",
+    windows=True,
+    lack=lambda: no_display() or (None if runtime.vulkan_available() else NO_VULKAN),
+    pictures=runtime.vulkan_available,
+    several=False,  # a second GGUI window in a process ends it
+    open=GguiView,
+)

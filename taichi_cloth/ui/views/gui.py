@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import os
 import time
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from taichi_cloth.files.events import Event
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui import style, text, x11
+from taichi_cloth.ui import drawing, style, text, x11
 from taichi_cloth.ui.camera import Camera
-from taichi_cloth.ui.layout import Layout
-from taichi_cloth.ui.view import KEYS, Kept, Picture, are_numbers, between_shown
+from taichi_cloth.ui.drawing import Cached
+from taichi_cloth.ui.inputs import BUTTON_NAMES, Event, key_name
+from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
+from taichi_cloth.ui.window_map import WindowMap
 
-BUTTONS = {"LMB": "left", "MMB": "middle", "RMB": "right"}
 SETTLED = 0.2  # seconds a new size must last before the window follows it
 LAYERS = 12  # discs that a large sphere is painted with
 SLABS = 256  # springs and spheres are interleaved by depth in at most so many groups
@@ -31,10 +33,11 @@ class GuiView:
         self.camera = Camera(world.size) if world.dim == 3 else None
         self.has_wheel = True
         self.closed = False
-        self._gui, self._tap = None, None
+        self._gui: Any = None  # a ti.GUI
+        self._tap: x11.Connection | None = None
         self._pointer: tuple[float, float] | None = None
         self._held: set[str] = set()
-        self._springs, self._discs = Kept(), Kept()
+        self._springs, self._discs = Cached(_prepared_springs), Cached(_prepared_discs)
         self._wanted: tuple[tuple[int, int], float] | None = None
         self._open(size)
 
@@ -47,6 +50,7 @@ class GuiView:
         self._gui = ti.GUI(name, size, style.packed_one(style.WORLD), show_gui=self.visible)
         self._gui.fps_limit = None  # the app paces itself
         self.size = size
+        self._map = WindowMap(self.world.size[:2], size)
         self._pixels = np.zeros((*size, 4), np.float32)
         if self.visible:
             self._gui.show()  # only now does the window have its name
@@ -59,19 +63,20 @@ class GuiView:
         ti.GUI's canvas keeps its first size: the rest of a larger window stays empty, and a
         smaller one cuts the picture off.
         """
-        size = self._tap.size() if self._tap else None
-        if size is None or size == self.size or min(size) < 64:
+        tap = self._tap
+        size = tap.size() if tap else None
+        if tap is None or size is None or size == self.size or min(size) < 64:
             self._wanted = None
             return
         now = time.perf_counter()
         if self._wanted is None or self._wanted[0] != size:
             self._wanted = (size, now)
         elif now - self._wanted[1] >= SETTLED:
-            position = self._tap.position()
-            self._tap.close()
+            position = tap.position()
+            tap.close()
             self._gui.close()
             self._open(size)
-            if self._tap:
+            if self._tap is not None:
                 self._tap.move(position)
             self._wanted, self._pointer = None, None
 
@@ -84,7 +89,8 @@ class GuiView:
         if self._tap and self._tap.is_gone():
             self.close()
             return []
-        gui, out = self._gui, []
+        gui = self._gui
+        out: list[Event] = []
         for event in gui.get_events():
             pointer = self._pixel(*event.pos)
             if event.key == gui.EXIT:
@@ -92,17 +98,14 @@ class GuiView:
                 return []
             if event.key == gui.WHEEL:
                 out.append(Event("wheel", pos=pointer, delta=event.delta[1] / 120))
-            elif event.type == gui.MOTION:
+                continue
+            if event.type == gui.MOTION:
                 continue  # one motion a frame is enough: see below
-            elif event.key in BUTTONS:
-                kind = "press" if event.type == gui.PRESS else "release"
-                out.append(Event(kind, pos=pointer, button=BUTTONS[event.key]))
-            else:
-                name = KEYS.get(event.key)
-                if name is None and len(event.key) == 1 and event.key.isalpha():
-                    name = event.key.lower()
-                if name:
-                    out.append(Event("press" if event.type == gui.PRESS else "release", key=name))
+            kind = "press" if event.type == gui.PRESS else "release"
+            if event.key in BUTTON_NAMES:
+                out.append(Event(kind, pos=pointer, button=BUTTON_NAMES[event.key]))
+            elif key_name(event.key):
+                out.append(Event(kind, key=key_name(event.key)))
         if not gui.running:
             self.close()
             return []
@@ -144,7 +147,7 @@ class GuiView:
             return
         self._gui.clear(style.packed_one(style.WORLD))
         if self.camera:
-            self._compose_3d(picture)
+            self._compose_3d(picture, self.camera)
         else:
             self._compose_2d(picture)
         self._compose_overlay(picture)
@@ -153,8 +156,7 @@ class GuiView:
 
     def grab(self) -> np.ndarray:
         """The frame drawn last, (height, width, 3) uint8, row 0 on top."""
-        pixels = np.clip(self._pixels[:, ::-1, :3].transpose(1, 0, 2), 0, 1)
-        return (pixels * 255 + 0.5).astype(np.uint8)
+        return drawing.as_image(self._pixels)
 
     def close(self) -> None:
         """Give the window back. May be called twice."""
@@ -164,37 +166,27 @@ class GuiView:
                 self._tap.close()
             self._gui.close()
 
-    def _on_canvas(self, points) -> np.ndarray:
-        """Window pixels (k, 2) in the canvas's coordinates: 0..1, y up."""
-        return Layout(self.world.size[:2], self.size).to_canvas(points)
-
-    def _circles(self, centre, radius, color) -> None:
-        """Discs at `centre` (k, 2) with `radius` (k,), window pixels, packed colours (k,)."""
-        self._gui.circles(self._on_canvas(centre), radius=radius, color=color)
-
     def _compose_2d(self, picture: Picture) -> None:
-        layout = Layout(self.world.size[:2], self.size)
-        low, high = layout.to_window([0, 0]), layout.to_window(self.world.size[:2])
+        window = self._map
+        low, high = window.to_window([0, 0]), window.to_window(self.world.size[:2])
         self._surround(low, high)
-        walls = layout.walls(self.world.walls)
+        walls = window.walls(self.world.walls)
         if len(walls):
-            a, b = self._on_canvas(walls[:, 0]), self._on_canvas(walls[:, 1])
+            a, b = window.to_canvas(walls[:, 0]), window.to_canvas(walls[:, 1])
             self._gui.lines(a, b, radius=0.75, color=style.packed_one(style.WALL))
-        place = layout.world_to_canvas(picture.position)
-        shown = are_numbers(place)
-        segments = between_shown(picture.segments, shown)
+        place = window.world_to_canvas(picture.position)
+        shown = drawing.are_numbers(place)
+        segments = drawing.between_shown(picture.segments, shown)
         if len(segments):
-            first, second, color = self._springs.get(_prepared_springs, segments, picture.color)
+            first, second, color = self._springs(segments, picture.color)
             a, b = place.take(first, axis=0), place.take(second, axis=0)
-            self._gui.lines(a, b, radius=max(1.0, 0.75 * layout.scale), color=color)
+            self._gui.lines(a, b, radius=max(1.0, 0.75 * window.scale), color=color)
         if shown.any():
-            radius, color = picture.radius, picture.color
-            if not shown.all():
-                place, radius, color = place[shown], radius[shown], color[shown]
-            for disc in self._discs.get(_prepared_discs, radius, color, layout.scale):
+            place, radius, color = drawing.shown_particles(place, picture, shown)
+            for disc in self._discs(radius, color, window.scale):
                 self._gui.circles(place, *disc)
 
-    def _surround(self, low, high) -> None:
+    def _surround(self, low: np.ndarray, high: np.ndarray) -> None:
         """Darken what lies outside the world's rectangle (the canvas is the world's colour)."""
         w, h = self.size
         color = style.packed_one(style.SURROUND)
@@ -205,73 +197,81 @@ class GuiView:
             (0, high[1], w, h),
         ):
             if x1 - x0 > 0.5 and y1 - y0 > 0.5:
-                a, b, c, d = self._on_canvas([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+                a, b, c, d = self._map.to_canvas([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
                 self._gui.triangle(a, b, c, color)
                 self._gui.triangle(a, c, d, color)
 
-    def _compose_3d(self, picture: Picture) -> None:
-        camera = self.camera
-        layout = Layout(self.world.size[:2], self.size)
-        # Everything is sorted by depth and painted from the far end; long lines are cut, so that
-        # a part of one may lie behind a sphere and another before it.
-        ends, color, width = [], [], []
-        edges = _cut(style.box_edges(self.world.size), 8)
-        ends.append(edges)
-        color.append(np.tile(style.unit(style.EDGE), (len(edges), 1)))
-        width.append(np.full(len(edges), 2.2))
+    def _compose_3d(self, picture: Picture, camera: Camera) -> None:
+        """Sort lines and spheres by depth and paint them from the far end."""
         position = np.asarray(picture.position, np.float64)
         pixels, radii, depths = camera.project(position, picture.radius)
-        shown = np.isfinite(depths) & (depths > camera.distance / 50)
-        segments = picture.segments[shown[picture.segments].all(axis=1)]
-        if len(segments):
-            parts = 4 if len(segments) < 4000 else 1
-            ends.append(_cut(_outside(position[segments], picture.radius[segments]), parts))
-            spring = style.spring_colors(picture.color, segments)
-            color.append(np.repeat(spring, parts, axis=0))
-            width.append(np.full(len(ends[-1]), max(2.0, self.size[1] / 260)))
-        line_ends, line_color = np.concatenate(ends), np.concatenate(color)
-        line_width = np.concatenate(width)
-        line_pixels, _, line_depths = camera.project(line_ends.reshape(-1, 3))
-        line_pixels = layout.to_window(line_pixels).reshape(-1, 2, 2)
-        line_depth = line_depths.reshape(-1, 2).mean(axis=1)
-        front = (line_depths.reshape(-1, 2) > camera.distance / 50).all(axis=1)
-        line_pixels, line_color = line_pixels[front], style.packed(line_color[front])
-        line_depth, line_width = line_depth[front], line_width[front]
-
+        shown = np.isfinite(depths) & (depths > camera.nearest_drawn)
+        lines = self._lines(picture, camera, position, shown)
         dot, _, dot_depth = camera.project(np.zeros((1, 3)))
-        centre = layout.to_window(np.concatenate([pixels[shown], dot]))
-        scale = layout.scale
-        radius = np.concatenate([radii[shown] * scale, [3.5 * max(1.0, self.size[1] / 600)]])
+        centre = self._map.to_window(np.concatenate([pixels[shown], dot]))
+        dot_radius = drawing.origin_radius(self.size[1])
+        radius = np.concatenate([radii[shown] * self._map.scale, [dot_radius]])
         depth = np.concatenate([depths[shown], dot_depth])
         rgb = np.concatenate([picture.color[shown], [style.ORIGIN]]) / 255
         order = np.argsort(-depth, kind="stable")
         centre, radius, depth, rgb = centre[order], radius[order], depth[order], rgb[order]
-        order = np.argsort(-line_depth, kind="stable")
-        line_pixels, line_color = line_pixels[order], line_color[order]
-        line_depth, line_width = line_depth[order], line_width[order]
 
         step = max(1, len(depth) // SLABS)
         bounds = [*range(0, len(depth), step), len(depth)]
         first = 0
         for a, b in zip(bounds, bounds[1:], strict=False):
-            last = int(np.searchsorted(-line_depth, -depth[a], side="right"))
-            self._lines_of(line_pixels, line_color, line_width, first, last)
-            self._spheres(centre[a:b], radius[a:b], rgb[a:b])
+            last = int(np.searchsorted(-lines.depth, -depth[a], side="right"))
+            self._draw_lines(lines, first, last)
+            self._draw_spheres(centre[a:b], radius[a:b], rgb[a:b])
             first = max(first, last)
-        self._lines_of(line_pixels, line_color, line_width, first, len(line_depth))
+        self._draw_lines(lines, first, len(lines.depth))
 
-    def _lines_of(self, pixels, color, width, first: int, last: int) -> None:
+    def _lines(
+        self, picture: Picture, camera: Camera, position: np.ndarray, shown: np.ndarray
+    ) -> _Lines:
+        """The world's edges and the springs between particles that are shown, the far ones first.
+
+        Long lines are cut, so that a part of one may lie behind a sphere and another before it.
+        """
+        edges = _cut(style.box_edges(self.world.size), 8)
+        ends, color = [edges], [np.tile(style.unit(style.EDGE), (len(edges), 1))]
+        width = [np.full(len(edges), 2.2)]
+        segments = drawing.between_shown(picture.segments, shown)
+        if len(segments):
+            parts = 4 if len(segments) < 4000 else 1
+            ends.append(_cut(_outside(position[segments], picture.radius[segments]), parts))
+            color.append(np.repeat(style.spring_colors(picture.color, segments), parts, axis=0))
+            width.append(np.full(len(ends[-1]), drawing.spring_width(self.size[1])))
+        pixels, _, depths = camera.project(np.concatenate(ends).reshape(-1, 3))
+        depths = depths.reshape(-1, 2)
+        front = np.flatnonzero((depths > camera.nearest_drawn).all(axis=1))
+        depth = depths.mean(axis=1)
+        order = front[np.argsort(-depth[front], kind="stable")]
+        return _Lines(
+            self._map.to_window(pixels).reshape(-1, 2, 2)[order],
+            style.packed(np.concatenate(color)[order]),
+            np.concatenate(width)[order],
+            depth[order],
+        )
+
+    def _draw_lines(self, lines: _Lines, first: int, last: int) -> None:
+        """Draw the lines from `first` to before `last`."""
         if last > first:
-            a, b = self._on_canvas(pixels[first:last, 0]), self._on_canvas(pixels[first:last, 1])
-            self._gui.lines(a, b, radius=width[first:last] / 2, color=color[first:last])
+            ends = lines.pixels[first:last]
+            a, b = self._map.to_canvas(ends[:, 0]), self._map.to_canvas(ends[:, 1])
+            width, color = lines.width[first:last], lines.color[first:last]
+            self._gui.lines(a, b, radius=width / 2, color=color)
 
-    def _spheres(self, centre, radius, rgb) -> None:
-        """Shaded discs, in the order given (far to near)."""
+    def _draw_spheres(self, centre: np.ndarray, radius: np.ndarray, rgb: np.ndarray) -> None:
+        """Draw shaded discs in the order given (far to near).
+
+        centre: (k, 2) window pixels. radius: (k,) window pixels. rgb: (k, 3) floats 0..1.
+        """
         size, shift, bright = shading(int(np.clip(radius.max(initial=0.0), 1, LAYERS)))
         spots = centre[:, None, :] + (radius[:, None] * shift)[:, :, None] * style.LIGHT[:2]
-        sizes = radius[:, None] * size
-        colors = rgb[:, None, :] * bright[:, None]
-        self._circles(spots.reshape(-1, 2), sizes.reshape(-1), style.packed(colors.reshape(-1, 3)))
+        places = self._map.to_canvas(spots.reshape(-1, 2))
+        colors = style.packed((rgb[:, None, :] * bright[:, None]).reshape(-1, 3))
+        self._gui.circles(places, radius=(radius[:, None] * size).reshape(-1), color=colors)
 
     def _compose_overlay(self, picture: Picture) -> None:
         """Copy the text's pixels over the frame (and keep the frame for `grab`)."""
@@ -287,17 +287,34 @@ class GuiView:
             self._gui.core.set_img(self._pixels.ctypes.data)
 
 
-def _prepared_springs(segments, color):
+@dataclass(frozen=True)
+class _Lines:
+    """Lines in 3-D as they are painted, the far ones first.
+
+    pixels: (k, 2, 2) window pixels of their ends. color: (k,) packed.
+    width: (k,) pixels. depth: (k,) of their middles, world units.
+    """
+
+    pixels: np.ndarray
+    color: np.ndarray
+    width: np.ndarray
+    depth: np.ndarray
+
+
+def _prepared_springs(
+    segments: np.ndarray, color: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """First ends, second ends, packed colours; color: of the particles."""
     first, second = np.ascontiguousarray(segments.T)
     return first, second, style.packed(style.spring_colors(color, segments))
 
 
-def _prepared_discs(radius, color, scale: float):
+def _prepared_discs(
+    radius: np.ndarray, color: np.ndarray, scale: float
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """(radius in pixels, packed colour) of the particles' darker rims, then of their discs."""
-    radius, color = np.maximum(radius * scale, 0.8), color / 255
-    inner = np.maximum(radius - 1.2, 0.6 * radius)
-    return (radius, style.packed(0.45 * color)), (inner, style.packed(color))
+    layers = drawing.disc_layers(radius, color, scale)
+    return [(pixels, style.packed(rgb)) for pixels, rgb in layers]
 
 
 def shading(layers: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -317,7 +334,7 @@ def shading(layers: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return size, shift, bright
 
 
-def _outside(ends, radius) -> np.ndarray:
+def _outside(ends: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """Lines (k, 2, 3) without the parts inside the spheres, of `radius` (k, 2), at their ends."""
     along = ends[:, 1] - ends[:, 0]
     length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
@@ -326,8 +343,18 @@ def _outside(ends, radius) -> np.ndarray:
     return np.stack([ends[:, 0] + first * along, ends[:, 1] - last * along], axis=1)
 
 
-def _cut(ends, parts: int) -> np.ndarray:
+def _cut(ends: np.ndarray, parts: int) -> np.ndarray:
     """Lines (k, 2, 3) cut into equal `parts`, (k * parts, 2, 3)."""
     t = np.linspace(0, 1, parts + 1)[:, None]
     points = ends[:, None, 0] * (1 - t) + ends[:, None, 1] * t
     return np.stack([points[:, :-1], points[:, 1:]], axis=2).reshape(-1, 2, 3)
+
+
+VIEW = ViewKind(
+    name="gui",
+    windows=True,
+    lack=no_display,
+    pictures=lambda: True,
+    several=True,
+    open=GuiView,
+)

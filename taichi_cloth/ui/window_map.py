@@ -1,10 +1,12 @@
-"""How the world's own pixels land in a window of any size: one scale, centred."""
+"""The map between the world and a window of any size: one scale, centred."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 # A window opened for a world of this many units or fewer per pixel is used as it is; worlds
 # outside these limits are shown scaled, so that the window fits a screen and can be read.
@@ -13,14 +15,14 @@ LARGEST_WINDOW = (1600, 1000)
 
 
 @dataclass(frozen=True)
-class Layout:
-    """The map from a world-sized picture (w, h) to a window (width, height) in pixels.
+class WindowMap:
+    """The map from a world (w, h) to a window (width, height) in pixels.
 
     In a window of the world's own size one pixel is one world unit; any other window shows the
     same picture scaled by one factor and centred, so that a 2-D scene keeps its aspect.
     """
 
-    world: tuple[float, float]
+    world: tuple[float, ...]
     window: tuple[int, int]
 
     @property
@@ -31,26 +33,31 @@ class Layout:
     @property
     def offset(self) -> np.ndarray:
         """Window pixel of the world's corner (0, 0), shape (2,)."""
-        return (np.array(self.window) - self.scale * np.array(self.world)) / 2
+        offset: np.ndarray = (np.array(self.window) - self.scale * np.array(self.world)) / 2
+        return offset
 
-    def to_window(self, points) -> np.ndarray:
+    def to_window(self, points: ArrayLike) -> np.ndarray:
         """World `points` (..., 2) in window pixels, origin top left."""
-        return np.asarray(points, np.float64) * self.scale + self.offset
+        pixels: np.ndarray = np.asarray(points, np.float64) * self.scale + self.offset
+        return pixels
 
-    def to_world(self, pixels) -> np.ndarray:
+    def to_world(self, pixels: ArrayLike) -> np.ndarray:
         """Window `pixels` (..., 2) in world units."""
-        return (np.asarray(pixels, np.float64) - self.offset) / self.scale
+        points: np.ndarray = (np.asarray(pixels, np.float64) - self.offset) / self.scale
+        return points
 
-    def to_canvas(self, pixels) -> np.ndarray:
+    def to_canvas(self, pixels: ArrayLike) -> np.ndarray:
         """Window `pixels` (..., 2) in Taichi's canvas coordinates: 0..1, y up."""
-        return np.asarray(pixels) / self.window * [1, -1] + [0, 1]
+        points: np.ndarray = np.asarray(pixels) / self.window * [1, -1] + [0, 1]
+        return points
 
     def world_to_canvas(self, points: np.ndarray) -> np.ndarray:
         """World `points` (n, 2) in canvas coordinates and in their precision, in two passes."""
         scale, offset = self.scale / np.array(self.window) * [1, -1], self.to_canvas(self.offset)
-        return points * scale.astype(points.dtype) + offset.astype(points.dtype)
+        out: np.ndarray = points * scale.astype(points.dtype) + offset.astype(points.dtype)
+        return out
 
-    def walls(self, names) -> np.ndarray:
+    def walls(self, names: Iterable[str]) -> np.ndarray:
         """Lines of the walls called `names`, just inside the world, (k, 2, 2) window pixels."""
         low, high = self.to_window([0, 0]), self.to_window(self.world)
         square = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
@@ -59,7 +66,7 @@ class Layout:
         return square[[ends[name] for name in names]].reshape(-1, 2, 2)
 
 
-def default_window(world_size) -> tuple[int, int]:
+def default_window(world_size: Sequence[float]) -> tuple[int, int]:
     """The window for a world of (w, h[, d]): its own size where that is usable on a screen."""
     w, h = float(world_size[0]), float(world_size[1])
     shrink = min(1.0, LARGEST_WINDOW[0] / w, LARGEST_WINDOW[1] / h)

@@ -1,0 +1,91 @@
+"""What the views share in drawing: what is seen, sizes, colours, and what is prepared once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Generic, ParamSpec, TypeVar
+
+import numpy as np
+
+from taichi_cloth.ui.views.contract import Picture
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class Cached(Generic[P, T]):
+    """The last value of a function, for drawing again what has not changed since."""
+
+    def __init__(self, make: Callable[P, T]):
+        self._make = make
+        self._made: tuple[tuple[object, ...], T] | None = None
+
+    def __call__(self, *inputs: P.args, **named: P.kwargs) -> T:
+        """The function's value; the one returned last if all inputs are what they were.
+
+        An array is what it was while it is the same object, anything else while it is equal.
+        """
+        given = (*inputs, *named.values())
+        if self._made is None or not all(map(_unchanged, self._made[0], given)):
+            self._made = given, self._make(*inputs, **named)
+        return self._made[1]
+
+
+def _unchanged(before: object, now: object) -> bool:
+    return before is now or (not isinstance(now, np.ndarray) and before == now)
+
+
+def are_numbers(points: np.ndarray) -> np.ndarray:
+    """Which of the points (n, dim) are finite, (n,) bool."""
+    finite: np.ndarray = np.isfinite(points @ np.ones(points.shape[1], points.dtype))
+    return finite
+
+
+def between_shown(segments: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """The segments whose two particles are shown; shown: (n,) bool."""
+    return segments if shown.all() else segments[shown[segments].all(axis=1)]
+
+
+def shown_particles(
+    place: np.ndarray, picture: Picture, shown: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places (k, dim), radii (k,) and colours (k, 3) of the particles that are shown.
+
+    place: (n, dim), where the picture's particles are. shown: (n,) bool.
+    """
+    if shown.all():
+        return place, picture.radius, picture.color
+    return place[shown], picture.radius[shown], picture.color[shown]
+
+
+def disc_layers(
+    radius: np.ndarray, color: np.ndarray, scale: float
+) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Radius in pixels and colour (floats 0..1) of the particles' rims, and of their discs.
+
+    A darker rim under each disc keeps neighbours of one colour apart.
+
+    radius: (n,) world units. color: (n, 3) uint8. scale: pixels per world unit.
+    """
+    radius, color = np.maximum(radius * scale, 0.8), color / 255
+    return (radius, 0.45 * color), (np.maximum(radius - 1.2, 0.6 * radius), color)
+
+
+def spring_width(height: int) -> float:
+    """How wide springs are drawn in 3-D, in pixels of a window of this height."""
+    return max(2.0, height / 260)
+
+
+def origin_radius(height: int) -> float:
+    """The radius of the dot at (0, 0, 0), in pixels of a window of this height."""
+    return 3.5 * max(1.0, height / 600)
+
+
+def as_image(canvas: np.ndarray) -> np.ndarray:
+    """The image (height, width, 3) uint8, row 0 on top, of Taichi's canvas.
+
+    canvas: (width, height, 3 or 4) floats 0..1, column by column from the bottom up.
+    """
+    pixels = np.clip(canvas[:, ::-1, :3].transpose(1, 0, 2), 0, 1)
+    image: np.ndarray = (pixels * 255 + 0.5).astype(np.uint8)
+    return image

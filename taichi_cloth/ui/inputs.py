@@ -1,0 +1,128 @@
+"""Mouse and keyboard: what the user can do with them, as events, and what the keys are called."""
+
+from __future__ import annotations
+
+import string
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from taichi_cloth.errors import InputError
+from taichi_cloth.files.events import Kind, number, pair, word_of
+
+BUTTONS = ("left", "middle", "right")
+BUTTON_NAMES = {"LMB": "left", "MMB": "middle", "RMB": "right"}  # by GGUI's and ti.GUI's names
+# Names of the keys that a log can hold. Shifted letters and signs are keys of their own only where
+# the program gives them a meaning.
+NAMED_KEYS = (
+    *("space", "ctrl", "shift", "alt", "tab", "return", "escape", "backspace", "delete"),
+    *("up", "down", "left", "right", "home", "end", "page_up", "page_down"),
+    *(f"f{n}" for n in range(1, 13)),
+)
+KEYS = frozenset(NAMED_KEYS) | frozenset(
+    string.ascii_lowercase + string.digits + string.punctuation
+)
+# Keys whose names differ in GGUI, ti.GUI or X.
+_KEY_NAMES = {
+    " ": "space",
+    "Escape": "escape",
+    "Control_L": "ctrl",
+    "Control_R": "ctrl",
+    "Control": "ctrl",
+    "Shift_L": "shift",
+    "Shift_R": "shift",
+    "Shift": "shift",
+    "Return": "return",
+    "Tab": "tab",
+    "BackSpace": "backspace",
+    "Up": "up",
+    "Down": "down",
+    "Left": "left",
+    "Right": "right",
+    "F1": "f1",
+    ".": ".",
+    "KP_Decimal": ".",
+    "+": "+",
+    "=": "+",
+    "KP_Add": "+",
+    "-": "-",
+    "KP_Subtract": "-",
+}
+
+# What the program's own keys ask for, beside those of the camera.
+STEP_KEYS = (".", "right")
+HELP_KEYS = ("f1", "tab")
+COMMANDS = {
+    "p": "pause",
+    "space": "pause",
+    **dict.fromkeys(STEP_KEYS, "step"),
+    "r": "reset",
+    "h": "status",
+    **dict.fromkeys(HELP_KEYS, "help"),
+    "escape": "quit",
+}
+NEARER_KEYS, FARTHER_KEYS = ("+", "=", "up"), ("-", "down")
+
+
+def key_name(key: str) -> str | None:
+    """Our name of the key that a window calls `key`; None for one that has no meaning here."""
+    if key in _KEY_NAMES:
+        return _KEY_NAMES[key]
+    letter = key.lower()
+    return letter if letter in string.ascii_lowercase and len(letter) == 1 else None
+
+
+@dataclass(frozen=True)
+class Event:
+    """One thing the user did with mouse or keyboard.
+
+    kind: "move", "press", "release" or "wheel".
+    pos: (x, y) in window pixels, origin top left, y down (None for keys).
+    button: "left", "middle" or "right".
+    key: lower-case name out of `KEYS` ("space", "ctrl", "f1", ".", "a").
+    delta: wheel notches, positive away from the user.
+    """
+
+    kind: str
+    pos: tuple[float, float] | None = None
+    button: str | None = None
+    key: str | None = None
+    delta: float = 0.0
+
+    def fields(self) -> dict[str, Any]:
+        """What a log's line says of it."""
+        said: dict[str, Any] = {}
+        if self.pos is not None:
+            said["pos"] = [float(self.pos[0]), float(self.pos[1])]
+        if self.button is not None:
+            said["button"] = self.button
+        if self.key is not None:
+            said["key"] = self.key
+        if self.kind == "wheel":
+            said["delta"] = float(self.delta)
+        return said
+
+
+def _press_or_release(kind: str, values: dict[str, Any]) -> Event:
+    if ("button" in values) == ("key" in values):
+        raise InputError(f"a {kind} event needs either 'button' or 'key'")
+    if "button" in values and "pos" not in values:
+        raise InputError(f"'pos' is missing; a {kind} of a button needs it")
+    return Event(kind, **values)
+
+
+def _kinds() -> tuple[Kind[Event], ...]:
+    pressed = {
+        "pos": pair,
+        "button": word_of(BUTTONS, BUTTONS),
+        "key": word_of(KEYS, NAMED_KEYS),
+    }
+    return (
+        Kind("move", {"pos": pair}, {}, lambda values: Event("move", **values)),
+        Kind("press", {}, pressed, partial(_press_or_release, "press")),
+        Kind("release", {}, pressed, partial(_press_or_release, "release")),
+        Kind("wheel", {"delta": number}, {"pos": pair}, lambda values: Event("wheel", **values)),
+    )
+
+
+KINDS = _kinds()  # of the events that every log may hold

@@ -1,0 +1,60 @@
+"""The interaction log of this program: events of mouse and keyboard, and those of the tools."""
+
+from __future__ import annotations
+
+import json
+from functools import cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from taichi_cloth.errors import InputError
+from taichi_cloth.files import events
+from taichi_cloth.files.events import Kind
+from taichi_cloth.ui import inputs, tools
+from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.tools.contract import LoggedEvent, ToolEvent
+
+if TYPE_CHECKING:
+    from taichi_cloth.simulation.simulation import Simulation
+
+LogEvent = Event | ToolEvent
+Log = events.Log[LogEvent]
+
+
+def load(path: str | Path) -> Log:
+    """The interaction log at `path`. Raises InputError naming the first line that is wrong."""
+    kinds: list[Kind[LogEvent]] = [*inputs.KINDS, *_tool_kinds().values()]
+    return events.load(path, kinds)
+
+
+def as_logged(event: ToolEvent) -> ToolEvent:
+    """`event` as it is read back from a log. TypeError where its fields are not those declared."""
+    kind = _tool_kinds().get(event.kind)
+    if kind is None:
+        raise TypeError(f"no tool declares the event '{event.kind}'")
+    try:
+        return kind.read(json.loads(json.dumps(event.fields())))
+    except (InputError, TypeError) as error:
+        raise TypeError(f"a tool's event '{event.kind}': {error}") from error
+
+
+def replay(sim: Simulation, event: ToolEvent) -> None:
+    """Do to `sim` what `event` says that a tool did."""
+    _declared()[event.kind].replay(sim, event.values)
+
+
+@cache
+def _declared() -> dict[str, LoggedEvent]:
+    return {event.name: event for tool in tools.load_all().values() for event in tool.events}
+
+
+@cache
+def _tool_kinds() -> dict[str, Kind[ToolEvent]]:
+    return {
+        name: Kind(name, event.fields, {}, partial(_made, name))
+        for name, event in _declared().items()
+    }
+
+
+def _made(name: str, values: dict[str, Any]) -> ToolEvent:
+    return ToolEvent(name, values)

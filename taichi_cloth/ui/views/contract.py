@@ -1,0 +1,105 @@
+"""What a view declares, what every view can do, and what it is given to draw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from taichi_cloth import runtime
+from taichi_cloth.scene.model import World
+from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.inputs import Event
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One frame's contents, as NumPy arrays.
+
+    position: (n, dim) particle positions [world], an array that the next frame may overwrite.
+    radius: (n,) [world]. color: (n, 3) uint8.
+    segments: (s, 2) int, particle pairs of the springs that are alive.
+    text: lines of the status, bottom left, where the scenes leave most room (empty: hidden).
+    help: lines of the key list (empty: hidden), "key<tab>action" for two columns.
+    banner: a message across the top, wrapped as needed (None: no banner).
+
+    Radius, color and segments are the same objects as before while they are equal, so that a view
+    need not prepare them anew (`drawing.Cached`).
+    """
+
+    position: np.ndarray
+    radius: np.ndarray
+    color: np.ndarray
+    segments: np.ndarray
+    text: tuple[str, ...] = ()
+    help: tuple[str, ...] = ()
+    banner: str | None = None
+
+
+class View(Protocol):
+    """A place to draw, and where the user's events come from.
+
+    name: of the kind of view. camera: of a 3-D world, else None; it is read at every draw.
+    visible: False where the view draws into memory only, or not at all.
+    has_wheel: whether it reports the mouse's wheel.
+    closed: whether the window is gone.
+    """
+
+    name: str
+    camera: Camera | None
+    visible: bool
+    has_wheel: bool
+    closed: bool
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Current width and height in pixels."""
+
+    def poll(self) -> list[Event]:
+        """The user's events since the last call, oldest first."""
+
+    def draw(self, picture: Picture) -> None:
+        """Draw and present one frame."""
+
+    def grab(self) -> np.ndarray:
+        """The frame drawn last, (height, width, 3) uint8, row 0 on top."""
+
+    def close(self) -> None:
+        """Give the window back. May be called twice."""
+
+
+def no_display() -> str | None:
+    """Why no window can open here, whatever draws it; None: one can."""
+    if runtime.display_available():
+        return None
+    return "there is no display (is DISPLAY set, and is its X server running?)"
+
+
+class Open(Protocol):
+    """Opens a view."""
+
+    def __call__(self, world: World, size: tuple[int, int], title: str, *, visible: bool) -> View:
+        """A view of `world`, `size` (width, height) pixels; visible: in a window of this title."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewKind:
+    """A kind of view: what it can do, what it needs for that, and how one is opened.
+
+    name: the file's name, and a word of the command line's `--view`.
+    windows: whether it opens windows.
+    lack: why it cannot be opened as it is meant here (with a window, if it opens any), in words
+        for the user; None: it can.
+    pictures: whether it can draw into memory here, without a window.
+    several: whether there may be several at a time in one process.
+    open: opens one; RuntimeError where a display or driver fails after all.
+    """
+
+    name: str
+    windows: bool
+    lack: Callable[[], str | None]
+    pictures: Callable[[], bool]
+    several: bool
+    open: Open

@@ -1,0 +1,55 @@
+"""No view: a run without a window and without pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taichi_cloth.scene.model import World
+from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.views.contract import Picture, ViewKind
+from taichi_cloth.ui.window_map import default_window
+
+
+class NullView:
+    """A view that reports no events and draws nothing."""
+
+    name = "none"
+    visible = False
+    has_wheel = False
+    closed = False
+
+    def __init__(
+        self,
+        world: World,
+        size: tuple[int, int] | None = None,
+        title: str = "",
+        *,
+        visible: bool = False,
+    ):
+        self.size = size or default_window(world.size)
+        self.camera = Camera(world.size) if world.dim == 3 else None
+
+    def poll(self) -> list[Event]:
+        """No events: there is nobody to make them."""
+        return []
+
+    def draw(self, picture: Picture) -> None:
+        """Nothing is drawn."""
+
+    def grab(self) -> np.ndarray:
+        """There is no picture: open the view with ``pictures=True`` for that."""
+        raise RuntimeError("this view draws no pictures")
+
+    def close(self) -> None:
+        """There is nothing to give back."""
+
+
+VIEW = ViewKind(
+    name="none",
+    windows=False,
+    lack=lambda: None,
+    pictures=lambda: False,
+    several=True,
+    open=NullView,
+)
