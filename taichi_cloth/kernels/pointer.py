@@ -40,7 +40,7 @@ def _push_cell(plan: ti.template(), state: ti.template(), c):
         from_pointer = component(x, axis) - state.pointer[0, axis]
         d = with_component(d, axis, from_pointer)
         ray = with_component(ray, axis, 0.0 * from_pointer + state.pointer[1, axis])
-    d -= scaled(dot(d, ray), ray)
+    d = d - scaled(dot(d, ray), ray)  # not -=, which whole vectors do not take
     reach, strength = state.pointer_reach[None], state.pointer_strength[None]
     distance, push = laws.length(d), 0.0 * x
     for axis in ti.static(range(plan.dim)):
