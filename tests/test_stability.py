@@ -236,7 +236,7 @@ def brittle(method="symplectic_euler"):
 def fits(sim):
     """Whether the substeps are the fewest that keep to 0.9 of what holds in every geometry."""
     holds = sim.springs_alive()
-    network = modes.Network.of(sim._particles, sim._springs, holds=holds)
+    network = modes.Network.of(sim.storage.scene.particles, sim.storage.scene.springs, holds=holds)
     method = methods.load(sim.method)
     limit = 0.9 * modes.step_within(method, modes.any_geometry(network))
     few = sim.substeps == 1 or sim.dt / (sim.substeps - 1) > limit * 0.999

@@ -5,9 +5,13 @@ m, v, x as in `scene.Particles`; fixed particles have no momentum and no kinetic
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
+from taichi_cloth.scene.model import Springs
+from taichi_cloth.simulation.snapshot import Snapshot
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,17 @@ class Energy:
         return self.kinetic + self.gravitational + self.elastic
 
 
-def energy(x, v, mass, fixed, gravity, between, stiffness, rest_length, alive) -> Energy:
+def energy(
+    x: np.ndarray,
+    v: np.ndarray,
+    mass: np.ndarray,
+    fixed: np.ndarray,
+    gravity: Sequence[float],
+    between: np.ndarray,
+    stiffness: np.ndarray,
+    rest_length: np.ndarray,
+    alive: np.ndarray,
+) -> Energy:
     """Energy of a state: x, v (n, dim), springs (s, ...) of which `alive` (s,) count."""
     free = ~fixed
     a, b = between[alive].T
@@ -66,7 +80,23 @@ def energy(x, v, mass, fixed, gravity, between, stiffness, rest_length, alive) -
     )
 
 
-def spring_forces(x, v, springs) -> np.ndarray:
+def energy_of(snapshot: Snapshot) -> Energy:
+    """Energy of a state, of the springs that pull."""
+    particles, springs = snapshot.scene.particles, snapshot.scene.springs
+    return energy(
+        snapshot.x,
+        snapshot.v,
+        particles.mass,
+        particles.fixed,
+        snapshot.scene.world.gravity,
+        springs.between,
+        springs.stiffness,
+        springs.rest_length,
+        snapshot.pulling,
+    )
+
+
+def spring_forces(x: np.ndarray, v: np.ndarray, springs: Springs) -> np.ndarray:
     """What `springs` do to the particles at x, v (n, dim), dashpots included, (n, dim)."""
     a, b = springs.between.T
     d = x[b] - x[a]
@@ -74,12 +104,13 @@ def spring_forces(x, v, springs) -> np.ndarray:
     along = d / np.where(length > 0, length, 1.0)[:, None]
     tension = springs.stiffness * (length - springs.rest_length)
     tension += springs.damping * ((v[b] - v[a]) * along).sum(axis=1)
-    force = np.zeros_like(x)
+    force: np.ndarray = np.zeros_like(x)
     np.add.at(force, a, tension[:, None] * along)
     np.subtract.at(force, b, tension[:, None] * along)
     return force
 
 
-def momentum(v, mass, fixed) -> np.ndarray:
+def momentum(v: np.ndarray, mass: np.ndarray, fixed: np.ndarray) -> np.ndarray:
     """Total linear momentum of the free particles, shape (dim,)."""
-    return (mass[~fixed, None] * v[~fixed]).sum(axis=0)
+    total: np.ndarray = (mass[~fixed, None] * v[~fixed]).sum(axis=0)
+    return total
