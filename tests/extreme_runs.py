@@ -173,7 +173,7 @@ class Run:
 
     @cached_property
     def epsilon(self):
-        return float(np.finfo(self.sim._numpy_real).eps)
+        return float(np.finfo(self.sim.storage.real).eps)
 
     @property
     def done(self):

@@ -60,7 +60,8 @@ def undone():
     sim = Simulation(SCENES["cloth"](), topology="lanes", execution="serial", lanes=2)
     sim.advance(3)
     before = sim.positions(), sim.velocities()
-    sim.set_speed_limit(1e-9)
+    sim.speed_limit = 1e-9
+    sim.set_step()
     with pytest.raises(SimulationFailure):
         sim.advance()
     after = sim.positions(), sim.velocities()

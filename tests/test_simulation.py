@@ -63,7 +63,7 @@ def test_another_scene_runs_as_in_a_simulation_of_its_own(way):
         scenes.append(replace(drop, springs=Springs.none()))
     sim = Simulation(cloth.with_world(mouse="blow"), **way)
     sim.advance(3)
-    state = sim._state
+    state = sim.storage.state
     for scene in scenes:
         sim.load_scene(scene, 0.5, 3)
         own = Simulation(scene, dt=0.5, substeps=3, **way)
@@ -72,11 +72,11 @@ def test_another_scene_runs_as_in_a_simulation_of_its_own(way):
         np.testing.assert_array_equal(sim.positions(), own.positions())
         np.testing.assert_array_equal(sim.velocities(), own.velocities())
         assert (sim.time, sim.work(), sim.speed_limit) == (own.time, own.work(), own.speed_limit)
-        assert sim._state is state
+        assert sim.storage.state is state
         with pytest.raises(InputError, match="the mouse does not blow here"):
             sim.blow([0.0, 0.0], [1.0, 0.0])
     sim.load_scene(build("box"))  # of another dimension
-    assert sim._state is not state
+    assert sim.storage.state is not state
 
 
 def test_a_spring_over_its_limit_pulls_once_more_and_is_gone(pulled):
@@ -106,12 +106,14 @@ def test_an_undone_frame_gives_a_breaking_spring_its_last_pull_back(pulled):
     sim.advance()
     before = sim.velocities()
     limit = sim.speed_limit
-    sim.set_speed_limit(0.0)
+    sim.speed_limit = 0.0
+    sim.set_step()
     with pytest.raises(SimulationFailure, match="runs away"):
         sim.advance()
     assert sim.frame == 1
     np.testing.assert_array_equal(sim.velocities(), before)
-    sim.set_speed_limit(limit)
+    sim.speed_limit = limit
+    sim.set_step()
     sim.advance()
     assert sim.velocities()[1, 0] == pytest.approx(before[1, 0] - 3.0, abs=1e-4)
 
@@ -198,7 +200,7 @@ def test_a_scene_without_blowing_refuses_the_pointer():
 
 def test_spawning_past_the_capacity_loses_nothing(execution):
     """A sim that had to grow its fields moves on as one that had room from the start."""
-    from taichi_cloth.simulation import simulation
+    from taichi_cloth.simulation import storage
 
     def spawn_all(sim, count):
         rng = np.random.default_rng(0)
@@ -213,9 +215,9 @@ def test_spawning_past_the_capacity_loses_nothing(execution):
 
     scene = build("box")
     ends = []
-    for room in (4, simulation.SPAWN_CAPACITY):
+    for room in (4, storage.SPAWN_CAPACITY):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(simulation, "SPAWN_CAPACITY", room)
+            patch.setattr(storage, "SPAWN_CAPACITY", room)
             ends.append(spawn_all(Simulation(scene, execution=execution), 40))
     grown, roomy = ends
     assert grown.particle_count == 40 and grown.spring_count == 39
@@ -260,7 +262,7 @@ def test_spawn_refuses_what_cannot_be():
 
 def test_features_that_a_scene_lacks_have_no_fields():
     def fields(scene, topology="graph"):
-        return set(vars(Simulation(scene, execution="serial", topology=topology)._state))
+        return set(vars(Simulation(scene, execution="serial", topology=topology).storage.state))
 
     bare = Scene("bare", World((9.0, 9.0), (0.0, 1.0)), Particles.build([[1.0, 1.0]]))
     on_graph, on_grid = {"k", "near", "status"}, {"link_k", "given", "link_status", "breaking"}

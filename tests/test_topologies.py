@@ -40,7 +40,9 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
-from taichi_cloth.simulation import adjacency, execution, layouts, simulation
+from taichi_cloth.simulation import adjacency, autotune, layouts, storage
+from taichi_cloth.simulation.frame_timer import FrameTimer
+from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.simulation import Simulation
 
 LINKS = ("structural", "shear", "bend")
@@ -375,7 +377,7 @@ def test_what_is_spawned_beside_a_cloth_moves_the_same(how, device):
 
     scene = cloth(7, 5, LINKS[:2], walls=SIDES[:4], damping=0.02, break_force=3.0, mouse="spawn")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(simulation, "SPAWN_CAPACITY", 3)
+        patch.setattr(storage, "SPAWN_CAPACITY", 3)
         on_grid = motion(scene, topology="lanes", act=spawn, **how)
         assert_same(on_grid, motion(scene, topology="graph", act=spawn), 1e-9)
 
@@ -533,9 +535,15 @@ def sum_springs(
 
 def with_more_fields(sim):
     """The simulation's state with two more fields of cells, u (which neighbours read) and sum."""
-    sim._state.add_vectors(sim._spread_plan, "u", haloed=True)
-    sim._state.add_vectors(sim._spread_plan, "sum")
-    return sim._spread_plan, sim._state
+    plan, state = sim.storage.specialization, sim.storage.state
+    state.add_vectors(plan, "u", haloed=True)
+    state.add_vectors(plan, "sum")
+    return spread(plan), state
+
+
+def spread(plan):
+    """The plan of a kernel whose loops are parallel ones."""
+    return replace(plan, spread=True)
 
 
 @pytest.mark.parametrize("lanes", [4, 1])
@@ -551,7 +559,8 @@ def test_a_product_with_the_stiffness_matrix_can_be_written(lanes, device):
         forces, h = [], 1e-6
         for sign in (1, -1):
             sim.load_as(name, "parallel", x + sign * h * u, v)
-            sum_springs(sim._spread_plan, sim._state, force_between, u, out)
+            plan = spread(sim.storage.specialization)
+            sum_springs(plan, sim.storage.state, force_between, u, out)
             forces.append(out.copy())
         difference = (forces[0] - forces[1]) / (2 * h)
         np.testing.assert_allclose(products[-1], difference, rtol=0, atol=1e-7)
@@ -602,7 +611,7 @@ def elastic_energy(plan: ti.template(), state: ti.template()) -> ti.f64:
 def test_the_energy_of_springs_can_be_summed(topology, device):
     sim = Simulation(mixed(), topology=topology, execution="parallel", lanes=4)
     sim.advance(30)  # some springs are gone
-    plan, state = sim._spread_plan, sim._state
+    plan, state = spread(sim.storage.specialization), sim.storage.state
     state.add_sums(1)
     alive = sim.springs_alive()
     assert alive.any() and not alive.all()
@@ -627,10 +636,10 @@ def test_sums_over_cells_are_the_same_on_every_way(topology, device):
         scene = cloth(9, 7, LINKS[:2], speed=1.0)
         sim = Simulation(scene, topology=topology, execution=path, lanes=4)
         sim.advance(3)
-        sim._state.add_sums(1)
-        sim._module = SimpleNamespace(step=sum_kinetic_energy)
+        sim.storage.state.add_sums(1)
+        sim._launcher = Launcher(SimpleNamespace(step=sum_kinetic_energy), sim._launcher.device)
         sim.advance(1)
-        sums.append(sim._state.sums[0, 0])
+        sums.append(sim.storage.state.sums[0, 0])
         assert sums[-1] == pytest.approx(sim.energy().kinetic, rel=1e-13)
     assert sums[0] == sums[1]
 
@@ -642,14 +651,13 @@ def test_sums_over_cells_are_the_same_on_every_way(topology, device):
 def measured(device, monkeypatch, tmp_path):
     """An empty cache of measurements, and the list of what is measured, in order."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    happened, measure = [], execution._measure
+    happened, measure = [], FrameTimer.time_candidate
 
-    def counted(sim):
-        path = "serial" if sim._plan.threads == 1 else "parallel"
-        happened.append(f"{'lanes' if sim._plan.links else 'graph'} {path}")
-        return measure(sim)
+    def counted(timer, topology, path):
+        happened.append(f"{topology} {path}")
+        return measure(timer, topology, path)
 
-    monkeypatch.setattr(execution, "_measure", counted)
+    monkeypatch.setattr(FrameTimer, "time_candidate", counted)
     return happened
 
 
@@ -658,7 +666,7 @@ WAYS = [f"{t} {path}" for t in ("lanes", "graph") for path in ("serial", "parall
 
 def test_what_is_fastest_is_measured_once(measured):
     sim = Simulation(build("cloth"), substeps=64)
-    (of,) = execution.measurements()
+    (of,) = autotune.measurements()
     assert sorted(measured) == sorted(of.seconds) == sorted(WAYS)
     assert all(0 < seconds < 1 for seconds in of.seconds.values())
     chosen = of.seconds[f"{sim.topology} {sim.execution}"]
@@ -673,7 +681,7 @@ def test_what_is_fastest_is_measured_once(measured):
 
 
 def test_threads_are_not_tried_where_one_is_done_before_they_wake(measured, monkeypatch):
-    monkeypatch.setattr(execution, "WAKING", 1.0)
+    monkeypatch.setattr(autotune, "WAKING", 1.0)
     assert Simulation(build("cloth", columns=4, rows=3)).execution == "serial"
     assert sorted(measured) == ["graph serial", "lanes serial"]
 
@@ -682,11 +690,13 @@ def test_threads_are_not_tried_where_one_is_done_before_they_wake(measured, monk
 def test_a_run_is_the_same_after_measuring(path, measured, monkeypatch):
     """Both paths were run in the memory that one of them then goes on with."""
 
-    def measure(sim):
-        sim.timed_frame()
-        return 1.0 if (sim._plan.threads == 1) == (path == "serial") else 2.0
+    time_candidate = FrameTimer.time_candidate
 
-    monkeypatch.setattr(execution, "_measure", measure)
+    def measure(timer, topology, candidate):
+        time_candidate(timer, topology, candidate)
+        return 1.0 if candidate == path else 2.0
+
+    monkeypatch.setattr(FrameTimer, "time_candidate", measure)
     scene = cloth(9, 7)
     sim = Simulation(scene, topology="lanes")
     assert sim.execution == path
@@ -696,21 +706,27 @@ def test_a_run_is_the_same_after_measuring(path, measured, monkeypatch):
 
 
 def test_the_smallest_of_the_table_is_chosen_and_words_are_honoured(measured, monkeypatch):
-    monkeypatch.setattr(execution, "_measure", lambda sim: 1.0)
+    monkeypatch.setattr(FrameTimer, "time_candidate", lambda *_: 1.0)
     scene = build("cloth", columns=4, rows=3)
-    sim = Simulation(scene)
-    table = json.loads(execution.cache_file().read_text())
+    Simulation(scene)
+    table = json.loads(autotune.cache_file().read_text())
     (key,) = table
-    monkeypatch.setattr(execution, "_measure", None)  # not called any more
+    candidates = SimpleNamespace(
+        scene_name=scene.name,
+        key=autotune.measurements()[0].what,
+        paths=("serial", "parallel"),
+        substeps=1,
+        topologies=lambda: ["lanes", "graph"],
+        time_candidate=None,  # not called any more
+    )
 
     def chosen(topology, path):
-        motion = scene.particles.position, scene.particles.velocity
-        choice = execution.choose(topology, path, sim, *motion)
+        choice = autotune.choose(topology, path, candidates)
         return f"{choice.topology} {choice.execution}"
 
     for fastest in WAYS:
         table[key] = {way: 1.0 + (way != fastest) for way in WAYS}
-        execution.cache_file().write_text(json.dumps(table))
+        autotune.cache_file().write_text(json.dumps(table))
         topology, path = fastest.split()
         assert fastest == chosen("auto", "auto") == chosen(topology, "auto") == chosen("auto", path)
         for way in WAYS:
@@ -719,15 +735,15 @@ def test_the_smallest_of_the_table_is_chosen_and_words_are_honoured(measured, mo
 
 def test_of_ways_that_are_about_as_fast_the_simpler_is_chosen():
     seconds = {"graph parallel": 1.0, "graph serial": 1.05, "lanes parallel": 1.2}
-    assert execution.fastest(seconds) == "graph serial"
-    assert execution.fastest(seconds | {"lanes parallel": 1.09}) == "lanes parallel"
+    assert autotune.fastest(seconds) == "graph serial"
+    assert autotune.fastest(seconds | {"lanes parallel": 1.09}) == "lanes parallel"
 
 
 def test_a_run_whose_threads_only_wait_goes_on_with_one(topology, device, monkeypatch):
-    monkeypatch.setattr(simulation.Pace, "PATIENCE", 0.0)
+    monkeypatch.setattr(autotune.Pace, "PATIENCE", 0.0)
     scene = cloth(9, 7)
     sim = Simulation(scene, topology=topology, execution="parallel")
-    sim._pace = simulation.Pace(alone=1e-12)  # nothing is as fast
+    sim._pace = autotune.Pace(alone=1e-12)  # nothing is as fast
     sim.advance()
     assert sim.execution == "parallel"  # the first frame compiles
     sim.advance(15)
@@ -738,7 +754,7 @@ def test_a_run_whose_threads_only_wait_goes_on_with_one(topology, device, monkey
 
 
 def test_measurements_hold_for_one_machine_kind_and_size_of_scene(measured, monkeypatch):
-    monkeypatch.setattr(execution, "_measure", lambda sim: measured.append(1) or 1.0)
+    monkeypatch.setattr(FrameTimer, "time_candidate", lambda *_: measured.append(1) or 1.0)
 
     def count(scene, **asked):
         measured.clear()
@@ -754,6 +770,6 @@ def test_measurements_hold_for_one_machine_kind_and_size_of_scene(measured, monk
     with monkeypatch.context() as patch:
         patch.setattr("platform.node", lambda: "elsewhere")
         assert count(small) == 4
-    execution.cache_file().write_text("not JSON")
+    autotune.cache_file().write_text("not JSON")
     assert count(small) == 4
-    assert len(execution.measurements()) == 1
+    assert len(autotune.measurements()) == 1

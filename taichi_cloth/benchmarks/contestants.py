@@ -137,12 +137,12 @@ class Collisions(Ours):
 
     def build(self, units: int) -> None:
         for _ in range(units):
-            sort(self.sim._plan, self.sim._state)
+            sort(self.sim.storage.specialization, self.sim.storage.state)
         ti.sync()
 
     def build_and_query(self, units: int) -> None:
         for _ in range(units):
-            sort_and_bounce(self.sim._plan, self.sim._state)
+            sort_and_bounce(self.sim.storage.specialization, self.sim.storage.state)
         ti.sync()
 
 

@@ -47,9 +47,9 @@ def main() -> int:
 
 def _print_choices(to: Console) -> None:
     """How scenes are run here: what a step took in each way, the newest measurements first."""
-    from taichi_cloth.simulation import execution
+    from taichi_cloth.simulation import autotune
 
-    measured = [kind for kind in reversed(execution.measurements()) if kind.seconds]
+    measured = [kind for kind in reversed(autotune.measurements()) if kind.seconds]
     if not measured:
         to.print("Fastest way to run a scene: nothing measured yet; the first run does it.")
         return
@@ -60,7 +60,7 @@ def _print_choices(to: Console) -> None:
     table = console.table(title, headers, left=(what,))
     table.columns[0].overflow = "fold"
     for kind in measured[:MEASUREMENTS]:
-        best = execution.fastest(kind.seconds)
+        best = autotune.fastest(kind.seconds)
         times = [
             f"{'*' * (way == best)}{1e6 * kind.seconds[way]:.3g}" if way in kind.seconds else "-"
             for way in ways
@@ -68,7 +68,7 @@ def _print_choices(to: Console) -> None:
         table.add_row(kind.what.replace("/", "; "), *times)
     to.print(table)
     if len(measured) > MEASUREMENTS:
-        to.print(f"{len(measured) - MEASUREMENTS} older ones: {execution.cache_file()}")
+        to.print(f"{len(measured) - MEASUREMENTS} older ones: {autotune.cache_file()}")
 
 
 def findings() -> Iterator[Finding]:
@@ -118,11 +118,11 @@ def _cache_folders() -> Iterator[Finding]:
     """Where compiled kernels and the measured execution paths are kept."""
     from taichi.lang import impl
 
-    from taichi_cloth.simulation import execution
+    from taichi_cloth.simulation import autotune
 
     for name, folder in (
         ("cache of compiled kernels", Path(impl.default_cfg().offline_cache_file_path)),
-        ("cache of measured speeds", execution.cache_file().parent),
+        ("cache of measured speeds", autotune.cache_file().parent),
     ):
         there = folder if folder.exists() else _first_existing(folder)
         writable = os.access(there, os.W_OK)

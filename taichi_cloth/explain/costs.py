@@ -143,7 +143,7 @@ class Candidate:
             return
         again = time.process_time() - compiled
         self.compile_seconds.append(max(compiled - begin - again, 0.0))
-        self.bytes = allocated_bytes(self.sim._state)
+        self.bytes = allocated_bytes(self.sim.storage.state)
 
     def _made(self) -> Simulation:
         try:
@@ -282,20 +282,20 @@ def _cost(variant: Variant, own: Candidate, other: Candidate) -> Cost:
 
 def describe(sim: Simulation) -> Compiled:
     """What is compiled and stored for a simulation."""
-    layout = sim._layout
+    layout = sim.storage.layout
     kinds = [next(k for k, of in LINKS.items() if _backwards(link) in of) for link in layout.links]
     counts = {kind: 0 for kind in LINKS if kind in kinds}
     for number, kind in enumerate(kinds):
         counts[kind] += int((layout.kind == number).sum())
     return Compiled(
-        plan=dict(vars(sim._plan)),
+        plan=dict(vars(sim.storage.specialization)),
         topology=sim.topology,
         execution=sim.execution,
         grids=int((layout.grid[:, 3] == 1).sum()),
         links=counts,
         on_graph=int((layout.kind < 0).sum()),
-        fields=fields_of(sim._state),
-        bytes=allocated_bytes(sim._state),
+        fields=fields_of(sim.storage.state),
+        bytes=allocated_bytes(sim.storage.state),
     )
 
 

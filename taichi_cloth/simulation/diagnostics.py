@@ -5,9 +5,14 @@ m, v, x as in `scene.Particles`; fixed particles have no momentum and no kinetic
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+
+from taichi_cloth.kernels import forces
+from taichi_cloth.kernels.forces.contract import TENSION, has
+from taichi_cloth.scene.model import Scene, Springs
 
 
 @dataclass(frozen=True)
@@ -43,43 +48,67 @@ class Solution:
 
 @dataclass(frozen=True)
 class Energy:
-    """Kinetic, gravitational and elastic energy of a state, in the scene's units."""
+    """The energy of a state, in the scene's units.
+
+    kinetic: of the free particles. potential: of each force that has one, by its name.
+    """
 
     kinetic: float
-    gravitational: float
-    elastic: float
+    potential: Mapping[str, float]
+
+    @property
+    def gravitational(self) -> float:
+        """Potential energy of gravity, which is zero at the origin."""
+        return self.potential["gravity"]
+
+    @property
+    def elastic(self) -> float:
+        """Energy of the stretched and compressed springs."""
+        return self.potential["springs"]
 
     @property
     def total(self) -> float:
-        return self.kinetic + self.gravitational + self.elastic
+        """Kinetic and potential energy."""
+        return sum(self.potential.values(), self.kinetic)
 
 
-def energy(x, v, mass, fixed, gravity, between, stiffness, rest_length, alive) -> Energy:
-    """Energy of a state: x, v (n, dim), springs (s, ...) of which `alive` (s,) count."""
-    free = ~fixed
-    a, b = between[alive].T
-    stretch = np.linalg.norm(x[b] - x[a], axis=1) - rest_length[alive]
+def energy(scene: Scene, x: np.ndarray, v: np.ndarray, pulling: np.ndarray) -> Energy:
+    """Energy of a scene's particles at x with v, (n, dim), and of the springs that pull, (s,) bool.
+
+    Of a force that the scene does not have it is zero.
+    """
+    particles, springs = scene.particles, scene.springs.select(pulling)
+    free = ~particles.fixed
+    terms = {name: forces.load(name) for name in forces.TERMS}
     return Energy(
-        kinetic=float(0.5 * (mass[free, None] * v[free] ** 2).sum()),
-        gravitational=float(-(mass[free] * (x[free] @ np.asarray(gravity))).sum()),
-        elastic=float(0.5 * (stiffness[alive] * stretch**2).sum()),
+        kinetic=float(0.5 * (particles.mass[free, None] * v[free] ** 2).sum()),
+        potential={
+            name: term.energy(x, v, scene.world, particles, springs)
+            for name, term in terms.items()
+            if has(term.energy)
+        },
     )
 
 
-def spring_forces(x, v, springs) -> np.ndarray:
+def spring_forces(x: np.ndarray, v: np.ndarray, springs: Springs) -> np.ndarray:
     """What `springs` do to the particles at x, v (n, dim), dashpots included, (n, dim)."""
     a, b = springs.between.T
     d = x[b] - x[a]
     length = np.linalg.norm(d, axis=1)
     along = d / np.where(length > 0, length, 1.0)[:, None]
-    tension = springs.stiffness * (length - springs.rest_length)
-    tension += springs.damping * ((v[b] - v[a]) * along).sum(axis=1)
-    force = np.zeros_like(x)
+    rate = ((v[b] - v[a]) * along).sum(axis=1)
+    tension = np.zeros(len(springs))
+    for name in forces.TERMS:
+        term = forces.load(name)
+        if term.adds == TENSION and has(term.twin):
+            tension += term.twin(length, rate, springs)
+    force: np.ndarray = np.zeros_like(x)
     np.add.at(force, a, tension[:, None] * along)
     np.subtract.at(force, b, tension[:, None] * along)
     return force
 
 
-def momentum(v, mass, fixed) -> np.ndarray:
+def momentum(v: np.ndarray, mass: np.ndarray, fixed: np.ndarray) -> np.ndarray:
     """Total linear momentum of the free particles, shape (dim,)."""
-    return (mass[~fixed, None] * v[~fixed]).sum(axis=0)
+    total: np.ndarray = (mass[~fixed, None] * v[~fixed]).sum(axis=0)
+    return total

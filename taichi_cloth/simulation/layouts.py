@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.model import Springs
 from taichi_cloth.simulation import adjacency
@@ -35,7 +36,8 @@ class Layout:
     grid_of: (n_packs,) int32, each pack's grid; -1: none with links.
     kind: (s,) int, each spring's kind of link, -1 for one on the graph.
     owner: (s,) int, the slot of a link's earlier particle.
-    rest_length, damping, break_length2: (kinds, g), what the links of a kind share in a grid.
+    shared: by column of `Springs`, (kinds, g), what the links of a kind share in a grid.
+    break_length2: (kinds, g), likewise (`break_length2`).
     row: packs in the widest row, halos included.
     rows_share_stiffness: whether all rows of each grid, but the last ones, have the same links with the same
         stiffness.
@@ -49,8 +51,7 @@ class Layout:
     grid_of: np.ndarray
     kind: np.ndarray
     owner: np.ndarray
-    rest_length: np.ndarray
-    damping: np.ndarray
+    shared: dict[str, np.ndarray]
     break_length2: np.ndarray
     row: int
     rows_share_stiffness: bool
@@ -86,8 +87,7 @@ def on_graph(springs: Springs, position: np.ndarray | None, particle_count: int)
         grid_of=np.zeros(1, np.int32),
         kind=np.full(len(springs), -1),
         owner=np.zeros(len(springs), np.int64),
-        rest_length=none,
-        damping=none,
+        shared={},
         break_length2=none,
         row=1,
         rows_share_stiffness=False,
@@ -208,7 +208,7 @@ def on_grids(
         )
 
     kind = _kinds(springs, grid, column, row)
-    rest_length, damping, limit, kind = _shared_numbers(springs, kind, grid, len(grids))
+    shared, limit, kind = _shared_numbers(springs, kind, grid, len(grids))
     used = np.unique(kind[kind >= 0])
     if not len(used):
         return None  # all of them differ
@@ -230,8 +230,7 @@ def on_grids(
         grid_of=_grid_of_packs(table, halo, n_packs),
         kind=kind,
         owner=slot[springs.between.min(axis=1)].astype(np.int64),
-        rest_length=rest_length[used],
-        damping=damping[used],
+        shared={column: numbers[used] for column, numbers in shared.items()},
         break_length2=limit[used],
         row=int(table[:, 2].max()) + 2 * halo,
         rows_share_stiffness=_alike(springs, kind, grids, depth),
@@ -323,8 +322,9 @@ def _alike(springs: Springs, kind: np.ndarray, grids: Sequence[adjacency.Grid], 
 
 def _shared_numbers(
     springs: Springs, kind: np.ndarray, grid: np.ndarray, grid_count: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(rest length, damping, break length squared), each (kinds, grids), and the kinds again.
+) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+    """What links of a kind and grid share, each (kinds, grids): their numbers by column of
+    `Springs`, but those that each link has of its own, and the break length squared; and the kinds.
 
     A spring with other numbers than most of its kind and grid (their median) gets kind -1.
     """
@@ -345,11 +345,9 @@ def _shared_numbers(
             same[:] &= (values[linked] == mine) | (np.abs(values[linked] - mine) <= SAME * mine)
         return table
 
-    rest_length, damping, limit = (
-        shared(springs.rest_length),
-        shared(springs.damping),
-        shared(limit2),
-    )
+    columns = [number.column for number in NUMBERS if not number.per_link]
+    numbers = {column: shared(getattr(springs, column)) for column in columns}
+    limit = shared(limit2)
     kind = kind.copy()
     kind[linked[~same]] = -1
-    return rest_length, damping, limit, kind
+    return numbers, limit, kind

@@ -99,19 +99,7 @@ class Invariants:
         a, b = springs.between.T
         for x, v, alive in zip(samples.x, samples.v, samples.alive, strict=True):
             holds = alive if len(alive) else everything
-            energies.append(
-                diagnostics.energy(
-                    x,
-                    v,
-                    mass,
-                    particles.fixed,
-                    scene.world.gravity,
-                    springs.between,
-                    springs.stiffness,
-                    springs.rest_length,
-                    holds,
-                )
-            )
+            energies.append(diagnostics.energy(scene, x, v, holds))
             momenta.append(diagnostics.momentum(v, mass, particles.fixed))
             impulse = max(impulse, float((mass * np.linalg.norm(v, axis=1))[free].sum()))
             measured = holds & (springs.rest_length > 0)

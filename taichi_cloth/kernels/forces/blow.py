@@ -69,7 +69,7 @@ def _push_pack(spec: ti.template(), state: ti.template(), i):
         from_pointer = component(x, axis) - state.pointer[axis]
         d = with_component(d, axis, from_pointer)
         ray = with_component(ray, axis, 0.0 * from_pointer + state.pointer_ray[axis])
-    d -= scaled(dot(d, ray), ray)
+    d = d - scaled(dot(d, ray), ray)  # not -=, which whole vectors do not take
     reach, strength = state.pointer_reach[None], state.pointer_strength[None]
     distance, push = laws.length(d), 0.0 * x
     for axis in ti.static(range(spec.dim)):

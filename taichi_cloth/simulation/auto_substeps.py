@@ -1,0 +1,47 @@
+"""The substeps of a run with `--dt auto`: as many a frame as its springs need at the moment."""
+
+from __future__ import annotations
+
+from taichi_cloth.kernels.methods.contract import Method
+from taichi_cloth.limits.auto_step import SubstepController
+from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.storage import Storage
+
+
+class AutoSubsteps:
+    """Chooses the substeps of a frame: at the start, before a spawn, and after frames.
+
+    method: name and contract of the method; dt: time of a frame.
+    """
+
+    def __init__(self, name: str, method: Method, dt: float) -> None:
+        self._controller = SubstepController(name, method, dt)
+        self._broken, self._breaking = 0, True
+
+    def at_start(self, start: Snapshot) -> int:
+        """The substeps of a scene at its start; as `before_spawn`, but with nothing remembered."""
+        self._controller.reset()
+        return self.before_spawn(start)
+
+    def before_spawn(self, grown: Snapshot) -> int:
+        """The substeps of a state with what is to be spawned.
+
+        InputError where no number of substeps will do.
+        """
+        self._broken, self._breaking = int((~grown.alive).sum()), True
+        return self._controller.choose(Snapshot.at_start(grown.scene, grown.marks).network())
+
+    def after_frame(self, storage: Storage, substeps: int) -> int:
+        """The substeps of the next frame, after one of `substeps`: fewer, where springs that broke
+        leave slower ones.
+
+        What breaks in a frame may pull in the next one, so the frame after is looked at, too.
+        """
+        broken = storage.count_broken()
+        changed = broken != self._broken
+        if not (changed or self._breaking):
+            return substeps
+        self._broken, self._breaking = broken, changed
+        return self._controller.choose_after_breaks(
+            Snapshot.at_start(storage.scene, storage.marks()).network()
+        )

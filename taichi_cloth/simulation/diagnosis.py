@@ -1,0 +1,80 @@
+"""Why a run failed, and what to change: the step against the method's limit in any geometry."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from taichi_cloth.kernels import methods
+from taichi_cloth.limits.auto_step import substeps_needed
+from taichi_cloth.limits.bounds import Bounds, any_geometry, gershgorin, step_within
+from taichi_cloth.limits.network import Network
+
+
+def describe_fault(position: np.ndarray, velocity: np.ndarray, speed_limit: float) -> str:
+    """What is wrong with a particle that the watchdog stopped, position and velocity (dim,)."""
+    if np.isfinite(position).all() and np.isfinite(velocity).all():
+        speed = float(np.linalg.norm(velocity))
+        return f"runs away at speed {speed:.3g} (limit {speed_limit:.3g})"
+    return "has a position or velocity that is not a finite number"
+
+
+def likely_cause(
+    network: Network, method: str, dt: float, substeps: int, precision: str
+) -> tuple[str, str]:
+    """Likely cause and remedy of a failure.
+
+    network: the last good state.
+    method: name of the method.
+    dt, substeps: time of a frame, and the steps it was cut into.
+    precision: the type of numbers, such as "float32".
+    """
+    module, h = methods.load(method), dt / substeps
+    bounds = gershgorin(network)
+    limit = step_within(module, bounds)
+    if limit == 0 and math.isfinite(bounds.omega2):
+        which = "undamped springs"
+        if bounds.damping > 0:
+            which = "springs that dashpots damp along their axis alone"
+        return f"{method} is unstable on {which} at every dt", "use --method symplectic_euler"
+    if not math.isfinite(bounds.omega2):
+        return f"springs too stiff for {precision}", "use softer springs"
+    if h > limit > 0:  # by Gershgorin; look closer
+        bounds = any_geometry(network)
+        limit = step_within(module, bounds)
+    if not h > limit:
+        return "forces or starting speeds too large for the step", "use more --substeps"
+    return _too_long(network, bounds, method, h, limit, substeps_needed(dt, limit))
+
+
+def _too_long(
+    network: Network,
+    bounds: Bounds,
+    method: str,
+    h: float,
+    limit: float,
+    substeps: int,
+) -> tuple[str, str]:
+    """Cause and remedy where a step `h` is above `limit`; `substeps` would do."""
+    needed = f"use --substeps {substeps}"
+    _, drag_of = network.on_particles
+    drag = float((drag_of / network.particles.mass)[bounds.damped])
+    # What the step has too much of: the springs' part in it, and that of damping.
+    stiff, viscid = h * h * bounds.omega2, 2.0 * h * bounds.damping
+    if bounds.damping > drag and viscid > 0.1 * stiff:
+        return (
+            f"a step of {h:.3g} is too long for the springs' dashpots at particle {bounds.damped}",
+            f"{needed}, a smaller --dt, or less damping",
+        )
+    if viscid > stiff:
+        return (
+            f"a step of {h:.3g} is above {limit:.3g}, the stable limit of the drag on particle "
+            f"{bounds.damped}",
+            f"{needed} or a smaller --dt",
+        )
+    return (
+        f"a step of {h:.3g} is above {limit:.3g}, the stable limit of {method} "
+        f"(set by the springs at particle {bounds.particle})",
+        f"{needed}, a smaller --dt, or softer springs",
+    )

@@ -1,0 +1,120 @@
+"""Compiles and launches kernels: under which settings, on how many threads, how much at once.
+
+Nothing else launches a kernel on the fields of a simulation: those that touch packs must be
+compiled with vectors kept whole, and whoever launched one by itself would forget it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+from taichi_cloth.kernels import stepping, watchdog
+from taichi_cloth.kernels.methods.contract import Method
+from taichi_cloth.kernels.solvers import phases
+from taichi_cloth.kernels.specialization import Specialization
+from taichi_cloth.runtime import Device, sums_in_order, whole_vectors
+
+# Particles and springs times steps in one launch: some tenths of a second, so that Ctrl-C is heard.
+LAUNCH_WORK = 20_000_000
+# Iterations of a loop in a shader: Mesa's drivers leave one after 65535, and say nothing.
+MOST_ITERATIONS = 65_000
+
+
+class Launcher:
+    """Launches kernels on one device for one method.
+
+    method: out of `kernels.methods`.
+    """
+
+    def __init__(self, method: Method, device: Device) -> None:
+        self.device = device
+        self._method = method
+        self._step = phases.stepping(method.phases) if method.phases else method.step
+
+    def specialize(self, spec: Specialization, path: str) -> Specialization:
+        """What is compiled for frames on a path, "serial" or "parallel", of what `spec` stores."""
+        spread = path == "parallel" and (self.device.arch != "cpu" or spec.collisions)
+        threads = 1 if path == "serial" else self.device.threads
+        return replace(spec, threads=threads, one_launch_per_step=spread)
+
+    def launch(self, kernel: Callable[..., Any], *arguments: Any) -> Any:
+        """Launch a kernel under the settings of its spec, and return what it returns.
+
+        arguments: the kernel's own: a spec first, unless it touches no packs.
+        """
+        with self._settings(arguments[0]):
+            return kernel(*arguments)
+
+    def begin(self, spec: Specialization, state: Any) -> None:
+        """Compute what a method keeps from step to step: before its first step, and after the
+        state was changed from outside.
+
+        spec: one whose loops are spread.
+        """
+        if self._method.begin:
+            with self._settings(spec):
+                stepping.begin_launch(self._method.begin, spec, state)
+
+    def frames_per_launch(self, substeps: int, size: int) -> int:
+        """Frames that may share a launch. size: particles and springs."""
+        frames = LAUNCH_WORK // (substeps * max(size, 1))
+        if self.device.arch != "cpu":
+            frames = min(frames, MOST_ITERATIONS // substeps)
+        return max(1, frames)
+
+    def run_frames(
+        self, spec: Specialization, state: Any, done: int, frames: int, substeps: int
+    ) -> int:
+        """Advance frames, after `done` steps, and return how many passed the watchdog."""
+        with self._settings(spec):
+            if not spec.one_launch_per_step and not self._by_phases(spec):
+                passed: int = stepping.frames_in_one_launch(
+                    self._step, spec, state, done, frames, substeps
+                )
+                return passed
+            for frame in range(frames):
+                self._launch_steps(spec, state, done + frame * substeps, substeps)
+                if watchdog.last_fault(state) != watchdog.NO_FAULT:
+                    return frame
+            return frames
+
+    def _by_phases(self, spec: Specialization) -> bool:
+        """Whether each step takes several launches."""
+        split = spec.one_launch_per_step or (spec.lanes > 1 and self._method.launches)
+        return bool(self._method.phases and split)
+
+    def _launch_steps(self, spec: Specialization, state: Any, done: int, substeps: int) -> None:
+        """Advance a frame after `done` steps, with a launch or more for each step."""
+        spread, by_phases = replace(spec, one_launch_per_step=True), self._by_phases(spec)
+        watchdog.checkpoint_launch(spread, state)
+        for step in range(done + 1, done + substeps + 1):
+            if by_phases:
+                self._launch_phases(spec, state, step)
+                if spec.fracture:
+                    stepping.end_step_launch(spread, state)
+            else:
+                stepping.substep_launch(self._step, spec, state, step)
+
+    def _launch_phases(self, spec: Specialization, state: Any, step: int) -> None:
+        """Launch the phases of a step; the device says after each launch which one is next."""
+        stepping.begin_step_launch(state, step)
+        phase = 0
+        while phase != phases.DONE:
+            if spec.one_launch_per_step:
+                phase = stepping.phase_launch(self._method.phases[phase], spec, state)
+            else:
+                these = next(these for these in self._method.launches if phase in these)
+                phase = stepping.phases_in_one_launch(self._method.phases, these, spec, state)
+
+    @contextlib.contextmanager
+    def _settings(self, spec: object) -> Iterator[None]:
+        """How kernels on a spec's packs are compiled."""
+        with contextlib.ExitStack() as settings:
+            if isinstance(spec, Specialization) and spec.lanes > 1:
+                settings.enter_context(whole_vectors())
+            if self._method.sums:
+                settings.enter_context(sums_in_order())
+            yield

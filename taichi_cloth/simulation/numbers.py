@@ -1,0 +1,61 @@
+"""The numbers of a run that may change while it goes on, and what they may be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_cloth.errors import InputError
+from taichi_cloth.kernels import methods
+from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.settings.options import SOLVER_SETTINGS
+
+# A particle that would cross the world this many times in one frame is lost, not fast.
+RUNAWAY_CROSSINGS = 100.0
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """What the device is told. dt: time of a step; speed_limit: above it a particle runs away;
+    tolerance, iterations: of solvers, 0 for methods that take none.
+    """
+
+    dt: float
+    speed_limit: float
+    tolerance: float
+    iterations: int
+
+
+def checked_step(dt: float | str, substeps: int) -> tuple[float, int]:
+    """(dt, substeps), if there can be such steps; else InputError."""
+    dt = float(dt)
+    if not (math.isfinite(dt) and dt > 0):
+        raise InputError(f"--dt {dt}: must be a positive number")
+    if substeps < 1:
+        raise InputError(f"--substeps {substeps}: must be at least 1")
+    return dt, substeps
+
+
+def runaway_speed(scene: Scene, dt: float) -> float:
+    """The speed above which a particle runs away, with frames of `dt`; world units / time."""
+    return RUNAWAY_CROSSINGS * float(np.linalg.norm(scene.world.size)) / dt
+
+
+def solver_settings(
+    method: str, claims: Claims, tolerance: float | None, iterations: int | None
+) -> dict[str, float]:
+    """The settings that a method takes, by name; InputError for one that it does not."""
+    given = {"tolerance": tolerance, "iterations": iterations}
+    for name, value in given.items():
+        if value is None:
+            continue
+        if name not in claims.settings:
+            takers = [m for m in methods.METHODS if name in methods.load(m).claims.settings]
+            raise InputError(f"--{name}: {method} does not take it; {', '.join(takers)} do")
+        if not value > 0:
+            raise InputError(f"--{name} {value}: must be positive")
+    chosen = {name: value for name, value in given.items() if value is not None}
+    return {name: chosen.get(name, SOLVER_SETTINGS[name]) for name in claims.settings}

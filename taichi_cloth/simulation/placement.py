@@ -1,0 +1,102 @@
+"""Where the particles and springs of a scene are stored, in each topology that can hold it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.settings.options import TOPOLOGIES
+from taichi_cloth.simulation import layouts
+from taichi_cloth.simulation.layouts import Layout
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Places of n particles and s springs, and the order in which the device has them.
+
+    graph_springs: numbers of the springs that are on the graph, in the order of memory: those of
+    one colour together, where they have colours. colours: theirs, 0 where the method wants none.
+    links: numbers of the springs that are links of grids; link_places: (links, 2) int32, each
+    one's kind and the site of its earlier end.
+    """
+
+    layout: Layout
+    graph_springs: np.ndarray
+    colours: np.ndarray
+    links: np.ndarray
+    link_places: np.ndarray
+
+
+class Placements:
+    """Finds the placements of one scene, each once.
+
+    needs: what the method asks of the host (`kernels.methods`). lanes: particles in a pack.
+    """
+
+    def __init__(self, scene: Scene, needs: Collection[str], lanes: int) -> None:
+        self._scene, self._needs, self._lanes = scene, needs, lanes
+        self._layouts: dict[str, Layout | None] = {}
+        self._placements: dict[str, Placement] = {}
+
+    def topologies(self) -> list[str]:
+        """The topologies that the scene can be stored in."""
+        return [name for name in TOPOLOGIES if self._layout(name) is not None]
+
+    def find(self, topology: str) -> Placement | None:
+        """The placement in a topology; None for lanes, where the scene has no regular grid."""
+        layout = self._layout(topology)
+        if layout is None:
+            return None
+        if topology not in self._placements:
+            self._placements[topology] = self._place(layout)
+        return self._placements[topology]
+
+    def particle_colours(self) -> np.ndarray:
+        """The colour of each particle, (n,), whose springs tie none of the same colour."""
+        scene = self._scene
+        return layouts.particle_colours(scene.springs, self._layout("lanes"), len(scene.particles))
+
+    def _place(self, layout: Layout) -> Placement:
+        links = np.flatnonzero(layout.kind >= 0)
+        graph_springs, colours = self._sorted_springs(layout)
+        return Placement(
+            layout=layout,
+            graph_springs=graph_springs,
+            colours=colours,
+            links=links,
+            link_places=np.column_stack([layout.kind[links], layout.owner[links]]).astype(np.int32),
+        )
+
+    def _layout(self, topology: str) -> Layout | None:
+        if topology not in self._layouts:
+            self._layouts[topology] = self._find_layout(topology)
+        return self._layouts[topology]
+
+    def _find_layout(self, topology: str) -> Layout | None:
+        scene = self._scene
+        count = len(scene.particles)
+        if topology == "graph":
+            # Collisions add up in the order of the particles, which is then that of memory too.
+            position = None if scene.world.collisions else scene.particles.position
+            return layouts.on_graph(scene.springs, position, count)
+        period = layouts.any_period
+        if "spring_colours" in self._needs:
+            period = layouts.spring_period
+        elif "particle_colours" in self._needs:
+            period = layouts.particle_period
+        return layouts.on_grids(scene.springs, count, self._lanes, period)
+
+    def _sorted_springs(self, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+        """The springs that no grid holds, in the order of memory, and their colours."""
+        springs = np.flatnonzero(layout.kind < 0)
+        if "spring_colours" not in self._needs:
+            return springs, np.zeros(len(springs), np.int64)
+        scene, grids = self._scene, self._layout("lanes")
+        colour = layouts.spring_colours(scene.springs, grids, len(scene.particles))[springs]
+        # In the order of memory within a colour.
+        near = layout.slot[scene.springs.between[springs]].min(axis=1)
+        order = np.lexsort((near, colour))
+        return springs[order], colour[order]

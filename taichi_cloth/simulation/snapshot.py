@@ -1,0 +1,60 @@
+"""A state as the host has it, between the scene and the device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from taichi_cloth.kernels.state import ALIVE, GONE
+from taichi_cloth.limits.network import Network
+from taichi_cloth.scene.model import Particles, Scene, Springs
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Where the particles of a scene are, and which of its springs are broken.
+
+    scene: with all that was spawned, every particle where it began. x, v: (n, dim), where it is
+    now. marks: (s, 2) int32, status (ALIVE, BREAKING, GONE) and break step of every spring.
+    """
+
+    scene: Scene
+    x: np.ndarray
+    v: np.ndarray
+    marks: np.ndarray
+
+    @classmethod
+    def at_start(cls, scene: Scene, marks: np.ndarray | None = None) -> Snapshot:
+        """All particles where they began; marks: absent, no spring is broken."""
+        if marks is None:
+            marks = np.tile(np.array([ALIVE, 0], np.int32), (len(scene.springs), 1))
+        return cls(scene, scene.particles.position, scene.particles.velocity, marks)
+
+    @property
+    def alive(self) -> np.ndarray:
+        """Which springs have not been over their limit, (s,) bool."""
+        alive: np.ndarray = self.marks[:, 0] == ALIVE
+        return alive
+
+    @property
+    def pulling(self) -> np.ndarray:
+        """Which springs pull, (s,) bool: those that hold, or break and pull for one more step."""
+        pulling: np.ndarray = self.marks[:, 0] != GONE
+        return pulling
+
+    def with_particle(self, new: Particles, tied_to: int | None) -> Snapshot:
+        """The state with one particle more, tied to one of the others or to none."""
+        particles, springs, marks = self.scene.particles, self.scene.springs, self.marks
+        x = np.concatenate([self.x, new.position])
+        if tied_to is not None:
+            ends = [[tied_to, len(particles)]]
+            tie = Springs.build(ends, x, defaults=self.scene.spring_defaults)
+            springs = springs.joined(tie)
+            marks = np.concatenate([marks, np.array([[ALIVE, 0]], np.int32)])
+        scene = replace(self.scene, particles=particles.joined(new), springs=springs)
+        return Snapshot(scene, x, np.concatenate([self.v, new.velocity]), marks)
+
+    def network(self) -> Network:
+        """The particles where they are, and the springs that pull."""
+        return Network.from_scene(self.scene, self.x, self.pulling)

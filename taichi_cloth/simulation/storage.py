@@ -1,0 +1,377 @@
+"""The state on the device: fields with room to grow, what is put there, and what is read back."""
+
+from __future__ import annotations
+
+import math
+import weakref
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from taichi_cloth.kernels import forces, fracture, transfer, watchdog
+from taichi_cloth.kernels.forces import blow
+from taichi_cloth.kernels.methods.contract import Method
+from taichi_cloth.kernels.solvers import newton_cg
+from taichi_cloth.kernels.specialization import Specialization
+from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE, WORK, Capacity, State
+from taichi_cloth.runtime import Device, still_runs
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.simulation import diagnostics
+from taichi_cloth.simulation.launch import Launcher
+from taichi_cloth.simulation.layouts import Layout
+from taichi_cloth.simulation.numbers import Numbers
+from taichi_cloth.simulation.placement import Placement, Placements
+from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.upload import Real, Upload, as_real
+
+SPAWN_CAPACITY = 256  # room for clicks before the fields must grow
+
+
+@dataclass(frozen=True)
+class _Container:
+    """Fields, and what they were made for. spec: with loops spread, for kernels beside the frames.
+
+    free: gives their memory back; by itself when nobody holds the storage any more.
+    """
+
+    state: Any
+    spec: Specialization
+    topology: str
+    free: weakref.finalize
+
+    def fits(self, spec: Specialization, topology: str) -> bool:
+        """Whether the fields are those of `spec` in a topology, and more."""
+        return self.topology == topology and self.spec.can_run(spec)
+
+
+@dataclass(frozen=True)
+class _Loaded:
+    """What the last load made."""
+
+    container: _Container
+    placement: Placement
+    specialization: Specialization
+    numbers: Numbers
+
+
+class Storage:
+    """A state on the device. `take` says which, and `load` puts it there; all else comes after.
+
+    method: the one that runs on it. lanes: particles in a pack of the grids.
+    real: type of the device's numbers. topology, path: how it was loaded. pushed: whether a push
+    lasts until the frame's end.
+    """
+
+    def __init__(self, method: Method, lanes: int, launcher: Launcher, snapshot: Snapshot) -> None:
+        self._method, self._lanes, self._launcher = method, lanes, launcher
+        self._needs = method.needs
+        self.real: Real = np.float64 if launcher.device.real == "f64" else np.float32
+        self._taken = snapshot
+        self._placements = Placements(snapshot.scene, self._needs, lanes)
+        self.topology = self.path = ""
+        self.pushed = False
+        self._loaded: _Loaded | None = None
+        self._altered = True  # from outside, so that what the method keeps must be computed anew
+        self._drawn_positions = np.zeros((0, 0))
+        self._drawn_springs: np.ndarray | None = None
+        self._drawn_broken = 0
+
+    @property
+    def scene(self) -> Scene:
+        """The scene with all that was spawned, every particle where it began."""
+        return self._taken.scene
+
+    @property
+    def state(self) -> Any:
+        """The fields, a `kernels.state.State`."""
+        return self._now.container.state
+
+    @property
+    def layout(self) -> Layout:
+        """Where particles and springs are."""
+        return self._now.placement.layout
+
+    @property
+    def specialization(self) -> Specialization:
+        """What is compiled to advance frames."""
+        return self._now.specialization
+
+    @property
+    def _now(self) -> _Loaded:
+        if self._loaded is None:
+            raise RuntimeError("nothing is on the device before `load`")
+        return self._loaded
+
+    def _launch(self, kernel: Any, *arguments: Any) -> Any:
+        container = self._now.container
+        return self._launcher.launch(kernel, container.spec, container.state, *arguments)
+
+    # --- putting a scene on the device -----------------------------------------------------
+
+    def take(self, snapshot: Snapshot) -> None:
+        """Hold another state from the next load on, without a push."""
+        self._taken = snapshot
+        self._placements = Placements(snapshot.scene, self._needs, self._lanes)
+        self.pushed = False
+
+    def move(self, x: np.ndarray, v: np.ndarray) -> None:
+        """From the next load on, have the particles at x with v, (n, dim)."""
+        self._taken = replace(self._taken, x=x, v=v)
+
+    def topologies(self) -> list[str]:
+        """The topologies that the scene can be stored in."""
+        return self._placements.topologies()
+
+    def load(self, topology: str, path: str, numbers: Numbers) -> None:
+        """Put the state that was taken on the device.
+
+        topology: "lanes" or "graph"; the graph where there is no regular grid any more. path:
+        "serial" or "parallel". InputError where a number does not fit the device's precision.
+        """
+        placement = self._placements.find(topology)
+        if placement is None:  # what was spawned may have undone the last grid
+            topology = "graph"
+            placement = self._placements.find(topology)
+            assert placement is not None  # it takes any springs
+        container = self._make_room(placement, topology)
+        self.topology, self.path = topology, path
+        specialization = self._launcher.specialize(container.spec, path)
+        self._loaded = _Loaded(container, placement, specialization, numbers)
+        self._drawn_springs = None
+        upload = self._upload()
+        upload.numbers(numbers)
+        upload.all()
+        if "blow" in container.spec.terms and not self.pushed:
+            self._launcher.launch(blow.clear_push, container.state)
+        self._altered = True
+
+    def mark_new_springs(self) -> None:
+        """Mark the springs that are over their limit outside of a step."""
+        if self.specialization.fracture:
+            self._launch(fracture.mark_new_springs)
+
+    def set_path(self, path: str) -> None:
+        """From now on run on a path, "serial" or "parallel"."""
+        self.path = path
+        specialization = self._launcher.specialize(self._now.container.spec, path)
+        self._loaded = replace(self._now, specialization=specialization)
+
+    def set_numbers(self, numbers: Numbers) -> None:
+        """Change the numbers that a run may change."""
+        if not math.isclose(numbers.dt, self._now.numbers.dt, rel_tol=1e-12):
+            self._altered = True  # what a method keeps may depend on the step
+        self._loaded = replace(self._now, numbers=numbers)
+        self._upload().numbers(numbers)
+
+    def begin(self) -> None:
+        """Before frames: compute what the method keeps from step to step, if that is outdated."""
+        if self._altered:
+            self._launcher.begin(self._now.container.spec, self.state)
+        self._altered = False
+
+    def restore(self, steps: int) -> None:
+        """Undo a frame that failed: the state is again that of the last good one, after `steps`."""
+        self._launch(watchdog.restore)
+        self._altered = True
+        if not self.specialization.fracture:
+            return
+        status, step = self.marks().T
+        status[step > steps] = ALIVE
+        status[(step == steps) & (status == GONE)] = BREAKING
+        marks = np.column_stack([status, np.where(status == ALIVE, 0, step)])
+        self._taken = replace(self.snapshot(), marks=marks)
+        self.load(self.topology, self.path, self._now.numbers)
+
+    def _upload(self) -> Upload:
+        now = self._now
+        return Upload(
+            launcher=self._launcher,
+            spec=now.container.spec,
+            state=now.container.state,
+            snapshot=self._taken,
+            placements=self._placements,
+            placement=now.placement,
+            needs=self._needs,
+            real=self.real,
+        )
+
+    # --- room on the device ----------------------------------------------------------------
+
+    def _make_room(self, placement: Placement, topology: str) -> _Container:
+        """A container that fits particles, springs and spec: the one there is, or an empty one.
+
+        A new container compiles every kernel again, so it is made with room to spare.
+        """
+        spec, needed = self._specialize(placement), self._needed(placement)
+        factor = 1
+        if self._loaded is not None:
+            old = self._loaded.container
+            fits = old.fits(spec, topology)
+            if fits and old.state.capacity.holds(needed):
+                return old
+            factor = 2 if fits else 1
+            old.free()
+        room = SPAWN_CAPACITY if self.scene.world.mouse == "spawn" else 0
+        capacity = replace(
+            needed,
+            particles=factor * needed.particles + room,
+            springs=factor * needed.springs + room,
+            packs=factor * needed.packs + room,
+        )
+        device = self._launcher.device
+        state: Any = State(spec, getattr(ti, device.real), capacity, self._method)
+        # Taichi has room for 512 trees of fields, of which each state takes two.
+        free = weakref.finalize(self, _free, state, device)
+        free.atexit = False
+        return _Container(state, spec, topology, free)
+
+    def _specialize(self, placement: Placement) -> Specialization:
+        """The spec of the scene in a placement, with loops spread."""
+        features, layout = dict(vars(self.scene.features())), placement.layout
+        spawns = self.scene.world.mouse == "spawn"
+        features["springs"] &= spawns or len(placement.graph_springs) > 0
+        return Specialization(
+            **features,
+            terms=forces.present_in(self.scene),
+            lanes=layout.lanes,
+            links=layout.links,
+            rows_share_stiffness=layout.rows_share_stiffness and not features["fracture"],
+            compensated=self._launcher.device.compensated,
+            threads=self._launcher.device.threads,
+            one_launch_per_step=True,
+        )
+
+    def _needed(self, placement: Placement) -> Capacity:
+        layout = placement.layout
+        return Capacity(
+            particles=len(self.scene.particles),
+            springs=len(placement.graph_springs),
+            packs=layout.n_packs,
+            grids=len(layout.grid),
+            row=layout.row,
+        )
+
+    # --- pushes ----------------------------------------------------------------------------
+
+    def push(self, numbers: np.ndarray) -> None:
+        """Push the particles near a line until the frame's end (`blow.compute_push`)."""
+        self._launch(blow.compute_push, numbers.astype(self.real))
+        self.pushed = self._altered = True
+
+    def hold(self, force: np.ndarray) -> None:
+        """Push every particle with a force of its own, (n, dim), until the next push."""
+        self._launch(blow.hold_push, as_real(self.real, "particle", force))
+        self._altered = True
+
+    def end_push(self) -> None:
+        """At a frame's end: no pointer any more."""
+        if self.pushed:
+            self._launcher.launch(blow.clear_push, self.state)
+            self.pushed, self._altered = False, True
+
+    # --- reading back ----------------------------------------------------------------------
+
+    def snapshot(self) -> Snapshot:
+        """The state as it is now."""
+        return Snapshot(self.scene, self.positions(), self.velocities(), self.marks())
+
+    def positions(self) -> np.ndarray:
+        """Positions, (n, dim) float64."""
+        return self._read("x")
+
+    def velocities(self) -> np.ndarray:
+        """Velocities, (n, dim) float64."""
+        return self._read("v")
+
+    def marks(self) -> np.ndarray:
+        """Status and break step of every spring, (s, 2) int32."""
+        placement, taken = self._now.placement, self._taken.marks
+        if not self.specialization.fracture or len(taken) == 0:
+            return taken
+        out: np.ndarray = taken.copy()
+        if len(placement.graph_springs):
+            part = np.zeros((len(placement.graph_springs), 2), np.int32)
+            self._launcher.launch(transfer.read_fracture, self.state, part)
+            out[placement.graph_springs] = part
+        if self.specialization.links:
+            part = np.zeros((len(placement.links), 2), np.int32)
+            self._launch(transfer.read_link_fracture, placement.link_places, part)
+            out[placement.links] = part
+        return out
+
+    def springs_alive(self) -> np.ndarray:
+        """Which springs have not been over their limit, (s,) bool."""
+        alive: np.ndarray = self.marks()[:, 0] == ALIVE
+        return alive
+
+    def count_broken(self) -> int:
+        """How many springs are not whole; the device counts them."""
+        return int(self._launch(transfer.count_broken)) if self.specialization.fracture else 0
+
+    def faulty_particle(self) -> int:
+        """The particle that the watchdog found in the last frame: the lowest index at fault."""
+        return int(self._launcher.launch(watchdog.last_fault, self.state))
+
+    def take_work(self) -> np.ndarray:
+        """Counts of the solver's work since the last call, (3,): `kernels.state.WORK`.
+
+        They are 0 where a step's work is known beforehand.
+        """
+        work = np.zeros(len(WORK), np.int32)
+        if self._method.claims.forces == 0:
+            self._launcher.launch(transfer.take_work, self.state, work)
+        return work
+
+    def solution(self) -> diagnostics.Solution:
+        """How the last step was solved, by a method that solves to a tolerance."""
+        names = "residual_max", "residual_rms", "scale", "directions", "sweeps"
+        numbers = {name: getattr(self.state, name)[None] for name in names}
+        outcome = int(self.state.outcome[None])
+        converged = outcome in (newton_cg.CONVERGED, newton_cg.ROUNDED)
+        return diagnostics.Solution(newton_cg.OUTCOMES[outcome], converged, **numbers)
+
+    def drawn_positions(self) -> np.ndarray:
+        """Positions for a window, (n, dim) in the device's precision.
+
+        Without a copy: the next call fills the same array anew.
+        """
+        shape = len(self.scene.particles), self.scene.world.dim
+        if self._drawn_positions.shape != shape:
+            self._drawn_positions = np.zeros(shape, self.real)
+        if len(self._drawn_positions):
+            self._launch(transfer.read_vectors, self.state.x, self._drawn_positions)
+        return self._drawn_positions
+
+    def drawn_springs(self) -> np.ndarray:
+        """The particles that each spring that holds ties, (alive, 2).
+
+        The same array until a spring breaks, comes or is whole again: all that the device is asked
+        for at every frame is how many are broken.
+        """
+        broken = self.count_broken()
+        if self._drawn_springs is None or broken != self._drawn_broken:
+            self._drawn_broken = broken
+            self._drawn_springs = self.scene.springs.between[self.springs_alive()]
+        return self._drawn_springs
+
+    def _read(self, name: str) -> np.ndarray:
+        """The vectors of a field of packs, with their low parts where they have any."""
+        value = self._read_field(getattr(self.state, name))
+        if self.specialization.compensated:
+            value += self._read_field(getattr(self.state, f"{name}_low"))
+        return value
+
+    def _read_field(self, of: Any) -> np.ndarray:
+        out = np.zeros((len(self.scene.particles), self.scene.world.dim), self.real)
+        if len(out):
+            self._launch(transfer.read_vectors, of, out)
+        values: np.ndarray = out.astype(np.float64)
+        return values
+
+
+def _free(state: Any, device: Device) -> None:
+    """Give the memory of a state back, unless Taichi was started anew since, or cannot (OpenGL)."""
+    if still_runs(device) and device.arch != "opengl":
+        state.free()

@@ -1,0 +1,265 @@
+"""From a scene to the device: packs rows of numbers, and launches the kernels that take them.
+
+One method a kernel of `kernels/transfer.py`, in the order in which a load calls them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taichi_cloth.errors import InputError
+from taichi_cloth.kernels import transfer
+from taichi_cloth.kernels.specialization import Specialization
+from taichi_cloth.kernels.spring_numbers import NUMBERS
+from taichi_cloth.kernels.state import CELLS_PER_PARTICLE, GONE, device_fields
+from taichi_cloth.scene.model import Particles, Springs, World
+from taichi_cloth.simulation import adjacency, layouts
+from taichi_cloth.simulation.launch import Launcher
+from taichi_cloth.simulation.numbers import Numbers
+from taichi_cloth.simulation.placement import Placement, Placements
+from taichi_cloth.simulation.snapshot import Snapshot
+
+Real = type[np.floating]  # the device's precision: np.float32 or np.float64
+
+
+@dataclass(frozen=True)
+class Upload:
+    """Where a snapshot goes: `state`, whose fields are of `spec`.
+
+    placements: of its scene; placement: the one that is used. needs: what the method asks of the
+    host (`kernels.methods`). real: type of the device's numbers.
+    """
+
+    launcher: Launcher
+    spec: Specialization
+    state: Any
+    snapshot: Snapshot
+    placements: Placements
+    placement: Placement
+    needs: Collection[str]
+    real: Real
+
+    def numbers(self, numbers: Numbers) -> None:
+        """Fill what is one number for all."""
+        world, particles = self.snapshot.scene.world, self.snapshot.scene.particles
+        grid_size, cell_size = _collision_grid(world, particles)
+        values: dict[str, Any] = {
+            "n": len(particles),
+            "iterations": numbers.iterations,
+            "grid_size": grid_size,
+            "dt": numbers.dt,
+            "speed_limit": numbers.speed_limit,
+            "tolerance": numbers.tolerance,
+            "cell_size": cell_size,
+            "one": 1.0,
+            "low": world.low,
+            "high": world.high,
+        } | self._of_forces([*self.state.count_names, *self.state.number_names])
+        counts, reals = (
+            np.concatenate([np.ravel(values[name]) for name in names])
+            for names in (self.state.count_names, self.state.number_names)
+        )
+        arrays = counts.astype(np.int32), reals.astype(self.real)
+        self.launcher.launch(transfer.load_numbers, self.state, *arrays)
+
+    def _of_forces(self, names: Collection[str]) -> dict[str, Any]:
+        """What the forces put into those of their fields that have these names."""
+        scene = self.snapshot.scene
+        return {
+            field.name: field.value(scene.world, scene.particles)
+            for field in device_fields(self.spec)
+            if field.value and field.name in names
+        }
+
+    def all(self) -> None:
+        """Fill everything but `numbers`, which come first."""
+        self._cells()
+        if len(self.snapshot.x):  # a kernel takes no empty array
+            self._particles()
+            if "summed_springs" in self.needs:
+                self._near()
+            if self.spec.halo and "spring_colours" in self.needs:
+                self._launch(transfer.load_halo_numbers)
+        if self.spec.springs:
+            self._graph()
+        if self.spec.links:
+            self._links()
+
+    def _launch(self, kernel: Any, *arguments: Any) -> None:
+        self.launcher.launch(kernel, self.spec, self.state, *arguments)
+
+    # --- particles -------------------------------------------------------------------------
+
+    def _cells(self) -> None:
+        layout = self.placement.layout
+        self._launch(transfer.load_packs, layout.n_packs, layout.grid, layout.grid_of)
+
+    def _particles(self) -> None:
+        p, x = self.snapshot.scene.particles, self.snapshot.x
+        with np.errstate(all="ignore"):
+            w = np.where(p.fixed, 0.0, 1.0 / p.mass)
+        v = np.where(p.fixed[:, None], 0.0, self.snapshot.v)  # a fixed particle never moves
+        values = {"x": x, "v": v, "w": w, "radius": p.radius, "restitution": p.restitution}
+        if self.spec.compensated:
+            values |= {"x_low": _low(x, self.real), "v_low": _low(v, self.real)}
+        vectors, names = self.state.vector_names, self.state.particle_names
+        values |= self._of_forces([*vectors, *names])
+        rows = as_real(self.real, "particle", *(values[name] for name in (*vectors, *names)))
+        weights = rows[:, len(vectors) * x.shape[1] + names.index("w")]
+        vanished = (w > 0) & (weights == 0)
+        if vanished.any():
+            raise _wrong_size(self.real, "particle", int(vanished.argmax()))
+        self._launch(transfer.load_particles, self.placement.layout.slot, rows)
+
+    def _near(self) -> None:
+        """Sums of the stiffness and damping of each particle's springs."""
+        springs = self.snapshot.scene.springs.select(self.snapshot.pulling)
+        count = len(self.snapshot.x)
+        rows = np.column_stack(
+            [
+                np.bincount(springs.between.ravel(), np.repeat(of, 2), count)
+                for of in (springs.stiffness, springs.damping)
+            ]
+        )
+        self._launch(
+            transfer.load_summed_springs, self.placement.layout.slot, rows.astype(self.real)
+        )
+
+    # --- springs on the graph --------------------------------------------------------------
+
+    def _graph(self) -> None:
+        """The springs that are on the graph, as rows of half-springs."""
+        layout, mine = self.placement.layout, self.placement.graph_springs
+        springs, marks = self.snapshot.scene.springs.select(mine), self.snapshot.marks[mine]
+        ends, sites = layout.slot[springs.between], layout.n_packs * layout.lanes
+        half = adjacency.half_springs(ends, sites)
+        near, row = np.arange(sites), half.row
+        if self.spec.links:  # only those that have any
+            near = np.flatnonzero(np.diff(half.row))
+            row = np.append(half.row[near], len(half.far))
+        numbers = self._spring_numbers(springs)
+        if self.spec.uniform_springs:
+            numbers = numbers[:1]
+        if "spring_colours" in self.needs:
+            self._spring_colours(ends, numbers)
+        self._half_springs(near, row, np.where(marks[half.spring, 0] == GONE, half.near, half.far))
+        if "particle_colours" in self.needs:
+            self._particle_colours(near)
+        if len(springs):
+            rows = numbers if self.spec.uniform_springs else numbers[half.spring]
+            self._launch(transfer.load_spring_numbers, rows)
+        if self.spec.fracture:
+            self._break_marks(springs, np.column_stack([ends, half.half, marks]))
+
+    def _half_springs(self, near: np.ndarray, row: np.ndarray, far: np.ndarray) -> None:
+        """Compressed rows: those of the sites `near` begin at `row`, with far ends `far`."""
+        self.launcher.launch(
+            transfer.load_half_springs,
+            self.state,
+            _not_empty(near.astype(np.int32)),
+            row.astype(np.int32),
+            _not_empty(far.astype(np.int32)),
+            len(near),
+            len(far),
+        )
+
+    def _spring_colours(self, ends: np.ndarray, numbers: np.ndarray) -> None:
+        """The springs one by one, by colour: sites of their ends (s, 2), and their numbers."""
+        start = _starts(self.placement.colours)
+        arrays = start, _not_empty(ends), _not_empty(numbers)
+        self._launch(transfer.load_colours, len(start) - 1, *arrays)
+
+    def _particle_colours(self, near: np.ndarray) -> None:
+        """The particles at the sites `near`, which have springs on the graph, by colour."""
+        layout = self.placement.layout
+        colour = np.full(layout.n_packs * layout.lanes, -1)
+        colour[layout.slot] = self.placements.particle_colours()
+        colour = colour[near]
+        order = np.argsort(colour, kind="stable")
+        order = order[colour[order] >= 0]
+        start = _starts(colour[order])
+        arrays = start, _not_empty(order.astype(np.int32))
+        self._launch(transfer.load_particle_colours, len(start) - 1, *arrays)
+
+    def _break_marks(self, springs: Springs, indices: np.ndarray) -> None:
+        """What fracture needs; indices: (s, 6), ends, half-springs, status and break step."""
+        break_length2 = layouts.break_length2(springs).astype(self.real)
+        if self.spec.uniform_springs:
+            break_length2 = break_length2[:1]
+        arrays = _not_empty(indices.astype(np.int32)), _not_empty(break_length2)
+        self._launch(transfer.load_springs, len(springs), *arrays)
+
+    # --- links of grids --------------------------------------------------------------------
+
+    def _links(self) -> None:
+        layout, links = self.placement.layout, self.placement.links
+        none = np.zeros_like(layout.break_length2)
+        shared = np.stack(
+            [*(layout.shared.get(n.column, none) for n in NUMBERS), layout.break_length2], axis=2
+        )
+        # The largest number instead of infinity, which f32 kernels may assume not to occur.
+        shared = np.minimum(shared, np.finfo(self.real).max).astype(self.real)
+        own = self._spring_numbers(self.snapshot.scene.springs.select(links))
+        rows = np.column_stack([self.placement.link_places, self.snapshot.marks[links]])
+        self._launch(transfer.load_links, shared, rows, own)
+
+    def _spring_numbers(self, springs: Springs) -> np.ndarray:
+        """The numbers of springs, a column each (s, numbers): `kernels.spring_numbers`."""
+        return as_real(self.real, "spring", *(getattr(springs, n.column) for n in NUMBERS))
+
+
+def as_real(real: Real, what: str, *columns: np.ndarray) -> np.ndarray:
+    """Columns side by side in the device's precision; InputError where one does not fit.
+
+    what: "particle" or "spring", for the message.
+    """
+    with np.errstate(all="ignore"):
+        rows = np.column_stack(columns).astype(real)
+    if not np.isfinite(rows).all():
+        raise _wrong_size(real, what, int(np.isfinite(rows).all(axis=1).argmin()))
+    return rows
+
+
+def _wrong_size(real: Real, what: str, index: int) -> InputError:
+    wider = "; use --precision f64" if real is np.float32 else ""
+    return InputError(
+        f"{what} {index} has a number too large or too small for {real.__name__}{wider} "
+        "or other units"
+    )
+
+
+def _low(values: np.ndarray, real: Real) -> np.ndarray:
+    """What the device's precision cannot hold of values."""
+    with np.errstate(all="ignore"):
+        low = values - values.astype(real)
+    return np.where(np.isfinite(low), low, 0.0)  # `values` themselves are refused
+
+
+def _collision_grid(world: World, particles: Particles) -> tuple[list[int], float]:
+    """Cells per axis and their width, the largest diameter, for the collision grid.
+
+    The grid wraps around, so where the world has more cells than the container holds, it is made
+    smaller in proportion: far particles then share a cell, at the cost of comparisons.
+    """
+    size = np.array(world.size)
+    width = 2.0 * float(particles.radius.max(initial=0.0)) or float(size.max())
+    cells = np.ceil(size / width) + 1
+    capacity = CELLS_PER_PARTICLE * max(len(particles), 1) + 64
+    while cells.prod() > capacity:
+        cells = np.maximum(3, np.floor(cells * 0.97))
+    return [int(max(3, c)) for c in cells], width
+
+
+def _starts(colours: np.ndarray) -> np.ndarray:
+    """Where each colour that occurs begins in a sorted array, and the array's end."""
+    start = np.flatnonzero(np.diff(colours, prepend=-1))
+    return np.append(start, len(colours)).astype(np.int32)
+
+
+def _not_empty(array: np.ndarray) -> np.ndarray:
+    """The array, or one row of zeros where it is empty: a kernel takes no empty array."""
+    return array if len(array) else np.zeros((1, *array.shape[1:]), array.dtype)
