@@ -127,7 +127,7 @@ def carried_row(spec: ti.template(), state: ti.template(), g, t):
 
 @ti.func
 def ring_row(spec: ti.template(), state: ti.template(), g, t, begin, end, r):
-    """The place in the ring of row r, while thread t passes over the rows begin .. end of grid g."""
+    """The place in the ring of row r, while thread t passes over rows begin .. end of grid g."""
     at = (spec.depth + t * spec.ring_depth + (r & (spec.ring_depth - 1))) * state.row + spec.halo
     if r < begin:
         at = carried_row(spec, state, g, t - 1) + (r - begin + spec.depth) * state.row
@@ -175,7 +175,7 @@ def pass_over_rows(
     between: ti.template(),
     consume: ti.template(),
 ):
-    """Run consume(spec, state, i, sum over its links) for each pack of thread t's share of all grids.
+    """Run consume(spec, state, i, sum over its links) for each pack in thread t's share of grids.
 
     Each link is computed once, row by row. The links that begin in a row are computed before its
     turn, into the ring of rows. In its turn each pack adds up what it gets from the links that

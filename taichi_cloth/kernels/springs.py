@@ -4,9 +4,9 @@ What a spring between two particles contributes is a ti.func `between(spec, stat
 numbers)`: what i gets from the spring to j; j gets the opposite. It reads fields by
 `value(spec, field, i)`, of whole packs of a grid or of single particles of a graph; `numbers` is
 the list of the spring's (`spring_numbers.py`). `accumulate` sums `between` over the springs of each
-pack and hands the sum to `consume(spec, state, i, sum)`. Forces are one such contribution, a product
-with the stiffness matrix is another. There are no races and no atomics, so that a sum has the same
-bits on every run, for every number of threads.
+pack and hands the sum to `consume(spec, state, i, sum)`. Forces are one such contribution, a
+product with the stiffness matrix is another. There are no races and no atomics, so that a sum has
+the same bits on every run, for every number of threads.
 
 What a spring pulls with is the sum of those terms of the scene that act along springs (`forces/`);
 it is put together here alone.
@@ -35,12 +35,12 @@ def _tensions(spec):
 
 
 def reads_velocity(spec):
-    """Whether springs have damping, so that a particle's force depends on neighbours' velocities."""
+    """Whether springs have damping: a particle's force then depends on neighbours' velocities."""
     return any(has(term.damping) for term in _tensions(spec))
 
 
 def _parts(spec, part):
-    """The functions that are one part ("law", "damping", ...) of those terms that have this part."""
+    """The functions that are one part ("law", "damping", ...) of the terms that have this part."""
     return [getattr(term, part) for term in _tensions(spec) if has(getattr(term, part))]
 
 
@@ -177,6 +177,7 @@ def move_and_accumulate(
 @functools.cache
 def _summing(between, consume):
     """The body of a loop over packs that hands each pack's sum to `consume`."""
+
     @ti.func
     def body(spec: ti.template(), state: ti.template(), i):
         consume(spec, state, i, sum_at_pack(spec, state, between, i))
@@ -187,6 +188,7 @@ def _summing(between, consume):
 @functools.cache
 def _summing_more(between, consume_graph):
     """The body of a loop over compressed rows that hands each row's sum to `consume_graph`."""
+
     @ti.func
     def body(spec: ti.template(), state: ti.template(), p):
         slot = state.csr_slot[p]
