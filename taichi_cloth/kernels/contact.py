@@ -205,7 +205,7 @@ def wall_gap(state: ti.template(), x, radius, axis: ti.template(), side: ti.temp
 
 @ti.func
 def past_wall(spec: ti.template(), state: ti.template(), x, radius):
-    """Whether any particle of a pack is past any wall; in most packs none is, and it is all they pay.
+    """Whether any particle of a pack is past any wall: for most packs it is all that walls cost.
 
     x, radius: the pack's positions and radii.
     """
