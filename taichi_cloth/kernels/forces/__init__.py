@@ -1,6 +1,6 @@
-"""Forces, one file each, found by looking into this folder: `contract.Term` says what one declares.
+"""Forces, one file each, which are found by looking into this folder.
 
-Adding a force is adding a file.
+`contract.Term` says what a file declares. Adding a force is adding a file.
 """
 
 import functools
@@ -12,9 +12,9 @@ TERMS = tuple(sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name !=
 
 @functools.cache
 def load(name):
-    """The `Term` of the force `name`, out of `TERMS`. Importing it imports Taichi.
+    """The `Term` of the force `name`, out of `TERMS`. Calling it imports Taichi.
 
-    TypeError, which names the file and the part, where its declaration is not whole.
+    Raises TypeError, which names the file and the part, where its declaration is not whole.
     """
     from taichi_cloth.kernels.forces.contract import Term
 
@@ -28,5 +28,5 @@ def load(name):
 
 
 def present_in(scene):
-    """Names of the terms that a scene needs, in the order in which they are added up."""
+    """The names of the terms that a scene needs, in the order in which they are added up."""
     return tuple(name for name in TERMS if load(name).present(scene))

@@ -1,8 +1,8 @@
-"""Time-integration methods, one file each, found by looking into this folder.
+"""Time-integration methods, one file each, which are found by looking into this folder.
 
 A method's file has a docstring with its formula and source, and METHOD = Method(...), whose parts
-`contract.Method` explains. Positions and velocities are changed by `compensated.add_to_position` and
-`add_to_velocity`, which are plain sums but in the precision `compensated`. Adding a method is
+`contract.Method` explains. It changes positions and velocities by `compensated.add_to_position` and
+`add_to_velocity`, which are plain sums except in the precision `compensated`. Adding a method is
 adding a file.
 """
 
@@ -15,9 +15,9 @@ METHODS = tuple(sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name 
 
 @functools.cache
 def load(name):
-    """The `Method` called `name`, out of `METHODS`. Importing it imports Taichi.
+    """The `Method` called `name`, out of `METHODS`. Calling it imports Taichi.
 
-    TypeError, which names the file, where it declares something unknown or not everything.
+    Raises TypeError, which names the file, where it declares something unknown or not everything.
     """
     from taichi_cloth.kernels.methods.contract import Method
 
