@@ -159,7 +159,7 @@ def _different_numbers(spec, state):
 def _fill_springs(
     spec: ti.template(), state: ti.template(), place: ti.template(), rows: ti.template()
 ):
-    """Fill the numbers of springs at a place (`spring_numbers.fields_of`) from rows (s, numbers)."""
+    """Fill the springs' numbers at a place (`spring_numbers.fields_of`) from rows (s, numbers)."""
     for s in range(rows.shape[0]):
         for column, field in ti.static(stored_fields(spec, state, place)):
             if ti.static(spec.uniform_springs):

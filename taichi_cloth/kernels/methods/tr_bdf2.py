@@ -33,7 +33,7 @@ def stability_function(z):
 
 @ti.func
 def stay(spec: ti.template(), state: ti.template(), i):
-    """Leave pack i where it is: the trapezoidal rule needs the accelerations at the step's start."""
+    """Start with pack i where it is: the trapezoidal rule needs the acceleration there."""
     newton_cg.keep_start(spec, state, i)
     v = read(spec, state.v, i)
     write(spec, state.gain, i, 0.0 * v)  # so that the residual is the acceleration

@@ -109,8 +109,8 @@ def impulse_change(spec: ti.template(), dt, d, dv, w, numbers: ti.template(), p)
     along_part = 1.0 / (1.0 + dt * w * stiffness_along(spec, dt, numbers))
     across = stiffness_across(spec, length, numbers, 0.0)
     across_part = 1.0 / (1.0 + dt * dt * w * across)
-    # A stiff spring's tension is far larger than the impulse, so what is along the spring is added
-    # up as one number: the difference of two vectors would lose it to rounding.
+    # A stiff spring's tension is far larger than the impulse: it stays one number along the spring
+    # and must not be taken apart into axes.
     has = dot(p, along)
     more = along_part * (dt * tension - has) + across_part * has
     return scaled(more, along) - scaled(across_part, p)
