@@ -1,4 +1,4 @@
-"""Force accumulation: all terms that act on a particle (`forces/`), as one acceleration."""
+"""Accelerations: all terms that act on a particle (`forces/`), added up, over its mass."""
 
 import functools
 
@@ -27,19 +27,21 @@ from taichi_cloth.kernels.springs import (
 
 @ti.func
 def compute_acceleration(spec: ti.template(), state: ti.template(), t):
-    """a = g + w*f for every particle, from the positions and velocities as they stand.
+    """Compute state.a for every particle, from the positions and velocities as they stand.
 
-    Positions and velocities are only read, so no loop has a race.
+    It is what `acceleration` gives with the forces of all springs (Newton's second law). Positions
+    and velocities are only read, so no loop has a race.
     """
     accumulate(spec, state, t, force_between, _store_acceleration, _accelerate_more)
 
 
 @ti.func
 def accelerate_then(spec: ti.template(), state: ti.template(), t, move: ti.template()):
-    """Run move(spec, state, i, a) for every pack i with its acceleration a at the step's start.
+    """Run move(spec, state, i, a) for every pack i with its acceleration a in the present state.
 
-    A special case that is measured to pay: in lanes a pack that has its acceleration can move at
-    once, which saves storing and reading it. All else takes two loops.
+    move: may change what neighbours read; each pack's acceleration is that before any has moved.
+    On grids with several lanes and no other springs a pack can move as soon as it has its
+    acceleration, which saves storing and reading it: measured, that pays. All else takes two loops.
     """
     if ti.static(spec.lanes > 1 and not spec.springs):
         accumulate(spec, state, t, force_between, ti.static(_moving(move)), _accelerate_more)
@@ -49,7 +51,10 @@ def accelerate_then(spec: ti.template(), state: ti.template(), t, move: ti.templ
 
 
 def kicks_at_once(spec):
-    """Whether `kick_after` kicks a pack when it has its forces, and leaves state.a to that."""
+    """Whether `kick_after` runs `kick` for a pack as soon as it has its forces.
+
+    state.a is then what the method stored there, until `kick` changes it.
+    """
     if spec.lanes > 1:
         return not spec.springs and not spec.one_launch_per_step
     # Neighbours read positions, which a kick leaves, and for dashpots velocities.
@@ -60,8 +65,10 @@ def kicks_at_once(spec):
 def kick_after(
     spec: ti.template(), state: ti.template(), t, move: ti.template(), kick: ti.template()
 ):
-    """Run move(spec, state, i) for every pack, then kick(spec, state, i, a) with its acceleration
-    where it is now, which changes its velocity alone. In lanes that is one pass over memory.
+    """Run move(spec, state, i) for every pack i, then kick(spec, state, i, a) for every pack i.
+
+    a: the pack's acceleration where `move` has left it; kick: changes velocities alone. On grids
+    with several lanes both are done in one pass over memory.
     """
     if ti.static(not kicks_at_once(spec)):
         each_pack_moving(spec, state, t, move)
@@ -75,6 +82,8 @@ def kick_after(
 
 @functools.cache
 def _moving(move):
+    """A `consume` that runs move(spec, state, i, a) with the acceleration by the forces it gets."""
+
     @ti.func
     def consume(spec: ti.template(), state: ti.template(), i, f):
         move(spec, state, i, acceleration(spec, state, i, f))
@@ -84,6 +93,8 @@ def _moving(move):
 
 @functools.cache
 def _moving_with_stored(move):
+    """The body of a loop that runs move(spec, state, i, a) with the acceleration in state.a."""
+
     @ti.func
     def body(spec: ti.template(), state: ti.template(), i):
         move(spec, state, i, read(spec, state.a, i))
@@ -97,7 +108,11 @@ def _store_acceleration(spec: ti.template(), state: ti.template(), i, f):
 
 
 def _laws(spec, adds, resists=None):
-    """The laws of the terms on particles of a kind; resists: whether those with damping, or not."""
+    """The laws of those terms on particles that add ACCELERATION or FORCE.
+
+    adds: which of both; resists: True: only those with damping; False: only those without; None:
+    all.
+    """
     found = [load(name) for name in spec.terms]
     return [
         term.law
@@ -108,7 +123,7 @@ def _laws(spec, adds, resists=None):
 
 @ti.func
 def acceleration(spec: ti.template(), state: ti.template(), i, f):
-    """Acceleration of pack i under the spring forces f and all that acts on single particles.
+    """The acceleration of pack i by the spring forces f and all that acts on single particles.
 
     The order of the sums is that of the reference trajectories: a pulled cloth amplifies round-off
     1e8 times in 600 frames. Forces that resist motion are added up among the accelerations.
@@ -126,25 +141,26 @@ def acceleration(spec: ti.template(), state: ti.template(), i, f):
 
 
 def _derivatives(spec, part):
-    """The stiffnesses or dampings of the terms on particles that have one."""
+    """The functions that give one part, "stiffness" or "damping", of the terms on particles."""
     found = [load(name) for name in spec.terms]
     return [getattr(t, part) for t in found if t.adds != TENSION and has(getattr(t, part))]
 
 
 def resists(spec):
-    """Whether a term on particles has damping."""
+    """Whether any term on particles has damping."""
     return bool(_derivatives(spec, "damping"))
 
 
 def binds(spec):
-    """Whether a term on particles has stiffness."""
+    """Whether any term on particles has stiffness."""
     return bool(_derivatives(spec, "stiffness"))
 
 
 @ti.func
 def damping_of(spec: ti.template(), state: ti.template(), number: ti.template(), i):
-    """Damping by all terms on particles, a number for each particle. number: `packs.read`, or of
-    a slot `slot_number`.
+    """The damping by all terms on particles, a number for each particle [force / velocity].
+
+    i: a pack where `number` is `packs.read`, a slot where it is `packs.slot_number`.
     """
     return sum_of(
         [part(spec, state, number, i) for part in ti.static(_derivatives(spec, "damping"))]
@@ -153,7 +169,10 @@ def damping_of(spec: ti.template(), state: ti.template(), number: ti.template(),
 
 @ti.func
 def stiffness_of(spec: ti.template(), state: ti.template(), number: ti.template(), i):
-    """Stiffness by all terms on particles, a number for each particle."""
+    """The stiffness by all terms on particles, a number for each particle [force / length].
+
+    i: a pack where `number` is `packs.read`, a slot where it is `packs.slot_number`.
+    """
     return sum_of(
         [part(spec, state, number, i) for part in ti.static(_derivatives(spec, "stiffness"))]
     )
@@ -161,6 +180,6 @@ def stiffness_of(spec: ti.template(), state: ti.template(), number: ti.template(
 
 @ti.func
 def _accelerate_more(spec: ti.template(), state: ti.template(), slot, f):
-    """Acceleration by springs that no grid holds."""
+    """Add the forces f of those springs that no grid holds to the acceleration of one particle."""
     w = slot_number(spec, state.w, slot)
     set_slot_value(spec, state.a, slot, slot_value(spec, state.a, slot) + w * f)

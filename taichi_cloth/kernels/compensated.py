@@ -1,13 +1,15 @@
 """Sums that keep what rounding takes from them: the precision `compensated`.
 
 A position moves by far less than itself in a step: in f32, at 1.5 m and with 1000 substeps a frame,
-by less than can be added to it. There each position and velocity has a low part besides, which
-holds what its last sums lost and is added with the next change, so that they are as good as numbers
-of 48 bits. Kahan, "Further remarks on reducing truncation errors", Comm. ACM 8, 1965; the error of
-a sum is Knuth's, The Art of Computer Programming 2, 4.2.2, theorem B: it does not ask which of both
-is larger. Compilers that reorder floating-point operations would undo it: `fast_math` is off there,
-and what Vulkan's and OpenGL's do regardless is kept from them by factors of which they do not know
-that they are one.
+by less than can be added to it. In this precision each position and velocity therefore has a low
+part besides, which holds what its last sums lost and is added with the next change, so that both
+together are as good as a number of 48 bits. Kahan, "Further remarks on reducing truncation errors",
+Comm. ACM 8, 1965; the error of a sum is Knuth's, The Art of Computer Programming 2, 4.2.2,
+theorem B: it does not ask which of both is larger.
+
+Compilers that reorder floating-point operations would undo it. So `fast_math` is off in this
+precision, and sums are multiplied by a factor that is 1 (state.one), which the compilers of Vulkan
+and OpenGL do not know and so cannot reorder across.
 
 In every other precision these functions are plain sums and differences, to the bit.
 """
@@ -19,7 +21,10 @@ from taichi_cloth.kernels.packs import component, read, with_component, write
 
 @ti.func
 def add_to_position(spec: ti.template(), state: ti.template(), i, x, change):
-    """Pack i's positions x, changed: x + change, with what state.x_low still owes them."""
+    """The sum x + change for pack i's positions x, with what state.x_low still owes them.
+
+    In the precision `compensated` it updates state.x_low; the caller stores the sum in state.x.
+    """
     if ti.static(spec.compensated):
         return _added(spec, state, state.x_low, i, x, change)
     else:
@@ -28,7 +33,10 @@ def add_to_position(spec: ti.template(), state: ti.template(), i, x, change):
 
 @ti.func
 def add_to_velocity(spec: ti.template(), state: ti.template(), i, v, change):
-    """The same for its velocities v."""
+    """The sum v + change for pack i's velocities v, with what state.v_low still owes them.
+
+    In the precision `compensated` it updates state.v_low; the caller stores the sum in state.v.
+    """
     if ti.static(spec.compensated):
         return _added(spec, state, state.v_low, i, v, change)
     else:
@@ -37,6 +45,7 @@ def add_to_velocity(spec: ti.template(), state: ti.template(), i, v, change):
 
 @ti.func
 def _added(spec: ti.template(), state: ti.template(), low: ti.template(), i, value, change):
+    """The sum value + change + low, whose own rounding error becomes the new low."""
     one = state.one[None]
     change_and_low = change + read(spec, low, i)
     total = one * (value + change_and_low)
@@ -47,7 +56,10 @@ def _added(spec: ti.template(), state: ti.template(), low: ti.template(), i, val
 
 @ti.func
 def difference(spec: ti.template(), state: ti.template(), value: ti.template(), i, j):
-    """Vector from i to j, of whole packs or of particles as `value` reads them."""
+    """The vectors from the positions of i to those of j, which are packs or slots, as for `value`.
+
+    In the precision `compensated` the low parts count too.
+    """
     d = value(spec, state.x, j) - value(spec, state.x, i)
     if ti.static(spec.compensated):
         d += value(spec, state.x_low, j) - value(spec, state.x_low, i)
@@ -56,7 +68,10 @@ def difference(spec: ti.template(), state: ti.template(), value: ti.template(), 
 
 @ti.func
 def forget_low(spec: ti.template(), state: ti.template(), i, axis: ti.template(), where):
-    """Where the numbers `where` are positive, positions were set on an axis, not changed."""
+    """Clear the low parts of pack i's positions on an axis, where the numbers `where` are positive.
+
+    There the positions were set to a value and not changed by a sum, so nothing is owed to them.
+    """
     low = read(spec, state.x_low, i)
     part = component(low, axis)
     none = ti.select(where > 0.0, 0.0 * part, part)

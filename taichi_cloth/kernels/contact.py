@@ -1,11 +1,12 @@
-"""Contacts, as changes of velocity, so that every method shares them: walls and particle pairs.
+"""Contacts with walls and between particles, as changes of velocity, which all methods share.
 
 All changes are computed from the state at the start of the step. Pairs are found with a uniform
-grid of cells at least one largest diameter wide, filled by a counting sort (Green, "Particle
-Simulation using CUDA", 2010). The grid wraps around at its edges, so it needs no bounds: with at
-least three cells per axis the 3^dim cells around a particle are distinct, and what a far particle
-in the same cell costs is one comparison. Each cell lists its particles by index, which fixes the
-order of accumulation.
+collision grid of *cells* at least one largest diameter wide, filled by a counting sort (Green,
+"Particle Simulation using CUDA", 2010). The grid wraps around at its edges, so it needs no bounds:
+with at least three cells per axis the 3^dim cells around a particle are distinct, and a particle
+that is far away but in the same cell costs one comparison. Each cell lists its particles by index,
+which fixes the order of sums. c in this file: a cell, by its integer coordinates (dim,) or by its
+index.
 """
 
 import taichi as ti
@@ -27,21 +28,21 @@ from taichi_cloth.kernels.packs import (
 
 @ti.func
 def cell_coordinates(state: ti.template(), x):
-    """Integer coordinates of x's cell, before wrapping."""
+    """The integer coordinates (dim,) of the cell at position x, before they are wrapped."""
     at = x / state.cell_size[None]
     return ti.Vector([ti.cast(ti.floor(at[axis]), ti.i32) for axis in range(x.n)])
 
 
 @ti.func
 def wrapped(c, size):
-    """c modulo size, in 0..size-1 also for negative c."""
+    """The coordinate c modulo size: in 0 .. size - 1, also for negative c."""
     m = c % size
     return ti.select(m < 0, m + size, m)
 
 
 @ti.func
 def cell_index(state: ti.template(), c):
-    """Index of the cell with coordinates c (wrapped); the first axis runs fastest."""
+    """The index of the cell with coordinates c, which it wraps; the first axis runs fastest."""
     size = ti.static(state.grid_size)
     index = wrapped(c[c.n - 1], size[c.n - 1])
     for axis in ti.static(range(c.n - 2, -1, -1)):
@@ -51,6 +52,7 @@ def cell_index(state: ti.template(), c):
 
 @ti.func
 def cell_count(state: ti.template()):
+    """How many cells the collision grid has."""
     count = 1
     for axis in ti.static(range(state.grid_size.shape[0])):
         count *= state.grid_size[axis]
@@ -59,7 +61,7 @@ def cell_count(state: ti.template()):
 
 @ti.func
 def slot_of(spec: ti.template(), state: ti.template(), i):
-    """Where particle i is stored."""
+    """The slot of the particle with index i."""
     if ti.static(spec.kinds > 0):
         return state.slot[i]
     else:
@@ -68,7 +70,11 @@ def slot_of(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def sort_into_cells(spec: ti.template(), state: ti.template()):
-    """Counting sort of the particles by cell: cell_start, sorted_index, sorted_x, sorted_radius."""
+    """Sort the particles by cell, and by index in each: a counting sort.
+
+    It fills state.cell_start (the place in this order at which a cell's particles begin) and, by
+    place, sorted_index, sorted_x and sorted_radius.
+    """
     for c in range(cell_count(state)):
         state.cell_fill[c] = 0
     for i in range(state.n[None]):
@@ -77,7 +83,7 @@ def sort_into_cells(spec: ti.template(), state: ti.template()):
         state.cell_of[i] = c
         ti.atomic_add(state.cell_fill[c], 1)
 
-    # Exclusive prefix sum in blocks: sums per block, then over blocks, then inside each block.
+    # An exclusive prefix sum in blocks: first over each block, then over these, then inside each.
     for b in range((cell_count(state) + state.block - 1) // state.block):
         total = 0
         for c in range(b * state.block, ti.min((b + 1) * state.block, cell_count(state))):
@@ -119,19 +125,24 @@ def sort_into_cells(spec: ti.template(), state: ti.template()):
 
 @ti.func
 def sorted_x(state: ti.template(), at):
-    """Position of the particle at place `at` of the order by cells."""
+    """The position (dim,) of the particle at place `at` in the order by cells."""
     return ti.Vector([state.sorted_x[at, axis] for axis in range(state.sorted_x.shape[1])])
 
 
 @ti.func
 def set_sorted_x(state: ti.template(), at, x):
+    """Store the position (dim,) of the particle at place `at` in the order by cells."""
     for axis in ti.static(range(x.n)):
         state.sorted_x[at, axis] = x[axis]
 
 
 @ti.func
 def bounce_off_cell(spec: ti.template(), state: ti.template(), c, i, x, v, w, radius, e):
-    """Sum of the velocity changes of particle i from colliding with the particles of one cell."""
+    """The sum of the velocity changes of particle i by collisions with the particles of cell c.
+
+    i, c: their indices; x, v, w, radius, e: position, velocity, inverse mass, radius and
+    restitution of particle i. A pair's restitution is the product of both.
+    """
     change = 0.0 * x
     for at in range(state.cell_start[c], state.cell_start[c + 1]):
         d = sorted_x(state, at) - x
@@ -154,9 +165,12 @@ def bounce_off_cell(spec: ti.template(), state: ti.template(), c, i, x, v, w, ra
 
 @ti.func
 def compute_pair_bounces(spec: ti.template(), state: ti.template()):
-    """jump: change of each particle's velocity from all its collisions, equal time for all."""
+    """Compute state.jump, the change of each particle's velocity by all its collisions.
+
+    All collisions see the state at the start of the step, as if they happened at once.
+    """
     sort_into_cells(spec, state)
-    for at in range(state.n[None]):  # cell by cell: one after the other looks at the same memory
+    for at in range(state.n[None]):  # cell by cell, so that successive ones read the same memory
         i = state.sorted_index[at]
         slot = slot_of(spec, state, i)
         x, v = sorted_x(state, at), slot_value(spec, state.v, slot)
@@ -173,16 +187,17 @@ def compute_pair_bounces(spec: ti.template(), state: ti.template()):
 
 @ti.func
 def compute_contacts(spec: ti.template(), state: ti.template()):
-    """Prepare the step's contacts; nothing for a scene without collisions."""
+    """Compute the collisions of a step at its start; it does nothing in a scene without them."""
     if ti.static(spec.collisions):
         compute_pair_bounces(spec, state)
 
 
 @ti.func
 def wall_gap(state: ti.template(), x, radius, axis: ti.template(), side: ti.template()):
-    """How far the surfaces of particles at x are short of a wall (negative: past it).
+    """How far the surfaces of particles at x are short of a wall [length]; negative: past it.
 
-    One formula for all that ask: where a particle rests on the floor, rounding decides.
+    axis, side: the wall, of which side is 1 at state.high and -1 at state.low. All that ask use
+    this one formula, because rounding decides where a particle rests on the floor.
     """
     bound = state.high[axis] if ti.static(side > 0) else state.low[axis]
     return float(side) * (bound - component(x, axis)) - radius
@@ -190,7 +205,10 @@ def wall_gap(state: ti.template(), x, radius, axis: ti.template(), side: ti.temp
 
 @ti.func
 def past_wall(spec: ti.template(), state: ti.template(), x, radius):
-    """Whether a particle of a cell is past any wall: most are not, and that is all they pay."""
+    """Whether any particle of a pack is past any wall: for most packs it is all that walls cost.
+
+    x, radius: the pack's positions and radii.
+    """
     most = 0.0 * radius
     for axis, side in ti.static(spec.walls):
         most = ti.max(most, -1.0 * wall_gap(state, x, radius, axis, side))
@@ -199,9 +217,10 @@ def past_wall(spec: ti.template(), state: ti.template(), x, radius):
 
 @ti.func
 def velocity_jump(spec: ti.template(), state: ti.template(), i, x, v):
-    """Change of the velocities in cell c from walls and pairs.
+    """The change of pack i's velocities by walls and pairs.
 
-    x, v: the cell's positions and velocities at the start of the step.
+    x, v: the pack's positions and velocities at the start of the step. `compute_contacts` comes
+    before.
     """
     jump = zeros(spec, state)
     if ti.static(len(spec.walls) > 0):
@@ -220,9 +239,10 @@ def velocity_jump(spec: ti.template(), state: ti.template(), i, x, v):
 
 @ti.func
 def kept_above_floor(spec: ti.template(), state: ti.template(), i, x, v, new_x, new_v):
-    """Positions new_x after the move; on the floor where that was hit and new_v points down.
+    """The positions new_x of pack i, set onto the floor where it was hit and new_v points down.
 
-    x, v: those at the start of the step, which decide what was hit.
+    x, v: positions and velocities at the start of the step, which decide what was hit; new_x,
+    new_v: those at its end. Axis 1 points down, and the floor is at state.high[1].
     """
     kept = new_x
     if ti.static(spec.floor):

@@ -1,7 +1,7 @@
 """Springs that break: over its break force a spring pulls for one more step, then it is gone.
 
-The limit is compared as a squared length (force k*(l - rest) > limit means l > rest + limit/k), so
-no root is taken and both ends of a spring share one decision.
+The force k*(l - rest) exceeds the break force where l > rest + break_force/k. Both sides of this
+are compared squared, so that no root is taken, and once for each spring, so that its ends agree.
 """
 
 import taichi as ti
@@ -24,7 +24,10 @@ from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 
 @ti.func
 def break_springs(spec: ti.template(), state: ti.template(), t):
-    """End of a step: remove the springs that were breaking; mark those now over their limit."""
+    """Remove the springs that were breaking, and mark those that are over their limit now.
+
+    It comes at the end of a step.
+    """
     if ti.static(spec.kinds > 0):
         each_pack(spec, state, t, _break_links)
     if ti.static(spec.springs):
@@ -36,6 +39,7 @@ def break_springs(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def _break_spring(spec: ti.template(), state: ti.template(), s):
+    """Remove spring s on the graph if it was breaking, else mark it if it is over its limit."""
     if state.status[s] == BREAKING:
         state.status[s] = GONE
         for end in ti.static(range(2)):
@@ -47,6 +51,7 @@ def _break_spring(spec: ti.template(), state: ti.template(), s):
 
 @ti.func
 def _mark_spring(spec: ti.template(), state: ti.template(), s):
+    """Mark spring s on the graph as breaking if it is over its limit."""
     if state.status[s] == ALIVE:
         near, far = state.ends[s, 0], state.ends[s, 1]
         d = slot_value(spec, state.x, far) - slot_value(spec, state.x, near)
@@ -60,7 +65,10 @@ def _mark_spring(spec: ti.template(), state: ti.template(), s):
 
 @ti.func
 def _break_links(spec: ti.template(), state: ti.template(), i):
-    """One test for a whole pack: in most none breaks, and that is all they pay."""
+    """Remove or mark the links that begin at pack i, as `_break_spring` does for a spring.
+
+    One test comes first for the whole pack: in most packs no link breaks, and it is all they pay.
+    """
     g = state.grid_of[i]
     if g >= 0:
         x = read(spec, state.x, i)
@@ -86,6 +94,7 @@ def _break_links(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _mark_link(spec: ti.template(), state: ti.template(), s, g, i, lane):
+    """Mark the link of kind s in one lane of pack i as breaking if it is over its limit."""
     slot, link = i * spec.lanes + lane, link_index(state, s, i) * spec.lanes + lane
     alive = slot_number(spec, state.link_status, link) == ALIVE
     if alive and slot_number(spec, state.link_k, link) > 0.0:
@@ -99,6 +108,7 @@ def _mark_link(spec: ti.template(), state: ti.template(), s, g, i, lane):
 
 @ti.func
 def _mark_links(spec: ti.template(), state: ti.template(), i):
+    """Mark the links that begin at pack i and are over their limit."""
     g = state.grid_of[i]
     if g >= 0:
         for lane in range(spec.lanes):
@@ -108,7 +118,7 @@ def _mark_links(spec: ti.template(), state: ti.template(), i):
 
 @ti.kernel
 def mark_new_springs(spec: ti.template(), state: ti.template()):
-    """Outside of steps: springs that are over their limit from the start pull once and are gone."""
+    """Mark the springs that are over their limit before the first step, which then break in it."""
     if ti.static(spec.kinds > 0):
         each_pack(spec, state, 0, _mark_links)
     if ti.static(spec.springs):

@@ -1,7 +1,8 @@
 """Springs on a graph: half-springs in compressed rows, every spring seen from both of its ends.
 
-Row p holds the half-springs csr_start[p] .. csr_start[p+1] of the particle at csr_slot[p], each with
-the slot of its other end, csr_other. So every particle sums over its own and nothing is scattered.
+Row p holds the half-springs csr_start[p] .. csr_start[p+1] of the particle in slot csr_slot[p],
+each with the slot of its other end, csr_other. So every particle sums over its own half-springs and
+nothing is scattered. Saad, Iterative Methods for Sparse Linear Systems, 2003, 3.4 (storage).
 """
 
 import taichi as ti
@@ -11,7 +12,10 @@ from taichi_cloth.kernels.spring_numbers import fields_of, is_stored
 
 @ti.func
 def number(spec: ti.template(), field: ti.template(), s):
-    """A (half-)spring's number: its own, or the one that all of them share; 0 where none is stored."""
+    """The number that a field holds for spring or half-spring s; 0 where there is no such field.
+
+    Where all springs share their numbers, the field is 0-D.
+    """
     value = 0.0
     if ti.static(is_stored(field) and spec.uniform_springs):
         value = field[None]
@@ -24,7 +28,10 @@ def number(spec: ti.template(), field: ti.template(), s):
 def sum_of_half_springs(
     spec: ti.template(), state: ti.template(), value: ti.template(), between: ti.template(), p, i
 ):
-    """Sum over the half-springs of row p, which are those of particle i, in their order."""
+    """The sum of `between` over the half-springs of row p, in their order.
+
+    i: the particle that they belong to, a pack or a slot as for `value`; between: see `springs.py`.
+    """
     total = 0.0 * value(spec, state.x, i)
     for h in range(state.csr_start[p], state.csr_start[p + 1]):
         numbers = [number(spec, field, h) for field in ti.static(fields_of(spec, state, "csr"))]

@@ -1,7 +1,8 @@
-"""Regular grids in packs: rows, the links between their particles, and halos (`packs.py` draws them).
+"""Regular grids in packs: their rows, the links between particles, and halos, drawn in `packs.py`.
 
 A *link* is a spring of a grid, known by its kind (columns and rows from its earlier end to the
-later one) and the pack of its earlier end: no index lists. Halos are renewed by whoever moves a row.
+later one) and the pack of its earlier end: there are no index lists. Whoever moves a row renews its
+halos.
 """
 
 import taichi as ti
@@ -11,25 +12,29 @@ from taichi_cloth.kernels.packs import read, write
 
 @ti.func
 def pitch_of(spec: ti.template(), state: ti.template(), g):
-    """Packs from a row of grid g to the next."""
+    """How many packs lie from the start of a row of grid g to the start of the next."""
     return state.grid[g, 2] + 2 * spec.halo
 
 
 @ti.func
 def link_offset(state: ti.template(), s, pitch):
-    """Packs from a pack to the other end of its links of kind s."""
+    """How many packs lie from a pack to the later end of its links of kind s."""
     return state.link[s, 0] + state.link[s, 1] * pitch
 
 
 @ti.func
 def link_index(state: ti.template(), s, i):
-    """Where the fields of links keep those of kind s that begin at pack i."""
+    """The index in the fields of links at which those of kind s lie that begin at pack i."""
     return s * state.packs + i
 
 
 @ti.func
 def renew_left_halo(spec: ti.template(), field: ti.template(), first, width, reach):
-    """Left of a row that begins at pack `first`: the columns before each strip's first one."""
+    """Fill the halo left of a row with the columns that come before each strip's first one.
+
+    field: one of vectors, in packs; first, width: the row's first pack and how many it has; reach:
+    how many columns to fill.
+    """
     for h in range(1, reach + 1):
         a = read(spec, field, first + width - h)
         rows = [[0.0] + [a[i, lane] for lane in range(spec.lanes - 1)] for i in range(spec.dim)]
@@ -38,7 +43,10 @@ def renew_left_halo(spec: ti.template(), field: ti.template(), first, width, rea
 
 @ti.func
 def renew_right_halo(spec: ti.template(), field: ti.template(), first, width, reach):
-    """Right of it: the columns after each strip's last one."""
+    """Fill the halo right of a row with the columns that come after each strip's last one.
+
+    Parameters are those of `renew_left_halo`.
+    """
     for h in range(reach):
         a = read(spec, field, first + h)
         rows = [[a[i, lane] for lane in range(1, spec.lanes)] + [0.0] for i in range(spec.dim)]
@@ -47,7 +55,10 @@ def renew_right_halo(spec: ti.template(), field: ti.template(), first, width, re
 
 @ti.func
 def return_left_halo(spec: ti.template(), field: ti.template(), first, width, reach):
-    """The other way: what was changed in the left halo goes to where its particles are."""
+    """Copy what was changed in a row's left halo back to the packs that hold its particles.
+
+    Parameters are those of `renew_left_halo`, which copies the other way.
+    """
     for h in range(1, reach + 1):
         a, b = read(spec, field, first - h), read(spec, field, first + width - h)
         last = ti.static(spec.lanes - 1)
@@ -57,7 +68,10 @@ def return_left_halo(spec: ti.template(), field: ti.template(), first, width, re
 
 @ti.func
 def return_right_halo(spec: ti.template(), field: ti.template(), first, width, reach):
-    """The same of the right halo."""
+    """Copy what was changed in a row's right halo back to the packs that hold its particles.
+
+    Parameters are those of `renew_left_halo`; `renew_right_halo` copies the other way.
+    """
     for h in range(reach):
         a, b = read(spec, field, first + width + h), read(spec, field, first + h)
         rows = [[b[i, 0]] + [a[i, lane] for lane in range(spec.lanes - 1)] for i in range(spec.dim)]
@@ -66,7 +80,7 @@ def return_right_halo(spec: ti.template(), field: ti.template(), first, width, r
 
 @ti.func
 def renew_halos(spec: ti.template(), state: ti.template(), begin, width):
-    """Renew the halos beside the row of packs at `begin`, in every field that neighbours read."""
+    """Fill both halos of the row of packs at `begin` anew, in every field that neighbours read."""
     for field in ti.static(state.haloed):
         renew_left_halo(spec, field, begin, width, spec.left_reach)
         renew_right_halo(spec, field, begin, width, spec.right_reach)

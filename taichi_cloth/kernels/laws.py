@@ -1,7 +1,8 @@
-"""The physical laws, each written once, as functions on values: of one particle, or of a cell's.
+"""The physical laws, each written once, as functions on values: those of one particle or of a pack.
 
-Letters as in the field's papers: x position, v velocity, k stiffness, c damping,
-w inverse mass (0 = fixed), e restitution, n unit normal.
+Letters are those of the field's papers: x position, v velocity, k stiffness, c damping,
+w inverse mass (0 = fixed), e restitution, n unit normal. Vectors are (dim,) or, for a pack,
+(dim, lanes); numbers are one, or (lanes,). Units are the scene's own.
 """
 
 import taichi as ti
@@ -16,25 +17,36 @@ FIXED_INVERSE_MASS = 1e-9
 
 @ti.func
 def length(d):
-    """Length of the vectors d."""
+    """The length of the vectors d."""
     return ti.sqrt(dot(d, d))
 
 
 @ti.func
 def unit(d, length):
-    """The vectors d at length 1; zero where both ends coincide, where no direction exists."""
+    """The directions of the vectors d, at length 1; zero where d is zero and has no direction.
+
+    length: that of d.
+    """
     return scaled(ti.select(length > 0.0, 1.0 / length, 0.0 * length), d)
 
 
 @ti.func
 def spring_tension(length, k, rest):
-    """Hooke's law: the force with which a spring pulls its ends together."""
+    """The force with which a spring pulls its ends together: Hooke's law, k*(length - rest).
+
+    length, rest: of the spring as it is and at rest [length]; k: stiffness [force / length].
+    Hooke, De Potentia Restitutiva, 1678.
+    """
     return k * (length - rest)
 
 
 @ti.func
 def stiffness_product(d, along, k, across):
-    """A stiffness k along the unit vectors `along`, and another one across them, times d."""
+    """The product of a spring's stiffness matrix with the vectors d.
+
+    The matrix has the stiffness k along the unit vectors `along` and the stiffness `across` in
+    every direction at right angles to them.
+    """
     return scaled(across, d) + scaled((k - across) * dot(along, d), along)
 
 
@@ -42,60 +54,70 @@ def stiffness_product(d, along, k, across):
 def spring_stiffness_across(length, k, rest, least):
     """The spring's stiffness across its axis, k*(1 - rest/length), at least `least` times k.
 
-    It is negative where the spring is compressed. With k along the axis it makes the derivative of
-    the spring's force, whose eigenvalues these are: with `least` = 0 that is the nearest matrix
-    without negative ones (Choi, Ko, "Stable but responsive cloth", 2002). Where both ends coincide,
-    and there is no axis, it is k in every direction.
+    It is negative where the spring is compressed. This stiffness and k, the one along the axis, are
+    the eigenvalues of the spring's stiffness matrix. With `least` = 0 none is negative, and the
+    matrix is the nearest such one (Choi, Ko, "Stable but responsive cloth", 2002). Where both ends
+    coincide, and there is no axis, it is k in every direction.
     """
     return k * ti.max(1.0 - rest * ti.select(length > 0.0, 1.0 / length, 0.0 * length), least)
 
 
 @ti.func
 def dashpot_tension(dv, along, c):
-    """Damping along a spring's axis: c times the rate at which it lengthens.
+    """The force with which a dashpot pulls a spring's ends together: c times the lengthening rate.
 
-    dv: velocity of the far end relative to the near one; along: unit vector to the far end.
+    dv: velocity of the other end relative to this one; along: unit vector from this end to the
+    other; c: damping [force / velocity].
     """
     return c * dot(dv, along)
 
 
 @ti.func
 def drag_force(v, viscous):
-    """Viscous (Stokes) drag on one particle."""
+    """The viscous drag on particles, -viscous*v (Stokes, 1851); viscous: [force / velocity]."""
     return scaled(-1.0 * viscous, v)
 
 
 @ti.func
 def drag_factor(w, viscous, dt):
-    """What is left of a change of velocity in a step of dt where drag acts on the new velocity."""
+    """The part that is left of a change of velocity in a step of dt under drag at the new velocity.
+
+    It is 1 / (1 + dt*w*viscous), what backward Euler gives for drag alone.
+    """
     return 1.0 / (1.0 + dt * w * viscous)
 
 
 @ti.func
 def blow_force(distance, displacement, reach, strength):
-    """Force of the moving pointer, along an axis, on a particle `distance` away from it.
+    """One component of the moving pointer's force on particles `distance` away from it.
 
     It falls linearly to zero at `reach` and points along the pointer's displacement.
+    displacement: that component of it [length]; strength: [force / length^2].
     """
     return strength * ti.max(reach - distance, 0.0) * displacement
 
 
 @ti.func
 def wall_bounce(gap, vn, e):
-    """Change of the velocity along a wall's outward normal; zero when the wall is not hit.
+    """The change of the velocity along a wall's outward normal; zero where the wall is not hit.
 
-    gap: how far the particle's surface is short of the wall (negative: past it);
-    vn: velocity along the outward normal.
+    It is Newton's law of restitution: a particle that is past the wall and still moves outward
+    leaves with e times its speed.
+    gap: how far the particle's surface is short of the wall (negative: past it) [length];
+    vn: velocity along the outward normal; e: restitution, 0 to 1.
     """
     return ti.select(ti.min(-1.0 * gap, vn) > 0.0, (-1.0 - e) * vn, 0.0 * vn)
 
 
 @ti.func
 def pair_bounce(d, v1, v2, w1, w2, reach, e):
-    """Velocity change of particle 1 in a collision with particle 2; zero when they do not collide.
+    """The velocity change of particle 1 in a collision with particle 2; zero if there is none.
 
-    d: vector from 1 to 2; reach: sum of the radii. Newton's law of restitution: they collide when
-    they touch and do not move apart; coincident centres have no normal, so nothing happens.
+    It is Newton's law of restitution (Newton, Principia, 1687, scholium to the laws of motion) with
+    the momentum of both conserved. They collide if they touch and do not move apart; coincident
+    centres have no normal, so nothing happens.
+    d: vector from 1 to 2; v1, v2, w1, w2: their velocities and inverse masses; reach: sum of their
+    radii; e: restitution of the pair.
     """
     distance2 = d.dot(d)
     change = 0.0 * d

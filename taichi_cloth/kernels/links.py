@@ -1,6 +1,8 @@
-"""Springs of regular grids in packs, their links: each computed once, row by row.
+"""Links, which are the springs of regular grids in packs: each is computed once, row by row.
 
 `between(spec, state, value, i, j, numbers)` is whatever a spring gives its ends: see `springs.py`.
+The *ring* (state.ring_forces) holds what it gave for the last rows, for a force or for a product
+with the stiffness matrix alike.
 """
 
 import taichi as ti
@@ -22,21 +24,21 @@ from taichi_cloth.kernels.spring_numbers import NUMBERS, fields_of, is_stored
 
 @ti.func
 def link_stiffness(spec: ti.template(), state: ti.template(), s, i):
-    """Stiffness of pack i's links of kind s; 0 where there is none, or none any more."""
+    """The stiffness of pack i's links of kind s; 0 where there is no link, or none any more."""
     return read(spec, state.link_k, link_index(state, s, i))
 
 
 def _others(spec, state):
-    """The fields of a link's numbers but its stiffness, each with its declaration."""
+    """The declarations and fields of all numbers of links except the stiffness, in pairs."""
     return list(zip(NUMBERS, fields_of(spec, state, "link"), strict=True))[1:]
 
 
 @ti.func
 def link_numbers(spec: ti.template(), state: ti.template(), number: ti.template(), s, g, at, k):
-    """The numbers of links of kind s in grid g, of stiffness k.
+    """The list of numbers (`spring_numbers.NUMBERS`) of links of kind s in grid g, of stiffness k.
 
-    at: where fields of links keep them; number: reads such a field there, `packs.read` of a pack or
-    `packs.slot_number` of a slot.
+    at: their index in the fields of links, for a pack (`grids.link_index`) or for a slot; number:
+    reads such a field there, `packs.read` or `packs.slot_number`.
     """
     others = [
         _number_of_link(spec, declared, field, number, s, g, at, k)
@@ -56,7 +58,7 @@ def _number_of_link(
     at,
     k,
 ):
-    """One of the numbers of links: their own, or that of their kind and grid."""
+    """One number of links: their own, the one of their kind and grid, or 0 where none is stored."""
     if ti.static(not is_stored(field)):
         return 0.0 * k
     elif ti.static(declared.per_link):
@@ -71,9 +73,9 @@ def _number_of_link(
 def link_value(
     spec: ti.template(), state: ti.template(), between: ti.template(), s, g, i, far, k, at
 ):
-    """What pack i gets from its links of kind s, of stiffness k, to later particles at far.
+    """What pack i gets from its links of kind s to the later pack `far`.
 
-    at: where fields of links keep the other numbers of these.
+    k: the stiffness of these links; at: the index of their other numbers in the fields of links.
     """
     numbers = link_numbers(spec, state, read, s, g, at, k)
     return between(spec, state, read, i, far, numbers)
@@ -81,7 +83,7 @@ def link_value(
 
 @ti.func
 def sum_of_links(spec: ti.template(), state: ti.template(), between: ti.template(), i):
-    """Sum over the links of pack i, each computed from both of its ends: for GPUs."""
+    """The sum over all links of pack i, with each link computed from both of its ends: for GPUs."""
     g = state.grid_of[i]
     pitch = pitch_of(spec, state, ti.max(g, 0))
     total = zeros(spec, state)
@@ -102,7 +104,10 @@ def sum_of_links(spec: ti.template(), state: ti.template(), between: ti.template
 
 @ti.func
 def grid_share(spec: ti.template(), rows, t):
-    """First row of thread t's share of a grid; too few rows for all threads are the first one's."""
+    """The first row of thread t's share of a grid; grid_share(.., t + 1) is the share's end.
+
+    Where there are too few rows for all threads, thread 0 has them all.
+    """
     first = share(spec, rows, t)
     if rows < spec.threads * spec.depth:
         first = ti.select(t == 0, 0, rows)
@@ -111,9 +116,10 @@ def grid_share(spec: ti.template(), rows, t):
 
 @ti.func
 def carried_row(spec: ti.template(), state: ti.template(), g, t):
-    """Where the links of the last rows of thread t's share of grid g are kept; before thread 0's
-    there are rows of zeros, for a grid's first rows: they come first, where a run with another
-    number of threads has written nothing.
+    """The place in the ring of the last rows of thread t's share of grid g, for the next thread.
+
+    For t = -1 it is that of the rows of zeros, which a grid's first rows take as those above them.
+    These lie at the ring's start, where a run with another number of threads has written nothing.
     """
     rows = spec.depth + spec.threads * spec.ring_depth + (g * spec.threads + t) * spec.depth
     return ti.select(t < 0, 0, rows) * state.row + spec.halo
@@ -121,7 +127,7 @@ def carried_row(spec: ti.template(), state: ti.template(), g, t):
 
 @ti.func
 def ring_row(spec: ti.template(), state: ti.template(), g, t, begin, end, r):
-    """Where the links of row r are kept while thread t sweeps rows begin .. end of grid g."""
+    """The place in the ring of row r, while thread t passes over rows begin .. end of grid g."""
     at = (spec.depth + t * spec.ring_depth + (r & (spec.ring_depth - 1))) * state.row + spec.halo
     if r < begin:
         at = carried_row(spec, state, g, t - 1) + (r - begin + spec.depth) * state.row
@@ -134,9 +140,10 @@ def ring_row(spec: ti.template(), state: ti.template(), g, t, begin, end, r):
 def compute_links(
     spec: ti.template(), state: ti.template(), between: ti.template(), g, i, stiffness, pitch, to
 ):
-    """Compute what pack i of grid g gets from its links to later particles, into state.ring_forces[to].
+    """Compute what pack i of grid g gets from its links to later packs, into the ring at `to`.
 
-    stiffness: the pack whose links' stiffness is theirs.
+    stiffness: the pack whose links have the stiffness to be taken; i itself, or one whose links are
+    known to be as stiff.
     """
     for s in range(spec.kinds):
         far, k = i + link_offset(state, s, pitch), link_stiffness(spec, state, s, stiffness)
@@ -145,11 +152,13 @@ def compute_links(
 
 
 def _moves(move):
+    """Whether `move` changes anything, which is known when a kernel is compiled."""
     return move is not leave
 
 
 @ti.func
 def move_row(spec: ti.template(), state: ti.template(), g, r, move: ti.template()):
+    """Run move(spec, state, i) for every pack i of row r of grid g, and renew the row's halos."""
     begin, width = state.grid[g, 0] + r * pitch_of(spec, state, g), state.grid[g, 2]
     for i in range(begin, begin + width):
         move(spec, state, i)
@@ -166,17 +175,19 @@ def pass_over_rows(
     between: ti.template(),
     consume: ti.template(),
 ):
-    """Each link once, row by row, in thread t's share of every grid.
+    """Run consume(spec, state, i, sum over its links) for each pack in thread t's share of grids.
 
-    The links of a row are computed before its turn, into a ring of rows; in its turn its packs add
-    up what they give and, negated, what is given to them, while those of the next row are computed:
-    one waits for memory and the other computes. Rows above are never looked at again, so `consume`
-    may change what `between` reads of its pack. So that no thread changes what another one needs,
-    the last rows of a share, whose links reach into the next one, are computed before all else:
-    that is phase 0, and phase 1 the rest; with one thread there is only phase 1.
+    Each link is computed once, row by row. The links that begin in a row are computed before its
+    turn, into the ring of rows. In its turn each pack adds up what it gets from the links that
+    begin there and, negated, from those that end there, while the links of the next row are
+    computed: the one waits for memory and the other computes. No row is read again after its turn,
+    so `consume` may change what `between` reads of its pack. So that no thread changes what another
+    one needs, the last rows of a share, whose links reach into the next share, are computed before
+    all else: that is phase 0, and all the rest is phase 1; with one thread there is only phase 1.
 
-    A row moves (`move_and_accumulate`) right before the first links that reach it are computed; the
-    first and last rows of a share have moved already.
+    move(spec, state, i), of `springs.move_and_accumulate`, is run for each pack of a row right
+    before the first links that reach that row are computed, except for the first and last rows of a
+    share, which have moved already; `loops.leave` moves nothing.
     """
     for g in range(state.n_grids[None]):
         first, rows, width = state.grid[g, 0], state.grid[g, 1], state.grid[g, 2]
@@ -197,9 +208,8 @@ def pass_over_rows(
             here = ring_row(spec, state, g, t, begin, end, r)
             ahead = ring_row(spec, state, g, t, begin, end, r + 1)
             stiffness = row + pitch
-            if ti.static(
-                spec.rows_share_stiffness
-            ):  # the first row's, which stays in the processor's caches
+            if ti.static(spec.rows_share_stiffness):
+                # The first row's stiffness stays in the processor's caches.
                 if r + 1 < rows - spec.depth:
                     stiffness = first
             from_above = ti.Vector([0 for _ in range(spec.kinds)])
@@ -241,7 +251,7 @@ def pass_over_grids(
     between: ti.template(),
     consume: ti.template(),
 ):
-    """`pass_over_rows` of every grid, by all threads: first what reaches into other shares."""
+    """Run `pass_over_rows` on all threads, phase by phase: its parameters are described there."""
     if ti.static(spec.one_launch_per_step):
         for phase in ti.static(range(2)):
             for i in range(spec.threads * PIECE):

@@ -1,13 +1,12 @@
-"""Loops over packs, run in one of three ways by one source.
+"""Loops over packs, written once and run in one of three ways.
 
-serial: a launch holds whole frames, on one thread.
-threads: a launch holds whole frames, on all CPU threads; each takes its share of every loop, and
-    they meet at a barrier after it. Starting a parallel loop takes Taichi some 50 us, a barrier
-    less than one.
-one launch per step: a launch is one step, every loop in it a top-level loop that Taichi makes parallel: GPUs,
-    and scenes with collisions, whose sorting needs more than shares and barriers.
-
-`t` is the number of the thread that runs a loop, 0 where one runs all of it.
+serial (spec.threads is 1): a launch holds whole frames, on one thread.
+threads (spec.threads is more): a launch holds whole frames, on all CPU threads; each takes its
+    share of every loop, and they meet at a barrier after it. Starting a parallel loop takes Taichi
+    some 50 us, a barrier less than one.
+one launch per step (spec.one_launch_per_step): a launch is one step, and every loop in it is a
+    top-level loop that Taichi makes parallel. GPUs are run so, and scenes with collisions, whose
+    sorting needs more than shares and barriers.
 """
 
 import functools
@@ -26,7 +25,7 @@ COUNTER, COUNTER_SIZE = 32, 64
 
 @ti.func
 def share(spec: ti.template(), count, t):
-    """First of thread t's share of `count` things; share(.., t + 1) is its end."""
+    """The first of thread t's share of `count` things; share(.., t + 1) is the share's end."""
     if ti.static(spec.threads == 1):
         return count * t
     else:
@@ -35,10 +34,10 @@ def share(spec: ti.template(), count, t):
 
 @ti.func
 def barrier(spec: ti.template(), state: ti.template()):
-    """Wait until all threads of a launch are here; nothing where there is but one, or loops are
-    one launch per step.
+    """Wait until all threads of a launch are here.
 
-    Each adds its arrival to a count, and a round is over when the count is a multiple of the
+    It does nothing on one thread, and with one launch per step, where Taichi ends each loop itself.
+    Each thread adds its arrival to a count, and a round is over when the count is a multiple of the
     number of threads. Reading by an atomic maximum keeps compilers from reading only once.
     """
     if ti.static(spec.threads > 1 and not spec.one_launch_per_step):
@@ -64,14 +63,17 @@ def each(spec: ti.template(), state: ti.template(), t, count, body: ti.template(
 def each_pack(spec: ti.template(), state: ti.template(), t, body: ti.template()):
     """Run body(spec, state, i) for every pack i that holds particles.
 
-    A body that moves them is `each_pack_moving`'s, which renews the halos.
+    A body that changes what neighbours read belongs in `each_pack_moving`, which renews the halos.
     """
     _each_pack(spec, state, t, body, False)
 
 
 @ti.func
 def each_pack_moving(spec: ti.template(), state: ti.template(), t, body: ti.template()):
-    """Run body(spec, state, i), which changes what neighbours read, for every pack i."""
+    """Run body(spec, state, i) for every pack i that holds particles, and renew the halos.
+
+    The body may change what neighbours read (state.haloed) of its own pack.
+    """
     _each_pack(spec, state, t, body, True)
 
 
@@ -87,6 +89,8 @@ def _each_pack(
 
 @functools.cache
 def _visiting(body, moving):
+    """The body of a loop over rows that runs `body` for each pack of a row."""
+
     @ti.func
     def row(spec: ti.template(), state: ti.template(), begin, width):
         for i in range(begin, begin + width):
@@ -99,12 +103,18 @@ def _visiting(body, moving):
 
 @ti.func
 def leave(spec: ti.template(), state: ti.template(), i):
-    """A body that moves nothing: for the halos that a loop renews, or where none is wanted."""
+    """A body that does nothing, for loops that are run only because they renew the halos.
+
+    Where a function takes another one that moves packs, it stands for none.
+    """
 
 
 @ti.func
 def each_row(spec: ti.template(), state: ti.template(), t, body: ti.template()):
-    """Run body(spec, state, begin, width) for every row of packs."""
+    """Run body(spec, state, begin, width) for every row of packs that holds particles.
+
+    begin: the row's first pack; width: how many packs it has.
+    """
     if ti.static(spec.one_launch_per_step):
         for i in range(spec.threads * PIECE):
             if i % PIECE == 0:
@@ -116,6 +126,7 @@ def each_row(spec: ti.template(), state: ti.template(), t, body: ti.template()):
 
 @ti.func
 def _share_of_rows(spec: ti.template(), state: ti.template(), t, body: ti.template()):
+    """Run body(spec, state, begin, width) for the rows of thread t's share of every grid."""
     for g in range(state.n_grids[None]):
         first, rows, width = state.grid[g, 0], state.grid[g, 1], state.grid[g, 2]
         for r in range(share(spec, rows, t), share(spec, rows, t + 1)):
@@ -124,10 +135,11 @@ def _share_of_rows(spec: ti.template(), state: ti.template(), t, body: ti.templa
 
 @ti.func
 def add_up(spec: ti.template(), state: ti.template(), t, number: ti.template(), k: ti.template()):
-    """state.sums[k, 0] = sum of number(spec, state, i), one for each lane, over all packs i.
+    """Sum number(spec, state, i), one for each lane, over all packs i into state.sums[k, 0].
 
-    Row by row, on a graph piece by piece of packs, and then these in their order: the same bits
-    for every number of threads. `State.add_sums` makes room for it. `number` may change its pack.
+    First each row is summed, or on a graph each piece of consecutive packs, then these sums in
+    their order: so the result has the same bits for every number of threads. `number` may change
+    its pack. `State.add_sums` makes the room.
     """
     _join(spec, state, t, number, k, plus)
 
@@ -136,7 +148,10 @@ def add_up(spec: ti.template(), state: ti.template(), t, number: ti.template(), 
 def find_largest(
     spec: ti.template(), state: ti.template(), t, number: ti.template(), k: ti.template()
 ):
-    """state.sums[k, 0] = the largest number(spec, state, i), none of which is negative."""
+    """Find the largest of number(spec, state, i) over all packs i, into state.sums[k, 0].
+
+    None of the numbers may be negative. `number` may change its pack.
+    """
     _join(spec, state, t, number, k, ti.max)
 
 
@@ -149,6 +164,7 @@ def _join(
     k: ti.template(),
     op: ti.template(),
 ):
+    """Join number(spec, state, i) over all packs i by op(a, b), from 0, into state.sums[k, 0]."""
     if ti.static(spec.lanes == 1):
         each(spec, state, t, pieces_of(state), ti.static(_joining_piece(number, k, op)))
     else:
@@ -158,11 +174,14 @@ def _join(
 
 @ti.func
 def pieces_of(state: ti.template()):
+    """How many pieces of at most PIECE consecutive packs there are."""
     return (state.n_packs[None] + PIECE - 1) // PIECE
 
 
 @functools.cache
 def _joining_piece(number, k, op):
+    """The body of a loop over pieces that joins the numbers of a piece in sums[k, piece + 1]."""
+
     @ti.func
     def body(spec: ti.template(), state: ti.template(), piece):
         total = ti.cast(0.0, state.real)
@@ -175,6 +194,8 @@ def _joining_piece(number, k, op):
 
 @functools.cache
 def _joining_row(number, k, op):
+    """The body of a loop over rows that joins the numbers of a row in sums[k, its first pack]."""
+
     @ti.func
     def row(spec: ti.template(), state: ti.template(), begin, width):
         total = everywhere(spec, ti.cast(0.0, state.real))
@@ -187,6 +208,8 @@ def _joining_row(number, k, op):
 
 @functools.cache
 def _joining_parts(k, op):
+    """The body of a loop, run once, that joins the parts in their order in sums[k, 0]."""
+
     @ti.func
     def body(spec: ti.template(), state: ti.template(), i):
         total = ti.cast(0.0, state.real)

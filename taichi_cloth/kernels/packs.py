@@ -1,8 +1,9 @@
-"""Packs of lanes: how the particles of a regular grid lie in memory, and arithmetic on packs.
+"""Packs: how the particles of a regular grid lie in memory, and arithmetic on packs.
 
-A grid of `columns` is cut into L vertical strips, each W = ceil(columns / L) wide. A pack holds
-the particles at one place of all strips, one per lane, so a neighbour in the grid is the same lane
-of a neighbouring pack, and straight-line code on packs becomes vector instructions:
+A grid of `columns` is cut into L vertical strips, each W = ceil(columns / L) wide or somewhat more.
+A *pack* is the particles at one place of all strips, one in each of its L *lanes*, which one vector
+holds: so a neighbour in the grid is the same lane of a neighbouring pack, and straight-line code on
+packs becomes vector instructions:
 
       columns of the grid, L = 4, W = 3             packs of a row, each |lane 0 1 2 3|
 
@@ -12,19 +13,19 @@ of a neighbouring pack, and straight-line code on packs becomes vector instructi
       +---------+---------+---------+-------+     +-------+-------+-------+-------+-------+
                                                     first-1 first                 first+W
 
-Column c of a row is lane c // W of the pack first + c % W. What is right of a strip's last column
-is the next strip's first one: the halo packs beside a row hold the row's other end, one lane on,
-and are renewed when a row has moved. Places marked . have no particle (inverse mass and stiffness
-0), those marked - no neighbour. A pack's values are stored component by component, a matrix of
-dim x L: |x x x x|y y y y|. Rows follow each other at a pitch of W plus both halos; empty rows above
-and below let every link's neighbour be read.
+The column with number n in its row is in lane n // W of the pack first + n % W. Right of a strip's
+last column is the next strip's first one: the *halo* packs beside a row hold the row's other end,
+one lane on, and are renewed when a row has moved. Places marked . have no particle (inverse mass
+and stiffness 0), those marked - no neighbour. A pack's vectors are stored component by component, a
+matrix of dim x L: |x x x x|y y y y|. Rows follow each other at a pitch of W plus both halos; empty
+rows above and below let every link's neighbour be read.
 
 With L = 1, on GPUs and for particles on a graph, a pack is one particle, its value a vector of
-`dim`, and there are no halos. The functions below do the same on both, so physics is written once.
+`dim`, and there are no halos. The functions below work on both, so physics is written once.
 A *slot* is a place for one particle: its pack times L, plus its lane.
 
-Kernels that run on packs are compiled with vectors kept whole (`runtime.whole_vectors`),
-which Taichi 1.7 does only in part. In them
+Methods on packs of several lanes are compiled with vectors kept whole (`runtime.whole_vectors`),
+which Taichi 1.7 does only in part. In their kernels
 - fields are read and written number by number, as `read` and `write` do: fields of vectors crash;
 - vectors take + - * /, min, max, sqrt, comparisons and select; not unary minus (-1.0 * a), -=
   (a = a - b), abs, nor casts;
@@ -36,7 +37,7 @@ import taichi as ti
 
 
 def lanes_of(a):
-    """How many vectors the value `a` holds; settled when a kernel is compiled."""
+    """How many vectors the value `a` holds, which is known when a kernel is compiled."""
     shape = a.get_shape()
     return 1 if len(shape) == 1 else shape[1]
 
@@ -48,8 +49,9 @@ def rows_of(spec, field):
 
 @ti.func
 def read(spec: ti.template(), field: ti.template(), i):
-    """What a field holds for pack i: vectors, or a number for each lane; 0-D fields hold the same
-    number for all.
+    """The value of a field at pack i: vectors (dim, lanes), or a number for each lane.
+
+    With one lane it is a vector (dim,) or a number. A 0-D field holds one number for all lanes.
     """
     if ti.static(field.shape == ()):
         return everywhere(spec, field[None])
@@ -68,7 +70,7 @@ def read(spec: ti.template(), field: ti.template(), i):
 
 @ti.func
 def everywhere(spec: ti.template(), number):
-    """One number for all lanes."""
+    """A value for a pack that holds the same number in all lanes."""
     if ti.static(spec.lanes == 1):
         return number
     else:
@@ -77,7 +79,7 @@ def everywhere(spec: ti.template(), number):
 
 @ti.func
 def zeros(spec: ti.template(), state: ti.template()):
-    """Zero vectors, for a pack."""
+    """Zero vectors for a pack."""
     if ti.static(spec.lanes == 1):
         return ti.Vector.zero(state.real, spec.dim)
     else:
@@ -86,7 +88,7 @@ def zeros(spec: ti.template(), state: ti.template()):
 
 @ti.func
 def write(spec: ti.template(), field: ti.template(), i, value):
-    """Store what a field holds for pack i."""
+    """Store the value of a field at pack i: vectors, or a number for each lane."""
     if ti.static(spec.lanes == 1):
         field[i] = value
     else:
@@ -100,7 +102,7 @@ def write(spec: ti.template(), field: ti.template(), i, value):
 
 @ti.func
 def dot(a, b):
-    """Scalar product, for each lane."""
+    """The scalar product of the vectors a and b, for each lane."""
     if ti.static(lanes_of(a) == 1):
         return a.dot(b)
     else:
@@ -137,7 +139,7 @@ def where_positive(s, a, b):
 
 @ti.func
 def largest(spec: ti.template(), a):
-    """Largest number in any lane."""
+    """The largest of the numbers in all lanes."""
     if ti.static(spec.lanes == 1):
         return a
     else:
@@ -146,7 +148,7 @@ def largest(spec: ti.template(), a):
 
 @ti.func
 def over_lanes(spec: ti.template(), a):
-    """Sum of the numbers in all lanes."""
+    """The sum of the numbers in all lanes."""
     if ti.static(spec.lanes == 1):
         return a
     else:
@@ -155,12 +157,16 @@ def over_lanes(spec: ti.template(), a):
 
 @ti.func
 def plus(a, b):
+    """The sum of a and b, for `folded`."""
     return a + b
 
 
 @ti.func
 def folded(op: ti.template(), a):
-    """The numbers in all lanes joined by `op`, half of them with the other half."""
+    """The numbers in all lanes joined by op(a, b): half with the other half, until one is left.
+
+    There must be a power of two of them.
+    """
     if ti.static(a.n == 1):
         return a[0]
     else:
@@ -176,7 +182,7 @@ def folded(op: ti.template(), a):
 
 @ti.func
 def component(a, axis: ti.template()):
-    """One component of the vectors a, for each lane."""
+    """One component of the vectors a: a number for each lane."""
     if ti.static(lanes_of(a) == 1):
         return a[axis]
     else:
@@ -185,7 +191,7 @@ def component(a, axis: ti.template()):
 
 @ti.func
 def with_component(a, axis: ti.template(), value):
-    """The vectors a with one component replaced."""
+    """The vectors a with one component replaced by `value`, a number for each lane."""
     if ti.static(lanes_of(a) == 1):
         b = a
         b[axis] = value
@@ -199,7 +205,7 @@ def with_component(a, axis: ti.template(), value):
 
 @ti.func
 def slot_value(spec: ti.template(), field: ti.template(), slot):
-    """The vector of one particle, by its slot: for code that runs particle by particle."""
+    """The vector (dim,) of the particle at a slot, for code that runs particle by particle."""
     if ti.static(spec.lanes == 1):
         return field[slot]
     else:
@@ -209,7 +215,7 @@ def slot_value(spec: ti.template(), field: ti.template(), slot):
 
 @ti.func
 def slot_number(spec: ti.template(), field: ti.template(), slot):
-    """The number of one particle, by its slot."""
+    """The number of the particle at a slot; of a 0-D field, the one that all share."""
     if ti.static(field.shape == ()):
         return field[None]
     elif ti.static(spec.lanes == 1):
@@ -220,7 +226,7 @@ def slot_number(spec: ti.template(), field: ti.template(), slot):
 
 @ti.func
 def set_slot_value(spec: ti.template(), field: ti.template(), slot, value):
-    """Store the vector of one particle."""
+    """Store the vector `value` (dim,) of the particle at a slot."""
     for axis in ti.static(range(spec.dim)):
         if ti.static(spec.lanes == 1):
             field[slot][axis] = value[axis]
@@ -230,7 +236,7 @@ def set_slot_value(spec: ti.template(), field: ti.template(), slot, value):
 
 @ti.func
 def set_slot_number(spec: ti.template(), field: ti.template(), slot, value):
-    """Store the number of one particle; in 0-D fields, that of all."""
+    """Store the number of the particle at a slot; in a 0-D field, the one that all share."""
     if ti.static(field.shape == ()):
         field[None] = value
     elif ti.static(spec.lanes == 1):

@@ -1,18 +1,21 @@
-"""What is compiled for a run: the scene's features, its topology, and how loops are run."""
+"""What is compiled for a run: the scene's features, how particles are stored, how loops are run."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Specialization:
-    """The switches of one compilation; equal ones share their kernels.
+    """The switches of one compilation; specializations that are equal share their kernels.
 
-    dim, uniform_springs, uniform_particles, fracture, walls, floor, collisions: the scene's, as in
-        `scene.Features`; terms: names of its forces (`forces/`), in the order of their sums.
+    dim, uniform_springs, uniform_particles, fracture, walls, floor, collisions: features of the
+        scene, as in `scene.model.Features`.
+    terms: the names of its forces (`forces/`), in the order in which they are added up.
     springs: whether there are springs on the graph: all of them, or those that no grid holds.
-    lanes: particles in a pack (`packs.py`); 1 on a graph and on GPUs.
-    links: (columns, rows) offsets of the grid's links to later particles; empty on a graph.
-    rows_share_stiffness: whether the rows of grids, but the last ones, have the same links, none of which breaks.
+    lanes: how many particles a pack has (`packs.py`); 1 on a graph and on GPUs.
+    links: (columns, rows) from the earlier end to the later one, for each kind of link; empty on a
+        graph.
+    rows_share_stiffness: whether all rows of each grid, but the last ones, have the same links with
+        the same stiffness, none of which breaks.
     compensated: whether positions and velocities have low parts (`compensated.py`).
     threads, one_launch_per_step: how loops are run (`loops.py`).
     """
@@ -34,17 +37,17 @@ class Specialization:
     one_launch_per_step: bool = False
 
     def can_run(self, other: "Specialization") -> bool:
-        """Whether kernels of this specialization run what needs `other`.
+        """Whether kernels of this specialization can run what needs the specialization `other`.
 
-        They do where they lack nothing, and where what they have besides is without effect.
+        They can if they lack nothing, and if what they have besides has no effect.
         """
         mine, theirs = vars(self), vars(other)
         wider = ("springs", "fracture")
-        closer = (
+        closer = (  # what a specialization relies on
             "uniform_springs",
             "uniform_particles",
             "rows_share_stiffness",
-        )  # what a specialization relies on
+        )
         same = all(mine[name] == theirs[name] for name in mine.keys() - {*wider, *closer, "terms"})
         return (
             same
@@ -60,36 +63,38 @@ class Specialization:
 
     @property
     def reach(self) -> int:
-        """Columns that a link reaches to either side."""
+        """How many columns a link reaches at most, to either side."""
         return max((abs(c) for c, _ in self.links), default=0)
 
     @property
     def halo(self) -> int:
-        """Packs beside each row that repeat its other strips' ends; none where a pack is one."""
+        """How many halo packs lie on each side of a row; 0 where a pack is one particle."""
         return self.reach if self.lanes > 1 else 0
 
     @property
     def left_reach(self) -> int:
-        """Columns that links reach to the left; `right_reach`: to the right."""
+        """How many columns links reach at most to the left; 0 where there are no halos."""
         return max((-c for c, _ in self.links), default=0) if self.halo else 0
 
     @property
     def right_reach(self) -> int:
+        """How many columns links reach at most to the right; 0 where there are no halos."""
         return max((c for c, _ in self.links), default=0) if self.halo else 0
 
     @property
     def depth(self) -> int:
-        """Rows that a link reaches down."""
+        """How many rows a link reaches down at most."""
         return max((r for _, r in self.links), default=0)
 
     @property
     def ring_depth(self) -> int:
-        """Rows of link forces that a sweep remembers: a power of two above the depth and one more,
-        for those of the next row.
+        """How many rows the ring of a thread has (`links.pass_over_rows`), a power of two.
+
+        It is larger than depth + 1, so that the row after these has room, too.
         """
         return 1 << (self.depth + 1).bit_length()
 
     @property
     def forward(self) -> tuple[int, ...]:
-        """The links in the order in which their far ends are numbered."""
+        """The kinds of link in the order in which their later ends are numbered."""
         return tuple(sorted(range(len(self.links)), key=lambda s: self.links[s][::-1]))

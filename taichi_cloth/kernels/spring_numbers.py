@@ -1,13 +1,15 @@
 """The numbers of a spring on the device: one table, from which they are stored, loaded and read.
 
-`numbers`, in laws and wherever springs are summed, is a list in this order, known when a kernel is
-compiled: numbers[K]. A number of a spring is stored three times, as each topology reads it best:
+`numbers`, in laws and wherever springs are summed, is a list in the order of this table; its length
+and indices are known when a kernel is compiled: numbers[K] is the stiffness. A number is stored in
+up to three fields, in each as it is best read there:
 
-- state.csr_<letter>: of half-springs in compressed rows (`graph.py`), or one for all where all
-  springs of a scene share their numbers;
-- state.link_<letter>: of the springs of grids (`grids.py`), one for each kind of link and grid, or,
-  where `per_link`, one for each link: what differs from spring to spring or changes with time;
-- state.spring_<letter>: of springs by colour (`solvers/colours.py`), for methods that want them so.
+- state.csr_<letter>: for half-springs in compressed rows (`graph.py`), or one number for all where
+  all springs of a scene share their numbers;
+- state.link_<letter>: for the springs of grids (`grids.py`), one number for each kind of link and
+  grid, or, where `per_link`, one for each link: such a number differs from link to link, or changes
+  with time;
+- state.spring_<letter>: for springs by colour (`solvers/colours.py`), if a method needs these.
 """
 
 from dataclasses import dataclass
@@ -15,11 +17,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class SpringNumber:
-    """A number of each spring.
+    """The declaration of a number that each spring has.
 
-    letter: as in kernels; column: of a scene's springs. needs: the term without which it is not
-    stored, and reads as 0; "" where all springs have it. per_link: whether each link of a grid has
-    its own. void: whether it reads as 0 where a link is absent, whose stiffness is 0.
+    letter: its name in kernels, as in state.link_<letter>.
+    column: its name among a scene's springs (`scene.model.Springs`).
+    needs: the name of the term without which it is not stored and reads as 0; "": it is always
+        stored.
+    per_link: whether each link of a grid has its own.
+    void: whether it reads as 0 where a link is absent, which is where the stiffness is 0.
     """
 
     letter: str
@@ -29,7 +34,7 @@ class SpringNumber:
     void: bool = False
 
     def stored(self, spec):
-        """Whether kernels of a specialization have it."""
+        """Whether the kernels of a specialization have this number."""
         return not self.needs or self.needs in spec.terms
 
 
@@ -42,7 +47,7 @@ K, REST, C = range(3)
 
 
 def fields_of(spec, state, place):
-    """The fields of `NUMBERS` at a place ("csr", "link" or "spring"); None where not stored."""
+    """The fields of `NUMBERS` at a place, "csr", "link" or "spring"; None for those not stored."""
     return [
         getattr(state, f"{place}_{number.letter}") if number.stored(spec) else None
         for number in NUMBERS
@@ -50,27 +55,27 @@ def fields_of(spec, state, place):
 
 
 def stored_fields(spec, state, place):
-    """The fields of the numbers that are stored, each with its column in `NUMBERS`."""
+    """The pairs (index in `NUMBERS`, field) of the numbers that are stored at a place."""
     found = enumerate(fields_of(spec, state, place))
     return [(column, field) for column, field in found if field is not None]
 
 
 def own_columns(spec, state):
-    """Of the numbers that each link of a grid has of its own: (column, field)."""
+    """The pairs (index in `NUMBERS`, field) of the numbers that each link of a grid has itself."""
     return [(at, field) for at, field in stored_fields(spec, state, "link") if NUMBERS[at].per_link]
 
 
 def own_numbers(spec, state):
-    """The fields of `own_columns`."""
+    """The fields of the numbers that each link of a grid has itself."""
     return [field for _, field in own_columns(spec, state)]
 
 
 def shared_columns(spec, state):
-    """Of the numbers that links of one kind and grid share: (column, field)."""
+    """The pairs (index in `NUMBERS`, field) of the numbers that links of a kind and grid share."""
     found = stored_fields(spec, state, "link")
     return [(at, field) for at, field in found if not NUMBERS[at].per_link]
 
 
 def is_stored(field):
-    """Whether there is such a field."""
+    """Whether a field of `fields_of` is there."""
     return field is not None

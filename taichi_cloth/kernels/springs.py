@@ -1,14 +1,15 @@
-"""Springs on both topologies: what they give the particles that they tie, summed without a race.
+"""Springs, as links of grids or on a graph: what they give the particles that they tie, summed.
 
-Whatever a spring between two particles contributes is a ti.func `between(spec, state, value, i, j,
-numbers)`: what particle i gets from the spring to j, of which j gets the opposite. It reads fields
-by `value(spec, field, i)`: of whole packs of a grid, or of single particles of a graph; `numbers`
-are the spring's (`spring_numbers.py`). `accumulate` sums it over the springs of each pack and hands
-the sum to `consume(spec, state, i, sum)`. Forces are one such contribution, a product with the
-stiffness matrix is another. No atomics: the same bits on every run, for every number of threads.
+What a spring between two particles contributes is a ti.func `between(spec, state, value, i, j,
+numbers)`: what i gets from the spring to j; j gets the opposite. It reads fields by
+`value(spec, field, i)`, of whole packs of a grid or of single particles of a graph; `numbers` is
+the list of the spring's (`spring_numbers.py`). `accumulate` sums `between` over the springs of each
+pack and hands the sum to `consume(spec, state, i, sum)`. Forces are one such contribution, a
+product with the stiffness matrix is another. There are no races and no atomics, so that a sum has
+the same bits on every run, for every number of threads.
 
-What a spring pulls with is the sum of the terms along springs that the scene has (`forces/`); it is
-composed here alone.
+What a spring pulls with is the sum of those terms of the scene that act along springs (`forces/`);
+it is put together here alone.
 """
 
 import functools
@@ -28,26 +29,26 @@ from taichi_cloth.kernels.packs import dot, read, scaled, slot_value, zeros
 
 
 def _tensions(spec):
+    """The terms of a specialization that act along springs."""
     found = [load(name) for name in spec.terms]
     return [term for term in found if term.adds == TENSION]
 
 
 def reads_velocity(spec):
-    """Whether what a spring gives depends on how fast its ends move: on neighbours' velocities."""
+    """Whether springs have damping: a particle's force then depends on neighbours' velocities."""
     return any(has(term.damping) for term in _tensions(spec))
 
 
 def _parts(spec, part):
-    """The ti.funcs that are a part of the terms along springs, of those that have it."""
+    """The functions that are one part ("law", "damping", ...) of the terms that have this part."""
     return [getattr(term, part) for term in _tensions(spec) if has(getattr(term, part))]
 
 
 @ti.func
 def pull(spec: ti.template(), d, dv, numbers: ti.template()):
-    """(length, direction, tension) of springs.
+    """The length, direction and tension of springs; the direction is zero where the ends coincide.
 
-    d: from one end to the other; dv: velocity of the other end relative to that one. Of ends that
-    coincide there is no direction: it is zero.
+    d: vectors from one end to the other; dv: velocity of the other end relative to the first.
     """
     length = laws.length(d)
     along = laws.unit(d, length)
@@ -57,8 +58,10 @@ def pull(spec: ti.template(), d, dv, numbers: ti.template()):
 
 @ti.func
 def stiffness_along(spec: ti.template(), dt, numbers: ti.template()):
-    """By how much the impulse of springs over dt grows with the speed at which they lengthen:
-    dt times their stiffness, and their damping.
+    """The sum of dt times the stiffness of springs along their axes, and of their damping.
+
+    It is by how much a spring's tension at the end of dt grows with the speed at which the spring
+    lengthens [force / velocity].
     """
     parts = [dt * part(numbers) for part in ti.static(_parts(spec, "stiffness"))]
     total = sum_of(parts)
@@ -69,7 +72,7 @@ def stiffness_along(spec: ti.template(), dt, numbers: ti.template()):
 
 @ti.func
 def stiffness_across(spec: ti.template(), length, numbers: ti.template(), least):
-    """Stiffness of springs across their axes, at least `least` times that along them."""
+    """The stiffness of springs across their axes, at least `least` times that along them."""
     parts = [across(length, numbers, least) for across in ti.static(_parts(spec, "across"))]
     return sum_of(parts)
 
@@ -78,8 +81,12 @@ def stiffness_across(spec: ti.template(), length, numbers: ti.template(), least)
 def stiffness_product(
     spec: ti.template(), moved, length, along, tau, numbers: ti.template(), least
 ):
-    """What springs, of that length and direction, give one end where the other one is `moved`
-    relative to it, at the velocity moved / tau: their stiffness and damping matrices times it.
+    """The change of the force on one end of springs when the other end moves relative to it.
+
+    It is the product of the springs' stiffness and damping matrices with the movement.
+    moved: by how far the other end moves [length]; length, along: the springs' length and
+    direction; tau: the time in which it moves, so that its velocity changes by moved / tau; least:
+    what the stiffness across is at least, times that along.
     """
     parts = [part(numbers) for part in ti.static(_parts(spec, "stiffness"))]
     across = stiffness_across(spec, length, numbers, least)
@@ -102,7 +109,7 @@ def sum_of(parts: ti.template()):
 def force_between(
     spec: ti.template(), state: ti.template(), value: ti.template(), i, j, numbers: ti.template()
 ):
-    """Force of a spring, with its dashpot, on i."""
+    """The force on i of the spring to j, with its dashpot: a contribution for `accumulate`."""
     d = difference(spec, state, value, i, j)
     dv = 0.0 * d
     if ti.static(reads_velocity(spec)):
@@ -123,11 +130,12 @@ def accumulate(
     consume: ti.template(),
     consume_graph: ti.template(),
 ):
-    """For every pack i: consume(spec, state, i, sum over its springs).
+    """Run consume(spec, state, i, sum over its springs) for every pack i.
 
-    In lanes `consume` may already move its pack (see `links.pass_over_rows`); elsewhere it must leave what others
-    read. consume_graph(spec, state, slot, sum): for the springs that no grid holds, in scenes with
-    grids; it comes after all `consume`.
+    between: see the head of this file. With several lanes `consume` may already move its pack (see
+    `links.pass_over_rows`); else it must leave what others read.
+    consume_graph(spec, state, slot, sum): takes the sum over those springs of a particle that no
+    grid holds, in scenes with grids; it comes after all `consume`.
     """
     if ti.static(spec.lanes > 1):
         pass_over_grids(spec, state, t, leave, between, consume)
@@ -148,13 +156,16 @@ def move_and_accumulate(
     between: ti.template(),
     consume: ti.template(),
 ):
-    """In lanes alone: move(spec, state, i) for every pack, then, in the same pass over memory, for
-    each one that receives: consume(spec, state, i, sum over its springs), which may move it again.
+    """Run move(spec, state, i) for every pack i, then consume(spec, state, i, sum over its links).
+
+    Both are done in one pass over memory, which only packs of several lanes allow. `consume` may
+    move its pack again. Springs on the graph are left out.
     """
     for g in range(state.n_grids[None]):
         begin = grid_share(spec, state.grid[g, 1], t)
         end = grid_share(spec, state.grid[g, 1], t + 1)
-        # What others' links reach, and what is behind the row that a pass moves first.
+        # The first rows of a share, which the links of other shares reach, and its last ones, which
+        # are computed first: both lie outside the rows that the pass moves.
         for r in range(begin, ti.min(begin + spec.depth, end)):
             move_row(spec, state, g, r, move)
         for r in range(ti.max(begin + spec.depth, end - spec.depth), end):
@@ -165,6 +176,8 @@ def move_and_accumulate(
 
 @functools.cache
 def _summing(between, consume):
+    """The body of a loop over packs that hands each pack's sum to `consume`."""
+
     @ti.func
     def body(spec: ti.template(), state: ti.template(), i):
         consume(spec, state, i, sum_at_pack(spec, state, between, i))
@@ -174,6 +187,8 @@ def _summing(between, consume):
 
 @functools.cache
 def _summing_more(between, consume_graph):
+    """The body of a loop over compressed rows that hands each row's sum to `consume_graph`."""
+
     @ti.func
     def body(spec: ti.template(), state: ti.template(), p):
         slot = state.csr_slot[p]
@@ -185,7 +200,7 @@ def _summing_more(between, consume_graph):
 
 @ti.func
 def sum_at_pack(spec: ti.template(), state: ti.template(), between: ti.template(), i):
-    """Sum over the springs of pack i, each computed from both of its ends."""
+    """The sum over the springs of pack i, with each spring computed from both of its ends."""
     if ti.static(spec.kinds > 0):
         return sum_of_links(spec, state, between, i)
     elif ti.static(spec.springs):

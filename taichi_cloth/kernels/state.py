@@ -1,7 +1,7 @@
-"""Fields that hold the state of a simulation on the device.
+"""The fields that hold the state of a simulation on the device.
 
-Allocated once with a capacity and refilled in place: every new container makes every kernel
-compile again. Fields of features that a scene lacks are not allocated at all.
+They are allocated once with a capacity and refilled in place, because for every new `State` every
+kernel is compiled again. Fields of features that a scene lacks are not allocated at all.
 """
 
 from dataclasses import astuple, dataclass
@@ -21,18 +21,24 @@ from taichi_cloth.kernels.loops import COUNTER_SIZE
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.springs import reads_velocity
 
-ALIVE, BREAKING, GONE = 0, 1, 2  # BREAKING: over its limit, pulls for one more step
+ALIVE, BREAKING, GONE = 0, 1, 2  # of a spring; BREAKING: over its limit, pulls for one more step
 
+# Counts of a solver's work: evaluations of all forces, sweeps (passes over all springs, by
+# Gauss-Seidel or for a product with the stiffness matrix), steps that did not converge.
 WORK = FORCES, SWEEPS, UNCONVERGED = range(3)
 
 CELLS_PER_PARTICLE = 8  # of the collision grid: more cells mean fewer comparisons, more clearing
 
-CACHE_LINE = 32  # numbers: two lines of 64 bytes, which processors fetch in pairs
+CACHE_LINE = 32  # whole numbers in two lines of 64 bytes, which processors fetch in pairs
 
 
 @dataclass(frozen=True)
 class Capacity:
-    """How much fits: particles, springs on the graph, packs, grids; packs in a row with halos."""
+    """How much fits into a `State`.
+
+    particles; springs: those on the graph; packs, the empty ones included; grids; row: packs in the
+    widest row, with its halos.
+    """
 
     particles: int
     springs: int
@@ -41,7 +47,7 @@ class Capacity:
     row: int
 
     def holds(self, other: "Capacity") -> bool:
-        """Whether what needs `other` fits in here."""
+        """Whether what needs the capacity `other` fits into this one."""
         return all(a >= b for a, b in zip(astuple(self), astuple(other), strict=True))
 
 
@@ -49,47 +55,61 @@ class Capacity:
 class State:
     """All device data of one simulation.
 
-    Packs (`packs.py`), each value a vector of `dim` or a number for each of the pack's particles:
-        x, v: position and velocity; a: acceleration of the current step;
-        w: inverse mass (0 = fixed); radius, restitution (walls or collisions), 0-D where all
-        particles share them; the particle fields of the scene's forces (`forces/`), likewise;
-        saved_x, saved_v: the state at the start of the frame under way, the last good one;
-        x_low, v_low, saved_x_low, saved_v_low (compensated): what sums lost to rounding;
-        particle: index of the particle there; slot: where particle i is.
+    Packs (`packs.py`): a vector (dim,) or a number for each of a pack's particles.
+        x, v: position and velocity; a: acceleration of the current step; w: inverse mass (0: fixed
+        or no particle); saved_x, saved_v: the last checkpoint (`watchdog.py`).
+        radius, restitution (walls or collisions), and the fields that the scene's forces declare
+        for particles (`forces/`): these numbers are 0-D where all particles share them.
+        x_low, v_low, saved_x_low, saved_v_low (compensated): what sums lost to rounding.
+        jump (collisions): change of velocity by collisions with other particles.
+        particle: index of the particle in each place; slot, by that index: its slot.
+        haloed: a tuple of those fields of vectors that neighbours read.
     Springs on the graph, from both ends, in compressed rows (`graph.py`): csr_slot, csr_start,
-        csr_other, csr_<letter> (`spring_numbers.py`). What is gone has its own particle as its
-        other end.
-    Springs on the graph once each (fracture): ends, break_length2 (square of the length at which
-        the force reaches the break force), status (ALIVE, BREAKING, GONE), break_step, half (its
-        two half-springs).
-    Grids (`grids.py`): grid: first pack, rows, width in packs, whether it has links; grid_of: a
-        pack's grid, -1 in the empty rows; breaking: how many of a pack's links are about to go.
-    Links (`links.py`): link: columns and rows to the other end of each kind; forward: the kinds in
-        the order in which the other ends are numbered; link_limit2 and those link_<letter> that a
-        kind shares, by kind and grid. One kind after the other (`grids.link_index`): the other
-        link_<letter>, link_status and link_step (fracture). ring_forces: what links give: rows of
-        zeros, a ring of rows for each thread, then the last rows of each thread's share of each grid.
-    Numbers a run may change are fields too: n, n_packs, n_grids, dt, low, high, ..., and those of
-        the scene's forces; step: the number of the step under way, stage: which of its stages.
+        csr_other and csr_<letter> (`spring_numbers.py`). A spring that is gone has its own
+        particle as its other end.
+    Springs on the graph, once each (fracture): ends: their slots; break_length2: square of the
+        length at which the force reaches the break force; status: ALIVE, BREAKING or GONE;
+        break_step: when it began to break; half: its two half-springs.
+    Grids (`grids.py`): grid: (grids, 4): first pack, rows, width in packs, whether it has links;
+        grid_of: a pack's grid, -1 in empty rows; breaking (fracture): how many of the links that
+        begin at a pack are BREAKING.
+    Links (`links.py`): link: (kinds, 2): columns and rows to the later end; forward: the kinds in
+        the order in which the later ends are numbered.
+        By kind and grid: link_limit2, the square of the break length, and link_<letter> for the
+        numbers that links of a kind and grid share.
+        By kind and pack (`grids.link_index`): link_<letter> for the other numbers, link_status and
+        link_step (fracture), as status and break_step are for springs.
+        ring_forces: what links give their earlier ends: rows of zeros, a ring of rows for each
+        thread, then the last rows of each thread's share of each grid. row, ring_size: packs in a
+        row of it, and in all of it for one kind of link.
+    Numbers that a run may change are 0-D fields: n, n_packs, n_grids, dt, low, high, ..., and those
+        of the scene's forces; step: the number of the step under way; stage: which of its stages;
+        fault, watching: see `watchdog.py`.
     Solvers (`solvers/`): phase: the one that comes next; tolerance, iterations: settings; work:
-        counts since the host last asked, FORCES, SWEEPS, UNCONVERGED; summed_k, summed_c: sums of
-        the stiffness and damping of a particle's springs (needs "summed_springs").
+        the counts `WORK` since the host last asked; summed_k, summed_c: sums of the stiffness and
+        damping of a particle's springs (needs "summed_springs").
         one (compensated): 1, which compilers do not know (`compensated.py`).
-    Colours of springs on the graph (needs "spring_colours"; `solvers/colours.py`): those of colour k
-        are colour_start[k] .. colour_start[k+1], each with its ends and spring_<letter>.
+    Colours of springs on the graph (needs "spring_colours"; `solvers/colours.py`): those of colour
+        k are colour_start[k] .. colour_start[k+1], each with its ends and spring_<letter>.
         impulse, link_impulse: a vector for each spring, for each link.
     Colours of particles with springs on the graph (needs "particle_colours"): those of colour k are
-        csr_slot[coloured[i]] from i = colour_start[k] to colour_start[k+1]; own: 0 for those, 1 for
-        others.
+        in the slots csr_slot[coloured[n]], n from colour_start[k] to colour_start[k+1]; own: 0 for
+        these particles, 1 for all others.
+    The collision grid (`contact.py`): grid_size, cell_size: cells along each axis, and their width;
+        cell_start, cell_fill, block_start, cell_of, sorted_index, sorted_x, sorted_radius: the
+        counting sort's.
 
     What the host loads is listed by name, so that it comes in the order in which kernels take it:
-    number_places and count_places (field, where, how many: 0 of a single one), particle_places and
-    vector_places (field, where). number_names, ... are their names.
+    number_names, count_names, vector_names and particle_names; number_places and count_places:
+    (field, index of its first number, how many: 0 for a 0-D field); vector_places and
+    particle_places: (field, index of its first column).
     """
 
     def __init__(self, spec, real, capacity, method):
-        """Allocate. real: ti.f32 or ti.f64; method: a `methods.contract.Method`, whose fields and
-        needs get room.
+        """Allocate the fields that a specialization and a method need.
+
+        spec: a `Specialization`; real: ti.f32 or ti.f64; capacity: a `Capacity`; method: a
+        `methods.contract.Method`. Raises TypeError where two declare a field of the same name.
         """
         self.real, self.capacity = real, capacity
         self.packs = max(capacity.packs, 1)
@@ -143,7 +163,10 @@ class State:
         return self._scalars() if spec.uniform_particles else self._pack_numbers(spec)
 
     def _place_packs(self, spec, method):
-        """Packs first, so that they lie at multiples of their size, as vectors are best read."""
+        """Place the fields of packs: first, so that each pack lies at a multiple of its size.
+
+        Vectors are best read there.
+        """
         vectors = list(method.vectors)
         for name in ("x", "v", "a", "saved_x", "saved_v"):
             setattr(self, name, self._pack_vectors(spec))
@@ -208,7 +231,7 @@ class State:
         self.fault, self.watching = self._counts(), self._counts()
 
     def _place_numbers(self, spec, method):
-        """The numbers of the scene and the run."""
+        """Place the numbers of the scene and the run."""
         dim = spec.dim
         self.n, self.n_packs, self.n_grids = self._counts(), self._counts(), self._counts()
         self.grid = self._counts(max(self.capacity.grids, 1), 4)
@@ -284,7 +307,10 @@ class State:
         self.sorted_x, self.sorted_radius = self._scalars(n, spec.dim), self._scalars(n)
 
     def _add(self, name, field):
-        """A field that a method or a force names: none may take another one's name."""
+        """Take up a field by the name that a method or a force gave it.
+
+        Raises TypeError where there is already a field of this name.
+        """
         if hasattr(self, name):
             raise TypeError(f"two things store a field called {name!r}; rename one of them")
         setattr(self, name, field)
@@ -304,7 +330,7 @@ class State:
         ]
 
     def _places(self, names):
-        """(field, where its first number is, how many it has) one after the other."""
+        """The triples (field, index of its first number, how many or 0 if it is 0-D) of fields."""
         found, at = [], 0
         for name in names:
             field = getattr(self, name)
@@ -313,12 +339,12 @@ class State:
             at += max(size, 1)
         return found
 
-    # --- more, for methods and tests ---------------------------------------------------------------
+    # --- more, for methods and tests -------------------------------------------------------------
 
     def add_vectors(self, spec, name, haloed=False):
-        """A further field of packs for a method: one vector a particle, state.<name>.
+        """Allocate a further field state.<name> of packs: one vector for each particle.
 
-        haloed: whether what a particle has there is read by those it is tied to.
+        haloed: whether neighbours read it, so that its halos are to be renewed.
         """
         field = self._pack_vectors(spec, tree=(tree := ti.FieldsBuilder()))
         self._trees.append(tree.finalize())
@@ -327,24 +353,24 @@ class State:
             self.haloed = (*self.haloed, field)
 
     def add_sums(self, count):
-        """Room for `count` sums by `loops.add_up`: sums[k, 0], and their parts after it."""
+        """Allocate state.sums for `count` sums by `loops.add_up`: sums[k, 0], then its parts."""
         self.sums = _placed(tree := ti.FieldsBuilder(), ti.field(self.real), count, self.packs + 1)
         self._trees.append(tree.finalize())
 
     def free(self):
-        """Give the device memory back; no field of this container may be used afterwards."""
+        """Give the device memory back; no field of this state may be used afterwards."""
         for tree in self._trees:
             tree.destroy()
 
 
 def device_fields(spec):
-    """The fields that the forces of a specialization declare."""
+    """The fields that the forces of a specialization declare (`forces.contract.DeviceField`)."""
     terms = [load(name) for name in spec.terms]
     return [field for term in terms if has(term.fields) for field in term.fields]
 
 
 def _placed(tree, field, *shape):
-    """The field, placed in a tree: one axis inside the other."""
+    """The field, after it was placed in a tree with one axis inside the other."""
     for axis, size in zip((ti.i, ti.j), shape, strict=False):
         tree = tree.dense(axis, size)
     tree.place(field)

@@ -1,6 +1,7 @@
-"""How one method is run: whole frames in one launch, or a launch for each step or phase.
+"""Kernels that run a method: whole frames in one launch, or a launch for each step or phase.
 
-`method` is a method's step, a ti.func over the containers; `loops.py` says how its loops run.
+`method` is a method's step, a ti.func(spec, state, t); `loops.py` says how its loops run. done:
+how many steps came before; steps are numbered from 1.
 """
 
 import taichi as ti
@@ -13,7 +14,7 @@ from taichi_cloth.kernels.watchdog import all_well, begin_step, checkpoint
 
 @ti.func
 def substep(method: ti.template(), spec: ti.template(), state: ti.template(), t, step):
-    """Step number `step` (from 1) of a method, then fracture from the positions it reached."""
+    """Run step number `step` of a method, then break springs by the positions that it reached."""
     begin_step(state, step)
     method(spec, state, t)
     if ti.static(spec.fracture):
@@ -24,9 +25,11 @@ def substep(method: ti.template(), spec: ti.template(), state: ti.template(), t,
 def frames_as_thread(
     method: ti.template(), spec: ti.template(), state: ti.template(), t, done, frames, substeps
 ):
-    """Frames after `done` steps, each kept and checked; state.passed counts those that passed.
+    """Run frames as thread t, with a checkpoint before each; state.passed counts those that passed.
 
-    Nothing is computed after a frame that fails; its fault is in state.fault.
+    done: steps before the first frame; frames: how many; substeps: steps in each. A frame passes if
+    the watchdog has found no fault in it. Nothing is computed after one that has not; its fault is
+    in state.fault.
     """
     passed = 0
     for k in range(frames * substeps):
@@ -51,7 +54,7 @@ def frames_in_one_launch(
     frames: ti.i32,
     substeps: ti.i32,
 ) -> ti.i32:
-    """Frames after `done` steps on spec.threads threads; returns how many passed."""
+    """Run frames on spec.threads threads; return how many passed (see `frames_as_thread`)."""
     if ti.static(spec.threads == 1):
         ti.loop_config(serialize=True)
         for t in range(1):
@@ -68,16 +71,16 @@ def frames_in_one_launch(
 
 @ti.kernel
 def begin_launch(begin: ti.template(), spec: ti.template(), state: ti.template()):
-    """What a method computes before its first step, every loop of it a parallel one.
+    """Compute what a method wants before its first step, with every loop run in parallel.
 
-    A kernel of its own: compile time grows with the square of what is in one.
+    It is a kernel by itself because compile time grows with the square of what is in one.
     """
     begin(spec, state, 0)
 
 
 @ti.kernel
 def begin_step_launch(state: ti.template(), step: ti.i32):
-    """Before the phases of step number `step`."""
+    """Prepare the phases of step number `step`, of which the first comes next."""
     for _ in range(1):
         begin_step(state, step)
         state.phase[None] = 0
@@ -85,7 +88,7 @@ def begin_step_launch(state: ti.template(), step: ti.i32):
 
 @ti.kernel
 def phase_launch(phase: ti.template(), spec: ti.template(), state: ti.template()) -> ti.i32:
-    """One phase of a step, every loop of it a parallel one; returns the next one."""
+    """Run one phase of a step, with every loop run in parallel; return the phase that is next."""
     phase(spec, state, 0)
     return state.phase[None]
 
@@ -94,7 +97,11 @@ def phase_launch(phase: ti.template(), spec: ti.template(), state: ti.template()
 def phases_in_one_launch(
     phased: ti.template(), these: ti.template(), spec: ti.template(), state: ti.template()
 ) -> ti.i32:
-    """Phases of a step on spec.threads threads, while they are among `these`; returns the next."""
+    """Run phases of a step on spec.threads threads for as long as the next one is among `these`.
+
+    phased: all phases of the method; these: numbers of those that this kernel holds. Returns the
+    phase that is next.
+    """
     if ti.static(spec.threads == 1):
         ti.loop_config(serialize=True)
         for t in range(1):
@@ -112,11 +119,11 @@ def phases_in_one_launch(
 
 @ti.kernel
 def end_step_launch(spec: ti.template(), state: ti.template()):
-    """After the phases of a step: fracture."""
+    """Break springs after the phases of a step."""
     break_springs(spec, state, 0)
 
 
 @ti.kernel
 def substep_launch(method: ti.template(), spec: ti.template(), state: ti.template(), step: ti.i32):
-    """Step number `step`, every loop of it a parallel one."""
+    """Run step number `step`, with every loop run in parallel."""
     substep(method, spec, state, 0, step)

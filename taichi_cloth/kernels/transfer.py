@@ -1,4 +1,8 @@
-"""Between NumPy arrays and the containers: one kernel a direction, so that little is compiled."""
+"""Kernels that copy between NumPy arrays and the fields of `State`: few, so little is compiled.
+
+Arrays have the device's precision, or are int32. n: particles; s: springs on the graph; l: links;
+"numbers" in a shape: the length of `spring_numbers.NUMBERS`.
+"""
 
 import taichi as ti
 
@@ -19,7 +23,10 @@ from taichi_cloth.kernels.watchdog import NO_FAULT
 
 @ti.kernel
 def load_numbers(state: ti.template(), counts: ti.types.ndarray(), numbers: ti.types.ndarray()):
-    """Fill the fields of numbers: in the order of state.count_names and state.number_names."""
+    """Fill the fields that hold numbers of the scene and the run.
+
+    counts, numbers: 1-D, in the order of state.count_names and of state.number_names.
+    """
     for _ in range(1):
         for field, at, size in ti.static(state.count_places):
             if ti.static(size == 0):
@@ -43,7 +50,10 @@ def load_packs(
     grid: ti.types.ndarray(),
     grid_of: ti.types.ndarray(),
 ):
-    """Empty all packs, and fill grid (g, 4) and, where there are links, grid_of (packs,)."""
+    """Empty all packs and load the grids.
+
+    n_packs: packs in use; grid: (grids, 4); grid_of: (n_packs,), read only where there are links.
+    """
     for _ in range(1):
         state.n_packs[None] = n_packs
         state.n_grids[None] = grid.shape[0]
@@ -56,7 +66,7 @@ def load_packs(
         for slot in range(c * spec.lanes, (c + 1) * spec.lanes):
             set_slot_number(spec, state.w, slot, 0.0)
             set_slot_number(spec, state.particle, slot, NO_FAULT)
-            if ti.static(len(spec.walls) > 0):  # places without a particle are past no wall
+            if ti.static(len(spec.walls) > 0):  # a slot without a particle is past no wall
                 middle = ti.Vector.zero(state.real, spec.dim)
                 for axis in ti.static(range(spec.dim)):
                     middle[axis] = 0.5 * (state.low[axis] + state.high[axis])
@@ -79,8 +89,10 @@ def load_particles(
     slots: ti.types.ndarray(),
     rows: ti.types.ndarray(),
 ):
-    """Fill the particles from `rows` (n, ...): the vectors state.vector_names, then the numbers
-    state.particle_names.
+    """Load the particles, after `load_packs`.
+
+    slots: (n,), the slot of each; rows: (n, columns): the vectors state.vector_names, dim columns
+    each, then the numbers state.particle_names.
     """
     for i in range(rows.shape[0]):
         slot = slots[i]
@@ -104,7 +116,10 @@ def load_summed_springs(
     slots: ti.types.ndarray(),
     rows: ti.types.ndarray(),
 ):
-    """Fill summed_k and summed_c from `rows` (n, 2)."""
+    """Load the sums of the stiffness and damping of each particle's springs.
+
+    slots: (n,), the slot of each particle; rows: (n, 2), for summed_k and summed_c.
+    """
     for i in range(rows.shape[0]):
         set_slot_number(spec, state.summed_k, slots[i], rows[i, 0])
         set_slot_number(spec, state.summed_c, slots[i], rows[i, 1])
@@ -112,7 +127,10 @@ def load_summed_springs(
 
 @ti.kernel
 def load_halo_numbers(spec: ti.template(), state: ti.template()):
-    """Fill the halos of particles' numbers, for methods that read those of neighbours."""
+    """Fill the halos of those fields that hold a number for each particle.
+
+    Methods that read such numbers of neighbours need it; the halos of vectors are renewed by loops.
+    """
     for g in range(state.n_grids[None]):
         first, width = state.grid[g, 0], state.grid[g, 2]
         for r in range(state.grid[g, 1]):
@@ -126,13 +144,14 @@ def load_halo_numbers(spec: ti.template(), state: ti.template()):
 
 @ti.func
 def _copy_numbers(spec: ti.template(), state: ti.template(), i, lane, to, to_lane):
+    """Copy all numbers of the particle in a lane of pack i to a lane of the pack `to`."""
     here, there = i * spec.lanes + lane, to * spec.lanes + to_lane
     for field in ti.static(_different_numbers(spec, state)):
         set_slot_number(spec, field, there, slot_number(spec, field, here))
 
 
 def _different_numbers(spec, state):
-    """The fields of particles' numbers that are not the same for all."""
+    """The fields that hold a number for each particle, except those that all particles share."""
     return [field for field, _ in state.particle_places if field.shape != ()]
 
 
@@ -140,7 +159,7 @@ def _different_numbers(spec, state):
 def _fill_springs(
     spec: ti.template(), state: ti.template(), place: ti.template(), rows: ti.template()
 ):
-    """Fill the springs' numbers at a place (`spring_numbers.fields_of`) from rows."""
+    """Fill the springs' numbers at a place (`spring_numbers.fields_of`) from rows (s, numbers)."""
     for s in range(rows.shape[0]):
         for column, field in ti.static(stored_fields(spec, state, place)):
             if ti.static(spec.uniform_springs):
@@ -158,8 +177,10 @@ def load_colours(
     ends: ti.types.ndarray(),
     numbers: ti.types.ndarray(),
 ):
-    """Fill the springs on the graph by colour: start (colours + 1,), ends (s, 2); numbers, rows of
-    k, rest and c: (s, 3), or (1, 3) where all springs have the same.
+    """Load the springs on the graph sorted by colour.
+
+    start: (colours + 1,), the first spring of each colour; ends: (s, 2), their slots; numbers:
+    (s, numbers), or (1, numbers) where all springs have the same.
     """
     for _ in range(1):
         state.n_colours[None] = colours
@@ -179,9 +200,9 @@ def load_particle_colours(
     start: ti.types.ndarray(),
     coloured: ti.types.ndarray(),
 ):
-    """Fill the particles with springs on the graph by colour: start (colours + 1,), coloured (n,).
+    """Load the particles with springs on the graph sorted by colour, after `load_half_springs`.
 
-    After `load_half_springs`.
+    start: (colours + 1,), the first of each colour; coloured: (rows,), their compressed rows.
     """
     for _ in range(1):
         state.n_colours[None] = colours
@@ -203,7 +224,11 @@ def load_half_springs(
     near_count: ti.i32,
     far_count: ti.i32,
 ):
-    """Fill the compressed rows: near (near_count,), row (near_count + 1,), far (far_count,)."""
+    """Load the compressed rows of half-springs (`graph.py`): csr_slot, csr_start and csr_other.
+
+    near: (near_count,), the slot of each row's particle; row: (near_count + 1,), the first
+    half-spring of each row; far: (far_count,), the slot of each half-spring's other end.
+    """
     for _ in range(1):
         state.n_csr_rows[None] = near_count
     for i in range(near_count):
@@ -216,8 +241,9 @@ def load_half_springs(
 
 @ti.kernel
 def load_spring_numbers(spec: ti.template(), state: ti.template(), rows: ti.types.ndarray()):
-    """Fill the half-springs' numbers from rows (2s, numbers), or (1, numbers) where springs share
-    theirs; a column for each of `spring_numbers.NUMBERS`.
+    """Load the numbers of half-springs.
+
+    rows: (2s, numbers), or (1, numbers) where all springs have the same.
     """
     _fill_springs(spec, state, "csr", rows)
 
@@ -230,9 +256,10 @@ def load_springs(
     indices: ti.types.ndarray(),
     break_length2: ti.types.ndarray(),
 ):
-    """Fill `count` springs: indices (s, 6): two ends, two half-springs, status, break_step.
+    """Load what fracture needs of `count` springs on the graph.
 
-    break_length2: (s,), or (1,) where all springs have the same.
+    indices: (s, 6): slots of the two ends, two half-springs, status, break_step; break_length2:
+    (s,) [length^2], or (1,) where all springs have the same.
     """
     for _ in range(1):
         state.n_springs[None] = count
@@ -257,11 +284,12 @@ def load_links(
     links: ti.types.ndarray(),
     own: ti.types.ndarray(),
 ):
-    """Fill the grids' links.
+    """Load the links of grids, after `load_packs`.
 
-    shared: (kinds, grids, numbers + 1): those of `spring_numbers.NUMBERS` that a kind and grid
-    shares, and the square of the break length. links: (l, 4): kind, slot of the earlier end,
-    status, break_step; own: (l, numbers), of which each link has its own.
+    shared: (kinds, grids, numbers + 1): the numbers, of which those are read that links of a kind
+    and grid share, and the square of the break length [length^2].
+    links: (l, 4): kind, slot of the earlier end, status, break_step.
+    own: (l, numbers): the numbers, of which those are read that each link has itself.
     """
     for _ in range(1):
         for s in ti.static(range(spec.kinds)):
@@ -290,7 +318,7 @@ def load_links(
 def read_vectors(
     spec: ti.template(), state: ti.template(), field: ti.template(), out: ti.types.ndarray()
 ):
-    """Copy the vectors of a field of packs out, (n, dim), in the order of the particles."""
+    """Copy a field of vectors in packs to `out` (n, dim), in the order of the particles."""
     for i in range(out.shape[0]):
         vector = slot_value(spec, field, state.slot[i])
         for axis in ti.static(range(spec.dim)):
@@ -299,7 +327,7 @@ def read_vectors(
 
 @ti.kernel
 def take_work(state: ti.template(), out: ti.types.ndarray()):
-    """Copy the counts of the solver's work out, and begin them anew."""
+    """Copy the counts of the solver's work (`state.WORK`) to `out` (3,), and set them to 0."""
     for i in range(out.shape[0]):
         out[i] = state.work[i]
         state.work[i] = 0
@@ -307,7 +335,7 @@ def take_work(state: ti.template(), out: ti.types.ndarray()):
 
 @ti.kernel
 def read_fracture(state: ti.template(), out: ti.types.ndarray()):
-    """Copy status and break_step of the graph's springs out, (s, 2)."""
+    """Copy status and break_step of the springs on the graph to `out` (s, 2)."""
     for s in range(out.shape[0]):
         out[s, 0] = state.status[s]
         out[s, 1] = state.break_step[s]
@@ -317,7 +345,10 @@ def read_fracture(state: ti.template(), out: ti.types.ndarray()):
 def read_link_fracture(
     spec: ti.template(), state: ti.template(), links: ti.types.ndarray(), out: ti.types.ndarray()
 ):
-    """Copy status and break_step of links out, (l, 2); links: (l, 2): kind, slot."""
+    """Copy status and break_step of links to `out` (l, 2).
+
+    links: (l, 2): kind, slot of the earlier end.
+    """
     for i in range(links.shape[0]):
         link = link_index(state, links[i, 0], 0) * spec.lanes + links[i, 1]
         out[i, 0] = slot_number(spec, state.link_status, link)
@@ -326,7 +357,7 @@ def read_link_fracture(
 
 @ti.kernel
 def count_broken(spec: ti.template(), state: ti.template()) -> ti.i32:
-    """How many springs are not alive."""
+    """The number of springs, on the graph and of grids, that are breaking or gone."""
     count = 0
     if ti.static(spec.fracture and spec.springs):
         for s in range(state.n_springs[None]):

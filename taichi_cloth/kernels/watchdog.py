@@ -1,4 +1,7 @@
-"""The watchdog: is every particle finite and inside its bound at each step?"""
+"""The watchdog: whether every particle is finite and below the speed limit at each step.
+
+Each frame begins with a checkpoint of the state, to which a frame that fails is restored.
+"""
 
 import taichi as ti
 
@@ -19,9 +22,10 @@ EXPONENT_F32 = 0x7F800000  # all ones: infinity or NaN
 
 @ti.func
 def is_finite(a):
-    """By the bit pattern: compilers may assume that comparisons never see a NaN.
+    """Whether the number a is finite, by its bits: compilers may assume that none is a NaN.
 
-    Of the f32 value, because OpenGL cannot take f64 apart; what overflows f32 counts as infinite.
+    The bits are those of its f32 value, because OpenGL cannot take f64 apart; what overflows f32
+    counts as infinite.
     """
     bits = ti.bit_cast(ti.cast(a, ti.f32), ti.i32)
     return (bits & EXPONENT_F32) != EXPONENT_F32
@@ -29,7 +33,7 @@ def is_finite(a):
 
 @ti.func
 def checkpoint(spec: ti.template(), state: ti.template(), t):
-    """Before a frame: copy the state, so that a frame that fails can be undone."""
+    """Copy the state before a frame, so that `restore` can undo the frame, and forget any fault."""
     if t == 0:
         state.fault[None] = NO_FAULT
         state.watching[None] = 1
@@ -47,7 +51,10 @@ def _checkpoint_pack(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def begin_step(state: ti.template(), step):
-    """Before step number `step`: once there is a fault, what it spreads to is no longer noted."""
+    """Begin step number `step`; if there is a fault already, no further ones are noted.
+
+    So state.fault is of the first step that had one, and not of what it spread to.
+    """
     state.step[None] = step
     if state.fault[None] != NO_FAULT:
         state.watching[None] = 0
@@ -55,16 +62,17 @@ def begin_step(state: ti.template(), step):
 
 @ti.func
 def all_well(state: ti.template()):
-    """Whether no particle is at fault so far; read so that no compiler keeps an older answer."""
+    """Whether no particle is at fault so far; an atomic read, which no compiler can leave out."""
     return ti.atomic_max(state.fault[None], -1) == NO_FAULT
 
 
 @ti.func
 def commit(spec: ti.template(), state: ti.template(), i, x, v):
-    """End of a step for a pack: store its state, and note it where that is at fault.
+    """Store the new state of pack i at the end of a step, and note the particles at fault in it.
 
-    fault is the lowest index of a particle that was not finite or too fast in the first step
-    that had one. The values are at hand here; a pass of its own would read them all again.
+    x, v: its new positions and velocities. state.fault becomes the lowest index of a particle that
+    was not finite or too fast in the first step that had one. The values are at hand here; another
+    loop would read them all again.
     """
     write(spec, state.x, i, x)
     write(spec, state.v, i, v)
@@ -80,6 +88,7 @@ def commit(spec: ti.template(), state: ti.template(), i, x, v):
 
 @ti.func
 def _note_fault(spec: ti.template(), state: ti.template(), slot, limit2):
+    """Note the particle at a slot if it is not finite or too fast; limit2: speed limit squared."""
     x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)
     speed2 = v.dot(v)
     if not (is_finite(speed2) and is_finite(x.sum())) or speed2 > limit2:
@@ -89,18 +98,19 @@ def _note_fault(spec: ti.template(), state: ti.template(), slot, limit2):
 
 @ti.kernel
 def checkpoint_launch(spec: ti.template(), state: ti.template()):
+    """Run `checkpoint` in a launch by itself."""
     checkpoint(spec, state, 0)
 
 
 @ti.kernel
 def last_fault(state: ti.template()) -> ti.i32:
-    """Lowest index of a particle at fault in the frame before, or NO_FAULT."""
+    """The lowest index of a particle at fault in the last frame, or NO_FAULT."""
     return state.fault[None]
 
 
 @ti.kernel
 def restore(spec: ti.template(), state: ti.template()):
-    """Undo a frame: the state is again the one that was kept."""
+    """Undo a frame: set the state back to that of the last checkpoint."""
     each_pack_moving(spec, state, 0, _restore_pack)
 
 

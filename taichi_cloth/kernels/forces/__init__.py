@@ -1,6 +1,6 @@
-"""Forces, one file each, found by looking into this folder: `contract.Term` says what one declares.
+"""Forces, one file each, which are found by looking into this folder.
 
-Adding a force is adding a file.
+`contract.Term` says what a file declares. Adding a force is adding a file.
 """
 
 import functools
@@ -17,7 +17,7 @@ TERMS = tuple(sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name !=
 def load(name: str) -> Term:
     """The `Term` of the force `name`, out of `TERMS`. Importing it imports Taichi.
 
-    TypeError, which names the file and the part, where its declaration is not whole.
+    Raises TypeError, which names the file and the part, where its declaration is not whole.
     """
     try:
         term = getattr(importlib.import_module(f"{__name__}.{name}"), "TERM", None)

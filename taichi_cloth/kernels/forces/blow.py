@@ -1,8 +1,8 @@
-"""The pointer's force: what is near it is blown along as it moves, through the next frame.
+"""The pointer's force: as the pointer moves, it blows along what is near it, for the next frame.
 
-On a particle at distance r from the pointer that moved by d: f = STRENGTH max(REACH - r, 0) d, the
-law of the original program. In 3-D the pointer is a line, the ray of sight. A program may hold a
-force of its own for each particle in its place.
+A particle at distance r from the pointer, which moved by d, gets f = STRENGTH max(REACH - r, 0) d,
+the law of the original program. In 3-D the pointer is a line, the ray of sight. A program may put a
+force for each particle in the pointer's place (`hold_push`).
 """
 
 import taichi as ti
@@ -37,6 +37,7 @@ STRENGTH = 0.002  # force per unit of displacement and of distance short of the 
 
 @ti.func
 def law(spec: ti.template(), state: ti.template(), i):
+    """The forces on pack i that are held for this frame, or zero."""
     f = zeros(spec, state)
     if state.pushing[None] == 1:
         f = read(spec, state.push, i)
@@ -45,10 +46,11 @@ def law(spec: ti.template(), state: ti.template(), i):
 
 @ti.kernel
 def compute_push(spec: ti.template(), state: ti.template(), numbers: ti.types.ndarray()):
-    """push: the pointer's force on each particle, by its distance to the pointer's line.
+    """Compute state.push, the pointer's force on each particle, from where the particles are now.
 
-    numbers: per axis a point of the line, its unit direction (zero: the line is a point, as in
-    2-D), the pointer's displacement; then reach and strength.
+    numbers: (3 dim + 2,): a point of the pointer's line, the line's unit direction (zero: the line
+    is only that point, as in 2-D), the pointer's displacement, all in world units; then reach
+    [length] and strength [force / length^2].
     """
     for _ in range(1):
         state.pushing[None] = 1
@@ -63,6 +65,7 @@ def compute_push(spec: ti.template(), state: ti.template(), numbers: ti.types.nd
 
 @ti.func
 def _push_pack(spec: ti.template(), state: ti.template(), i):
+    """Compute the pointer's force on pack i by the distance to the pointer's line."""
     x = read(spec, state.x, i)
     d, ray = 0.0 * x, 0.0 * x
     for axis in ti.static(range(spec.dim)):
@@ -80,14 +83,17 @@ def _push_pack(spec: ti.template(), state: ti.template(), i):
 
 @ti.kernel
 def clear_push(state: ti.template()):
-    """No pointer force."""
+    """End the pointer's force."""
     for _ in range(1):
         state.pushing[None] = 0
 
 
 @ti.kernel
 def hold_push(spec: ti.template(), state: ti.template(), forces: ti.types.ndarray()):
-    """push: a force for each particle, forces (n, dim), instead of the pointer's."""
+    """Store a force for each particle in state.push, in the place of the pointer's.
+
+    forces: (n, dim), in the order of the particles.
+    """
     for _ in range(1):
         state.pushing[None] = 1
     for i in range(forces.shape[0]):
@@ -98,6 +104,7 @@ def hold_push(spec: ti.template(), state: ti.template(), forces: ti.types.ndarra
 
 
 def variant(scene):
+    """The scene with the pointer's force switched over; None where clicks make particles."""
     used = scene.world.mouse == "blow"
     if scene.world.mouse == "spawn":
         return None

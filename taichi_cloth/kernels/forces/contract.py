@@ -3,20 +3,21 @@
 A term is one file in this folder with a `TERM = Term(...)`. No part has a default: one that a force
 does not have is `Absent("because ...")`, one that is forgotten is an error when the file is loaded.
 
-Three kinds of term differ in what their law gives, and to what it is added:
+There are three kinds of term. They differ in what their law gives, and to what that is added:
 
-- "acceleration" and "force" act on single particles. law(spec, state, i) gives the vectors of pack i.
-  stiffness and damping(spec, state, number, i) give -df/dx and -df/dv, a number for each particle
-  (the force's derivative, taken as the same in every direction); `number` reads a field of numbers
-  at i: `packs.read` of a pack, `packs.slot_number` of a slot.
-- "tension" acts along springs. law(length, along, dv, numbers) gives the pull of the ends on each
-  other: of springs of that length and direction, whose far ends move at dv relative to the near
-  ones; `numbers` are those of `spring_numbers.NUMBERS`. stiffness(numbers) gives its derivative by
-  length, damping(numbers) that by the rate at which it lengthens, and across(length, numbers,
-  least) the stiffness across the spring, at least `least` times the one along it.
+- "acceleration" and "force" act on single particles. law(spec, state, i) gives the vectors of
+  pack i. stiffness(spec, state, number, i) and damping(spec, state, number, i) give -df/dx and
+  -df/dv, a number for each particle: the force's derivatives, taken as equal in every direction.
+  `number` reads a field of numbers at i: `packs.read` at a pack, `packs.slot_number` at a slot.
+- "tension" acts along springs. law(length, along, dv, numbers) gives the force with which springs
+  pull their ends together: length and along are their length and unit direction, from one end to
+  the other; dv is the velocity of that other end relative to the first; `numbers` is the list that
+  `spring_numbers.NUMBERS` describes. stiffness(numbers) gives the law's derivative by length,
+  damping(numbers) that by the rate at which a spring lengthens, and across(length, numbers, least)
+  the stiffness across a spring, at least `least` times the one along it.
 
-On the host all is NumPy, and knows no kernel: x, v (n, dim); world, particles, springs as in a
-scene, the springs those that hold; `scene` a whole one.
+All other functions run on the host, in NumPy, and use no kernel. Of these x, v are (n, dim); world,
+particles and springs are those of a scene, without springs that are gone; scene is a whole one.
 """
 
 from collections.abc import Callable
@@ -37,7 +38,7 @@ PARTICLE_NUMBER, PARTICLE_VECTOR, NUMBER, VECTOR, COUNT = SHAPES = (
 
 @dataclass(frozen=True)
 class Absent:
-    """A part that a term does not have; reason: why, in words."""
+    """The declaration that a term does not have a part; reason: why, in words."""
 
     reason: str
 
@@ -62,8 +63,8 @@ class Key:
 class DeviceField:
     """A field on the device, state.<name>, one of `SHAPES`.
 
-    value(world, particles): what it holds, (), (dim,), (n,); None where nothing is loaded into it:
-    the term's own kernels fill it.
+    value(world, particles): what is loaded into it: one number, (dim,), (n,) or (n, dim), by its
+    shape; None where the term's own kernels fill it.
     """
 
     name: str
@@ -75,8 +76,8 @@ class DeviceField:
 class Variant:
     """A scene with one feature switched over, by which the feature's cost is measured.
 
-    feature: its name for users; used: whether the scene itself has it, and this one does not.
-    about: what the scene has, or what this one was given.
+    feature: the term's name for users; used: whether the original scene has it, so that this one
+    does not; about: what the original scene has of it, or what this one was given; scene: this one.
     """
 
     feature: str
@@ -87,16 +88,23 @@ class Variant:
 
 @dataclass(frozen=True, kw_only=True)
 class Term:
-    """A force, declared (see the head of this file).
+    """The declaration of a force.
 
-    adds: out of `KINDS`. keys: of scene files that it declares, beside those that `scene` has.
-    present(scene): whether the scene can ever need it, also after clicks. fields: on the device.
-    law, stiffness, damping, across: as above. energy(x, v, world, particles, springs): of all
-    particles. twin: the law in NumPy, for references: twin(x, v, world, particles) of a term on
-    particles, (n, dim); twin(length, rate, springs) of one along springs, (s,). bound(world,
-    particles, springs): its share of the stability limit, (stiffness, damping), both (n,), or (s,)
-    of a term along springs, at least the magnitude of the law's derivatives. variant(scene): the
-    scene with the term switched over, None where that makes no sense.
+    adds: its kind, out of `KINDS`.
+    keys: those keys of scene files that it declares itself.
+    present(scene): whether the scene can ever need it, also after clicks.
+    fields: those that it has on the device.
+    law, stiffness, damping, across: see the head of this file.
+    energy(x, v, world, particles, springs): its potential energy, of all particles, a number.
+    twin: the law in NumPy, for references. On particles twin(x, v, world, particles) gives
+        (n, dim); along springs twin(length, rate, springs) gives (s,), from their lengths and the
+        rates at which they lengthen, both (s,).
+    bound(world, particles, springs): its share of the stability limit: (stiffness, damping), each
+        (n,), or (s,) along springs, at least the magnitude of the law's derivatives.
+    variant(scene): a `Switch`, the scene with the term switched over; None where that makes no
+        sense.
+
+    Raises ValueError where a part is none of these.
     """
 
     adds: str
@@ -143,5 +151,5 @@ def has(part: Part | Absent) -> TypeGuard[Part]:
 
 
 def counted(count: int, thing: str) -> str:
-    """'1 spring', '2 springs'."""
+    """A number of things in words, such as '1 spring' or '2 springs'."""
     return f"{count} {thing}{'s' * (count != 1)}"

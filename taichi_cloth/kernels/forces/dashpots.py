@@ -1,7 +1,7 @@
-"""Dashpots beside the springs: T = c times the rate at which a spring lengthens.
+"""Dashpots beside the springs, with a tension of c times the rate at which the spring lengthens.
 
-Along the spring's axis alone, so that a turning spring is not slowed: Baraff, Witkin, "Large steps
-in cloth simulation", 1998, section 4.5.
+They act along the spring's axis alone, so that a turning spring is not slowed: Baraff, Witkin,
+"Large steps in cloth simulation", 1998, section 4.5.
 """
 
 from dataclasses import replace
@@ -18,24 +18,29 @@ LIGHT = 0.02  # of sqrt(stiffness * mass): the damping that a variant gets
 
 @ti.func
 def law(length, along, dv, numbers: ti.template()):
+    """The tension of dashpots."""
     return laws.dashpot_tension(dv, along, numbers[C])
 
 
 @ti.func
 def damping(numbers: ti.template()):
+    """The derivative of the tension by the rate at which a spring lengthens [force / velocity]."""
     return numbers[C]
 
 
 def present(scene):
+    """Whether any spring of the scene, or any that clicks make, is damped."""
     clicked = scene.world.mouse == "spawn" and scene.spring_defaults.damping > 0
     return bool((scene.springs.damping > 0).any() or clicked)
 
 
 def twin(length, rate, springs):
+    """The law in NumPy."""
     return springs.damping * rate
 
 
 def variant(scene):
+    """The scene without its dashpots, or with light ones; None for a scene without springs."""
     springs, defaults = scene.springs, scene.spring_defaults
     if len(springs) == 0:
         return None

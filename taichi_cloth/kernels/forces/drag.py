@@ -1,4 +1,7 @@
-"""Viscous drag on single particles, f = -c v (Stokes, 1851): [particle] viscous is c."""
+"""Viscous drag on single particles, f = -c v, where [particle] viscous is c.
+
+Stokes, "On the effect of the internal friction of fluids on the motion of pendulums", 1851.
+"""
 
 from dataclasses import replace
 
@@ -22,24 +25,29 @@ LIGHT = 0.01  # of mass / dt: the drag that a variant gets, with which its step 
 
 @ti.func
 def law(spec: ti.template(), state: ti.template(), i):
+    """The drag on pack i."""
     return laws.drag_force(read(spec, state.v, i), read(spec, state.viscous, i))
 
 
 @ti.func
 def damping(spec: ti.template(), state: ti.template(), number: ti.template(), i):
+    """The derivative -df/dv at i, a number for each particle [force / velocity]."""
     return number(spec, state.viscous, i)
 
 
 def present(scene):
+    """Whether any particle of the scene, or any that clicks make, has drag."""
     clicked = scene.world.mouse == "spawn" and scene.particle_defaults.viscous > 0
     return bool((scene.particles.viscous > 0).any() or clicked)
 
 
 def twin(x, v, world, particles):
+    """The law in NumPy."""
     return -particles.viscous[:, None] * v
 
 
 def variant(scene):
+    """The scene without its drag, or with a light one on every particle."""
     particles, defaults = scene.particles, scene.particle_defaults
     used = present(scene)
     if used:

@@ -1,4 +1,4 @@
-"""Gravity: the same acceleration for every free particle, m a = m g."""
+"""Gravity, which gives every free particle the acceleration g, whatever its mass."""
 
 import numpy as np
 import taichi as ti
@@ -15,6 +15,7 @@ from taichi_cloth.kernels.packs import everywhere, with_component, zeros
 
 @ti.func
 def law(spec: ti.template(), state: ti.template(), i):
+    """The acceleration g, for each lane of a pack."""
     a = zeros(spec, state)
     for axis in ti.static(range(spec.dim)):
         a = with_component(a, axis, everywhere(spec, state.gravity[axis]))
@@ -22,11 +23,13 @@ def law(spec: ti.template(), state: ti.template(), i):
 
 
 def energy(x, v, world, particles, springs):
+    """The potential energy -m g.x of all free particles."""
     free = ~particles.fixed
     return float(-(particles.mass[free] * (x[free] @ np.asarray(world.gravity))).sum())
 
 
 def twin(x, v, world, particles):
+    """The law in NumPy."""
     return np.broadcast_to(np.asarray(world.gravity, np.float64), x.shape)
 
 

@@ -1,4 +1,4 @@
-"""Springs between two particles: Hooke's law along their axis, T = k (length - rest)."""
+"""Springs between two particles, with a tension by Hooke's law: T = k (length - rest)."""
 
 from dataclasses import replace
 
@@ -12,34 +12,41 @@ from taichi_cloth.kernels.spring_numbers import REST, K
 
 @ti.func
 def law(length, along, dv, numbers: ti.template()):
+    """The tension of springs."""
     return laws.spring_tension(length, numbers[K], numbers[REST])
 
 
 @ti.func
 def stiffness(numbers: ti.template()):
+    """The derivative of the tension by length [force / length]."""
     return numbers[K]
 
 
 @ti.func
 def across(length, numbers: ti.template(), least):
+    """The stiffness across the spring's axis, at least `least` times the one along it."""
     return laws.spring_stiffness_across(length, numbers[K], numbers[REST], least)
 
 
 def present(scene):
+    """Whether the scene has springs, or clicks can make some."""
     return scene.world.mouse == "spawn" or len(scene.springs) > 0
 
 
 def energy(x, v, world, particles, springs):
+    """The potential energy k (length - rest)^2 / 2 of all springs."""
     a, b = springs.between.T
     stretch = np.linalg.norm(x[b] - x[a], axis=1) - springs.rest_length
     return float(0.5 * (springs.stiffness * stretch**2).sum())
 
 
 def twin(length, rate, springs):
+    """The law in NumPy."""
     return springs.stiffness * (length - springs.rest_length)
 
 
 def variant(scene):
+    """The scene without its springs; None where it has none, or clicks make some."""
     springs = scene.springs
     if len(springs) == 0 or scene.world.mouse == "spawn":
         return None

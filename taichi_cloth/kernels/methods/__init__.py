@@ -1,8 +1,8 @@
-"""Time-integration methods, one file each, found by looking into this folder.
+"""Time-integration methods, one file each, which are found by looking into this folder.
 
 A method's file has a docstring with its formula and source, and METHOD = Method(...), whose parts
-`contract.Method` explains. Positions and velocities are changed by `compensated.add_to_position` and
-`add_to_velocity`, which are plain sums but in the precision `compensated`. Adding a method is
+`contract.Method` explains. It changes positions and velocities by `compensated.add_to_position` and
+`add_to_velocity`, which are plain sums except in the precision `compensated`. Adding a method is
 adding a file.
 """
 
@@ -19,7 +19,7 @@ METHODS = tuple(sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name 
 def load(name: str) -> Method:
     """The `Method` called `name`, out of `METHODS`. Importing it imports Taichi.
 
-    TypeError, which names the file, where it declares something unknown or not everything.
+    Raises TypeError, which names the file, where it declares something unknown or not everything.
     """
     try:
         method = getattr(importlib.import_module(f"{__name__}.{name}"), "METHOD", None)

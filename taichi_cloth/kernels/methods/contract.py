@@ -1,9 +1,9 @@
-"""What a method declares: a frozen contract, checked when its file is loaded."""
+"""What a time-integration method declares: a frozen contract, checked when its file is loaded."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-SETTINGS = ("tolerance", "iterations")  # that a method may take
+SETTINGS = ("tolerance", "iterations")  # those that a method may take
 # What a method may need of the host beside the state: sums of the stiffness and damping of each
 # particle's springs (state.summed_k, summed_c), and the colours of springs or particles that
 # `solvers/colours.py` goes through.
@@ -14,10 +14,16 @@ NEEDS = ("summed_springs", "spring_colours", "particle_colours")
 class Claims:
     """What a method promises; tests and reports read it and hold the method to it.
 
-    order: global order of accuracy; symplectic, implicit: as the words say; stability_limit:
-    largest stable dt*omega for an undamped oscillator (0: none is stable, inf: all are). choose:
-    when to take it, in words for users. forces: force evaluations a step, 0 where they depend on
-    the solution and are counted on the device. settings: those out of `SETTINGS` that it takes.
+    order: global order of accuracy, at least 1.
+    symplectic: whether it is, without drag and dashpots; implicit: whether it solves equations.
+    stability_limit: largest stable dt*omega for an undamped oscillator; 0: none is stable, inf: all
+        are.
+    choose: when to take it, in words for users.
+    forces: force evaluations a step; 0 where they depend on the solution and are counted on the
+        device.
+    settings: those out of `SETTINGS` that it takes.
+
+    Raises ValueError where a setting is unknown, or a claim says nothing.
     """
 
     order: int
@@ -36,25 +42,34 @@ class Claims:
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """A time-integration method.
+    """The declaration of a time-integration method.
 
-    claims: what it promises. Either step(spec, state, t), a ti.func that advances the state by
-    state.dt[None] as thread t of those that share the work; or, where its rounds are not known
-    beforehand, phases, a tuple of such functions (`solvers/phases.py`): a step is then the first
-    one and whatever phases `go_to` leads to. launches: which phases share a kernel in packs, where
-    there are too many for one; absent, all do.
-    begin(spec, state, t): what comes before its first step, and after every change of the state
-    from outside: forces that it keeps from step to step are computed there.
+    claims: what it promises.
 
-    Either stability_function(z), what a step makes of y' = mu y, where z = dt mu, of a Runge-Kutta
-    method; or amplification(h, omega2, d), its step of x'' = -omega2 x - d x' as a matrix.
+    It has either a step or phases:
+    step(spec, state, t): a ti.func that advances the state by state.dt[None], as thread t of those
+        that share the work.
+    phases: a tuple of such functions, where it is not known beforehand how often each is run
+        (`solvers/phases.py`): a step is the first one and then all phases that `go_to` leads to.
+    launches: which phases share a kernel on packs of several lanes, where one kernel of all of them
+        would be too large; empty: all do.
+    begin(spec, state, t): what comes before the first step, and after every change of the state
+        from outside: there a method computes the forces that it keeps from step to step.
 
-    vectors: what it remembers of each particle, state.<name>, fields of packs; haloed: those of
-    them that neighbours read; low_vectors: more of them in compensated sums. scalars, counts: 0-D
-    fields of real and of whole numbers; sums: how many sums over all particles it takes
-    (`loops.add_up`). needs: out of `NEEDS`. lanes: how many lanes its packs have at most; None: any.
+    It has either a stability function or an amplification:
+    stability_function(z): for a Runge-Kutta method, the factor by which a step multiplies the y of
+        y' = mu y, where z = dt mu.
+    amplification(h, omega2, d): the matrix of its step of h for x'' = -omega2 x - d x'.
 
-    ValueError where something is missing, twice there, or not known.
+    vectors: names of the fields state.<name> in which it keeps a vector for each particle, within a
+        step or from step to step; haloed: those of them that neighbours read; low_vectors: further
+        ones in the precision `compensated`.
+    scalars, counts: names of 0-D fields of real and of whole numbers.
+    sums: how many sums over all particles it takes (`loops.add_up`).
+    needs: what it needs of the host, out of `NEEDS`.
+    lanes: how many lanes its packs have at most; None: any number.
+
+    Raises ValueError where something is missing, there twice, or unknown.
     """
 
     claims: Claims
@@ -91,11 +106,15 @@ class Method:
 
 
 def _check_known(what, words, known):
+    """Raise ValueError where one of the words is not a known one."""
     for word in words:
         if word not in known:
             raise ValueError(f"{what}: unknown {word!r}; known: {', '.join(known)}")
 
 
 def backward_euler(z):
-    """What a step of backward Euler makes of y' = mu y, where z = dt mu: its stability function."""
+    """The stability function of backward Euler: a step multiplies y of y' = mu y by it, z = dt mu.
+
+    Hairer, Wanner, Solving Ordinary Differential Equations II, IV.3.
+    """
     return 1 / (1 - z)

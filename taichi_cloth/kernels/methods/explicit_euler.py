@@ -15,12 +15,13 @@ from taichi_cloth.kernels.watchdog import commit
 
 
 def stability_function(z):
-    """What a step makes of y' = mu y, where z = dt mu."""
+    """The factor by which a step multiplies the y of y' = mu y, where z = dt mu."""
     return 1 + z
 
 
 @ti.func
 def move(spec: ti.template(), state: ti.template(), i, a):
+    """Take pack i, whose accelerations are a, to the end of the step."""
     dt, x, v = state.dt[None], read(spec, state.x, i), read(spec, state.v, i)
     jump = velocity_jump(spec, state, i, x, v)
     new_v = add_to_velocity(spec, state, i, add_to_velocity(spec, state, i, v, dt * a), jump)
@@ -31,6 +32,7 @@ def move(spec: ti.template(), state: ti.template(), i, a):
 
 @ti.func
 def step(spec: ti.template(), state: ti.template(), t):
+    """Advance the state by one step."""
     compute_contacts(spec, state)
     accelerate_then(spec, state, t, move)
 

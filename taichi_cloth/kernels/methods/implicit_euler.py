@@ -1,8 +1,8 @@
 """Implicit (backward) Euler: v += dt*a(x, v) and x += dt*v, with the new x and v on both sides.
 
 Hairer, Wanner, Solving Ordinary Differential Equations II, IV.3; Baraff, Witkin, "Large steps in
-cloth simulation", 1998, but solved until it has converged (`newton.py`). First order, stable at
-every dt; it damps an oscillation by 1/sqrt(1 + (dt*omega)^2) a step, which is its error.
+cloth simulation", 1998, but solved until it has converged (`solvers/newton_cg.py`). First order,
+stable at every dt; it damps an oscillation by 1/sqrt(1 + (dt*omega)^2) a step, which is its error.
 """
 
 import math
@@ -16,6 +16,7 @@ from taichi_cloth.kernels.solvers import newton_cg
 
 @ti.func
 def move(spec: ti.template(), state: ti.template(), i):
+    """Take pack i to the end of the step, whose velocities the one stage has found."""
     new_v = newton_cg.new_velocity(spec, state, i, read(spec, state.gain, i))
     newton_cg.arrive(spec, state, i, state.dt[None] * new_v, new_v)
 

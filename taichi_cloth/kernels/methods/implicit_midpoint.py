@@ -1,9 +1,9 @@
 """Implicit midpoint: v += dt*a and x += dt*u, where a and u are those in the middle of the step.
 
 Hairer, Lubich, Wanner, Geometric Numerical Integration, I.1.2 and VI.4. Second order, symplectic
-without drag; stable at every dt for linear springs, and keeps their energy exactly. What it cannot
-resolve it neither damps nor follows: it swings slower. The middle is an implicit Euler stage of
-half the step (`newton.py`).
+without drag; stable at every dt for linear springs, whose energy it keeps exactly. What swings too
+fast for dt is not damped; it swings more slowly than it should. The middle of the step is found as
+an implicit Euler stage of half the step (`solvers/newton_cg.py`).
 """
 
 import math
@@ -16,12 +16,13 @@ from taichi_cloth.kernels.solvers import newton_cg
 
 
 def stability_function(z):
-    """What a step makes of y' = mu y, where z = dt mu."""
+    """The factor by which a step multiplies the y of y' = mu y, where z = dt mu."""
     return (1 + z / 2) / (1 - z / 2)
 
 
 @ti.func
 def move(spec: ti.template(), state: ti.template(), i):
+    """Take pack i from the middle, which the one stage has found, to the end of the step."""
     new_v = newton_cg.new_velocity(spec, state, i, 2.0 * read(spec, state.gain, i))
     newton_cg.arrive(spec, state, i, state.dt[None] * read(spec, state.v, i), new_v)
 

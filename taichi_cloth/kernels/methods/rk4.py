@@ -16,13 +16,17 @@ from taichi_cloth.kernels.watchdog import commit
 
 
 def stability_function(z):
-    """What a step makes of y' = mu y, where z = dt mu."""
+    """The factor by which a step multiplies the y of y' = mu y, where z = dt mu."""
     return 1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4)))
 
 
 @ti.func
 def move(spec: ti.template(), state: ti.template(), i, a):
-    """One of four stages: add the slopes here to the sums, go to where the next ones are."""
+    """Run one of four stages for pack i, whose accelerations are a.
+
+    It adds the slopes here to the sums and goes to where the next slopes are taken, and from the
+    last stage to the end of the step.
+    """
     dt, stage = state.dt[None], state.stage[None]
     x, v = read(spec, state.x, i), read(spec, state.v, i)
     sum_v, sum_a = v, a
@@ -59,6 +63,7 @@ def move(spec: ti.template(), state: ti.template(), i, a):
 
 @ti.func
 def step(spec: ti.template(), state: ti.template(), t):
+    """Advance the state by one step."""
     compute_contacts(spec, state)
     if ti.static(spec.one_launch_per_step):
         for stage in ti.static(range(4)):
@@ -67,7 +72,8 @@ def step(spec: ti.template(), state: ti.template(), t):
             accelerate_then(spec, state, t, move)
     else:
         for stage in range(4):  # at run time: unrolled, it takes long to compile
-            state.stage[None] = stage  # by every thread alike, none of which is in the last one
+            # Every thread writes the same number, and none is still in the stage before.
+            state.stage[None] = stage
             accelerate_then(spec, state, t, move)
 
 

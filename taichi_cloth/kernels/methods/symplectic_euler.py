@@ -17,12 +17,13 @@ from taichi_cloth.kernels.watchdog import commit
 
 
 def amplification(h, omega2, d):
-    """One step of x'' = -omega2 x - d x', as a matrix on (x, v)."""
+    """The matrix by which a step of h multiplies the (x, v) of x'' = -omega2 x - d x'."""
     return np.array([[1 - h * h * omega2, h * (1 - h * d)], [-h * omega2, 1 - h * d]])
 
 
 @ti.func
 def move(spec: ti.template(), state: ti.template(), i, a):
+    """Take pack i, whose accelerations are a, to the end of the step."""
     dt, x, v = state.dt[None], read(spec, state.x, i), read(spec, state.v, i)
     jump = velocity_jump(spec, state, i, x, v)
     new_v = add_to_velocity(spec, state, i, add_to_velocity(spec, state, i, v, dt * a), jump)
@@ -33,6 +34,7 @@ def move(spec: ti.template(), state: ti.template(), i, a):
 
 @ti.func
 def step(spec: ti.template(), state: ti.template(), t):
+    """Advance the state by one step."""
     compute_contacts(spec, state)
     accelerate_then(spec, state, t, move)
 

@@ -3,9 +3,10 @@ formula of second order over all of it.
 
 Bank, Coughran, Fichtner, Grosse, Rose, Smith, "Transient simulation of silicon devices and
 circuits", IEEE Trans. Computer-Aided Design 4, 1985; Hosea, Shampine, "Analysis and implementation
-of TR-BDF2", Applied Numerical Mathematics 20, 1996. Second order, stable at every dt, and what it
-cannot resolve it damps, like implicit Euler; what it can it hardly does. With the first part
-(2 - sqrt 2) dt both stages are implicit Euler's equations over the same time (`newton.py`).
+of TR-BDF2", Applied Numerical Mathematics 20, 1996. Second order, stable at every dt. It damps what
+is too fast for dt, like implicit Euler, and hardly damps what is slow enough. With a first part of
+(2 - sqrt 2) dt, both stages are implicit Euler's equations over the same time
+(`solvers/newton_cg.py`).
 """
 
 import math
@@ -17,22 +18,22 @@ from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.kernels.packs import read, write
 from taichi_cloth.kernels.solvers import newton_cg
 
-PART = 2.0 - math.sqrt(2.0)  # of the step that the trapezoidal rule takes
-TAU = PART / 2.0  # of both stages
-# How far the second stage starts from the step's start: this much of where the first one came to.
+PART = 2.0 - math.sqrt(2.0)  # part of the step over which the trapezoidal rule goes
+TAU = PART / 2.0  # time of each stage, as a part of the step
+# The second stage starts this part of the first one's way from the step's start.
 FROM_FIRST = 1.0 / (PART * (2.0 - PART))
 TRAPEZOIDAL, BACKWARD = 0, 1  # stages
 
 
 def stability_function(z):
-    """What a step makes of y' = mu y, where z = dt mu."""
+    """The factor by which a step multiplies the y of y' = mu y, where z = dt mu."""
     first = (1 + TAU * z) / (1 - TAU * z)
     return (FROM_FIRST * first + 1 - FROM_FIRST) / (1 - TAU * z)
 
 
 @ti.func
 def stay(spec: ti.template(), state: ti.template(), i):
-    """The trapezoidal rule needs the acceleration at the step's start."""
+    """Start with pack i where it is: the trapezoidal rule needs the acceleration there."""
     newton_cg.keep_start(spec, state, i)
     v = read(spec, state.v, i)
     write(spec, state.gain, i, 0.0 * v)  # so that the residual is the acceleration
@@ -40,7 +41,7 @@ def stay(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def go_on(spec: ti.template(), state: ti.template(), i):
-    """From one stage to the next, and from the last one to the new state."""
+    """Take pack i from one stage to the next, and from the last one to the end of the step."""
     tau, stage = TAU * state.dt[None], state.stage[None]
     x, v = read(spec, state.old_x, i), read(spec, state.old_v, i)
     old_v, gain = v + velocity_jump(spec, state, i, x, v), read(spec, state.gain, i)
@@ -74,6 +75,6 @@ METHOD = Method(
     ),
     phases=newton_cg.phases(TAU, stay, go_on, first=newton_cg.ONLY_EVALUATE, last=BACKWARD),
     stability_function=stability_function,
-    # What the first stage gains, and how far the second one starts from the step's start.
+    # What velocities gain until a stage starts, and how far from the step's start the second does.
     **newton_cg.keeps("first", "way"),
 )

@@ -2,14 +2,15 @@
 
 Chen, Liu, Yang, Yuksel, "Vertex block descent", ACM Transactions on Graphics 43, 2024. First order,
 stable at every dt. Backward Euler is the least of inertia and elastic energy (with what dashpots
-and drag take); each visit moves one particle by a Newton step towards it while its neighbours rest:
+and drag take); each visit moves one particle by a Newton step towards it while its neighbours stay
+where they are:
 
-    (1 + w*sum(dt*c + dt^2*K)) change = goal_v - v + dt*w*sum(T),
+    (1 + w*sum(dt*c + dt^2*K)) change = goal_v - v + dt*w*sum(T).
 
-over the particle's springs: T their tension, K their stiffness matrix, what is negative of it
-clamped to 0. Sweeps begin at the velocity without springs. There are no multipliers: stiff springs
-between equal masses, and a heavy particle on a light one, need many sweeps, and momentum is kept
-only as far as the sweeps have converged.
+The sums are over the particle's springs, with their tension T as a vector and their stiffness
+matrix K, whose negative eigenvalues are set to 0. Sweeps begin at the velocity without springs.
+There are no multipliers: stiff springs between equal masses, and a heavy particle on a light one,
+need many sweeps, and momentum is kept only as far as the sweeps have converged.
 """
 
 import math
@@ -43,12 +44,13 @@ from taichi_cloth.kernels.springs import pull, stiffness_across, stiffness_along
 
 @ti.func
 def relax(spec: ti.template(), state: ti.template(), t, colour):
+    """Visit all particles of one colour."""
     each_particle(spec, state, t, colour, relaxed_pack, relaxed_particle)
 
 
 @ti.func
 def relaxed_pack(spec: ti.template(), state: ti.template(), g, i):
-    """New velocities in pack i of grid g, by its links."""
+    """The new velocities in pack i of grid g, by its links."""
     v, none = read(spec, state.v, i), zeros(spec, state)
     w = mobility(spec, state, read, i)
     pulled, hx, hy, hz = with_links(spec, state, read, read, 1, g, i, w, none, none, none, none)
@@ -57,7 +59,7 @@ def relaxed_pack(spec: ti.template(), state: ti.template(), g, i):
 
 @ti.func
 def relaxed_particle(spec: ti.template(), state: ti.template(), p):
-    """New velocity of the p-th particle with springs on the graph, by all its springs."""
+    """The new velocity of the particle of row p of the compressed rows, by all its springs."""
     i, none = state.csr_slot[p], ti.Vector.zero(state.real, spec.dim)
     w = mobility(spec, state, slot_number, i)
     pulled, hx, hy, hz = none, none, none, none
@@ -69,7 +71,7 @@ def relaxed_particle(spec: ti.template(), state: ti.template(), p):
             )
     for h in range(state.csr_start[p], state.csr_start[p + 1]):
         j = state.csr_other[h]
-        if j != i:  # else it is gone
+        if j != i:  # else the spring is gone
             d = difference(spec, state, slot_value, i, j)
             dv = relative_velocity(spec, state, slot_value, i, j)
             numbers = [number(spec, field, h) for field in ti.static(fields_of(spec, state, "csr"))]
@@ -95,7 +97,12 @@ def with_links(
     hy,
     hz,
 ):
-    """Add the links of i to the sums of `with_spring`: of a pack (stride 1), or a slot (lanes)."""
+    """The sums pulled, hx, hy, hz of `with_spring`, with all links of i added.
+
+    value, number_at: read fields of vectors and of numbers at i; stride: by how much i grows from
+    one pack to the next: 1 where i is a pack, spec.lanes where it is a slot; g: its grid; w: its
+    mobility.
+    """
     pitch = pitch_of(spec, state, g)
     for q in range(2 * spec.kinds):  # in the order in which a graph has them
         s, j, owner = q, i, i
@@ -118,9 +125,11 @@ def with_links(
 
 @ti.func
 def with_spring(spec: ti.template(), dt, w, d, dv, numbers: ti.template(), pulled, hx, hy, hz):
-    """Sums over springs, with one more: pulled = dt*w*sum(T), the rows of w*sum(dt*c + dt^2*K).
+    """The sums over a particle's springs, with one more spring added to them.
 
-    d, dv: where the other end is at the step's start, and its velocity, relative to this one.
+    w: the particle's mobility; d, dv: position at the step's start and present velocity of the
+    spring's other end, relative to the particle. pulled: dt*w*sum(T); hx, hy, hz: the rows of
+    w*sum(dt*c + dt^2*K), of which hz is only used in 3-D.
     """
     length, along, tension = pull(spec, d + dt * dv, dv, numbers)
     stiffness = stiffness_along(spec, dt, numbers)
@@ -140,7 +149,10 @@ def with_spring(spec: ti.template(), dt, w, d, dv, numbers: ti.template(), pulle
 
 @ti.func
 def solution(spec: ti.template(), hx, hy, hz, b):
-    """x of (1 + H) x = b, by the factors L D L^T of the symmetric H with rows hx, hy, hz."""
+    """The solution x of (1 + H) x = b, where hx, hy, hz are the rows of the symmetric matrix H.
+
+    It is found by the factors L D L^T of 1 + H (Golub, Van Loan, Matrix Computations, chapter 4).
+    """
     d0 = 1.0 + component(hx, 0)
     l1 = component(hx, 1) / d0
     d1 = 1.0 + component(hy, 1) - l1 * component(hx, 1)

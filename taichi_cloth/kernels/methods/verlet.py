@@ -3,9 +3,9 @@
 Swope, Andersen, Berens, Wilson, "A computer simulation method for the calculation of equilibrium
 constants", J. Chem. Phys. 76, 1982; Hairer, Lubich, Wanner, Geometric Numerical Integration, I.1.4.
 Second order, symplectic without drag, one force evaluation a step: a is kept from step to step.
-Forces that depend on velocity take it as it would be with the old a, which keeps the order.
-Stable while dt*omega < 2, with drag while
-dt^2 omega^2 + 4 dt d < 4: the price of the predicted velocity.
+Forces that depend on velocity are taken at the velocity that the old a would lead to, which keeps
+the order. Stable while dt*omega < 2, with drag while dt^2 omega^2 + 4 dt d < 4: the price of the
+predicted velocity.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ from taichi_cloth.kernels.watchdog import commit
 
 
 def amplification(h, omega2, d):
-    """One step of x'' = -omega2 x - d x', as a matrix on (x, v, a)."""
+    """The matrix by which a step of h multiplies the (x, v, a) of x'' = -omega2 x - d x'."""
     x = np.array([1, h, h * h / 2])
     a = -omega2 * x - d * np.array([0, 1, h])
     v = np.array([0, 1, h / 2]) + h / 2 * a
@@ -29,12 +29,13 @@ def amplification(h, omega2, d):
 
 @ti.func
 def begin(spec: ti.template(), state: ti.template(), t):
+    """Compute the accelerations with which the first step begins."""
     compute_acceleration(spec, state, t)
 
 
 @ti.func
 def drift(spec: ti.template(), state: ti.template(), i):
-    """To the new positions, and the velocities that the old accelerations would lead to."""
+    """Take pack i to its new positions, and the velocities that the old accelerations lead to."""
     dt, a = state.dt[None], read(spec, state.a, i)
     x, v = read(spec, state.x, i), read(spec, state.v, i)
     jump = velocity_jump(spec, state, i, x, v)
@@ -51,7 +52,7 @@ def drift(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def kick(spec: ti.template(), state: ti.template(), i, a):
-    """To the new velocities."""
+    """Take pack i, whose new accelerations are a, to its velocities at the end of the step."""
     dt = state.dt[None]
     half_v = read(spec, state.v, i)
     if ti.static(spec.compensated):
@@ -72,6 +73,7 @@ def kick(spec: ti.template(), state: ti.template(), i, a):
 
 @ti.func
 def step(spec: ti.template(), state: ti.template(), t):
+    """Advance the state by one step."""
     compute_contacts(spec, state)
     kick_after(spec, state, t, drift, kick)
 
@@ -90,8 +92,9 @@ METHOD = Method(
     step=step,
     begin=begin,
     amplification=amplification,
-    # The velocity in the middle of a step is v - dt/2*a with the old a. Compensated sums need it
-    # exactly; where accelerations have a pass of their own, that would lose the old ones.
+    # The velocity in the middle of a step is the predicted one less dt/2 times the old a.
+    # Compensated sums need it exactly, as half_v. old_a is for where all accelerations are computed
+    # before any pack is kicked, which overwrites the old ones.
     vectors=("old_a",),
     low_vectors=("half_v",),
 )

@@ -5,15 +5,17 @@ Macklin, Mueller, Chentanez, "XPBD: position-based simulation of compliant const
 First order, stable at every dt. One spring is solved by the first visit; many need more sweeps, the
 more the stiffer they are and the more unequal the masses.
 
-A spring of stiffness k = 1/compliance, dashpot i and tension T pulls its ends together by an
-impulse p, the paper's multiplier over dt, which begins at zero and is kept from sweep to sweep: so
-the number of sweeps does not change the material. In the paper's terms, over compliance/dt,
+A spring of stiffness k = 1/compliance, damping c and tension T pulls its ends together by an
+impulse p, the paper's multiplier over dt. It begins at zero and is kept from sweep to sweep, so
+that the number of sweeps does not change the material. A visit changes it by the paper's formula,
+with numerator and denominator divided by compliance/dt:
 
     p += (dt*T - p) / (1 + dt*(dt*k + c)*(w_i + w_j)).
 
-- The paper keeps the multiplier's size, as if it had always pointed along the spring as it is now.
-  Here p is a vector, and what it has across the spring is replaced too, with the stiffness across
-  in the place of k. The first sweep is the paper's; many end at the solution of backward Euler.
+The paper keeps only the multiplier's size, as if it had always pointed along the spring as it is
+now. Here p is a vector, and its part across the spring is replaced too, with the stiffness across
+the spring in the place of k. The first sweep is the paper's; many sweeps end at the solution of
+backward Euler.
 """
 
 import math
@@ -45,12 +47,16 @@ from taichi_cloth.kernels.state import GONE
 
 @ti.func
 def project(spec: ti.template(), state: ti.template(), t, colour):
+    """Visit all springs of one colour."""
     each_spring(spec, state, t, colour, project_links, project_spring)
 
 
 @ti.func
 def project_links(spec: ti.template(), state: ti.template(), s, g, i, far, stiffness):
-    """The springs of kind s between pack i and pack `far`."""
+    """Visit the links of kind s in grid g between pack i and the later pack `far`.
+
+    stiffness: the pack whose links have the stiffness that is theirs.
+    """
     k = link_stiffness(spec, state, s, stiffness)
     at, p = link_index(state, s, i), zeros(spec, state)
     numbers = link_numbers(spec, state, read, s, g, at, k)
@@ -68,7 +74,7 @@ def project_links(spec: ti.template(), state: ti.template(), s, g, i, far, stiff
 
 @ti.func
 def project_spring(spec: ti.template(), state: ti.template(), s):
-    """Spring s on the graph."""
+    """Visit spring s on the graph."""
     holds = True
     if ti.static(spec.fracture):
         holds = state.status[s] != GONE
@@ -95,14 +101,16 @@ def project_spring(spec: ti.template(), state: ti.template(), s):
 def impulse_change(spec: ti.template(), dt, d, dv, w, numbers: ti.template(), p):
     """What a visit adds to the impulse p that pulls a spring's ends together.
 
-    d: from one end to the other where the step began; dv: velocity of the other one relative to it;
-    w: sum of their mobilities.
+    d: vectors from one end to the other at the step's start; dv: velocity of the other end relative
+    to the first, as the sweeps have it; w: sum of their mobilities [1 / mass]; p: the impulse so
+    far [force * time].
     """
     length, along, tension = pull(spec, d + dt * dv, dv, numbers)
     along_part = 1.0 / (1.0 + dt * w * stiffness_along(spec, dt, numbers))
     across = stiffness_across(spec, length, numbers, 0.0)
     across_part = 1.0 / (1.0 + dt * dt * w * across)
-    # A stiff spring's tension is far beyond the impulse: it must not be taken apart into axes.
+    # A stiff spring's tension is far larger than the impulse: it stays one number along the spring
+    # and must not be taken apart into axes.
     has = dot(p, along)
     more = along_part * (dt * tension - has) + across_part * has
     return scaled(more, along) - scaled(across_part, p)

@@ -1,11 +1,16 @@
-"""Springs or particles by colour, so that all of one colour may change at once: springs that share
-no particle, particles that share no spring.
+"""Loops over the springs or particles of one colour, all of which may change at once.
 
-On grids colours are known by place. Links of a kind have two, taking turns by as many rows as the
-kind reaches down, or by columns where it stays in its row; particles as many as links reach columns
-times rows, and one more each. A row of lanes takes turns in every lane alike, because strips are as
-wide as `layout.spring_period` and `particle_period` say. What is on the graph has the colours that
-the host gave it (`layout.spring_colours`, `particle_colours`), after those.
+Springs of one colour share no particle, particles of one colour share no spring. On grids colours
+are known by place:
+
+- Links of a kind have two colours, which take turns by as many rows as the kind reaches down, or by
+  as many columns as it reaches where it stays in its row.
+- Particles have (columns + 1)*(rows + 1) colours, where links reach that many columns and rows; but
+  on packs of several lanes rows + 1, because a thread goes through a row by itself.
+
+In a row of packs all lanes of a pack have the same colour, because strips are as wide as
+`simulation.layouts.spring_period` and `particle_period` say. After these colours come those of the
+graph, which the host assigns (`spring_colours` and `particle_colours` in the same place).
 
 A sweep goes through all colours in this order, so it has the same bits for every number of threads.
 """
@@ -38,7 +43,7 @@ from taichi_cloth.kernels.spring_numbers import own_numbers
 
 @ti.func
 def colours_of_springs(spec: ti.template(), state: ti.template()):
-    """How many colours there are."""
+    """How many colours springs have."""
     if ti.static(spec.springs):
         return 2 * spec.kinds + state.n_colours[None]
     else:
@@ -54,15 +59,15 @@ def each_spring(
     on_links: ti.template(),
     on_spring: ti.template(),
 ):
-    """Visit the springs of a colour, of which each may change the velocities of its ends.
+    """Visit the springs of a colour, each of which may change the velocities of its ends.
 
-    on_links(spec, state, s, g, i, far, stiffness): those of kind s in grid g from pack i to far;
-    the pack `stiffness` has the stiffness that is theirs. on_spring(spec, state, s): spring s on
-    the graph. Where loops are one launch per step, these are loops of the launch's top level.
+    on_links(spec, state, s, g, i, far, stiffness): visits the links of kind s in grid g from pack i
+        to the later pack `far`; the pack `stiffness` has links with the stiffness that is theirs.
+    on_spring(spec, state, s): visits spring s on the graph.
     """
     if ti.static(spec.kinds > 0):
         s = ti.min(colour // 2, spec.kinds - 1)
-        # Of a colour that is not one of links there are none: a parity that no row has.
+        # A colour of the graph has no links: it gets a parity that no row has.
         parity = ti.select(colour < 2 * spec.kinds, colour % 2, 2)
         if ti.static(spec.lanes == 1 and spec.one_launch_per_step):
             for c in range(state.n_packs[None]):
@@ -88,6 +93,7 @@ def each_spring(
 
 @ti.func
 def _each_from(spec: ti.template(), state: ti.template(), t, first, end, visit: ti.template()):
+    """Run visit(spec, state, i) for every i from `first` to below `end`, without a barrier."""
     if ti.static(spec.one_launch_per_step):
         for i in range(first, end):
             visit(spec, state, i)
@@ -99,9 +105,9 @@ def _each_from(spec: ti.template(), state: ti.template(), t, first, end, visit: 
 
 @ti.func
 def _visit_pack(spec: ti.template(), state: ti.template(), i, s, parity, visit: ti.template()):
-    """The link of kind s that begins at pack i, where there is one and it has the colour.
+    """Visit the link of kind s that begins at pack i, if there is one and it has the colour.
 
-    One that is absent must be left alone: what lies at its far end is another link's.
+    An absent one must be left alone: another link of the colour may end where it would end.
     """
     g = state.grid_of[i]
     if g >= 0:
@@ -116,10 +122,11 @@ def _visit_pack(spec: ti.template(), state: ti.template(), i, s, parity, visit: 
 
 @ti.func
 def _visit_rows(spec: ti.template(), state: ti.template(), t, s, parity, visit: ti.template()):
-    """The links of kind s and of one colour that begin in thread t's share of rows.
+    """Visit the links of kind s and of one colour that begin in thread t's share of rows.
 
-    What is beyond a row's end is looked up and put back where the particles are, in the row's other
-    end, so halos of the velocity need not be renewed.
+    parity: 0 or 1, which of the kind's two colours; 2: none. Velocities that links change in the
+    halos of a row are copied there before, from the row's other end, and back to it afterwards, so
+    no other halos of the velocity need to be renewed.
     """
     columns, down = state.link[s, 0], state.link[s, 1]
     for g in range(state.n_grids[None]):
@@ -154,8 +161,10 @@ def _visit_rows(spec: ti.template(), state: ti.template(), t, s, parity, visit: 
 
 
 def turns(spec):
-    """Colours of the particles on grids. In lanes a thread goes through those of a row by itself,
-    so only rows take turns.
+    """How many colours particles on grids have.
+
+    With several lanes only rows have different ones, because a thread goes through the packs of a
+    row one after the other.
     """
     if spec.kinds == 0:
         return 0
@@ -164,7 +173,7 @@ def turns(spec):
 
 @ti.func
 def colours_of_particles(spec: ti.template(), state: ti.template()):
-    """How many colours there are."""
+    """How many colours particles have."""
     if ti.static(spec.springs):
         return ti.static(turns(spec)) + state.n_colours[None]
     else:
@@ -182,8 +191,9 @@ def each_particle(
 ):
     """Set the velocities of the particles of a colour.
 
-    To of_cell(spec, state, g, i) those of a pack of grid g; to of_particle(spec, state, p) that of
-    the p-th particle that has springs on the graph.
+    on_pack(spec, state, g, i): gives the new velocities of pack i of grid g.
+    on_particle(spec, state, p): gives that of the particle of row p of the compressed rows, which
+        is one with springs on the graph.
     """
     if ti.static(spec.kinds > 0):
         if ti.static(spec.lanes == 1 and spec.one_launch_per_step):
@@ -210,6 +220,7 @@ def each_particle(
 
 @ti.func
 def _set_pack(spec: ti.template(), state: ti.template(), i, colour, on_pack: ti.template()):
+    """Set the velocity of the one particle in pack i, if it is on a grid and has the colour."""
     g = state.grid_of[i]
     if g >= 0:
         at, pitch = i - state.grid[g, 0], pitch_of(spec, state, g)
@@ -220,7 +231,10 @@ def _set_pack(spec: ti.template(), state: ti.template(), i, colour, on_pack: ti.
 
 @ti.func
 def _set_own(spec: ti.template(), state: ti.template(), g, i, on_pack: ti.template()):
-    """Particles with springs on the graph are left alone: they have their own turn."""
+    """Set the velocities of pack i, except those of particles that have springs on the graph.
+
+    These have a turn of their own.
+    """
     v = on_pack(spec, state, g, i)
     if ti.static(spec.springs):
         old_v = read(spec, state.v, i)
@@ -230,6 +244,10 @@ def _set_own(spec: ti.template(), state: ti.template(), g, i, on_pack: ti.templa
 
 @ti.func
 def _set_rows(spec: ti.template(), state: ti.template(), t, colour, on_pack: ti.template()):
+    """Set the velocities in those rows of thread t's share that have the colour.
+
+    In a row, packs take turns by one more than links reach, and the halos are renewed after each.
+    """
     for g in range(state.n_grids[None]):
         first, width, pitch = state.grid[g, 0], state.grid[g, 2], pitch_of(spec, state, g)
         rows = ti.select(state.grid[g, 3] == 1, state.grid[g, 1], 0)
@@ -245,6 +263,8 @@ def _set_rows(spec: ti.template(), state: ti.template(), t, colour, on_pack: ti.
 
 @functools.cache
 def _setting(on_particle):
+    """The body of a loop over coloured particles that sets the velocity of each."""
+
     @ti.func
     def visit(spec: ti.template(), state: ti.template(), i):
         p = state.coloured[i]
@@ -255,7 +275,7 @@ def _setting(on_particle):
 
 @ti.func
 def _set_particle(spec: ti.template(), state: ti.template(), slot, v):
-    """Velocity of one particle, and of its images in the halos of its row."""
+    """Set the velocity of the particle at a slot, and of its copies in the halos of its row."""
     set_slot_value(spec, state.v, slot, v)
     if ti.static(spec.halo > 0):
         i, lane = slot // spec.lanes, slot % spec.lanes
@@ -271,22 +291,24 @@ def _set_particle(spec: ti.template(), state: ti.template(), slot, v):
 
 @ti.func
 def renew_both_halos(spec: ti.template(), state: ti.template(), t):
-    """Before the sweeps of a step: what `each_particle` reads beside a row, on both sides.
+    """Fill all halos of all rows with what the visits of `each_particle` read there.
 
-    Positions, velocities, and the stiffness of links that begin there, which may have broken.
-    Nothing where packs are single particles.
+    These are positions, velocities and the stiffness of links, which may have broken. It comes
+    before the sweeps of a step. Where packs are single particles there is nothing to do.
     """
     if ti.static(spec.halo > 0):
         each_row(spec, state, t, _renew_both_halos)
 
 
 def _read_beside(spec, state):
+    """The fields of vectors that visits read of neighbours."""
     low = (state.x_low, state.goal_v) if spec.compensated else ()
     return (state.x, state.v, *low)
 
 
 @ti.func
 def _renew_both_halos(spec: ti.template(), state: ti.template(), begin, width):
+    """Fill both halos of the row of packs at `begin`, as wide as any link reaches."""
     for field in ti.static(_read_beside(spec, state)):
         renew_left_halo(spec, field, begin, width, spec.halo)
         renew_right_halo(spec, field, begin, width, spec.halo)

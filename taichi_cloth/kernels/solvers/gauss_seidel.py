@@ -1,13 +1,15 @@
-"""Backward Euler by sweeps: what xpbd and vbd share.
+"""Backward Euler by Gauss-Seidel sweeps, which the methods xpbd and vbd share.
 
-A step of backward Euler is v = goal_v + mobility*(impulses of springs at x + dt*v, over dt), where
-goal_v is the velocity after the step without springs, and mobility the inverse mass, of which drag
-is a part. Such a method goes through springs or particles by colour (`colours.py`), as often as
-state.iterations says, and changes state.v; state.x stays where the step began until its end.
+A step of backward Euler solves v = goal_v + mobility*(impulses of springs over dt, at x + dt*v).
+goal_v is the velocity after the step without springs; mobility is the inverse mass, made smaller by
+drag, which resists the impulses. Such a method sweeps over the springs, one by one or particle by
+particle, by colour (`colours.py`), as often as state.iterations says, and changes state.v; state.x
+stays where the step began until its end. Saad, Iterative Methods for Sparse Linear Systems, 2003,
+chapters 4 (Gauss-Seidel) and 12 (multicolouring).
 
-The unknown is the velocity: set from positions, as in the papers, velocities would lose gravity to
-rounding in f32. In the precision `compensated` state.v is what the sweeps add to goal_v, which is
-far less, until the step ends.
+The unknown is the velocity: if it were computed from positions, as in the papers, it would lose
+gravity to rounding in f32. In the precision `compensated` state.v is, until the step ends, only
+what the sweeps add to goal_v, which is far less.
 """
 
 import functools
@@ -30,7 +32,7 @@ from taichi_cloth.kernels.solvers.phases import DONE, go_to
 from taichi_cloth.kernels.state import SWEEPS
 from taichi_cloth.kernels.watchdog import commit
 
-# What methods keep and need for this (`methods/contract.py`).
+# The parts of a `methods.contract.Method` that these methods share.
 KEEPS = {
     "vectors": ("old_v", "goal_v"),  # velocity at the step's start, and after it without springs
     "haloed": ("goal_v",),
@@ -42,15 +44,18 @@ SWEEP, FINISH = 1, 2  # phases, after the first one
 
 @ti.func
 def _nothing(spec: ti.template(), state: ti.template(), t):
+    """Prepare nothing."""
     pass
 
 
 def phases(colours, visit, prepare=_nothing):
-    """The phases of a method's step.
+    """The phases of a method's step: a beginning, the sweeps, and an end.
 
-    prepare(spec, state, t): what else comes first.
-    colours(spec, state): how many colours there are; visit(spec, state, t, colour): go through one,
-    by loops of the top level where they are one launch per step. state.sweep says in which sweep, from 0.
+    colours(spec, state): how many colours there are.
+    visit(spec, state, t, colour): visits all springs or particles of a colour; with
+        spec.one_launch_per_step its loops are top-level ones. state.sweep is the number of the
+        sweep, from 0.
+    prepare(spec, state, t): what is to be done before the first sweep of a step.
     """
 
     @ti.func
@@ -67,7 +72,7 @@ def phases(colours, visit, prepare=_nothing):
             each(spec, state, t, 1, ti.static(_turning(colours)))
         else:
             for k in range(state.iterations[None]):
-                # By every thread alike, none of which is still in the sweep before.
+                # Every thread writes the same number, and none is still in the sweep before.
                 state.sweep[None] = k
                 for colour in range(colours(spec, state)):
                     visit(spec, state, t, colour)
@@ -78,6 +83,8 @@ def phases(colours, visit, prepare=_nothing):
 
 @functools.cache
 def _beginning(colours):
+    """The body of a loop, run once, that goes to the first colour of the first sweep."""
+
     @ti.func
     def body(spec: ti.template(), state: ti.template(), i):
         state.colour[None], state.sweep[None] = 0, 0
@@ -88,6 +95,8 @@ def _beginning(colours):
 
 @functools.cache
 def _turning(colours):
+    """The body of a loop, run once, that goes to the next colour, or sweep, or to the end."""
+
     @ti.func
     def body(spec: ti.template(), state: ti.template(), i):
         state.colour[None] += 1
@@ -102,7 +111,7 @@ def _turning(colours):
 
 @ti.func
 def predict(spec: ti.template(), state: ti.template(), i):
-    """goal_v, from which the sweeps begin; drag acts on the new velocity."""
+    """Compute goal_v of pack i, from which the sweeps begin; drag acts on the new velocity."""
     x, v = read(spec, state.x, i), read(spec, state.v, i)
     write(spec, state.old_v, i, v)
     v = add_to_velocity(spec, state, i, v, velocity_jump(spec, state, i, x, v))
@@ -122,7 +131,7 @@ def predict(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def relative_velocity(spec: ti.template(), state: ti.template(), value: ti.template(), i, j):
-    """Velocity of j relative to i, in the sweeps; value: `read` of packs, `slot_value` of slots."""
+    """The velocity of j relative to i, as the sweeps have it so far."""
     dv = value(spec, state.v, j) - value(spec, state.v, i)
     if ti.static(spec.compensated):
         dv += value(spec, state.goal_v, j) - value(spec, state.goal_v, i)
@@ -131,7 +140,7 @@ def relative_velocity(spec: ti.template(), state: ti.template(), value: ti.templ
 
 @ti.func
 def short_of_goal(spec: ti.template(), state: ti.template(), value: ti.template(), i):
-    """goal_v - v, in the sweeps."""
+    """The difference goal_v - v at i, as the sweeps have it so far."""
     missing = -1.0 * value(spec, state.v, i)
     if ti.static(not spec.compensated):
         missing += value(spec, state.goal_v, i)
@@ -140,7 +149,7 @@ def short_of_goal(spec: ti.template(), state: ti.template(), value: ti.template(
 
 @ti.func
 def mobility(spec: ti.template(), state: ti.template(), number: ti.template(), i):
-    """Inverse masses, of which drag is a part. number: `read`, or of a slot `slot_number`."""
+    """The mobility at i: inverse masses, made smaller by the damping and stiffness of forces."""
     w = number(spec, state.w, i)
     if ti.static(resists(spec) or binds(spec)):
         w *= _softened(spec, state, number, i)
@@ -149,7 +158,7 @@ def mobility(spec: ti.template(), state: ti.template(), number: ti.template(), i
 
 @ti.func
 def _softened(spec: ti.template(), state: ti.template(), number: ti.template(), i):
-    """What damping and stiffness of the terms on particles leave of a change of velocity."""
+    """The part of a change of velocity that terms on particles leave by damping and stiffness."""
     dt, w = state.dt[None], number(spec, state.w, i)
     resistance = 0.0 * w
     if ti.static(resists(spec)):
@@ -161,12 +170,14 @@ def _softened(spec: ti.template(), state: ti.template(), number: ti.template(), 
 
 @ti.func
 def finish(spec: ti.template(), state: ti.template(), t):
+    """Move all particles by their new velocities, and end the step."""
     each_pack_moving(spec, state, t, _move)
     each(spec, state, t, 1, _end_step)
 
 
 @ti.func
 def _move(spec: ti.template(), state: ti.template(), i):
+    """Take pack i to the end of the step, with the velocities that the sweeps have found."""
     x, v = read(spec, state.x, i), read(spec, state.v, i)
     old_v = read(spec, state.old_v, i)
     if ti.static(spec.compensated):

@@ -1,31 +1,33 @@
 """Implicit stages: Newton's method, each direction by preconditioned conjugate gradients.
 
-A stage of every implicit method is backward Euler over a time tau from (start_x, start_v): it looks
-for what the velocity gains, with
+A stage of every implicit method here is backward Euler over a time tau from (start_x, start_v). It
+looks for the gain of the velocity for which
 
-    residual = a(start_x + tau*v, v) - gain/tau = 0, where v = start_v + gain,
+    residual = a(start_x + tau*v, v) - gain/tau = 0, where v = start_v + gain.
 
-an acceleration for each particle. The iterate's v and x are kept in state.v and state.x, so that
-forces are those of `forces.py`. A direction p solves A p = tau*M*residual with
+The residual is an acceleration for each particle. The iterate's v and x are kept in state.v and
+state.x, so that forces are computed as for all methods (`accelerations.py`). A *direction* p, by
+which the gain is changed, solves A p = tau*M*residual with the masses M and
 
-    A = M + tau*(drag + dashpots) + tau^2*K,
+    A = M + tau*(drag + dashpots) + tau^2*K.
 
-K the springs' stiffness with what is negative clamped to 0 (`laws.spring_stiffness_product`), so
-that A is positive definite; it is never stored, only multiplied (`springs.accumulate`). Where
-springs are compressed the clamped K is not their stiffness, and directions only halve the residual;
-so near the solution, from NEAR on, it is taken as it is. Should A then turn out to be indefinite,
-what conjugate gradients have so far is the direction, and the next one is clamped again. The
-preconditioner is its diagonal, with every spring along every axis. A step that leaves more than
-half of its directional derivative, of either sign, is made longer or shorter by the secant rule.
+K is the springs' stiffness matrix with its negative eigenvalues clamped to 0
+(`laws.spring_stiffness_across`), so that A is positive definite. A is never stored, only multiplied
+with vectors (`springs.accumulate`). Where springs are compressed the clamped K is not their
+stiffness, and directions only halve the residual; so near the solution, from NEAR on, K is taken as
+it is. If A then turns out to be indefinite, the direction is what conjugate gradients have found so
+far, and for the next one K is clamped again. The preconditioner is the diagonal of A, with every
+spring counted along every axis. A step along p that leaves more than half of the directional
+derivative, of either sign, is made longer or shorter by the secant rule.
 
 Baraff, Witkin, "Large steps in cloth simulation", 1998; Choi, Ko, "Stable but responsive cloth",
 2002; Nocedal, Wright, Numerical Optimization, 3.5 and 7.1 (line search Newton-CG); Shewchuk, "An
 introduction to the conjugate gradient method without the agonizing pain", 1994, B3.
 
 A stage has converged when its largest residual is at most state.tolerance times the largest
-acceleration that it began with (gravity at least), or is as small as rounding leaves it. Otherwise
-it ends after MOST_DIRECTIONS, after MOST_STALLS that brought nothing, or where numbers are no
-longer finite, and state.work counts its step as unconverged.
+residual that it began with (gravity at least), or is as small as rounding leaves it. Otherwise it
+ends after MOST_DIRECTIONS, after MOST_STALLS directions that brought little, or where numbers are
+no longer finite, and state.work counts its step as unconverged.
 """
 
 import functools
@@ -68,22 +70,22 @@ SCALARS = (
     "tau",  # time of a stage
     "scale",  # acceleration that the residual is compared with
     "rounding",  # residual that rounding alone leaves
-    "residual_max",
-    "residual_rms",
+    "residual_max",  # largest component of the residual, without its sign
+    "residual_rms",  # root of the mean square of its components
     "best",  # least residual_max so far
     "slope",  # directional derivative at the start of a Newton step
-    "length",  # part of `change` that has been gone
+    "length",  # part of `change` that the iterate has gone
     "go",  # part of it still to go
-    "short",  # longest length known to be too short, and the derivative there; likewise too long
-    "short_slope",
-    "long",  # 0: none known
-    "long_slope",
+    "short",  # longest length known to be too short
+    "short_slope",  # directional derivative there
+    "long",  # shortest length known to be too long; 0: none known
+    "long_slope",  # directional derivative there
     "energy",  # residual times preconditioned residual, of conjugate gradients
     "goal",  # energy at which these end
-    "least",  # what a compressed spring's stiffness across is not below: CLAMPED or EXACT
+    "least",  # stiffness across a spring is at least this times the one along: CLAMPED or EXACT
 )
 BEGIN, EVALUATE, DIRECT, ITERATE, SHIFT, FINISH = range(6)  # phases
-# What came of a stage. ROUNDED: as small as rounding lets it be.
+# What came of a stage. ROUNDED: its residual is as small as rounding lets it be.
 CONVERGED, ROUNDED, EXHAUSTED, STALLED, SINGULAR, NOT_FINITE = range(6)
 OUTCOMES = (
     "converged",
@@ -96,20 +98,23 @@ OUTCOMES = (
 
 MOST_DIRECTIONS = 60
 MOST_TRIALS = 12  # lengths of one direction
-MOST_STALLS = 6  # directions without progress
-ROUNDING = 0.5  # of a spring's force; several add up in a residual, with either sign
-MOST_ROUNDINGS = 16.0  # times that, where directions bring no more progress
+MOST_STALLS = 6  # directions one after the other that bring little progress
+# Rounding of a spring's force, in epsilons: several add up in a residual, with either sign.
+ROUNDING = 0.5
+MOST_ROUNDINGS = 16.0  # where progress has ended, a residual is ROUNDED up to this times `rounding`
 CLAMPED, EXACT = 0.0, -1e30
-NEAR = 0.1  # part of the first residual
+NEAR = 0.1  # part of the first residual below which K is taken as it is
 FORCING = 0.1  # conjugate gradients leave this part of the residual to the next direction
-ONLY_EVALUATE = -1  # stage: the acceleration of the iterate is wanted, as its residual
+ONLY_EVALUATE = -1  # number of a stage that only computes the acceleration, as its residual
 
 
 def keeps(*vectors):
-    """What methods keep and need for this (`methods/contract.py`), with `vectors` of their own.
+    """The parts of a `methods.contract.Method` that methods with these stages share.
 
-    old_x, old_v: the state at the step's start; gain: the iterate's; change: a Newton direction,
-    built up by conjugate gradients from residual, direction and its product with A.
+    vectors: names of further vectors that the method keeps itself.
+    The shared ones are old_x, old_v: the state at the step's start; start_x, start_v: that at a
+    stage's start; gain: the iterate's; change: the Newton direction, which conjugate gradients
+    build up from residual, direction (theirs) and product (that of A with it).
     """
     state = ("old_x", "old_v", "start_x", "start_v", "gain")
     return {
@@ -129,12 +134,13 @@ def keeps(*vectors):
 
 
 def phases(fraction, start, move, first=0, last=0):
-    """The phases of a method's step, whose stages take `fraction` of dt and are numbered from
-    `first` (ONLY_EVALUATE or 0) to `last`.
+    """The phases of a method's step.
 
-    start(spec, state, i) sets the start of the first stage in pack i; move(spec, state, i) takes
-    the solution of stage state.stage: it starts the next one from there (`start_from`) or, after
-    the last, ends with `arrive`.
+    fraction: the time of each stage, as a part of dt.
+    start(spec, state, i): sets the start of the first stage in pack i.
+    move(spec, state, i): takes the solution of stage state.stage in pack i and starts the next
+        stage from there by `start_from`, or after the last one ends the step by `arrive`.
+    first, last: the numbers of the first stage, 0 or ONLY_EVALUATE, and of the last one.
     """
 
     @ti.func
@@ -154,7 +160,7 @@ def phases(fraction, start, move, first=0, last=0):
 
 @ti.func
 def set_tau(spec: ti.template(), state: ti.template(), t, tau):
-    """Before anything of a step's stages: their time."""
+    """Set the time of a step's stages; it comes before all else of the step."""
     set_alone(spec, state.tau, t, tau)
     set_alone(spec, state.step_outcome, t, CONVERGED)
     barrier(spec, state)
@@ -162,7 +168,7 @@ def set_tau(spec: ti.template(), state: ti.template(), t, tau):
 
 @ti.func
 def keep_start(spec: ti.template(), state: ti.template(), i):
-    """In pack i, keep the state at the step's start."""
+    """Keep the state of pack i at the step's start, in old_x and old_v."""
     write(spec, state.old_x, i, read(spec, state.x, i))
     write(spec, state.old_v, i, read(spec, state.v, i))
     if ti.static(spec.compensated):
@@ -171,8 +177,10 @@ def keep_start(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def start_from(spec: ti.template(), state: ti.template(), i, change, v):
-    """In pack i, start a stage `change` away from the step's start with the velocities v, which
-    are the first iterate's, too.
+    """Start a stage for pack i.
+
+    change: how far its positions are from those at the step's start; v: its velocities, which are
+    the first iterate's, too.
     """
     x = moved_from_old(spec, state, i, change)
     write(spec, state.start_x, i, x)
@@ -184,7 +192,7 @@ def start_from(spec: ti.template(), state: ti.template(), i, change, v):
 
 @ti.func
 def moved_from_old(spec: ti.template(), state: ti.template(), i, change):
-    """Pack i's positions at the step's start, changed."""
+    """The positions of pack i at the step's start, plus `change`."""
     if ti.static(spec.compensated):
         write(spec, state.x_low, i, read(spec, state.old_x_low, i))
     return add_to_position(spec, state, i, read(spec, state.old_x, i), change)
@@ -192,7 +200,7 @@ def moved_from_old(spec: ti.template(), state: ti.template(), i, change):
 
 @ti.func
 def iterate_from(spec: ti.template(), state: ti.template(), i, gain):
-    """Make `gain` what the velocities of pack i gain in the iterate."""
+    """Set the iterate of pack i to the one whose velocities gain `gain` in the stage."""
     write(spec, state.gain, i, gain)
     v = read(spec, state.start_v, i) + gain
     write(spec, state.v, i, v)
@@ -208,7 +216,7 @@ def iterate_from(spec: ti.template(), state: ti.template(), i, gain):
 
 @ti.func
 def new_velocity(spec: ti.template(), state: ti.template(), i, gain):
-    """Pack i's velocities at the step's end: those of its start, contacts, and what they gain."""
+    """The velocities of pack i at the step's end: those at its start, contacts' changes, `gain`."""
     x, v = read(spec, state.old_x, i), read(spec, state.old_v, i)
     new_v = add_to_velocity(spec, state, i, v, velocity_jump(spec, state, i, x, v))
     return add_to_velocity(spec, state, i, new_v, gain)
@@ -216,7 +224,10 @@ def new_velocity(spec: ti.template(), state: ti.template(), i, gain):
 
 @ti.func
 def arrive(spec: ti.template(), state: ti.template(), i, change, new_v):
-    """End of a step for pack i: `change` away from where it started, with the velocities new_v."""
+    """End the step for pack i.
+
+    change: how far its positions are from those at the step's start; new_v: its velocities.
+    """
     x, v = read(spec, state.old_x, i), read(spec, state.old_v, i)
     new_x = moved_from_old(spec, state, i, change)
     commit(spec, state, i, kept_above_floor(spec, state, i, x, v, new_x, new_v), new_v)
@@ -224,7 +235,7 @@ def arrive(spec: ti.template(), state: ti.template(), i, change, new_v):
 
 @ti.func
 def start(spec: ti.template(), state: ti.template(), i):
-    """In pack i, start a stage from the step's start, with contacts."""
+    """Start a stage for pack i from the step's start, with the changes that contacts make."""
     keep_start(spec, state, i)
     x, v = read(spec, state.x, i), read(spec, state.v, i)
     start_from(spec, state, i, 0.0 * v, v + velocity_jump(spec, state, i, x, v))
@@ -232,13 +243,14 @@ def start(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def begin_stage(spec: ti.template(), state: ti.template(), t, stage):
-    """End of `begin`: the first stage."""
+    """Go to the first stage of a step, which has the number `stage`."""
     set_alone(spec, state.stage, t, stage)
     each(spec, state, t, 1, _begin_stage)
 
 
 @ti.func
 def _begin_stage(spec: ti.template(), state: ti.template(), i):
+    """Clear what is counted in a stage, and go to its first evaluation."""
     state.directions[None], state.trials[None], state.stalls[None] = 0, 0, 0
     state.outcome[None], state.indefinite[None] = CONVERGED, 0
     state.phase[None] = EVALUATE
@@ -246,8 +258,9 @@ def _begin_stage(spec: ti.template(), state: ti.template(), i):
 
 @functools.cache
 def _ending(last):
-    """To the next stage or, after stage `last`, the end of the step, which is counted if a solution
-    did not converge.
+    """The body of a loop, run once, that goes to the next stage or, after `last`, ends the step.
+
+    A step in which a stage did not converge is counted.
     """
 
     @ti.func
@@ -265,6 +278,7 @@ def _ending(last):
 
 @ti.func
 def evaluate(spec: ti.template(), state: ti.template(), t):
+    """Compute the iterate's residual, and decide what comes next."""
     accumulate(spec, state, t, force_between, _store_residual, _residual_more)
     find_largest(spec, state, t, _rounding_of, 0)
     each(spec, state, t, 1, _keep_rounding)
@@ -276,6 +290,7 @@ def evaluate(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def _store_residual(spec: ti.template(), state: ti.template(), i, f):
+    """Store the residual of pack i under the spring forces f; 0 where particles are fixed."""
     a = acceleration(spec, state, i, f)
     residual = a - (1.0 / state.tau[None]) * read(spec, state.gain, i)
     w = read(spec, state.w, i)
@@ -284,6 +299,7 @@ def _store_residual(spec: ti.template(), state: ti.template(), i, f):
 
 @ti.func
 def _residual_more(spec: ti.template(), state: ti.template(), slot, f):
+    """Add the forces f of those springs that no grid holds to the residual of one particle."""
     w = slot_number(spec, state.w, slot)
     residual = slot_value(spec, state.residual, slot) + w * f
     set_slot_value(spec, state.residual, slot, residual)
@@ -291,7 +307,7 @@ def _residual_more(spec: ti.template(), state: ti.template(), slot, f):
 
 @ti.func
 def _rounding_of(spec: ti.template(), state: ti.template(), i):
-    """What rounding of positions, over all springs, and of the gain leaves of a residual."""
+    """The residual that rounding of positions, over all springs, and of the gain can make up."""
     w, x = read(spec, state.w, i), _largest_component(spec, state.x, i)
     gain = (1.0 / state.tau[None]) * _largest_component(spec, state.gain, i)
     return ti.select(w > 0.0, w * read(spec, state.summed_k, i) * x + gain, 0.0 * w)
@@ -299,7 +315,7 @@ def _rounding_of(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _judge(spec: ti.template(), state: ti.template(), i):
-    """After an evaluation: whether the stage is done, and what comes next if it is not."""
+    """Decide after an evaluation whether the stage is done, and what comes next if it is not."""
     state.work[FORCES] += 1
     most, squares, slope = state.sums[0, 0], state.sums[1, 0], state.sums[2, 0]
     state.residual_max[None] = most
@@ -350,8 +366,11 @@ def _judge(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _next_length(state: ti.template(), slope, finite):
-    """By the secant rule, between the longest length that is too short and the shortest that is
-    too long; four times as long where none is known to be too long.
+    """The next length to try along `change`, after one that was too short or too long.
+
+    It is found by the secant rule between the longest that is too short and the shortest that is
+    too long; while none is known to be too long, it is four times the one that is too short.
+    slope: directional derivative at the last length; finite: whether all numbers were, there.
     """
     length = state.length[None]
     if finite and slope > 0.0:
@@ -378,6 +397,7 @@ def direct(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def _first_energy(spec: ti.template(), state: ti.template(), i):
+    """The energy of pack i's residual, which becomes tau*M times what it was; change becomes 0."""
     residual = _momentum(spec, state, i, read(spec, state.residual, i))
     write(spec, state.residual, i, residual)
     write(spec, state.change, i, 0.0 * residual)
@@ -386,18 +406,20 @@ def _first_energy(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _momentum(spec: ti.template(), state: ti.template(), i, residual):
-    """tau*M times an acceleration."""
+    """The product of tau*M with the accelerations `residual` of pack i."""
     return scaled(state.tau[None] * _mass(spec, state, i), residual)
 
 
 @ti.func
 def _downhill(spec: ti.template(), state: ti.template(), i):
+    """Set the first direction of conjugate gradients in pack i."""
     residual = read(spec, state.residual, i)
     write(spec, state.direction, i, _preconditioned(spec, state, i, residual))
 
 
 @ti.func
 def _preconditioned(spec: ti.template(), state: ti.template(), i, residual):
+    """The residual of pack i over the diagonal of A; 0 where particles are fixed."""
     tau = state.tau[None]
     w = read(spec, state.w, i)
     diagonal = _mass(spec, state, i) + tau * tau * read(spec, state.summed_k, i)
@@ -412,7 +434,7 @@ def _preconditioned(spec: ti.template(), state: ti.template(), i, residual):
 
 @ti.func
 def iterate(spec: ti.template(), state: ti.template(), t):
-    """One step of conjugate gradients."""
+    """Make one step of conjugate gradients."""
     accumulate(spec, state, t, _product_between, _store_product, _product_more)
     add_up(spec, state, t, _curvature, 0)
     add_up(spec, state, t, _approach, 1)
@@ -424,6 +446,7 @@ def iterate(spec: ti.template(), state: ti.template(), t):
 def _product_between(
     spec: ti.template(), state: ti.template(), value: ti.template(), i, j, numbers: ti.template()
 ):
+    """What i gets from the spring to j in the product of K and dashpots with `direction`."""
     d = value(spec, state.x, j) - value(spec, state.x, i)
     length = laws.length(d)
     along = laws.unit(d, length)
@@ -434,6 +457,7 @@ def _product_between(
 
 @ti.func
 def _store_product(spec: ti.template(), state: ti.template(), i, pulled):
+    """Store the product of A with `direction` in pack i; pulled: what it gets from its springs."""
     tau = state.tau[None]
     direction = read(spec, state.direction, i)
     diagonal = _mass(spec, state, i)
@@ -448,6 +472,7 @@ def _store_product(spec: ti.template(), state: ti.template(), i, pulled):
 
 @ti.func
 def _product_more(spec: ti.template(), state: ti.template(), slot, pulled):
+    """Add what one particle gets from those springs that no grid holds to the product."""
     if slot_number(spec, state.w, slot) > 0.0:
         tau = state.tau[None]
         product = slot_value(spec, state.product, slot) - (tau * tau) * pulled
@@ -456,6 +481,7 @@ def _product_more(spec: ti.template(), state: ti.template(), slot, pulled):
 
 @ti.func
 def _approach(spec: ti.template(), state: ti.template(), i):
+    """Go a step along `direction` in pack i, and return the energy of its new residual."""
     step = _step_length(state)
     change, direction = read(spec, state.change, i), read(spec, state.direction, i)
     residual, product = read(spec, state.residual, i), read(spec, state.product, i)
@@ -467,6 +493,7 @@ def _approach(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _turn(spec: ti.template(), state: ti.template(), i):
+    """Set the next direction of conjugate gradients in pack i."""
     part = state.sums[1, 0] / state.energy[None]
     residual = _preconditioned(spec, state, i, read(spec, state.residual, i))
     write(spec, state.direction, i, residual + part * read(spec, state.direction, i))
@@ -474,7 +501,7 @@ def _turn(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def shift(spec: ti.template(), state: ti.template(), t):
-    """Go the length that is still to go along `change`."""
+    """Move the iterate along `change` by the length that is still to go."""
     each_pack_moving(spec, state, t, _shift_pack)
     each(spec, state, t, 1, _to_evaluate)
 
@@ -487,14 +514,14 @@ def _shift_pack(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _mass(spec: ti.template(), state: ti.template(), i):
-    """Masses of pack i's particles; 0 where they are fixed."""
+    """The masses of pack i's particles; 0 where they are fixed."""
     w = read(spec, state.w, i)
     return ti.select(w > 0.0, 1.0 / w, 0.0 * w)
 
 
 @ti.func
 def _largest_component(spec: ti.template(), field: ti.template(), i):
-    """Of each vector in pack i, without its sign."""
+    """The largest component, without its sign, of each vector of a field at pack i."""
     a = read(spec, field, i)
     most = 0.0 * component(a, 0)
     for axis in ti.static(range(spec.dim)):
@@ -505,33 +532,37 @@ def _largest_component(spec: ti.template(), field: ti.template(), i):
 
 @ti.func
 def _size(spec: ti.template(), state: ti.template(), i):
+    """The largest component, without its sign, of each residual in pack i."""
     return _largest_component(spec, state.residual, i)
 
 
 @ti.func
 def _square(spec: ti.template(), state: ti.template(), i):
+    """The square of each residual in pack i."""
     residual = read(spec, state.residual, i)
     return dot(residual, residual)
 
 
 @ti.func
 def _slope(spec: ti.template(), state: ti.template(), i):
-    """Directional derivative along `change` of what a stage minimizes, negated."""
+    """The directional derivative along `change` of what a stage minimizes, negated, for pack i."""
     change, residual = read(spec, state.change, i), read(spec, state.residual, i)
     return dot(change, _momentum(spec, state, i, residual))
 
 
 @ti.func
 def _keep_rounding(spec: ti.template(), state: ti.template(), i):
+    """Set the residual that rounding alone leaves, from the largest of `_rounding_of`."""
     state.rounding[None] = ROUNDING * ti.static(_epsilon(state)) * state.sums[0, 0]
 
 
 def _epsilon(state):
+    """The distance from 1 to the next number that the device's precision holds."""
     return 2.0**-52 if state.real == ti.f64 else 2.0**-23
 
 
 def _least(state):
-    """A million of the smallest numbers: products of some such still mean something."""
+    """A million times the smallest normal number: the least energy that still means something."""
     return 1e6 * (2.0**-1022 if state.real == ti.f64 else 2.0**-126)
 
 
@@ -543,6 +574,7 @@ def _wanted(state: ti.template()):
 
 @ti.func
 def _begin_iterating(spec: ti.template(), state: ti.template(), i):
+    """Set the energy at which conjugate gradients end, and go to their first step."""
     energy = state.sums[0, 0]
     part = ti.min(ti.max(0.3 * _wanted(state) / state.residual_max[None], FORCING), 0.5)
     state.energy[None], state.goal[None] = energy, part * part * energy
@@ -557,18 +589,23 @@ def _begin_iterating(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _curvature(spec: ti.template(), state: ti.template(), i):
+    """The product of `direction` with A and itself, for pack i."""
     return dot(read(spec, state.direction, i), read(spec, state.product, i))
 
 
 @ti.func
 def _step_length(state: ti.template()):
-    """Of conjugate gradients; 0 where A is singular along the direction, or not finite."""
+    """The length of a step of conjugate gradients.
+
+    It is 0 where A is not positive along the direction, or numbers are no longer finite.
+    """
     curvature = state.sums[0, 0]
     return ti.select(curvature > 0.0, state.energy[None] / curvature, 0.0)
 
 
 @ti.func
 def _count_iteration(spec: ti.template(), state: ti.template(), i):
+    """Count a step of conjugate gradients, and decide whether they end with it."""
     energy, step = state.sums[1, 0], _step_length(state)
     state.slope[None] += step * state.energy[None]
     state.energy[None] = energy
@@ -577,8 +614,8 @@ def _count_iteration(spec: ti.template(), state: ti.template(), i):
     most = 2 * spec.dim * state.n[None] + 20
     ends = not (energy > state.goal[None]) or state.sweeps[None] >= most
     if not (step > 0.0):
-        # Exact, A may be indefinite: the change so far is downhill. Clamped it is not, unless
-        # numbers are no longer finite.
+        # With the exact K, A may be indefinite; the change so far is downhill. With a clamped K it
+        # is positive definite, unless numbers are no longer finite.
         ends, state.indefinite[None] = True, 1
         if state.least[None] == CLAMPED:
             state.outcome[None] = SINGULAR

@@ -1,11 +1,12 @@
-"""Steps whose rounds are not known beforehand: solvers that go on until they have converged.
+"""Steps in phases, for solvers that go on until they have converged.
 
-Such a method is a small state machine. Each of its phases is a ti.func(spec, state, t) that ends
-with `go_to`. In a launch of whole frames all threads go from phase to phase together. Where loops
-are one launch per step a phase is a launch, and the host asks which one is next; so a phase must not put its
-loops under a condition: what is not wanted is a loop over nothing, or a phase of its own. In packs
-of lanes, where compile time grows with the square of what is in a kernel, a launch holds some of
-the phases, the method's `launches`, for as long as they lead to each other.
+A method with phases is a small state machine. Each phase is a ti.func(spec, state, t) that ends by
+saying which one is next: by `go_to`, or by setting state.phase in a loop. In a launch of whole
+frames all threads go from phase to phase together. With spec.one_launch_per_step each phase is a
+launch, and the host asks which one is next. A phase must then not put its loops under a condition:
+what is not wanted is a loop over nothing, or becomes another phase. On packs of several lanes a
+launch holds only some of the phases (the method's `launches`), for as long as these lead to each
+other, because compile time grows with the square of what is in a kernel.
 """
 
 import functools
@@ -19,7 +20,7 @@ DONE = -1
 
 @ti.func
 def go_to(spec: ti.template(), state: ti.template(), t, phase):
-    """End of a phase: which one is next, DONE after the last. Read by all threads alike."""
+    """End a phase by saying which one is next, or DONE after the last: it is the same on all threads."""
     barrier(spec, state)
     set_alone(spec, state.phase, t, phase)
     barrier(spec, state)
@@ -27,7 +28,7 @@ def go_to(spec: ti.template(), state: ti.template(), t, phase):
 
 @ti.func
 def set_alone(spec: ti.template(), field: ti.template(), t, value):
-    """of[None] = value, by one thread; what others read of it comes after a barrier."""
+    """Set a 0-D field on one thread; the others must not read it before the next barrier."""
     if ti.static(spec.one_launch_per_step):
         for _ in range(1):
             field[None] = value
@@ -38,7 +39,7 @@ def set_alone(spec: ti.template(), field: ti.template(), t, value):
 
 @functools.cache
 def stepping(phases):
-    """The step that goes through `phases`, as a ti.func: for launches of whole frames."""
+    """The step of a method with these phases, as a ti.func, for launches of whole frames."""
     every = tuple(range(len(phases)))
 
     @ti.func
@@ -54,7 +55,10 @@ def stepping(phases):
 def run_one_of(
     phases: ti.template(), these: ti.template(), spec: ti.template(), state: ti.template(), t
 ):
-    """Run the phase that comes next, if it is one of `these`; whether it was."""
+    """Run the phase that comes next, if it is one of `these`; return 1 if it was, else 0.
+
+    phases: all phases of a method; these: the numbers of some.
+    """
     current, found = state.phase[None], 0
     for k in ti.static(these):
         if current == k:
