@@ -16,7 +16,7 @@ There are three kinds of term. They differ in what their law gives, and to what 
   damping(numbers) that by the rate at which a spring lengthens, and across(length, numbers, least)
   the stiffness across a spring, at least `least` times the one along it.
 
-All other functions run on the host, in NumPy, and use no kernel. Of these x, v are (n, dim); world,
+All other functions run on the host, in NumPy, and use no kernel. Their x and v are (n, dim); world,
 particles and springs are those of a scene, without springs that are gone; scene is a whole one.
 """
 
@@ -146,7 +146,7 @@ PARTS = tuple(part.name for part in fields(Term) if part.default is MISSING)
 
 
 def has(part) -> bool:
-    """Whether a term has a part, which is where it does not declare it absent."""
+    """Whether a term has a part, and does not declare it `Absent`."""
     return not isinstance(part, Absent)
 
 
