@@ -192,8 +192,8 @@ def _limit(network: Network, found: _Mode) -> Limit:
 
 
 def _energies(network: Network, mode: np.ndarray, h: float) -> tuple[np.ndarray, float, float]:
-    """Energies in a mode (n, dim), weighed as in a step, h^2 K and h C: of springs (s,), of the drag
-    on single particles, and of what else holds them.
+    """Energies in a mode (n, dim), weighed as in a step, h^2 K and h C: of springs (s,), of the
+    drag on single particles, and of what else holds them.
     """
     (k, c), (held, drag) = network.along_springs, network.on_particles
     along, t = network.geometry

@@ -58,12 +58,12 @@ class Network:
 
     @functools.cached_property
     def along_springs(self) -> tuple[np.ndarray, np.ndarray]:
-        """What the forces along springs have in the stability limit: stiffness and damping, (s,)."""
+        """What forces along springs add to K and C: stiffness and damping, (s,)."""
         return self._shares(True, len(self.springs))
 
     @functools.cached_property
     def on_particles(self) -> tuple[np.ndarray, np.ndarray]:
-        """The share of the forces on single particles, such as drag: stiffness and damping, (n,)."""
+        """What forces on single particles, such as drag, add to K and C, (n,)."""
         return self._shares(False, len(self.particles))
 
     def _shares(self, along: bool, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -41,8 +41,8 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-# Each table's keys, besides further ones of [world] (`world_keys`). `break_force = false` says unbreakable where
-# [spring] gives a force.
+# Each table's keys, besides further ones of [world] (`world_keys`). `break_force = false` says
+# unbreakable where [spring] gives a force.
 _TABLES = {
     "": ("name", "world", "particle", "spring", "particles", "springs", "cloths"),
     "world": ("size", "gravity", "dt", "walls", "collisions", "mouse"),

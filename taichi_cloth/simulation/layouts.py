@@ -39,8 +39,8 @@ class Layout:
     shared: by column of `Springs`, (kinds, g), what the links of a kind share in a grid.
     break_length2: (kinds, g), likewise (`break_length2`).
     row: packs in the widest row, halos included.
-    rows_share_stiffness: whether all rows of each grid, but the last ones, have the same links with the same
-        stiffness.
+    rows_share_stiffness: whether all rows of each grid, but the last ones, have the same links
+        with the same stiffness.
     """
 
     lanes: int

@@ -1,7 +1,7 @@
 """The scene as an ordinary differential equation, in NumPy and SciPy, running no kernel of ours.
 
-The forces are the twins that their terms declare (`kernels/forces`); contacts and breaking springs are events, at which the
-solution ends: beyond them it is not smooth, and no high order survives.
+The forces are the twins that their terms declare (`kernels/forces`); contacts and breaking springs
+are events, at which the solution ends: beyond them it is not smooth, and no high order survives.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ There are three kinds of term. They differ in what their law gives, and to what 
   damping(numbers) that by the rate at which a spring lengthens, and across(length, numbers, least)
   the stiffness across a spring, at least `least` times the one along it.
 
-All other functions run on the host, in NumPy, and use no kernel. Of these x, v are (n, dim); world,
+All other functions run on the host, in NumPy, and use no kernel. Their x and v are (n, dim); world,
 particles and springs are those of a scene, without springs that are gone; scene is a whole one.
 """
 

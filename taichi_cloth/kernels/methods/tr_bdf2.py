@@ -1,12 +1,11 @@
-"""TR-BDF2: the trapezoidal rule over the first part of a step, then the backward differentiation
-formula of second order over all of it.
+"""TR-BDF2: the trapezoidal rule over a step's first part, then the formula BDF2 over all of it.
 
-Bank, Coughran, Fichtner, Grosse, Rose, Smith, "Transient simulation of silicon devices and
-circuits", IEEE Trans. Computer-Aided Design 4, 1985; Hosea, Shampine, "Analysis and implementation
-of TR-BDF2", Applied Numerical Mathematics 20, 1996. Second order, stable at every dt. It damps what
-is too fast for dt, like implicit Euler, and hardly damps what is slow enough. With a first part of
-(2 - sqrt 2) dt, both stages are implicit Euler's equations over the same time
-(`solvers/newton_cg.py`).
+BDF2 is the backward differentiation formula of second order. Bank, Coughran, Fichtner, Grosse,
+Rose, Smith, "Transient simulation of silicon devices and circuits", IEEE Trans. Computer-Aided
+Design 4, 1985; Hosea, Shampine, "Analysis and implementation of TR-BDF2", Applied Numerical
+Mathematics 20, 1996. Second order, stable at every dt. It damps what is too fast for dt, like
+implicit Euler, and hardly damps what is slow enough. With a first part of (2 - sqrt 2) dt, both
+stages are implicit Euler's equations over the same time (`solvers/newton_cg.py`).
 """
 
 import math

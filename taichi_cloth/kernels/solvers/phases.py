@@ -20,7 +20,10 @@ DONE = -1
 
 @ti.func
 def go_to(spec: ti.template(), state: ti.template(), t, phase):
-    """End a phase by saying which one is next, or DONE after the last: it is the same on all threads."""
+    """End a phase by saying which one is next, or DONE after the last.
+
+    All threads must give the same one.
+    """
     barrier(spec, state)
     set_alone(spec, state.phase, t, phase)
     barrier(spec, state)
