@@ -112,6 +112,13 @@ def _done(do, env, cwd):
     return status, out.getvalue(), err.getvalue()
 
 
+def end_taichi():
+    """Let Taichi write what it compiled to its cache, as it does when a process ends."""
+    import taichi
+
+    taichi.reset()
+
+
 def _called(call, arguments):
     """A function: 0 and what it returned, or 1 and what went wrong."""
     module, _, name = call.partition(":")
