@@ -112,6 +112,16 @@ def _done(do, env, cwd):
     return status, out.getvalue(), err.getvalue()
 
 
+def printed_by(program):
+    """What a Python program prints; in cells of 2 lanes, which compile sooner."""
+    from inside import few_lanes
+
+    out = io.StringIO()
+    with few_lanes(), contextlib.redirect_stdout(out):
+        exec(program, {"__name__": "example"})
+    return out.getvalue()
+
+
 def end_taichi():
     """Let Taichi write what it compiled to its cache, as it does when a process ends."""
     import taichi

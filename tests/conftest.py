@@ -29,11 +29,12 @@ def pool(device):
 
 
 @pytest.fixture
-def few_lanes(monkeypatch):
+def few_lanes():
     """Cells of 2 lanes, which compile in a third of the time: for what holds for any number."""
-    from taichi_cloth.simulation import simulation
+    import inside
 
-    monkeypatch.setattr(simulation, "LANES", 2)
+    with inside.few_lanes():
+        yield
 
 
 @pytest.fixture(params=["serial", "parallel"])
