@@ -1,22 +1,18 @@
 """One device for the whole test process: the CPU in f64, where results are compared to round-off.
 
-Other precisions, backends and thread counts run through the command line, each in its own process.
+Other precisions, backends and thread counts run through the command line, in processes of their
+own. Modules in this folder that are not named test_... hold what tests share, and no test.
 """
 
-import contextlib
-import json
 import os
-import shutil
-import subprocess
-import sys
-from pathlib import Path
 
 os.environ["TI_SKIP_VERSION_CHECK"] = "ON"
 
-import numpy as np
 import pytest
-
-GOLDEN = Path(__file__).parent / "golden"
+from commands import Commands
+from pool import Pool
+from screens import virtual_screen
+from selection import mostly_thorough
 
 
 @pytest.fixture(scope="session")
@@ -26,12 +22,19 @@ def device():
     return runtime.start("cpu", "f64", threads=2)
 
 
-@pytest.fixture
-def few_lanes(monkeypatch):
-    """Cells of 2 lanes, which compile in a third of the time: for what holds for any number."""
-    from taichi_cloth.simulation import simulation
+@pytest.fixture(scope="session")
+def pool(device):
+    """Simulations that compile once for all tests: pool(scene, method, ...) -> one at its start."""
+    return Pool()
 
-    monkeypatch.setattr(simulation, "LANES", 2)
+
+@pytest.fixture
+def few_lanes():
+    """Cells of 2 lanes, which compile in a third of the time: for what holds for any number."""
+    import inside
+
+    with inside.few_lanes():
+        yield
 
 
 @pytest.fixture(params=["serial", "parallel"])
@@ -44,61 +47,55 @@ def topology(request):
     return request.param
 
 
-@pytest.fixture(
-    scope="module", params=["lanes serial", "lanes parallel", "graph serial", "graph parallel"]
-)
-def way(request):
-    """How a scene with a regular grid can be run: what holds for one way holds for all four."""
+WAYS = [f"{topology} {path}" for topology in ("lanes", "graph") for path in ("serial", "parallel")]
+
+
+def _way(request):
     topology, execution = request.param.split()
     return {"topology": topology, "execution": execution}
 
 
-def golden(name):
-    """The arrays of a golden .npz file, the contents of a .json, or the events of a .jsonl."""
-    path = GOLDEN / name
-    if path.suffix == ".npz":
-        with np.load(path) as file:
-            return dict(file)
-    if path.suffix == ".jsonl":
-        return [json.loads(line) for line in path.read_text().splitlines()]
-    return json.loads(path.read_text())
+@pytest.fixture(params=WAYS)
+def way(request):
+    """How a scene with a regular grid can be run: what holds for one way holds for all four."""
+    return _way(request)
 
 
-def command(*arguments, check=0, env=None, cwd=None, timeout=300):
-    """Run `taichi-cloth` with arguments in a process of its own; return (stdout, stderr)."""
-    done = subprocess.run(
-        [sys.executable, "-m", "taichi_cloth", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=timeout,
-        cwd=cwd,
-        env={**os.environ, **(env or {})},
-    )
-    assert done.returncode == check, f"exit {done.returncode}: {done.stdout}{done.stderr}"
-    return done.stdout, done.stderr
+@pytest.fixture(params=mostly_thorough(WAYS, default=["lanes parallel", "graph serial"]))
+def some_way(request):
+    """The same where each costs much: by default two, which between them have all four words."""
+    return _way(request)
 
 
-@contextlib.contextmanager
-def virtual_screen():
-    """An X server of our own, as long as the context lasts; its name. CI must have Xvfb.
+@pytest.fixture(scope="session")
+def caches(tmp_path_factory):
+    """Folders of compiled kernels and of measured speeds, for commands that tests run."""
+    folder = tmp_path_factory.mktemp("caches")
+    return {"TI_OFFLINE_CACHE_FILE_PATH": str(folder / "ti"), "XDG_CACHE_HOME": str(folder)}
 
-    A plain one, which starts anew whenever its last client leaves.
-    """
-    if not (shutil.which("Xvfb") or os.environ.get("CI")):
-        pytest.skip("needs Xvfb")
-    read, write = os.pipe()
-    screen = ["-screen", "0", "1400x900x24", "-nolisten", "tcp"]
-    server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), *screen], pass_fds=[write], stderr=subprocess.DEVNULL
-    )
-    os.close(write)
-    with os.fdopen(read) as said:
-        number = said.readline().strip()
-    try:
-        yield f":{number}"
-    finally:
-        server.terminate()
-        server.wait()
+
+@pytest.fixture(scope="session")
+def cli(caches):
+    """Runs commands on the CPU, without a display: cli(words...) -> (stdout, stderr)."""
+    commands = Commands(**caches, DISPLAY="", WAYLAND_DISPLAY="")
+    yield commands
+    commands.close()
+
+
+@pytest.fixture(scope="session")
+def cli_on(caches, cli, display):
+    """The same on any backend: cli_on[arch](words...)."""
+
+    class Started(dict):
+        def __missing__(self, arch):
+            self[arch] = Commands(**caches)
+            return self[arch]
+
+    started = Started(cpu=cli)
+    yield started
+    for arch, commands in started.items():
+        if arch != "cpu":
+            commands.close()
 
 
 @pytest.fixture(scope="session")

@@ -19,9 +19,9 @@ from extreme_runs import (
 )
 
 from taichi_cloth import runtime
+from taichi_cloth.kernels.forces.blow import REACH, STRENGTH
 from taichi_cloth.scene import cloth
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
-from taichi_cloth.simulation.simulation import BLOW_REACH, BLOW_STRENGTH
 
 LARGE = (1000.0, 1000.0, 1000.0)
 GRAVITY = (0.0, 9.8, 0.0)
@@ -992,7 +992,7 @@ def _blown(run):
     p = run.scene.particles
     from_line = (run.x0 - run.x0.mean(0)) * [1, 0, 1]
     distance = np.linalg.norm(from_line, axis=1)
-    push = BLOW_STRENGTH * (BLOW_REACH - distance).sum() * 1000.0 * run.steps.frame
+    push = STRENGTH * (REACH - distance).sum() * 1000.0 * run.steps.frame
     expected = push if run.sim.frame > 1 else 0.0
     off = np.abs((p.mass[:, None] * run.v).sum(0) - [expected, 0, 0]).max()
     return off / push, run.walk + 1e-6 + 100 * run.solver

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from selection import mostly_thorough
 
 from taichi_cloth.scene.model import ParticleDefaults, Particles, Scene, World
-from taichi_cloth.simulation.simulation import Simulation
 
-pytestmark = pytest.mark.usefixtures("device")
+PATHS = ["serial", "parallel"]
 
 
 def crowd(dim, count, seed, *, radius=None, walls=False, size=100.0, restitution=0.9):
@@ -43,28 +43,34 @@ def brute_force_jump(scene):
     return jump, int(hit.sum())
 
 
-@pytest.mark.parametrize("dim, count", [(2, 300), (3, 1200)])
-def test_grid_finds_the_same_collisions_as_all_pairs(dim, count, execution):
+@pytest.mark.parametrize(
+    ("dim", "count", "execution"),
+    mostly_thorough(
+        [(dim, count, path) for dim, count in ((2, 300), (3, 1200)) for path in PATHS],
+        default=[(2, 300, "parallel"), (3, 1200, "serial")],
+    ),
+)
+def test_grid_finds_the_same_collisions_as_all_pairs(pool, dim, count, execution):
     scene = crowd(dim, count, seed=dim)
     expected, hits = brute_force_jump(scene)
-    sim = Simulation(scene, execution=execution)
+    sim = pool(scene, execution=execution)
     sim.advance()
     assert hits > 200
     jump = sim.velocities() - scene.particles.velocity
     np.testing.assert_allclose(jump, expected, rtol=0, atol=1e-11)
 
 
-def test_particles_far_outside_the_world_still_collide():
+def test_particles_far_outside_the_world_still_collide(pool):
     """The grid wraps around, so leaving the world neither loses nor doubles a collision."""
     world = World(size=(100.0, 100.0), gravity=(0.0, 0.0), dt=1.0, collisions=True)
     x = [[50.0, 50.0], [58.0, 50.0]]
     v = [[1000.0, 0.0], [999.0, 0.0]]
-    sim = Simulation(Scene("pair", world, Particles.build(x, v, radius=3.0)), execution="serial")
+    sim = pool(Scene("pair", world, Particles.build(x, v, radius=3.0)))
     sim.advance(7)  # the gap of 2 closes at 1 a frame, 7000 units away
     np.testing.assert_allclose(sim.velocities(), [[999.0, 0.0], [1000.0, 0.0]], rtol=0, atol=1e-9)
 
 
-def test_elastic_crowd_keeps_momentum_and_energy():
+def test_elastic_crowd_keeps_momentum_and_energy(pool):
     """Equal spheres that only meet in pairs; no fixed ones, no walls."""
     rng = np.random.default_rng(5)
     grid = np.stack(np.meshgrid(*[np.arange(6)] * 3, indexing="ij"), -1).reshape(-1, 3)
@@ -74,7 +80,7 @@ def test_elastic_crowd_keeps_momentum_and_energy():
         rng.normal(0, 5, (216, 3)),
         defaults=ParticleDefaults(mass=2.0, radius=3.0, restitution=1.0),
     )
-    sim = Simulation(Scene("gas", world, particles), execution="serial")
+    sim = pool(Scene("gas", world, particles))
     momentum, energy = sim.momentum(), sim.energy().total
     sim.advance(200)
     assert np.abs(sim.velocities() - particles.velocity).max() > 1  # they did collide
@@ -82,11 +88,12 @@ def test_elastic_crowd_keeps_momentum_and_energy():
     assert sim.energy().total == pytest.approx(energy, rel=1e-3)  # triple contacts are not exact
 
 
-def test_a_ball_bounces_to_the_height_its_restitution_allows(execution):
+@pytest.mark.parametrize("execution", mostly_thorough(PATHS, default=["serial"]))
+def test_a_ball_bounces_to_the_height_its_restitution_allows(pool, execution):
     e, drop = 0.8, 50.0
     world = World(size=(100.0, 100.0), gravity=(0.0, 10.0), dt=1e-3, walls=("bottom",))
     particles = Particles.build([[50.0, 95.0 - drop]], radius=5.0, restitution=e)
-    sim = Simulation(Scene("ball", world, particles), substeps=1, execution=execution)
+    sim = pool(Scene("ball", world, particles), execution=execution)
     fall = int(np.sqrt(2 * drop / 10.0) / 1e-3)
     heights = []
     for _ in range(2 * fall // 20):
@@ -95,21 +102,21 @@ def test_a_ball_bounces_to_the_height_its_restitution_allows(execution):
     assert max(heights[fall // 20 + 5 :]) == pytest.approx(e**2 * drop, rel=0.01)
 
 
-def test_a_particle_at_rest_on_the_floor_stays_on_it():
+def test_a_particle_at_rest_on_the_floor_stays_on_it(pool):
     world = World(size=(100.0, 100.0), gravity=(0.0, 0.5), dt=1.0, walls=("bottom",))
     particles = Particles.build([[50.0, 95.0]], radius=5.0, restitution=0.0)
-    sim = Simulation(Scene("rest", world, particles), execution="serial")
+    sim = pool(Scene("rest", world, particles))
     sim.advance(500)
     assert 95.0 - 1e-9 <= sim.positions()[0, 1] <= 95.0 + 0.5
 
 
 @pytest.mark.parametrize("radius", [5.0, 12.036362492426134, 0.1, 7.3])
-def test_floor_and_bounce_agree_on_a_hit_to_the_last_bit(radius):
+def test_floor_and_bounce_agree_on_a_hit_to_the_last_bit(pool, radius):
     """After a clamp the gap is zero but for rounding, and all that follows hangs on its sign."""
     g, e, high = 0.1, 0.4, 200.0
     world = World(size=(300.0, high), gravity=(0.0, g), walls=("bottom",))
     particles = Particles.build([[150.0, 180.0]], radius=radius, restitution=e)
-    sim = Simulation(Scene("floor", world, particles), execution="serial")
+    sim = pool(Scene("floor", world, particles))
     y, v = 180.0, 0.0
     for _ in range(300):
         sim.advance()

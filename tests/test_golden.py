@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
-from conftest import golden
+from goldens import golden
+from selection import mostly_thorough
 
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import ParticleDefaults, Particles, Scene, World
 from taichi_cloth.simulation.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("device")
+
+WAYS = ["lanes serial", "lanes parallel", "graph serial", "graph parallel"]
 
 
 def cloth_at_rest():
@@ -38,16 +41,26 @@ def box_scene():
     )
 
 
-def test_cloth_at_rest(way):
-    sim = Simulation(cloth_at_rest(), **way)
+@pytest.fixture(scope="module", params=WAYS)
+def cloth(request, device):
+    """A simulation of the cloth; of lanes 8, as users have them, and 2."""
+    topology, execution = request.param.split()
+    lanes = None if execution == "parallel" else 2
+    return Simulation(build("cloth"), topology=topology, execution=execution, lanes=lanes)
+
+
+def test_cloth_at_rest(cloth):
+    sim = cloth
+    sim.load_scene(cloth_at_rest())
     for expected in golden("cloth_rest.npz")["position"]:
         sim.advance(10)
         np.testing.assert_allclose(sim.positions(), expected, rtol=0, atol=1e-9)
 
 
-def test_cloth_blown_and_torn(way):
+def test_cloth_blown_and_torn(cloth):
     """Pulling amplifies round-off 1e8 times here, so this holds only if the sums' order does."""
-    sim = Simulation(build("cloth"), **way)
+    sim = cloth
+    sim.load_scene(build("cloth"))
     expected = golden("cloth_blow.npz")
     pointer = None
     for event in golden("cloth_blow.jsonl"):
@@ -62,6 +75,7 @@ def test_cloth_blown_and_torn(way):
     np.testing.assert_array_equal(sim.springs_alive(), expected["spring_alive_final"])
 
 
+@pytest.mark.parametrize("execution", mostly_thorough(["serial", "parallel"], default=["serial"]))
 def test_box_of_bouncing_particles(execution):
     sim = Simulation(box_scene(), execution=execution)
     for expected in golden("box_bounce.npz")["position"][:20]:

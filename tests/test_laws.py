@@ -34,7 +34,8 @@ def evaluate(law: ti.template(), a: ti.types.ndarray(), out: ti.types.ndarray())
         if ti.static(law == 3):
             length = laws.length(d)
             along = laws.unit(d, length)
-            f = laws.spring_stiffness_product(u, along, length, a[9], a[10], a[11])
+            across = laws.spring_stiffness_across(length, a[9], a[10], a[11])
+            f = laws.stiffness_product(u, along, a[9], across)
         for axis in ti.static(range(3)):
             out[axis] = f[axis]
 

@@ -1,24 +1,40 @@
 """The README is true: its commands run, its snippets work, its packages install."""
 
+import importlib.metadata
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
+import sysconfig
 import venv
 from pathlib import Path
 
 import pytest
+from inside import not_starting
+from selection import thorough
+
+from taichi_cloth.cli.main import main
+from taichi_cloth.errors import InputError
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", README, re.M | re.S)
 PACKAGES = list((ROOT / "taichi_cloth").rglob("__init__.py"))
 SET_UP = "python3 -m venv"  # the two commands that make an environment; see below, and .ci/run
+QUICK = ("--save", "--record", "--events", "curtain.toml")  # the default run does those with these
 
 
 def blocks(language):
     return [text for kind, text in BLOCKS if kind == language]
+
+
+def command_lines():
+    """The README's commands, in their order, but the two that make an environment."""
+    lines = [line for text in blocks("sh") for line in text.splitlines() if SET_UP not in line]
+    assert len(lines) >= 8 and all(line.startswith("taichi-cloth ") for line in lines)
+    return lines
 
 
 def environment(*folders):
@@ -43,27 +59,52 @@ def test_every_block_is_of_a_kind_that_is_tested():
     assert all((ROOT / path).exists() for path in re.findall(r"\]\((?!http)([^)]+)\)", README))
 
 
+@thorough
 def test_commands_run_one_after_the_other(tmp_path):
     """In their order, in one folder, without a display; the scene file is the README's own."""
     (tmp_path / "curtain.toml").write_text(blocks("toml")[0])
-    lines = [line for text in blocks("sh") for line in text.splitlines() if SET_UP not in line]
-    assert len(lines) >= 8
-    for line in lines:
-        assert line.startswith("taichi-cloth ")
+    for line in command_lines():
         shell(line, tmp_path, environment())
     made = {path.name for path in tmp_path.iterdir()}
     files = {"curtain.toml", "cloth.npz", "session.jsonl", "cloth.png", "cloth.mp4"}
     assert made == files | {"trade-cloth", "stability-cloth"}
 
 
-def test_python_example_runs_and_is_short(tmp_path):
+def test_commands_on_files_run_one_after_the_other(cli, tmp_path):
+    """In one folder: what is saved, recorded and replayed, and the README's own scene file."""
+    (tmp_path / "curtain.toml").write_text(blocks("toml")[0])
+    lines = [line for line in command_lines() if any(word in line for word in QUICK)]
+    assert len(lines) == 4
+    for line in lines:
+        cli(*shlex.split(line)[1:], "--execution", "serial", "--topology", "graph", cwd=tmp_path)
+    made = {path.name for path in tmp_path.iterdir()}
+    assert made == {"curtain.toml", "cloth.npz", "session.jsonl", "cloth.png", "cloth.mp4"}
+
+
+@pytest.mark.parametrize("line", [line for line in command_lines() if " run " in line])
+def test_every_run_is_accepted(line, tmp_path, monkeypatch, capsys):
+    """Up to the moment at which Taichi would start; the slow ones run in the thorough tests."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "curtain.toml").write_text(blocks("toml")[0])
+    (tmp_path / "session.jsonl").write_text("")
+
+    def start(*_, **__):
+        raise InputError("it would start now")
+
+    not_starting(monkeypatch, start)
+    assert main(shlex.split(line)[1:]) == 2
+    assert capsys.readouterr().err == "taichi-cloth: error: it would start now\n"
+
+
+def test_python_example_runs_and_is_short(cli, tmp_path):
     (example,) = blocks("python")
     assert len(example.splitlines()) <= 15
-    out = shell(f"{sys.executable} -c '{example}'", tmp_path, environment())
+    out = cli.call("commands:printed_by", program=example)
     assert re.search(r"\(384, 2\) 7\d\d -?\d+\.\d+", out)
 
 
 # An unpacked source archive has no git and nothing tracked to copy; .ci/run has both.
+@thorough
 @pytest.mark.skipif(shutil.which("git") is None, reason="needs git to copy what is tracked")
 def test_the_first_command_sets_everything_up(tmp_path):
     """In a copy of what git tracks: the environment is made, and the cloth runs headless."""
@@ -78,35 +119,62 @@ def test_the_first_command_sets_everything_up(tmp_path):
     assert "no display" in out and "600 frames in" in out
 
 
-def test_wheel_and_sdist_install_and_work(tmp_path):
-    """Built in isolation, installed into a clean environment, run from elsewhere."""
-    out = tmp_path / "dist"
-    shell(f"{sys.executable} -m build -q --outdir {out} {ROOT}", tmp_path, environment())
-    files = sorted(path.name for path in out.iterdir())
-    assert [name.endswith((".whl", ".tar.gz")) for name in files] == [True, True]
-    packages = {".".join(path.relative_to(ROOT).parts[:-1]) for path in PACKAGES}
-    inside = shell(f"{sys.executable} -m zipfile -l {out}/*.whl", tmp_path, environment())
-    for package in packages:
-        assert f"{package.replace('.', '/')}/__init__.py" in inside
+def build(folder):
+    """The paths of a source archive and of the wheel that is built from it, in `folder`."""
+    # Where setuptools is new enough, nothing is downloaded.
+    try:
+        version = importlib.metadata.version("setuptools")
+    except importlib.metadata.PackageNotFoundError:
+        version = "0"
+    alone = ["--no-isolation"] if int(version.split(".")[0]) >= 77 else []
+    command = [sys.executable, "-m", "build", "-q", *alone, "--outdir", str(folder), str(ROOT)]
+    shell(shlex.join(command), folder.parent, environment())
+    wheel, archive = sorted(folder.iterdir())
+    assert archive.name.endswith(".tar.gz") and wheel.name.endswith(".whl")
+    return archive, wheel
+
+
+def test_the_wheel_of_the_source_archive_has_all_and_works(tmp_path):
+    """In an environment that has what it depends on, run from elsewhere."""
+    _, wheel = build(tmp_path / "dist")
+    inside = shell(f"{sys.executable} -m zipfile -l {wheel}", tmp_path, environment())
+    for package in PACKAGES:
+        assert package.relative_to(ROOT).as_posix() in inside
     assert not re.search(r"^(kernels|ui|tests)/", inside, re.M)
 
+    venv.create(tmp_path / "env", with_pip=False)
+    bin_ = tmp_path / "env" / "bin"
+    (there,) = (tmp_path / "env" / "lib").glob("python*/site-packages")
+    (there / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    install = f"-m pip --python {bin_}/python install -q --no-deps --no-index --ignore-installed"
+    shell(f"{sys.executable} {install} {wheel}", tmp_path, environment())
+    env = environment(bin_)
+    place = shell("python -c 'import taichi_cloth; print(taichi_cloth.__file__)'", tmp_path, env)
+    assert Path(place.splitlines()[-1]).is_relative_to(there)
+    said = shell("taichi-cloth run box --particles 9 --frames 5", tmp_path, env)
+    assert "5 frames in" in said
+
+
+@thorough
+def test_wheel_and_sdist_install_with_what_they_depend_on(tmp_path):
+    """Each into a clean environment, with pip."""
+    files = build(tmp_path / "dist")
     venv.create(tmp_path / "env", with_pip=True)
     bin_ = tmp_path / "env" / "bin"
-    for number, file in enumerate(("*.whl", "*.tar.gz")):
+    for number, file in enumerate(files):
         again = "--force-reinstall --no-deps" if number else ""
-        shell(f"{bin_}/pip install -q {again} {out}/{file}", tmp_path, environment(bin_))
+        shell(f"{bin_}/pip install -q {again} {file}", tmp_path, environment(bin_))
         said = shell("taichi-cloth run box --particles 9 --frames 5", tmp_path, environment(bin_))
         assert "5 frames in" in said
 
 
-def test_documented_scene_file_and_log_are_accepted(tmp_path, device):
+def test_documented_scene_file_and_log_are_accepted(tmp_path, pool):
     from taichi_cloth.files import events
     from taichi_cloth.scene import scenefile
-    from taichi_cloth.simulation.simulation import Simulation
 
     text = (ROOT / "docs" / "scenes.md").read_text()
     scene = scenefile.parse(re.search(r"^```toml\n(.*?)^```", text, re.M | re.S)[1])
-    Simulation(scene, execution="serial").advance(3)
+    pool(scene).advance(3)
     log = tmp_path / "log.jsonl"
     log.write_text(re.search(r"^```json\n(.*?)^```", text, re.M | re.S)[1])
     assert sorted(events.load(log).by_frame) == [12, 13, 20]

@@ -4,11 +4,10 @@ import csv
 import json
 import math
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import command
+from inside import move_to
 
 from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
@@ -32,10 +31,7 @@ from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.stability import experiment, report
 
-pytestmark = pytest.mark.usefixtures("device", "few_lanes")
-
 LIMITED = [m for m in methods.METHODS if methods.load(m).claims.stability_limit < math.inf]
-GRAPH = {"topology": "graph", "execution": "serial"}
 
 
 def tangle(seed=1, damping=0.1, drag=0.2):
@@ -83,7 +79,7 @@ def real_growth(sim, scene, force, h, steps=40):
                 for sign in (1, -1):
                     x, v = x0.copy(), np.zeros_like(x0)
                     (x, v)[part][i, axis] += sign * epsilon
-                    sim.load_as("graph", "serial", x, v)
+                    move_to(sim, "graph", "serial", x, v)
                     sim.hold(force)
                     sim.set_step(h * steps, steps)
                     sim.advance()
@@ -94,11 +90,11 @@ def real_growth(sim, scene, force, h, steps=40):
 
 
 @pytest.mark.parametrize("method", LIMITED)
-def test_the_limit_is_where_the_real_map_of_a_step_begins_to_grow(method):
+def test_the_limit_is_where_the_real_map_of_a_step_begins_to_grow(pool, method):
     """No formula: the method's kernels, disturbed in every direction, with drag and dashpots."""
     scene = experiment.at_rest(tangle())
     limit = stable_step(methods.load(method), Network.from_scene(scene))
-    sim = Simulation(scene, method, **GRAPH)
+    sim = pool(scene, method)
     still = np.zeros_like(scene.particles.position)
     force = -diagnostics.spring_forces(scene.particles.position, still, scene.springs)
     assert real_growth(sim, scene, force, 0.995 * limit.dt) < 1 - 1e-7
@@ -152,7 +148,7 @@ def test_bounds_hold_in_every_geometry_and_each_is_closer_than_the_last():
     assert close.omega2 < 0.95 * rough.omega2 and close.damping < rough.damping
     crumpled = scene.particles.position * rng.uniform(0.05, 3.0, scene.particles.position.shape)
     for position in (scene.particles.position, crumpled, rng.normal(0, 50, crumpled.shape)):
-        network = Network.from_scene(scene, position)
+        network = Network.from_particles(scene.particles, scene.springs, position)
         for matrix, bound in zip(
             stiffness_and_damping(network), (close.omega2, close.damping), strict=True
         ):
@@ -175,10 +171,8 @@ def test_the_matrices_are_the_derivatives_of_the_force_and_the_force_that_of_the
         return moved[free].ravel()
 
     def energy(direction, h):
-        rows = springs.between, springs.stiffness, springs.rest_length, np.ones(len(springs), bool)
-        return diagnostics.energy(
-            x + h * direction, 0 * v, particles.mass, free, (0, 0), *rows
-        ).elastic
+        pulling = np.ones(len(springs), bool)
+        return diagnostics.energy(scene, x + h * direction, 0 * v, pulling).elastic
 
     direction = np.where(free[:, None], v, 0.0)
     stiffness, damping = stiffness_and_damping(Network.from_scene(scene))  # masses are 1
@@ -202,12 +196,12 @@ def test_the_spring_responsible_is_the_one_that_is_stiff():
     assert limit.spring == 17 and limit.share > 0.9
     assert limit.ends == tuple(scene.springs.between[17])
     holds = np.arange(len(scene.springs)) != 17
-    rest = Network.from_scene(scene, holds=holds)
+    rest = Network.from_particles(scene.particles, scene.springs, holds=holds)
     without = stable_step(euler, rest)
     assert without.dt > 5 * limit.dt and without.spring != 17
     # A number counts all springs, those that are gone, too.
     holds[:10] = False
-    rest = Network.from_scene(scene, holds=holds)
+    rest = Network.from_particles(scene.particles, scene.springs, holds=holds)
     named = stable_step(euler, rest)
     assert named.spring >= 10 and named.ends == tuple(scene.springs.between[named.spring])
 
@@ -229,22 +223,20 @@ def test_f32_stalls_where_the_lower_limit_says():
 # --- dt auto ---------------------------------------------------------------------------------
 
 
-def brittle(method="symplectic_euler"):
+def brittle(pool, method):
     """A small cloth whose spring 5 is stiff, and breaks in the fourth frame or so."""
     scene = build("cloth", columns=5, rows=4)
     scene.springs.stiffness[5], scene.springs.break_force[:] = 40.0, np.inf
     scene.springs.break_force[5] = 30.0
     a, b = scene.springs.between[5]
     scene.particles.velocity[b] = 0.5 * (scene.particles.position[b] - scene.particles.position[a])
-    return Simulation(scene, method, dt="auto", **GRAPH)
+    return pool(scene, method, "auto")
 
 
 def fits(sim):
     """Whether the substeps are the fewest that keep to 0.9 of what holds in every geometry."""
     holds = sim.springs_alive()
-    network = Network.from_scene(
-        replace(sim.scene, particles=sim._particles, springs=sim._springs), holds=holds
-    )
+    network = Network.from_scene(sim.storage.scene, holds=holds)
     method = methods.load(sim.method)
     limit = 0.9 * step_within(method, any_geometry(network))
     few = sim.substeps == 1 or sim.dt / (sim.substeps - 1) > limit * 0.999
@@ -252,8 +244,8 @@ def fits(sim):
 
 
 @pytest.mark.parametrize("method", ["symplectic_euler", "verlet"])
-def test_dt_auto_follows_a_break(method):
-    sim = brittle(method)
+def test_dt_auto_follows_a_break(pool, method):
+    sim = brittle(pool, method)
     chosen, times = [sim.substeps], []
     assert fits(sim) and sim.substeps > 4
     for _ in range(10):
@@ -273,14 +265,18 @@ def test_dt_auto_follows_a_break(method):
         sim.set_step(substeps=3)
 
 
-def test_dt_auto_follows_what_is_spawned_and_refuses_what_is_too_stiff():
+def clicked(stiffness):
+    """An empty scene into which clicks put particles, tied by springs so stiff."""
     world = World((100.0, 100.0), (0.0, 0.1), mouse="spawn")
-    defaults = SpringDefaults(stiffness=5.0, rest_length=10.0, break_force=1e9)
-    scene = Scene(
-        "spawn", world, Particles.none(2), particle_defaults=ParticleDefaults(mass=0.5),
-        spring_defaults=defaults,
-    )  # fmt: skip
-    sim = Simulation(scene, dt="auto", execution="serial")
+    defaults = SpringDefaults(stiffness=stiffness, rest_length=10.0, break_force=1e9)
+    light = ParticleDefaults(mass=0.5)
+    return Scene(
+        "spawn", world, Particles.none(2), particle_defaults=light, spring_defaults=defaults
+    )
+
+
+def test_dt_auto_follows_what_is_spawned(pool):
+    sim = pool(clicked(5.0), dt="auto")
     assert sim.substeps == 1
     last = sim.spawn((50.0, 20.0), fixed=True)
     for k in range(3):
@@ -288,16 +284,23 @@ def test_dt_auto_follows_what_is_spawned_and_refuses_what_is_too_stiff():
         sim.advance()
         assert fits(sim)
     assert sim.substeps == math.ceil(math.sqrt(10) * math.sin(math.pi * 5 / 14) / 0.9)
-    object.__setattr__(defaults, "stiffness", 1e13)
-    before = sim.particle_count, sim.spring_count, sim.substeps
-    with pytest.raises(InputError, match="--dt auto: a stable step of symplectic_euler is"):
-        sim.spawn((50.0, 80.0), tied_to=last)
-    assert (sim.particle_count, sim.spring_count, sim.substeps) == before
     sim.reset()
     assert sim.substeps == 1
 
 
-def test_dt_auto_is_refused_where_it_cannot_be():
+def test_dt_auto_refuses_what_is_too_stiff_and_leaves_all_as_it_was(pool):
+    sim = pool(clicked(1e13), dt="auto")
+    for x in (20.0, 50.0):
+        last = sim.spawn((x, 20.0))
+    sim.advance()
+    before = sim.particle_count, sim.spring_count, sim.substeps, sim.positions().tolist()
+    with pytest.raises(InputError, match="--dt auto: a stable step of symplectic_euler is"):
+        sim.spawn((50.0, 80.0), tied_to=last)
+    after = sim.particle_count, sim.spring_count, sim.substeps, sim.positions().tolist()
+    assert before == after and before[:3] == (2, 0, 1)
+
+
+def test_dt_auto_is_refused_where_it_cannot_be(device):
     assert main(["run", "cloth", "--dt", "auto", "--substeps", "2"]) == 2
     with pytest.raises(InputError, match="--dt auto chooses them"):
         Simulation(build("chain"), dt="auto", substeps=2)
@@ -305,9 +308,9 @@ def test_dt_auto_is_refused_where_it_cannot_be():
         Simulation(build("chain"), "explicit_euler", dt="auto")
 
 
-def test_verlet_keeps_its_acceleration_when_the_step_changes():
+def test_verlet_keeps_its_acceleration_when_the_step_changes(pool):
     """The exact discrete map of an oscillator, with another step in every frame."""
-    sim = Simulation(build("oscillator", stiffness=0.3), "verlet", dt=0.5, execution="serial")
+    sim = pool(build("oscillator", stiffness=0.3), "verlet", dt=0.5)
     verlet, state = methods.load("verlet"), np.array([50.0, 0.0, -0.3 * 50.0])
     for k in range(40):
         dt, substeps = 0.3 + 0.05 * (k % 7), 1 + k % 3
@@ -322,8 +325,8 @@ def test_verlet_keeps_its_acceleration_when_the_step_changes():
 # --- before a run, and the command -----------------------------------------------------------
 
 
-def test_a_step_above_the_limit_is_warned_of_with_a_remedy_that_helps():
-    sim = Simulation(build("cloth", columns=5, rows=4), dt=3.0, **GRAPH)
+def test_a_step_above_the_limit_is_warned_of_with_a_remedy_that_helps(pool):
+    sim = pool(build("cloth", columns=5, rows=4), dt=3.0)
     said = auto_step.above_limit(sim.method, sim.scene, sim.dt, sim.substeps)
     limit = stable_step(methods.load(sim.method), sim.network())
     assert f"a step of 3 is above {limit.dt:.4g}, the stable limit of symplectic_euler" in said
@@ -336,14 +339,14 @@ def test_a_step_above_the_limit_is_warned_of_with_a_remedy_that_helps():
     assert auto_step.above_limit(sim.method, sim.scene, sim.dt, sim.substeps) is not None
 
 
-def test_run_warns_on_standard_error_and_auto_does_not():
+def test_run_warns_on_standard_error_and_auto_does_not(cli):
     flags = ["--headless", "--frames", 1, "--execution", "serial"]
-    out, err = command("run", "oscillator", "--dt", 21, *flags)
+    out, err = cli("run", "oscillator", "--dt", 21, *flags)
     (line,) = err.splitlines()
     assert line.startswith("taichi-cloth: warning: a step of 21 is above 20, the stable limit")
     assert "spring 0, between particles 0 and 1" in line and "--substeps 2" in line
-    assert command("run", "oscillator", "--dt", 21, *flags, "--quiet") == ("", "")
-    out, err = command("run", "oscillator", "--stiffness", 20, "--dt", "auto", *flags)
+    assert cli("run", "oscillator", "--dt", 21, *flags, "--quiet") == ("", "")
+    out, err = cli("run", "oscillator", "--stiffness", 20, "--dt", "auto", *flags)
     assert err == "" and "dt 1, 3 substeps" in out
 
 
@@ -370,14 +373,14 @@ stiffness = 2.0
 """
 
 
-def test_a_recording_with_dt_auto_replays_to_the_same_bits(tmp_path):
+def test_a_recording_with_dt_auto_replays_to_the_same_bits(cli, tmp_path):
     (tmp_path / "two.toml").write_text(TWO_SPRINGS)
     flags = ["two.toml", "--headless", "--frames", 20, "--execution", "serial"]
     recorded = ["--dt", "auto", "--record", "log.jsonl", "--save", "a.npz"]
-    out, _ = command("run", *flags, *recorded, cwd=tmp_path)
+    out, _ = cli("run", *flags, *recorded, cwd=tmp_path)
     assert '"dt": "auto"' in (tmp_path / "log.jsonl").read_text()
     replayed = ["--events", "log.jsonl", "--save", "b.npz"]
-    assert command("run", *flags, *replayed, "--quiet", cwd=tmp_path) == ("", "")
+    assert cli("run", *flags, *replayed, "--quiet", cwd=tmp_path) == ("", "")
     with np.load(tmp_path / "a.npz") as a, np.load(tmp_path / "b.npz") as b:
         for name in a.files:
             np.testing.assert_array_equal(a[name], b[name])
@@ -388,8 +391,8 @@ def test_a_recording_with_dt_auto_replays_to_the_same_bits(tmp_path):
     assert last["dt_auto"] and 1 < last["substeps"] < first
 
 
-def test_the_command_finds_the_chain_s_limit_and_writes_its_files(tmp_path):
-    out, _ = command(
+def test_the_command_finds_the_chain_s_limit_and_writes_its_files(cli, tmp_path):
+    out, _ = cli(
         "stability", "chain", "--particles", 5, "--stiffness", 0.7, "--method", "verlet",
         cwd=tmp_path,
     )  # fmt: skip
@@ -414,12 +417,13 @@ def test_the_command_finds_the_chain_s_limit_and_writes_its_files(tmp_path):
     assert b"<svg" in (folder / "stability.svg").read_bytes()
 
 
-def test_the_command_refuses_what_it_cannot_do(tmp_path):
+def test_the_command_refuses_what_it_cannot_do(tmp_path, capsys):
     (tmp_path / "file").touch()
     for arguments, message in (
         (["--method", "verlett"], "did you mean 'verlet'"),
         (["--output", tmp_path / "file"], "cannot be made"),
         (["--steps", "3"], "unknown flag '--steps'"),
     ):
-        _, err = command("stability", "oscillator", *arguments, check=2)
+        assert main(["stability", "oscillator", *map(str, arguments)]) == 2
+        err = capsys.readouterr().err
         assert message in err and len(err.splitlines()) == 1

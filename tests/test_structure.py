@@ -1,9 +1,8 @@
-"""The architecture, read from the source: who may import whom, and what start-up may cost."""
+"""The architecture, read from the source: who may import whom, and what start-up may load."""
 
 import ast
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -82,14 +81,9 @@ def test_each_file_says_what_it_is_for():
 @pytest.mark.parametrize(
     "arguments", [["-c", "import taichi_cloth"], ["-m", "taichi_cloth", "--help"]]
 )
-def test_start_up_is_quick_and_leaves_taichi_alone(arguments):
-    def run(*more):
-        begin = time.perf_counter()
-        done = subprocess.run([sys.executable, *more, *arguments], capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        return time.perf_counter() - begin, done.stderr
-
-    loaded = run("-X", "importtime")[1]
-    assert "taichi_cloth" in loaded
-    assert not [line for line in loaded.splitlines() if line.split("|")[-1].strip() == "taichi"]
-    assert min(run()[0] for _ in range(5)) < 0.3
+def test_start_up_leaves_taichi_alone(arguments):
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", *arguments], capture_output=True, text=True, check=True
+    )
+    loaded = {line.split("|")[-1].strip() for line in done.stderr.splitlines()}
+    assert "taichi_cloth" in loaded and "taichi" not in loaded

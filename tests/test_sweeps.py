@@ -2,19 +2,10 @@
 
 import numpy as np
 import pytest
-from conftest import command
+from cloths import LINKS, assert_same, cloth, edits, mixed, motion, particles_and_springs
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_topologies import (
-    LINKS,
-    TWO_CLOTHS,
-    assert_same,
-    cloth,
-    edits,
-    mixed,
-    motion,
-    particles_and_springs,
-)
+from selection import as_thorough, mostly_thorough
 
 from taichi_cloth.kernels import methods
 from taichi_cloth.scene.library import build
@@ -97,8 +88,8 @@ def backward_euler(x, v, h, damping, drag):
 
 
 @pytest.mark.parametrize(("damping", "drag"), [(0.0, 0.0), (2.0, 0.4)])
-def test_one_sweep_of_xpbd_over_one_spring_is_backward_euler(damping, drag, device):
-    sim = Simulation(two_bodies(damping, drag), "xpbd", iterations=1, execution="serial")
+def test_one_sweep_of_xpbd_over_one_spring_is_backward_euler(damping, drag, pool):
+    sim = pool(two_bodies(damping, drag), "xpbd", iterations=1)
     x, v = sim.positions()[:, 0], sim.velocities()[:, 0]
     for _ in range(30):
         sim.advance()
@@ -108,11 +99,11 @@ def test_one_sweep_of_xpbd_over_one_spring_is_backward_euler(damping, drag, devi
 
 
 @sweeping
-def test_a_spring_of_no_length_has_no_direction_and_pulls_nowhere(method, device):
+def test_a_spring_of_no_length_has_no_direction_and_pulls_nowhere(method, pool):
     world = World(size=(100.0, 100.0), gravity=(0.0, 1.0), dt=0.5)
     x = [[50.0, 20.0]] * 3
     springs = Springs.build([[0, 1], [1, 2], [0, 2]], x, stiffness=[5.0, 5.0, 0.0], rest_length=2.0)
-    sim = Simulation(Scene("point", world, Particles.build(x), springs), method, execution="serial")
+    sim = pool(Scene("point", world, Particles.build(x), springs), method)
     sim.advance(4)
     np.testing.assert_allclose(sim.positions(), [[50.0, 22.5]] * 3, rtol=0, atol=1e-12)
     np.testing.assert_allclose(sim.velocities(), [[0.0, 2.0]] * 3, rtol=0, atol=1e-12)
@@ -122,17 +113,15 @@ def test_a_spring_of_no_length_has_no_direction_and_pulls_nowhere(method, device
 
 
 @sweeping
-def test_many_sweeps_end_at_the_solution_of_backward_euler(method, device):
-    scene = cloth(7, 6, LINKS[:2], 3, damping=0.05, drag=0.1, speed=1.0)
-    how = {"execution": "serial", "topology": "graph"}
-    exact = Simulation(scene, "implicit_euler", 2.0, tolerance=1e-13, **how)
+def test_many_sweeps_end_at_the_solution_of_backward_euler(method, pool):
+    scene = cloth(7, 6, LINKS[:2], damping=0.05, drag=0.1, speed=1.0)
+    exact = pool(scene, "implicit_euler", 2.0, tolerance=1e-13)
     exact.advance()
     assert exact.work().unconverged == 0
     goal, moved = exact.positions(), np.abs(exact.positions() - scene.particles.position).max()
-    sim, errors = Simulation(scene, method, 2.0, **how), []
+    errors = []
     for sweeps in (1, 4, 16, 64, 256):
-        sim.solver["iterations"] = sweeps
-        sim.reset()
+        sim = pool(scene, method, 2.0, iterations=sweeps)
         sim.advance()
         assert sim.work().sweeps == sweeps
         errors.append(np.abs(sim.positions() - goal).max() / moved)
@@ -144,7 +133,7 @@ def test_many_sweeps_end_at_the_solution_of_backward_euler(method, device):
 
 
 @sweeping
-def test_the_number_of_sweeps_does_not_change_the_material(method, device):
+def test_the_number_of_sweeps_does_not_change_the_material(method, pool):
     """A cloth that hangs is stretched as statics say, after 1 sweep a step or many.
 
     Links of a row carry all rows below: together m*g*(4 + 3 + 2 + 1)/k. What is missing after few
@@ -155,54 +144,38 @@ def test_the_number_of_sweeps_does_not_change_the_material(method, device):
     scene.particles.fixed[:4] = True
     stretch = scene.particles.mass[0] * scene.world.gravity[1] * 10 / scene.springs.stiffness[0]
     slack = scene.particles.position[:4, 1] + 4 * scene.springs.rest_length[0]
-    sim = Simulation(scene, method, 0.1, execution="serial", topology="graph")
     for sweeps in (1, 4, 16):
-        sim.solver["iterations"] = sweeps
-        sim.reset()
+        sim = pool(scene, method, 0.1, iterations=sweeps)
         sim.advance(20_000)
         assert np.abs(sim.velocities()).max() < 1e-9
         hanging = sim.positions()[16:, 1] - slack
         np.testing.assert_allclose(hanging, stretch, rtol=5e-3 if sweeps == 1 else 1e-6)
 
 
-@pytest.mark.parametrize(("method", "sweeps"), [("xpbd", 2), ("vbd", 40)])
-def test_momentum_is_kept(method, sweeps, topology, device):
-    """By xpbd in every sweep, whose impulses are equal and opposite; by vbd once it converged."""
-    scene = cloth(7, 6, LINKS[:2], 2, damping=0.05)
-    scene.particles.fixed[:] = False
-    scene = scene.with_world(gravity=(0.0, 0.0))
-    how = {"topology": topology, "execution": "parallel", "lanes": 2, "dt": 0.5}
-    sim = Simulation(scene, method, iterations=sweeps, **how)
-    before = sim.momentum()
-    sim.advance(100)
-    np.testing.assert_allclose(sim.momentum(), before, rtol=1e-12)
+MIXED = {
+    "in space": (mixed(), {"execution": "serial", "lanes": 2}),
+    "colliding": (mixed(2, collisions=True), {"execution": "parallel", "lanes": 2}),
+    "one lane": (mixed(collisions=True), {"execution": "parallel", "lanes": 1}),
+}
+BY_DEFAULT = [("xpbd", "in space"), ("vbd", "colliding")]
 
 
-@sweeping
 @pytest.mark.parametrize(
-    ("scene", "how"),
-    [
-        (mixed(), {}),
-        (mixed(2, collisions=True), {"execution": "parallel"}),
-        (mixed(collisions=True), {"lanes": 1, "execution": "parallel"}),
-    ],
+    ("method", "name"),
+    mostly_thorough([(method, name) for method in SWEEPING for name in MIXED], BY_DEFAULT),
 )
-def test_cloths_tied_to_each_other_move_the_same_on_both_topologies(method, scene, how, device):
-    on_grids = motion(scene, method=method, topology="lanes", **how)
-    assert_same(on_grids, motion(scene, method=method, topology="graph"), 1e-9)
+def test_cloths_tied_to_each_other_move_the_same_on_both_topologies(method, name, pool):
+    scene, how = MIXED[name]
+    on_grids = motion(Simulation(scene, method, topology="lanes", **how))
+    assert_same(on_grids, motion(pool(scene, method)), 1e-9)
     assert on_grids[2].any() and not on_grids[2].all()
 
 
-@pytest.mark.parametrize(("method", "collisions"), [("xpbd", "false"), ("vbd", "true")])
-def test_sweeps_have_the_same_bits_for_every_thread_count(method, collisions, tmp_path):
-    (tmp_path / "two.toml").write_text(TWO_CLOTHS.replace("COLLISIONS", collisions))
-    runs = []
-    for threads in (1, 3):
-        how = ("--method", method, "--iterations", 1, "--topology", "lanes", "--headless")
-        how += ("--execution", "parallel", "--threads", threads, "--frames", 90)
-        command("run", tmp_path / "two.toml", *how, "--save", tmp_path / f"{threads}.npz")
-        with np.load(tmp_path / f"{threads}.npz") as file:
-            runs.append(dict(file))
-    assert not runs[0]["spring_alive"][-1].all()
-    for name in ("position", "velocity", "spring_alive"):
-        np.testing.assert_array_equal(runs[1][name], runs[0][name])
+@pytest.mark.parametrize(
+    ("method", "collisions"),
+    [("xpbd", False), as_thorough(("xpbd", True)), as_thorough(("vbd", True)), ("vbd", False)],
+)
+def test_sweeps_have_the_same_bits_for_every_thread_count(method, collisions, cli):
+    made = {"precision": "f32", "method": method, "collisions": collisions, "iterations": 1}
+    one, three = (cli.call("cloths:bits", **made, threads=count) for count in (1, 3))
+    assert one == three and one[1] > 0

@@ -16,8 +16,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from conftest import command
-from test_verification import DISCRETE
+from discrete import DISCRETE
+from selection import thorough
 
 from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
@@ -54,12 +54,12 @@ def read(folder):
 
 
 @pytest.fixture(scope="module")
-def oscillator(tmp_path_factory):
+def oscillator(cli, tmp_path_factory):
     """A trade of the oscillator: its folder, and what it printed."""
     folder = tmp_path_factory.mktemp("oscillator")
     chosen = ["--methods", "symplectic_euler,verlet", "--substeps", "1,2,4", "--frames", 20]
     arguments = ["trade", "oscillator", *chosen, "--quick", "--output", folder]
-    return folder, *command(*arguments)
+    return folder, *cli(*arguments)
 
 
 # ------------------------------------------------------------------------------------------
@@ -114,10 +114,8 @@ def test_closed_forms_of_scenes_solve_their_equations():
         np.testing.assert_allclose(v, solved.v, rtol=0, atol=1e-9)
 
 
-def test_two_independent_references_agree(device):
+def test_two_independent_references_agree(pool):
     """Springs of all kinds, dashpots and drag, in 3-D too, by SciPy and by our kernels."""
-    from taichi_cloth.simulation.simulation import Simulation
-
     flat = library.build("cloth", columns=5, rows=4, shear=0.2, bend=0.1, damping=0.05)
     p = flat.particles
     rng = np.random.default_rng(1)
@@ -131,7 +129,7 @@ def test_two_independent_references_agree(device):
     scene = Scene("deep", world, deep, replace(flat.springs))
     times = np.arange(21.0)
     solved = ode.solve(scene, times)
-    sim = Simulation(scene, "rk4", substeps=256, execution="serial", topology="graph")
+    sim = pool(scene, "rk4", substeps=256)
     for frame in range(1, len(times)):
         sim.advance()
         np.testing.assert_allclose(sim.positions(), solved.x[frame], rtol=0, atol=1e-11)
@@ -234,7 +232,7 @@ def test_measures_are_what_they_say():
     assert fast.momentum_drift(still) == pytest.approx(9.0 / still.impulse)
 
     broken, true = alive.copy(), alive.copy()
-    broken[3:, 2] = broken[4:, 7] = True & False
+    broken[3:, 2] = broken[4:, 7] = False
     true[5:, 7] = true[4:, 9] = False
     breaks = Breaks.of(replace(one, alive=broken), replace(one, alive=true))
     assert (breaks.count, breaks.agreeing, breaks.first, breaks.later) == (2, 1, 3, -1)
@@ -294,7 +292,10 @@ def test_files_keep_the_contract_and_say_the_same(oscillator):
         beaten = any(s <= seconds and e <= error and (s, e) != (seconds, error) for s, e in costs)
         assert row["pareto"] is not beaten
         assert re.search(rf"●\s+{row['method']}", printed) or not row["pareto"]
-    assert "12 of" not in printed and "of" in told  # progress goes to standard error
+    # Progress goes to standard error.
+    progress = r"^(\d+) of (\d+): "
+    done, of = re.findall(progress, told, re.M)[-1]
+    assert done == of and int(of) >= len(table) and not re.search(progress, printed, re.M)
 
 
 def test_a_narrow_terminal_is_shown_fewer_columns_and_whole_words(oscillator, capsys):
@@ -333,11 +334,11 @@ def test_plots_are_whole_pictures(oscillator):
     assert svg.tag.endswith("svg")
 
 
-def test_a_row_can_be_run_again(oscillator, tmp_path):
+def test_a_row_can_be_run_again(oscillator, cli, tmp_path):
     """Its command gives the state that it was judged by."""
     row = next(r for r in read(oscillator[0]) if r["precision"] == "f64" and r["substeps"] == 2)
     words = row["command"].split()[1:]
-    command(*words, "--headless", "--frames", 20, "--save", "a.npz", "--quiet", cwd=tmp_path)
+    cli(*words, "--headless", "--frames", 20, "--save", "a.npz", "--quiet", cwd=tmp_path)
     with np.load(tmp_path / "a.npz") as saved:
         x = saved["position"][-1, 1, 0]
     exact = 250.0 + 50.0 * math.cos(0.1 * 20)
@@ -363,10 +364,10 @@ break_force = 0.15
 """
 
 
-def test_of_a_tearing_scene_it_says_what_broke_and_which_order_survives(tmp_path):
+def test_of_a_tearing_scene_it_says_what_broke_and_which_order_survives(cli, tmp_path):
     (tmp_path / "tearing.toml").write_text(TEARING)
     chosen = ["--methods", "rk4", "--substeps", "16,256", "--precisions", "f64"]
-    out, _ = command(
+    out, _ = cli(
         "trade", "tearing.toml", *chosen, "--dt", 8, "--frames", 3, "--quick", cwd=tmp_path
     )
     table = read(tmp_path / "trade-tearing")
@@ -379,11 +380,11 @@ def test_of_a_tearing_scene_it_says_what_broke_and_which_order_survives(tmp_path
     assert 0.5 < table[1]["order"] < 1.5
 
 
-def test_a_setting_that_fails_is_a_row_without_errors(tmp_path):
+def test_a_setting_that_fails_is_a_row_without_errors(cli, tmp_path):
     (tmp_path / "stiff.toml").write_text(TEARING.replace("break_force = 0.15", ""))
     chosen = ["--methods", "symplectic_euler", "--substeps", "1,16", "--precisions", "f64"]
     arguments = ["trade", "stiff.toml", *chosen, "--dt", 8, "--frames", 60, "--output", "out"]
-    out, _ = command(*arguments, "--quick", cwd=tmp_path)
+    out, _ = cli(*arguments, "--quick", cwd=tmp_path)
     failed, good = read(tmp_path / "out")
     assert re.match(r"failed: frame \d+, particle 1 runs away", failed["status"])
     assert failed["error_trajectory"] is failed["wall_seconds"] is None and not failed["pareto"]
@@ -391,11 +392,12 @@ def test_a_setting_that_fails_is_a_row_without_errors(tmp_path):
     assert "✗" in out and "1 of 2 settings failed" in out
 
 
-def test_errors_of_the_step_and_of_its_solver_are_kept_apart(tmp_path):
+@thorough
+def test_errors_of_the_step_and_of_its_solver_are_kept_apart(cli, tmp_path):
     """A loose tolerance adds to the error of the step, which stays what it is."""
     chosen = ["--methods", "implicit_euler", "--substeps", 2, "--precisions", "f64"]
     chosen += ["--tolerances", "1e-1,1e-7", "--columns", 5, "--rows", 4, "--frames", 20]
-    command("trade", "cloth", *chosen, "--quick", "--output", tmp_path)
+    cli("trade", "cloth", *chosen, "--quick", "--output", tmp_path)
     tight, loose = read(tmp_path)
     assert tight["tolerance"] == 1e-7 and loose["tolerance"] == 0.1
     assert tight["error_discretisation"] == loose["error_discretisation"] > 0
@@ -407,6 +409,7 @@ def test_errors_of_the_step_and_of_its_solver_are_kept_apart(tmp_path):
     assert loose["sweeps"] < tight["sweeps"]
 
 
+@thorough
 def test_an_interrupted_sweep_keeps_what_is_finished(tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-m", "taichi_cloth", "trade", "oscillator", "--output", str(tmp_path)]
@@ -624,9 +627,9 @@ def test_another_start_differs_a_little_and_keeps_what_is_fixed():
     assert (again.particles.velocity != other.particles.velocity).any()
 
 
-def test_tune_confirms_its_choice_and_prints_the_command_that_uses_it(tmp_path):
+def test_tune_confirms_its_choice_and_prints_the_command_that_uses_it(cli, tmp_path):
     chosen = ["--methods", "symplectic_euler", "--precisions", "f64", "--substeps", "1,32,512"]
-    out, told = command("tune", "oscillator", *chosen, "--error", "0.5%", "--quick", "--json")
+    out, told = cli("tune", "oscillator", *chosen, "--error", "0.5%", "--quick", "--json")
     found = json.loads(out)
     assert told == ""
     assert found["setting"]["substeps"] == 32  # of the errors 1.7, 0.05 and 0.003 %
@@ -636,4 +639,4 @@ def test_tune_confirms_its_choice_and_prints_the_command_that_uses_it(tmp_path):
     assert found["confirmed"]["error"] != found["expected"]["error"]
     words = found["command"].split()
     assert words[:3] == ["taichi-cloth", "run", "oscillator"]
-    command(*words[1:], "--headless", "--frames", 2, cwd=tmp_path)
+    cli(*words[1:], "--headless", "--frames", 2, cwd=tmp_path)

@@ -14,13 +14,13 @@ import time
 
 import numpy as np
 import pytest
-from conftest import command, virtual_screen
+from commands import command
+from screens import virtual_screen
 
 from taichi_cloth import runtime
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import COLOR_CYCLE, Particles, Scene, World
 from taichi_cloth.simulation.diagnostics import Work
-from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app, hud, text
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.controls import Controls
@@ -221,8 +221,8 @@ def test_every_scene_lists_its_keys(mouse):
 
 
 @pytest.mark.parametrize("topology", ["lanes", "graph"])
-def test_what_is_drawn_is_the_simulations(topology, device):
-    sim = Simulation(library.build("cloth"), topology=topology, execution="serial")
+def test_what_is_drawn_is_the_simulations(topology, pool):
+    sim = pool(library.build("cloth"), topology=topology, execution="parallel")
     x, whole = sim.drawn_positions(), sim.drawn_springs()
     assert len(whole) == 356
     for frame in range(40):
@@ -238,8 +238,8 @@ def test_what_is_drawn_is_the_simulations(topology, device):
     np.testing.assert_array_equal(sim.drawn_springs(), whole)
 
 
-def test_what_clicks_add_is_drawn(device):
-    sim = Simulation(library.build("sandbox"), execution="serial")
+def test_what_clicks_add_is_drawn(pool):
+    sim = pool(library.build("sandbox"))
     assert sim.drawn_positions().shape == (0, 2) and len(sim.drawn_springs()) == 0
     for count in (1, 2, 3):
         sim.spawn((100.0 * count, 100.0), tied_to=count - 2 if count > 1 else None)
@@ -439,7 +439,7 @@ particles = Particles.build(place, radius=40.0, color=[(250, 20, 20), (20, 250, 
 springs = Springs.build([(0, 1)], place)
 runtime.start()
 scene = Scene("probe", world, particles, springs, ParticleDefaults(radius=30.0))
-sim = Simulation(scene)
+sim = Simulation(scene, execution="serial")
 view = open_view(kind, world, title="taichi-cloth probe")
 
 
@@ -466,8 +466,8 @@ def display():
 class Window:
     """A running probe window and the hands on it."""
 
-    def __init__(self, display, folder, kind, mouse, dim):
-        self.env = {**os.environ, "DISPLAY": display, "TI_SKIP_VERSION_CHECK": "ON"}
+    def __init__(self, display, caches, folder, kind, mouse, dim):
+        self.env = {**os.environ, **caches, "DISPLAY": display}
         self.log, self.image = folder / "log.jsonl", folder / "last.png"
         program = textwrap.dedent(PROGRAM)
         self.process = subprocess.Popen(
@@ -519,14 +519,14 @@ class Window:
 
 
 @pytest.fixture(params=["ggui", "gui"])
-def window(request, display, tmp_path):
+def window(request, display, caches, tmp_path):
     """Opens one probe window of each kind."""
     if request.param == "ggui" and not runtime.vulkan_available():
         pytest.skip("GGUI needs Vulkan")
     opened = []
 
     def open_window(mouse, dim):
-        opened.append(Window(display, tmp_path, request.param, mouse, dim))
+        opened.append(Window(display, caches, tmp_path, request.param, mouse, dim))
         return opened[-1]
 
     yield open_window
@@ -612,7 +612,7 @@ def test_a_resized_window_keeps_the_aspect_and_cuts_nothing_off(window):
 @needs_x
 @pytest.mark.parametrize("kind", ["ggui", "gui"])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_the_picture_without_a_window_shows_the_scene(kind, dim, tmp_path):
+def test_the_picture_without_a_window_shows_the_scene(kind, dim, caches, tmp_path):
     """Drawn off-screen in a process without a display; the spheres are where the camera says."""
     if kind == "ggui" and not runtime.vulkan_available():
         pytest.skip("GGUI needs Vulkan")
@@ -630,7 +630,7 @@ def test_the_picture_without_a_window_shows_the_scene(kind, dim, tmp_path):
     image = tmp_path / "picture.png"
     env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     arguments = [kind, "none", str(dim), tmp_path / "log", image]
-    subprocess.run([sys.executable, "-c", code, *arguments], env=env, check=True)
+    subprocess.run([sys.executable, "-c", code, *arguments], env={**env, **caches}, check=True)
     pixels = np.asarray(Image.open(image).convert("RGB")).astype(int)
     assert pixels.shape == (600, 900, 3)
     places = np.array([(300.0, 200.0, 0.0), (500.0, 300.0, 0.0)])
@@ -701,12 +701,12 @@ def test_films_and_pictures_appear_whole_or_not_at_all(tmp_path):
 
 @needs_x
 @pytest.mark.parametrize("kind", ["ggui", "gui"])
-def test_a_window_opens_also_while_the_server_starts_anew(kind, display, tmp_path):
+def test_a_window_opens_also_while_the_server_starts_anew(kind, display, caches, tmp_path):
     """Every run here is the server's only client, so between two runs it begins from scratch."""
     for _ in range(3):
         out, error = command(
-            *("run", "cloth", "--view", kind, "--frames", 5),
-            env={"DISPLAY": display},
+            *("run", "oscillator", "--view", kind, "--frames", 5, "--execution", "serial"),
+            env={**caches, "DISPLAY": display},
             cwd=tmp_path,
         )
         assert f"window {kind}" in out and "5 frames in" in out and error == ""

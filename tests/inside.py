@@ -1,0 +1,101 @@
+"""What tests of kernels need of a simulation's inside, in one place: all else asks it from outside.
+
+Kernels are tested on a state that a simulation has loaded, because only it lays particles out.
+"""
+
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import NamedTuple
+
+import pytest
+
+from taichi_cloth import runtime
+from taichi_cloth.kernels import methods
+from taichi_cloth.simulation import autotune, simulation, storage
+from taichi_cloth.simulation.frame_timer import FrameTimer
+from taichi_cloth.simulation.launch import Launcher
+
+
+def state_of(sim):
+    """Its fields on the device."""
+    return sim.storage.state
+
+
+def spec_of(sim):
+    """What its kernels are compiled for, with loops that Taichi spreads."""
+    threads = runtime.current_device().threads
+    return replace(sim.storage.specialization, threads=threads, one_launch_per_step=True)
+
+
+def fields_of(sim):
+    """The names of the fields that it has room for."""
+    return set(vars(sim.storage.state))
+
+
+def move_to(sim, topology, path, x, v):
+    """Go on from positions x and velocities v, (n, dim)."""
+    sim.load_as(topology, path, x, v)
+
+
+def add_vectors(sim, name, haloed=False):
+    """Another vector of each particle, state.<name>; haloed: read by those that it is tied to."""
+    state_of(sim).add_vectors(spec_of(sim), name, haloed=haloed)
+
+
+def add_sums(sim, count):
+    """Room for `count` sums over all particles, state.sums[k, 0]."""
+    state_of(sim).add_sums(count)
+
+
+def take_step(sim, step):
+    """Take one step of a method that is this function, ti.func(spec, state, t)."""
+    method = replace(methods.load("symplectic_euler"), step=step)
+    launcher = Launcher(method, runtime.current_device())
+    launcher.run_frames(sim.storage.specialization, state_of(sim), sim.steps, 1, 1)
+
+
+class Way(NamedTuple):
+    """A way to run a scene that is being timed."""
+
+    timer: FrameTimer
+    topology: str
+    path: str
+
+
+def measure_by(monkeypatch, measure):
+    """Let measure(way) -> seconds be how fast a way of running is; returns what it replaces."""
+    before = FrameTimer.time_candidate
+    monkeypatch.setattr(FrameTimer, "time_candidate", lambda *way: measure(Way(*way)))
+    return lambda way: before(*way)
+
+
+def candidates_of(sim):
+    """The ways to run a simulation, as `autotune.choose` takes them."""
+    return FrameTimer(sim.storage, sim._launcher, sim._numbers(), sim.substeps, sim.method)
+
+
+def lose_patience(monkeypatch, sim):
+    """Let threads of a simulation look slower than one alone, at once."""
+    monkeypatch.setattr(autotune.Pace, "PATIENCE", 0.0)
+    sim._pace = autotune.Pace(alone=1e-12)  # nothing is as fast
+
+
+@contextmanager
+def few_lanes():
+    """Packs of 2 lanes in simulations made meanwhile: they compile in a third of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(simulation, "LANES", 2)
+        yield
+
+
+@contextmanager
+def room_for_clicks(count):
+    """Room for `count` particles that clicks add, in simulations made meanwhile."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(storage, "SPAWN_CAPACITY", count)
+        yield
+
+
+def not_starting(monkeypatch, instead):
+    """Call `instead` where a run would start Taichi."""
+    monkeypatch.setattr(runtime, "start", instead)

@@ -1,0 +1,31 @@
+"""Screens for windows, where nobody looks."""
+
+import contextlib
+import os
+import shutil
+import subprocess
+
+import pytest
+
+
+@contextlib.contextmanager
+def virtual_screen():
+    """An X server of our own, as long as the context lasts; its name. CI must have Xvfb.
+
+    A plain one, which starts anew whenever its last client leaves.
+    """
+    if not (shutil.which("Xvfb") or os.environ.get("CI")):
+        pytest.skip("needs Xvfb")
+    read, write = os.pipe()
+    screen = ["-screen", "0", "1400x900x24", "-nolisten", "tcp"]
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), *screen], pass_fds=[write], stderr=subprocess.DEVNULL
+    )
+    os.close(write)
+    with os.fdopen(read) as said:
+        number = said.readline().strip()
+    try:
+        yield f":{number}"
+    finally:
+        server.terminate()
+        server.wait()
