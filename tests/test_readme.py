@@ -151,7 +151,7 @@ def test_the_wheel_of_the_source_archive_has_all_and_works(tmp_path):
     env = environment(bin_)
     place = shell("python -c 'import taichi_cloth; print(taichi_cloth.__file__)'", tmp_path, env)
     assert Path(place.splitlines()[-1]).is_relative_to(there)
-    said = shell("taichi-cloth run box --particles 9 --frames 5", tmp_path, env)
+    said = shell("taichi-cloth run box --particles 9 --frames 5 --execution serial", tmp_path, env)
     assert "5 frames in" in said
 
 
@@ -164,7 +164,11 @@ def test_wheel_and_sdist_install_with_what_they_depend_on(tmp_path):
     for number, file in enumerate(files):
         again = "--force-reinstall --no-deps" if number else ""
         shell(f"{bin_}/pip install -q {again} {file}", tmp_path, environment(bin_))
-        said = shell("taichi-cloth run box --particles 9 --frames 5", tmp_path, environment(bin_))
+        said = shell(
+            "taichi-cloth run box --particles 9 --frames 5 --execution serial",
+            tmp_path,
+            environment(bin_),
+        )
         assert "5 frames in" in said
 
 
