@@ -107,15 +107,15 @@ def _store_acceleration(spec: ti.template(), state: ti.template(), i, f):
     write(spec, state.a, i, acceleration(spec, state, i, f))
 
 
-def _laws(spec, adds, resists=None):
-    """The laws of those terms on particles that add ACCELERATION or FORCE.
+def _terms(spec, adds, resists=None):
+    """Those terms on particles that add ACCELERATION or FORCE.
 
     adds: which of both; resists: True: only those with damping; False: only those without; None:
     all.
     """
     found = [load(name) for name in spec.terms]
     return [
-        term.law
+        term
         for term in found
         if term.adds == adds and (resists is None or has(term.damping) == resists)
     ]
@@ -131,12 +131,15 @@ def acceleration(spec: ti.template(), state: ti.template(), i, f):
     w, v = read(spec, state.w, i), read(spec, state.v, i)
     none = 0.0 * v
     a, total = none, f
-    for law in ti.static(_laws(spec, ACCELERATION)):
-        a += law(spec, state, i)
-    for law in ti.static(_laws(spec, FORCE, True)):
-        a += scaled(w, law(spec, state, i))
-    for law in ti.static(_laws(spec, FORCE, False)):
-        total += law(spec, state, i)
+    for term in ti.static(_terms(spec, ACCELERATION)):
+        a += term.law(spec, state, i)
+    for term in ti.static(_terms(spec, FORCE, True)):
+        a += scaled(w, term.law(spec, state, i))
+    for term in ti.static(_terms(spec, FORCE, False)):
+        if ti.static(not has(term.acts)):
+            total += term.law(spec, state, i)
+        elif term.acts(state):
+            total += term.law(spec, state, i)
     return where_positive(w, a + scaled(w, total), none)
 
 

@@ -61,7 +61,7 @@ def _number_of_link(
     """One number of links: their own, the one of their kind and grid, or 0 where none is stored."""
     if ti.static(not is_stored(field)):
         return 0.0 * k
-    elif ti.static(declared.per_link):
+    elif ti.static(declared.own(spec)):
         return number(spec, field, at)
     elif ti.static(declared.void):  # an absent link, of stiffness 0, has no dashpot either
         return ti.select(k > 0.0, field[s, g], 0.0 * k)

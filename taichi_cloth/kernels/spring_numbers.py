@@ -32,6 +32,15 @@ class SpringNumber:
     needs: str = ""
     per_link: bool = False
     void: bool = False
+    changed_by: str = ""
+
+    def own(self, spec):
+        """Whether each link of a grid has its own."""
+        return self.per_link or self.changes(spec.terms)
+
+    def changes(self, terms):
+        """Whether one of these terms changes it while a scene runs."""
+        return bool(self.changed_by) and self.changed_by in terms
 
     def stored(self, spec):
         """Whether the kernels of a specialization have this number."""
@@ -62,7 +71,9 @@ def stored_fields(spec, state, place):
 
 def own_columns(spec, state):
     """The pairs (index in `NUMBERS`, field) of the numbers that each link of a grid has itself."""
-    return [(at, field) for at, field in stored_fields(spec, state, "link") if NUMBERS[at].per_link]
+    return [
+        (at, field) for at, field in stored_fields(spec, state, "link") if NUMBERS[at].own(spec)
+    ]
 
 
 def own_numbers(spec, state):
@@ -73,7 +84,7 @@ def own_numbers(spec, state):
 def shared_columns(spec, state):
     """The pairs (index in `NUMBERS`, field) of the numbers that links of a kind and grid share."""
     found = stored_fields(spec, state, "link")
-    return [(at, field) for at, field in found if not NUMBERS[at].per_link]
+    return [(at, field) for at, field in found if not NUMBERS[at].own(spec)]
 
 
 def is_stored(field):

@@ -208,7 +208,7 @@ class State:
         self.row = row
         self.link, self.forward = self._counts(kinds, 2), self._counts(kinds)
         for number in NUMBERS:
-            if number.stored(spec) and number.per_link:
+            if number.stored(spec) and number.own(spec):
                 numbers = self._pack_numbers(spec, kinds * self.packs)
                 setattr(self, f"link_{number.letter}", numbers)
         if "spring_colours" in method.needs:
@@ -260,7 +260,7 @@ class State:
     def _place_links_of_kinds(self, spec):
         of_kinds = spec.kinds, max(self.capacity.grids, 1)
         for number in NUMBERS:
-            if number.stored(spec) and not number.per_link:
+            if number.stored(spec) and not number.own(spec):
                 setattr(self, f"link_{number.letter}", self._scalars(*of_kinds))
         self.link_limit2 = self._scalars(*of_kinds)
 

@@ -6,6 +6,8 @@ how many steps came before; steps are numbered from 1.
 
 import taichi as ti
 
+from taichi_cloth.kernels.forces import load
+from taichi_cloth.kernels.forces.contract import has
 from taichi_cloth.kernels.fracture import break_springs
 from taichi_cloth.kernels.loops import COUNTER, PIECE, barrier
 from taichi_cloth.kernels.solvers.phases import run_one_of
@@ -17,6 +19,20 @@ def substep(method: ti.template(), spec: ti.template(), state: ti.template(), t,
     """Run step number `step` of a method, then break springs by the positions that it reached."""
     begin_step(state, step)
     method(spec, state, t)
+    end_step(spec, state, t)
+
+
+def after_steps(spec):
+    """What the scene's forces do at the end of each step, as ti.funcs."""
+    terms = [load(name) for name in spec.terms]
+    return [term.after_step for term in terms if has(term.after_step)]
+
+
+@ti.func
+def end_step(spec: ti.template(), state: ti.template(), t):
+    """End a step: what the scene's forces do then, and fracture from the positions it reached."""
+    for after_step in ti.static(after_steps(spec)):
+        after_step(spec, state, t)
     if ti.static(spec.fracture):
         break_springs(spec, state, t)
 
@@ -119,8 +135,8 @@ def phases_in_one_launch(
 
 @ti.kernel
 def end_step_launch(spec: ti.template(), state: ti.template()):
-    """Break springs after the phases of a step."""
-    break_springs(spec, state, 0)
+    """End a step after its phases."""
+    end_step(spec, state, 0)
 
 
 @ti.kernel

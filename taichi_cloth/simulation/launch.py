@@ -93,7 +93,7 @@ class Launcher:
         for step in range(done + 1, done + substeps + 1):
             if by_phases:
                 self._launch_phases(spec, state, step)
-                if spec.fracture:
+                if spec.fracture or stepping.after_steps(spec):
                     stepping.end_step_launch(spread, state)
             else:
                 stepping.substep_launch(self._step, spec, state, step)

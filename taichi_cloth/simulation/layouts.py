@@ -345,7 +345,7 @@ def _shared_numbers(
             same[:] &= (values[linked] == mine) | (np.abs(values[linked] - mine) <= SAME * mine)
         return table
 
-    columns = [number.column for number in NUMBERS if not number.per_link]
+    columns = [n.column for n in NUMBERS if not (n.per_link or n.changes(terms))]
     numbers = {column: shared(getattr(springs, column)) for column in columns}
     limit = shared(limit2)
     kind = kind.copy()

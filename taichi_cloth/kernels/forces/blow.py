@@ -28,7 +28,6 @@ from taichi_cloth.kernels.packs import (
     set_slot_value,
     with_component,
     write,
-    zeros,
 )
 
 REACH = 50.0  # world units from the pointer at which its force ends
@@ -38,10 +37,12 @@ STRENGTH = 0.002  # force per unit of displacement and of distance short of the 
 @ti.func
 def law(spec: ti.template(), state: ti.template(), i):
     """The forces on pack i that are held for this frame, or zero."""
-    f = zeros(spec, state)
-    if state.pushing[None] == 1:
-        f = read(spec, state.push, i)
-    return f
+    return read(spec, state.push, i)
+
+
+@ti.func
+def acts(state: ti.template()):
+    return state.pushing[None] == 1
 
 
 @ti.kernel
@@ -126,6 +127,8 @@ TERM = Term(
         DeviceField("pointer_strength", NUMBER),
     ),
     law=law,
+    acts=acts,
+    after_step=Absent("it changes nothing"),
     stiffness=Absent("it is held through a frame, wherever the particle goes"),
     damping=Absent("it does not depend on velocity"),
     across=Absent("it does not act along springs"),

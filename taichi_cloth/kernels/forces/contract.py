@@ -94,14 +94,18 @@ class Term:
     keys: those keys of scene files that it declares itself.
     present(scene): whether the scene can ever need it, also after clicks.
     fields: those that it has on the device.
-    law, stiffness, damping, across: see the head of this file.
+    law, stiffness, damping, across: see the head of this file; without a law it adds nothing.
+    acts(state): whether it acts in a step, where that changes from frame to frame; on particles
+        alone, and without damping.
+    after_step(spec, state, t): what it does at the end of each step, a ti.func, such as changing
+        springs' numbers: those that name it in `spring_numbers.SpringNumber.changed_by`.
     energy(x, v, world, particles, springs): its potential energy, of all particles, a number.
     twin: the law in NumPy, for references. On particles twin(x, v, world, particles) gives
         (n, dim); along springs twin(length, rate, springs) gives (s,), from their lengths and the
         rates at which they lengthen, both (s,).
     bound(world, particles, springs): its share of the stability limit: (stiffness, damping), each
         (n,), or (s,) along springs, at least the magnitude of the law's derivatives.
-    variant(scene): a `Switch`, the scene with the term switched over; None where that makes no
+    variant(scene): a `Variant`, the scene with the term switched over; None where that makes no
         sense.
 
     Raises ValueError where a part is none of these.
@@ -111,7 +115,9 @@ class Term:
     keys: tuple[Key, ...] | Absent
     present: Callable[[Any], bool]
     fields: tuple[DeviceField, ...] | Absent
-    law: Callable
+    law: Callable | Absent
+    acts: Callable | Absent
+    after_step: Callable | Absent
     stiffness: Callable | Absent
     damping: Callable | Absent
     across: Callable | Absent
@@ -125,7 +131,7 @@ class Term:
             raise ValueError(f"adds is {self.adds!r}; it must be one of {', '.join(KINDS)}")
         for part in fields(self):
             value = getattr(self, part.name)
-            if isinstance(value, Absent) and (part.name in ("present", "law") or not value.reason):
+            if isinstance(value, Absent) and (part.name == "present" or not value.reason):
                 raise ValueError(f"{part.name} cannot be absent, or is so without a reason")
             if part.name in ("keys", "fields"):
                 kind = Key if part.name == "keys" else DeviceField
@@ -137,6 +143,10 @@ class Term:
                     )
             elif part.name != "adds" and not (isinstance(value, Absent) or callable(value)):
                 raise ValueError(f"{part.name} must be a function, or Absent(reason)")
+        if not has(self.law) and not has(self.after_step):
+            raise ValueError("law and after_step cannot both be absent")
+        if has(self.acts) and (self.adds == TENSION or has(self.damping)):
+            raise ValueError("acts is for forces on particles without damping")
         for field in () if isinstance(self.fields, Absent) else self.fields:
             if field.shape not in SHAPES:
                 raise ValueError(f"field {field.name}: shape {field.shape!r} is none of {SHAPES}")
