@@ -23,7 +23,9 @@ class SpringNumber:
     column: its name among a scene's springs (`scene.model.Springs`).
     needs: the name of the term without which it is not stored and reads as 0; "": it is always
         stored.
-    per_link: whether each link of a grid has its own.
+    per_link: whether each link of a grid has its own in every scene.
+    changed_by: the name of the term that changes it after each step; in scenes with that each
+        spring has its own. "": none does.
     void: whether it reads as 0 where a link is absent, which is where the stiffness is 0.
     """
 

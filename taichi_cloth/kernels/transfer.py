@@ -356,6 +356,27 @@ def read_link_fracture(
 
 
 @ti.kernel
+def read_numbers(field: ti.template(), places: ti.types.ndarray(), out: ti.types.ndarray()):
+    """Copy the numbers of half-springs out, (s,): those at `places` (s,) in a field of theirs."""
+    for s in range(out.shape[0]):
+        out[s] = field[places[s]]
+
+
+@ti.kernel
+def read_link_numbers(
+    spec: ti.template(),
+    state: ti.template(),
+    field: ti.template(),
+    links: ti.types.ndarray(),
+    out: ti.types.ndarray(),
+):
+    """Copy the links' own numbers in a field out, (l,); links: (l, 2): kind, slot."""
+    for i in range(links.shape[0]):
+        link = link_index(state, links[i, 0], 0) * spec.lanes + links[i, 1]
+        out[i] = slot_number(spec, field, link)
+
+
+@ti.kernel
 def count_broken(spec: ti.template(), state: ti.template()) -> ti.i32:
     """The number of springs, on the graph and of grids, that are breaking or gone."""
     count = 0

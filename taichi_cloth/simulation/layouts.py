@@ -6,7 +6,7 @@ A pack holds several particles side by side, its width in number, each in a slot
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -185,6 +185,7 @@ def on_grids(
     particle_count: int,
     lanes: int,
     period: Callable[[int], int] = any_period,
+    terms: Collection[str] = (),
 ) -> Layout | None:
     """The layout of regular grids in packs, and of what else there is; None without a grid.
 
@@ -194,6 +195,7 @@ def on_grids(
     lanes: the width of packs.
     period: strips are a multiple of this many columns wide, a function of the most columns that a
         link reaches.
+    terms: names of the scene's forces; a number that one of them changes is each link's own.
     """
     grids = adjacency.find_grids(springs.between, particle_count)
     if not grids:
@@ -208,7 +210,7 @@ def on_grids(
         )
 
     kind = _kinds(springs, grid, column, row)
-    shared, limit, kind = _shared_numbers(springs, kind, grid, len(grids))
+    shared, limit, kind = _shared_numbers(springs, kind, grid, len(grids), terms)
     used = np.unique(kind[kind >= 0])
     if not len(used):
         return None  # all of them differ
@@ -321,7 +323,11 @@ def _alike(springs: Springs, kind: np.ndarray, grids: Sequence[adjacency.Grid], 
 
 
 def _shared_numbers(
-    springs: Springs, kind: np.ndarray, grid: np.ndarray, grid_count: int
+    springs: Springs,
+    kind: np.ndarray,
+    grid: np.ndarray,
+    grid_count: int,
+    terms: Collection[str],
 ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
     """What links of a kind and grid share, each (kinds, grids): their numbers by column of
     `Springs`, but those that each link has of its own, and the break length squared; and the kinds.

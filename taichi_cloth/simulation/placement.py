@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taichi_cloth.kernels import forces
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import TOPOLOGIES
 from taichi_cloth.simulation import layouts
@@ -87,7 +88,8 @@ class Placements:
             period = layouts.spring_period
         elif "particle_colours" in self._needs:
             period = layouts.particle_period
-        return layouts.on_grids(scene.springs, count, self._lanes, period)
+        terms = forces.present_in(scene)
+        return layouts.on_grids(scene.springs, count, self._lanes, period, terms)
 
     def _sorted_springs(self, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
         """The springs that no grid holds, in the order of memory, and their colours."""

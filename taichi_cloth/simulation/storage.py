@@ -15,10 +15,11 @@ from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.solvers import newton_cg
 from taichi_cloth.kernels.specialization import Specialization
+from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE, WORK, Capacity, State
 from taichi_cloth.runtime import Device, still_runs
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.simulation import diagnostics
+from taichi_cloth.simulation import adjacency, diagnostics
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.layouts import Layout
 from taichi_cloth.simulation.numbers import Numbers
@@ -232,9 +233,11 @@ class Storage:
         features, layout = dict(vars(self.scene.features())), placement.layout
         spawns = self.scene.world.mouse == "spawn"
         features["springs"] &= spawns or len(placement.graph_springs) > 0
+        terms = forces.present_in(self.scene)
+        features["uniform_springs"] &= not any(number.changes(terms) for number in NUMBERS)
         return Specialization(
             **features,
-            terms=forces.present_in(self.scene),
+            terms=terms,
             lanes=layout.lanes,
             links=layout.links,
             rows_share_stiffness=layout.rows_share_stiffness and not features["fracture"],
@@ -275,7 +278,34 @@ class Storage:
 
     def snapshot(self) -> Snapshot:
         """The state as it is now."""
-        return Snapshot(self.scene, self.positions(), self.velocities(), self.marks())
+        return Snapshot(self._scene_now(), self.positions(), self.velocities(), self.marks())
+
+    def _scene_now(self) -> Scene:
+        """The scene with those numbers of springs that forces have changed since."""
+        spec, springs = self.specialization, self.scene.springs
+        changed = [n for n in NUMBERS if n.changes(spec.terms) and n.stored(spec)]
+        if not changed or len(springs) == 0:
+            return self.scene
+        columns = {n.column: self._read_springs(n.letter, len(springs)) for n in changed}
+        return replace(self.scene, springs=replace(springs, **columns))
+
+    def _read_springs(self, letter: str, count: int) -> np.ndarray:
+        """A number that each spring has of its own, (s,) float64."""
+        placement, out = self._now.placement, np.zeros(count, self.real)
+        mine = placement.graph_springs
+        if len(mine):
+            ends = placement.layout.slot[self.scene.springs.between[mine]]
+            half = adjacency.half_springs(ends, placement.layout.n_packs * placement.layout.lanes)
+            part, field = np.zeros(len(mine), self.real), getattr(self.state, f"csr_{letter}")
+            self._launcher.launch(transfer.read_numbers, field, half.half[:, 0].copy(), part)
+            out[mine] = part
+        if len(placement.links):
+            part, field = np.zeros(len(placement.links), self.real), f"link_{letter}"
+            places = placement.link_places
+            self._launch(transfer.read_link_numbers, getattr(self.state, field), places, part)
+            out[placement.links] = part
+        values: np.ndarray = out.astype(np.float64)
+        return values
 
     def positions(self) -> np.ndarray:
         """Positions, (n, dim) float64."""
