@@ -152,8 +152,7 @@ ON_GRAPH = ("--headless", "--topology", "graph", "--execution", "serial")
 
 
 def test_a_run_prints_two_lines_and_saves_what_it_did(cli, tmp_path):
-    arguments = ["--headless", "--execution", "serial", "--frames", 25, "--every", 10]
-    arguments += ["--precision", "f64"]
+    arguments = [*ON_GRAPH, "--frames", 25, "--every", 10, "--precision", "f64"]
     out, err = cli("run", "cloth", *arguments, "--save", "out.npz", cwd=tmp_path)
     assert err == ""
     first, last = out.splitlines()

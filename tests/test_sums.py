@@ -140,6 +140,7 @@ def elastic_energy(spec: ti.template(), state: ti.template()) -> ti.f64:
     return total
 
 
+@pytest.mark.parametrize("topology", mostly_thorough(["lanes", "graph"], default=["lanes"]))
 def test_the_energy_of_springs_can_be_summed(topology, device):
     sim = Simulation(mixed(2), topology=topology, execution="parallel", lanes=2)
     sim.advance(30)  # some springs are gone

@@ -5,7 +5,7 @@ import pytest
 from cloths import LINKS, assert_same, cloth, edits, mixed, motion, particles_and_springs
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from selection import as_thorough, mostly_thorough
+from selection import mostly_thorough, thorough
 
 from taichi_cloth.kernels import methods
 from taichi_cloth.scene.library import build
@@ -171,10 +171,9 @@ def test_cloths_tied_to_each_other_move_the_same_on_both_topologies(method, name
     assert on_grids[2].any() and not on_grids[2].all()
 
 
-@pytest.mark.parametrize(
-    ("method", "collisions"),
-    [("xpbd", False), as_thorough(("xpbd", True)), as_thorough(("vbd", True)), ("vbd", False)],
-)
+@thorough  # by default `test_topologies.py` has one thread and two, equal to the bit
+@pytest.mark.parametrize("collisions", [False, True])
+@sweeping
 def test_sweeps_have_the_same_bits_for_every_thread_count(method, collisions, cli):
     made = {"precision": "f32", "method": method, "collisions": collisions, "iterations": 1}
     one, three = (cli.call("cloths:bits", **made, threads=count) for count in (1, 3))
