@@ -12,13 +12,14 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.explain import command as explain
 from taichi_cloth.explain import costs
 from taichi_cloth.explain.variants import kinds_of_links, variants
+from taichi_cloth.kernels import forces
 from taichi_cloth.scene import library
 from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.library import build
 from taichi_cloth.simulation.simulation import Simulation
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "features.md"
-# What a feature is called, and the switch of `Features` and `Plan` that it is.
+# What a feature is called, and the switch of `Features`, or the force, that it is.
 SWITCHES = {
     "springs": "springs",
     "fracture": "fracture",
@@ -34,16 +35,22 @@ FULL = {"columns": 6, "rows": 5, "shear": 0.1, "damping": 0.02}
 SCENES = [(name, explain.FILLED.get(name, {})) for name in library.names()] + [("cloth", FULL)]
 
 
+def switches(scene):
+    """Its features, and which forces it has."""
+    present = forces.present_in(scene)
+    return {name: name in present for name in forces.TERMS} | vars(scene.features())
+
+
 @pytest.mark.parametrize(("name", "parameters"), SCENES)
 def test_a_variant_differs_in_one_feature(name, parameters):
     scene = build(name, **parameters)
-    own = vars(scene.features())
+    own = switches(scene)
     switched = {variant.feature: variant for variant in variants(scene, on_graph=True)}
     for feature in ("fracture", "dashpots") if len(scene.springs) else ():
         assert feature in switched
     assert {"drag", "walls", "collisions"} <= switched.keys()
     for feature, variant in switched.items():
-        its = vars(variant.scene.features())
+        its = switches(variant.scene)
         changed = {switch for switch in own if bool(own[switch]) != bool(its[switch])}
         # The floor is a wall; numbers that differ, or are all gone, are no longer shared.
         changed -= {"floor", "uniform_springs", "uniform_particles"} - {SWITCHES.get(feature)}
@@ -96,8 +103,12 @@ def test_fields_and_their_bytes_are_those_on_the_device(device):
     said = costs.describe(sim)
     fields = {f.name: f for f in said.fields}
     assert (fields["x"].shape, fields["x"].bytes) == ((30, 2), 30 * 16)
-    assert fields["far"].bytes == 2 * 49 * 4 and fields["k"].bytes == 8 and said.on_graph == 49
-    assert "given" not in fields and "link_k" not in fields
+    assert (
+        fields["csr_other"].bytes == 2 * 49 * 4
+        and fields["csr_k"].bytes == 8
+        and said.on_graph == 49
+    )
+    assert "ring_forces" not in fields and "link_k" not in fields
     assert said.bytes == sum(f.bytes for f in said.fields) + 2 * 32 * 4
     larger = Simulation(build("cloth", columns=60, rows=50), topology="graph", execution="serial")
     assert costs.describe(larger).bytes > 50 * said.bytes

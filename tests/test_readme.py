@@ -173,12 +173,12 @@ def test_wheel_and_sdist_install_with_what_they_depend_on(tmp_path):
 
 
 def test_documented_scene_file_and_log_are_accepted(tmp_path, pool):
-    from taichi_cloth.files import events
     from taichi_cloth.scene import scenefile
+    from taichi_cloth.ui import interaction
 
     text = (ROOT / "docs" / "scenes.md").read_text()
     scene = scenefile.parse(re.search(r"^```toml\n(.*?)^```", text, re.M | re.S)[1])
     pool(scene).advance(3)
     log = tmp_path / "log.jsonl"
     log.write_text(re.search(r"^```json\n(.*?)^```", text, re.M | re.S)[1])
-    assert sorted(events.load(log).by_frame) == [12, 13, 20]
+    assert sorted(interaction.load(log).by_frame) == [12, 13, 20]

@@ -259,8 +259,21 @@ def test_features_that_a_scene_lacks_have_no_fields():
         return fields_of(Simulation(scene, execution="serial", topology=topology))
 
     bare = Scene("bare", World((9.0, 9.0), (0.0, 1.0)), Particles.build([[1.0, 1.0]]))
-    on_graph, on_grid = {"k", "near", "status"}, {"link_k", "given", "link_status", "breaking"}
-    optional = {"viscous", "push", "low", "radius", "c", "jump", "sorted_x", *on_graph, *on_grid}
+    on_graph, on_grid = (
+        {"csr_k", "csr_slot", "status"},
+        {"link_k", "ring_forces", "link_status", "breaking"},
+    )
+    optional = {
+        "viscous",
+        "push",
+        "low",
+        "radius",
+        "csr_c",
+        "jump",
+        "sorted_x",
+        *on_graph,
+        *on_grid,
+    }
     cloth = {"viscous", "push", "low", "radius"}
     assert not optional & fields(bare)
     assert optional & fields(build("cloth")) == cloth | on_graph

@@ -148,7 +148,7 @@ def test_bounds_hold_in_every_geometry_and_each_is_closer_than_the_last():
     assert close.omega2 < 0.95 * rough.omega2 and close.damping < rough.damping
     crumpled = scene.particles.position * rng.uniform(0.05, 3.0, scene.particles.position.shape)
     for position in (scene.particles.position, crumpled, rng.normal(0, 50, crumpled.shape)):
-        network = Network.from_particles(scene.particles, scene.springs, position)
+        network = Network.from_scene(scene, position)
         for matrix, bound in zip(
             stiffness_and_damping(network), (close.omega2, close.damping), strict=True
         ):
@@ -196,12 +196,12 @@ def test_the_spring_responsible_is_the_one_that_is_stiff():
     assert limit.spring == 17 and limit.share > 0.9
     assert limit.ends == tuple(scene.springs.between[17])
     holds = np.arange(len(scene.springs)) != 17
-    rest = Network.from_particles(scene.particles, scene.springs, holds=holds)
+    rest = Network.from_scene(scene, holds=holds)
     without = stable_step(euler, rest)
     assert without.dt > 5 * limit.dt and without.spring != 17
     # A number counts all springs, those that are gone, too.
     holds[:10] = False
-    rest = Network.from_particles(scene.particles, scene.springs, holds=holds)
+    rest = Network.from_scene(scene, holds=holds)
     named = stable_step(euler, rest)
     assert named.spring >= 10 and named.ends == tuple(scene.springs.between[named.spring])
 

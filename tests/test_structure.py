@@ -27,29 +27,63 @@ def imports(path):
             yield name, id(node) in top
 
 
-def layer(path):
-    """0 for kernels, 2 for ui, 1 for what lies between."""
-    part = path.relative_to(ROOT).parts[0]
-    return {"kernels": 0, "ui": 2}.get(part, 1)
+# Which rooms (folders and files of the package's top level) a room may import, beside errors and
+# the version. The order is that of the floors: nothing on the right stands further up.
+BASE = {"files", "kernels", "scene", "settings"}
+ROOMS = {
+    "errors": set(),
+    "kernels": set(),  # device code: knows no scene, file or window
+    "files": set(),
+    "measuring": set(),
+    "settings": {"kernels"},
+    "console": set(),
+    "runtime": {"settings"},
+    "scene": {"files", "kernels", "settings"},
+    "limits": {"kernels", "scene"},
+    "simulation": {*BASE, "limits", "runtime"},
+    "ui": {*BASE, "console", "runtime", "simulation"} - {"kernels"},
+    "explain": {*BASE, "console", "measuring", "runtime", "simulation"},
+    "stability": {*BASE, "console", "limits", "runtime", "simulation"},
+    "trade": {*BASE, "console", "limits", "measuring", "runtime", "simulation"},
+    "benchmarks": {*BASE, "console", "measuring", "runtime", "simulation", "trade"},
+    "cli": {*BASE, "benchmarks", "console", "limits", "measuring", "runtime", "simulation", "ui"},
+    "__main__": {"cli"},
+}
 
 
-def of_layer(name):
-    if name.startswith("taichi_cloth.kernels"):
-        return 0
-    if name.startswith("taichi_cloth.ui"):
-        return 2
-    return 1 if name.startswith("taichi_cloth") else -1
+def room_of(path):
+    return path.relative_to(ROOT).parts[0].removesuffix(".py")
 
 
-def test_imports_point_downwards():
-    """ui -> core -> kernels -> taichi; only commands reach up, inside the function in need."""
-    upwards = [
-        (str(path.relative_to(ROOT)), name)
-        for path in FILES
-        for name, at_top in imports(path)
-        if of_layer(name) > layer(path) and not (path.parent.name == "cli" and not at_top)
-    ]
+def rooms_imported(path):
+    """The rooms that a file imports, also inside functions, and whether at its top level."""
+    for name, at_top in imports(path):
+        parts = name.split(".")
+        if parts[0] == "taichi_cloth" and len(parts) > 1 and parts[1] in ROOMS:
+            yield parts[1], at_top
+
+
+def test_rooms_import_only_what_they_may():
+    """Every room's boundary; what a room may import and does not is taken from the table."""
+    found = {room: set() for room in ROOMS}
+    for path in FILES:
+        if path.name != "__init__.py" or path.parent != ROOT:
+            found[room_of(path)] |= {room for room, _ in rooms_imported(path)}
+    for room, allowed in ROOMS.items():
+        assert found[room] - {room, "errors"} == allowed, room
+    order = list(ROOMS)
+    upwards = [(a, b) for a in ROOMS for b in ROOMS[a] if order.index(b) >= order.index(a)]
     assert not upwards
+
+
+def test_the_ui_is_imported_by_the_command_line_alone_and_late():
+    users = {
+        (room_of(path), at_top)
+        for path in FILES
+        for room, at_top in rooms_imported(path)
+        if room == "ui" and room_of(path) != "ui" and "TYPE_CHECKING" not in path.read_text()
+    }
+    assert users <= {("cli", False)}
 
 
 def test_only_the_runtime_starts_taichi():

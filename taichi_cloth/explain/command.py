@@ -15,6 +15,7 @@ from taichi_cloth import __version__, console
 from taichi_cloth.console import Tell, counted, duration, markdown_table
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.files.pending import PendingFile
+from taichi_cloth.kernels import forces
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import ExplainOptions, check_run, flag
 
@@ -183,8 +184,8 @@ def show(explanation: Explanation, to: Console) -> None:
 
 def _path(compiled: Compiled) -> str:
     plan = compiled.plan
-    cells = f", cells of {plan['lanes']} particles" if plan["lanes"] > 1 else ""
-    if plan["spread"]:
+    cells = f", packs of {plan['lanes']} particles" if plan["lanes"] > 1 else ""
+    if plan["one_launch_per_step"]:
         loops = "each step a launch whose loops are parallel"
     else:
         loops = f"whole frames in one launch on {counted(plan['threads'], 'thread')}"
@@ -208,15 +209,14 @@ def _switches(plan: dict[str, Any], on: bool) -> list[str]:
         "uniform_springs": "one set of numbers for all springs",
         "uniform_particles": "one set of numbers for all particles",
         "fracture": "fracture",
-        "dashpots": "dashpots",
-        "drag": "drag",
         "walls": "walls",
         "floor": "floor",
         "collisions": "collisions",
-        "blow": "mouse that blows",
-        "alike": "one row of stiffness for all rows",
+        "rows_share_stiffness": "one row of stiffness for all rows",
         "compensated": "compensated sums",
     }
+    always = {"gravity", "springs"}  # the first is on in every scene, the second is listed above
+    names |= {name: name for name in forces.TERMS if name not in always}
     return [words for name, words in names.items() if bool(plan[name]) is on]
 
 

@@ -24,6 +24,7 @@ from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.explain.variants import variants
 from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.forces.contract import Variant
+from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.state import State
 from taichi_cloth.measuring.timing import quartiles, turns
 from taichi_cloth.scene.cloth import LINKS
@@ -288,7 +289,7 @@ def describe(sim: Simulation) -> Compiled:
     for number, kind in enumerate(kinds):
         counts[kind] += int((layout.kind == number).sum())
     return Compiled(
-        plan=dict(vars(sim.storage.specialization)),
+        plan=switches(sim.storage.specialization),
         topology=sim.topology,
         execution=sim.execution,
         grids=int((layout.grid[:, 3] == 1).sum()),
@@ -297,6 +298,11 @@ def describe(sim: Simulation) -> Compiled:
         fields=fields_of(sim.storage.state),
         bytes=allocated_bytes(sim.storage.state),
     )
+
+
+def switches(spec: Specialization) -> dict[str, Any]:
+    """The switches of a specialization by name, and whether it has each of the forces."""
+    return {name: name in spec.terms for name in forces.TERMS} | vars(spec)
 
 
 def _backwards(link: tuple[int, int]) -> tuple[int, int]:
