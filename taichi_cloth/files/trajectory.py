@@ -6,7 +6,7 @@ import json
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -61,6 +61,16 @@ class Recordable(Protocol):
     def springs_alive(self) -> np.ndarray: ...
 
 
+class _Frame(NamedTuple):
+    """A frame that was noted: its number and time, and the particles and springs of it."""
+
+    number: int
+    time: float
+    position: np.ndarray
+    velocity: np.ndarray
+    alive: np.ndarray
+
+
 class Trajectory:
     """Collects every `every`-th frame of a simulation and saves them.
 
@@ -76,11 +86,7 @@ class Trajectory:
         self._forget()
 
     def _forget(self) -> None:
-        self._frames: list[int] = []
-        self._times: list[float] = []
-        self._positions: list[np.ndarray] = []
-        self._velocities: list[np.ndarray] = []
-        self._alive: list[np.ndarray] = []
+        self._frames: list[_Frame] = []
         self._springs = np.zeros((0, 2), np.int64)
         self._shape = (0, 2)
 
@@ -93,18 +99,16 @@ class Trajectory:
         was noted before is forgotten.
         """
         frame = sim.frame
-        if self._frames and frame < self._frames[-1]:
+        if self._frames and frame < self._frames[-1].number:
             self._forget()
         self._shape = (sim.particle_count, sim.scene.world.dim)
         self._springs = sim.springs()
         wanted = last or (frame > 0 and frame % self.every == 0)
-        if not wanted or (self._frames and frame == self._frames[-1]):
+        if not wanted or (self._frames and frame == self._frames[-1].number):
             return
-        self._frames.append(frame)
-        self._times.append(sim.time)
-        self._positions.append(sim.positions())
-        self._velocities.append(sim.velocities())
-        self._alive.append(sim.springs_alive())
+        # Whole or not at all: an interrupt while it is read must leave no half of it.
+        now = sim.time, sim.positions(), sim.velocities(), sim.springs_alive()
+        self._frames.append(_Frame(frame, *now))
 
     def save(self, meta: dict[str, Any] | None = None) -> None:
         """Write the file. May be called twice; only the first call writes.
@@ -115,18 +119,18 @@ class Trajectory:
         position = np.full((k, particles, dim), np.nan)
         velocity = np.full((k, particles, dim), np.nan)
         alive = np.zeros((k, len(self._springs)), bool)
-        for i in range(k):
-            position[i, : len(self._positions[i])] = self._positions[i]
-            velocity[i, : len(self._velocities[i])] = self._velocities[i]
-            alive[i, : len(self._alive[i])] = self._alive[i]
+        for i, frame in enumerate(self._frames):
+            position[i, : len(frame.position)] = frame.position
+            velocity[i, : len(frame.velocity)] = frame.velocity
+            alive[i, : len(frame.alive)] = frame.alive
         if self._pending.file.closed:
             return
         # Given an open file, np.savez adds no suffix to the name the user chose.
         self._pending.fill(
             lambda file: np.savez(
                 file,
-                frame=np.array(self._frames, np.int64),
-                time=np.array(self._times, np.float64),
+                frame=np.array([frame.number for frame in self._frames], np.int64),
+                time=np.array([frame.time for frame in self._frames], np.float64),
                 position=position,
                 velocity=velocity,
                 spring=np.asarray(self._springs, np.int64).reshape(-1, 2),

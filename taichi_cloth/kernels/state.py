@@ -235,9 +235,10 @@ class State:
         dim = spec.dim
         self.n, self.n_packs, self.n_grids = self._counts(), self._counts(), self._counts()
         self.grid = self._counts(max(self.capacity.grids, 1), 4)
-        self.dt, self.speed_limit, self.tolerance = (self._scalars() for _ in range(3))
+        self.dt, self.speed_limit = self._scalars(), self._scalars()
+        self.tolerance, self.least_scale = self._scalars(), self._scalars()
         self.iterations = self._counts()
-        self.number_names += ["dt", "speed_limit", "tolerance"]
+        self.number_names += ["dt", "speed_limit", "tolerance", "least_scale"]
         self.count_names += ["n", "iterations"]
         for field in device_fields(spec):
             if field.shape in (NUMBER, VECTOR):

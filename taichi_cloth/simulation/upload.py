@@ -54,6 +54,7 @@ class Upload:
             "dt": numbers.dt,
             "speed_limit": numbers.speed_limit,
             "tolerance": numbers.tolerance,
+            "least_scale": np.abs(world.gravity).max(),
             "cell_size": cell_size,
             "one": 1.0,
             "low": world.low,

@@ -322,9 +322,7 @@ def _judge(spec: ti.template(), state: ti.template(), i):
     state.residual_rms[None] = ti.sqrt(squares / ti.max(state.n[None] * spec.dim, 1))
     first = state.directions[None] == 0
     if first:
-        state.scale[None], state.best[None] = most, most
-        for axis in ti.static(range(spec.dim)):
-            state.scale[None] = ti.max(state.scale[None], ti.abs(state.gravity[axis]))
+        state.scale[None], state.best[None] = ti.max(most, state.least_scale[None]), most
     wanted = _wanted(state)
     finite = is_finite(squares) and (first or is_finite(slope))
     start = state.slope[None]
