@@ -276,7 +276,7 @@ def let_work(process, seconds):
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupted_run_keeps_its_files(tmp_path, number, status):
     process = subprocess.Popen(
-        [*PROGRAM, "run", "oscillator", *ON_GRAPH, "--frames", str(10**9), "--every", "1000"]
+        [*PROGRAM, "run", "oscillator", *ON_GRAPH, "--frames", str(10**9), "--every", "10"]
         + ["--save", str(tmp_path / "a.npz"), "--record", str(tmp_path / "a.jsonl")],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
