@@ -32,7 +32,7 @@ NEEDS = {  # what a backend that is not usable would need
 class Device:
     """What a run computes on. threads: CPU worker threads (1 on other backends).
 
-    precision: f32, f64, or compensated, which is f32 with compensated sums (`kernels/sums.py`).
+    precision: f32, f64, or compensated: f32 with compensated sums (`kernels/compensated.py`).
     """
 
     arch: str
@@ -214,7 +214,7 @@ def whole_vectors() -> Iterator[None]:
 
     Taichi takes them apart into numbers otherwise, and LLVM (15), told nothing of the processor's
     width, packs those into vectors of 16 bytes again. Kept whole, they become the widest
-    instructions that the processor has. `kernels/lanes.py` says what such kernels must not do.
+    instructions that the processor has. `kernels/packs.py` says what such kernels must not do.
     """
     from taichi.lang import impl
 

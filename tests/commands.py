@@ -113,7 +113,7 @@ def _done(do, env, cwd):
 
 
 def printed_by(program):
-    """What a Python program prints; in cells of 2 lanes, which compile sooner."""
+    """What a Python program prints; in packs of 2 lanes, which compile sooner."""
     from inside import few_lanes
 
     out = io.StringIO()

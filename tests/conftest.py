@@ -30,7 +30,7 @@ def pool(device):
 
 @pytest.fixture
 def few_lanes():
-    """Cells of 2 lanes, which compile in a third of the time: for what holds for any number."""
+    """Packs of 2 lanes, which compile in a third of the time: for what holds for any number."""
     import inside
 
     with inside.few_lanes():

@@ -51,7 +51,7 @@ def take_step(sim, step):
     """Take one step of a method that is this function, ti.func(spec, state, t)."""
     method = replace(methods.load("symplectic_euler"), step=step)
     launcher = Launcher(method, runtime.current_device())
-    launcher.run_frames(sim.storage.specialization, state_of(sim), sim.steps, 1, 1)
+    launcher.advance(sim.storage.specialization, state_of(sim), sim.steps, 1, 1)
 
 
 class Way(NamedTuple):

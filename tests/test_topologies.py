@@ -31,13 +31,13 @@ from taichi_cloth.simulation.simulation import Simulation
 
 
 def check(stored, count, springs):
-    """A layout holds together: one site a particle; each link leads from end to end."""
+    """A layout holds together: one slot a particle; each link leads from end to end."""
     assert len(np.unique(stored.slot)) == len(stored.slot) == count
     lanes, halo = stored.lanes, 0
     if lanes > 1:
         halo = max(abs(column) for column, _ in stored.links)
     depth = max(row for _, row in stored.links)
-    in_use = np.zeros(stored.n_packs, int)  # 1: cells of rows; 2: their halos and empty rows
+    in_use = np.zeros(stored.n_packs, int)  # 1: packs of rows; 2: their halos and empty rows
     home, linked = np.full(stored.n_packs, -1), np.full(stored.n_packs, -1)
     for g, (first, rows, width, has_links) in enumerate(stored.grid):
         pitch, empty = width + 2 * halo, depth * has_links

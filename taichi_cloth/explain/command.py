@@ -184,12 +184,12 @@ def show(explanation: Explanation, to: Console) -> None:
 
 def _path(compiled: Compiled) -> str:
     plan = compiled.plan
-    cells = f", packs of {plan['lanes']} particles" if plan["lanes"] > 1 else ""
+    packs = f", packs of {plan['lanes']} particles" if plan["lanes"] > 1 else ""
     if plan["one_launch_per_step"]:
         loops = "each step a launch whose loops are parallel"
     else:
         loops = f"whole frames in one launch on {counted(plan['threads'], 'thread')}"
-    return f"{compiled.topology}{cells}; {compiled.execution}, {loops}"
+    return f"{compiled.topology}{packs}; {compiled.execution}, {loops}"
 
 
 def _places(compiled: Compiled) -> str:

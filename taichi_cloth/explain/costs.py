@@ -51,8 +51,8 @@ class Stored:
 class Compiled:
     """What is compiled and stored for a simulation.
 
-    plan: the switches of `kernels.specialization.Plan`. links: each kind of link of the grids with
-    the springs in lanes that are of it; on_graph: springs stored as lists. fields: the largest
+    plan: the switches of `kernels.specialization`. links: each kind of link of the grids with the
+    springs in lanes that are of it; on_graph: springs stored as lists. fields: the largest
     first; bytes: of all device memory, with what keeps fields apart.
     """
 

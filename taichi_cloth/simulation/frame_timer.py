@@ -54,7 +54,7 @@ class FrameTimer:
     def _advance(self) -> None:
         storage = self._storage
         storage.begin()
-        self._launcher.run_frames(storage.specialization, storage.state, 0, 1, self.substeps)
+        self._launcher.advance(storage.specialization, storage.state, 0, 1, self.substeps)
 
 
 def describe_size(scene: Scene) -> str:

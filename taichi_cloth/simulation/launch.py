@@ -36,14 +36,14 @@ class Launcher:
 
     def specialize(self, spec: Specialization, path: str) -> Specialization:
         """What is compiled for frames on a path, "serial" or "parallel", of what `spec` stores."""
-        spread = path == "parallel" and (self.device.arch != "cpu" or spec.collisions)
+        per_step = path == "parallel" and (self.device.arch != "cpu" or spec.collisions)
         threads = 1 if path == "serial" else self.device.threads
-        return replace(spec, threads=threads, one_launch_per_step=spread)
+        return replace(spec, threads=threads, one_launch_per_step=per_step)
 
     def launch(self, kernel: Callable[..., Any], *arguments: Any) -> Any:
-        """Launch a kernel under the settings of its spec, and return what it returns.
+        """Launch a kernel under the settings of its specialization, and return what it returns.
 
-        arguments: the kernel's own: a spec first, unless it touches no packs.
+        arguments: the kernel's own: a specialization first, unless it touches no packs.
         """
         with self._settings(arguments[0]):
             return kernel(*arguments)
@@ -52,7 +52,7 @@ class Launcher:
         """Compute what a method keeps from step to step: before its first step, and after the
         state was changed from outside.
 
-        spec: one whose loops are spread.
+        spec: one with parallel loops, one launch per step.
         """
         if self._method.begin:
             with self._settings(spec):
@@ -65,7 +65,7 @@ class Launcher:
             frames = min(frames, MOST_ITERATIONS // substeps)
         return max(1, frames)
 
-    def run_frames(
+    def advance(
         self, spec: Specialization, state: Any, done: int, frames: int, substeps: int
     ) -> int:
         """Advance frames, after `done` steps, and return how many passed the watchdog."""
@@ -88,13 +88,13 @@ class Launcher:
 
     def _launch_steps(self, spec: Specialization, state: Any, done: int, substeps: int) -> None:
         """Advance a frame after `done` steps, with a launch or more for each step."""
-        spread, by_phases = replace(spec, one_launch_per_step=True), self._by_phases(spec)
-        watchdog.checkpoint_launch(spread, state)
+        by_phases, beside = self._by_phases(spec), replace(spec, one_launch_per_step=True)
+        watchdog.checkpoint_launch(beside, state)
         for step in range(done + 1, done + substeps + 1):
             if by_phases:
                 self._launch_phases(spec, state, step)
                 if spec.fracture or stepping.after_steps(spec):
-                    stepping.end_step_launch(spread, state)
+                    stepping.end_step_launch(beside, state)
             else:
                 stepping.substep_launch(self._step, spec, state, step)
 
@@ -111,7 +111,7 @@ class Launcher:
 
     @contextlib.contextmanager
     def _settings(self, spec: object) -> Iterator[None]:
-        """How kernels on a spec's packs are compiled."""
+        """How kernels on the packs of a specialization are compiled."""
         with contextlib.ExitStack() as settings:
             if isinstance(spec, Specialization) and spec.lanes > 1:
                 settings.enter_context(whole_vectors())

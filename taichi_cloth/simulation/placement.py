@@ -21,7 +21,7 @@ class Placement:
     graph_springs: numbers of the springs that are on the graph, in the order of memory: those of
     one colour together, where they have colours. colours: theirs, 0 where the method wants none.
     links: numbers of the springs that are links of grids; link_places: (links, 2) int32, each
-    one's kind and the site of its earlier end.
+    one's kind and the slot of its earlier end.
     """
 
     layout: Layout

@@ -147,8 +147,8 @@ class Simulation:
         """Advance frames that share a launch, and return how many passed the watchdog."""
         begin = time.perf_counter()
         self.storage.begin()
-        plan, state = self.storage.specialization, self.storage.state
-        passed = self._launcher.run_frames(plan, state, self.steps, frames, self.substeps)
+        spec, state = self.storage.specialization, self.storage.state
+        passed = self._launcher.advance(spec, state, self.steps, frames, self.substeps)
         self._work += self.storage.take_work()
         if self._pace and self._pace.lost(time.perf_counter() - begin, frames * self.substeps):
             self.execution, self._pace = "serial", None

@@ -32,7 +32,9 @@ SPAWN_CAPACITY = 256  # room for clicks before the fields must grow
 
 @dataclass(frozen=True)
 class _Container:
-    """Fields, and what they were made for. spec: with loops spread, for kernels beside the frames.
+    """Fields, and what they were made for.
+
+    spec: with parallel loops in one launch per step, for kernels beside the frames.
 
     free: gives their memory back; by itself when nobody holds the storage any more.
     """
@@ -229,7 +231,7 @@ class Storage:
         return _Container(state, spec, topology, free)
 
     def _specialize(self, placement: Placement) -> Specialization:
-        """The spec of the scene in a placement, with loops spread."""
+        """What the scene needs in a placement, with parallel loops in one launch per step."""
         features, layout = dict(vars(self.scene.features())), placement.layout
         spawns = self.scene.world.mouse == "spawn"
         features["springs"] &= spawns or len(placement.graph_springs) > 0

@@ -136,9 +136,9 @@ class Upload:
         """The springs that are on the graph, as rows of half-springs."""
         layout, mine = self.placement.layout, self.placement.graph_springs
         springs, marks = self.snapshot.scene.springs.select(mine), self.snapshot.marks[mine]
-        ends, sites = layout.slot[springs.between], layout.n_packs * layout.lanes
-        half = adjacency.half_springs(ends, sites)
-        near, row = np.arange(sites), half.row
+        ends, slots = layout.slot[springs.between], layout.n_packs * layout.lanes
+        half = adjacency.half_springs(ends, slots)
+        near, row = np.arange(slots), half.row
         if self.spec.links:  # only those that have any
             near = np.flatnonzero(np.diff(half.row))
             row = np.append(half.row[near], len(half.far))
@@ -157,7 +157,7 @@ class Upload:
             self._break_marks(springs, np.column_stack([ends, half.half, marks]))
 
     def _half_springs(self, near: np.ndarray, row: np.ndarray, far: np.ndarray) -> None:
-        """Compressed rows: those of the sites `near` begin at `row`, with far ends `far`."""
+        """Compressed rows: those of the slots `near` begin at `row`, with far ends `far`."""
         self.launcher.launch(
             transfer.load_half_springs,
             self.state,
@@ -169,13 +169,13 @@ class Upload:
         )
 
     def _spring_colours(self, ends: np.ndarray, numbers: np.ndarray) -> None:
-        """The springs one by one, by colour: sites of their ends (s, 2), and their numbers."""
+        """The springs one by one, by colour: slots of their ends (s, 2), and their numbers."""
         start = _starts(self.placement.colours)
         arrays = start, _not_empty(ends), _not_empty(numbers)
         self._launch(transfer.load_colours, len(start) - 1, *arrays)
 
     def _particle_colours(self, near: np.ndarray) -> None:
-        """The particles at the sites `near`, which have springs on the graph, by colour."""
+        """The particles at the slots `near`, which have springs on the graph, by colour."""
         layout = self.placement.layout
         colour = np.full(layout.n_packs * layout.lanes, -1)
         colour[layout.slot] = self.placements.particle_colours()
