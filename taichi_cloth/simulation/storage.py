@@ -13,7 +13,7 @@ import taichi as ti
 from taichi_cloth.kernels import forces, fracture, transfer, watchdog
 from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.methods.contract import Method
-from taichi_cloth.kernels.solvers import newton_cg
+from taichi_cloth.kernels.solvers import stages
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE, WORK, Capacity, State
@@ -361,8 +361,8 @@ class Storage:
         names = "residual_max", "residual_rms", "scale", "directions", "sweeps"
         numbers = {name: getattr(self.state, name)[None] for name in names}
         outcome = int(self.state.outcome[None])
-        converged = outcome in (newton_cg.CONVERGED, newton_cg.ROUNDED)
-        return diagnostics.Solution(newton_cg.OUTCOMES[outcome], converged, **numbers)
+        converged = outcome in (stages.CONVERGED, stages.ROUNDED)
+        return diagnostics.Solution(stages.OUTCOMES[outcome], converged, **numbers)
 
     def drawn_positions(self) -> np.ndarray:
         """Positions for a window, (n, dim) in the device's precision.

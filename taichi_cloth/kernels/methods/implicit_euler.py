@@ -11,14 +11,14 @@ import taichi as ti
 
 from taichi_cloth.kernels.methods.contract import Claims, Method, backward_euler
 from taichi_cloth.kernels.packs import read
-from taichi_cloth.kernels.solvers import newton_cg
+from taichi_cloth.kernels.solvers import newton_cg, stages
 
 
 @ti.func
 def move(spec: ti.template(), state: ti.template(), i):
     """Take pack i to the end of the step, whose velocities the one stage has found."""
-    new_v = newton_cg.new_velocity(spec, state, i, read(spec, state.gain, i))
-    newton_cg.arrive(spec, state, i, state.dt[None] * new_v, new_v)
+    new_v = stages.new_velocity(spec, state, i, read(spec, state.gain, i))
+    stages.arrive(spec, state, i, state.dt[None] * new_v, new_v)
 
 
 METHOD = Method(
@@ -34,7 +34,7 @@ METHOD = Method(
             "and slow motion with it."
         ),
     ),
-    phases=newton_cg.phases(1.0, newton_cg.start, move),
+    phases=newton_cg.phases(1.0, stages.start, move),
     stability_function=backward_euler,
     **newton_cg.keeps(),
 )

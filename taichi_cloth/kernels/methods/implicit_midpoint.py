@@ -12,7 +12,7 @@ import taichi as ti
 
 from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.kernels.packs import read
-from taichi_cloth.kernels.solvers import newton_cg
+from taichi_cloth.kernels.solvers import newton_cg, stages
 
 
 def stability_function(z):
@@ -23,8 +23,8 @@ def stability_function(z):
 @ti.func
 def move(spec: ti.template(), state: ti.template(), i):
     """Take pack i from the middle, which the one stage has found, to the end of the step."""
-    new_v = newton_cg.new_velocity(spec, state, i, 2.0 * read(spec, state.gain, i))
-    newton_cg.arrive(spec, state, i, state.dt[None] * read(spec, state.v, i), new_v)
+    new_v = stages.new_velocity(spec, state, i, 2.0 * read(spec, state.gain, i))
+    stages.arrive(spec, state, i, state.dt[None] * read(spec, state.v, i), new_v)
 
 
 METHOD = Method(
@@ -40,7 +40,7 @@ METHOD = Method(
             "rings on, at a lower pitch."
         ),
     ),
-    phases=newton_cg.phases(0.5, newton_cg.start, move),
+    phases=newton_cg.phases(0.5, stages.start, move),
     stability_function=stability_function,
     **newton_cg.keeps(),
 )

@@ -15,7 +15,7 @@ import taichi as ti
 from taichi_cloth.kernels.contact import velocity_jump
 from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.kernels.packs import read, write
-from taichi_cloth.kernels.solvers import newton_cg
+from taichi_cloth.kernels.solvers import newton_cg, stages
 
 PART = 2.0 - math.sqrt(2.0)  # part of the step over which the trapezoidal rule goes
 TAU = PART / 2.0  # time of each stage, as a part of the step
@@ -33,7 +33,7 @@ def stability_function(z):
 @ti.func
 def stay(spec: ti.template(), state: ti.template(), i):
     """Start with pack i where it is: the trapezoidal rule needs the acceleration there."""
-    newton_cg.keep_start(spec, state, i)
+    stages.keep_start(spec, state, i)
     v = read(spec, state.v, i)
     write(spec, state.gain, i, 0.0 * v)  # so that the residual is the acceleration
 
@@ -44,19 +44,19 @@ def go_on(spec: ti.template(), state: ti.template(), i):
     tau, stage = TAU * state.dt[None], state.stage[None]
     x, v = read(spec, state.old_x, i), read(spec, state.old_v, i)
     old_v, gain = v + velocity_jump(spec, state, i, x, v), read(spec, state.gain, i)
-    if stage == newton_cg.ONLY_EVALUATE:
+    if stage == stages.ONLY_EVALUATE:
         first = tau * read(spec, state.residual, i)
         write(spec, state.first, i, first)
-        newton_cg.start_from(spec, state, i, tau * old_v, old_v + first)
+        stages.start_from(spec, state, i, tau * old_v, old_v + first)
     elif stage == TRAPEZOIDAL:
         first = FROM_FIRST * (read(spec, state.first, i) + gain)
         write(spec, state.first, i, first)
         way = (FROM_FIRST * tau) * (old_v + read(spec, state.v, i))
         write(spec, state.way, i, way)
-        newton_cg.start_from(spec, state, i, way, old_v + first)
+        stages.start_from(spec, state, i, way, old_v + first)
     else:
-        new_v = newton_cg.new_velocity(spec, state, i, read(spec, state.first, i) + gain)
-        newton_cg.arrive(spec, state, i, read(spec, state.way, i) + tau * new_v, new_v)
+        new_v = stages.new_velocity(spec, state, i, read(spec, state.first, i) + gain)
+        stages.arrive(spec, state, i, read(spec, state.way, i) + tau * new_v, new_v)
 
 
 METHOD = Method(
@@ -72,7 +72,7 @@ METHOD = Method(
             "damped away."
         ),
     ),
-    phases=newton_cg.phases(TAU, stay, go_on, first=newton_cg.ONLY_EVALUATE, last=BACKWARD),
+    phases=newton_cg.phases(TAU, stay, go_on, first=stages.ONLY_EVALUATE, last=BACKWARD),
     stability_function=stability_function,
     # What velocities gain until a stage starts, and how far from the step's start the second does.
     **newton_cg.keeps("first", "way"),

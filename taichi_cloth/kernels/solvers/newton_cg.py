@@ -16,13 +16,11 @@ K is the springs' stiffness matrix with its negative eigenvalues clamped to 0
 with vectors (`springs.accumulate`). Where springs are compressed the clamped K is not their
 stiffness, and directions only halve the residual; so near the solution, from NEAR on, K is taken as
 it is. If A then turns out to be indefinite, the direction is what conjugate gradients have found so
-far, and for the next one K is clamped again. The preconditioner is the diagonal of A, with every
-spring counted along every axis. A step along p that leaves more than half of the directional
-derivative, of either sign, is made longer or shorter by the secant rule.
+far, and for the next one K is clamped again. A step along p that leaves more than half of the
+directional derivative, of either sign, is made longer or shorter by the secant rule.
 
 Baraff, Witkin, "Large steps in cloth simulation", 1998; Choi, Ko, "Stable but responsive cloth",
-2002; Nocedal, Wright, Numerical Optimization, 3.5 and 7.1 (line search Newton-CG); Shewchuk, "An
-introduction to the conjugate gradient method without the agonizing pain", 1994, B3.
+2002; Nocedal, Wright, Numerical Optimization, 3.5 and 7.1 (line search Newton-CG).
 
 A stage has converged when its largest residual is at most state.tolerance times the largest
 residual that it began with (gravity at least), or is as small as rounding leaves it. Otherwise it
@@ -34,37 +32,50 @@ import functools
 
 import taichi as ti
 
-from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.accelerations import (
     acceleration,
-    binds,
-    damping_of,
-    resists,
-    stiffness_of,
 )
-from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
-from taichi_cloth.kernels.contact import compute_contacts, kept_above_floor, velocity_jump
-from taichi_cloth.kernels.loops import add_up, barrier, each, each_pack_moving, find_largest
+from taichi_cloth.kernels.contact import compute_contacts
+from taichi_cloth.kernels.loops import add_up, each, each_pack_moving, find_largest
 from taichi_cloth.kernels.packs import (
-    component,
     dot,
     read,
-    scaled,
     set_slot_value,
     slot_number,
     slot_value,
     where_positive,
     write,
 )
+from taichi_cloth.kernels.solvers.conjugate_gradients import direct, iterate
 from taichi_cloth.kernels.solvers.phases import DONE, set_alone
+from taichi_cloth.kernels.solvers.stages import (
+    BEGIN,
+    CLAMPED,
+    CONVERGED,
+    DIRECT,
+    EVALUATE,
+    EXACT,
+    EXHAUSTED,
+    FINISH,
+    ITERATE,
+    NOT_FINITE,
+    ONLY_EVALUATE,
+    ROUNDED,
+    SHIFT,
+    SINGULAR,
+    STALLED,
+    iterate_from,
+    largest_component,
+    momentum_of,
+    set_tau,
+    wanted_residual,
+)
 from taichi_cloth.kernels.springs import (
     accumulate,
     force_between,
-    reads_velocity,
-    stiffness_product,
 )
-from taichi_cloth.kernels.state import FORCES, SWEEPS, UNCONVERGED
-from taichi_cloth.kernels.watchdog import commit, is_finite
+from taichi_cloth.kernels.state import FORCES, UNCONVERGED
+from taichi_cloth.kernels.watchdog import is_finite
 
 SCALARS = (
     "tau",  # time of a stage
@@ -84,28 +95,13 @@ SCALARS = (
     "goal",  # energy at which these end
     "least",  # stiffness across a spring is at least this times the one along: CLAMPED or EXACT
 )
-BEGIN, EVALUATE, DIRECT, ITERATE, SHIFT, FINISH = range(6)  # phases
-# What came of a stage. ROUNDED: its residual is as small as rounding lets it be.
-CONVERGED, ROUNDED, EXHAUSTED, STALLED, SINGULAR, NOT_FINITE = range(6)
-OUTCOMES = (
-    "converged",
-    "converged to rounding",
-    "the most directions were not enough",
-    "directions brought no more progress",
-    "singular",
-    "not finite",
-)
-
 MOST_DIRECTIONS = 60
 MOST_TRIALS = 12  # lengths of one direction
 MOST_STALLS = 6  # directions one after the other that bring little progress
 # Rounding of a spring's force, in epsilons: several add up in a residual, with either sign.
 ROUNDING = 0.5
 MOST_ROUNDINGS = 16.0  # where progress has ended, a residual is ROUNDED up to this times `rounding`
-CLAMPED, EXACT = 0.0, -1e30
 NEAR = 0.1  # part of the first residual below which K is taken as it is
-FORCING = 0.1  # conjugate gradients leave this part of the residual to the next direction
-ONLY_EVALUATE = -1  # number of a stage that only computes the acceleration, as its residual
 
 
 def keeps(*vectors):
@@ -156,89 +152,6 @@ def phases(fraction, start, move, first=0, last=0):
         each(spec, state, t, 1, ti.static(_ending(last)))
 
     return begin, evaluate, direct, iterate, shift, finish
-
-
-@ti.func
-def set_tau(spec: ti.template(), state: ti.template(), t, tau):
-    """Set the time of a step's stages; it comes before all else of the step."""
-    set_alone(spec, state.tau, t, tau)
-    set_alone(spec, state.step_outcome, t, CONVERGED)
-    barrier(spec, state)
-
-
-@ti.func
-def keep_start(spec: ti.template(), state: ti.template(), i):
-    """Keep the state of pack i at the step's start, in old_x and old_v."""
-    write(spec, state.old_x, i, read(spec, state.x, i))
-    write(spec, state.old_v, i, read(spec, state.v, i))
-    if ti.static(spec.compensated):
-        write(spec, state.old_x_low, i, read(spec, state.x_low, i))
-
-
-@ti.func
-def start_from(spec: ti.template(), state: ti.template(), i, change, v):
-    """Start a stage for pack i.
-
-    change: how far its positions are from those at the step's start; v: its velocities, which are
-    the first iterate's, too.
-    """
-    x = moved_from_old(spec, state, i, change)
-    write(spec, state.start_x, i, x)
-    write(spec, state.start_v, i, v)
-    if ti.static(spec.compensated):
-        write(spec, state.start_x_low, i, read(spec, state.x_low, i))
-    iterate_from(spec, state, i, 0.0 * v)
-
-
-@ti.func
-def moved_from_old(spec: ti.template(), state: ti.template(), i, change):
-    """The positions of pack i at the step's start, plus `change`."""
-    if ti.static(spec.compensated):
-        write(spec, state.x_low, i, read(spec, state.old_x_low, i))
-    return add_to_position(spec, state, i, read(spec, state.old_x, i), change)
-
-
-@ti.func
-def iterate_from(spec: ti.template(), state: ti.template(), i, gain):
-    """Set the iterate of pack i to the one whose velocities gain `gain` in the stage."""
-    write(spec, state.gain, i, gain)
-    v = read(spec, state.start_v, i) + gain
-    write(spec, state.v, i, v)
-    if ti.static(spec.compensated):
-        write(spec, state.x_low, i, read(spec, state.start_x_low, i))
-    write(
-        spec,
-        state.x,
-        i,
-        add_to_position(spec, state, i, read(spec, state.start_x, i), state.tau[None] * v),
-    )
-
-
-@ti.func
-def new_velocity(spec: ti.template(), state: ti.template(), i, gain):
-    """The velocities of pack i at the step's end: those at its start, contacts' changes, `gain`."""
-    x, v = read(spec, state.old_x, i), read(spec, state.old_v, i)
-    new_v = add_to_velocity(spec, state, i, v, velocity_jump(spec, state, i, x, v))
-    return add_to_velocity(spec, state, i, new_v, gain)
-
-
-@ti.func
-def arrive(spec: ti.template(), state: ti.template(), i, change, new_v):
-    """End the step for pack i.
-
-    change: how far its positions are from those at the step's start; new_v: its velocities.
-    """
-    x, v = read(spec, state.old_x, i), read(spec, state.old_v, i)
-    new_x = moved_from_old(spec, state, i, change)
-    commit(spec, state, i, kept_above_floor(spec, state, i, x, v, new_x, new_v), new_v)
-
-
-@ti.func
-def start(spec: ti.template(), state: ti.template(), i):
-    """Start a stage for pack i from the step's start, with the changes that contacts make."""
-    keep_start(spec, state, i)
-    x, v = read(spec, state.x, i), read(spec, state.v, i)
-    start_from(spec, state, i, 0.0 * v, v + velocity_jump(spec, state, i, x, v))
 
 
 @ti.func
@@ -308,8 +221,8 @@ def _residual_more(spec: ti.template(), state: ti.template(), slot, f):
 @ti.func
 def _rounding_of(spec: ti.template(), state: ti.template(), i):
     """The residual that rounding of positions, over all springs, and of the gain can make up."""
-    w, x = read(spec, state.w, i), _largest_component(spec, state.x, i)
-    gain = (1.0 / state.tau[None]) * _largest_component(spec, state.gain, i)
+    w, x = read(spec, state.w, i), largest_component(spec, state.x, i)
+    gain = (1.0 / state.tau[None]) * largest_component(spec, state.gain, i)
     return ti.select(w > 0.0, w * read(spec, state.summed_k, i) * x + gain, 0.0 * w)
 
 
@@ -323,7 +236,7 @@ def _judge(spec: ti.template(), state: ti.template(), i):
     first = state.directions[None] == 0
     if first:
         state.scale[None], state.best[None] = ti.max(most, state.least_scale[None]), most
-    wanted = _wanted(state)
+    wanted = wanted_residual(state)
     finite = is_finite(squares) and (first or is_finite(slope))
     start = state.slope[None]
     missed = not finite or slope < -0.5 * start or slope > 0.5 * start
@@ -386,118 +299,6 @@ def _next_length(state: ti.template(), slope, finite):
 
 
 @ti.func
-def direct(spec: ti.template(), state: ti.template(), t):
-    """Begin conjugate gradients: no change yet, the first direction is downhill."""
-    add_up(spec, state, t, _first_energy, 0)
-    each_pack_moving(spec, state, t, _downhill)
-    each(spec, state, t, 1, _begin_iterating)
-
-
-@ti.func
-def _first_energy(spec: ti.template(), state: ti.template(), i):
-    """The energy of pack i's residual, which becomes tau*M times what it was; change becomes 0."""
-    residual = _momentum(spec, state, i, read(spec, state.residual, i))
-    write(spec, state.residual, i, residual)
-    write(spec, state.change, i, 0.0 * residual)
-    return dot(residual, _preconditioned(spec, state, i, residual))
-
-
-@ti.func
-def _momentum(spec: ti.template(), state: ti.template(), i, residual):
-    """The product of tau*M with the accelerations `residual` of pack i."""
-    return scaled(state.tau[None] * _mass(spec, state, i), residual)
-
-
-@ti.func
-def _downhill(spec: ti.template(), state: ti.template(), i):
-    """Set the first direction of conjugate gradients in pack i."""
-    residual = read(spec, state.residual, i)
-    write(spec, state.direction, i, _preconditioned(spec, state, i, residual))
-
-
-@ti.func
-def _preconditioned(spec: ti.template(), state: ti.template(), i, residual):
-    """The residual of pack i over the diagonal of A; 0 where particles are fixed."""
-    tau = state.tau[None]
-    w = read(spec, state.w, i)
-    diagonal = _mass(spec, state, i) + tau * tau * read(spec, state.summed_k, i)
-    if ti.static(binds(spec)):
-        diagonal = diagonal + tau * tau * stiffness_of(spec, state, read, i)
-    if ti.static(resists(spec)):
-        diagonal = diagonal + tau * damping_of(spec, state, read, i)
-    if ti.static(reads_velocity(spec)):
-        diagonal = diagonal + tau * read(spec, state.summed_c, i)
-    return scaled(ti.select(w > 0.0, 1.0 / diagonal, 0.0 * w), residual)
-
-
-@ti.func
-def iterate(spec: ti.template(), state: ti.template(), t):
-    """Make one step of conjugate gradients."""
-    accumulate(spec, state, t, _product_between, _store_product, _product_more)
-    add_up(spec, state, t, _curvature, 0)
-    add_up(spec, state, t, _approach, 1)
-    each_pack_moving(spec, state, t, _turn)
-    each(spec, state, t, 1, _count_iteration)
-
-
-@ti.func
-def _product_between(
-    spec: ti.template(), state: ti.template(), value: ti.template(), i, j, numbers: ti.template()
-):
-    """What i gets from the spring to j in the product of K and dashpots with `direction`."""
-    d = value(spec, state.x, j) - value(spec, state.x, i)
-    length = laws.length(d)
-    along = laws.unit(d, length)
-    moved = value(spec, state.direction, j) - value(spec, state.direction, i)
-    least = state.least[None]
-    return stiffness_product(spec, moved, length, along, state.tau[None], numbers, least)
-
-
-@ti.func
-def _store_product(spec: ti.template(), state: ti.template(), i, pulled):
-    """Store the product of A with `direction` in pack i; pulled: what it gets from its springs."""
-    tau = state.tau[None]
-    direction = read(spec, state.direction, i)
-    diagonal = _mass(spec, state, i)
-    if ti.static(binds(spec)):
-        diagonal = diagonal + tau * tau * stiffness_of(spec, state, read, i)
-    if ti.static(resists(spec)):
-        diagonal = diagonal + tau * damping_of(spec, state, read, i)
-    product = scaled(diagonal, direction) - (tau * tau) * pulled
-    w = read(spec, state.w, i)
-    write(spec, state.product, i, where_positive(w, product, 0.0 * product))
-
-
-@ti.func
-def _product_more(spec: ti.template(), state: ti.template(), slot, pulled):
-    """Add what one particle gets from those springs that no grid holds to the product."""
-    if slot_number(spec, state.w, slot) > 0.0:
-        tau = state.tau[None]
-        product = slot_value(spec, state.product, slot) - (tau * tau) * pulled
-        set_slot_value(spec, state.product, slot, product)
-
-
-@ti.func
-def _approach(spec: ti.template(), state: ti.template(), i):
-    """Go a step along `direction` in pack i, and return the energy of its new residual."""
-    step = _step_length(state)
-    change, direction = read(spec, state.change, i), read(spec, state.direction, i)
-    residual, product = read(spec, state.residual, i), read(spec, state.product, i)
-    write(spec, state.change, i, change + step * direction)
-    residual = residual - step * product
-    write(spec, state.residual, i, residual)
-    return dot(residual, _preconditioned(spec, state, i, residual))
-
-
-@ti.func
-def _turn(spec: ti.template(), state: ti.template(), i):
-    """Set the next direction of conjugate gradients in pack i."""
-    part = state.sums[1, 0] / state.energy[None]
-    residual = _preconditioned(spec, state, i, read(spec, state.residual, i))
-    write(spec, state.direction, i, residual + part * read(spec, state.direction, i))
-
-
-@ti.func
 def shift(spec: ti.template(), state: ti.template(), t):
     """Move the iterate along `change` by the length that is still to go."""
     each_pack_moving(spec, state, t, _shift_pack)
@@ -511,27 +312,9 @@ def _shift_pack(spec: ti.template(), state: ti.template(), i):
 
 
 @ti.func
-def _mass(spec: ti.template(), state: ti.template(), i):
-    """The masses of pack i's particles; 0 where they are fixed."""
-    w = read(spec, state.w, i)
-    return ti.select(w > 0.0, 1.0 / w, 0.0 * w)
-
-
-@ti.func
-def _largest_component(spec: ti.template(), field: ti.template(), i):
-    """The largest component, without its sign, of each vector of a field at pack i."""
-    a = read(spec, field, i)
-    most = 0.0 * component(a, 0)
-    for axis in ti.static(range(spec.dim)):
-        part = component(a, axis)
-        most = ti.max(most, ti.max(part, -1.0 * part))
-    return most
-
-
-@ti.func
 def _size(spec: ti.template(), state: ti.template(), i):
     """The largest component, without its sign, of each residual in pack i."""
-    return _largest_component(spec, state.residual, i)
+    return largest_component(spec, state.residual, i)
 
 
 @ti.func
@@ -545,7 +328,7 @@ def _square(spec: ti.template(), state: ti.template(), i):
 def _slope(spec: ti.template(), state: ti.template(), i):
     """The directional derivative along `change` of what a stage minimizes, negated, for pack i."""
     change, residual = read(spec, state.change, i), read(spec, state.residual, i)
-    return dot(change, _momentum(spec, state, i, residual))
+    return dot(change, momentum_of(spec, state, i, residual))
 
 
 @ti.func
@@ -557,72 +340,6 @@ def _keep_rounding(spec: ti.template(), state: ti.template(), i):
 def _epsilon(state):
     """The distance from 1 to the next number that the device's precision holds."""
     return 2.0**-52 if state.real == ti.f64 else 2.0**-23
-
-
-def _least(state):
-    """A million times the smallest normal number: the least energy that still means something."""
-    return 1e6 * (2.0**-1022 if state.real == ti.f64 else 2.0**-126)
-
-
-@ti.func
-def _wanted(state: ti.template()):
-    """The residual at which a stage has converged."""
-    return state.tolerance[None] * state.scale[None]
-
-
-@ti.func
-def _begin_iterating(spec: ti.template(), state: ti.template(), i):
-    """Set the energy at which conjugate gradients end, and go to their first step."""
-    energy = state.sums[0, 0]
-    part = ti.min(ti.max(0.3 * _wanted(state) / state.residual_max[None], FORCING), 0.5)
-    state.energy[None], state.goal[None] = energy, part * part * energy
-    state.slope[None] = 0.0
-    state.sweeps[None] = 0
-    state.phase[None] = ITERATE
-    if energy < ti.static(_least(state)):  # what is left is too small to be squared
-        state.outcome[None] = ROUNDED
-        state.step_outcome[None] = ti.max(state.step_outcome[None], ROUNDED)
-        state.phase[None] = FINISH
-
-
-@ti.func
-def _curvature(spec: ti.template(), state: ti.template(), i):
-    """The product of `direction` with A and itself, for pack i."""
-    return dot(read(spec, state.direction, i), read(spec, state.product, i))
-
-
-@ti.func
-def _step_length(state: ti.template()):
-    """The length of a step of conjugate gradients.
-
-    It is 0 where A is not positive along the direction, or numbers are no longer finite.
-    """
-    curvature = state.sums[0, 0]
-    return ti.select(curvature > 0.0, state.energy[None] / curvature, 0.0)
-
-
-@ti.func
-def _count_iteration(spec: ti.template(), state: ti.template(), i):
-    """Count a step of conjugate gradients, and decide whether they end with it."""
-    energy, step = state.sums[1, 0], _step_length(state)
-    state.slope[None] += step * state.energy[None]
-    state.energy[None] = energy
-    state.sweeps[None] += 1
-    state.work[SWEEPS] += 1
-    most = 2 * spec.dim * state.n[None] + 20
-    ends = not (energy > state.goal[None]) or state.sweeps[None] >= most
-    if not (step > 0.0):
-        # With the exact K, A may be indefinite; the change so far is downhill. With a clamped K it
-        # is positive definite, unless numbers are no longer finite.
-        ends, state.indefinite[None] = True, 1
-        if state.least[None] == CLAMPED:
-            state.outcome[None] = SINGULAR
-    if ends:
-        state.directions[None] += 1
-        state.trials[None] = 0
-        state.length[None], state.go[None] = 1.0, 1.0
-        state.short[None], state.short_slope[None], state.long[None] = 0.0, state.slope[None], 0.0
-        state.phase[None] = SHIFT
 
 
 @ti.func

@@ -1,0 +1,147 @@
+"""Implicit stages: where they start, the iterate, and the step's end; what their solvers share.
+
+A stage of every implicit method here is backward Euler over a time tau from (start_x, start_v); its
+iterate has gained `gain` of velocity and is kept in state.x and state.v, so that forces are
+computed as for all methods (`newton_cg.py`).
+"""
+
+import taichi as ti
+
+from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
+from taichi_cloth.kernels.contact import kept_above_floor, velocity_jump
+from taichi_cloth.kernels.loops import barrier
+from taichi_cloth.kernels.packs import (
+    component,
+    read,
+    scaled,
+    write,
+)
+from taichi_cloth.kernels.solvers.phases import set_alone
+from taichi_cloth.kernels.watchdog import commit
+
+BEGIN, EVALUATE, DIRECT, ITERATE, SHIFT, FINISH = range(6)  # phases
+# What came of a stage. ROUNDED: its residual is as small as rounding lets it be.
+CONVERGED, ROUNDED, EXHAUSTED, STALLED, SINGULAR, NOT_FINITE = range(6)
+OUTCOMES = (
+    "converged",
+    "converged to rounding",
+    "the most directions were not enough",
+    "directions brought no more progress",
+    "singular",
+    "not finite",
+)
+CLAMPED, EXACT = 0.0, -1e30  # state.least: how K is taken across springs
+ONLY_EVALUATE = -1  # number of a stage that only computes the acceleration, as its residual
+
+
+@ti.func
+def set_tau(spec: ti.template(), state: ti.template(), t, tau):
+    """Set the time of a step's stages; it comes before all else of the step."""
+    set_alone(spec, state.tau, t, tau)
+    set_alone(spec, state.step_outcome, t, CONVERGED)
+    barrier(spec, state)
+
+
+@ti.func
+def keep_start(spec: ti.template(), state: ti.template(), i):
+    """Keep the state of pack i at the step's start, in old_x and old_v."""
+    write(spec, state.old_x, i, read(spec, state.x, i))
+    write(spec, state.old_v, i, read(spec, state.v, i))
+    if ti.static(spec.compensated):
+        write(spec, state.old_x_low, i, read(spec, state.x_low, i))
+
+
+@ti.func
+def start_from(spec: ti.template(), state: ti.template(), i, change, v):
+    """Start a stage for pack i.
+
+    change: how far its positions are from those at the step's start; v: its velocities, which are
+    the first iterate's, too.
+    """
+    x = moved_from_old(spec, state, i, change)
+    write(spec, state.start_x, i, x)
+    write(spec, state.start_v, i, v)
+    if ti.static(spec.compensated):
+        write(spec, state.start_x_low, i, read(spec, state.x_low, i))
+    iterate_from(spec, state, i, 0.0 * v)
+
+
+@ti.func
+def moved_from_old(spec: ti.template(), state: ti.template(), i, change):
+    """The positions of pack i at the step's start, plus `change`."""
+    if ti.static(spec.compensated):
+        write(spec, state.x_low, i, read(spec, state.old_x_low, i))
+    return add_to_position(spec, state, i, read(spec, state.old_x, i), change)
+
+
+@ti.func
+def iterate_from(spec: ti.template(), state: ti.template(), i, gain):
+    """Set the iterate of pack i to the one whose velocities gain `gain` in the stage."""
+    write(spec, state.gain, i, gain)
+    v = read(spec, state.start_v, i) + gain
+    write(spec, state.v, i, v)
+    if ti.static(spec.compensated):
+        write(spec, state.x_low, i, read(spec, state.start_x_low, i))
+    write(
+        spec,
+        state.x,
+        i,
+        add_to_position(spec, state, i, read(spec, state.start_x, i), state.tau[None] * v),
+    )
+
+
+@ti.func
+def new_velocity(spec: ti.template(), state: ti.template(), i, gain):
+    """The velocities of pack i at the step's end: those at its start, contacts' changes, `gain`."""
+    x, v = read(spec, state.old_x, i), read(spec, state.old_v, i)
+    new_v = add_to_velocity(spec, state, i, v, velocity_jump(spec, state, i, x, v))
+    return add_to_velocity(spec, state, i, new_v, gain)
+
+
+@ti.func
+def arrive(spec: ti.template(), state: ti.template(), i, change, new_v):
+    """End the step for pack i.
+
+    change: how far its positions are from those at the step's start; new_v: its velocities.
+    """
+    x, v = read(spec, state.old_x, i), read(spec, state.old_v, i)
+    new_x = moved_from_old(spec, state, i, change)
+    commit(spec, state, i, kept_above_floor(spec, state, i, x, v, new_x, new_v), new_v)
+
+
+@ti.func
+def start(spec: ti.template(), state: ti.template(), i):
+    """Start a stage for pack i from the step's start, with the changes that contacts make."""
+    keep_start(spec, state, i)
+    x, v = read(spec, state.x, i), read(spec, state.v, i)
+    start_from(spec, state, i, 0.0 * v, v + velocity_jump(spec, state, i, x, v))
+
+
+@ti.func
+def mass_of(spec: ti.template(), state: ti.template(), i):
+    """The masses of pack i's particles; 0 where they are fixed."""
+    w = read(spec, state.w, i)
+    return ti.select(w > 0.0, 1.0 / w, 0.0 * w)
+
+
+@ti.func
+def largest_component(spec: ti.template(), field: ti.template(), i):
+    """The largest component, without its sign, of each vector of a field at pack i."""
+    a = read(spec, field, i)
+    most = 0.0 * component(a, 0)
+    for axis in ti.static(range(spec.dim)):
+        part = component(a, axis)
+        most = ti.max(most, ti.max(part, -1.0 * part))
+    return most
+
+
+@ti.func
+def momentum_of(spec: ti.template(), state: ti.template(), i, residual):
+    """The product of tau*M with the accelerations `residual` of pack i."""
+    return scaled(state.tau[None] * mass_of(spec, state, i), residual)
+
+
+@ti.func
+def wanted_residual(state: ti.template()):
+    """The residual at which a stage has converged."""
+    return state.tolerance[None] * state.scale[None]
