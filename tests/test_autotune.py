@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cloths import assert_same, cloth, motion
 from inside import candidates_of, lose_patience, measure_by
-from selection import mostly_thorough
+from selection import mostly_thorough, thorough
 
 from taichi_cloth.scene.library import build
 from taichi_cloth.simulation import autotune
@@ -110,6 +110,7 @@ def test_a_run_whose_threads_only_wait_goes_on_with_one(topology, pool, monkeypa
     assert_same(now, motion(pool(scene)))
 
 
+@thorough
 def test_measurements_hold_for_one_machine_kind_and_size_of_scene(measured, monkeypatch):
     measure_by(monkeypatch, lambda way: measured.append(1) or 1.0)
 

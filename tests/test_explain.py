@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from selection import thorough
 
 from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
@@ -114,6 +115,7 @@ def test_fields_and_their_bytes_are_those_on_the_device(device):
     assert costs.describe(larger).bytes > 50 * said.bytes
 
 
+@thorough
 def test_cloths_of_more_links_are_set_beside_the_first(device):
     """Three times the springs, in a third more memory; what they cost is measured, not asserted."""
     names = ("structural", "structural, shear, bend")

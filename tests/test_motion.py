@@ -69,6 +69,7 @@ def test_axial_dashpot_damps_the_stretch_and_not_the_turning(pool, execution):
     assert np.ptp(lengths) < 1e-6 < np.linalg.norm(spin)  # the two turn on a circle
 
 
+@pytest.mark.parametrize("topology", mostly_thorough(["lanes", "graph"], default=["graph"]))
 def test_two_and_three_dimensions_are_one_physics(pool, topology):
     """The 2-D cloth laid into a plane of 3-D space moves the same, bit for bit."""
     flat = build("cloth", columns=6, rows=5)

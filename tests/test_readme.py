@@ -134,6 +134,7 @@ def build(folder):
     return archive, wheel
 
 
+@thorough
 def test_the_wheel_of_the_source_archive_has_all_and_works(tmp_path):
     """In an environment that has what it depends on, run from elsewhere."""
     _, wheel = build(tmp_path / "dist")

@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 from inside import move_to
+from selection import thorough
 
 from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
@@ -391,6 +392,7 @@ def test_a_recording_with_dt_auto_replays_to_the_same_bits(cli, tmp_path):
     assert last["dt_auto"] and 1 < last["substeps"] < first
 
 
+@thorough
 def test_the_command_finds_the_chain_s_limit_and_writes_its_files(cli, tmp_path):
     out, _ = cli(
         "stability", "chain", "--particles", 5, "--stiffness", 0.7, "--method", "verlet",

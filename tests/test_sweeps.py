@@ -157,7 +157,7 @@ MIXED = {
     "colliding": (mixed(2, collisions=True), {"execution": "parallel", "lanes": 2}),
     "one lane": (mixed(collisions=True), {"execution": "parallel", "lanes": 1}),
 }
-BY_DEFAULT = [("xpbd", "in space"), ("vbd", "colliding")]
+BY_DEFAULT = [("xpbd", "in space")]
 
 
 @pytest.mark.parametrize(
