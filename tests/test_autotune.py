@@ -32,6 +32,7 @@ def measured(device, monkeypatch, tmp_path):
 WAYS = [f"{t} {path}" for t in ("lanes", "graph") for path in ("serial", "parallel")]
 
 
+@thorough
 def test_what_is_fastest_is_measured_once(measured):
     sim = Simulation(build("cloth"), substeps=64)
     (of,) = autotune.measurements()

@@ -89,6 +89,7 @@ def kernels_in(folder):
     return {file.name: file.stat().st_size for file in Path(folder).rglob("*.tic")}
 
 
+@thorough
 def test_features_that_a_scene_lacks_are_not_compiled(tmp_path, cli):
     """The size of what the compiler wrote, from an empty cache: each feature adds to it."""
 

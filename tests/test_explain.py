@@ -127,6 +127,7 @@ def test_cloths_of_more_links_are_set_beside_the_first(device):
     assert other.bytes > 1.3 * one.bytes
 
 
+@thorough
 def test_the_command_says_it_in_json(cli):
     out, _ = cli("explain", "oscillator", "--quick", "--json", "--threads", 1)
     said = json.loads(out)

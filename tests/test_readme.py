@@ -70,6 +70,7 @@ def test_commands_run_one_after_the_other(tmp_path):
     assert made == files | {"trade-cloth", "stability-cloth"}
 
 
+@thorough
 def test_commands_on_files_run_one_after_the_other(cli, tmp_path):
     """In one folder: what is saved, recorded and replayed, and the README's own scene file."""
     (tmp_path / "curtain.toml").write_text(blocks("toml")[0])

@@ -192,7 +192,7 @@ def test_a_scene_without_blowing_refuses_the_pointer(pool):
 
 @pytest.mark.parametrize(
     ("execution", "first_room"),
-    mostly_thorough([("serial", 20), ("serial", 4), ("parallel", 4)], default=[("serial", 20)]),
+    mostly_thorough([("serial", 20), ("serial", 4), ("parallel", 4)], default=[("serial", 4)]),
 )
 def test_spawning_past_the_capacity_loses_nothing(execution, first_room):
     """A sim that had to grow its fields moves on as one that had room from the start."""
