@@ -49,6 +49,7 @@ def test_what_is_fastest_is_measured_once(measured):
     assert measured == []
 
 
+@thorough
 def test_threads_are_not_tried_where_one_is_done_before_they_wake(measured, monkeypatch):
     monkeypatch.setattr(autotune, "WAKING", 1.0)
     assert Simulation(build("cloth", columns=4, rows=3)).execution == "serial"

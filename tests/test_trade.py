@@ -364,6 +364,7 @@ break_force = 0.15
 """
 
 
+@thorough
 def test_of_a_tearing_scene_it_says_what_broke_and_which_order_survives(cli, tmp_path):
     (tmp_path / "tearing.toml").write_text(TEARING)
     chosen = ["--methods", "rk4", "--substeps", "16,256", "--precisions", "f64"]
