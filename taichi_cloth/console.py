@@ -174,11 +174,6 @@ def three_digits(number: float) -> str:
     return f"{number:.0f}" if abs(number) >= 100 else f"{number:.3g}"
 
 
-def counted(count: int, thing: str) -> str:
-    """'1 spring', '2 springs'."""
-    return f"{count} {thing}{'s' * (count != 1)}"
-
-
 # ------------------------------------------------------------------------------------------
 # Documents
 

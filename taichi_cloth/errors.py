@@ -1,7 +1,8 @@
 """What can end a run early: the user's input is refused, or the run fails.
 
 Both carry one line that says what was wrong, where, and what to do; the command
-line prints that line and nothing else (no traceback for a user's mistake).
+line prints that line and nothing else (no traceback for a user's mistake). The wording
+that lines of all rooms share stands here too: this is the file that every room may import.
 """
 
 from __future__ import annotations
@@ -46,3 +47,8 @@ def nearest(word: str, known: Iterable[str]) -> str:
     if close:
         return f"did you mean '{close[0]}'?"
     return f"known: {', '.join(known)}"
+
+
+def counted(count: int, thing: str) -> str:
+    """'1 spring', '2 springs'."""
+    return f"{count} {thing}{'s' * (count != 1)}"

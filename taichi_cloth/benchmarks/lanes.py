@@ -12,7 +12,7 @@ from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench
 from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.benchmarks.structural import SCENE
-from taichi_cloth.console import counted
+from taichi_cloth.errors import counted
 
 PART = "lanes"
 SIDE, QUICK_SIDE = 512, 128

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taichi_cloth import __version__, console
-from taichi_cloth.console import Tell, counted, duration, markdown_table
-from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.console import Tell, duration, markdown_table
+from taichi_cloth.errors import InputError, counted, nearest
 from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.kernels import forces
 from taichi_cloth.scene.source import SceneSource

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from taichi_cloth.errors import counted
 from taichi_cloth.kernels import forces
-from taichi_cloth.kernels.forces.contract import PARTICLE_NUMBER, Variant, counted, has
+from taichi_cloth.kernels.forces.contract import PARTICLE_NUMBER, Variant, has
 from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.model import WALLS, Features, Particles, Scene, SpringDefaults, Springs
 from taichi_cloth.simulation import adjacency

@@ -82,7 +82,7 @@ class Upload:
         if len(self.snapshot.x):  # a kernel takes no empty array
             self._particles()
             if "summed_springs" in self.needs:
-                self._near()
+                self._summed_springs()
             if self.spec.halo and "spring_colours" in self.needs:
                 self._launch(transfer.load_halo_numbers)
         if self.spec.springs:
@@ -116,7 +116,7 @@ class Upload:
             raise _wrong_size(self.real, "particle", int(vanished.argmax()))
         self._launch(transfer.load_particles, self.placement.layout.slot, rows)
 
-    def _near(self) -> None:
+    def _summed_springs(self) -> None:
         """Sums of the stiffness and damping of each particle's springs."""
         springs = self.snapshot.scene.springs.select(self.snapshot.pulling)
         count = len(self.snapshot.x)

@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from taichi_cloth import console
-from taichi_cloth.console import counted, duration
+from taichi_cloth.console import duration
+from taichi_cloth.errors import counted
 from taichi_cloth.trade.reference import Horizon, Reference
 from taichi_cloth.trade.rows import Row
 from taichi_cloth.trade.runner import Result

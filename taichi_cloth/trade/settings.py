@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from taichi_cloth.console import counted
-from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.errors import InputError, counted, nearest
 from taichi_cloth.limits.bounds import Bounds, any_geometry, step_within
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene

@@ -10,7 +10,7 @@ import numpy as np
 
 from taichi_cloth.benchmarks.accuracy.experiments import DEFAULT, RATE, swing
 from taichi_cloth.benchmarks.accuracy.tables import called, in_order, series_of, usable
-from taichi_cloth.console import counted
+from taichi_cloth.errors import counted
 from taichi_cloth.kernels import methods
 
 if TYPE_CHECKING:

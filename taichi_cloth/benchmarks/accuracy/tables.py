@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from taichi_cloth import console
-from taichi_cloth.console import counted, duration, markdown_table
-from taichi_cloth.errors import InputError
+from taichi_cloth.console import duration, markdown_table
+from taichi_cloth.errors import InputError, counted
 from taichi_cloth.kernels import methods
 
 MARKED = "accuracy"  # what marks the document's places

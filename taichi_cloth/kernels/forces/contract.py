@@ -158,8 +158,3 @@ PARTS = tuple(part.name for part in fields(Term) if part.default is MISSING)
 def has(part: Part | Absent) -> TypeGuard[Part]:
     """Whether a term has a part: it is not declared absent."""
     return not isinstance(part, Absent)
-
-
-def counted(count: int, thing: str) -> str:
-    """A number of things in words, such as '1 spring' or '2 springs'."""
-    return f"{count} {thing}{'s' * (count != 1)}"

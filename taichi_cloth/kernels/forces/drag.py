@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import taichi as ti
 
+from taichi_cloth.errors import counted
 from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.forces.contract import (
     FORCE,
@@ -16,7 +17,6 @@ from taichi_cloth.kernels.forces.contract import (
     DeviceField,
     Term,
     Variant,
-    counted,
 )
 from taichi_cloth.kernels.packs import read
 

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import taichi as ti
 
+from taichi_cloth.errors import counted
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.forces.contract import TENSION, Absent, Term, Variant, counted
+from taichi_cloth.kernels.forces.contract import TENSION, Absent, Term, Variant
 from taichi_cloth.kernels.spring_numbers import REST, K
 
 
