@@ -107,7 +107,7 @@ def _store_acceleration(spec: ti.template(), state: ti.template(), i, f):
     write(spec, state.a, i, acceleration(spec, state, i, f))
 
 
-def _terms(spec, adds, resists=None):
+def terms_on_particles(spec, adds, resists=None):
     """Those terms on particles that add ACCELERATION or FORCE.
 
     adds: which of both; resists: True: only those with damping; False: only those without; None:
@@ -131,11 +131,11 @@ def acceleration(spec: ti.template(), state: ti.template(), i, f):
     w, v = read(spec, state.w, i), read(spec, state.v, i)
     none = 0.0 * v
     a, total = none, f
-    for term in ti.static(_terms(spec, ACCELERATION)):
+    for term in ti.static(terms_on_particles(spec, ACCELERATION)):
         a += term.law(spec, state, i)
-    for term in ti.static(_terms(spec, FORCE, True)):
+    for term in ti.static(terms_on_particles(spec, FORCE, True)):
         a += scaled(w, term.law(spec, state, i))
-    for term in ti.static(_terms(spec, FORCE, False)):
+    for term in ti.static(terms_on_particles(spec, FORCE, False)):
         if ti.static(not has(term.acts)):
             total += term.law(spec, state, i)
         elif term.acts(state):

@@ -117,8 +117,12 @@ def _mark_links(spec: ti.template(), state: ti.template(), i):
 
 
 @ti.kernel
-def mark_new_springs(spec: ti.template(), state: ti.template()):
-    """Mark the springs that are over their limit before the first step, which then break in it."""
+def mark_new_springs(spec: ti.template(), state: ti.template(), step: ti.i32):
+    """Mark the springs that are over their limit after step number `step`, outside of any: they
+    break in the next one.
+    """
+    for _ in range(1):
+        state.step[None] = step
     if ti.static(spec.kinds > 0):
         each_pack(spec, state, 0, _mark_links)
     if ti.static(spec.springs):

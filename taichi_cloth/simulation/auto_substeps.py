@@ -15,6 +15,7 @@ class AutoSubsteps:
     """
 
     def __init__(self, name: str, method: Method, dt: float) -> None:
+        self._method = name, method, dt
         self._controller = SubstepController(name, method, dt)
         self._broken, self._breaking = 0, True
 
@@ -30,6 +31,15 @@ class AutoSubsteps:
         """
         self._broken, self._breaking = int((~grown.alive).sum()), True
         return self._controller.choose(Snapshot.at_start(grown.scene, grown.marks).network())
+
+    def after_edit(self, edited: Snapshot) -> int:
+        """The substeps of a state that is changed by hand; as `before_spawn`, but with nothing
+        remembered, and where it refuses nothing is changed.
+        """
+        tried = AutoSubsteps(*self._method)
+        chosen = tried.before_spawn(edited)
+        vars(self).update(vars(tried))
+        return chosen
 
     def after_frame(self, storage: Storage, substeps: int) -> int:
         """The substeps of the next frame, after one of `substeps`: fewer, where springs that broke

@@ -200,16 +200,10 @@ def on_grids(
     grids = adjacency.find_grids(springs.between, particle_count)
     if not grids:
         return None
-    grid = np.full(particle_count, -1)
-    column, row = np.zeros((2, particle_count), np.int64)
-    for g, block in enumerate(grids):
-        inside = slice(block.first, block.first + block.rows * block.columns)
-        grid[inside] = g
-        row[inside], column[inside] = np.divmod(
-            np.arange(block.rows * block.columns), block.columns
-        )
-
-    kind = _kinds(springs, grid, column, row)
+    grid, column, row = _on_which_grid(grids, particle_count)
+    kind = _kinds(springs.between, grid, column, row)
+    # A link without stiffness cannot be told from an absent one, and stays on the graph.
+    kind[~(springs.stiffness > 0)] = -1
     shared, limit, kind = _shared_numbers(springs, kind, grid, len(grids), terms)
     used = np.unique(kind[kind >= 0])
     if not len(used):
@@ -237,6 +231,33 @@ def on_grids(
         row=int(table[:, 2].max()) + 2 * halo,
         rows_share_stiffness=_alike(springs, kind, grids, depth),
     )
+
+
+def springs_of_kind(name: str, between: np.ndarray, particle_count: int) -> np.ndarray:
+    """Which of the springs `between` (s, 2) are links of one kind of regular grids, (s,) bool.
+
+    name: of the kind, out of `LINKS`.
+    """
+    grids = adjacency.find_grids(between, particle_count)
+    names = np.array([kind for kind in LINKS for _ in LINKS[kind]] + [""])
+    kind = _kinds(between, *_on_which_grid(grids, particle_count))
+    mine: np.ndarray = names[kind] == name
+    return mine
+
+
+def _on_which_grid(
+    grids: Sequence[adjacency.Grid], particle_count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Each particle's grid (-1: none), and its column and row in it, all (n,)."""
+    grid = np.full(particle_count, -1)
+    column, row = np.zeros((2, particle_count), np.int64)
+    for g, block in enumerate(grids):
+        inside = slice(block.first, block.first + block.rows * block.columns)
+        grid[inside] = g
+        row[inside], column[inside] = np.divmod(
+            np.arange(block.rows * block.columns), block.columns
+        )
+    return grid, column, row
 
 
 def _packed(
@@ -291,17 +312,18 @@ def _grid_of_packs(table: np.ndarray, halo: int, n_packs: int) -> np.ndarray:
     return grid_of
 
 
-def _kinds(springs: Springs, grid: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """Each spring's kind, an index into FORWARD, or -1 where it is no link of a grid.
-
-    A link without stiffness cannot be told from an absent one, and stays on the graph.
+def _kinds(
+    between: np.ndarray, grid: np.ndarray, column: np.ndarray, row: np.ndarray
+) -> np.ndarray:
+    """The kind of each of the springs `between` (s, 2), an index into FORWARD, or -1 where it is no
+    link of a grid.
 
     grid, column, row: (n,), where each particle is; grid -1: on none.
     """
-    a, b = springs.between.min(axis=1), springs.between.max(axis=1)
+    a, b = between.min(axis=1), between.max(axis=1)
     offset = np.stack([column[b] - column[a], row[b] - row[a]], axis=1)
-    inside = (grid[a] == grid[b]) & (grid[a] >= 0) & (springs.stiffness > 0)
-    kind = np.full(len(springs), -1)
+    inside = (grid[a] == grid[b]) & (grid[a] >= 0)
+    kind = np.full(len(between), -1)
     for k, forward in enumerate(FORWARD):
         kind[inside & (offset == forward).all(axis=1)] = k
     return kind

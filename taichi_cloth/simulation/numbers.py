@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +10,7 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.methods.contract import Claims
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.settings import values
 from taichi_cloth.settings.options import SOLVER_SETTINGS
 
 # A particle that would cross the world this many times in one frame is lost, not fast.
@@ -31,12 +31,8 @@ class Numbers:
 
 def checked_step(dt: float | str, substeps: int) -> tuple[float, int]:
     """(dt, substeps), if there can be such steps; else InputError."""
-    dt = float(dt)
-    if not (math.isfinite(dt) and dt > 0):
-        raise InputError(f"--dt {dt}: must be a positive number")
-    if substeps < 1:
-        raise InputError(f"--substeps {substeps}: must be at least 1")
-    return dt, substeps
+    checked = values.number("--dt", dt, above=0.0)
+    return checked, values.whole_number("--substeps", substeps, 1)
 
 
 def runaway_speed(scene: Scene, dt: float) -> float:
@@ -55,7 +51,8 @@ def solver_settings(
         if name not in claims.settings:
             takers = [m for m in methods.METHODS if name in methods.load(m).claims.settings]
             raise InputError(f"--{name}: {method} does not take it; {', '.join(takers)} do")
-        if not value > 0:
-            raise InputError(f"--{name} {value}: must be positive")
+        if name == "iterations":
+            values.whole_number("--iterations", value, 1)
+        values.number(f"--{name}", value, above=0.0)
     chosen = {name: value for name, value in given.items() if value is not None}
     return {name: chosen.get(name, SOLVER_SETTINGS[name]) for name in claims.settings}

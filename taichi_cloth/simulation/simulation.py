@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from taichi_cloth.errors import InputError, SimulationFailure, nearest
+from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.methods.contract import Claims
@@ -17,7 +19,9 @@ from taichi_cloth.limits.network import Network
 from taichi_cloth.runtime import current_device
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import Particles, Scene, Springs
-from taichi_cloth.simulation import autotune, diagnosis, diagnostics
+from taichi_cloth.settings import values
+from taichi_cloth.settings.options import PATHS, TOPOLOGIES
+from taichi_cloth.simulation import autotune, diagnosis, diagnostics, editing
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.frame_timer import FrameTimer, describe_size
 from taichi_cloth.simulation.launch import Launcher
@@ -33,6 +37,7 @@ from taichi_cloth.simulation.storage import Storage
 # Particles in a pack on CPUs: 8 fill the widest vectors there are in f64, half of one in f32, where
 # 16 are faster only on large cloths and take three times as long to compile; docs/speed.md.
 LANES = 8
+MOST_LANES = 64  # more fill no vector, and take minutes to compile
 
 
 class Simulation:
@@ -66,13 +71,14 @@ class Simulation:
         tolerance: float | None = None,
         iterations: int | None = None,
     ) -> None:
-        if method not in methods.METHODS:
-            raise InputError(f"--method {method}: unknown; {nearest(method, methods.METHODS)}")
-        follows = dt == "auto"
+        values.word("--method", method, methods.METHODS)
+        follows = isinstance(dt, str) and dt == "auto"
+        if lanes is not None:
+            lanes = values.whole_number("lanes", lanes, 1, MOST_LANES)
         if follows and substeps != 1:
             raise InputError("--substeps: --dt auto chooses them; give one of the two")
-        step = checked_step(scene.world.dt if dt is None or follows else dt, substeps)
         self.scene, self.method = validate(scene), method
+        step = checked_step(scene.world.dt if dt is None or follows else dt, substeps)
         self.dt, self.substeps = step
         device = current_device()
         self._module = methods.load(method)
@@ -102,8 +108,9 @@ class Simulation:
         """
         if self.follows and not (dt is None and substeps == 1):
             raise InputError("--dt auto chooses the step; it cannot be set")
+        validate(scene)
         step = checked_step(scene.world.dt if dt is None else dt, substeps)
-        self.scene = validate(scene)
+        self.scene = scene
         self.dt, self.substeps = step
         if self.follows:
             self._auto = AutoSubsteps(self.method, self._module, self.dt)
@@ -113,7 +120,11 @@ class Simulation:
     # --- the clock -------------------------------------------------------------------------
 
     def reset(self) -> None:
-        """Back to the scene's start; what was spawned is gone."""
+        """Back to the start of the scene as it was given.
+
+        What was spawned since is gone, and all that was set, tied, cut, pinned or removed is as it
+        was: `set` it again, or `load_scene` a changed one.
+        """
         self.frame, self._since = 0, (0, 0.0, 0)
         self._work = np.zeros(len(WORK), np.int64)
         start = Snapshot.at_start(self.scene)
@@ -122,11 +133,12 @@ class Simulation:
         self._store(start)
 
     def advance(self, frames: int = 1) -> None:
-        """Advance by whole frames.
+        """Advance by whole frames, at least 0.
 
         Raises SimulationFailure when a particle is no longer finite or runs away; the state is
         then that of the last good frame, and can be read, drawn and saved.
         """
+        frames = values.whole_number("advance: frames", frames)
         while frames > 0:
             # A push lasts one frame, and what breaks may change the next; else they share a launch.
             follows = self._auto is not None and self.storage.specialization.fracture
@@ -228,13 +240,18 @@ class Simulation:
                 self._pace = autotune.Pace(choice.alone)
         self.storage.load(self.topology, self.execution, self._numbers())
         self.topology = self.storage.topology
-        self.storage.mark_new_springs()
+        self.storage.mark_new_springs(self.steps)
 
     def load_as(self, topology: str, path: str, x: np.ndarray, v: np.ndarray) -> None:
         """Put all particles at x with v, (n, dim), stored in a topology, to be run on a path.
 
         The clock goes on, and springs stay as they were when last loaded.
         """
+        values.word("topology", topology, TOPOLOGIES)
+        values.word("path", path, PATHS)
+        shape = self.particle_count, self.scene.world.dim
+        x = values.array("load_as: x", x, shape, "particles, dimensions")
+        v = values.array("load_as: v", v, shape, "particles, dimensions")
         self.storage.move(x, v)
         self.storage.load(topology, path, self._numbers())
         self.topology, self.execution = self.storage.topology, path
@@ -244,23 +261,39 @@ class Simulation:
     def blow(self, pointer: ArrayLike, displacement: ArrayLike) -> None:
         """Blow on particles near `pointer` (2-D, world units) through the next frame.
 
-        displacement: how far the pointer moved since the last frame. A scene whose mouse does not
-        blow refuses with InputError.
+        displacement: how far the pointer moved since the last frame. InputError in a scene whose
+        mouse does not blow, and in a 3-D one, which takes `blow_ray`.
         """
+        if self.scene.world.dim != 2:
+            raise InputError("blow: the scene is 3-D; use blow_ray")
+        pointer = values.array("blow: pointer", pointer, (2,))
+        displacement = values.array("blow: displacement", displacement, (2,))
         self._push(pointer, np.zeros(2), displacement)
 
     def blow_ray(self, origin: ArrayLike, direction: ArrayLike, displacement: ArrayLike) -> None:
-        """Blow in 3-D on particles near the line through `origin` along `direction`, all (3,)."""
-        direction = np.asarray(direction, np.float64)
-        self._push(origin, direction / np.linalg.norm(direction), displacement)
+        """Blow in 3-D on particles near the line through `origin` along `direction`, all (3,).
 
-    def hold(self, force: np.ndarray) -> None:
+        InputError in a scene whose mouse does not blow, and in a 2-D one, which takes `blow`.
+        """
+        if self.scene.world.dim != 3:
+            raise InputError("blow_ray: the scene is 2-D; use blow")
+        origin = values.array("blow_ray: origin", origin, (3,))
+        along = values.array("blow_ray: direction", direction, (3,))
+        displacement = values.array("blow_ray: displacement", displacement, (3,))
+        largest = np.abs(along).max()
+        if largest == 0:
+            raise InputError("blow_ray: direction must not be zero")
+        along = along / largest  # so that no square overflows
+        self._push(origin, along / np.linalg.norm(along), displacement)
+
+    def hold(self, force: ArrayLike) -> None:
         """Push every particle with a constant force of its own, (n, dim), until the next push.
 
         A scene whose mouse does not blow refuses with InputError, as it does for `blow`.
         """
         self._check_blows()
-        self.storage.hold(force)
+        shape = self.particle_count, self.scene.world.dim
+        self.storage.hold(values.array("hold: force", force, shape, "particles, dimensions"))
 
     def spawn(
         self,
@@ -276,10 +309,16 @@ class Simulation:
         tied_to: index of a particle to tie it to with the scene's spring defaults. Raises
         InputError where the particle is outside the world or tied to one that does not exist.
         """
-        defaults = self.scene.particle_defaults
+        dim, defaults = (self.scene.world.dim,), self.scene.particle_defaults
+        position = values.array("spawn: position", position, dim, "one a dimension")
+        if velocity is not None:
+            velocity = values.array("spawn: velocity", velocity, dim, "one a dimension")
+        fixed = values.flag("spawn: fixed", fixed)
         new = Particles.build(position, velocity, defaults=defaults, fixed=fixed, color=color)
-        if tied_to is not None and not 0 <= tied_to < self.particle_count:
-            raise InputError(f"spawn: tied to particle {tied_to}, which does not exist")
+        if tied_to is not None:
+            tied_to = values.whole_number("spawn: tied_to", tied_to)
+            if tied_to >= self.particle_count:
+                raise InputError(f"spawn: tied to particle {tied_to}, which does not exist")
         validate(replace(self.scene, particles=new, springs=Springs.none()))
         grown = self.storage.snapshot().with_particle(new, tied_to)
         if self._auto:  # before anything changes: it may refuse
@@ -289,7 +328,7 @@ class Simulation:
         self._store(grown)
         return self.particle_count - 1
 
-    def _push(self, origin: ArrayLike, direction: np.ndarray, displacement: ArrayLike) -> None:
+    def _push(self, origin: np.ndarray, direction: np.ndarray, displacement: np.ndarray) -> None:
         self._check_blows()
         reach = [blow.REACH, blow.STRENGTH]
         self.storage.push(np.concatenate([origin, direction, displacement, reach]))
@@ -301,6 +340,102 @@ class Simulation:
                 f"scene '{self.scene.name}': the mouse does not blow here "
                 f"([world] mouse is '{mouse}'; set it to 'blow')"
             )
+
+    # --- changes while it runs -------------------------------------------------------------
+
+    def set(
+        self,
+        *,
+        particles: ArrayLike | None = None,
+        springs: ArrayLike | None = None,
+        kind: str | None = None,
+        **changes: Any,
+    ) -> None:
+        """Change numbers of the scene, or the motion of particles, from the next step on.
+
+        Time, what is broken, what was spawned and all that is not named stay as they are. With
+        dt "auto" the substeps are chosen anew.
+
+        changes: by name, one value for all that are selected or one for each:
+            mass, radius, viscous, restitution (`ParticleProperties`), fixed (bool), color (3);
+            positions, velocities (m, dim), in world units; fixed particles keep velocity 0;
+            stiffness, rest_length, break_force, damping (`SpringProperties`); None for a break
+            force: unbreakable, for a rest length: the distance that the ends have now;
+            gravity (dim,) and the further keys of [world] that forces declare.
+        particles: indices, or a mask (n,), of those that get the values; absent: all.
+        springs: likewise for springs (s,); kind: instead, "structural", "shear" or "bend": those of
+            the scene's regular grids that are links of this kind.
+
+        Setting what is so already changes no bit of the run; other values make methods that keep
+        vectors from step to step (`verlet`) compute them anew. A feature that the scene has not had
+        (damping, drag, springs that break, numbers that differ) is compiled at its first use.
+        Raises InputError, and leaves all as it was, for unknown names, wrong shapes, numbers
+        outside of their limits, positions outside the world, and steps that dt "auto" cannot take.
+        """
+        now = self.storage.snapshot()
+        selection = editing.Selection(particles, springs, kind)
+        self._edit(now, editing.with_values(now, changes, selection))
+
+    def pin(self, particles: ArrayLike) -> None:
+        """Fix particles, by indices or a mask (n,), where they are now."""
+        self.set(fixed=True, particles=particles)
+
+    def unpin(self, particles: ArrayLike) -> None:
+        """Let particles go, by indices or a mask (n,); they start at rest."""
+        self.set(fixed=False, particles=particles)
+
+    def add_spring(self, i: int, j: int, **numbers: float | None) -> int:
+        """Tie particles i and j by a spring; return its index.
+
+        numbers: stiffness and the others of `SpringProperties`; absent: the scene's defaults, for
+        the rest length the distance that the two have now. Where a spring of theirs is broken or
+        cut, that one is whole again with these numbers. InputError where one holds already.
+        """
+        now = self.storage.snapshot()
+        edited, index = editing.with_spring(now, i, j, numbers)
+        self._edit(now, edited)
+        return index
+
+    def cut(self, springs: ArrayLike) -> None:
+        """Let springs be gone at once, by indices or a mask (s,). They count as broken."""
+        now = self.storage.snapshot()
+        self._edit(now, editing.with_cut(now, springs, self.steps))
+
+    def remove(self, particles: ArrayLike) -> np.ndarray:
+        """Remove particles, by indices or a mask (n,), with all springs at them.
+
+        What is left is numbered from 0 in the order it had, springs too; those that are broken
+        remain listed. Returns which particles these are by their old indices, (m,).
+        """
+        now = self.storage.snapshot()
+        edited, left = editing.without(now, particles)
+        self._edit(now, edited, left)
+        return left
+
+    def _edit(self, now: Snapshot, edited: Snapshot, left: np.ndarray | None = None) -> None:
+        """Go on from an edited state; left: which of the particles are left, all where absent.
+
+        InputError where the device or dt "auto" refuses it; all is then as it was.
+        """
+        if left is None and editing.same(now, edited):
+            return
+        clock = self._since, self.dt, self.substeps, self.speed_limit
+        auto, pushed, held = copy.copy(self._auto), self.storage.pushed, self.storage.held()
+        try:
+            if self._auto:
+                chosen = self._auto.after_edit(edited)
+                if chosen != self.substeps:
+                    self._change_step(self.dt, chosen)
+            self._store(edited)
+        except InputError:
+            self._since, self.dt, self.substeps, self.speed_limit = clock
+            self._auto = auto
+            self._store(now)
+            if held is not None:
+                self.storage.hold_again(held, pushed)
+            raise
+        if held is not None:
+            self.storage.hold_again(held if left is None else held[left], pushed)
 
     # --- what there is ---------------------------------------------------------------------
 
@@ -325,6 +460,14 @@ class Simulation:
     def velocities(self) -> np.ndarray:
         """Velocities, (n, dim)."""
         return self.storage.velocities()
+
+    def forces(self) -> np.ndarray:
+        """The total force on each particle in the present state, (n, dim), in the scene's units.
+
+        It is that of springs, dashpots, drag, gravity and a push that is held, but not of contacts,
+        which are impulses; on fixed particles, too: what holds them gives the opposite.
+        """
+        return self.storage.forces()
 
     def radii(self) -> np.ndarray:
         """Radii, (n,)."""

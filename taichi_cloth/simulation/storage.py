@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from taichi_cloth.kernels import forces, fracture, transfer, watchdog
+from taichi_cloth.kernels import forces, fracture, total_forces, transfer, watchdog
 from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.solvers import stages
@@ -74,7 +74,7 @@ class Storage:
         self._taken = snapshot
         self._placements = Placements(snapshot.scene, self._needs, lanes)
         self.topology = self.path = ""
-        self.pushed = False
+        self.pushed = self._held = False
         self._loaded: _Loaded | None = None
         self._altered = True  # from outside, so that what the method keeps must be computed anew
         self._drawn_positions = np.zeros((0, 0))
@@ -115,8 +115,9 @@ class Storage:
 
     def take(self, snapshot: Snapshot) -> None:
         """Hold another state from the next load on, without a push."""
+        if not _same_places(self._taken.scene, snapshot.scene):
+            self._placements = Placements(snapshot.scene, self._needs, self._lanes)
         self._taken = snapshot
-        self._placements = Placements(snapshot.scene, self._needs, self._lanes)
         self.pushed = False
 
     def move(self, x: np.ndarray, v: np.ndarray) -> None:
@@ -148,12 +149,13 @@ class Storage:
         upload.all()
         if "blow" in container.spec.terms and not self.pushed:
             self._launcher.launch(blow.clear_push, container.state)
+            self._held = False
         self._altered = True
 
-    def mark_new_springs(self) -> None:
-        """Mark the springs that are over their limit outside of a step."""
+    def mark_new_springs(self, steps: int) -> None:
+        """Mark the springs that are over their limit after `steps` steps, outside of any."""
         if self.specialization.fracture:
-            self._launch(fracture.mark_new_springs)
+            self._launch(fracture.mark_new_springs, steps)
 
     def set_path(self, path: str) -> None:
         """From now on run on a path, "serial" or "parallel"."""
@@ -235,6 +237,8 @@ class Storage:
         features, layout = dict(vars(self.scene.features())), placement.layout
         spawns = self.scene.world.mouse == "spawn"
         features["springs"] &= spawns or len(placement.graph_springs) > 0
+        # What was cut is gone where nothing else can break.
+        features["fracture"] |= not self._taken.alive.all()
         terms = forces.present_in(self.scene)
         features["uniform_springs"] &= not any(number.changes(terms) for number in NUMBERS)
         return Specialization(
@@ -263,18 +267,28 @@ class Storage:
     def push(self, numbers: np.ndarray) -> None:
         """Push the particles near a line until the frame's end (`blow.compute_push`)."""
         self._launch(blow.compute_push, numbers.astype(self.real))
-        self.pushed = self._altered = True
+        self.pushed = self._held = self._altered = True
 
     def hold(self, force: np.ndarray) -> None:
         """Push every particle with a force of its own, (n, dim), until the next push."""
         self._launch(blow.hold_push, as_real(self.real, "particle", force))
-        self._altered = True
+        self._held = self._altered = True
+
+    def held(self) -> np.ndarray | None:
+        """The force on each particle that is pushed or held now, (n, dim); None: there is none."""
+        return self._read_field(self.state.push) if self._held else None
+
+    def hold_again(self, force: np.ndarray, pushed: bool) -> None:
+        """Go on with a push that was there before the last load; pushed: until the frame's end."""
+        if len(force):
+            self.hold(force)
+        self.pushed = pushed
 
     def end_push(self) -> None:
         """At a frame's end: no pointer any more."""
         if self.pushed:
             self._launcher.launch(blow.clear_push, self.state)
-            self.pushed, self._altered = False, True
+            self.pushed, self._held, self._altered = False, False, True
 
     # --- reading back ----------------------------------------------------------------------
 
@@ -316,6 +330,16 @@ class Storage:
     def velocities(self) -> np.ndarray:
         """Velocities, (n, dim) float64."""
         return self._read("v")
+
+    def forces(self) -> np.ndarray:
+        """The total force on each particle in the present state, (n, dim) float64."""
+        mass = self.scene.particles.mass[:, None]
+        if len(mass) == 0:
+            return np.zeros((0, self.scene.world.dim))
+        self._launch(total_forces.compute_forces)
+        force: np.ndarray = self._read_field(self.state.saved_x)
+        force += mass * self._read_field(self.state.saved_v)
+        return force
 
     def marks(self) -> np.ndarray:
         """Status and break step of every spring, (s, 2) int32."""
@@ -401,6 +425,16 @@ class Storage:
             self._launch(transfer.read_vectors, of, out)
         values: np.ndarray = out.astype(np.float64)
         return values
+
+
+def _same_places(one: Scene, other: Scene) -> bool:
+    """Whether the particles and springs of two scenes are placed alike, whatever else differs."""
+    return (
+        one.springs is other.springs
+        and one.particles.position is other.particles.position
+        and one.world.collisions == other.world.collisions
+        and forces.present_in(one) == forces.present_in(other)
+    )
 
 
 def _free(state: Any, device: Device) -> None:

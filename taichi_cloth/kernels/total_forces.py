@@ -1,0 +1,39 @@
+"""The total force on each particle in the present state, for the host to read between frames."""
+
+import taichi as ti
+
+from taichi_cloth.kernels.accelerations import terms_on_particles
+from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, has
+from taichi_cloth.kernels.packs import set_slot_value, slot_value, write
+from taichi_cloth.kernels.springs import accumulate, force_between
+
+
+@ti.kernel
+def compute_forces(spec: ti.template(), state: ti.template()):
+    """Compute what acts on each particle, fixed ones too, from positions and velocities.
+
+    Forces go to state.saved_x, accelerations that do not depend on mass to state.saved_v: between
+    frames the fields of the checkpoint are free, and all that the method keeps stays as it is.
+    """
+    accumulate(spec, state, 0, force_between, _store, _store_more)
+
+
+@ti.func
+def _store(spec: ti.template(), state: ti.template(), i, f):
+    """Store the spring forces f on pack i with all other forces, and its accelerations."""
+    total, a = f, 0.0 * f
+    for term in ti.static(terms_on_particles(spec, ACCELERATION)):
+        a += term.law(spec, state, i)
+    for term in ti.static(terms_on_particles(spec, FORCE)):
+        if ti.static(not has(term.acts)):
+            total += term.law(spec, state, i)
+        elif term.acts(state):
+            total += term.law(spec, state, i)
+    write(spec, state.saved_x, i, total)
+    write(spec, state.saved_v, i, a)
+
+
+@ti.func
+def _store_more(spec: ti.template(), state: ti.template(), slot, f):
+    """Add the forces f of those springs of a particle that no grid holds."""
+    set_slot_value(spec, state.saved_x, slot, slot_value(spec, state.saved_x, slot) + f)

@@ -1,0 +1,285 @@
+"""Changes to a state from outside, while it runs: numbers, motion, springs, particles (NumPy).
+
+Each takes a `Snapshot` and gives another one, or raises InputError; whatever it does not name stays
+as it is. What may be set, and within which limits, is read from the declarations of properties
+(`scene/properties.py`) and of the world's keys (`kernels/forces/`): a new one needs no line here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.kernels.state import ALIVE, GONE
+from taichi_cloth.scene.cloth import LINKS
+from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.scene.properties import PARTICLE_PROPERTIES, SPRING_PROPERTIES, Property, Rule
+from taichi_cloth.scene.world_keys import world_keys
+from taichi_cloth.settings import values
+from taichi_cloth.simulation import layouts
+from taichi_cloth.simulation.snapshot import Snapshot
+
+OF_PARTICLES = (*PARTICLE_PROPERTIES, "fixed", "color", "positions", "velocities")
+
+
+def settable() -> list[str]:
+    """The names of all that `with_values` takes."""
+    return [*OF_PARTICLES, *SPRING_PROPERTIES, "gravity", *world_keys()]
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which particles and springs get values: indices or masks; None: all.
+
+    kind: those springs of the scene's regular grids that are of this kind of link.
+    """
+
+    particles: Any = None
+    springs: Any = None
+    kind: str | None = None
+
+
+def with_values(now: Snapshot, given: Mapping[str, Any], selection: Selection) -> Snapshot:
+    """The state with other values, by name: one for all that are selected, or one for each."""
+    if not given:
+        raise InputError(f"set: nothing to set; known: {', '.join(settable())}")
+    for name in given:
+        if name not in settable():
+            raise InputError(f"set: unknown name '{name}'; {nearest(name, settable())}")
+    of_particles = {name: given[name] for name in given if name in OF_PARTICLES}
+    of_springs = {name: given[name] for name in given if name in SPRING_PROPERTIES}
+    of_world = {name: given[name] for name in given if name not in {*of_particles, *of_springs}}
+    chosen = _particles(now, selection, bool(of_particles))
+    tied = _springs(now, selection, bool(of_springs))
+    scene, x, v = now.scene, now.x, now.v
+    if of_world:
+        scene = replace(scene, world=_world(scene.world, of_world))
+    if of_particles:
+        x, v = _motion(now, of_particles, chosen)
+        scene = replace(scene, particles=_with_columns(scene.particles, of_particles, chosen))
+    if of_springs:
+        scene = replace(scene, springs=_with_numbers(scene.springs, of_springs, tied, x))
+    return Snapshot(scene, x, v, now.marks)
+
+
+def with_spring(now: Snapshot, i: int, j: int, given: Mapping[str, Any]) -> tuple[Snapshot, int]:
+    """The state with particles i and j tied by a spring, and the spring's number.
+
+    given: its numbers; the others are the scene's defaults, the rest length the distance that the
+    two have now. A spring of theirs that is gone is whole again with these numbers.
+    """
+    what, count = "add_spring", len(now.x)
+    ends = []
+    for name, end in (("i", i), ("j", j)):
+        ends.append(values.whole_number(f"{what}: particle {name}", end))
+        if ends[-1] >= count:
+            has = f"particles 0 to {count - 1}" if count else "none"
+            raise InputError(f"{what}: there is no particle {ends[-1]}; the scene has {has}")
+    if ends[0] == ends[1]:
+        raise InputError(f"{what}: it ties particle {ends[0]} to itself; give two different ones")
+    for name in given:
+        if name not in SPRING_PROPERTIES:
+            raise InputError(f"{what}: unknown name '{name}'; {nearest(name, SPRING_PROPERTIES)}")
+    single = {name: value for name, value in given.items() if value is not None}
+    apart = float(np.linalg.norm(now.x[ends[1]] - now.x[ends[0]]))
+    bare = Springs.build(
+        [ends], now.x, defaults=now.scene.spring_defaults, **{"rest_length": apart}
+    )
+    tie = _with_numbers(bare, single, np.zeros(1, np.int64), now.x, what)
+    scene, marks = now.scene, now.marks
+    there = np.flatnonzero((np.sort(scene.springs.between, axis=1) == np.sort(ends)).all(axis=1))
+    if len(there) == 0:
+        joined = scene.springs.joined(tie)
+        marks = np.concatenate([marks, np.array([[ALIVE, 0]], np.int32)])
+        return replace(now, scene=replace(scene, springs=joined), marks=marks), len(joined) - 1
+    s = int(there[0])
+    if marks[s, 0] != GONE:
+        raise InputError(f"{what}: spring {s} ties particles {ends[0]} and {ends[1]} already")
+    columns = {name: column.copy() for name, column in vars(scene.springs).items()}
+    for name, column in columns.items():
+        column[s] = getattr(tie, name)[0]
+    marks = marks.copy()
+    marks[s] = ALIVE, 0
+    return replace(now, scene=replace(scene, springs=Springs(**columns)), marks=marks), s
+
+
+def with_cut(now: Snapshot, springs: Any, steps: int) -> Snapshot:
+    """The state in which some springs are gone, after `steps` steps; what is gone stays so."""
+    chosen = values.selection("cut: springs", springs, len(now.marks), "spring")
+    marks = now.marks.copy()
+    holding = chosen[marks[chosen, 0] != GONE]
+    # In a step before the last one, so that a frame that is undone does not mend them.
+    marks[holding] = GONE, steps - 1
+    return replace(now, marks=marks)
+
+
+def without(now: Snapshot, particles: Any) -> tuple[Snapshot, np.ndarray]:
+    """The state without some particles and their springs, and which particles are left (m,).
+
+    Particles and springs that are left keep their order.
+    """
+    count = len(now.x)
+    gone = np.zeros(count, bool)
+    gone[values.selection("remove: particles", particles, count, "particle")] = True
+    left = np.flatnonzero(~gone)
+    number = np.cumsum(~gone) - 1
+    scene, between = now.scene, now.scene.springs.between
+    holds = np.flatnonzero(~gone[between].any(axis=1))
+    springs = scene.springs.select(holds)
+    kept = Particles(**{name: rows[left] for name, rows in vars(scene.particles).items()})
+    scene = replace(
+        scene, particles=kept, springs=replace(springs, between=number[springs.between])
+    )
+    return Snapshot(scene, now.x[left], now.v[left], now.marks[holds]), left
+
+
+def same(a: Snapshot, b: Snapshot) -> bool:
+    """Whether two states are equal, number by number."""
+
+    def equal(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+        return all(one[k] is other[k] or np.array_equal(one[k], other[k]) for k in one)
+
+    return (
+        a.scene.world == b.scene.world
+        and equal(vars(a.scene.particles), vars(b.scene.particles))
+        and equal(vars(a.scene.springs), vars(b.scene.springs))
+        and all(np.array_equal(getattr(a, k), getattr(b, k)) for k in ("x", "v", "marks"))
+    )
+
+
+# --- selections ------------------------------------------------------------------------------
+
+
+def _particles(now: Snapshot, selection: Selection, wanted: bool) -> np.ndarray:
+    """Indices of the particles that are selected."""
+    if selection.particles is None:
+        return np.arange(len(now.x))
+    if not wanted:
+        raise InputError("set: particles: none of what is set belongs to particles")
+    return values.selection("set: particles", selection.particles, len(now.x), "particle")
+
+
+def _springs(now: Snapshot, selection: Selection, wanted: bool) -> np.ndarray:
+    """Indices of the springs that are selected."""
+    name = "springs" if selection.springs is not None else "kind"
+    if selection.springs is None and selection.kind is None:
+        return np.arange(len(now.marks))
+    if not wanted:
+        raise InputError(f"set: {name}: none of what is set belongs to springs")
+    if selection.kind is None:
+        return values.selection("set: springs", selection.springs, len(now.marks), "spring")
+    if selection.springs is not None:
+        raise InputError("set: springs and kind both select; give one of them")
+    kind = values.word("set: kind", selection.kind, LINKS)
+    mine = layouts.springs_of_kind(kind, now.scene.springs.between, len(now.x))
+    if not mine.any():
+        raise InputError(f"set: kind: no regular grid of the scene has {kind} links")
+    return np.flatnonzero(mine)
+
+
+# --- values ----------------------------------------------------------------------------------
+
+
+def _world(world: World, given: Mapping[str, Any]) -> World:
+    """The world with other values of its keys."""
+    more, gravity = dict(world.more), world.gravity
+    for name, value in given.items():
+        what, key = f"set: {name}", world_keys().get(name)
+        if key is not None and not key.vector:
+            more[name] = values.number(what, value)
+            _hold(what, np.array(more[name]), key.rule)
+            continue
+        vector = values.array(what, value, (world.dim,), "one a dimension")
+        _hold(what, vector, key.rule if key else None)
+        numbers = tuple(float(number) for number in vector)
+        if key is None:
+            gravity = numbers
+        else:
+            more[name] = numbers
+    return replace(world, gravity=gravity, more=more)
+
+
+def _motion(
+    now: Snapshot, given: Mapping[str, Any], chosen: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities (n, dim) with those that are given."""
+    x, v, shape = now.x, now.v, (len(chosen), now.scene.world.dim)
+    if "velocities" in given:
+        v = v.copy()
+        v[chosen] = values.broadcast("set: velocities", given["velocities"], shape, "particles")
+    if "positions" in given:
+        x = x.copy()
+        x[chosen] = values.broadcast("set: positions", given["positions"], shape, "particles")
+        _check_inside(now.scene, x, now.x)
+    return x, v
+
+
+def _check_inside(scene: Scene, x: np.ndarray, before: np.ndarray) -> None:
+    """InputError where a particle is put outside the world, in which it may have got by itself."""
+    low, high = scene.world.low, scene.world.high
+    outside = ((x < low) | (x > high)).any(axis=1) & (x != before).any(axis=1)
+    if outside.any():
+        i = int(outside.argmax())
+        where, ends = (tuple(map(float, a)) for a in (x[i], np.append(low, high)))
+        raise InputError(
+            f"set: positions: particle {i} at {where} is outside the world, which reaches "
+            f"from {ends[: len(low)]} to {ends[len(low) :]}"
+        )
+
+
+def _with_columns(particles: Particles, given: Mapping[str, Any], chosen: np.ndarray) -> Particles:
+    """The particles with other numbers, `fixed` or `color` where they are chosen."""
+    columns: dict[str, np.ndarray] = {}
+    count = len(chosen)
+    for name in given.keys() - {"positions", "velocities"}:
+        what = f"set: {name}"
+        if name == "fixed":
+            new = values.flags(what, given[name], (count,), "particles")
+        elif name == "color":
+            new = values.colors(what, given[name], count, "particles")
+        else:
+            new = _column(what, PARTICLE_PROPERTIES[name], given[name], count, "particles")
+        columns[name] = getattr(particles, name).copy()
+        columns[name][chosen] = new
+    return replace(particles, **columns)
+
+
+def _with_numbers(
+    springs: Springs,
+    given: Mapping[str, Any],
+    chosen: np.ndarray,
+    x: np.ndarray,
+    what: str = "set",
+) -> Springs:
+    """The springs with other numbers where they are chosen; x: (n, dim), where particles are."""
+    columns = {}
+    for name, value in given.items():
+        about = SPRING_PROPERTIES[name]
+        if value is None and about.at_start:
+            a, b = springs.between[chosen].T
+            new = np.linalg.norm(x[a] - x[b], axis=1)
+        else:
+            new = _column(f"{what}: {name}", about, value, len(chosen), "springs")
+        columns[name] = getattr(springs, name).copy()
+        columns[name][chosen] = new
+    return replace(springs, **columns)
+
+
+def _column(what: str, about: Property, value: Any, count: int, of: str) -> np.ndarray:
+    """A property's values (count,), for which None stands for `off` where it may be absent."""
+    if value is None and about.off is not None:
+        value = about.off
+    infinite = about.off is not None and not np.isfinite(about.off)
+    given = values.numbers(what, value, infinite=infinite)
+    _hold(what, given, about.rule)
+    return values.fitted(what, given, (count,), of)
+
+
+def _hold(what: str, given: np.ndarray, rule: Rule | None) -> None:
+    """InputError where a number breaks a rule."""
+    if rule is not None:
+        values.require(what, given, rule.holds(given), rule.says)
