@@ -14,11 +14,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.errors import InputError
+from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import ARCHS, PRECISIONS
 
 BACKENDS = tuple(name for name in ARCHS if name != "gpu")
 GPU_ORDER = ("cuda", "metal", "vulkan", "opengl")  # what `gpu` tries, best first
+
+MOST_THREADS = 1024  # Taichi starts as many as it is told, whether the system has them or not
 
 NEEDS = {  # what a backend that is not usable would need
     "cuda": "an NVIDIA GPU with its driver",
@@ -135,12 +138,13 @@ def start(
     Raises InputError where the backend or precision is unknown or not usable here (it is never
     replaced by another one), and for compensated sums with fast_math.
     """
-    if arch not in ARCHS:
-        raise InputError(f"--arch {arch}: unknown backend; {nearest(arch, ARCHS)}")
-    if precision not in PRECISIONS:
-        raise InputError(f"--precision {precision}: unknown; {nearest(precision, PRECISIONS)}")
-    if threads is not None and threads < 1:
-        raise InputError(f"--threads {threads}: must be at least 1")
+    accepted.word("--arch", arch, ARCHS)
+    accepted.word("--precision", precision, PRECISIONS)
+    if threads is not None:
+        threads = accepted.whole_number("--threads", threads, 1, MOST_THREADS)
+    if fast_math is not None:
+        fast_math = accepted.flag("--fast-math", fast_math)
+    cache = accepted.flag("cache", cache)
     threads = threads or available_cores()
     if fast_math is None:
         fast_math = precision == "f32"

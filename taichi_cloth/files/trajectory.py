@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import operator
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,10 +80,13 @@ class Trajectory:
     """
 
     def __init__(self, path: str | Path, every: int = 1):
-        if every < 1:
+        try:
+            self.every = operator.index(every)
+        except TypeError:
+            raise InputError(f"every must be a whole number, is {every!r}") from None
+        if self.every < 1 or isinstance(every, bool):
             raise InputError(f"every must be at least 1, is {every}")
-        self.every = every
-        self._pending = PendingFile(path)
+        self._pending = PendingFile(_checked(path))
         self._forget()
 
     def _forget(self) -> None:
@@ -96,11 +100,17 @@ class Trajectory:
         Call it after each frame. `last` takes note of any frame: the last good one of a run that
         failed (number 0, the scene's start, if its first frame did). A frame that was noted
         already is not noted twice; a lower number means that the simulation was reset, and what
-        was noted before is forgotten.
+        was noted before is forgotten. InputError where particles were removed since: the rows of
+        a file are those of the same ones in every frame.
         """
         frame = sim.frame
         if self._frames and frame < self._frames[-1].number:
             self._forget()
+        if sim.particle_count < self._shape[0] and self._frames:
+            raise InputError(
+                f"a trajectory of {self._shape[0]} particles cannot go on with "
+                f"{sim.particle_count}: save it, and record to another file"
+            )
         self._shape = (sim.particle_count, sim.scene.world.dim)
         self._springs = sim.springs()
         wanted = last or (frame > 0 and frame % self.every == 0)
@@ -144,8 +154,15 @@ class Trajectory:
         self._pending.discard()
 
 
+def _checked(path: str | Path) -> Path:
+    if not isinstance(path, (str, Path)):
+        raise InputError(f"the path of a trajectory must be a path, is {path!r}")
+    return Path(path)
+
+
 def load(path: str | Path) -> Saved:
     """The trajectory saved at `path`. Raises InputError if there is none that can be read."""
+    path = _checked(path)
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in _ARRAYS}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 from weakref import WeakValueDictionary
 
@@ -12,8 +12,10 @@ from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene.model import (
     MOUSE_MODES,
     WALLS,
+    ParticleDefaults,
     Particles,
     Scene,
+    SpringDefaults,
     Springs,
     World,
 )
@@ -24,6 +26,7 @@ from taichi_cloth.scene.properties import (
     Rule,
 )
 from taichi_cloth.scene.world_keys import world_keys
+from taichi_cloth.settings import accepted
 
 Place = Callable[[str, "int | None", "str | None"], str]
 
@@ -47,9 +50,12 @@ def validate(scene: Scene, place: Place = _plain_place) -> Scene:
     dimension; a particle outside the world; a spring between missing or equal particles, or a
     second spring between the same two.
     """
+    if not isinstance(scene, Scene):
+        raise InputError(f"scene must be a Scene, is {accepted.shown(scene)}; build or load one")
     if _checked.get(id(scene)) is scene:
         return scene
     refusal = _Refusal(place)
+    _check_types(scene, refusal)
     _check_world(scene.world, refusal)
     for kind, defaults, properties in (
         ("particle defaults", scene.particle_defaults, PARTICLE_PROPERTIES),
@@ -95,10 +101,11 @@ class _Refusal:
         raise InputError(f"{self.place(kind, index, name)}: {text}")
 
     def check_number(self, kind: str, name: str, value: Any, rule: Rule | None = None) -> None:
-        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
-            self.refuse(kind, None, name, f"{name} must be a number, is {value!r}")
-        if not np.isfinite(value):
-            self.refuse(kind, None, name, f"{name} must be a finite number, is {_show(value)}")
+        real = accepted.as_float(value)
+        if real is None:
+            self.refuse(kind, None, name, f"{name} must be a number, is {accepted.shown(value)}")
+        if not np.isfinite(real):
+            self.refuse(kind, None, name, f"{name} must be a finite number, is {real:g}")
         if rule and not rule.holds(value):
             self.refuse(kind, None, name, f"{name} {rule.says}, is {_show(value)}")
 
@@ -130,10 +137,55 @@ class _Refusal:
             self.refuse(f"{kind}s", None, name, text)
 
 
+def _check_types(scene: Scene, refusal: _Refusal) -> None:
+    """That each part of a scene is of its kind, which the other checks rely on."""
+    for part, kind in (
+        ("name", str),
+        ("world", World),
+        ("particles", Particles),
+        ("springs", Springs),
+        ("particle_defaults", ParticleDefaults),
+        ("spring_defaults", SpringDefaults),
+    ):
+        value = getattr(scene, part)
+        if not isinstance(value, kind):
+            raise InputError(
+                f"scene: {part} must be of type {kind.__name__}, is {accepted.shown(value)}"
+            )
+    for of, table, whole in (
+        ("particles", scene.particles, {"fixed": "b", "color": "iu"}),
+        ("springs", scene.springs, {"between": "iu"}),
+    ):
+        for name, column in vars(table).items():
+            words = getattr(SPRING_PROPERTIES.get(name), "words", ())
+            kinds = "U" if words else whole.get(name, "iuf")
+            if not isinstance(column, np.ndarray) or column.dtype.kind not in kinds:
+                has = column.dtype if isinstance(column, np.ndarray) else accepted.shown(column)
+                says = {"b": "bool", "iu": "whole numbers", "U": "words"}.get(kinds, "numbers")
+                refusal.refuse(of, None, name, f"{name} must be an array of {says}, is {has}")
+
+
+def _check_world_types(world: World, refuse: Callable[[str, str], NoReturn]) -> None:
+    for name in ("size", "gravity", "walls"):
+        value = getattr(world, name)
+        if isinstance(value, (str, bytes)) or not isinstance(value, (Sequence, np.ndarray)):
+            of = "names" if name == "walls" else "numbers"
+            refuse(name, f"{name} must be a list of {of}, is {accepted.shown(value)}")
+    if not isinstance(world.collisions, (bool, np.bool_)):
+        text = f"collisions must be True or False, is {accepted.shown(world.collisions)}"
+        refuse("collisions", text)
+    for name, word in (("mouse", world.mouse), *(("walls", wall) for wall in world.walls)):
+        if not isinstance(word, str):
+            refuse(name, f"{name}: a name is expected, not {accepted.shown(word)}")
+    if not isinstance(world.more, Mapping):
+        refuse("more", f"more must be a mapping of keys to values, is {accepted.shown(world.more)}")
+
+
 def _check_world(world: World, refusal: _Refusal) -> None:
     def refuse(name: str, text: str) -> NoReturn:
         refusal.refuse("world", None, name, text)
 
+    _check_world_types(world, refuse)
     if len(world.size) not in (2, 3):
         refuse("size", f"size must be 2 or 3 lengths, is {_show(world.size)}")
     for value in world.size:

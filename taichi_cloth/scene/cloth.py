@@ -12,6 +12,7 @@ import numpy as np
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene.model import ParticleDefaults, Particles, SpringDefaults, Springs
 from taichi_cloth.scene.properties import SPRING_PROPERTIES
+from taichi_cloth.settings import accepted
 
 # Kind of link: (column, row) offsets to the neighbours a particle is tied to. The order here is
 # the order in which the links of one particle are numbered.
@@ -53,8 +54,13 @@ def grid(
     Raises InputError for a grid, pin, direction or kind that makes no sense; `checks.validate`
     checks the numbers.
     """
+    columns = accepted.whole_number("grid: columns", columns, -accepted.LARGEST_WHOLE)
+    rows = accepted.whole_number("grid: rows", rows, -accepted.LARGEST_WHOLE)
+    spacing = accepted.number("grid: spacing", spacing)
     _check_size(columns, rows, spacing)
-    start = np.asarray(origin, np.float64)
+    start = accepted.numbers("grid: origin", origin)
+    if start.shape not in ((2,), (3,)):
+        raise InputError(f"grid: origin must be 2 or 3 numbers, has shape {start.shape}")
     step_across = spacing * _direction("across", across, 0, len(start))
     step_down = spacing * _direction("down", down, 1, len(start))
     if np.linalg.matrix_rank(np.stack([step_across, step_down]), tol=1e-9 * spacing) < 2:
@@ -117,10 +123,17 @@ def _numbers_by_kind(
     for name in per_kind:
         if name not in SPRING_PROPERTIES:
             raise TypeError(f"grid() got an unexpected keyword argument '{name}'")
+    if isinstance(links, str) or not isinstance(links, Iterable):
+        raise InputError(f"grid: links must be a list of kinds, is {accepted.shown(links)}")
+    for name, given in per_kind.items():
+        if not isinstance(given, (Mapping, type(None))):
+            must = "must be values by kind of link"
+            raise InputError(f"grid: {name} {must}, is {accepted.shown(given)}")
     numbers = {name: per_kind.get(name) or {} for name in SPRING_PROPERTIES}
     for name, kinds in (("links", links), *numbers.items()):
         for kind in kinds:
             if kind not in LINKS:
+                kind = str(kind)
                 raise InputError(f"{name}: unknown kind {kind!r}; {nearest(kind, LINKS)}")
             if name != "links" and kind not in links:
                 raise InputError(f"{name}: this cloth has no {kind} links; add '{kind}' to links")
@@ -132,7 +145,7 @@ def _direction(name: str, vector: Sequence[float] | None, axis: int, dim: int) -
     if vector is None:
         unit: np.ndarray = np.eye(dim)[axis]
         return unit
-    along = np.asarray(vector, np.float64)
+    along = accepted.numbers(f"grid: {name}", vector)
     if along.shape != (dim,):
         raise InputError(f"{name} must have {dim} numbers like origin, has {along.size}")
     length = np.linalg.norm(along)
@@ -145,7 +158,12 @@ def _direction(name: str, vector: Sequence[float] | None, axis: int, dim: int) -
 def _pinned_rows_and_columns(
     pinned: Iterable[Sequence[int]], columns: int, rows: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    pairs = np.array(list(pinned), np.int64).reshape(-1, 2)
+    try:
+        listed = list(pinned)
+    except TypeError:
+        must = "must be a list of pairs (column, row)"
+        raise InputError(f"grid: pinned {must}, is {accepted.shown(pinned)}") from None
+    pairs = accepted.pairs("grid: pinned", listed)
     column, row = pairs.T
     inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     if not inside.all():

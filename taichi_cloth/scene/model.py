@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from taichi_cloth.errors import InputError
 from taichi_cloth.scene.properties import (
     PARTICLE_PROPERTIES,
     SPRING_PROPERTIES,
@@ -23,6 +24,7 @@ from taichi_cloth.scene.properties import (
     Property,
     SpringProperties,
 )
+from taichi_cloth.settings import accepted
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -119,11 +121,16 @@ def _columns(
     """A column (count,) for each of the properties: what is given, else the default.
 
     given: by name, one value for all or one for each. length: of springs at the start. Raises
-    TypeError, as a call of `owner` would, for a name that is no property.
+    TypeError, as a call of `owner` would, for a name that is no property, and InputError for values
+    that are no numbers, or not one for all or for each; `checks` knows their limits.
     """
-    for name in given:
+    for name, of_name in given.items():
         if name not in properties:
             raise TypeError(f"{owner}() got an unexpected keyword argument '{name}'")
+        if of_name is not None and not getattr(properties[name], "words", ()):
+            things = owner.partition(".")[0].lower()
+            column = accepted.numbers(f"{owner}: {name}", of_name, finite=False)
+            accepted.fitted(f"{owner}: {name}", column, (count,), things)
     columns = {}
     for name, about in properties.items():
         value: Any = given.get(name)
@@ -133,6 +140,18 @@ def _columns(
             value = length() if length and about.at_start else about.off
         columns[name] = np.array(np.broadcast_to(value, (count,)), np.float64)
     return columns
+
+
+def _points(name: str, position: ArrayLike, pairs: np.ndarray) -> np.ndarray:
+    """Positions (n, dim) which have all particles of the pairs; else InputError."""
+    x = accepted.numbers(name, position, finite=False)
+    if x.ndim != 2 and len(pairs):
+        raise InputError(f"{name} must have shape (n, dim), has {x.shape}")
+    missing = (pairs < 0) | (pairs >= len(x))
+    if missing.any():
+        s, particle = int(missing.any(axis=1).argmax()), int(pairs[missing][0])
+        raise InputError(f"{name} has no particle {particle}, which spring {s} ties")
+    return x
 
 
 def _refuse_single_values(table: Particles | Springs, properties: Mapping[str, Property]) -> None:
@@ -182,18 +201,23 @@ class Particles(ParticleProperties[np.ndarray], _Motion):
 
         numbers: mass, radius and the others of `ParticleProperties`; absent: those of `defaults`.
         """
-        position = np.atleast_2d(np.asarray(position, np.float64))
+        what = "Particles.build"
+        position = np.atleast_2d(accepted.numbers(f"{what}: position", position, finite=False))
+        if position.ndim != 2:
+            raise InputError(f"{what}: position must have shape (n, dim), has {position.shape}")
         n = len(position)
-        fixed = np.array(np.broadcast_to(fixed, (n,)), bool)
+        fixed = accepted.flags(f"{what}: fixed", fixed, (n,), "particles")
         if color is None:
             color = np.where(fixed[:, None], FIXED_COLOR, PARTICLE_COLOR)
-        velocity = np.zeros_like(position) if velocity is None else velocity
+        given = accepted.numbers(
+            f"{what}: velocity", 0.0 if velocity is None else velocity, finite=False
+        )
         defaults = defaults or ParticleDefaults()
         return cls(
             position=position,
-            velocity=np.array(np.broadcast_to(velocity, position.shape), np.float64),
+            velocity=accepted.fitted(f"{what}: velocity", given, position.shape, "particles"),
             fixed=fixed,
-            color=np.array(np.broadcast_to(color, (n, 3)), np.uint8),
+            color=accepted.colors(f"{what}: color", color, n, "particles"),
             **_columns("Particles.build", PARTICLE_PROPERTIES, numbers, defaults, n),
         )
 
@@ -239,10 +263,10 @@ class Springs(SpringProperties[np.ndarray, np.ndarray], _Ends):
         for each; absent: those of `defaults`, whose absent rest length is the distance at the
         start, and whose absent break force is inf.
         """
-        pairs = np.asarray(between, np.int64).reshape(-1, 2)
+        pairs = accepted.pairs("Springs.build: between", between)
 
         def length() -> np.ndarray:
-            x, (a, b) = np.asarray(position, np.float64), pairs.T
+            x, (a, b) = _points("Springs.build: position", position, pairs), pairs.T
             apart: np.ndarray = np.linalg.norm(x[a] - x[b], axis=1)
             return apart
 

@@ -35,6 +35,7 @@ from taichi_cloth.scene.model import (
 from taichi_cloth.scene.properties import PARTICLE_PROPERTIES, SPRING_PROPERTIES
 from taichi_cloth.scene.toml import Keys
 from taichi_cloth.scene.world_keys import world_keys
+from taichi_cloth.settings import accepted
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -64,7 +65,7 @@ Finite = TypeVar("Finite", float, "float | None", list[float], "list[float] | No
 
 def load(path: str | Path) -> Scene:
     """The scene in the TOML file at `path`, checked. Raises InputError for anything amiss."""
-    path = Path(path)
+    path = accepted.path("load_scene: path", path)
     try:
         text = path.read_bytes().decode("utf-8")
     except FileNotFoundError:
@@ -97,7 +98,8 @@ def parse(text: str, name: str = "scene.toml", default_scene_name: str = "scene"
 
 def save(scene: Scene, path: str | Path) -> None:
     """Write `scene` to `path`, whole or not at all. Raises InputError if that cannot be written."""
-    text = dump(scene).encode()
+    text = dump(validate(scene)).encode()
+    path = accepted.path("save_scene: path", path)
 
     def write(file: BinaryIO) -> None:
         file.write(text)

@@ -9,6 +9,7 @@ import builtins
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from numbers import Real
 from typing import Any, TypeVar
 
 from taichi_cloth.errors import InputError, nearest
@@ -42,7 +43,7 @@ class Parameter:
     def check(self, name: str, value: Any) -> Any:
         """Return `value` if it is allowed for the setting called `name`, else raise InputError."""
         if self.type in (int, float) and value not in self.choices:
-            number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            number = isinstance(value, Real) and not isinstance(value, bool)
             if not number or (self.type is int and value != int(value)):
                 kind = "a whole number" if self.type is int else "a number"
                 raise InputError(f"{name} must be {kind}, is {value!r}")
@@ -65,7 +66,9 @@ class Parameter:
                     shown = str(value)
                     raise InputError(f"{name} {says}, is {shown[:30]}{'...' * (len(shown) > 30)}")
         elif self.choices and value not in self.choices:
-            raise InputError(f"{name}: unknown value '{value}'; {nearest(value, self.choices)}")
+            raise InputError(
+                f"{name}: unknown value '{value}'; {nearest(str(value), self.choices)}"
+            )
         return value
 
     def parse(self, name: str, text: str) -> Any:

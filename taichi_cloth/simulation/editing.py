@@ -19,7 +19,7 @@ from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.scene.properties import PARTICLE_PROPERTIES, SPRING_PROPERTIES, Property, Rule
 from taichi_cloth.scene.world_keys import world_keys
-from taichi_cloth.settings import values
+from taichi_cloth.settings import accepted
 from taichi_cloth.simulation import layouts
 from taichi_cloth.simulation.snapshot import Snapshot
 
@@ -75,7 +75,7 @@ def with_spring(now: Snapshot, i: int, j: int, given: Mapping[str, Any]) -> tupl
     what, count = "add_spring", len(now.x)
     ends = []
     for name, end in (("i", i), ("j", j)):
-        ends.append(values.whole_number(f"{what}: particle {name}", end))
+        ends.append(accepted.whole_number(f"{what}: particle {name}", end))
         if ends[-1] >= count:
             has = f"particles 0 to {count - 1}" if count else "none"
             raise InputError(f"{what}: there is no particle {ends[-1]}; the scene has {has}")
@@ -109,7 +109,7 @@ def with_spring(now: Snapshot, i: int, j: int, given: Mapping[str, Any]) -> tupl
 
 def with_cut(now: Snapshot, springs: Any, steps: int) -> Snapshot:
     """The state in which some springs are gone, after `steps` steps; what is gone stays so."""
-    chosen = values.selection("cut: springs", springs, len(now.marks), "spring")
+    chosen = accepted.selection("cut: springs", springs, len(now.marks), "spring")
     marks = now.marks.copy()
     holding = chosen[marks[chosen, 0] != GONE]
     # In a step before the last one, so that a frame that is undone does not mend them.
@@ -124,7 +124,7 @@ def without(now: Snapshot, particles: Any) -> tuple[Snapshot, np.ndarray]:
     """
     count = len(now.x)
     gone = np.zeros(count, bool)
-    gone[values.selection("remove: particles", particles, count, "particle")] = True
+    gone[accepted.selection("remove: particles", particles, count, "particle")] = True
     left = np.flatnonzero(~gone)
     number = np.cumsum(~gone) - 1
     scene, between = now.scene, now.scene.springs.between
@@ -141,10 +141,12 @@ def same(a: Snapshot, b: Snapshot) -> bool:
     """Whether two states are equal, number by number."""
 
     def equal(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-        return all(one[k] is other[k] or np.array_equal(one[k], other[k]) for k in one)
+        alike = (one[k] is other[k] or np.array_equal(one[k], other[k]) for k in one)
+        return one.keys() == other.keys() and all(alike)
 
+    worlds = [{**vars(now.scene.world), **now.scene.world.more, "more": 0} for now in (a, b)]
     return (
-        a.scene.world == b.scene.world
+        equal(*worlds)
         and equal(vars(a.scene.particles), vars(b.scene.particles))
         and equal(vars(a.scene.springs), vars(b.scene.springs))
         and all(np.array_equal(getattr(a, k), getattr(b, k)) for k in ("x", "v", "marks"))
@@ -160,7 +162,7 @@ def _particles(now: Snapshot, selection: Selection, wanted: bool) -> np.ndarray:
         return np.arange(len(now.x))
     if not wanted:
         raise InputError("set: particles: none of what is set belongs to particles")
-    return values.selection("set: particles", selection.particles, len(now.x), "particle")
+    return accepted.selection("set: particles", selection.particles, len(now.x), "particle")
 
 
 def _springs(now: Snapshot, selection: Selection, wanted: bool) -> np.ndarray:
@@ -171,10 +173,10 @@ def _springs(now: Snapshot, selection: Selection, wanted: bool) -> np.ndarray:
     if not wanted:
         raise InputError(f"set: {name}: none of what is set belongs to springs")
     if selection.kind is None:
-        return values.selection("set: springs", selection.springs, len(now.marks), "spring")
+        return accepted.selection("set: springs", selection.springs, len(now.marks), "spring")
     if selection.springs is not None:
         raise InputError("set: springs and kind both select; give one of them")
-    kind = values.word("set: kind", selection.kind, LINKS)
+    kind = accepted.word("set: kind", selection.kind, LINKS)
     mine = layouts.springs_of_kind(kind, now.scene.springs.between, len(now.x))
     if not mine.any():
         raise InputError(f"set: kind: no regular grid of the scene has {kind} links")
@@ -190,10 +192,10 @@ def _world(world: World, given: Mapping[str, Any]) -> World:
     for name, value in given.items():
         what, key = f"set: {name}", world_keys().get(name)
         if key is not None and not key.vector:
-            more[name] = values.number(what, value)
+            more[name] = accepted.number(what, value)
             _hold(what, np.array(more[name]), key.rule)
             continue
-        vector = values.array(what, value, (world.dim,), "one a dimension")
+        vector = accepted.array(what, value, (world.dim,), "one a dimension")
         _hold(what, vector, key.rule if key else None)
         numbers = tuple(float(number) for number in vector)
         if key is None:
@@ -210,10 +212,10 @@ def _motion(
     x, v, shape = now.x, now.v, (len(chosen), now.scene.world.dim)
     if "velocities" in given:
         v = v.copy()
-        v[chosen] = values.broadcast("set: velocities", given["velocities"], shape, "particles")
+        v[chosen] = accepted.broadcast("set: velocities", given["velocities"], shape, "particles")
     if "positions" in given:
         x = x.copy()
-        x[chosen] = values.broadcast("set: positions", given["positions"], shape, "particles")
+        x[chosen] = accepted.broadcast("set: positions", given["positions"], shape, "particles")
         _check_inside(now.scene, x, now.x)
     return x, v
 
@@ -238,9 +240,9 @@ def _with_columns(particles: Particles, given: Mapping[str, Any], chosen: np.nda
     for name in given.keys() - {"positions", "velocities"}:
         what = f"set: {name}"
         if name == "fixed":
-            new = values.flags(what, given[name], (count,), "particles")
+            new = accepted.flags(what, given[name], (count,), "particles")
         elif name == "color":
-            new = values.colors(what, given[name], count, "particles")
+            new = accepted.colors(what, given[name], count, "particles")
         else:
             new = _column(what, PARTICLE_PROPERTIES[name], given[name], count, "particles")
         columns[name] = getattr(particles, name).copy()
@@ -273,13 +275,15 @@ def _column(what: str, about: Property, value: Any, count: int, of: str) -> np.n
     """A property's values (count,), for which None stands for `off` where it may be absent."""
     if value is None and about.off is not None:
         value = about.off
+    if words := getattr(about, "words", ()):
+        return accepted.words(what, value, words, count, of)
     infinite = about.off is not None and not np.isfinite(about.off)
-    given = values.numbers(what, value, infinite=infinite)
+    given = accepted.numbers(what, value, infinite=infinite)
     _hold(what, given, about.rule)
-    return values.fitted(what, given, (count,), of)
+    return accepted.fitted(what, given, (count,), of)
 
 
 def _hold(what: str, given: np.ndarray, rule: Rule | None) -> None:
     """InputError where a number breaks a rule."""
     if rule is not None:
-        values.require(what, given, rule.holds(given), rule.says)
+        accepted.require(what, given, rule.holds(given), rule.says)

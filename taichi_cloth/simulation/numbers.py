@@ -10,7 +10,7 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.methods.contract import Claims
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.settings import values
+from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import SOLVER_SETTINGS
 
 # A particle that would cross the world this many times in one frame is lost, not fast.
@@ -31,8 +31,8 @@ class Numbers:
 
 def checked_step(dt: float | str, substeps: int) -> tuple[float, int]:
     """(dt, substeps), if there can be such steps; else InputError."""
-    checked = values.number("--dt", dt, above=0.0)
-    return checked, values.whole_number("--substeps", substeps, 1)
+    checked = accepted.number("--dt", dt, above=0.0)
+    return checked, accepted.whole_number("--substeps", substeps, 1)
 
 
 def runaway_speed(scene: Scene, dt: float) -> float:
@@ -52,7 +52,7 @@ def solver_settings(
             takers = [m for m in methods.METHODS if name in methods.load(m).claims.settings]
             raise InputError(f"--{name}: {method} does not take it; {', '.join(takers)} do")
         if name == "iterations":
-            values.whole_number("--iterations", value, 1)
-        values.number(f"--{name}", value, above=0.0)
+            accepted.whole_number("--iterations", value, 1)
+        accepted.number(f"--{name}", value, above=0.0)
     chosen = {name: value for name, value in given.items() if value is not None}
     return {name: chosen.get(name, SOLVER_SETTINGS[name]) for name in claims.settings}

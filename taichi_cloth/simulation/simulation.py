@@ -19,7 +19,7 @@ from taichi_cloth.limits.network import Network
 from taichi_cloth.runtime import current_device
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import Particles, Scene, Springs
-from taichi_cloth.settings import values
+from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import PATHS, TOPOLOGIES
 from taichi_cloth.simulation import autotune, diagnosis, diagnostics, editing
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
@@ -71,10 +71,10 @@ class Simulation:
         tolerance: float | None = None,
         iterations: int | None = None,
     ) -> None:
-        values.word("--method", method, methods.METHODS)
+        accepted.word("--method", method, methods.METHODS)
         follows = isinstance(dt, str) and dt == "auto"
         if lanes is not None:
-            lanes = values.whole_number("lanes", lanes, 1, MOST_LANES)
+            lanes = accepted.whole_number("lanes", lanes, 1, MOST_LANES)
         if follows and substeps != 1:
             raise InputError("--substeps: --dt auto chooses them; give one of the two")
         self.scene, self.method = validate(scene), method
@@ -90,7 +90,10 @@ class Simulation:
         lanes = lanes or (most if device.arch == "cpu" else 1)
         self.storage = Storage(self._module, lanes, self._launcher, Snapshot.at_start(self.scene))
         self._auto = AutoSubsteps(method, self._module, self.dt) if follows else None
-        self._requested = topology, execution
+        self._requested = (
+            accepted.word("--topology", topology, (*TOPOLOGIES, "auto")),
+            accepted.word("--execution", execution, (*PATHS, "auto")),
+        )
         self.topology = self.execution = ""  # until the first `reset` has chosen
         self._pace: autotune.Pace | None = None
         self.frame = 0
@@ -138,7 +141,7 @@ class Simulation:
         Raises SimulationFailure when a particle is no longer finite or runs away; the state is
         then that of the last good frame, and can be read, drawn and saved.
         """
-        frames = values.whole_number("advance: frames", frames)
+        frames = accepted.whole_number("advance: frames", frames)
         while frames > 0:
             # A push lasts one frame, and what breaks may change the next; else they share a launch.
             follows = self._auto is not None and self.storage.specialization.fracture
@@ -247,11 +250,11 @@ class Simulation:
 
         The clock goes on, and springs stay as they were when last loaded.
         """
-        values.word("topology", topology, TOPOLOGIES)
-        values.word("path", path, PATHS)
+        accepted.word("topology", topology, TOPOLOGIES)
+        accepted.word("path", path, PATHS)
         shape = self.particle_count, self.scene.world.dim
-        x = values.array("load_as: x", x, shape, "particles, dimensions")
-        v = values.array("load_as: v", v, shape, "particles, dimensions")
+        x = accepted.array("load_as: x", x, shape, "particles, dimensions")
+        v = accepted.array("load_as: v", v, shape, "particles, dimensions")
         self.storage.move(x, v)
         self.storage.load(topology, path, self._numbers())
         self.topology, self.execution = self.storage.topology, path
@@ -266,8 +269,8 @@ class Simulation:
         """
         if self.scene.world.dim != 2:
             raise InputError("blow: the scene is 3-D; use blow_ray")
-        pointer = values.array("blow: pointer", pointer, (2,))
-        displacement = values.array("blow: displacement", displacement, (2,))
+        pointer = accepted.array("blow: pointer", pointer, (2,))
+        displacement = accepted.array("blow: displacement", displacement, (2,))
         self._push(pointer, np.zeros(2), displacement)
 
     def blow_ray(self, origin: ArrayLike, direction: ArrayLike, displacement: ArrayLike) -> None:
@@ -277,9 +280,9 @@ class Simulation:
         """
         if self.scene.world.dim != 3:
             raise InputError("blow_ray: the scene is 2-D; use blow")
-        origin = values.array("blow_ray: origin", origin, (3,))
-        along = values.array("blow_ray: direction", direction, (3,))
-        displacement = values.array("blow_ray: displacement", displacement, (3,))
+        origin = accepted.array("blow_ray: origin", origin, (3,))
+        along = accepted.array("blow_ray: direction", direction, (3,))
+        displacement = accepted.array("blow_ray: displacement", displacement, (3,))
         largest = np.abs(along).max()
         if largest == 0:
             raise InputError("blow_ray: direction must not be zero")
@@ -293,7 +296,7 @@ class Simulation:
         """
         self._check_blows()
         shape = self.particle_count, self.scene.world.dim
-        self.storage.hold(values.array("hold: force", force, shape, "particles, dimensions"))
+        self.storage.hold(accepted.array("hold: force", force, shape, "particles, dimensions"))
 
     def spawn(
         self,
@@ -310,13 +313,13 @@ class Simulation:
         InputError where the particle is outside the world or tied to one that does not exist.
         """
         dim, defaults = (self.scene.world.dim,), self.scene.particle_defaults
-        position = values.array("spawn: position", position, dim, "one a dimension")
+        position = accepted.array("spawn: position", position, dim, "one a dimension")
         if velocity is not None:
-            velocity = values.array("spawn: velocity", velocity, dim, "one a dimension")
-        fixed = values.flag("spawn: fixed", fixed)
+            velocity = accepted.array("spawn: velocity", velocity, dim, "one a dimension")
+        fixed = accepted.flag("spawn: fixed", fixed)
         new = Particles.build(position, velocity, defaults=defaults, fixed=fixed, color=color)
         if tied_to is not None:
-            tied_to = values.whole_number("spawn: tied_to", tied_to)
+            tied_to = accepted.whole_number("spawn: tied_to", tied_to)
             if tied_to >= self.particle_count:
                 raise InputError(f"spawn: tied to particle {tied_to}, which does not exist")
         validate(replace(self.scene, particles=new, springs=Springs.none()))

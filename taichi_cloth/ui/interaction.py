@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from taichi_cloth.errors import InputError
 from taichi_cloth.files import events
 from taichi_cloth.files.events import Kind
+from taichi_cloth.settings import accepted
 from taichi_cloth.ui import inputs, tools
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.tools.contract import LoggedEvent, ToolEvent
@@ -24,7 +25,7 @@ Log = events.Log[LogEvent]
 def load(path: str | Path) -> Log:
     """The interaction log at `path`. Raises InputError naming the first line that is wrong."""
     kinds: list[Kind[LogEvent]] = [*inputs.KINDS, *_tool_kinds().values()]
-    return events.load(path, kinds)
+    return events.load(accepted.path("load_events: path", path), kinds)
 
 
 def as_logged(event: ToolEvent) -> ToolEvent:

@@ -32,7 +32,7 @@ def names() -> list[str]:
 def function(name: str) -> Callable[..., Scene]:
     """The function of the scene called `name`. Raises InputError for an unknown name."""
     if name not in names():
-        raise InputError(f"unknown scene '{name}'; {nearest(name, names())}")
+        raise InputError(f"unknown scene '{name}'; {nearest(str(name), names())}")
     found: Callable[..., Scene] = importlib.import_module(f"{__name__}.{name}").scene
     return found
 
@@ -72,4 +72,6 @@ def build(name: str, **values: Any) -> Scene:
                 else f"scene '{name}' has no parameters"
             )
         declared[key].check(key, value)
+        if declared[key].type is int and value not in declared[key].choices:
+            values[key] = int(value)  # also of a float or a NumPy scalar that is whole
     return validate(function(name)(**values))

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import math
 import operator
+import os
 from collections.abc import Collection
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,8 @@ def shown(value: Any) -> str:
     """A value in a message: short, and numbers as a person would write them."""
     if isinstance(value, np.generic):
         value = value.item()
+    if isinstance(value, int) and not isinstance(value, bool):
+        return _short(value)
     text = " ".join(repr(value).split())
     return text if len(text) <= 40 else f"{text[:37]}..."
 
@@ -34,6 +38,21 @@ def word(name: str, value: Any, known: Collection[str]) -> str:
     if value not in known:
         raise InputError(f"{name} {value}: unknown; {nearest(value, known)}")
     return value
+
+
+def words(name: str, value: Any, known: Collection[str], count: int, of: str) -> np.ndarray:
+    """Words out of `known`, one for all or one for each, (count,)."""
+    given = _as_array(name, value)
+    good = np.isin(given, list(known)) if given.dtype.kind == "U" else np.zeros(given.shape, bool)
+    require(name, given, good, f"must be {' or '.join(map(repr, known))}")
+    return fitted(name, given, (count,), of)
+
+
+def path(name: str, value: Any) -> Path:
+    """Where a file is."""
+    if not isinstance(value, (str, os.PathLike)) or not isinstance(os.fspath(value), str):
+        raise InputError(f"{name} must be a path, is {shown(value)}")
+    return Path(value)
 
 
 def flag(name: str, value: Any) -> bool:
@@ -68,7 +87,7 @@ def number(
     name: str, value: Any, *, above: float | None = None, minimum: float | None = None
 ) -> float:
     """A finite number, above or at least a limit where one is given."""
-    real = _as_float(value)
+    real = as_float(value)
     if real is None:
         raise InputError(f"{name} must be a number, is {shown(value)}")
     must = "must be a finite number"
@@ -82,7 +101,7 @@ def number(
     return real
 
 
-def _as_float(value: Any) -> float | None:
+def as_float(value: Any) -> float | None:
     """A number as a float, infinite where it is too large for one; None where it is no number."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
@@ -96,8 +115,11 @@ def _as_float(value: Any) -> float | None:
         return math.inf
 
 
-def numbers(name: str, value: Any, *, infinite: bool = False) -> np.ndarray:
-    """An array of numbers of any shape, as float64; infinite: whether they may be."""
+def numbers(name: str, value: Any, *, finite: bool = True, infinite: bool = False) -> np.ndarray:
+    """An array of numbers of any shape, as float64.
+
+    infinite: whether they may be; finite: whether that is looked at, and NaN, here at all.
+    """
     given = _as_array(name, value)
     if given.dtype.kind == "O":
         given = _from_objects(name, given)
@@ -105,7 +127,8 @@ def numbers(name: str, value: Any, *, infinite: bool = False) -> np.ndarray:
         raise InputError(f"{name} must be numbers, is {_first(given)}")
     real: np.ndarray = given.astype(np.float64)
     good = ~np.isnan(real) if infinite else np.isfinite(real)
-    require(name, real, good, "must not be NaN" if infinite else "must be finite")
+    if finite:
+        require(name, real, good, "must not be NaN" if infinite else "must be finite")
     return real
 
 
@@ -213,7 +236,7 @@ def _as_array(name: str, value: Any) -> np.ndarray:
 
 def _from_objects(name: str, given: np.ndarray) -> np.ndarray:
     """Numbers that NumPy has no type for, such as whole ones of more than 64 bits, as float64."""
-    found = [_as_float(value) for value in given.ravel().tolist()]
+    found = [as_float(value) for value in given.ravel().tolist()]
     good = np.reshape([value is not None for value in found], given.shape)
     if not good.all():
         raise InputError(f"{name} must be numbers, is {_first(given, good)}")
