@@ -83,7 +83,7 @@ class Trajectory:
         try:
             self.every = operator.index(every)
         except TypeError:
-            raise InputError(f"every must be a whole number, is {every!r}") from None
+            raise InputError("every must be a whole number") from None
         if self.every < 1 or isinstance(every, bool):
             raise InputError(f"every must be at least 1, is {every}")
         self._pending = PendingFile(_checked(path))
@@ -156,7 +156,7 @@ class Trajectory:
 
 def _checked(path: str | Path) -> Path:
     if not isinstance(path, (str, Path)):
-        raise InputError(f"the path of a trajectory must be a path, is {path!r}")
+        raise InputError(f"a trajectory's path is no {type(path).__name__}; give a str or Path")
     return Path(path)
 
 

@@ -171,9 +171,9 @@ def _check_world_types(world: World, refuse: Callable[[str, str], NoReturn]) -> 
         if isinstance(value, (str, bytes)) or not isinstance(value, (Sequence, np.ndarray)):
             of = "names" if name == "walls" else "numbers"
             refuse(name, f"{name} must be a list of {of}, is {accepted.shown(value)}")
-    if not isinstance(world.collisions, (bool, np.bool_)):
-        text = f"collisions must be True or False, is {accepted.shown(world.collisions)}"
-        refuse("collisions", text)
+    collisions: Any = world.collisions
+    if not isinstance(collisions, (bool, np.bool_)):
+        refuse("collisions", f"collisions must be True or False, is {accepted.shown(collisions)}")
     for name, word in (("mouse", world.mouse), *(("walls", wall) for wall in world.walls)):
         if not isinstance(word, str):
             refuse(name, f"{name}: a name is expected, not {accepted.shown(word)}")
@@ -213,8 +213,10 @@ def _check_world(world: World, refusal: _Refusal) -> None:
 def _check_vector(
     world: World, name: str, vector: Any, rule: Rule | None, refusal: _Refusal
 ) -> None:
-    if np.ndim(vector) != 1 or len(vector) != world.dim:
-        text = f"must have {world.dim} numbers in a {world.dim}-D world, is {_show(vector)}"
+    listed = isinstance(vector, (list, tuple, np.ndarray)) and np.shape(vector[:1]) == (1,)
+    if not listed or len(vector) != world.dim:
+        shown = accepted.shown(vector)
+        text = f"must have {world.dim} numbers in a {world.dim}-D world, is {shown}"
         refusal.refuse("world", None, name, f"{name} {text}")
     for value in vector:
         refusal.check_number("world", name, value, rule)

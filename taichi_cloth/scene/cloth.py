@@ -6,6 +6,7 @@ One builder for the built-in scene and for ``[[cloths]]`` in scene files.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -54,8 +55,8 @@ def grid(
     Raises InputError for a grid, pin, direction or kind that makes no sense; `checks.validate`
     checks the numbers.
     """
-    columns = accepted.whole_number("grid: columns", columns, -accepted.LARGEST_WHOLE)
-    rows = accepted.whole_number("grid: rows", rows, -accepted.LARGEST_WHOLE)
+    columns = accepted.whole_number("grid: columns", columns, None)
+    rows = accepted.whole_number("grid: rows", rows, None)
     spacing = accepted.number("grid: spacing", spacing)
     _check_size(columns, rows, spacing)
     start = accepted.numbers("grid: origin", origin)
@@ -123,20 +124,36 @@ def _numbers_by_kind(
     for name in per_kind:
         if name not in SPRING_PROPERTIES:
             raise TypeError(f"grid() got an unexpected keyword argument '{name}'")
-    if isinstance(links, str) or not isinstance(links, Iterable):
-        raise InputError(f"grid: links must be a list of kinds, is {accepted.shown(links)}")
-    for name, given in per_kind.items():
+    listed: Any = links
+    if isinstance(listed, str) or not isinstance(listed, Iterable):
+        raise InputError(f"grid: links must be a list of kinds, is {accepted.shown(listed)}")
+    for name, of_name in per_kind.items():
+        given: Any = of_name
         if not isinstance(given, (Mapping, type(None))):
             must = "must be values by kind of link"
             raise InputError(f"grid: {name} {must}, is {accepted.shown(given)}")
-    numbers = {name: per_kind.get(name) or {} for name in SPRING_PROPERTIES}
+    numbers: dict[str, Mapping[str, float]] = {
+        name: _of_kinds(name, per_kind.get(name) or {}) for name in SPRING_PROPERTIES
+    }
     for name, kinds in (("links", links), *numbers.items()):
         for kind in kinds:
-            if kind not in LINKS:
+            if not isinstance(kind, str) or kind not in LINKS:
                 kind = str(kind)
                 raise InputError(f"{name}: unknown kind {kind!r}; {nearest(kind, LINKS)}")
             if name != "links" and kind not in links:
                 raise InputError(f"{name}: this cloth has no {kind} links; add '{kind}' to links")
+    return numbers
+
+
+def _of_kinds(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """A property's values by kind of link, numbers as floats; None stands for what is absent."""
+    if getattr(SPRING_PROPERTIES[name], "words", ()):
+        return dict(given)
+    numbers = {kind: accepted.as_float(value) for kind, value in given.items()}
+    for kind, value in given.items():
+        if value is not None and numbers[kind] is None:
+            shown = accepted.shown(value)
+            raise InputError(f"grid: {name} of {kind} links must be a number, is {shown}")
     return numbers
 
 

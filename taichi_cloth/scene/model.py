@@ -124,13 +124,17 @@ def _columns(
     TypeError, as a call of `owner` would, for a name that is no property, and InputError for values
     that are no numbers, or not one for all or for each; `checks` knows their limits.
     """
-    for name, of_name in given.items():
+    given, things = dict(given), owner.partition(".")[0].lower()
+    for name in given:
         if name not in properties:
             raise TypeError(f"{owner}() got an unexpected keyword argument '{name}'")
-        if of_name is not None and not getattr(properties[name], "words", ()):
-            things = owner.partition(".")[0].lower()
-            column = accepted.numbers(f"{owner}: {name}", of_name, finite=False)
-            accepted.fitted(f"{owner}: {name}", column, (count,), things)
+        if given[name] is not None and not getattr(properties[name], "words", ()):
+            column = accepted.numbers(f"{owner}: {name}", given[name], finite=False)
+            given[name] = accepted.fitted(f"{owner}: {name}", column, (count,), things)
+    kind = ParticleDefaults if things == "particles" else SpringDefaults
+    if not isinstance(defaults, kind):
+        must = f"must be of type {kind.__name__}"
+        raise InputError(f"{owner}: defaults {must}, is {accepted.shown(defaults)}")
     columns = {}
     for name, about in properties.items():
         value: Any = given.get(name)
@@ -155,11 +159,11 @@ def _points(name: str, position: ArrayLike, pairs: np.ndarray) -> np.ndarray:
 
 
 def _refuse_single_values(table: Particles | Springs, properties: Mapping[str, Property]) -> None:
-    """TypeError where a column was left out of a constructor, which leaves its default there."""
+    """InputError where a column was left out of a constructor, which leaves its default there."""
     single = [name for name in properties if not isinstance(getattr(table, name), np.ndarray)]
     if single:
         owner = type(table).__name__
-        raise TypeError(f"{owner}: no array for {', '.join(single)}; {owner}.build fills them in")
+        raise InputError(f"{owner}: no array for {', '.join(single)}; {owner}.build fills them in")
 
 
 @dataclass(frozen=True)
@@ -212,7 +216,7 @@ class Particles(ParticleProperties[np.ndarray], _Motion):
         given = accepted.numbers(
             f"{what}: velocity", 0.0 if velocity is None else velocity, finite=False
         )
-        defaults = defaults or ParticleDefaults()
+        defaults = ParticleDefaults() if defaults is None else defaults
         return cls(
             position=position,
             velocity=accepted.fitted(f"{what}: velocity", given, position.shape, "particles"),
@@ -270,7 +274,7 @@ class Springs(SpringProperties[np.ndarray, np.ndarray], _Ends):
             apart: np.ndarray = np.linalg.norm(x[a] - x[b], axis=1)
             return apart
 
-        defaults = defaults or SpringDefaults()
+        defaults = SpringDefaults() if defaults is None else defaults
         owner = "Springs.build"
         columns = _columns(owner, SPRING_PROPERTIES, numbers, defaults, len(pairs), length)
         return cls(between=pairs, **columns)
@@ -281,7 +285,14 @@ class Springs(SpringProperties[np.ndarray, np.ndarray], _Ends):
 
     def select(self, chosen: np.ndarray) -> Springs:
         """Some of these springs: a mask (s,) bool, or their numbers."""
-        return Springs(**{k: v[chosen] for k, v in vars(self).items()})
+        try:
+            rows = np.arange(len(self))[chosen]
+        except (IndexError, TypeError, ValueError):
+            rows = np.zeros((0, 0))
+        if rows.ndim != 1:
+            must = f"a mask of {len(self)}, or indices below that"
+            raise InputError(f"Springs.select: must be {must}, is {accepted.shown(chosen)}")
+        return Springs(**{k: v[rows] for k, v in vars(self).items()})
 
     def joined(self, other: Springs) -> Springs:
         """These springs followed by `other`."""

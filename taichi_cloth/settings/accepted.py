@@ -62,16 +62,19 @@ def flag(name: str, value: Any) -> bool:
     return bool(value)
 
 
-def whole_number(name: str, value: Any, minimum: int = 0, maximum: int = LARGEST_WHOLE) -> int:
-    """A whole number from `minimum` to `maximum`; 2.0 is none."""
-    must = f"{name} must be a whole number of at least {minimum}"
+def whole_number(
+    name: str, value: Any, minimum: int | None = 0, maximum: int = LARGEST_WHOLE
+) -> int:
+    """A whole number from `minimum`, where there is one, to `maximum`; 2.0 is none."""
+    must = f"{name} must be a whole number"
+    must += "" if minimum is None else f" of at least {minimum}"
     if isinstance(value, (bool, np.bool_)):
         raise InputError(f"{must}, is {shown(value)}")
     try:
         whole = operator.index(value)
     except TypeError:
         raise InputError(f"{must}, is {shown(value)}") from None
-    if whole < minimum:
+    if minimum is not None and whole < minimum:
         raise InputError(f"{must}, is {_short(whole)}")
     if whole > maximum:
         raise InputError(f"{name} must be at most {maximum}, is {_short(whole)}")

@@ -44,7 +44,10 @@ class Parameter:
         """Return `value` if it is allowed for the setting called `name`, else raise InputError."""
         if self.type in (int, float) and value not in self.choices:
             number = isinstance(value, Real) and not isinstance(value, bool)
-            if not number or (self.type is int and value != int(value)):
+            if number and hasattr(value, "item"):
+                value = value.item()  # a scalar of NumPy's
+            whole = isinstance(value, int) or (isinstance(value, float) and value.is_integer())
+            if not number or (self.type is int and not whole):
                 kind = "a whole number" if self.type is int else "a number"
                 raise InputError(f"{name} must be {kind}, is {value!r}")
             for broken, says in (

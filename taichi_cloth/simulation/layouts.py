@@ -38,7 +38,8 @@ class Layout:
     owner: (s,) int, the slot of a link's earlier particle.
     shared: by column of `Springs`, (kinds, g), what the links of a kind share in a grid.
     break_length2: (kinds, g), likewise (`break_length2`).
-    row: packs in the widest row, halos included.
+    row: packs in the widest row, halos included; beside: packs in a row of particles that are on no
+        grid, likewise; 0 on a graph.
     rows_share_stiffness: whether all rows of each grid, but the last ones, have the same links
         with the same stiffness.
     """
@@ -54,6 +55,7 @@ class Layout:
     shared: dict[str, np.ndarray]
     break_length2: np.ndarray
     row: int
+    beside: int
     rows_share_stiffness: bool
 
 
@@ -90,6 +92,7 @@ def on_graph(springs: Springs, position: np.ndarray | None, particle_count: int)
         shared={},
         break_length2=none,
         row=1,
+        beside=0,
         rows_share_stiffness=False,
     )
 
@@ -229,6 +232,7 @@ def on_grids(
         shared={column: numbers[used] for column, numbers in shared.items()},
         break_length2=limit[used],
         row=int(table[:, 2].max()) + 2 * halo,
+        beside=LOOSE_WIDTH + 2 * halo,
         rows_share_stiffness=_alike(springs, kind, grids, depth),
     )
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import copy
 import time
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,8 +21,10 @@ from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import Particles, Scene, Springs
 from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import PATHS, TOPOLOGIES
-from taichi_cloth.simulation import autotune, diagnosis, diagnostics, editing
+from taichi_cloth.simulation import autotune, diagnosis, diagnostics
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
+from taichi_cloth.simulation.changes import Changes
+from taichi_cloth.simulation.editing import same
 from taichi_cloth.simulation.frame_timer import FrameTimer, describe_size
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import (
@@ -40,7 +42,7 @@ LANES = 8
 MOST_LANES = 64  # more fill no vector, and take minutes to compile
 
 
-class Simulation:
+class Simulation(Changes):
     """One scene, integrated by one method on the device that `runtime.start` started.
 
     scene: validated here (InputError). method: a name out of `kernels.methods.METHODS`.
@@ -96,6 +98,7 @@ class Simulation:
         )
         self.topology = self.execution = ""  # until the first `reset` has chosen
         self._pace: autotune.Pace | None = None
+        self._unprepared: list[Callable[[], None]] | None = None  # until a window asks
         self.frame = 0
         self._since = 0, 0.0, 0  # frame, time and steps when the step last changed
         self._work = np.zeros(len(WORK), np.int64)
@@ -232,6 +235,7 @@ class Simulation:
 
     def _store(self, snapshot: Snapshot) -> None:
         """Put a state on the device; the first time, choose how it is run."""
+        self._unprepared = [] if self._unprepared else self._unprepared
         self.storage.take(snapshot)
         if not self.execution:
             timer = FrameTimer(
@@ -344,83 +348,24 @@ class Simulation:
                 f"([world] mouse is '{mouse}'; set it to 'blow')"
             )
 
-    # --- changes while it runs -------------------------------------------------------------
+    def prepare_click(self) -> None:
+        """Compile one of the kernels that only the first clicks need, if any is left.
 
-    def set(
-        self,
-        *,
-        particles: ArrayLike | None = None,
-        springs: ArrayLike | None = None,
-        kind: str | None = None,
-        **changes: Any,
-    ) -> None:
-        """Change numbers of the scene, or the motion of particles, from the next step on.
-
-        Time, what is broken, what was spawned and all that is not named stay as they are. With
-        dt "auto" the substeps are chosen anew.
-
-        changes: by name, one value for all that are selected or one for each:
-            mass, radius, viscous, restitution (`ParticleProperties`), fixed (bool), color (3);
-            positions, velocities (m, dim), in world units; fixed particles keep velocity 0;
-            stiffness, rest_length, break_force, damping (`SpringProperties`); None for a break
-            force: unbreakable, for a rest length: the distance that the ends have now;
-            gravity (dim,) and the further keys of [world] that forces declare.
-        particles: indices, or a mask (n,), of those that get the values; absent: all.
-        springs: likewise for springs (s,); kind: instead, "structural", "shear" or "bend": those of
-            the scene's regular grids that are links of this kind.
-
-        Setting what is so already changes no bit of the run; other values make methods that keep
-        vectors from step to step (`verlet`) compute them anew. A feature that the scene has not had
-        (damping, drag, springs that break, numbers that differ) is compiled at its first use.
-        Raises InputError, and leaves all as it was, for unknown names, wrong shapes, numbers
-        outside of their limits, positions outside the world, and steps that dt "auto" cannot take.
+        A window calls it while it waits for its next frame. It changes nothing of the state.
         """
-        now = self.storage.snapshot()
-        selection = editing.Selection(particles, springs, kind)
-        self._edit(now, editing.with_values(now, changes, selection))
+        if self._unprepared is None:
+            self._unprepared = self.storage.unprepared()
+        if self._unprepared:
+            self._unprepared.pop()()
 
-    def pin(self, particles: ArrayLike) -> None:
-        """Fix particles, by indices or a mask (n,), where they are now."""
-        self.set(fixed=True, particles=particles)
-
-    def unpin(self, particles: ArrayLike) -> None:
-        """Let particles go, by indices or a mask (n,); they start at rest."""
-        self.set(fixed=False, particles=particles)
-
-    def add_spring(self, i: int, j: int, **numbers: float | None) -> int:
-        """Tie particles i and j by a spring; return its index.
-
-        numbers: stiffness and the others of `SpringProperties`; absent: the scene's defaults, for
-        the rest length the distance that the two have now. Where a spring of theirs is broken or
-        cut, that one is whole again with these numbers. InputError where one holds already.
-        """
-        now = self.storage.snapshot()
-        edited, index = editing.with_spring(now, i, j, numbers)
-        self._edit(now, edited)
-        return index
-
-    def cut(self, springs: ArrayLike) -> None:
-        """Let springs be gone at once, by indices or a mask (s,). They count as broken."""
-        now = self.storage.snapshot()
-        self._edit(now, editing.with_cut(now, springs, self.steps))
-
-    def remove(self, particles: ArrayLike) -> np.ndarray:
-        """Remove particles, by indices or a mask (n,), with all springs at them.
-
-        What is left is numbered from 0 in the order it had, springs too; those that are broken
-        remain listed. Returns which particles these are by their old indices, (m,).
-        """
-        now = self.storage.snapshot()
-        edited, left = editing.without(now, particles)
-        self._edit(now, edited, left)
-        return left
+    # --- changes while it runs: see `Changes` ------------------------------------------------
 
     def _edit(self, now: Snapshot, edited: Snapshot, left: np.ndarray | None = None) -> None:
         """Go on from an edited state; left: which of the particles are left, all where absent.
 
         InputError where the device or dt "auto" refuses it; all is then as it was.
         """
-        if left is None and editing.same(now, edited):
+        if left is None and same(now, edited):
             return
         clock = self._since, self.dt, self.substeps, self.speed_limit
         auto, pushed, held = copy.copy(self._auto), self.storage.pushed, self.storage.held()

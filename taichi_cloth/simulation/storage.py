@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import weakref
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,7 +29,7 @@ from taichi_cloth.simulation.placement import Placement, Placements
 from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.upload import Real, Upload, as_real
 
-SPAWN_CAPACITY = 256  # room for clicks before the fields must grow
+SPAWN_CAPACITY = 16384  # room for clicks before the fields must grow: some 10 MB
 
 
 @dataclass(frozen=True)
@@ -254,13 +256,39 @@ class Storage:
 
     def _needed(self, placement: Placement) -> Capacity:
         layout = placement.layout
+        # What clicks put beside grids is in a block of rows of its own.
+        clicked = layout.beside if self.scene.world.mouse == "spawn" else 0
         return Capacity(
             particles=len(self.scene.particles),
             springs=len(placement.graph_springs),
             packs=layout.n_packs,
-            grids=len(layout.grid),
-            row=layout.row,
+            grids=len(layout.grid) + (clicked > 0),
+            row=max(layout.row, clicked),
         )
+
+    def unprepared(self) -> list[Callable[[], None]]:
+        """What compiles the kernels that only a first click needs, in a scene where clicks spawn.
+
+        Called between frames, they change nothing of the state.
+        """
+        if self.scene.world.mouse != "spawn":
+            return []
+        n, dim, state = len(self.scene.particles), self.scene.world.dim, self.state
+        row = np.zeros((1, dim), self.real)
+        found: list[Callable[[], None]] = [
+            partial(self._launch, transfer.read_vectors, field, row) for field in (state.x, state.v)
+        ]
+        if n == 0:  # a particle of infinite mass that nobody counts; the first load clears it
+            columns = len(state.vector_names) * dim + len(state.particle_names)
+            nothing = np.zeros(1, np.int32), np.zeros((1, columns), self.real)
+            found.append(partial(self._launch, transfer.load_particles, *nothing))
+        if self.specialization.fracture and len(self._now.placement.graph_springs) == 0:
+            none = np.zeros((1, 2), np.int32)
+            found.append(partial(self._launcher.launch, transfer.read_fracture, state, none))
+            if not self._now.container.spec.uniform_springs:
+                rows = np.zeros((1, len(NUMBERS)), self.real)
+                found.append(partial(self._launch, transfer.load_spring_numbers, rows))
+        return found
 
     # --- pushes ----------------------------------------------------------------------------
 

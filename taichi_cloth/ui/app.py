@@ -229,6 +229,7 @@ class _Loop:
 
     def _wait(self) -> None:
         """Sleep until the next frame is due; a late frame moves the schedule, not the pace."""
+        self.sim.prepare_click()
         period = 1 / hud.FRAME_RATE
         now = time.perf_counter()
         if self._next_frame > now:

@@ -20,6 +20,7 @@ import numpy as np
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import Parameter
 
 
@@ -31,8 +32,10 @@ def names() -> list[str]:
 
 def function(name: str) -> Callable[..., Scene]:
     """The function of the scene called `name`. Raises InputError for an unknown name."""
+    if not isinstance(name, str):
+        raise InputError(f"a scene's name is a word, not {accepted.shown(name)}")
     if name not in names():
-        raise InputError(f"unknown scene '{name}'; {nearest(str(name), names())}")
+        raise InputError(f"unknown scene '{name}'; {nearest(name, names())}")
     found: Callable[..., Scene] = importlib.import_module(f"{__name__}.{name}").scene
     return found
 
