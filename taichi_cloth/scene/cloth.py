@@ -69,6 +69,10 @@ def grid(
     fixed = np.zeros((rows, columns), bool)
     fixed[_pinned_rows_and_columns(pinned, columns, rows)] = True
     numbers = _numbers_by_kind(links, per_kind)
+    defaults: Any = SpringDefaults() if spring_defaults is None else spring_defaults
+    if not isinstance(defaults, SpringDefaults):
+        shown = accepted.shown(defaults)
+        raise InputError(f"grid: spring_defaults must be of type SpringDefaults, is {shown}")
 
     row, column = np.divmod(np.arange(rows * columns), columns)
     particles = Particles.build(
@@ -86,7 +90,7 @@ def grid(
     at_start = [float(np.linalg.norm(c * step_across + r * step_down)) for _, (c, r) in slots]
     spring_columns = {}
     for name, about in SPRING_PROPERTIES.items():
-        default = getattr(spring_defaults or SpringDefaults(), name)
+        default = getattr(defaults, name)
         values = about.filled([numbers[name].get(kind, default) for kind, _ in slots], at_start)
         spring_columns[name] = np.array(values, np.float64)[slot]
     return particles, Springs(between=between, **spring_columns)

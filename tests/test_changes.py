@@ -1,0 +1,308 @@
+"""What is changed in a simulation while it runs, and what its public functions refuse."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from inside import spec_of, state_of
+from selection import as_thorough
+
+import taichi_cloth as tc
+from taichi_cloth.errors import InputError
+from taichi_cloth.files.trajectory import Trajectory
+from taichi_cloth.kernels import forces, methods
+from taichi_cloth.kernels.forces.contract import ACCELERATION, TENSION, has
+from taichi_cloth.scene.library import build
+from taichi_cloth.simulation import diagnostics
+from taichi_cloth.simulation.simulation import Simulation
+
+pytestmark = pytest.mark.usefixtures("device", "few_lanes")
+
+METHODS = [
+    "symplectic_euler",
+    *(as_thorough(m) for m in methods.METHODS if m != "symplectic_euler"),
+]
+
+
+def cloth(**values):
+    return build("cloth", columns=8, rows=6, **values)
+
+
+def total_forces(sim):
+    """The forces on all particles, by the twins in NumPy of all that the scene has."""
+    now = sim.storage.snapshot()
+    world, particles = now.scene.world, now.scene.particles
+    total = diagnostics.spring_forces(now.x, now.v, now.scene.springs.select(now.pulling))
+    for term in map(forces.load, forces.TERMS):
+        if term.adds != TENSION and has(term.twin):
+            law = term.twin(now.x, now.v, world, particles)
+            total += particles.mass[:, None] * law if term.adds == ACCELERATION else law
+    return total
+
+
+def test_what_is_set_at_the_start_runs_as_a_scene_that_has_it(pool, some_way):
+    scene = cloth()
+    n, s = len(scene.particles), len(scene.springs)
+    mass, fixed = np.linspace(1, 2, n), np.arange(n) % 7 == 0
+    stiffness, damping = np.linspace(0.4, 0.8, s), np.linspace(0, 0.1, s)
+    other = replace(
+        scene.with_world(gravity=(0.01, 0.2)),
+        particles=replace(scene.particles, mass=mass, viscous=np.full(n, 0.1), fixed=fixed),
+        springs=replace(
+            scene.springs, stiffness=stiffness, damping=damping, break_force=np.full(s, 1.5)
+        ),
+    )
+    sim = pool(other, **some_way)
+    sim.advance(8)
+    loaded = sim.positions(), sim.velocities(), sim.springs_alive(), sim.energy()
+    sim = pool(scene, **some_way)
+    sim.set(gravity=(0.01, 0.2), mass=mass, viscous=0.1, fixed=fixed)
+    sim.set(stiffness=stiffness, damping=damping, break_force=1.5)
+    sim.advance(8)
+    assert not loaded[2].all()
+    for a, b in zip(loaded, (sim.positions(), sim.velocities(), sim.springs_alive()), strict=False):
+        np.testing.assert_array_equal(a, b)
+    assert sim.energy() == loaded[3]
+    sim.reset()  # as the scene was given
+    assert sim.storage.scene is scene
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_setting_what_is_so_changes_no_bit(pool, topology, method):
+    sim = pool(cloth(), method, topology=topology, substeps=2)
+    sim.advance(6)
+    x = sim.positions()
+    sim.reset()
+    sim.advance(3)
+    particles = sim.storage.scene.particles
+    sim.set(gravity=sim.scene.world.gravity, mass=particles.mass, fixed=particles.fixed)
+    sim.set(stiffness=sim.scene.springs.stiffness, kind=None)
+    sim.set(positions=sim.positions(), velocities=sim.velocities())
+    sim.forces()
+    sim.advance(3)
+    np.testing.assert_array_equal(sim.positions(), x)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_changes_in_a_run_keep_its_time_and_what_is_broken(pool, topology, method):
+    sim = pool(cloth(shear=0.1), method, topology=topology)
+    sim.advance(4)
+    sim.set(break_force=0.5, springs=[5])
+    sim.set(positions=sim.positions()[9] + [0.0, 9.0], particles=9)
+    sim.advance(2)
+    broken = ~sim.springs_alive()
+    assert broken[5] or broken.any()
+    done = sim.work()
+    sim.set(stiffness=0.7, kind="shear")
+    sim.set(damping=[0.1, 0.2], springs=[3, 4])
+    sim.set(stiffness=0.0, springs=2)
+    sim.set(mass=2.0, velocities=(1.0, 0.0), particles=np.arange(48) == 20)
+    assert (sim.frame, sim.time, sim.work()) == (6, 6.0, done)
+    np.testing.assert_array_equal(~sim.springs_alive(), broken)
+    springs = sim.storage.scene.springs
+    assert (springs.stiffness == 0.7).sum() == 2 * 7 * 5  # two diagonals in each cell
+    np.testing.assert_array_equal(springs.damping[[3, 4]], [0.1, 0.2])
+    np.testing.assert_array_equal(sim.velocities()[20], [1.0, 0.0])
+    np.testing.assert_allclose(sim.forces(), total_forces(sim), rtol=0, atol=1e-12)
+    sim.blow((200.0, 100.0), (5.0, 5.0))
+    push = sim.forces() - total_forces(sim)
+    assert np.abs(push).max() > 0.1
+    sim.set(gravity=(0.0, 0.3))  # the push lasts as long as it would have
+    np.testing.assert_allclose(sim.forces() - total_forces(sim), push, rtol=0, atol=1e-12)
+    sim.advance(2)
+    np.testing.assert_allclose(sim.forces(), total_forces(sim), rtol=0, atol=1e-12)
+
+
+def test_springs_are_cut_tied_and_mended_and_particles_pinned_and_removed(pool, topology):
+    scene = cloth()
+    sim = pool(scene, topology=topology)
+    sim.advance(2)
+    between = sim.springs().tolist()
+    sim.cut([10, 11])
+    sim.advance(2)
+    assert np.flatnonzero(~sim.springs_alive()).tolist() == [10, 11]
+    assert [between.index(pair) for pair in sim.drawn_springs().tolist()].count(10) == 0
+    new = sim.add_spring(0, 47, stiffness=0.3)
+    assert new == sim.spring_count - 1 == len(between)
+    apart = np.linalg.norm(sim.positions()[47] - sim.positions()[0])
+    assert sim.storage.scene.springs.rest_length[new] == pytest.approx(apart, abs=1e-12)
+    assert sim.add_spring(*between[10]) == 10 and sim.springs_alive()[10]
+    with pytest.raises(InputError, match="spring 10 ties particles"):
+        sim.add_spring(*between[10])
+    np.testing.assert_allclose(sim.forces(), total_forces(sim), rtol=0, atol=1e-12)
+    sim.pin(20)
+    x = sim.positions()[20]
+    sim.advance(2)
+    np.testing.assert_array_equal(sim.positions()[20], x)
+    assert not sim.velocities()[20].any()
+    sim.unpin([20])
+    sim.advance()
+    assert (sim.positions()[20] != x).any()
+
+    x, alive = sim.positions(), sim.springs_alive()
+    left = sim.remove([7, 30])
+    np.testing.assert_array_equal(left, np.setdiff1d(np.arange(48), [7, 30]))
+    np.testing.assert_array_equal(sim.positions(), x[left])
+    kept = [s for s, pair in enumerate([*between, [0, 47]]) if not {7, 30} & set(pair)]
+    np.testing.assert_array_equal(left[sim.springs()], np.array([*between, [0, 47]])[kept])
+    np.testing.assert_array_equal(sim.springs_alive(), alive[kept])
+    assert not alive[kept].all()
+    sim.advance()
+    np.testing.assert_allclose(sim.forces(), total_forces(sim), rtol=0, atol=1e-12)
+    sim.remove(np.ones(46, bool))
+    assert sim.forces().shape == (0, 2) and sim.spring_count == 0
+    sim.reset()
+    assert sim.particle_count == 48 and sim.springs_alive().all()
+
+
+def test_a_cut_spring_stays_cut_when_a_frame_is_undone(pool, topology):
+    sim = pool(cloth(), topology=topology)
+    sim.cut(3)
+    sim.set(velocities=(1e7, 0.0), particles=9)
+    with pytest.raises(tc.SimulationFailure, match="runs away"):
+        sim.advance()
+    assert np.flatnonzero(~sim.springs_alive()).tolist() == [3]
+    assert sim.storage.marks()[3, 0] == 2  # gone, not breaking: it pulls no more
+    np.testing.assert_allclose(sim.forces(), total_forces(sim), rtol=0, atol=1e-12)
+
+
+def test_a_step_that_follows_the_springs_follows_what_is_set(pool):
+    sim = pool(cloth(), dt="auto")
+    before = sim.substeps
+    sim.set(stiffness=80.0)
+    assert sim.substeps > before
+    x, many = sim.positions(), sim.substeps
+    with pytest.raises(InputError, match="--dt auto: a stable step"):
+        sim.set(stiffness=1e30)
+    assert (sim.substeps, sim.storage.scene.springs.stiffness.max()) == (many, 80.0)
+    np.testing.assert_array_equal(sim.positions(), x)
+    sim.set(stiffness=0.5)
+    assert sim.substeps == before
+
+
+def test_a_trajectory_does_not_go_on_without_particles(pool, tmp_path):
+    sim, trajectory = pool(cloth()), Trajectory(tmp_path / "t.npz")
+    sim.advance()
+    trajectory.record(sim)
+    sim.remove(3)
+    sim.advance()
+    with pytest.raises(InputError, match="of 48 particles cannot go on with 47"):
+        trajectory.record(sim)
+    trajectory.discard()
+
+
+REFUSED = [
+    (lambda sim: sim.hold(np.ones((3, 2))), r"hold: force must have shape \(48, 2\)"),
+    (lambda sim: sim.hold(np.full((48, 2), np.nan)), r"hold: force must be finite, is nan at \[0"),
+    (lambda sim: sim.hold(np.ones((48, 2), complex)), "hold: force must be numbers"),
+    (lambda sim: sim.blow((1, 2, 3), (1, 1)), "blow: pointer must have 2 numbers"),
+    (lambda sim: sim.blow((1, 2), (np.inf, 1)), r"displacement must be finite, is inf at \[0\]"),
+    (lambda sim: sim.blow_ray((1, 2, 3), (1, 0, 0), (1, 1, 1)), "the scene is 2-D; use blow"),
+    (lambda sim: sim.advance(-5), "advance: frames must be .* at least 0, is -5"),
+    (lambda sim: sim.advance(1.5), "advance: frames must be a whole number .*, is 1.5"),
+    (lambda sim: sim.advance(True), "advance: frames must be a whole number .*, is True"),
+    (lambda sim: sim.advance(10**5000), "advance: frames must be at most"),
+    (lambda sim: sim.spawn((1.0, np.nan)), r"spawn: position must be finite, is nan at \[1\]"),
+    (lambda sim: sim.spawn((1.0, 1.0), tied_to=48), "tied to particle 48, which does not exist"),
+    (lambda sim: sim.spawn((1.0, 1.0), tied_to=0.0), "tied_to must be a whole number"),
+    (lambda sim: sim.spawn((1.0, 1.0), color=(1, 2, 256)), "from 0 to 255, is 256.0 at"),
+    (lambda sim: sim.set_step("soon"), "--dt must be a number, is 'soon'"),
+    (lambda sim: sim.set_step(substeps=2.5), "--substeps must be a whole number"),
+    (lambda sim: sim.load_as("graph", "serial", [[1.0]], [[1.0]]), "load_as: x must have shape"),
+    (lambda sim: sim.load_scene(None), "scene must be a Scene, is None"),
+    (lambda sim: sim.set(), "nothing to set"),
+    (lambda sim: sim.set(stifness=1.0), "unknown name 'stifness'; did you mean 'stiffness'"),
+    (lambda sim: sim.set(mass=np.ones(47)), "mass must be one number for all particles, or an"),
+    (lambda sim: sim.set(mass=[1.0] * 47 + [0.0]), r"mass must be positive, is 0.0 at \[47\]"),
+    (lambda sim: sim.set(restitution=1.5), "restitution must be between 0 and 1, is 1.5"),
+    (lambda sim: sim.set(fixed=1), "fixed must be True or False, is 1"),
+    (lambda sim: sim.set(gravity=(0.0, 0.1, 0.0)), "gravity must have 2 numbers"),
+    (lambda sim: sim.set(break_force=np.nan), "break_force must not be NaN"),
+    (lambda sim: sim.set(mass=1.0, springs=[1]), "none of what is set belongs to springs"),
+    (lambda sim: sim.set(stiffness=1.0, springs=[999]), "no spring 999; there are springs 0 to 81"),
+    (lambda sim: sim.set(stiffness=1.0, springs=[3, 3]), "spring 3 is named twice"),
+    (lambda sim: sim.set(stiffness=1.0, kind="bend"), "no regular grid of the scene has bend"),
+    (lambda sim: sim.set(mass=1.0, particles=[True]), "a mask must have 48 values"),
+    (lambda sim: sim.set(positions=(-1.0, 5.0), particles=4), "particle 4 at .* outside the world"),
+    (lambda sim: sim.pin(None), "pin: particles must be an index"),
+    (lambda sim: sim.cut(-1), "cut: springs: no spring -1"),
+    (lambda sim: sim.remove(48), "remove: particles: no particle 48"),
+    (lambda sim: sim.add_spring(0, 0), "it ties particle 0 to itself"),
+    (lambda sim: sim.add_spring(0, 9, stiffness=-1), "stiffness must not be negative"),
+    (lambda sim: sim.scene.springs.select([99]), "Springs.select: must be a mask of 82"),
+]
+
+
+def test_wrong_arguments_are_refused_in_one_line_and_change_nothing(pool):
+    sim = pool(cloth())
+    sim.advance(2)
+    x, frame = sim.positions(), sim.frame
+    for call, message in REFUSED:
+        with pytest.raises(InputError, match=message) as refused:
+            call(sim)
+        assert "\n" not in str(refused.value)
+    sim.advance(np.int64(0))  # NumPy's whole numbers are whole numbers
+    assert sim.frame == frame
+    np.testing.assert_array_equal(sim.positions(), x)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: tc.start(arch=None), "--arch must be one of"),
+        (lambda: tc.start(threads=1.5), "--threads must be a whole number"),
+        (lambda: tc.start(cache="no"), "cache must be True or False"),
+        (lambda: Simulation(None), "scene must be a Scene"),
+        (lambda: Simulation(cloth(), dt=True), "--dt must be a number, is True"),
+        (lambda: Simulation(cloth(), lanes=0), "lanes must be a whole number of at least 1"),
+        (lambda: Simulation(cloth(), topology=None), "--topology must be one of"),
+        (lambda: Simulation(cloth(), "vbd", iterations=2.5), "--iterations must be a whole"),
+        (lambda: tc.validate(cloth().with_world(size=None)), "world: size must be a list of"),
+        (lambda: tc.validate(cloth().with_world(dt=1j)), "world: dt must be a number, is 1j"),
+        (lambda: tc.validate(cloth().with_world(dt=10**400)), "dt must be a finite number"),
+        (lambda: tc.validate(cloth().with_world(walls="left")), "walls must be a list of names"),
+        (lambda: tc.validate(replace(cloth(), springs=None)), "springs must be of type Springs"),
+        (lambda: tc.Particles.build("here"), "position must be numbers, is 'here'"),
+        (lambda: tc.Particles.build([[1, 2]], mass=[1, 2]), r"or an array of shape \(1,\)"),
+        (lambda: tc.Springs.build([[0, 5]], [[1.0, 2.0]]), "no particle 5, which spring 0 ties"),
+        (lambda: tc.Springs.build([[0, 1.5]], [[1.0, 2.0]]), "between must be whole numbers"),
+        (lambda: tc.grid((0, 0), 2.5, 3, 1.0), "grid: columns must be a whole number, is 2.5"),
+        (lambda: tc.grid((0, 0), 2, 3, 1.0, links="shear"), "links must be a list of kinds"),
+        (lambda: tc.load_scene(None), "load_scene: path must be a path, is None"),
+        (lambda: tc.load_events(5), "load_events: path must be a path, is 5"),
+        (lambda: tc.load_trajectory(5), "a trajectory's path is no int"),
+        (lambda: tc.save_scene(None, "x.toml"), "scene must be a Scene"),
+        (lambda: tc.scenes.build("cloth", columns=np.inf), "columns must be a whole number"),
+        (lambda: tc.scenes.build(None), "a scene's name is a word, not None"),
+    ],
+)
+def test_public_functions_refuse_what_makes_no_sense(call, message):
+    with pytest.raises(InputError, match=message) as refused:
+        call()
+    assert "\n" not in str(refused.value)
+
+
+def test_clicks_find_room_and_kernels_ready():
+    """No click waits for a compiler: a window compiles beforehand what the first ones need."""
+    sim = Simulation(build("box", radius=2.0), execution="serial")
+    for _ in range(10):
+        sim.prepare_click()
+    assert sim.positions().shape == (0, 3)
+    state, spec = state_of(sim), spec_of(sim)
+    kernels = _compiled()
+    rng = np.random.default_rng(0)
+    x = rng.uniform([40, 40, -200], [560, 360, 200], (300, 3))
+    last = None
+    for k, place in enumerate(x):
+        last = sim.spawn(place, tied_to=last if k < 5 else None)
+    np.testing.assert_array_equal(sim.positions(), x)
+    assert state_of(sim) is state and spec_of(sim) == spec
+    assert _compiled() == kernels
+
+
+def _compiled():
+    """How many kernels of the state's loading and reading are compiled."""
+    from taichi_cloth.kernels import fracture, transfer
+
+    found = [*vars(transfer).values(), fracture.mark_new_springs]
+    return sum(len(k._primal.compiled_kernels) for k in found if hasattr(k, "_primal"))
