@@ -49,6 +49,11 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return f"known: {', '.join(known)}"
 
 
+def clipped(text: str, most: int = 40) -> str:
+    """`text` for a message of one line: cut where it is longer than `most`."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
 def counted(count: int, thing: str) -> str:
     """'1 spring', '2 springs'."""
     return f"{count} {thing}{'s' * (count != 1)}"

@@ -332,3 +332,36 @@ _CHANGES_OTHERS = (
     "links",
     "stiffness",
 )
+
+
+def test_one_number_of_a_cloth_is_that_of_all_its_links():
+    entry = """
+[world]
+size = [100, 100]
+[spring]
+break_force = 5
+[[cloths]]
+origin = [10, 10]
+columns = 3
+rows = 3
+spacing = 5
+links = ["structural", "shear"]
+"""
+    numbers = "stiffness = 2\ndamping = 0.5\nbreak_force = false\nrest_length = 6.5\n"
+    springs = scenefile.parse(entry + numbers).springs
+    assert len(springs) == 12 + 8
+    assert (springs.stiffness == 2).all() and (springs.damping == 0.5).all()
+    assert np.isinf(springs.break_force).all() and (springs.rest_length == 6.5).all()
+    by_kind = "break_force = { shear = 3 }\n"
+    assert set(scenefile.parse(entry + by_kind).springs.break_force) == {5.0, 3.0}
+    ours = grid((10, 10), 3, 3, 5, links=("structural", "shear"), stiffness=2, rest_length=6.5)[1]
+    assert (ours.stiffness == 2).all() and (ours.rest_length == 6.5).all()
+    for wrong, says in (
+        ("stiffness = -2", "line 12: .* stiffness of links must be at least 0, is -2"),
+        ("stiffness = [2]", "line 12: .* stiffness must be a number, or a table with one for each"),
+        ("break_force = 0", "line 12: .* break_force of links must be positive, is 0"),
+        ("damping = inf", "line 12: .* damping must be finite"),
+        ("stiffness = false", "line 12: .* stiffness must be a number, or"),
+    ):
+        with pytest.raises(InputError, match=says):
+            scenefile.parse(entry + wrong)

@@ -4,9 +4,11 @@ import inspect
 
 import numpy as np
 import pytest
+from selection import as_thorough
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene import library
+from taichi_cloth.scene.model import Scene
 
 
 @pytest.mark.parametrize("name", library.names())
@@ -112,3 +114,69 @@ def test_the_cloths_springs_are_checked(name):
     for wrong in (-0.1, float("inf"), "much"):
         with pytest.raises(InputError, match=name):
             library.build("cloth", **{name: wrong})
+
+
+def pinned(scene):
+    """The columns of the pins, all of them in the first row."""
+    return [int(i) for i in np.flatnonzero(scene.particles.fixed)]
+
+
+def test_the_cloths_own_size_has_the_numbers_of_the_first_program():
+    scene = library.build("cloth")
+    assert pinned(scene) == [0, 8, 15] and scene.world.gravity == (0.0, 0.05)
+    assert (scene.springs.stiffness == 0.5).all() and (scene.springs.break_force == 5.0).all()
+    assert scene.world.size == (600.0, 400.0)
+
+
+@pytest.mark.parametrize(
+    ("size", "pins"),
+    [
+        ((1, 50, 25.0), 1),
+        ((2, 3, 25.0), 2),
+        ((44, 33, 8.0), 7),
+        as_thorough(((64, 48, 6.0), 9)),
+        as_thorough(((24, 16, 18.0), 4)),
+        as_thorough(((100, 10, 25.0), 14)),
+        as_thorough(((10, 100, 25.0), 3)),
+        as_thorough(((128, 128, 25.0), 17)),
+        as_thorough(((200, 150, 25.0), 26)),
+    ],
+)
+def test_a_cloth_of_any_size_hangs_and_the_mouse_tears_it(pool, size, pins):
+    columns, rows, spacing = size
+    scene = library.build("cloth", columns=columns, rows=rows, spacing=spacing)
+    assert len(pinned(scene)) == pins
+    sim = pool(scene)
+    lowest = 0.0
+    for _ in range(25):
+        sim.advance(100)
+        lowest = max(lowest, sim.positions()[:, 1].max())
+    assert sim.springs_alive().all(), "it tears itself"
+    assert np.abs(sim.velocities()).max() < 0.2, "it does not come to rest"
+    assert lowest < scene.world.size[1] - 20, "it lies on the floor"
+    if columns < 16:
+        return  # a ribbon gives way
+    middle = sim.positions()[columns // 2 + columns * (min(rows, 12) // 2)]
+    for sign in (1, -1, 1, -1, 1, -1):
+        sim.blow(middle, (200.0 * sign, 100.0))
+        sim.advance(3)
+    assert 0 < (~sim.springs_alive()).sum() < 0.5 * len(scene.springs)
+
+
+def test_the_cloths_pins_gravity_and_springs_are_parameters():
+    def cloth(**values) -> Scene:
+        return library.build("cloth", **values)
+
+    assert pinned(cloth(pins=2)) == [0, 15] and pinned(cloth(pins=1)) == [8]
+    assert pinned(cloth(pins=0)) == [] and pinned(cloth(pins=16)) == list(range(16))
+    with pytest.raises(InputError, match="pins must be at most the columns, 16, is 17"):
+        cloth(pins=17)
+    assert cloth(rows=48).world.gravity == (0.0, 0.0125)
+    assert cloth(rows=48, gravity=0.05).world.gravity == (0.0, 0.05)
+    assert cloth(gravity=-0.1).world.gravity == (0.0, -0.1)
+    stiffer = cloth(stiffness=0.2, shear=0.1, break_force=7.0).springs
+    assert set(stiffer.stiffness) == {0.2, 0.1} and (stiffer.break_force == 7).all()
+    assert np.isinf(cloth(break_force=np.inf).springs.break_force).all()
+    for wrong in (0.0, -np.inf, np.nan):
+        with pytest.raises(InputError, match="break_force"):
+            cloth(break_force=wrong)

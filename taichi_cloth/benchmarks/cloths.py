@@ -26,8 +26,11 @@ SceneCall = tuple[str, dict[str, Any]]
 
 
 def structural(columns: int, rows: int) -> Scene:
-    """The scene `cloth` without walls, fracture and mouse, disturbed by velocities of 0.3."""
-    full = build("cloth", columns=columns, rows=rows)
+    """The scene `cloth` without walls, fracture and mouse, disturbed by velocities of 0.3.
+
+    Pins and gravity are those of the first program in any size, as contestants have them.
+    """
+    full = build("cloth", columns=columns, rows=rows, pins=3, gravity=0.05)
     velocity = np.random.default_rng(0).normal(0, 0.3, full.particles.velocity.shape)
     full.particles.velocity[:] = np.where(full.particles.fixed[:, None], 0.0, velocity)
     springs = full.springs

@@ -16,7 +16,10 @@ def main() -> int:
     to = console.output(160)
     scenes = console.table(None, ("scene", "what it shows", "parameters"))
     for name in library.names():
-        parameters = (f"{flag(k)} {p.default}" for k, p in library.parameters(name).items())
+        parameters = (
+            flag(k) if p.default is None else f"{flag(k)} {p.default}"
+            for k, p in library.parameters(name).items()
+        )
         scenes.add_row(name, library.description(name), "\n".join(parameters))
     to.print(scenes)
 

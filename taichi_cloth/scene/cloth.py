@@ -38,7 +38,7 @@ def grid(
     down: Sequence[float] | None = None,
     particle_defaults: ParticleDefaults | None = None,
     spring_defaults: SpringDefaults | None = None,
-    **per_kind: Mapping[str, float] | None,
+    **per_kind: Mapping[str, float] | float | None,
 ) -> tuple[Particles, Springs]:
     """Particles and springs of a `columns` x `rows` cloth, numbered row by row from 0.
 
@@ -48,9 +48,9 @@ def grid(
     links: kinds out of `LINKS`. Springs are numbered particle by particle: left, upper; then
         upper left, upper right (shear); then two left, two up (bend).
     across, down: directions of a row and of a column, any length (default: x and y).
-    per_kind: stiffness, rest_length and the others of `SpringProperties`, each as values by kind of
-        link; a kind that is absent takes `spring_defaults` (whose absent rest length is the
-        distance at the start).
+    per_kind: stiffness, rest_length and the others of `SpringProperties`, each as one value for all
+        links or as values by kind; a kind that is absent takes `spring_defaults` (whose absent rest
+        length is the distance at the start).
 
     Raises InputError for a grid, pin, direction or kind that makes no sense; `checks.validate`
     checks the numbers.
@@ -122,7 +122,7 @@ def _check_size(columns: int, rows: int, spacing: float) -> None:
 
 
 def _numbers_by_kind(
-    links: Sequence[str], per_kind: Mapping[str, Mapping[str, float] | None]
+    links: Sequence[str], per_kind: Mapping[str, Mapping[str, float] | float | None]
 ) -> dict[str, Mapping[str, float]]:
     """Every property's values by kind of link; refuses kinds that there are not."""
     for name in per_kind:
@@ -131,14 +131,14 @@ def _numbers_by_kind(
     listed: Any = links
     if isinstance(listed, str) or not isinstance(listed, Iterable):
         raise InputError(f"grid: links must be a list of kinds, is {accepted.shown(listed)}")
-    for name, of_name in per_kind.items():
-        given: Any = of_name
-        if not isinstance(given, (Mapping, type(None))):
-            must = "must be values by kind of link"
-            raise InputError(f"grid: {name} {must}, is {accepted.shown(given)}")
-    numbers: dict[str, Mapping[str, float]] = {
-        name: _of_kinds(name, per_kind.get(name) or {}) for name in SPRING_PROPERTIES
-    }
+    numbers: dict[str, Mapping[str, float]] = {}
+    for name in SPRING_PROPERTIES:
+        given = per_kind.get(name)
+        if given is None:
+            given = {}
+        elif not isinstance(given, Mapping):
+            given = {kind: given for kind in links if isinstance(kind, str)}
+        numbers[name] = _of_kinds(name, given)
     for name, kinds in (("links", links), *numbers.items()):
         for kind in kinds:
             if not isinstance(kind, str) or kind not in LINKS:

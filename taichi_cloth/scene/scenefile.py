@@ -390,17 +390,7 @@ class _Reader:
         path = ("cloths", index)
         if "origin" not in entry:
             self.refuse(path, "'origin' is missing")
-        per_kind = {}
-        for key in SPRING_PROPERTIES:
-            values = self.value(entry, path, key, toml.table) or {}
-            for kind in values:
-                if kind not in LINKS:
-                    self.refuse(
-                        (*path, key, kind), f"unknown kind '{kind}'; {nearest(kind, LINKS)}"
-                    )
-            per_kind[key] = {
-                kind: self.kind_number(values, (*path, key), key, kind) for kind in values
-            }
+        per_kind = {key: self.kind_numbers(entry, path, key) for key in SPRING_PROPERTIES}
         try:
             return grid(
                 self.vector(entry, path, "origin", world.dim) or [],
@@ -422,16 +412,26 @@ class _Reader:
             at_fault = next((key for key in entry if message.startswith(key)), None)
             raise InputError(f"{self.place(*path, at_fault)}: {message}") from None
 
-    def kind_number(self, values: Table, path: Keys, key: str, kind: str) -> float:
-        """The number that links of a kind have."""
-        about = SPRING_PROPERTIES[key]
-        if about.off is not None and values[kind] is False:
+    def kind_numbers(self, entry: Table, path: Keys, key: str) -> dict[str, float] | float:
+        """A cloth's numbers by kind of link, or the one that all its links have."""
+        values = entry.get(key, {})
+        if not isinstance(values, dict):
+            return self.kind_number(entry, path, key, key, "links")
+        for kind in values:
+            if kind not in LINKS:
+                self.refuse((*path, key, kind), f"unknown kind '{kind}'; {nearest(kind, LINKS)}")
+        path = (*path, key)
+        return {kind: self.kind_number(values, path, kind, key, f"{kind} links") for kind in values}
+
+    def kind_number(self, values: Table, path: Keys, key: str, name: str, links: str) -> float:
+        """The number called `name` that `links` have; `values` has it under `key`."""
+        about = SPRING_PROPERTIES[name]
+        if about.off is not None and values[key] is False:
             return about.off
-        number = self.finite(path, kind, self.required(values, path, kind, toml.number))
+        read = toml.number if key != name else toml.number_or_table
+        number = self.finite(path, key, self.required(values, path, key, read))
         if not about.rule.holds(number):
-            self.refuse(
-                (*path, kind), f"{key} of {kind} links {about.rule.of_links}, is {number:g}"
-            )
+            self.refuse((*path, key), f"{name} of {links} {about.rule.of_links}, is {number:g}")
         return number
 
 

@@ -57,7 +57,10 @@ class WrongType(Exception):
 
 def describe(value: Any) -> str:
     """What a value is, in TOML's words, with the value where it is short."""
-    text = value if isinstance(value, str) else str(value)
+    try:
+        text = str(value)
+    except ValueError:  # Python does not write a whole number of thousands of digits
+        text = "of thousands of digits"
     short = f" {text!r}" if isinstance(value, str) else f" {text}"
     short = short if len(short) <= 40 and not isinstance(value, dict) else ""
     if isinstance(value, bool):
@@ -75,6 +78,14 @@ def number(value: Any) -> float:
         return float(value)
     except OverflowError:
         raise WrongType("a number that fits into double precision") from None
+
+
+def number_or_table(value: Any) -> float:
+    """A number, where a table of numbers would do as well."""
+    try:
+        return number(value)
+    except WrongType as wrong:
+        raise WrongType(f"{wrong}, or a table with one for each kind") from None
 
 
 def integer(value: Any) -> int:

@@ -6,22 +6,27 @@ Flags of the command line are made from these declarations, so a setting is desc
 from __future__ import annotations
 
 import builtins
+import math
+import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from numbers import Real
 from typing import Any, TypeVar
 
-from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.errors import InputError, clipped, nearest
 
 PROGRAM = "taichi-cloth"  # the command whose flags set them
+
+Number = TypeVar("Number", int, float)
 
 
 @dataclass(frozen=True)
 class Parameter:
     """One setting: its help, unit and limits; type and default are filled in where it is used.
 
-    minimum, maximum: inclusive limits; above: exclusive lower limit.
+    minimum, maximum: inclusive limits; above: exclusive lower limit; infinite: whether inf is
+        allowed, too.
     choices: the words allowed, if only some are; of a number, those allowed in its place.
     metavar: stands for the value in help texts.
     """
@@ -31,6 +36,7 @@ class Parameter:
     minimum: float | None = None
     maximum: float | None = None
     above: float | None = None
+    infinite: bool = False
     choices: tuple[str, ...] = ()
     metavar: str = ""
     type: type = str
@@ -41,17 +47,23 @@ class Parameter:
         return replace(self, type=type_, default=default)
 
     def check(self, name: str, value: Any) -> Any:
-        """Return `value` if it is allowed for the setting called `name`, else raise InputError."""
+        """Return `value` if it is allowed for the setting called `name`, else raise InputError.
+
+        None is allowed where it is the default, which then follows from other settings.
+        """
+        if value is None and self.default is None:
+            return value
         if self.type in (int, float) and value not in self.choices:
             number = isinstance(value, Real) and not isinstance(value, bool)
             if number and hasattr(value, "item"):
                 value = value.item()  # a scalar of NumPy's
-            whole = isinstance(value, int) or (isinstance(value, float) and value.is_integer())
-            if not number or (self.type is int and not whole):
+            broken = isinstance(value, float) and math.isfinite(value) and not value.is_integer()
+            if not number or (self.type is int and broken):
                 kind = "a whole number" if self.type is int else "a number"
                 raise InputError(f"{name} must be {kind}, is {value!r}")
+            finite = abs(value) <= sys.float_info.max or (self.infinite and value == math.inf)
             for broken, says in (
-                (not (abs(value) <= sys.float_info.max), "must be a finite number"),
+                (not finite, "must be a finite number"),
                 (
                     self.above is not None and not value > self.above,
                     f"must be above {self.above}" if self.above else "must be positive",
@@ -66,23 +78,21 @@ class Parameter:
                 ),
             ):
                 if broken:
-                    shown = str(value)
-                    raise InputError(f"{name} {says}, is {shown[:30]}{'...' * (len(shown) > 30)}")
+                    raise InputError(f"{name} {says}, is {_shown(value)}")
         elif self.choices and value not in self.choices:
-            raise InputError(
-                f"{name}: unknown value '{value}'; {nearest(str(value), self.choices)}"
-            )
+            hint = nearest(str(value), self.choices)
+            raise InputError(f"{name}: unknown value '{clipped(str(value))}'; {hint}")
         return value
 
     def parse(self, name: str, text: str) -> Any:
         """The value that `text` stands for; raises InputError if it is none or not allowed."""
         if self.type in (int, float) and text not in self.choices:
             try:
-                value = self.type(text)
+                value = number_of(self.type, text)
             except ValueError:
                 kind = "a whole number" if self.type is int else "a number"
                 kind += "".join(f" or {word}" for word in self.choices)
-                raise InputError(f"{name} must be {kind}, is '{text}'") from None
+                raise InputError(f"{name} must be {kind}, is '{clipped(text)}'") from None
             return self.check(name, value)
         if self.type is tuple:
             return _parse_size(name, text)
@@ -104,6 +114,25 @@ class Parameter:
         return f"{self.help} ({', '.join(notes)})" if notes else self.help
 
 
+def number_of(type_: Callable[[str], Number], text: str) -> Number:
+    """The number that a person wrote, by `int` or `float`, in the digits 0 to 9 and no others.
+
+    Raises ValueError where it is none. Python's own functions also take digits of every script,
+    underscores between them, and spaces around them.
+    """
+    if not re.fullmatch(r"[-+.0-9a-zA-Z]+", text):
+        raise ValueError(f"'{text}' is not a number")
+    return type_(text)
+
+
+def _shown(value: float) -> str:
+    """A number as it is, cut where it is long; Python does not write one of 4301 digits."""
+    try:
+        return clipped(str(value))
+    except ValueError:
+        return "one of thousands of digits"
+
+
 def _written(limit: float) -> str:
     """A limit as one writes it: 100000, not 1e+05."""
     return str(limit) if isinstance(limit, int) else f"{limit:g}"
@@ -112,11 +141,12 @@ def _written(limit: float) -> str:
 def _parse_size(name: str, text: str) -> tuple[int, int]:
     """'800x600' as (800, 600); raises InputError for anything else, or a size no window has."""
     parts = text.lower().split("x")
-    if len(parts) != 2 or not all(part.isdecimal() for part in parts):
-        raise InputError(f"{name} must be WIDTHxHEIGHT in pixels, such as 800x600; is '{text}'")
+    if len(parts) != 2 or not all(re.fullmatch("[0-9]{1,30}", part) for part in parts):
+        says = "must be WIDTHxHEIGHT in pixels, such as 800x600"
+        raise InputError(f"{name} {says}; is '{clipped(text)}'")
     width, height = map(int, parts)
     if not (min(width, height) >= 16 and max(width, height) <= 8192):
-        raise InputError(f"{name}: width and height must be 16 to 8192 pixels, are {text}")
+        raise InputError(f"{name}: width and height must be 16 to 8192 pixels, are {clipped(text)}")
     return width, height
 
 

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from taichi_cloth.errors import InputError, counted, nearest
+from taichi_cloth.errors import InputError, clipped, counted, nearest
 from taichi_cloth.limits.bounds import Bounds, any_geometry, step_within
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.settings.options import ARCHS, PRECISIONS, ComparisonOptions
+from taichi_cloth.settings.options import ARCHS, PRECISIONS, ComparisonOptions, number_of
 
 DOUBLINGS = 6  # of the number of substeps, from the fewest that a method takes
 QUICK_DOUBLINGS = 4
@@ -191,7 +191,7 @@ def _words(flag: str, text: str | None, known: Sequence[str]) -> list[str]:
     words = [word.strip() for word in text.split(",") if word.strip()]
     for word in words:
         if word not in known:
-            raise InputError(f"{flag}: unknown '{word}'; {nearest(word, known)}")
+            raise InputError(f"{flag}: unknown '{clipped(word)}'; {nearest(word, known)}")
     if not words:
         raise InputError(f"{flag}: names nothing; known: {', '.join(known)}")
     return list(dict.fromkeys(words))
@@ -204,12 +204,14 @@ def _numbers(flag: str, text: str | None, type_: type[Number]) -> list[Number]:
     numbers: set[Number] = set()
     for word in text.split(","):
         try:
-            number = type_(word)
+            number = number_of(type_, word.strip())
         except ValueError:
             number = type_(0)
         if not (0 < number <= 1_000_000):
             kind = "whole numbers from 1" if type_ is int else "positive numbers"
-            raise InputError(f"{flag} must be {kind}, separated by commas; has '{word.strip()}'")
+            raise InputError(
+                f"{flag} must be {kind}, separated by commas; has '{clipped(word.strip())}'"
+            )
         numbers.add(number)
     return sorted(numbers)
 

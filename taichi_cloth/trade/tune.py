@@ -15,10 +15,10 @@ import numpy as np
 
 from taichi_cloth import console
 from taichi_cloth.console import duration
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, clipped
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.options import TuneOptions
+from taichi_cloth.settings.options import TuneOptions, number_of
 from taichi_cloth.trade import command, rows
 from taichi_cloth.trade.rows import Row
 
@@ -130,18 +130,18 @@ def read_target(error: str | None, frame_time: str | None) -> Target:
     unit = next((unit for unit in TIME_UNITS if text.endswith(unit)), None)
     says = "a time with its unit, s, ms or us, such as 8ms"
     if unit is None:
-        raise InputError(f"--frame-time must be {says}; is '{frame_time}'")
+        raise InputError(f"--frame-time must be {says}; is '{clipped(frame_time)}'")
     seconds = _positive("--frame-time", text.removesuffix(unit), says, frame_time)
     return Target(frame_seconds=seconds * TIME_UNITS[unit])
 
 
 def _positive(flag: str, text: str, says: str, given: str) -> float:
     try:
-        number = float(text)
+        number = number_of(float, text.strip())
     except ValueError:
         number = np.nan
     if not 0 < number < np.inf:
-        raise InputError(f"{flag} must be {says}; is '{given}'")
+        raise InputError(f"{flag} must be {says}; is '{clipped(given)}'")
     return number
 
 

@@ -56,9 +56,15 @@ def parameters(name: str) -> dict[str, Parameter]:
     scene_function = function(name)
     hints = typing.get_type_hints(scene_function, include_extras=True)
     return {
-        key: hints[key].__metadata__[0].with_type(hints[key].__origin__, parameter.default)
+        key: hints[key].__metadata__[0].with_type(_single(hints[key].__origin__), parameter.default)
         for key, parameter in inspect.signature(scene_function).parameters.items()
     }
+
+
+def _single(annotation: Any) -> type:
+    """`float` of ``float`` and of ``float | None``: a default None follows from the others."""
+    types: list[type] = [t for t in typing.get_args(annotation) if t is not type(None)]
+    return types[0] if types else annotation
 
 
 def build(name: str, **values: Any) -> Scene:
