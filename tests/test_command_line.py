@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -96,6 +97,110 @@ def test_words_say_a_scene_and_what_is_given(words, source, given):
     assert asked == (source, RunOptions.from_given(given))
 
 
+ASSIGNMENTS = [
+    # (scene, --set, what of the scene has which value)
+    ("cloth", "world.gravity=[0,0.1]", lambda scene: scene.world.gravity == (0, 0.1)),
+    ("cloth", "world.walls=[top, left]", lambda scene: scene.world.walls == ("top", "left")),
+    ("cloth", "world.mouse=none", lambda scene: scene.world.mouse == "none"),
+    ("cloth", 'world.mouse = "none"', lambda scene: scene.world.mouse == "none"),
+    ("cloth", "name=my cloth", lambda scene: scene.name == "my cloth"),
+    ("cloth", "particle.viscous=0.5", lambda scene: (scene.particles.viscous == 0.5).all()),
+    ("box", "particle.mass=2", lambda scene: scene.particle_defaults.mass == 2),
+    ("cloth --shear 0.1", "spring.stiffness=0.3", lambda s: (s.springs.stiffness == 0.3).all()),
+    ("cloth", "spring.break_force=false", lambda s: np.isinf(s.springs.break_force).all()),
+    ("cloth", "spring.rest_length=20", lambda scene: (scene.springs.rest_length == 20).all()),
+    ("a.toml", "cloths[0].columns=4", lambda scene: len(scene.particles) == 1 + 4 * 2),
+    ("a.toml", "particles[0].fixed=true", lambda scene: scene.particles.fixed[0]),
+    ("a.toml", "particle.mass=3", lambda scene: (scene.particles.mass == [7, *[3] * 6]).all()),
+    ("a.toml", "world.size[0]=50", lambda scene: scene.world.size == (50, 100)),
+    ("a.toml", "spring.damping=0.5", lambda scene: (scene.springs.damping == 0.5).all()),
+    ("a.toml", "cloths[0].stiffness={structural=4}", lambda s: (s.springs.stiffness == 4).all()),
+]
+WRONG_ASSIGNMENTS = [
+    ("cloth", "world.gravty=[0,1]", "--set world.gravty: unknown key 'gravty'; did you mean 'grav"),
+    (
+        "cloth",
+        "gravity=[0,1]",
+        "--set gravity: unknown key 'gravity'; did you mean 'world.gr",
+    ),
+    ("cloth", "wrold.dt=1", "--set wrold.dt: unknown key 'wrold'; did you mean 'world'?"),
+    ("cloth", "world.dt=0", "--set world.dt: dt must be positive, is 0"),
+    ("cloth", "world.dt=soon", "--set world.dt: dt must be a number, is the text 'soon'"),
+    ("cloth", "world.gravity=[0,1,2]", "--set world.gravity: gravity must have 2 numbers"),
+    ("cloth", "particle.mass=-1", "--set particle.mass: mass must be positive, is -1"),
+    ("cloth", "spring.stiffness=nan", "--set spring.stiffness: stiffness must be finite, is nan"),
+    ("cloth", "world.size=[50,50]", "scene 'cloth': particle 0: position (100, 20) is outside"),
+    ("cloth", "cloths[0].rows=3", "--set cloths[0].rows: a built-in scene has no entries by"),
+    ("cloth", "world.dt=[1", "--set world.dt: '[1' is no value of TOML"),
+    ("cloth", "world.dt=1\nmouse='none'", "--set world.dt: '1"),
+    ("cloth", "world.dt=" + "[" * 5000, "--set world.dt: "),
+    ("cloth", "world.dt=" + "9" * 5000, "--set world.dt: has a whole number with too many"),
+    ("cloth", "world.dt=0x" + "f" * 5000, "--set world.dt: dt must be a number that fits"),
+    ("cloth", "world", "--set must be KEY=VALUE, such as world.gravity=[0,0.1]; is 'world'"),
+    ("cloth", "=3", "--set must be KEY=VALUE"),
+    ("cloth", "world.d\u0661=3", "--set must be KEY=VALUE"),
+    ("a.toml", "cloths[1].rows=3", "--set cloths[1].rows: 'cloths' has 1 entry, numbered from 0"),
+    ("a.toml", "cloths.rows=3", "--set cloths.rows: name one entry of the list, such as cloths[0]"),
+    ("a.toml", "world.dt.x=3", "--set world.dt.x: 'world.dt' is no table"),
+    ("a.toml", "springs[0].between=[0,1]", "'springs' has 0 entries"),
+    ("a.toml", "cloths[0].rows=3000", "[[cloths]] 0 particle "),
+]
+SCENE_FILE = """
+[world]
+size = [100, 100]
+dt = 1
+[[particles]]
+position = [1, 1]
+mass = 7
+[[cloths]]
+origin = [10, 10]
+columns = 3
+rows = 2
+spacing = 5
+"""
+
+
+@pytest.fixture
+def scene_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.toml").write_text(SCENE_FILE)
+
+
+@pytest.mark.parametrize(("scene", "text", "has"), ASSIGNMENTS)
+def test_a_key_of_scene_files_can_be_set_in_any_scene(scene, text, has, scene_file):
+    words = [*scene.split(), "--set", text]
+    source, _ = scene_command.read("run", RunOptions, words, "")
+    assert not has(replace(source, assignments=()).build()) and has(source.build())
+    assert source.words() == words and source.solution() is None
+
+
+@pytest.mark.parametrize(("scene", "text", "says"), WRONG_ASSIGNMENTS)
+def test_what_cannot_be_set_is_refused(scene, text, says, scene_file, capsys):
+    for words in (["run"], ["trade"], ["tune", "--error", "1"], ["stability"], ["explain"]):
+        assert main([*words, scene, "--set", text]) == 2
+        said = capsys.readouterr().err
+        assert says in said and said.count("\n") == 1 and len(said) < 300
+
+
+def test_what_is_set_last_holds_and_others_stay():
+    words = [
+        "cloth",
+        "--set",
+        "world.dt=2",
+        "--set",
+        "world.dt=0.5",
+        "--set",
+        "world.gravity=[1,2]",
+    ]
+    source, _ = scene_command.read("run", RunOptions, words, "")
+    scene, plain = source.build(), library.build("cloth")
+    assert scene.world.dt == 0.5 and scene.world.gravity == (1, 2)
+    assert replace(scene.world, dt=1.0, gravity=(0.0, 0.05)) == plain.world
+    for ours, before in ((scene.particles, plain.particles), (scene.springs, plain.springs)):
+        for name, column in vars(ours).items():
+            assert (column == vars(before)[name]).all()
+
+
 @pytest.mark.parametrize("word", ["--frame", "--head", "--", "-5", "-hx"])
 def test_flags_are_written_out(word):
     with pytest.raises(InputError, match=f"unknown flag '{word}'"):
@@ -115,6 +220,26 @@ def test_a_scene_is_checked_once_on_its_way_to_the_device(monkeypatch):
     assert checks.validate(scene) is scene and len(checked) == 1
     ours = library.build("oscillator")  # whose arrays may be written to before it is run
     assert checks.validate(ours) is ours and len(checked) == 3
+
+
+def test_a_replay_follows_the_recordings_scene(cli, tmp_path):
+    own = ["--columns", 3, "--rows", 2, "--break-force", "inf", "--set", "world.gravity=[0,0.5]"]
+    how = [*ON_GRAPH, "--frames", 3]
+    cli("run", "cloth", *own, *how, "--record", "a.jsonl", "--save", "a.npz", cwd=tmp_path)
+    header = json.loads((tmp_path / "a.jsonl").read_text().splitlines()[0])["header"]
+    _, said = cli("run", "cloth", *how, "--events", "a.jsonl", "--save", "b.npz", cwd=tmp_path)
+    assert said == ""
+    a, b = (trajectories.load(tmp_path / name) for name in ("a.npz", "b.npz"))
+    assert header["arguments"] == a.meta["arguments"] == b.meta["arguments"] == [*map(str, own)]
+    assert a.position.shape == (3, 6, 2) and (a.position == b.position).all()
+    again = ["--rows", 3, "--events", "a.jsonl", "--save", "c.npz"]
+    _, said = cli("run", "cloth", *how, *again, cwd=tmp_path)
+    assert "--rows 3" in said and "(recorded: --columns 3 --rows 2" in said
+    assert trajectories.load(tmp_path / "c.npz").position.shape == (3, 9, 2)
+    header["arguments"] = ["--save", "x.npz"]
+    (tmp_path / "a.jsonl").write_text(json.dumps({"header": header}))
+    _, said = cli("run", "cloth", *how, "--events", "a.jsonl", cwd=tmp_path, check=2)
+    assert "a.jsonl line 1: arguments: --save is none of a scene" in said
 
 
 def test_list_names_every_scene_method_and_backend(capsys):

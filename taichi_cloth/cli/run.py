@@ -5,15 +5,17 @@ from __future__ import annotations
 import contextlib
 import os
 import platform
+import shlex
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy
 
 from taichi_cloth import __version__, runtime
+from taichi_cloth.cli import scene_command
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.files.trajectory import Trajectory
@@ -44,6 +46,9 @@ def main(source: SceneSource, options: RunOptions) -> int:
     log = interaction.load(options.events) if options.events else None
     if log:
         options = _as_recorded(options, log.header)
+        if log.header.get("scene") == scene.name and log.header.get("arguments"):
+            source = _scene_as_recorded(source, options, log.header["arguments"])
+            scene = source.build()
     if options.image:
         film.Image(options.image).discard()
     if options.video:
@@ -55,7 +60,7 @@ def main(source: SceneSource, options: RunOptions) -> int:
         recorder = Recorder(options.record) if options.record else None
         if recorder:
             unfinished.callback(recorder.discard)
-        return _simulate(scene, options, log, recorder, trajectory)
+        return _simulate(source, scene, options, log, recorder, trajectory)
 
 
 def _as_recorded(options: RunOptions, header: Mapping[str, Any]) -> RunOptions:
@@ -70,6 +75,16 @@ def _as_recorded(options: RunOptions, header: Mapping[str, Any]) -> RunOptions:
     if options.dt == "auto":
         recorded.pop("substeps", None)
     return _consistent(replace(options, **recorded))
+
+
+def _scene_as_recorded(
+    source: SceneSource, options: RunOptions, arguments: Sequence[str]
+) -> SceneSource:
+    """The scene with the recording's parameters and assignments where none are given."""
+    try:
+        return scene_command.recorded(source, arguments)
+    except InputError as error:
+        raise InputError(f"{options.events} line 1: {error}") from None
 
 
 def _consistent(options: RunOptions) -> RunOptions:
@@ -91,6 +106,7 @@ def _consistent(options: RunOptions) -> RunOptions:
 
 
 def _simulate(
+    source: SceneSource,
     scene: Scene,
     options: RunOptions,
     log: Log | None,
@@ -118,13 +134,13 @@ def _simulate(
         seed = _seed(options, log)
         if log:
             log.header["seed"] = seed
-            _note_differences(log.header, app.log_header(sim, view, seed))
+            _note_differences(log.header, _header(source, app.log_header(sim, view, seed)))
         if recorder:
-            recorder.write_header(app.log_header(sim, view, seed, replay=log))
+            recorder.write_header(_header(source, app.log_header(sim, view, seed, replay=log)))
         if not options.quiet:
             _announce(sim, device, view)
         begin = time.perf_counter()
-        with _kept(sim, device, recorder, trajectory):
+        with _kept(source, sim, device, recorder, trajectory):
             summary = app.run(
                 sim,
                 view,
@@ -162,6 +178,7 @@ def _simulation(scene: Scene, options: RunOptions) -> Simulation:
 
 @contextlib.contextmanager
 def _kept(
+    source: SceneSource,
     sim: Simulation,
     device: Device,
     recorder: Recorder | None,
@@ -176,7 +193,7 @@ def _kept(
     if trajectory:
         if isinstance(failure, SimulationFailure):
             trajectory.record(sim, last=True)
-        trajectory.save(_meta(sim, device))
+        trajectory.save(_meta(source, sim, device))
     if recorder:
         recorder.close()
     if failure:
@@ -254,16 +271,25 @@ def _note_differences(recorded: Mapping[str, Any], present: Mapping[str, Any]) -
         for key in ("scene", "dt", "substeps", "method", "topology")
         if key in recorded and key in present and recorded[key] != present[key]
     ]
+    words = [shlex.join(header.get("arguments", ())) for header in (present, recorded)]
+    if words[0] != words[1] and present.get("scene") == recorded.get("scene"):
+        notes.append(f"{words[0] or 'no parameters'} (recorded: {words[1] or 'none'})")
     if notes:
         print(f"{PROGRAM}: note: replaying with {', '.join(notes)}", file=sys.stderr)
 
 
-def _meta(sim: Simulation, device: Device) -> dict[str, Any]:
+def _header(source: SceneSource, header: dict[str, Any]) -> dict[str, Any]:
+    """A log's header with the flags that gave its scene parameters and assignments."""
+    return {**header, "arguments": source.flags()} if source.flags() else header
+
+
+def _meta(source: SceneSource, sim: Simulation, device: Device) -> dict[str, Any]:
     """What a saved trajectory says about its run."""
     import taichi
 
     return {
         "scene": sim.scene.name,
+        "arguments": source.flags(),
         "method": sim.method,
         "dt": sim.dt,
         "substeps": sim.substeps,  # the last ones, where they follow the springs

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NoReturn
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene import library
 from taichi_cloth.scene.source import DEFAULT_SCENE, SceneSource, names_file
 from taichi_cloth.settings.arguments import CommandParser, value_of
-from taichi_cloth.settings.options import AnyOptions, Parameter, flag, parameters_of
+from taichi_cloth.settings.options import (
+    ASSIGNMENT,
+    AnyOptions,
+    Parameter,
+    RunOptions,
+    flag,
+    parameters_of,
+)
+
+if TYPE_CHECKING:
+    from taichi_cloth.scene.assignments import Assignment
+
+OF_EVERY_SCENE = {"set": ASSIGNMENT}
 
 
 def read(
@@ -26,6 +38,7 @@ def read(
     parser = CommandParser(command)
     # One flag sets both where scenes, or a scene and the command, have parameters of one name.
     parser.declare("", {k: p for ps in of_scenes.values() for k, p in ps.items()} | of_command)
+    parser.declare("", OF_EVERY_SCENE)
     words = parser.read(arguments)
 
     scene, *more = words.others or [DEFAULT_SCENE]
@@ -48,7 +61,30 @@ def read(
             values[name] = value_of(name, of_command[name], text)
         if name in of_scene:
             scene_values[name] = value_of(name, of_scene[name], text)
-    return SceneSource(scene, scene_values), settings.from_given(values)
+    source = SceneSource(scene, scene_values, _assignments(words.repeated.get("set", ())))
+    return source, settings.from_given(values)
+
+
+def recorded(source: SceneSource, words: Sequence[str]) -> SceneSource:
+    """`source` with what it leaves open as a recording has it, which says so in the flags `words`.
+
+    Raises InputError where these are not such a scene's.
+    """
+    asked = read("run", RunOptions, [source.name, *words], "")
+    if asked is None:
+        raise InputError("arguments: --help is none of a scene")
+    said, options = asked
+    for name in options.given - set(said.parameters):
+        raise InputError(f"arguments: {flag(name)} is none of a scene")
+    return source.following(said)
+
+
+def _assignments(texts: Iterable[str]) -> tuple[Assignment, ...]:
+    if not texts:
+        return ()
+    from taichi_cloth.scene import assignments  # with NumPy: not where there are none
+
+    return tuple(map(assignments.read, texts))
 
 
 def _refuse(
@@ -57,7 +93,7 @@ def _refuse(
     """Refuse a flag that is a parameter of other scenes only."""
     if names_file(scene):
         raise InputError(
-            f"{word}: only built-in scenes take it; change the value in {scene} instead"
+            f"{word}: only built-in scenes take it; change the value in {scene}, or --set its key"
         )
     has = f"has {', '.join(map(flag, of_scene))}" if of_scene else "has no parameters"
     raise InputError(
@@ -76,9 +112,8 @@ def _help(
     """The command's help, with the flags of one scene."""
     scenes = f"Scenes: {', '.join(library.names())}; default {DEFAULT_SCENE}."
     parser = CommandParser(command, "[SCENE | FILE.toml] [flags]", about + scenes)
-    if of_scene:
-        # A flag that is in both is listed with the command.
-        own = {name: p for name, p in of_scene.items() if name not in of_command}
-        parser.declare(f"scene '{scene}'", own)
+    # A flag that is in both is listed with the command.
+    own = {name: p for name, p in of_scene.items() if name not in of_command}
+    parser.declare(f"scene '{scene}'", own | OF_EVERY_SCENE)
     parser.declare(command, of_command)
     return parser.format_help().rstrip()

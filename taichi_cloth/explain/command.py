@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import json
 import os
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -46,7 +47,7 @@ def main(source: SceneSource, options: ExplainOptions) -> int:
     """Explain a scene, or all of them; returns the exit status."""
     options = _consistent(source, options)
     document = _document(options)
-    scenes = _built_in() if options.all else {" ".join(source.words()): source.build()}
+    scenes = _built_in() if options.all else {shlex.join(source.words()): source.build()}
 
     import numpy
 

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import difflib
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn, TypeVar, overload
 
 import numpy as np
 
-from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.errors import InputError, counted, nearest
 from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.scene import toml
+from taichi_cloth.scene.assignments import Assignment
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import LINKS, grid
 from taichi_cloth.scene.model import (
@@ -63,8 +64,11 @@ Default = TypeVar("Default")
 Finite = TypeVar("Finite", float, "float | None", list[float], "list[float] | None")
 
 
-def load(path: str | Path) -> Scene:
-    """The scene in the TOML file at `path`, checked. Raises InputError for anything amiss."""
+def load(path: str | Path, assignments: Sequence[Assignment] = ()) -> Scene:
+    """The scene in the TOML file at `path`, checked. Raises InputError for anything amiss.
+
+    assignments: values that take the place of the file's.
+    """
     path = accepted.path("load_scene: path", path)
     try:
         text = path.read_bytes().decode("utf-8")
@@ -79,10 +83,15 @@ def load(path: str | Path) -> Scene:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from None
-    return parse(text, name=path.name, default_scene_name=path.stem)
+    return parse(text, path.name, path.stem, assignments)
 
 
-def parse(text: str, name: str = "scene.toml", default_scene_name: str = "scene") -> Scene:
+def parse(
+    text: str,
+    name: str = "scene.toml",
+    default_scene_name: str = "scene",
+    assignments: Sequence[Assignment] = (),
+) -> Scene:
     """The scene that `text` describes, checked; `name` is the file's in messages."""
     text = text.removeprefix("\ufeff").replace("\r\n", "\n")
     try:
@@ -93,7 +102,21 @@ def parse(text: str, name: str = "scene.toml", default_scene_name: str = "scene"
         raise InputError(f"{name}: is nested too deeply to be a scene") from None
     except ValueError:  # the one thing tomllib passes on: int() refuses thousands of digits
         raise InputError(f"{name}: has a whole number with too many digits") from None
-    return _Reader(name, text, default_scene_name).scene(table)
+    return parse_table(table, name, text, default_scene_name, assignments)
+
+
+def parse_table(
+    table: Table,
+    name: str,
+    text: str = "",
+    default_scene_name: str = "scene",
+    assignments: Sequence[Assignment] = (),
+) -> Scene:
+    """The scene that a file's table describes, checked; text: what it was read from."""
+    reader = _Reader(name, text, default_scene_name)
+    for assignment in assignments:
+        reader.assign(table, assignment)
+    return reader.scene(table)
 
 
 def save(scene: Scene, path: str | Path) -> None:
@@ -105,6 +128,31 @@ def save(scene: Scene, path: str | Path) -> None:
         file.write(text)
 
     PendingFile(path).fill(write)
+
+
+def table_of(scene: Scene) -> Table:
+    """What a file says of a scene beside its particles and springs, as a table."""
+    world = scene.world
+    given = {
+        "particle": {key: getattr(scene.particle_defaults, key) for key in PARTICLE_PROPERTIES},
+        "spring": {key: getattr(scene.spring_defaults, key) for key in SPRING_PROPERTIES},
+    }
+    return {
+        "name": scene.name,
+        "world": {
+            "size": list(world.size),
+            "gravity": list(world.gravity),
+            "dt": world.dt,
+            "walls": list(world.walls),
+            "collisions": world.collisions,
+            "mouse": world.mouse,
+            **{key: list(v) if isinstance(v, tuple) else v for key, v in world.more.items()},
+        },
+        **{
+            kind: {key: value for key, value in numbers.items() if value is not None}
+            for kind, numbers in given.items()
+        },
+    }
 
 
 def _similar_file(path: Path) -> str:
@@ -132,6 +180,7 @@ class _Reader:
     def __init__(self, name: str, text: str, default_scene_name: str):
         self.name = name
         self.lines = toml.lines_of(text)
+        self.assigned: set[Keys] = set()
         self.default_scene_name = default_scene_name
         self.sources: dict[str, list[_Source]] = {"particle": [], "spring": []}
 
@@ -139,10 +188,13 @@ class _Reader:
 
     def place(self, *path: Any) -> str:
         """'box.toml line 12: [[particles]] 3' for ("particles", 3, "mass"), as far as known."""
-        line = next(
-            (self.lines[path[:n]] for n in range(len(path), 0, -1) if path[:n] in self.lines), None
-        )
-        where = f"{self.name} line {line}" if line else self.name
+        ways = [path[:n] for n in range(len(path), 0, -1)]
+        found = next((way for way in ways if way in self.lines or way in self.assigned), None)
+        if not found and path:  # a table that an assignment made
+            found = next((keys for keys in self.assigned if keys[: len(path)] == path), None)
+        if found in self.assigned:
+            return f"--set {toml.dotted(found)}"
+        where = f"{self.name} line {self.lines[found]}" if found else self.name
         if path and path[0] in _TABLES:
             numbered = len(path) > 1 and isinstance(path[1], int)
             where += f": [[{path[0]}]] {path[1]}" if numbered else f": [{path[0]}]"
@@ -163,9 +215,36 @@ class _Reader:
         if source.table == "cloths":
             offset = f" particle {index - source.first}" if kind == "particle" else ""
             return self.place("cloths", source.index, field_name) + offset
-        if field_name not in source.keys and (kind, field_name) in self.lines:
+        default = (kind, field_name)
+        if field_name not in source.keys and (default in self.lines or default in self.assigned):
             return f"{self.place(kind, field_name)} for [[{source.table}]] {source.index}"
         return self.place(source.table, source.index, field_name)
+
+    # Assignments
+
+    def assign(self, table: Table, assignment: Assignment) -> None:
+        """Put an assignment's value into the file's table, in the place of what is there."""
+        keys = assignment.keys
+        self.assigned.add(keys)
+        inside: Any = table
+        for n, key in enumerate(keys):
+            here = toml.dotted(keys[:n])
+            if isinstance(key, int):
+                if not isinstance(inside, list):
+                    self.refuse(keys, f"'{here}' is no list")
+                if key >= len(inside):
+                    has = counted(len(inside), "entry").replace("entrys", "entries")
+                    self.refuse(keys, f"'{here}' has {has}, numbered from 0")
+            elif isinstance(inside, list):
+                self.refuse(keys, f"name one entry of the list, such as {here}[0].{key}")
+            elif not isinstance(inside, dict):
+                self.refuse(keys, f"'{here}' is no table")
+            if n == len(keys) - 1:
+                inside[key] = assignment.value
+            elif isinstance(inside, dict):
+                inside = inside.setdefault(key, [] if isinstance(keys[n + 1], int) else {})
+            else:
+                inside = inside[key]
 
     # Values
 
@@ -178,6 +257,9 @@ class _Reader:
                 hint = nearest(key, known)
                 if kind and key in _TABLES[""]:
                     hint = f"'{key}' belongs above the first [table]"
+                homes = [home for home in ("world", "particle", "spring") if key in _TABLES[home]]
+                if not kind and homes:
+                    hint = f"did you mean '{homes[0]}.{key}'?"
                 self.refuse((*path, key), f"unknown key '{key}'; {hint}")
 
     @overload

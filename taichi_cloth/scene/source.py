@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from taichi_cloth.settings.options import flag_words
@@ -12,6 +12,7 @@ from taichi_cloth.settings.options import flag_words
 if TYPE_CHECKING:
     import numpy as np
 
+    from taichi_cloth.scene.assignments import Assignment
     from taichi_cloth.scene.model import Scene
 
 # What reads and builds scenes is imported in functions: it takes NumPy, and with that longer than
@@ -26,10 +27,13 @@ class SceneSource:
 
     name: of a built-in scene, or of a scene file.
     parameters: values of the built-in scene's parameters, by name; the rest have their defaults.
+    assignments: values in the place of the scene's own, by keys of scene files; the last one of a
+        key holds.
     """
 
     name: str = DEFAULT_SCENE
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    assignments: tuple[Assignment, ...] = ()
 
     @property
     def is_file(self) -> bool:
@@ -39,20 +43,38 @@ class SceneSource:
         """The scene, checked. Raises InputError where there is none, or it cannot be simulated."""
         from taichi_cloth.scene import library, scenefile
         from taichi_cloth.scene.checks import mark_checked
+        from taichi_cloth.scene.reassignment import reassigned
 
         if self.is_file:
-            return mark_checked(scenefile.load(self.name))
-        return mark_checked(library.build(self.name, **self.parameters))
+            return mark_checked(scenefile.load(self.name, self.assignments))
+        built = library.build(self.name, **self.parameters)
+        return mark_checked(reassigned(built, self.assignments))
 
     def solution(self) -> Callable[..., tuple[np.ndarray, np.ndarray]] | None:
-        """What gives the scene's closed form at given times; None without one."""
+        """What gives the scene's closed form at given times; None without one.
+
+        With assignments there is none: it holds for what the scene's parameters can say.
+        """
         from taichi_cloth.scene import library
 
-        return None if self.is_file else library.solution(self.name)
+        return None if self.is_file or self.assignments else library.solution(self.name)
 
     def words(self) -> list[str]:
-        """The scene and its parameters, as one would write them after a command."""
-        return [self.name, *flag_words(self.parameters)]
+        """The scene, its parameters and assignments, as one would write them after a command."""
+        return [self.name, *self.flags()]
+
+    def flags(self) -> list[str]:
+        """The flags alone that give the scene its parameters and assignments."""
+        assigned = (word for entry in self.assignments for word in ("--set", entry.text))
+        return [*flag_words(self.parameters), *assigned]
+
+    def following(self, other: SceneSource) -> SceneSource:
+        """This scene with parameters and assignments of `other` where it has none of its own."""
+        return replace(
+            self,
+            parameters={**other.parameters, **self.parameters},
+            assignments=(*other.assignments, *self.assignments),
+        )
 
 
 def names_file(word: str) -> bool:

@@ -51,6 +51,12 @@ def lines_of(text: str) -> dict[Keys, int]:
     return lines
 
 
+def dotted(keys: Keys) -> str:
+    """'cloths[0].columns' of ("cloths", 0, "columns")."""
+    words = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys)
+    return words.removeprefix(".")
+
+
 class WrongType(Exception):
     """The value is of another type; the message says of which it must be."""
 
@@ -60,7 +66,7 @@ def describe(value: Any) -> str:
     try:
         text = str(value)
     except ValueError:  # Python does not write a whole number of thousands of digits
-        text = "of thousands of digits"
+        return "a number of thousands of digits"
     short = f" {text!r}" if isinstance(value, str) else f" {text}"
     short = short if len(short) <= 40 and not isinstance(value, dict) else ""
     if isinstance(value, bool):

@@ -19,11 +19,13 @@ class Words:
     """What a command line says, before its values are checked.
 
     texts: what is given for each setting: a value's text, or whether a switch is on.
+    repeated: the texts of each setting that may be given several times, in order.
     others: the words that are neither flags nor their values, in order.
     wants_help: whether it asks for help.
     """
 
     texts: dict[str, str | bool]
+    repeated: dict[str, list[str]]
     others: list[str]
     wants_help: bool
 
@@ -72,9 +74,12 @@ class CommandParser(argparse.ArgumentParser):
         wants_help = vars(given).pop("help", False)
         texts = {name: text for name, text in vars(given).items() if text is not None}
         for name, text in texts.items():
-            if not text and text is not False:  # also of `--save=--`, which argparse empties
+            # Also of `--save=--`, which argparse empties.
+            if not (all(text) if isinstance(text, list) else text or text is False):
                 self._refuse_missing(flag(name))
-        return Words(texts, others, wants_help)
+        repeated = {name: text for name, text in texts.items() if isinstance(text, list)}
+        single = {name: text for name, text in texts.items() if name not in repeated}
+        return Words(single, repeated, others, wants_help)
 
     def error(self, message: str) -> NoReturn:
         """Refuse the command line; argparse would end the program, with its usage."""
@@ -108,7 +113,9 @@ def _as_argument(parameter: Parameter) -> dict[str, Any]:
     help_ = parameter.describe().replace("%", "%%")
     if parameter.type is not bool:
         metavar = parameter.metavar or "|".join(parameter.choices)
-        return {"help": help_, "metavar": metavar or ("N" if parameter.type is int else "X")}
+        action = "append" if parameter.repeated else "store"
+        metavar = metavar or ("N" if parameter.type is int else "X")
+        return {"help": help_, "metavar": metavar, "action": action}
     if parameter.default is not False:  # it may be on by itself: it can be turned off, too
         return {"help": help_, "action": argparse.BooleanOptionalAction, "default": None}
     return {"help": help_, "action": "store_true"}

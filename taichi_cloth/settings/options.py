@@ -29,6 +29,7 @@ class Parameter:
         allowed, too.
     choices: the words allowed, if only some are; of a number, those allowed in its place.
     metavar: stands for the value in help texts.
+    repeated: whether the flag may be given several times, each with a value.
     """
 
     help: str
@@ -39,6 +40,7 @@ class Parameter:
     infinite: bool = False
     choices: tuple[str, ...] = ()
     metavar: str = ""
+    repeated: bool = False
     type: type = str
     default: Any = None
 
@@ -148,6 +150,14 @@ def _parse_size(name: str, text: str) -> tuple[int, int]:
     if not (min(width, height) >= 16 and max(width, height) <= 8192):
         raise InputError(f"{name}: width and height must be 16 to 8192 pixels, are {clipped(text)}")
     return width, height
+
+
+ASSIGNMENT = Parameter(
+    "a value in the place of the scene's own, by a key of scene files: world.gravity=[0,0.1], "
+    "particle.viscous=0.02; may be repeated",
+    metavar="KEY=VALUE",
+    repeated=True,
+)
 
 
 def setting(default: Any, help_: str, type_: type | None = None, **limits: Any) -> Any:

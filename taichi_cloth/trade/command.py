@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 import hashlib
+import shlex
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -142,7 +143,7 @@ def environment(
     horizon, found = result.horizon, result.reference
     devices = {outcome.about["device"]: None for outcome in result.outcomes if outcome.about}
     return {
-        "command": " ".join([PROGRAM, "trade", *source.words(), *options.words()]),
+        "command": shlex.join([PROGRAM, "trade", *source.words(), *options.words()]),
         "date": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
         "versions": machine.versions(PACKAGES),
         "machine": machine.describe(),

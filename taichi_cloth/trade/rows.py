@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -130,7 +131,7 @@ def rows_of(result: Result, common: Mapping[str, Any], command: Sequence[str]) -
             sweeps=outcome.sweeps,
             unconverged=outcome.unconverged,
             frames=result.horizon.frames if result.horizon else None,
-            command=" ".join([*command, *outcome.setting.words()]),
+            command=shlex.join([*command, *outcome.setting.words()]),
             **common,
             **about,
             **judged,

@@ -7,6 +7,7 @@ with another start.
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -207,7 +208,7 @@ def _as_json(
 ) -> dict[str, Any]:
     done = confirming.wall_seconds is not None
     return {
-        "scene": " ".join(source.words()),
+        "scene": shlex.join(source.words()),
         "target": vars(target),
         "setting": vars(best.setting),
         "command": best.command,
