@@ -66,7 +66,7 @@ class Particle:
 
 
 class Spring:
-    """Pulls two particles together; broken once its force exceeds the break force."""
+    """Pulls two particles together; broken once its force, a push too, exceeds the break force."""
 
     def __init__(
         self, a: Particle, b: Particle, stiffness: float, rest_length: float, break_force: float
@@ -84,7 +84,7 @@ class Spring:
         pull = between.normalised() * force
         self.a.apply_force(pull)
         self.b.apply_force(-pull)
-        self.broken = force > self.break_force
+        self.broken = abs(force) > self.break_force
 
 
 class Wall:

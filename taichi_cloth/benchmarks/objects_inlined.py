@@ -62,7 +62,7 @@ class Spring:
         self.a.fy += fy
         self.b.fx -= fx
         self.b.fy -= fy
-        self.alive = force <= self.break_force
+        self.alive = abs(force) <= self.break_force
 
 
 class Cloth:

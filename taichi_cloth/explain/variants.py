@@ -148,6 +148,7 @@ def _more_links(scene: Scene, name: str, like: np.ndarray) -> Springs:
         defaults=defaults,
         damping=float(np.median(springs.damping)),
         break_force=float(np.median(springs.break_force)),
+        break_in=springs.break_in[0],
     )
 
 

@@ -1,7 +1,9 @@
-"""Springs that break: over its break force a spring pulls for one more step, then it is gone.
+"""Springs that break: over its break force a spring acts for one more step, then it is gone.
 
-The force k*(l - rest) exceeds the break force where l > rest + break_force/k. Both sides of this
-are compared squared, so that no root is taken, and once for each spring, so that its ends agree.
+The magnitude of the force k*(l - rest) exceeds the break force where the spring is longer than
+rest + break_force/k, or shorter than rest - break_force/k; a dashpot's force does not count.
+Lengths are compared squared, so that no root is taken, and once for each spring, so that its ends
+agree.
 """
 
 import taichi as ti
@@ -34,6 +36,12 @@ def break_springs(spec: ti.template(), state: ti.template(), t):
         each(spec, state, t, state.n_springs[None], _break_spring)
 
 
+@ti.func
+def is_beyond(length2, shortest2, longest2):
+    """Whether a spring of this length is over its limit: squares of lengths, as in `State`."""
+    return length2 > longest2 or length2 < shortest2
+
+
 # --- on a graph ------------------------------------------------------------------------------
 
 
@@ -51,11 +59,11 @@ def _break_spring(spec: ti.template(), state: ti.template(), s):
 
 @ti.func
 def _mark_spring(spec: ti.template(), state: ti.template(), s):
-    """Mark spring s on the graph as breaking if it is over its limit."""
+    """Mark spring s on the graph as breaking if it is longer or shorter than it holds at."""
     if state.status[s] == ALIVE:
         near, far = state.ends[s, 0], state.ends[s, 1]
         d = slot_value(spec, state.x, far) - slot_value(spec, state.x, near)
-        if d.dot(d) > number(spec, state.break_length2, s):
+        if is_beyond(d.dot(d), number(spec, state.shortest2, s), number(spec, state.longest2, s)):
             state.status[s] = BREAKING
             state.break_step[s] = state.step[None]
 
@@ -77,7 +85,8 @@ def _break_links(spec: ti.template(), state: ti.template(), i):
         for s in range(spec.kinds):
             far = i + link_offset(state, s, pitch_of(spec, state, g))
             d = read(spec, state.x, far) - x
-            excess = dot(d, d) - state.link_limit2[s, g]
+            d2 = dot(d, d)
+            excess = ti.max(d2 - state.link_longest2[s, g], state.link_shortest2[s, g] - d2)
             k = link_stiffness(spec, state, s, i)
             most = ti.max(most, ti.select(k > 0.0, excess, none))
         if largest(spec, most) > 0.0 or state.breaking[i] > 0:
@@ -94,13 +103,13 @@ def _break_links(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _mark_link(spec: ti.template(), state: ti.template(), s, g, i, lane):
-    """Mark the link of kind s in one lane of pack i as breaking if it is over its limit."""
+    """Mark the link of kind s in one lane of pack i as `_mark_spring` does a spring."""
     slot, link = i * spec.lanes + lane, link_index(state, s, i) * spec.lanes + lane
     alive = slot_number(spec, state.link_status, link) == ALIVE
     if alive and slot_number(spec, state.link_k, link) > 0.0:
         far = slot + link_offset(state, s, pitch_of(spec, state, g)) * spec.lanes
         d = slot_value(spec, state.x, far) - slot_value(spec, state.x, slot)
-        if d.dot(d) > state.link_limit2[s, g]:
+        if is_beyond(d.dot(d), state.link_shortest2[s, g], state.link_longest2[s, g]):
             set_slot_number(spec, state.link_status, link, BREAKING)
             set_slot_number(spec, state.link_step, link, state.step[None])
             state.breaking[i] += 1

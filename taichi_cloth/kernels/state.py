@@ -67,16 +67,16 @@ class State:
     Springs on the graph, from both ends, in compressed rows (`graph.py`): csr_slot, csr_start,
         csr_other and csr_<letter> (`spring_numbers.py`). A spring that is gone has its own
         particle as its other end.
-    Springs on the graph, once each (fracture): ends: their slots; break_length2: square of the
-        length at which the force reaches the break force; status: ALIVE, BREAKING or GONE;
-        break_step: when it began to break; half: its two half-springs.
+    Springs on the graph, once each (fracture): ends: their slots; shortest2, longest2: squares of
+        the lengths at which the force reaches the break force (`fracture.py`); status: ALIVE,
+        BREAKING or GONE; break_step: when it began to break; half: its two half-springs.
     Grids (`grids.py`): grid: (grids, 4): first pack, rows, width in packs, whether it has links;
         grid_of: a pack's grid, -1 in empty rows; breaking (fracture): how many of the links that
         begin at a pack are BREAKING.
     Links (`links.py`): link: (kinds, 2): columns and rows to the later end; forward: the kinds in
         the order in which the later ends are numbered.
-        By kind and grid: link_limit2, the square of the break length, and link_<letter> for the
-        numbers that links of a kind and grid share.
+        By kind and grid: link_shortest2 and link_longest2, as those of springs, and link_<letter>
+        for the numbers that links of a kind and grid share.
         By kind and pack (`grids.link_index`): link_<letter> for the other numbers, link_status and
         link_step (fracture), as status and break_step are for springs.
         ring_forces: what links give their earlier ends: rows of zeros, a ring of rows for each
@@ -263,7 +263,7 @@ class State:
         for number in NUMBERS:
             if number.stored(spec) and not number.own(spec):
                 setattr(self, f"link_{number.letter}", self._scalars(*of_kinds))
-        self.link_limit2 = self._scalars(*of_kinds)
+        self.link_shortest2, self.link_longest2 = self._scalars(*of_kinds), self._scalars(*of_kinds)
 
     def _place_graph(self, spec, method):
         n, s = max(self.capacity.particles, 1), max(self.capacity.springs, 1)
@@ -285,7 +285,8 @@ class State:
         if spec.fracture:
             self.n_springs = self._counts()
             self.half = self._counts(s, 2)
-            self.break_length2 = self._scalars(*([] if spec.uniform_springs else [s]))
+            lengths = [] if spec.uniform_springs else [s]
+            self.shortest2, self.longest2 = self._scalars(*lengths), self._scalars(*lengths)
             self.status, self.break_step = self._counts(s), self._counts(s)
 
     def _place_spring_numbers(self, spec, place, count):

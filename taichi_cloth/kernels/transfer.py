@@ -254,12 +254,13 @@ def load_springs(
     state: ti.template(),
     count: ti.i32,
     indices: ti.types.ndarray(),
-    break_length2: ti.types.ndarray(),
+    held: ti.types.ndarray(),
 ):
     """Load what fracture needs of `count` springs on the graph.
 
-    indices: (s, 6): slots of the two ends, two half-springs, status, break_step; break_length2:
-    (s,) [length^2], or (1,) where all springs have the same.
+    indices: (s, 6): slots of the two ends, two half-springs, status, break_step; held: (s, 2),
+    squares of the shortest and the longest length at which they hold [length^2], or (1, 2) where
+    all springs have the same.
     """
     for _ in range(1):
         state.n_springs[None] = count
@@ -269,11 +270,12 @@ def load_springs(
             state.half[s, end] = indices[s, 2 + end]
         state.status[s] = indices[s, 4]
         state.break_step[s] = indices[s, 5]
-    for s in range(break_length2.shape[0]):
-        if ti.static(spec.uniform_springs):
-            state.break_length2[None] = break_length2[s]
-        else:
-            state.break_length2[s] = break_length2[s]
+    for s in range(held.shape[0]):
+        for field, at in ti.static(((state.shortest2, 0), (state.longest2, 1))):
+            if ti.static(spec.uniform_springs):
+                field[None] = held[s, at]
+            else:
+                field[s] = held[s, at]
 
 
 @ti.kernel
@@ -286,8 +288,9 @@ def load_links(
 ):
     """Load the links of grids, after `load_packs`.
 
-    shared: (kinds, grids, numbers + 1): the numbers, of which those are read that links of a kind
-    and grid share, and the square of the break length [length^2].
+    shared: (kinds, grids, numbers + 2): the numbers, of which those are read that links of a kind
+    and grid share, and the squares of the shortest and the longest length at which they hold
+    [length^2].
     links: (l, 4): kind, slot of the earlier end, status, break_step.
     own: (l, numbers): the numbers, of which those are read that each link has itself.
     """
@@ -298,7 +301,8 @@ def load_links(
     for s, g in ti.ndrange(shared.shape[0], shared.shape[1]):
         for column, field in ti.static(shared_columns(spec, state)):
             field[s, g] = shared[s, g, column]
-        state.link_limit2[s, g] = shared[s, g, ti.static(len(NUMBERS))]
+        state.link_shortest2[s, g] = shared[s, g, ti.static(len(NUMBERS))]
+        state.link_longest2[s, g] = shared[s, g, ti.static(len(NUMBERS) + 1)]
     for i in range(links.shape[0]):
         slot, status = links[i, 1], links[i, 2]
         link = link_index(state, links[i, 0], 0) * spec.lanes + slot

@@ -63,7 +63,9 @@ def validate(scene: Scene, place: Place = _plain_place) -> Scene:
     ):
         for name, about in properties.items():
             value = getattr(defaults, name)
-            if value is not None:
+            if about.words:
+                refusal.check_word(kind, name, value, about.rule)
+            elif value is not None:
                 refusal.check_number(kind, name, value, about.rule)
     _check_particles(scene.particles, scene.world, refusal)
     _check_springs(scene.springs, len(scene.particles), refusal)
@@ -88,6 +90,8 @@ def _show(value: Any) -> str:
     array = np.asarray(value)
     if array.ndim:
         return "(" + ", ".join(_show(v) for v in array) + ")"
+    if array.dtype.kind == "U":
+        return f"'{array}'"
     return f"{array.item():.10g}" if array.dtype.kind == "f" else str(array.item())
 
 
@@ -108,6 +112,10 @@ class _Refusal:
             self.refuse(kind, None, name, f"{name} must be a finite number, is {real:g}")
         if rule and not rule.holds(value):
             self.refuse(kind, None, name, f"{name} {rule.says}, is {_show(value)}")
+
+    def check_word(self, kind: str, name: str, value: Any, rule: Rule) -> None:
+        if not (isinstance(value, str) and rule.holds(value)):
+            self.refuse(kind, None, name, f"{name} {rule.says}, is {value!r}")
 
     def check_rows(
         self,
@@ -254,7 +262,7 @@ def _check_springs(springs: Springs, particle_count: int, refusal: _Refusal) -> 
     refusal.check_shape("spring", "between", springs.between, (s, 2))
     for name, about in SPRING_PROPERTIES.items():
         refusal.check_shape("spring", name, getattr(springs, name), (s,))
-        finite = about.off is None or np.isfinite(about.off)
+        finite = not about.words and (about.off is None or np.isfinite(about.off))
         refusal.check_rows("spring", name, getattr(springs, name), about.rule, finite)
     if s > 0:
         _check_ends(springs.between, particle_count, refusal)

@@ -38,7 +38,7 @@ def grid(
     down: Sequence[float] | None = None,
     particle_defaults: ParticleDefaults | None = None,
     spring_defaults: SpringDefaults | None = None,
-    **per_kind: Mapping[str, float] | float | None,
+    **per_kind: Mapping[str, Any] | float | str | None,
 ) -> tuple[Particles, Springs]:
     """Particles and springs of a `columns` x `rows` cloth, numbered row by row from 0.
 
@@ -68,7 +68,7 @@ def grid(
         raise InputError("across and down must not be parallel")
     fixed = np.zeros((rows, columns), bool)
     fixed[_pinned_rows_and_columns(pinned, columns, rows)] = True
-    numbers = _numbers_by_kind(links, per_kind)
+    of_kinds = _values_by_kind(links, per_kind)
     defaults: Any = SpringDefaults() if spring_defaults is None else spring_defaults
     if not isinstance(defaults, SpringDefaults):
         shown = accepted.shown(defaults)
@@ -91,8 +91,8 @@ def grid(
     spring_columns = {}
     for name, about in SPRING_PROPERTIES.items():
         default = getattr(defaults, name)
-        values = about.filled([numbers[name].get(kind, default) for kind, _ in slots], at_start)
-        spring_columns[name] = np.array(values, np.float64)[slot]
+        values = about.filled([of_kinds[name].get(kind, default) for kind, _ in slots], at_start)
+        spring_columns[name] = about.column(values, len(slots))[slot]
     return particles, Springs(between=between, **spring_columns)
 
 
@@ -121,9 +121,9 @@ def _check_size(columns: int, rows: int, spacing: float) -> None:
         raise InputError(f"spacing must be positive and finite, is {spacing:g}")
 
 
-def _numbers_by_kind(
-    links: Sequence[str], per_kind: Mapping[str, Mapping[str, float] | float | None]
-) -> dict[str, Mapping[str, float]]:
+def _values_by_kind(
+    links: Sequence[str], per_kind: Mapping[str, Mapping[str, Any] | float | str | None]
+) -> dict[str, Mapping[str, Any]]:
     """Every property's values by kind of link; refuses kinds that there are not."""
     for name in per_kind:
         if name not in SPRING_PROPERTIES:
@@ -131,22 +131,22 @@ def _numbers_by_kind(
     listed: Any = links
     if isinstance(listed, str) or not isinstance(listed, Iterable):
         raise InputError(f"grid: links must be a list of kinds, is {accepted.shown(listed)}")
-    numbers: dict[str, Mapping[str, float]] = {}
+    of_kinds: dict[str, Mapping[str, Any]] = {}
     for name in SPRING_PROPERTIES:
         given = per_kind.get(name)
         if given is None:
             given = {}
         elif not isinstance(given, Mapping):
             given = {kind: given for kind in links if isinstance(kind, str)}
-        numbers[name] = _of_kinds(name, given)
-    for name, kinds in (("links", links), *numbers.items()):
+        of_kinds[name] = _of_kinds(name, given)
+    for name, kinds in (("links", links), *of_kinds.items()):
         for kind in kinds:
             if not isinstance(kind, str) or kind not in LINKS:
                 kind = str(kind)
                 raise InputError(f"{name}: unknown kind {kind!r}; {nearest(kind, LINKS)}")
             if name != "links" and kind not in links:
                 raise InputError(f"{name}: this cloth has no {kind} links; add '{kind}' to links")
-    return numbers
+    return of_kinds
 
 
 def _of_kinds(name: str, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -94,7 +94,7 @@ class ParticleDefaults(ParticleProperties[float]):
 
 
 @dataclass(frozen=True)
-class SpringDefaults(SpringProperties[float, "float | None"]):
+class SpringDefaults(SpringProperties[float, "float | None", str]):
     """What a spring has when nothing else is said (also: what a chain click adds).
 
     An absent rest length is the distance at the start; an absent break force: unbreakable.
@@ -142,7 +142,7 @@ def _columns(
             value = getattr(defaults, name)
         if value is None:
             value = length() if length and about.at_start else about.off
-        columns[name] = np.array(np.broadcast_to(value, (count,)), np.float64)
+        columns[name] = about.column(value, count)
     return columns
 
 
@@ -240,10 +240,10 @@ class _Ends:
 
 
 @dataclass(frozen=True)
-class Springs(SpringProperties[np.ndarray, np.ndarray], _Ends):
-    """Springs between pairs of particles: between (s, 2) int64, the rest (s,) float64.
+class Springs(SpringProperties[np.ndarray, np.ndarray, np.ndarray], _Ends):
+    """Springs between pairs of particles: between (s, 2) int64, the numbers (s,) float64.
 
-    break_force is inf for an unbreakable spring.
+    break_force is inf for an unbreakable spring. break_in: (s,) str, "both" or "tension".
     """
 
     def __post_init__(self) -> None:
@@ -263,9 +263,9 @@ class Springs(SpringProperties[np.ndarray, np.ndarray], _Ends):
     ) -> Springs:
         """Springs `between` (s, 2) particles at `position` (n, dim).
 
-        numbers: stiffness, rest_length and the others of `SpringProperties`, one for all or one
-        for each; absent: those of `defaults`, whose absent rest length is the distance at the
-        start, and whose absent break force is inf.
+        numbers: stiffness, rest_length and the others of `SpringProperties`, also the word
+        break_in, one for all or one for each; absent: those of `defaults`, whose absent rest length
+        is the distance at the start, and whose absent break force is inf.
         """
         pairs = accepted.pairs("Springs.build: between", between)
 
@@ -282,6 +282,17 @@ class Springs(SpringProperties[np.ndarray, np.ndarray], _Ends):
     @classmethod
     def none(cls) -> Springs:
         return cls.build(np.zeros((0, 2)), np.zeros((0, 2)), rest_length=0.0)
+
+    def lengths_held(self) -> tuple[np.ndarray, np.ndarray]:
+        """The shortest and the longest length [length] at which springs hold, (s,) each.
+
+        Beyond them the magnitude of the force k*(l - rest) exceeds the break force. The longest is
+        inf where nothing breaks it; the shortest is 0 where no length is short enough for it.
+        """
+        with np.errstate(all="ignore"):
+            stretch = self.break_force / self.stiffness
+            pushed = np.where(self.break_in == "tension", 0.0, self.rest_length - stretch)
+            return np.maximum(pushed, 0.0), self.rest_length + stretch
 
     def select(self, chosen: np.ndarray) -> Springs:
         """Some of these springs: a mask (s,) bool, or their numbers."""
@@ -369,17 +380,19 @@ class Scene:
         properties: Mapping[str, Property],
     ) -> bool:
         """Whether all rows, also those that clicks add, have the same shared numbers."""
-        shared = {name: about for name, about in properties.items() if about.shared}
-        numbers = np.column_stack([getattr(columns, name) for name in shared])
-        if self.world.mouse == "spawn":
-            clicked: list[Any] = []
-            for name, about in shared.items():
-                value = getattr(defaults, name)
-                if value is None and about.at_start:
+        for name, about in properties.items():
+            if not about.shared:
+                continue
+            column = getattr(columns, name)
+            first = column[:1]
+            if self.world.mouse == "spawn":
+                clicked = getattr(defaults, name)
+                if clicked is None and about.at_start:
                     return False
-                clicked.append(about.off if value is None else value)
-            numbers = np.vstack([numbers, clicked])
-        return bool((numbers == numbers[:1]).all())
+                first = about.column(about.off if clicked is None else clicked, 1)
+            if not (column == first).all():
+                return False
+        return True
 
     def with_world(self, **changes: Any) -> Scene:
         """This scene with some of its world's values changed."""

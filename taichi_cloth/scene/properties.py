@@ -1,9 +1,9 @@
-"""The numbers of particles and springs, each declared once.
+"""The numbers of particles and springs, and the words that a spring may have, each declared once.
 
-A field of `ParticleProperties` or `SpringProperties` is all that a number needs: from it are made
+A field of `ParticleProperties` or `SpringProperties` is all that one needs: from it are made
 its column in `Particles` or `Springs`, its default, what `checks` demands of it, its key in scene
 files (also per kind of link in cloths), and what `dump` writes. Those classes stand for both the
-columns and the defaults, so that a type checker knows each number in either.
+columns and the defaults, so that a type checker knows each value in either.
 """
 
 from __future__ import annotations
@@ -13,13 +13,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+
 
 @dataclass(frozen=True)
 class Rule:
-    """What numbers must satisfy.
+    """What numbers, or words, must satisfy.
 
-    says: the requirement in words; of_links: the words for a number of one kind of link.
-    holds: whether it is satisfied, number by number. A comparison with NaN is False, so rules
+    says: the requirement in words; of_links: the words for the value of one kind of link.
+    holds: whether it is satisfied, value by value. A comparison with NaN is False, so rules
         refuse NaN; `inf` passes where nothing else is said about it.
     """
 
@@ -33,9 +35,15 @@ NOT_NEGATIVE = Rule("must not be negative", "must be at least 0", lambda a: a >=
 FRACTION = Rule("must be between 0 and 1", "must be between 0 and 1", lambda a: (a >= 0) & (a <= 1))
 
 
+def one_of(*words: str) -> Rule:
+    """The rule for a value that is one of some words."""
+    says = "must be " + " or ".join(f"'{word}'" for word in words)
+    return Rule(says, says, lambda a: np.logical_or.reduce([a == word for word in words]))
+
+
 @dataclass(frozen=True)
 class Property:
-    """One number of a particle or spring: its default, limits, unit and meaning.
+    """One number, or word, of a particle or spring: its default, limits, unit and meaning.
 
     default: its value where nothing else is said; None: it is then absent, which means `off`, or
         with `at_start` the length that the spring starts with.
@@ -43,31 +51,44 @@ class Property:
     off: what `false` means in a scene file; None: `false` is refused. Where it is infinite, the
         number itself may be.
     shared: whether it is stored once where all particles or all springs have the same.
+    words: what it may be, if it is a word; none: it is a number.
 
-    Two things hold for every number: what a click adds has the scene's defaults, and a cloth may
+    Two things hold for every property: what a click adds has the scene's defaults, and a cloth may
     give it per kind of link.
     """
 
-    default: float | None
+    default: float | str | None
     rule: Rule
     unit: str
     help: str
     off: float | None = None
     at_start: bool = False
     shared: bool = True
+    words: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.default is None and self.off is None and not self.at_start:
             raise TypeError(f"'{self.help}' may be absent: say by off or at_start what that means")
 
-    def filled(self, values: Sequence[float | None], length: Sequence[float]) -> list[float | None]:
+    def filled(self, values: Sequence[Any], length: Sequence[float]) -> list[Any]:
         """The values, where None what absence means; length: of the springs at the start."""
         absent = length if self.at_start else [self.off] * len(values)
         return [a if v is None else v for v, a in zip(values, absent, strict=True)]
 
+    def column(self, values: Any, count: int) -> np.ndarray:
+        """One value for all or one for each as an array of its own, (count,).
+
+        Numbers are float64; words have room for the longest one, so that each can be changed.
+        """
+        if not self.words:
+            return np.array(np.broadcast_to(values, (count,)), np.float64)
+        text = np.asarray(values).astype(str)
+        kind = np.promote_types(text.dtype, np.array(self.words).dtype)
+        return np.array(np.broadcast_to(text, (count,)), kind)
+
 
 def declared(
-    default: float | None,
+    default: float | str | None,
     rule: Rule,
     unit: str,
     help_: str,
@@ -75,9 +96,10 @@ def declared(
     off: float | None = None,
     at_start: bool = False,
     shared: bool = True,
+    words: tuple[str, ...] = (),
 ) -> Any:
     """A dataclass field with its `Property` in its metadata."""
-    about = Property(default, rule, unit, help_, off=off, at_start=at_start, shared=shared)
+    about = Property(default, rule, unit, help_, off, at_start, shared, words)
     return field(default=default, metadata={"property": about})
 
 
@@ -89,6 +111,7 @@ def properties_of(columns_or_defaults: type) -> dict[str, Property]:
 
 Number = TypeVar("Number")  # float in defaults, an array with one per particle or spring in columns
 Absent = TypeVar("Absent")  # likewise, but float | None in defaults
+Word = TypeVar("Word")  # likewise, but str in defaults
 
 
 @dataclass(frozen=True)
@@ -105,9 +128,14 @@ class ParticleProperties(Generic[Number]):
     )
 
 
+# What breaks a spring: a force along it, either way (as in the original), or a pull alone, as for
+# threads that buckle.
+BREAK_IN = ("both", "tension")
+
+
 @dataclass(frozen=True)
-class SpringProperties(Generic[Number, Absent]):
-    """The numbers of a spring; further ones are added at the end."""
+class SpringProperties(Generic[Number, Absent, Word]):
+    """The numbers of a spring, and how it breaks; further ones are added at the end."""
 
     stiffness: Number = declared(1.0, NOT_NEGATIVE, "force / length", "k of the force k*(l - rest)")
     rest_length: Absent = declared(
@@ -119,6 +147,10 @@ class SpringProperties(Generic[Number, Absent]):
     damping: Number = declared(
         0.0, NOT_NEGATIVE, "force / speed", "coefficient of the dashpot along the spring's axis"
     )
+    break_in: Word = declared(
+        BREAK_IN[0], one_of(*BREAK_IN), "", "which force breaks it: pull and push, or pull alone",
+        words=BREAK_IN,
+    )  # fmt: skip
 
 
 PARTICLE_PROPERTIES = properties_of(ParticleProperties)

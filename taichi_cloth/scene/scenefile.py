@@ -396,15 +396,17 @@ class _Reader:
     def spring_defaults(self, table: Table) -> SpringDefaults:
         given: dict[str, Any] = {}
         for key in table:
-            number = self.spring_number(table, ("spring",), key)
-            given[key] = None if number == SPRING_PROPERTIES[key].off else number
+            value = self.spring_value(table, ("spring",), key)
+            given[key] = None if value == SPRING_PROPERTIES[key].off else value
         return SpringDefaults(**given)
 
-    def spring_number(self, table: Table, path: Keys, key: str) -> float | None:
-        """A spring's number, None where it is absent; ``false`` is what its property says."""
-        off = SPRING_PROPERTIES[key].off
-        if off is not None and table.get(key) is False:
-            return off
+    def spring_value(self, table: Table, path: Keys, key: str) -> float | str | None:
+        """A spring's number or word, None where it is absent; ``false``: what its property says."""
+        about = SPRING_PROPERTIES[key]
+        if about.off is not None and table.get(key) is False:
+            return about.off
+        if about.words:
+            return self.value(table, path, key, toml.text)
         return self.finite(path, key, self.value(table, path, key, toml.number))
 
     def particles(
@@ -436,7 +438,7 @@ class _Reader:
         if not entries:
             return Springs.none()
         pairs = []
-        rows: dict[str, list[float | None]] = {key: [] for key in SPRING_PROPERTIES}
+        rows: dict[str, list[float | str | None]] = {key: [] for key in SPRING_PROPERTIES}
         for index, entry in enumerate(entries):
             path = ("springs", index)
             # Before the cloths' sources: the list is in the order of the springs' numbers.
@@ -451,13 +453,13 @@ class _Reader:
                     )
             pairs.append(pair)
             for key, values in rows.items():
-                value = self.spring_number(entry, path, key)
+                value = self.spring_value(entry, path, key)
                 values.append(getattr(defaults, key) if value is None else value)
         between, x = np.array(pairs, np.int64), particles.position
         distance = np.linalg.norm(x[between[:, 0]] - x[between[:, 1]], axis=1)
         columns = {
-            key: np.array(SPRING_PROPERTIES[key].filled(values, distance), np.float64)
-            for key, values in rows.items()
+            key: about.column(about.filled(rows[key], distance), len(pairs))
+            for key, about in SPRING_PROPERTIES.items()
         }
         return Springs(between=between, **columns)
 
@@ -472,7 +474,8 @@ class _Reader:
         path = ("cloths", index)
         if "origin" not in entry:
             self.refuse(path, "'origin' is missing")
-        per_kind = {key: self.kind_numbers(entry, path, key) for key in SPRING_PROPERTIES}
+        links = self.value(entry, path, "links", toml.texts, ["structural"])
+        per_kind = {key: self.of_kinds(entry, path, key, links) for key in SPRING_PROPERTIES}
         try:
             return grid(
                 self.vector(entry, path, "origin", world.dim) or [],
@@ -480,7 +483,7 @@ class _Reader:
                 self.required(entry, path, "rows", toml.integer),
                 self.required(entry, path, "spacing", toml.number),
                 pinned=self.value(entry, path, "pinned", toml.pairs, []),
-                links=self.value(entry, path, "links", toml.texts, ["structural"]),
+                links=links,
                 across=self.vector(entry, path, "across", world.dim),
                 down=self.vector(entry, path, "down", world.dim),
                 particle_defaults=particle_defaults,
@@ -494,27 +497,33 @@ class _Reader:
             at_fault = next((key for key in entry if message.startswith(key)), None)
             raise InputError(f"{self.place(*path, at_fault)}: {message}") from None
 
-    def kind_numbers(self, entry: Table, path: Keys, key: str) -> dict[str, float] | float:
-        """A cloth's numbers by kind of link, or the one that all its links have."""
+    def of_kinds(
+        self, entry: Table, path: Keys, key: str, links: list[str]
+    ) -> dict[str, float | str]:
+        """A cloth's numbers or words by kind of link: of some kinds, or one for all its `links`."""
         values = entry.get(key, {})
         if not isinstance(values, dict):
-            return self.kind_number(entry, path, key, key, "links")
+            value = self.spring_value(entry, path, key)
+            return {} if value is None else dict.fromkeys(links, value)
         for kind in values:
             if kind not in LINKS:
                 self.refuse((*path, key, kind), f"unknown kind '{kind}'; {nearest(kind, LINKS)}")
-        path = (*path, key)
-        return {kind: self.kind_number(values, path, kind, key, f"{kind} links") for kind in values}
+        return {kind: self.kind_value(values, (*path, key), key, kind) for kind in values}
 
-    def kind_number(self, values: Table, path: Keys, key: str, name: str, links: str) -> float:
-        """The number called `name` that `links` have; `values` has it under `key`."""
-        about = SPRING_PROPERTIES[name]
-        if about.off is not None and values[key] is False:
+    def kind_value(self, values: Table, path: Keys, key: str, kind: str) -> float | str:
+        """The number or word that links of a kind have."""
+        about = SPRING_PROPERTIES[key]
+        if about.off is not None and values[kind] is False:
             return about.off
-        read = toml.number if key != name else toml.number_or_table
-        number = self.finite(path, key, self.required(values, path, key, read))
-        if not about.rule.holds(number):
-            self.refuse((*path, key), f"{name} of {links} {about.rule.of_links}, is {number:g}")
-        return number
+        value: float | str
+        if about.words:
+            value = self.required(values, path, kind, toml.text)
+        else:
+            value = self.finite(path, kind, self.required(values, path, kind, toml.number))
+        if not about.rule.holds(value):
+            shown = repr(value) if isinstance(value, str) else f"{value:g}"
+            self.refuse((*path, kind), f"{key} of {kind} links {about.rule.of_links}, is {shown}")
+        return value
 
 
 # Writing
@@ -545,7 +554,7 @@ def dump(scene: Scene) -> str:
     ):
         out += ["", f"[{table}]"]
         given = ((key, getattr(defaults, key)) for key in _TABLES[table])
-        out += [f"{key} = {float(value)!r}" for key, value in given if value is not None]
+        out += [f"{key} = {_written(value)}" for key, value in given if value is not None]
     for i in range(len(particles)):
         out += ["", "[[particles]]", f"position = {_listed(particles.position[i])}"]
         if particles.velocity[i].any() or np.signbit(particles.velocity[i]).any():
@@ -562,12 +571,17 @@ def dump(scene: Scene) -> str:
     for i in range(len(springs)):
         out += ["", "[[springs]]", f"between = {list(map(int, springs.between[i]))}"]
         for key, about in SPRING_PROPERTIES.items():
-            value, default = float(getattr(springs, key)[i]), getattr(scene.spring_defaults, key)
-            if value == about.off:
+            value, default = getattr(springs, key)[i], getattr(scene.spring_defaults, key)
+            if about.off is not None and value == about.off:
                 out += [f"{key} = false"] if default is not None else []
             elif value != default:
-                out.append(f"{key} = {value!r}")
+                out.append(f"{key} = {_written(value)}")
     return "\n".join(out) + "\n"
+
+
+def _written(value: float | str) -> str:
+    """A number, with all its digits, or a word."""
+    return _quoted(value) if isinstance(value, str) else repr(float(value))
 
 
 def _listed(values: Iterable[float]) -> str:

@@ -37,7 +37,7 @@ class Layout:
     kind: (s,) int, each spring's kind of link, -1 for one on the graph.
     owner: (s,) int, the slot of a link's earlier particle.
     shared: by column of `Springs`, (kinds, g), what the links of a kind share in a grid.
-    break_length2: (kinds, g), likewise (`break_length2`).
+    held: (kinds, g, 2), likewise (`squares_held`).
     row: packs in the widest row, halos included; beside: packs in a row of particles that are on no
         grid, likewise; 0 on a graph.
     rows_share_stiffness: whether all rows of each grid, but the last ones, have the same links
@@ -53,17 +53,17 @@ class Layout:
     kind: np.ndarray
     owner: np.ndarray
     shared: dict[str, np.ndarray]
-    break_length2: np.ndarray
+    held: np.ndarray
     row: int
     beside: int
     rows_share_stiffness: bool
 
 
-def break_length2(springs: Springs) -> np.ndarray:
-    """Square of the length at which a spring's force reaches its break force, (s,)."""
-    with np.errstate(all="ignore"):  # an infinite length never breaks
-        length: np.ndarray = springs.rest_length + springs.break_force / springs.stiffness
-        return length**2
+def squares_held(springs: Springs) -> np.ndarray:
+    """Squares of the shortest and the longest length at which springs hold, (s, 2) [length^2]."""
+    with np.errstate(all="ignore"):  # of an infinite length, too
+        squares: np.ndarray = np.stack(springs.lengths_held(), axis=1) ** 2
+        return squares
 
 
 def on_graph(springs: Springs, position: np.ndarray | None, particle_count: int) -> Layout:
@@ -79,7 +79,6 @@ def on_graph(springs: Springs, position: np.ndarray | None, particle_count: int)
         curve[adjacency.z_order(position)] = slot
         if _reach(springs, curve) < 0.5 * _reach(springs, slot):
             slot = curve
-    none = np.zeros((0, 0))
     return Layout(
         lanes=1,
         links=(),
@@ -90,7 +89,7 @@ def on_graph(springs: Springs, position: np.ndarray | None, particle_count: int)
         kind=np.full(len(springs), -1),
         owner=np.zeros(len(springs), np.int64),
         shared={},
-        break_length2=none,
+        held=np.zeros((0, 0, 2)),
         row=1,
         beside=0,
         rows_share_stiffness=False,
@@ -207,7 +206,7 @@ def on_grids(
     kind = _kinds(springs.between, grid, column, row)
     # A link without stiffness cannot be told from an absent one, and stays on the graph.
     kind[~(springs.stiffness > 0)] = -1
-    shared, limit, kind = _shared_numbers(springs, kind, grid, len(grids), terms)
+    shared, held, kind = _shared_numbers(springs, kind, grid, len(grids), terms)
     used = np.unique(kind[kind >= 0])
     if not len(used):
         return None  # all of them differ
@@ -230,7 +229,7 @@ def on_grids(
         kind=kind,
         owner=slot[springs.between.min(axis=1)].astype(np.int64),
         shared={column: numbers[used] for column, numbers in shared.items()},
-        break_length2=limit[used],
+        held=held[used],
         row=int(table[:, 2].max()) + 2 * halo,
         beside=LOOSE_WIDTH + 2 * halo,
         rows_share_stiffness=_alike(springs, kind, grids, depth),
@@ -355,31 +354,36 @@ def _shared_numbers(
     grid_count: int,
     terms: Collection[str],
 ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-    """What links of a kind and grid share, each (kinds, grids): their numbers by column of
-    `Springs`, but those that each link has of its own, and the break length squared; and the kinds.
+    """What links of a kind and grid share: their numbers by column of `Springs`, (kinds, grids)
+    each, but those that each link has of its own, and `Layout.held`; and the kinds.
 
     A spring with other numbers than most of its kind and grid (their median) gets kind -1.
     """
     shape = len(FORWARD), grid_count
-    limit2 = break_length2(springs)
     linked = np.flatnonzero(kind >= 0)
     group = kind[linked] * grid_count + grid[springs.between[linked, 0]]
     groups, begin, count = np.unique(np.sort(group), return_index=True, return_counts=True)
     same = np.ones(len(linked), bool)
 
-    def shared(values: np.ndarray) -> np.ndarray:
-        """The values that most have; what has another one is no longer `same`."""
+    def shared(values: np.ndarray, size: np.ndarray | None = None) -> np.ndarray:
+        """The values that most have; what has another one is no longer `same`.
+
+        size: (s,), what they are a difference of, whose rounding they have; absent: of nothing.
+        """
         table = np.zeros(shape)
         ranked = linked[np.lexsort((values[linked], group))]
         table.flat[groups] = values[ranked[begin + count // 2]]
         mine = table.flat[group]
         with np.errstate(invalid="ignore"):
-            same[:] &= (values[linked] == mine) | (np.abs(values[linked] - mine) <= SAME * mine)
+            most = SAME * (mine if size is None else size[linked])
+            same[:] &= (values[linked] == mine) | (np.abs(values[linked] - mine) <= most)
         return table
 
     columns = [n.column for n in NUMBERS if not (n.per_link or n.changes(terms))]
     numbers = {column: shared(getattr(springs, column)) for column in columns}
-    limit = shared(limit2)
+    shared(springs.break_in == "tension")
+    shortest2, longest2 = squares_held(springs).T
+    held = np.stack([shared(shortest2, longest2), shared(longest2)], axis=2)
     kind = kind.copy()
     kind[linked[~same]] = -1
-    return numbers, limit, kind
+    return numbers, held, kind

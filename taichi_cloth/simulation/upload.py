@@ -188,20 +188,19 @@ class Upload:
 
     def _break_marks(self, springs: Springs, indices: np.ndarray) -> None:
         """What fracture needs; indices: (s, 6), ends, half-springs, status and break step."""
-        break_length2 = layouts.break_length2(springs).astype(self.real)
+        held = layouts.squares_held(springs).astype(self.real)
         if self.spec.uniform_springs:
-            break_length2 = break_length2[:1]
-        arrays = _not_empty(indices.astype(np.int32)), _not_empty(break_length2)
+            held = held[:1]
+        arrays = _not_empty(indices.astype(np.int32)), _not_empty(held)
         self._launch(transfer.load_springs, len(springs), *arrays)
 
     # --- links of grids --------------------------------------------------------------------
 
     def _links(self) -> None:
         layout, links = self.placement.layout, self.placement.links
-        none = np.zeros_like(layout.break_length2)
-        shared = np.stack(
-            [*(layout.shared.get(n.column, none) for n in NUMBERS), layout.break_length2], axis=2
-        )
+        none = np.zeros(layout.held.shape[:2])
+        numbers = [layout.shared.get(n.column, none) for n in NUMBERS]
+        shared = np.concatenate([np.stack(numbers, axis=2), layout.held], axis=2)
         # The largest number instead of infinity, which f32 kernels may assume not to occur.
         shared = np.minimum(shared, np.finfo(self.real).max).astype(self.real)
         own = self._spring_numbers(self.snapshot.scene.springs.select(links))

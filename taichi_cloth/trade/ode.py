@@ -43,8 +43,7 @@ class Forces:
         self.difference = sparse.csr_matrix((signs, (rows, springs.between.ravel())), shape=(s, n))
         self.gather = self.difference.T.tocsr()
         self.reads_rate = any(t.adds == TENSION and has(t.damping) for t in terms)
-        with np.errstate(all="ignore"):
-            self.break_length = springs.rest_length + springs.break_force / springs.stiffness
+        self.shortest, self.longest = springs.lengths_held()
         self.breaks = bool(np.isfinite(springs.break_force).any())
         self.scene = scene
 
@@ -91,8 +90,9 @@ class Forces:
                 return f"particle {int((hit & self.free).argmax())} hits the wall '{wall}'"
         if self.breaks:
             length = np.sqrt(((self.difference @ x) ** 2).sum(axis=1))
-            if (length > self.break_length).any():
-                return f"spring {int((length > self.break_length).argmax())} breaks"
+            beyond = (length > self.longest) | (length < self.shortest)
+            if beyond.any():
+                return f"spring {int(beyond.argmax())} breaks"
         if world.collisions and len(x) > 1:
             return self._collision(x, v)
         return None
