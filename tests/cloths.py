@@ -34,11 +34,15 @@ def cloth(
     drag=0.0,
     damping=0.0,
     break_force=None,
+    break_in=None,
     own_numbers=False,
     speed=2.0,
     **world,
 ):
-    """A crumpled cloth that flies about. own_numbers: other stiffness and so on for each kind."""
+    """A crumpled cloth that flies about.
+
+    own_numbers: other stiffness and so on for each kind. break_in: by kind.
+    """
     kinds = {kind: 1.0 + 0.3 * k * own_numbers for k, kind in enumerate(links)}
     particles, springs = grid(
         (100.0, 100.0, 0.0)[:dim],
@@ -52,6 +56,7 @@ def cloth(
         damping={kind: damping * factor for kind, factor in kinds.items()},
         rest_length={kind: 20.0 for kind in kinds},
         break_force={kind: break_force and break_force * factor for kind, factor in kinds.items()},
+        break_in=break_in,
     )
     rng = np.random.default_rng(columns * rows)
     particles.position[:] += rng.uniform(-4, 4, particles.position.shape)

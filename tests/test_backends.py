@@ -20,18 +20,24 @@ def save(run, folder, name, *arguments):
         return dict(file)
 
 
-BLOWN = ("cloth", "--precision", "f64", "--events", GOLDEN / "cloth_blow.jsonl")
 ON = [(arch, topology) for arch in ("cpu", "vulkan", "opengl") for topology in ("lanes", "graph")]
 # By default each software driver in one topology; of CPUs see test_golden.py.
 SOME = [("vulkan", "graph"), ("opengl", "lanes")]
 
 
 @thorough
-@pytest.mark.parametrize(("arch", "topology"), ON)
-def test_blown_cloth_on_every_backend(arch, topology, tmp_path, cli_on):
+@pytest.mark.parametrize(
+    ("name", "arch", "topology"),
+    [
+        *(("cloth_blow", *on) for on in ON),
+        *(("cloth_storm", *on) for on in ON if on[0] == "cpu"),
+    ],
+)
+def test_blown_cloth_on_every_backend(name, arch, topology, tmp_path, cli_on):
     where = ("--arch", arch, "--topology", topology, "--execution", "parallel")
-    saved = save(cli_on[arch], tmp_path, arch, *BLOWN, *where, "--frames", 600, "--every", 10)
-    expected = golden("cloth_blow.npz")
+    blown = ("cloth", "--precision", "f64", "--events", GOLDEN / f"{name}.jsonl")
+    saved = save(cli_on[arch], tmp_path, arch, *blown, *where, "--frames", 600, "--every", 10)
+    expected = golden(f"{name}.npz")
     np.testing.assert_array_equal(saved["frame"], np.arange(10, 601, 10))
     np.testing.assert_array_equal(saved["time"], saved["frame"])
     np.testing.assert_allclose(saved["position"], expected["position"], rtol=0, atol=1e-6)

@@ -142,6 +142,9 @@ EDITS = [
     (12, "break_force = 0", "[spring]: break_force must be positive"),
     (12, "break_force = inf", "[spring]: break_force must be finite"),
     (12, "damping = -1", "[spring]: damping must not be negative"),
+    (12, 'break_in = "tensoin"', "[spring]: break_in must be 'both' or 'tension', is 'tensoin'"),
+    (12, "color = [256, 0, 0]", "[spring]: color must be three whole numbers from 0 to 255"),
+    (12, "break_in = true", "[spring]: break_in must be a text in quotes, is true"),
     (12, "rest_length = -1", "[spring]: rest_length must not be negative"),
     (14, "position = [10.0, 900.0]", "[[particles]] 0: position (10, 900) is outside the world"),
     (14, "position = [10.0]", "[[particles]] 0: position must have 2 numbers"),
@@ -230,6 +233,11 @@ def two_particles(**changes) -> Scene:
         ({"break_force": np.array([0.0])}, "spring 0: break_force must be positive, is 0"),
         ({"break_force": np.array([np.nan])}, "spring 0: break_force must be positive, is nan"),
         ({"damping": np.array([-1.0])}, "spring 0: damping must not be negative, is -1"),
+        (
+            {"break_in": np.array(["push"])},
+            "spring 0: break_in must be 'both' or 'tension', is 'p",
+        ),
+        ({"break_in": np.array([1.0])}, "spring 0: break_in must be 'both' or 'tension', is 1"),
     ],
 )
 def test_scenes_built_by_hand(changes, says):

@@ -47,17 +47,18 @@ def test_programs_of_objects_rest_like_the_original(program):
 
 
 def test_program_of_objects_is_blown_and_torn_like_the_original():
-    """Pulling amplifies round-off 1e8 times: each sum is in the original's order."""
-    cloth, expected, before = objects.Cloth(), golden("cloth_blow.npz"), None
+    """Pulling amplifies round-off, to 60 at last: each sum is in the original's order."""
+    cloth, expected, before = objects.Cloth(), golden("cloth_storm.npz"), None
     springs = list(cloth.springs)
-    for frame, event in enumerate(golden("cloth_blow.jsonl"), 1):
+    for frame, event in enumerate(golden("cloth_storm.jsonl"), 1):
         pointer = objects.Vector(*event["pos"])
         cloth.blow(pointer, pointer - (before or pointer))
         before = pointer
         cloth.step()
         if frame % 10 == 0:
             positions = expected["position"][frame // 10 - 1]
-            np.testing.assert_allclose(cloth.positions(), positions, atol=1e-6)
+            most = 1e-6 if frame <= 100 else 1e-4
+            np.testing.assert_allclose(cloth.positions(), positions, rtol=0, atol=most)
     cloth.step()  # what was over its limit pulls once more and is gone
     alive = np.isin([id(spring) for spring in springs], [id(spring) for spring in cloth.springs])
     np.testing.assert_array_equal(alive, expected["spring_alive_final"])

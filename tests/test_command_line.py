@@ -354,6 +354,8 @@ def test_picture_and_film_of_one_run_show_the_same(cli, tmp_path):
     *_, last = ImageSequence.Iterator(Image.open(tmp_path / "a.gif"))
     film = np.asarray(last.convert("RGB"), int)
     assert picture.std() > 15
+    for color, at_least in (((0, 255, 0), 5000), ((128, 128, 128), 100), ((255, 255, 255), 3000)):
+        assert (picture == color).all(axis=2).sum() > at_least, color  # particles, pins, springs
     assert np.abs(picture - film).mean() < 4  # a film has fewer colours
 
 

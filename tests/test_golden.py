@@ -86,13 +86,12 @@ def test_cloth_blown_and_torn(cloth, name, later):
     np.testing.assert_array_equal(sim.springs_alive(), expected["spring_alive_final"])
 
 
-# How hard it blows: how much farther than the cloth reaches the pointer jumps about, and the frames
-# in which round-off does not yet show.
-STORMS = {"breeze": (0.2, 150), "gale": (0.6, 100), "storm": (1.0, 80)}
+# In how much of the cloth the pointer jumps about, and for how many frames: round-off stays small.
+STORMS = {"gale": (0.6, 100), "storm": (1.0, 80)}
 
 
 @pytest.mark.parametrize("break_in", ["both", "tension"])
-@pytest.mark.parametrize("strength", STORMS)
+@pytest.mark.parametrize("strength", mostly_thorough(STORMS, default=["storm"]))
 def test_the_same_springs_break_as_in_the_original_frame_by_frame(cloth, strength, break_in):
     scene = build("cloth")
     springs = replace(scene.springs, break_in=np.full(len(scene.springs), break_in))
@@ -104,7 +103,7 @@ def test_the_same_springs_break_as_in_the_original_frame_by_frame(cloth, strengt
     low, high = particles.position.min(axis=0), particles.position.max(axis=0)
     middle, half = (low + high) / 2, part * (high - low) / 2
     before, shortest = middle, np.inf
-    for pointer in storm(3, frames, middle - half, middle + half):
+    for pointer in storm(4, frames, middle - half, middle + half):
         for one in (sim.blow, twin.step):
             one(pointer, pointer - before)
         sim.advance()
@@ -113,7 +112,6 @@ def test_the_same_springs_break_as_in_the_original_frame_by_frame(cloth, strengt
         np.testing.assert_allclose(sim.positions(), twin.x, rtol=0, atol=1e-6)
         a, b = springs.between[twin.holds].T
         shortest = min(shortest, np.linalg.norm(twin.x[a] - twin.x[b], axis=1).min())
-    print(strength, break_in, (~twin.holds).sum(), twin.squeezed, shortest)
     if break_in == "both":
         assert twin.squeezed > 3 and shortest >= 15.0
     else:

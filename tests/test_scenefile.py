@@ -21,6 +21,7 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
+from taichi_cloth.scene.properties import BREAK_IN
 
 EXAMPLE = """
 name = "box"
@@ -67,7 +68,7 @@ def assert_same_scene(a: Scene, b: Scene):
         b.particle_defaults,
         b.spring_defaults,
     )
-    assert a.world == b.world
+    assert a.world == b.world and a.spring_color == b.spring_color
     for part in ("particles", "springs"):
         for f in fields(getattr(a, part)):
             one, other = getattr(getattr(a, part), f.name), getattr(getattr(b, part), f.name)
@@ -113,6 +114,7 @@ def test_a_cloth_in_a_file_is_the_built_in_cloth():
     stiffness = 0.5
     rest_length = 25
     break_force = 5
+    color = [255, 255, 255]
     [[cloths]]
     origin = [100, 20]
     columns = 16
@@ -153,6 +155,7 @@ def test_rest_lengths_and_forces_of_links_follow_their_kind():
         stiffness={"shear": 3.0},
         break_force={"bend": 9.0},
         damping={"structural": 0.25},
+        break_in={"shear": "tension"},
     )
     a, b = springs.between.T
     distance = np.linalg.norm(particles.position[a] - particles.position[b], axis=1)
@@ -162,6 +165,7 @@ def test_rest_lengths_and_forces_of_links_follow_their_kind():
     assert (springs.stiffness == np.where(shear, 3, 7)).all()
     assert (springs.break_force == np.where(bend, 9, np.inf)).all()
     assert (springs.damping == np.where(structural, 0.25, 0.5)).all()
+    assert (springs.break_in == np.where(shear, "tension", "both")).all()
     assert structural.sum() == 4 * 4 + 5 * 3 and shear.sum() == 2 * 4 * 3
     assert bend.sum() == 3 * 4 + 5 * 2
 
@@ -195,6 +199,32 @@ def test_springs_come_before_cloth_links_and_may_tie_to_a_cloth():
     np.testing.assert_allclose(
         scene.springs.rest_length, [np.hypot(5, 10), np.hypot(10, 30), 5, 5], rtol=1e-15
     )
+
+
+def test_springs_break_in_both_directions_where_nothing_else_is_said():
+    text = EXAMPLE.replace("between = [0, 1]", "between = [0, 1]\nBREAK_IN")
+    text = text.replace("break_force = 5.0", "break_force = 5.0\nDEFAULT") + "LINKS\n"
+
+    def kinds(single="", default="", links=""):
+        written = text.replace("BREAK_IN", single).replace("DEFAULT", default)
+        scene = scenefile.parse(written.replace("LINKS", links))
+        assert_same_scene(scenefile.parse(scenefile.dump(scene)), scene)
+        return scene.spring_defaults.break_in, *scene.springs.break_in[:2]
+
+    tension = 'break_in = "tension"'
+    assert kinds() == ("both", "both", "both")
+    assert kinds(default=tension) == ("tension", "tension", "tension")
+    assert kinds(tension) == ("both", "tension", "both")
+    assert kinds('break_in = "both"', tension) == ("tension", "both", "tension")
+    assert kinds(links=tension) == ("both", "both", "tension")
+    assert kinds(links='break_in = { structural = "tension" }') == ("both", "both", "tension")
+
+
+def test_a_cloth_may_give_one_number_for_all_its_links():
+    links = EXAMPLE.replace('["structural"]', '["structural", "shear"]')
+    scene = scenefile.parse(links.replace("{ structural = 0.5 }", "0.25\nbreak_force = false"))
+    cloth = scene.springs.select(np.arange(1, len(scene.springs)))
+    assert (cloth.stiffness == 0.25).all() and np.isinf(cloth.break_force).all()
 
 
 def test_false_makes_single_springs_unbreakable():
@@ -246,6 +276,7 @@ def any_scene(draw) -> Scene:
         draw(st.none() | not_negative),
         draw(st.none() | positive),
         draw(not_negative),
+        draw(st.sampled_from(BREAK_IN)),
     )
     n = draw(st.integers(0, 6))
 
@@ -274,9 +305,12 @@ def any_scene(draw) -> Scene:
         rest_length=column(not_negative, s),
         break_force=column(positive | st.just(np.inf), s),
         damping=column(not_negative, s),
+        break_in=column(st.sampled_from(BREAK_IN), s),
     )
     name = draw(st.text(st.characters(codec="utf-8", exclude_categories=("Cs",)), max_size=20))
-    return validate(Scene(name, world, particles, springs, particle_defaults, spring_defaults))
+    spring_color = draw(st.none() | st.tuples(*[st.integers(0, 255)] * 3))
+    defaults = particle_defaults, spring_defaults
+    return validate(Scene(name, world, particles, springs, *defaults, spring_color))
 
 
 @settings(max_examples=150, deadline=None)

@@ -71,16 +71,43 @@ def test_another_scene_runs_as_in_a_simulation_of_its_own(some_way):
     assert state_of(sim) is not state
 
 
-def test_a_spring_over_its_limit_pulls_once_more_and_is_gone(pool, way):
-    sim = pool(pull(3.0), **way)
-    sim.advance()  # stretch 3: force 3 > 2 from here on
-    assert not sim.springs_alive()[0]
+@pytest.mark.parametrize("speed", [3.0, -3.0])
+def test_a_spring_over_its_limit_acts_once_more_and_is_gone(pool, way, speed):
+    sim = pool(pull(speed), **way)
+    sim.advance()  # stretched, or squeezed, by 3: force 3 > 2 from here on
+    np.testing.assert_array_equal(sim.springs_alive(), [False, True, False, True])
     v = sim.velocities()[1, 0]
-    sim.advance()  # it still pulls
-    assert sim.velocities()[1, 0] == pytest.approx(v - 3.0, abs=1e-4)
+    sim.advance()  # it still acts
+    assert sim.velocities()[1, 0] == pytest.approx(v - speed, abs=1e-4)
     v = sim.velocities()[1, 0]
     sim.advance(5)  # gone
     assert sim.velocities()[1, 0] == v
+
+
+# Rest length 10, stiffness 1: (break force, break_in, distance, whether it holds there).
+LIMITS = [
+    (2.0, "both", 8.0, True),  # at its limit, not over it
+    (2.0, "both", 7.999, False),
+    (2.0, "tension", 0.001, True),
+    (2.0, "tension", 12.001, False),
+    (9.99, "both", 0.02, True),
+    (9.99, "both", 0.005, False),
+    (10.0, "both", 0.005, True),  # no length is short enough
+    (np.inf, "both", 0.005, True),
+]
+
+
+@pytest.mark.parametrize(("force", "break_in", "distance", "holds"), LIMITS)
+def test_squeezed_springs_break_where_they_may(pool, some_way, force, break_in, distance, holds):
+    scene = pull(0.0)
+    springs = scene.springs
+    springs.break_force[[0, 2]], springs.break_in[[0, 2]] = force, break_in
+    scene.particles.position[[0, 2], 0] = 500.0 - distance
+    sim = pool(scene, **some_way)
+    np.testing.assert_array_equal(sim.springs_alive(), [holds, True, holds, True])
+    sim.load_as(sim.topology, sim.execution, sim.positions(), sim.velocities())
+    sim.advance()
+    np.testing.assert_array_equal(sim.springs_alive()[0], holds)
 
 
 def test_spawning_beside_a_breaking_spring_leaves_it_its_last_pull(pool, some_way):
@@ -243,6 +270,14 @@ def test_spawned_springs_break_at_the_scene_default(pool):
     assert sim.velocities()[2, 0] == pytest.approx(-0.27, abs=1e-12)
     sim.reset()
     assert sim.particle_count == 0 and sim.frame == 0
+
+    for break_in, holds in (("both", False), ("tension", True)):
+        stiff = SpringDefaults(1.0, rest_length=20.0, break_force=2.0, break_in=break_in)
+        sim = pool(replace(scene, spring_defaults=stiff))
+        sim.spawn((105.0, 50.0), tied_to=sim.spawn((100.0, 50.0)))
+        assert sim.springs_alive().tolist() == [holds]
+        sim.spawn((110.0, 50.0))  # the springs are stored anew
+        assert sim.springs_alive().tolist() == [holds]
 
 
 def test_spawn_refuses_what_cannot_be():

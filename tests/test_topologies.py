@@ -18,6 +18,7 @@ from cloths import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inside import room_for_clicks
+from original import Original
 from selection import as_thorough, mostly_thorough
 
 from taichi_cloth.kernels import methods
@@ -225,12 +226,13 @@ def test_springs_unlike_the_others_of_their_kind_are_on_the_graph(pool):
     springs.rest_length[31] = 25.0
     springs.damping[44] = 0.3
     springs.break_force[52] = 0.5
+    springs.break_in[61] = "tension"
     far = Springs.build([[0, 47], [3, 30]], scene.particles.position, stiffness=0.1)
     scene = replace(scene, springs=springs.joined(far))
     stored = layouts.on_grids(scene.springs, 48, 4)
     s = len(scene.springs)
     # A break force over a stiffness is a length, and links of a kind share it: 40 differs there.
-    assert np.flatnonzero(stored.kind < 0).tolist() == [20, 31, 40, 44, 52, s - 2, s - 1]
+    assert np.flatnonzero(stored.kind < 0).tolist() == [20, 31, 40, 44, 52, 61, s - 2, s - 1]
     on_grid = motion(pool(scene, topology="lanes", execution="parallel"))
     assert_same(on_grid, motion(pool(scene)), 1e-9)
 
@@ -239,6 +241,34 @@ def test_springs_unlike_the_others_of_their_kind_are_on_the_graph(pool):
     assert (layouts.on_grids(stiffer.springs, 48, 4).kind >= 0).all()
     on_grid = motion(pool(stiffer, topology="lanes", execution="parallel"))
     assert_same(on_grid, motion(pool(stiffer)))
+
+
+BUCKLING = {
+    "none": {},
+    "shear": {"shear": "tension"},
+    "structural": {"structural": "tension"},
+    "all": dict.fromkeys(LINKS[:2], "tension"),
+}
+
+
+@pytest.mark.parametrize("kinds", mostly_thorough(BUCKLING, default=["structural"]))
+def test_each_kind_of_link_breaks_as_it_says_frame_by_frame(kinds, topology, pool):
+    """Thrown about so hard that links are squeezed to a twentieth, and others stretched."""
+    numbers = {"drag": 0.02, "damping": 0.05, "break_force": 2.0}
+    scene = cloth(11, 7, LINKS[:2], **numbers, break_in=BUCKLING[kinds], speed=5.0)
+    twin, sim = Original(scene), pool(scene, topology=topology, execution="parallel")
+    shortest = np.full(len(scene.springs), np.inf)
+    for _ in range(40):
+        np.testing.assert_array_equal(sim.springs_alive(), twin.holds)
+        np.testing.assert_allclose(sim.positions(), twin.x, rtol=0, atol=1e-6)
+        a, b = scene.springs.between.T
+        length = np.linalg.norm(twin.x[a] - twin.x[b], axis=1)
+        shortest[twin.holds] = np.minimum(shortest, length)[twin.holds]
+        sim.advance()
+        twin.step()
+    buckles = scene.springs.break_in == "tension"
+    assert twin.holds.any() and (twin.squeezed > 2 or buckles.all())
+    assert (shortest[~buckles] >= 10.0).all() and (shortest[buckles] < 10.0).any() == buckles.any()
 
 
 @pytest.mark.parametrize(

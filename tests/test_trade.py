@@ -160,6 +160,11 @@ def test_contacts_and_breaks_end_the_smooth_solution():
     strong = Springs.build([[0, 1]], x, stiffness=0.1, break_force=0.05)
     assert ode.solve(Scene("hung", falling(), hung, strong), times).event is None
 
+    standing = Particles.build(x, fixed=[False, True])
+    for break_in, says in (("both", "spring 0 breaks"), ("tension", None)):
+        under = replace(weak, break_in=np.array([break_in]))
+        assert ode.solve(Scene("stands", falling(), standing, under), times).event == says
+
 
 def test_horizon_ends_before_a_disturbance_has_grown_into_the_errors():
     scene = library.build("oscillator")

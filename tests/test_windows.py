@@ -627,6 +627,7 @@ def test_the_picture_without_a_window_shows_the_scene(kind, dim, caches, tmp_pat
             "view = VIEW.open(world, (900, 600), 'probe', visible=False)",
         )
         .replace("app.run(sim, view, recorder=Recorder(), ", "app.run(sim, view, frames=1, ")
+        .replace("(radius=30.0))", "(radius=30.0), spring_color=(255, 255, 255))")
     )
     image = tmp_path / "picture.png"
     env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
@@ -645,6 +646,8 @@ def test_the_picture_without_a_window_shows_the_scene(kind, dim, caches, tmp_pat
         middle = np.array([columns.min() + columns.max() + 1, rows.min() + rows.max() + 1]) / 2
         np.testing.assert_allclose(middle, 1.5 * expected[channel], atol=2.5)
         assert np.ptp(columns) + 1 == pytest.approx(2 * 1.5 * radii[channel], abs=4)
+    column, row = (1.5 * expected.mean(axis=0)).round().astype(int)
+    assert (pixels[row - 2 : row + 3, column] == 255).all(axis=1).any(), "the spring is white"
 
 
 def test_views_that_cannot_open_are_refused(monkeypatch):

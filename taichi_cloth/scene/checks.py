@@ -69,6 +69,11 @@ def validate(scene: Scene, place: Place = _plain_place) -> Scene:
                 refusal.check_number(kind, name, value, about.rule)
     _check_particles(scene.particles, scene.world, refusal)
     _check_springs(scene.springs, len(scene.particles), refusal)
+    if scene.spring_color is not None:
+        color = np.asarray(scene.spring_color)
+        if color.shape != (3,) or color.dtype.kind not in "iu" or not ((color >> 8) == 0).all():
+            text = "color must be three whole numbers from 0 to 255: red, green, blue"
+            refusal.refuse("spring defaults", None, "color", text)
     return scene
 
 

@@ -11,7 +11,14 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.errors import InputError, nearest
-from taichi_cloth.scene.model import ParticleDefaults, Particles, SpringDefaults, Springs
+from taichi_cloth.scene.model import (
+    CLOTH_COLOR,
+    FIXED_COLOR,
+    ParticleDefaults,
+    Particles,
+    SpringDefaults,
+    Springs,
+)
 from taichi_cloth.scene.properties import SPRING_PROPERTIES
 from taichi_cloth.settings import accepted
 
@@ -79,6 +86,7 @@ def grid(
         start + column[:, None] * step_across + row[:, None] * step_down,
         defaults=particle_defaults,
         fixed=fixed.ravel(),
+        color=np.where(fixed.reshape(-1, 1), FIXED_COLOR, CLOTH_COLOR),
     )
 
     # One slot per particle and possible link; those whose neighbour exists are the springs.

@@ -39,6 +39,7 @@ WALLS = {  # name: (axis, side); side -1 is the wall at the axis's low end
 }
 MOUSE_MODES = ("none", "blow", "spawn")
 PARTICLE_COLOR = (220, 60, 60)
+CLOTH_COLOR = (0, 255, 0)  # of a cloth's particles, as in the first program
 FIXED_COLOR = (128, 128, 128)
 COLOR_CYCLE = (  # colours of spawned particles, in turn
     (232, 66, 66),  # red
@@ -336,7 +337,11 @@ class Features:
 
 @dataclass(frozen=True)
 class Scene:
-    """A whole scene: world, particles, springs, and what clicks and files default to."""
+    """A whole scene: world, particles, springs, and what clicks and files default to.
+
+    spring_color: in which all springs are drawn, red, green, blue, 0..255; None: each has that of
+        its ends, paler.
+    """
 
     name: str
     world: World
@@ -344,6 +349,7 @@ class Scene:
     springs: Springs = field(default_factory=Springs.none)
     particle_defaults: ParticleDefaults = field(default_factory=ParticleDefaults)
     spring_defaults: SpringDefaults = field(default_factory=SpringDefaults)
+    spring_color: tuple[int, int, int] | None = None
 
     def features(self) -> Features:
         """Which parts of the physics this scene can ever need (also after clicks)."""

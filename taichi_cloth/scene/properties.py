@@ -82,7 +82,7 @@ class Property:
         """
         if not self.words:
             return np.array(np.broadcast_to(values, (count,)), np.float64)
-        text = np.asarray(values).astype(str)
+        text = np.asarray(values, dtype=str)
         kind = np.promote_types(text.dtype, np.array(self.words).dtype)
         return np.array(np.broadcast_to(text, (count,)), kind)
 

@@ -49,7 +49,7 @@ _TABLES = {
     "": ("name", "world", "particle", "spring", "particles", "springs", "cloths"),
     "world": ("size", "gravity", "dt", "walls", "collisions", "mouse"),
     "particle": tuple(PARTICLE_PROPERTIES),
-    "spring": tuple(SPRING_PROPERTIES),
+    "spring": (*SPRING_PROPERTIES, "color"),
     "particles": ("position", "velocity", "fixed", "color", *PARTICLE_PROPERTIES),
     "springs": ("between", *SPRING_PROPERTIES),
     "cloths": (
@@ -328,7 +328,9 @@ class _Reader:
             self.refuse((), "[world] is missing; it needs at least size = [width, height]")
         world = self.world(self.subtable(table, "world"))
         particle_defaults = self.particle_defaults(self.subtable(table, "particle"))
-        spring_defaults = self.spring_defaults(self.subtable(table, "spring"))
+        spring_table = self.subtable(table, "spring")
+        spring_defaults = self.spring_defaults(spring_table)
+        spring_color = self.value(spring_table, ("spring",), "color", toml.color)
         particles = self.particles(self.entries(table, "particles"), world, particle_defaults)
         cloths, links = [], []
         count = len(particles)
@@ -356,6 +358,7 @@ class _Reader:
             springs=springs,
             particle_defaults=particle_defaults,
             spring_defaults=spring_defaults,
+            spring_color=None if spring_color is None else (*spring_color,),
         )
         return validate(scene, self.place_of_fault)
 
@@ -395,7 +398,7 @@ class _Reader:
 
     def spring_defaults(self, table: Table) -> SpringDefaults:
         given: dict[str, Any] = {}
-        for key in table:
+        for key in table.keys() & SPRING_PROPERTIES.keys():
             value = self.spring_value(table, ("spring",), key)
             given[key] = None if value == SPRING_PROPERTIES[key].off else value
         return SpringDefaults(**given)
@@ -548,13 +551,15 @@ def dump(scene: Scene) -> str:
     ]
     for name, value in world.more.items():
         out.append(f"{name} = {_listed(value) if isinstance(value, tuple) else repr(float(value))}")
-    for table, defaults in (
-        ("particle", scene.particle_defaults),
-        ("spring", scene.spring_defaults),
+    for table, defaults, properties in (
+        ("particle", scene.particle_defaults, PARTICLE_PROPERTIES),
+        ("spring", scene.spring_defaults, SPRING_PROPERTIES),
     ):
         out += ["", f"[{table}]"]
-        given = ((key, getattr(defaults, key)) for key in _TABLES[table])
+        given = ((key, getattr(defaults, key)) for key in properties)
         out += [f"{key} = {_written(value)}" for key, value in given if value is not None]
+    if scene.spring_color is not None:
+        out.append(f"color = {list(map(int, scene.spring_color))}")
     for i in range(len(particles)):
         out += ["", "[[particles]]", f"position = {_listed(particles.position[i])}"]
         if particles.velocity[i].any() or np.signbit(particles.velocity[i]).any():

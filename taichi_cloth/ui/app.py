@@ -323,6 +323,7 @@ class _Loop:
             radius=self._radius(sim.radii(), self._largest_disc),
             color=sim.colors(),
             segments=sim.drawn_springs(),
+            spring_color=sim.scene.spring_color,
             text=self._status if self._show_status else (),
             help=keys,
             banner=banner,

@@ -25,11 +25,17 @@ LIGHT = np.array([-0.45, -0.65, -0.62])  # direction to the light: left, above, 
 LIGHT /= np.linalg.norm(LIGHT)
 
 
-def spring_colors(color: np.ndarray, segments: np.ndarray) -> np.ndarray:
-    """One colour a spring, (s, 3) float 0..1: its ends' mean, mixed half and half with neutral.
+def spring_colors(
+    color: np.ndarray, segments: np.ndarray, all_have: Sequence[int] | None
+) -> np.ndarray:
+    """One colour a spring, (s, 3) float 0..1: the one that all have, 0..255, if there is one.
 
-    color: (n, 3) uint8; segments: (s, 2) int.
+    Else it is its ends' mean, mixed half and half with neutral.
+
+    color: of the particles, (n, 3) uint8; segments: (s, 2) int.
     """
+    if all_have is not None:
+        return np.tile(np.array(unit(all_have), np.float32), (len(segments), 1))
     c = np.asarray(color, np.float32) / 255
     mean = (c[segments[:, 0]] + c[segments[:, 1]]) / 2
     mixed: np.ndarray = 0.5 * mean + 0.5 * np.array(NEUTRAL, np.float32) / 255

@@ -20,6 +20,7 @@ from taichi_cloth.scene.model import ParticleDefaults, Scene, SpringDefaults, Wo
 from taichi_cloth.settings.options import Parameter
 
 LEFT, TOP = 100.0, 20.0  # where the first particle hangs
+WHITE = (255, 255, 255)
 RIGHT_MARGIN, BOTTOM_MARGIN = 125.0, 105.0  # room to swing beside and below the cloth
 STRETCH = 1.2  # further room below for each row beyond ROWS [px]: twice what it adds at rest
 
@@ -101,6 +102,7 @@ def scene(
             walls=("top", "bottom", "left", "right"),
             mouse="blow",
         ),
+        spring_color=WHITE,
         particles=particles,
         springs=springs,
         particle_defaults=particle,

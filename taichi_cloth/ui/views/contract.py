@@ -21,6 +21,7 @@ class Picture:
     position: (n, dim) particle positions [world], an array that the next frame may overwrite.
     radius: (n,) [world]. color: (n, 3) uint8.
     segments: (s, 2) int, particle pairs of the springs that are alive.
+    spring_color: that all springs have, 0..255; None: they resemble their ends.
     text: lines of the status, bottom left, where the scenes leave most room (empty: hidden).
     help: lines of the key list (empty: hidden), "key<tab>action" for two columns.
     banner: a message across the top, wrapped as needed (None: no banner).
@@ -33,6 +34,7 @@ class Picture:
     radius: np.ndarray
     color: np.ndarray
     segments: np.ndarray
+    spring_color: tuple[int, int, int] | None = None
     text: tuple[str, ...] = ()
     help: tuple[str, ...] = ()
     banner: str | None = None

@@ -75,9 +75,11 @@ def vertices(color: ArrayLike) -> np.ndarray:
     return vertex
 
 
-def spring_vertices(segments: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """Vertices of the springs' ends (2s, STRIDE), nowhere yet; color: of the particles."""
-    return vertices(np.repeat(style.spring_colors(color, segments), 2, axis=0))
+def spring_vertices(
+    segments: np.ndarray, color: np.ndarray, all_have: tuple[int, int, int] | None
+) -> np.ndarray:
+    """Vertices of the springs' ends (2s, STRIDE), nowhere yet; for the rest `spring_colors`."""
+    return vertices(np.repeat(style.spring_colors(color, segments, all_have), 2, axis=0))
 
 
 def disc_vertices(
@@ -278,7 +280,7 @@ class GguiView:
         shown = drawing.are_numbers(place)
         segments = drawing.between_shown(picture.segments, shown)
         if len(segments):
-            vertex = self._springs(segments, picture.color)
+            vertex = self._springs(segments, picture.color, picture.spring_color)
             vertex[:, :2] = place.take(segments.reshape(-1), axis=0)
             self._lines_2d(vertex, max(1.6, 1.4 * window.scale) / height)
         if shown.any():
@@ -339,7 +341,7 @@ class GguiView:
         shown &= position[:, 2] + camera.distance > camera.nearest_drawn
         segments = drawing.between_shown(picture.segments, shown)
         if len(segments):
-            vertex = self._springs(segments, picture.color)
+            vertex = self._springs(segments, picture.color, picture.spring_color)
             vertex[:, POSITION] = position.take(segments.reshape(-1), axis=0)
             self._lines_3d(vertex, drawing.spring_width(h))
 

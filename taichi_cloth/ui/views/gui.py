@@ -178,7 +178,7 @@ class GuiView:
         shown = drawing.are_numbers(place)
         segments = drawing.between_shown(picture.segments, shown)
         if len(segments):
-            first, second, color = self._springs(segments, picture.color)
+            first, second, color = self._springs(segments, picture.color, picture.spring_color)
             a, b = place.take(first, axis=0), place.take(second, axis=0)
             self._gui.lines(a, b, radius=max(1.0, 0.75 * window.scale), color=color)
         if shown.any():
@@ -240,7 +240,8 @@ class GuiView:
         if len(segments):
             parts = 4 if len(segments) < 4000 else 1
             ends.append(_cut(_outside(position[segments], picture.radius[segments]), parts))
-            color.append(np.repeat(style.spring_colors(picture.color, segments), parts, axis=0))
+            rgb = style.spring_colors(picture.color, segments, picture.spring_color)
+            color.append(np.repeat(rgb, parts, axis=0))
             width.append(np.full(len(ends[-1]), drawing.spring_width(self.size[1])))
         pixels, _, depths = camera.project(np.concatenate(ends).reshape(-1, 3))
         depths = depths.reshape(-1, 2)
@@ -302,11 +303,11 @@ class _Lines:
 
 
 def _prepared_springs(
-    segments: np.ndarray, color: np.ndarray
+    segments: np.ndarray, color: np.ndarray, all_have: tuple[int, int, int] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """First ends, second ends, packed colours; color: of the particles."""
+    """First ends, second ends, packed colours; for the rest `spring_colors`."""
     first, second = np.ascontiguousarray(segments.T)
-    return first, second, style.packed(style.spring_colors(color, segments))
+    return first, second, style.packed(style.spring_colors(color, segments, all_have))
 
 
 def _prepared_discs(
