@@ -67,12 +67,20 @@ def difference(spec: ti.template(), state: ti.template(), value: ti.template(), 
 
 
 @ti.func
-def forget_low(spec: ti.template(), state: ti.template(), i, axis: ti.template(), where):
-    """Clear the low parts of pack i's positions on an axis, where the numbers `where` are positive.
+def forget_low(
+    spec: ti.template(),
+    state: ti.template(),
+    low: ti.template(),
+    i,
+    axis: ti.template(),
+    where,
+):
+    """Clear the low parts of pack i's vectors on an axis, where the numbers `where` are positive.
 
-    There the positions were set to a value and not changed by a sum, so nothing is owed to them.
+    There they were set to a value and not changed by a sum, so nothing is owed to them.
+    low: the field of these parts: state.x_low or state.v_low.
     """
-    low = read(spec, state.x_low, i)
-    part = component(low, axis)
+    parts = read(spec, low, i)
+    part = component(parts, axis)
     none = ti.select(where > 0.0, 0.0 * part, part)
-    write(spec, state.x_low, i, with_component(low, axis, none))
+    write(spec, low, i, with_component(parts, axis, none))

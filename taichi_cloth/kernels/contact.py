@@ -24,6 +24,7 @@ from taichi_cloth.kernels.packs import (
     with_component,
     zeros,
 )
+from taichi_cloth.kernels.watchdog import note_lost
 
 
 @ti.func
@@ -238,20 +239,84 @@ def velocity_jump(spec: ti.template(), state: ti.template(), i, x, v):
 
 
 @ti.func
-def kept_above_floor(spec: ti.template(), state: ti.template(), i, x, v, new_x, new_v):
-    """The positions new_x of pack i, set onto the floor where it was hit and new_v points down.
+def held_by_walls(spec: ti.template(), state: ti.template(), i, x, v, new_x, new_v):
+    """The positions new_x and velocities new_v of pack i, as the walls let it have them.
 
-    x, v: positions and velocities at the start of the step, which decide what was hit; new_x,
-    new_v: those at its end. Axis 1 points down, and the floor is at state.high[1].
+    x, v: positions and velocities at the start of the step; new_x, new_v: those at its end.
+    Bounces are changes of velocity at a step's start (`velocity_jump`), which alone neither keep a
+    particle from crossing a wall nor hold one that is pressed against it. So what `_held_by_wall`
+    says comes after. A pack none of whose particles is past a wall asks no more than that.
     """
-    kept = new_x
-    if ti.static(spec.floor):
+    kept_x, kept_v = new_x, new_v
+    if ti.static(len(spec.walls) > 0):
         radius = read(spec, state.radius, i)
-        hit = ti.min(-1.0 * wall_gap(state, x, radius, 1, 1), component(v, 1))  # where positive
-        sinks = ti.min(ti.min(hit, component(new_v, 1)), read(spec, state.w, i))  # likewise
-        if largest(spec, sinks) > 0.0:
-            y = ti.select(sinks > 0.0, state.high[1] - radius, component(new_x, 1))
-            kept = with_component(new_x, 1, y)
-            if ti.static(spec.compensated):
-                forget_low(spec, state, i, 1, sinks)
-    return kept
+        if past_wall(spec, state, new_x, radius):
+            for axis, side in ti.static(spec.walls):
+                kept_x, kept_v = _held_by_wall(
+                    spec, state, i, x, v, kept_x, kept_v, radius, axis, side
+                )
+    return kept_x, kept_v
+
+
+@ti.func
+def _held_by_wall(
+    spec: ti.template(),
+    state: ti.template(),
+    i,
+    x,
+    v,
+    new_x,
+    new_v,
+    radius,
+    axis: ti.template(),
+    side: ti.template(),
+):
+    """What `held_by_walls` gives, for one wall.
+
+    A particle that is pressed against the wall is put onto it: one that hits it, that the bounce
+    does not send back, and that was past it already a step before. So a bounce is left to itself in
+    its first step, where the particle dips into the wall and comes back. The floor (axis 1 points
+    down) holds already then what still moves down, and leaves its velocity to gravity, as the
+    original program did.
+    A particle that a step takes farther out than its radius is put onto the wall, too, and leaves
+    with restitution times the speed that it met it with; but one that crosses more than the world
+    in the step is lost, and the watchdog names it.
+    """
+    low, high = state.low[axis], state.high[axis]
+    bound = high if ti.static(side > 0) else low
+    dt, w = state.dt[None], read(spec, state.w, i)
+    # On the wall; in a world that is narrower than the particle in its middle.
+    on_wall = bound - float(side) * ti.min(radius, 0.5 * (high - low))
+    gap, vn = wall_gap(state, x, radius, axis, side), float(side) * component(v, axis)
+    new_gap = wall_gap(state, new_x, radius, axis, side)
+    new_vn = float(side) * component(new_v, axis)
+    # Where these are positive it is so.
+    no_nearer = ti.select(ti.min(vn, new_vn) >= 0.0, vn + new_vn, -1.0 + 0.0 * vn)
+    pressed = ti.min(-1.0 * gap - dt * vn, no_nearer)
+    if ti.static((axis, side) == (1, 1)):
+        pressed = ti.max(pressed, ti.min(ti.min(-1.0 * gap, vn), new_vn))
+    pressed = ti.min(pressed, w)
+    far = ti.min(-1.0 * new_gap - 2.0 * radius, w)
+    way = float(side) * (component(new_x, axis) - component(x, axis))
+    thrown = way  # but for what pairs add, any number of which may act at once
+    if ti.static(spec.collisions):
+        kick = float(side) * component(read(spec, state.jump, i), axis)
+        thrown = thrown - dt * ti.max(kick, 0.0)
+    # A world narrower than the particle holds what crosses less than the particle.
+    lost = ti.min(ti.min(far, w), thrown - ti.max(high - low, 2.0 * radius))
+    held = ti.max(pressed, ti.select(lost > 0.0, -1.0 * far, far))
+    part = ti.select(gap > 0.0, gap / way, 0.0 * gap)  # of the step, after which it met the wall
+    met_with = vn + part * (new_vn - vn)
+    left_with = -1.0 * read(spec, state.restitution, i) * ti.max(met_with, 0.0)
+    turned = ti.select(new_vn > 0.0, left_with, new_vn)
+    at_rest = new_vn if ti.static((axis, side) == (1, 1)) else 0.0 * new_vn
+    normal_v = ti.select(pressed > 0.0, at_rest, ti.select(held > 0.0, turned, new_vn))
+    if ti.static(spec.compensated):
+        forget_low(spec, state, state.x_low, i, axis, held)
+        changed = held if ti.static((axis, side) != (1, 1)) else ti.min(held, -1.0 * pressed)
+        forget_low(spec, state, state.v_low, i, axis, changed)
+    note_lost(spec, state, i, lost)
+    return (
+        with_component(new_x, axis, ti.select(held > 0.0, on_wall, component(new_x, axis))),
+        with_component(new_v, axis, float(side) * normal_v),
+    )

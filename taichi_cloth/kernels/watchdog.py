@@ -1,4 +1,6 @@
-"""The watchdog: whether every particle is finite and below the speed limit at each step.
+"""The watchdog: whether every particle is finite, below the speed limit and in the world.
+
+It looks at each step. In the world is what no wall has lost (`contact.held_by_walls`).
 
 Each frame begins with a checkpoint of the state, to which a frame that fails is restored.
 """
@@ -9,6 +11,7 @@ from taichi_cloth.kernels.loops import each_pack, each_pack_moving
 from taichi_cloth.kernels.packs import (
     component,
     dot,
+    largest,
     over_lanes,
     read,
     slot_number,
@@ -94,6 +97,21 @@ def _note_fault(spec: ti.template(), state: ti.template(), slot, limit2):
     if not (is_finite(speed2) and is_finite(x.sum())) or speed2 > limit2:
         if state.watching[None] == 1:
             ti.atomic_min(state.fault[None], slot_number(spec, state.particle, slot))
+
+
+@ti.func
+def note_lost(spec: ti.template(), state: ti.template(), i, lost):
+    """Note the particles of pack i that a wall has lost: where the numbers `lost` are positive."""
+    if largest(spec, lost) > 0.0:
+        for lane in ti.static(range(spec.lanes)):
+            here = 0.0
+            if ti.static(spec.lanes == 1):
+                here = lost
+            else:
+                here = lost[lane]
+            if here > 0.0 and state.watching[None] == 1:
+                slot = i * spec.lanes + lane
+                ti.atomic_min(state.fault[None], slot_number(spec, state.particle, slot))
 
 
 @ti.kernel

@@ -10,14 +10,30 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.limits.auto_step import substeps_needed
 from taichi_cloth.limits.bounds import Bounds, any_geometry, gershgorin, step_within
 from taichi_cloth.limits.network import Network
+from taichi_cloth.scene.model import WALLS, World
 
 
-def describe_fault(position: np.ndarray, velocity: np.ndarray, speed_limit: float) -> str:
+def describe_fault(
+    world: World, position: np.ndarray, velocity: np.ndarray, speed_limit: float
+) -> str:
     """What is wrong with a particle that the watchdog stopped, position and velocity (dim,)."""
-    if np.isfinite(position).all() and np.isfinite(velocity).all():
-        speed = float(np.linalg.norm(velocity))
+    if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
+        return "has a position or velocity that is not a finite number"
+    speed = float(np.linalg.norm(velocity))
+    if speed > speed_limit:
         return f"runs away at speed {speed:.3g} (limit {speed_limit:.3g})"
-    return "has a position or velocity that is not a finite number"
+    beyond = {wall: _beyond(world, wall, position) for wall in world.walls}
+    if beyond and max(beyond.values()) > 0:
+        wall = max(beyond, key=lambda name: beyond[name])
+        return f"ended {beyond[wall]:.3g} beyond the wall '{wall}': it crossed more than the world in a step"
+    return "crossed more than the world in a step, past a wall of it"
+
+
+def _beyond(world: World, wall: str, position: np.ndarray) -> float:
+    """How far a position (dim,) is beyond a wall; negative: short of it."""
+    axis, side = WALLS[wall]
+    bound = world.high[axis] if side > 0 else world.low[axis]
+    return float(side * (position[axis] - bound))
 
 
 def likely_cause(
