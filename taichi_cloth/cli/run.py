@@ -139,6 +139,8 @@ def _simulate(
             recorder.write_header(_header(source, app.log_header(sim, view, seed, replay=log)))
         if not options.quiet:
             _announce(sim, device, view)
+            if trajectory and view.visible:
+                print("r goes back to the start, and --save begins anew there", flush=True)
         begin = time.perf_counter()
         with _kept(source, sim, device, recorder, trajectory):
             summary = app.run(
@@ -152,6 +154,7 @@ def _simulate(
                 image=options.image,
                 paused=options.paused,
                 quiet=options.quiet,
+                status=options.status,
                 seed=seed,
                 device=device.describe(),
             )

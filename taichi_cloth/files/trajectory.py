@@ -94,6 +94,11 @@ class Trajectory:
         self._springs = np.zeros((0, 2), np.int64)
         self._shape = (0, 2)
 
+    @property
+    def frames(self) -> int:
+        """How many frames are noted."""
+        return len(self._frames)
+
     def record(self, sim: Recordable, *, last: bool = False) -> None:
         """Take note of `sim`'s present frame if its number is a multiple of `every`.
 

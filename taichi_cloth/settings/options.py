@@ -304,10 +304,13 @@ class RunOptions(Options):
     )
     events: str | None = setting(None, "replay an interaction log", str, metavar="FILE.jsonl")
     record: str | None = setting(None, "write an interaction log", str, metavar="FILE.jsonl")
-    save: str | None = setting(None, "save the trajectory", str, metavar="FILE.npz")
+    save: str | None = setting(
+        None, "save the trajectory (of a window: since the last r)", str, metavar="FILE.npz"
+    )
     every: int = setting(1, "save every Nth frame only", minimum=1, metavar="N")
     image: str | None = setting(None, "save the last frame as a picture", str, metavar="FILE.png")
     video: str | None = setting(None, "save all frames as a film", str, metavar="FILE.mp4|gif")
+    status: bool = setting(True, "the status in the window, in pictures and films", bool)
     paused: bool = setting(False, "start paused")
     quiet: bool = setting(False, "print nothing but errors")
 

@@ -82,6 +82,7 @@ def run(
     image: str | None = None,
     paused: bool = False,
     quiet: bool = False,
+    status: bool = True,
     seed: int = 0,
     device: str | None = None,
 ) -> Summary:
@@ -97,6 +98,7 @@ def run(
     film, image: paths of a film of the run and of a picture of its last frame; the view must
         draw pictures for them. Refused paths raise InputError before anything is run.
     paused: start paused (a window only). quiet: no progress bar.
+    status: whether the status is shown from the start (`h` hides and shows it).
     seed: of the tools' random numbers; a log's header overrides it.
     device: from `Device.describe()`, for the status; absent: of the device that was started.
 
@@ -112,7 +114,7 @@ def run(
             stack.callback(film_file.discard)
         loop = _Loop(
             sim, view, replay=replay, recorder=recorder, trajectory=trajectory,
-            film=film_file, paused=paused, seed=seed, device=device,
+            film=film_file, paused=paused, status=status, seed=seed, device=device,
         )  # fmt: skip
         bar = stack.enter_context(_progress(frames, not (quiet or view.visible)))
         failure: SimulationFailure | None = None
@@ -146,6 +148,7 @@ class _Loop:
         trajectory: Trajectory | None,
         film: films.Film | None,
         paused: bool,
+        status: bool,
         seed: int,
         device: str | None,
     ):
@@ -165,15 +168,14 @@ class _Loop:
         self._largest_disc = _largest_disc(sim.scene)
         self._paused = paused and view.visible
         self._step = False
-        self._show_status, self._show_help = True, False
+        self._show_status, self._show_help = status, False
         self.failure: SimulationFailure | None = None
         self._meter = hud.Meter()
-        self._status: tuple[str, ...] = ()
-        self._status_due = 0.0
+        self._rates = ""
+        self._rates_due = 0.0
         self._notice: str | None = None
         self._notice_until = 0.0
         self._next_frame = 0.0
-        self._drawn = False
         self._started: float | None = None
         self._simulate = self._draw = 0.0
         self.frames = 0
@@ -201,8 +203,7 @@ class _Loop:
         self._step = False
         begin = time.perf_counter()
         film = self._film if self._film and advanced and self._film.wants() else None
-        self._drawn = self.view.visible or film is not None
-        if self._drawn:
+        if self.view.visible or film is not None:
             self.view.draw(self._picture())
         if film is not None:
             film.add(self.view.grab())
@@ -220,7 +221,7 @@ class _Loop:
         except SimulationFailure as error:
             if not self.view.visible:
                 raise
-            self.failure, self._status_due = error, 0.0
+            self.failure, self._rates_due = error, 0.0
             self._meter.interrupt()
             return
         self.frames += 1
@@ -287,49 +288,60 @@ class _Loop:
         elif command == "step":
             self._step = self._paused
         elif command == "reset":
+            saved = self._trajectory.frames if self._trajectory is not None else 0
             self.sim.reset()
-            self._controls.reset()
+            self._controls.reset(hud.reset_notice(saved) if saved else None)
             self.failure = None
             self._meter.restart()
         elif command == "status":
             self._show_status = not self._show_status
         elif command == "help":
             self._show_help = not self._show_help
-        self._status_due = 0.0
+        self._rates_due = 0.0
 
     # Pictures
 
     def _picture(self) -> Picture:
         sim, view = self.sim, self.view
-        now = time.perf_counter()
-        if self._controls.notice != self._notice:
-            self._notice, self._notice_until = self._controls.notice, now + NOTICE_SECONDS
-            self._status_due = 0.0
-        if now >= self._status_due:
-            self._status_due = now + hud.REFRESH
-            stopped = self._paused or self.failure is not None
-            self._status = hud.status_lines(
-                sim, self._meter, self._device, windowed=view.visible, paused=stopped,
-                notice=self._notice if now < self._notice_until else None,
-            )  # fmt: skip
         banner = None
         if self.failure is not None:
             banner = f"Stopped: {self.failure}\nr goes back to the start, escape quits"
         keys: tuple[str, ...] = ()
         if self._show_help:
-            keys = hud.help_lines(sim.scene, view.has_wheel, self._controls.tool)
+            saves = self._trajectory is not None
+            keys = hud.help_lines(sim.scene, view.has_wheel, self._controls.tool, saves=saves)
         picture = Picture(
             position=sim.drawn_positions(),
             radius=self._radius(sim.radii(), self._largest_disc),
             color=sim.colors(),
             segments=sim.drawn_springs(),
             spring_color=sim.scene.spring_color,
-            text=self._status if self._show_status else (),
+            text=self._status() if self._show_status else (),
             help=keys,
             banner=banner,
         )
         marks = self._controls.marks()
         return picture if marks is None else _with_marks(picture, marks)
+
+    def _status(self) -> tuple[str, ...]:
+        """The status of this very frame; its rates change now and then, so that one can read them.
+
+        Without a window it follows from the frames alone, so that the same run has the same
+        pictures.
+        """
+        windowed, rates = self.view.visible, None
+        # A film's second has as many frames as a window's.
+        now = time.perf_counter() if windowed else self.frames / hud.FRAME_RATE
+        if self._controls.notice != self._notice:
+            self._notice, self._notice_until = self._controls.notice, now + NOTICE_SECONDS
+        if windowed:
+            if now >= self._rates_due:
+                self._rates_due = now + hud.REFRESH
+                stopped = self._paused or self.failure is not None
+                self._rates = hud.rates_line(self._meter, paused=stopped)
+            rates = self._rates
+        shown = self._notice if now < self._notice_until else None
+        return hud.status_lines(self.sim, self._device, rates=rates, notice=shown)
 
     def finish(self, image: films.Image | None) -> None:
         """Save the film, and the last frame as a picture."""
@@ -344,9 +356,7 @@ class _Loop:
             with closing(offscreen(self.view, self.sim.scene.world)) as view:
                 view.draw(self._picture())
                 return view.grab()
-        if not self._drawn:
-            self._status_due = 0.0
-            self.view.draw(self._picture())
+        self.view.draw(self._picture())  # anew: since the last frame the user may have done things
         return self.view.grab()
 
     def summary(self) -> Summary:

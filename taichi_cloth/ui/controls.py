@@ -166,8 +166,11 @@ class Controls:
             self._memory[tool.name] = tool.remember(self._seed)
         return self._memory[tool.name]
 
-    def reset(self) -> None:
-        """The scene is at its start again: let the tools forget what they did."""
+    def reset(self, notice: str | None = None) -> None:
+        """The scene is at its start again: let the tools forget what they did.
+
+        notice: what to tell the user about it.
+        """
         self._before = None
-        self._hand.notice = None
+        self._hand.notice = notice
         self._memory.clear()

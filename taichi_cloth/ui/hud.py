@@ -1,4 +1,4 @@
-"""What the status and the key list say, and the clock behind them."""
+"""What the status and the key list say, and the meter of their rates."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from taichi_cloth.errors import counted
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.ui import tools
 from taichi_cloth.ui.tools.contract import Tool
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 FRAME_RATE = 60.0  # frames a second that count as real time
 WINDOW = 0.75  # seconds over which rates are averaged
-REFRESH = 0.2  # seconds between changes of the text: faster cannot be read
+REFRESH = 0.2  # seconds between changes of the rates: faster cannot be read
 
 
 class Meter:
@@ -78,51 +79,64 @@ class Meter:
         return max(0.0, self._busy - self._done / FRAME_RATE)
 
 
-def status_lines(
-    sim: Simulation,
-    meter: Meter,
-    device: str,
-    *,
-    windowed: bool,
-    paused: bool,
-    notice: str | None = None,
-) -> tuple[str, ...]:
-    """The status: rates, counts, time, settings, backend.
-
-    device: from `Device.describe()`. windowed: whether frames are due at `FRAME_RATE`.
-    """
+def rates_line(meter: Meter, *, paused: bool) -> str:
+    """The first line of a window's status: how fast it runs, and what a frame takes."""
     rate = meter.frames_per_second
     if paused:
         pace = "paused"
-    elif not windowed or rate == 0 or rate > 0.95 * FRAME_RATE:
+    elif rate == 0 or rate > 0.95 * FRAME_RATE:
         pace = f"{rate:.0f} frames/s"
     else:
         speed = rate / FRAME_RATE
         pace = f"{rate:.0f} frames/s, {meter.behind:.1f} s behind real time ({speed:.2f}x)"
+    return _row(pace, f"simulate {1e3 * meter.simulate:.2f} ms", f"draw {1e3 * meter.draw:.1f} ms")
+
+
+def status_lines(
+    sim: Simulation, device: str, *, rates: str | None, notice: str | None = None
+) -> tuple[str, ...]:
+    """The status of the frame that `sim` is at: counts, time, settings, backend.
+
+    device: from `Device.describe()`. rates: a window's `rates_line`; None without a window, whose
+    pictures say nothing that may be otherwise in the next run of the same.
+    notice: a line that stands above; None: none.
+    """
     alive = len(sim.drawn_springs())
     broken = sim.spring_count - alive
     step = f"dt {sim.dt:g}" + (f" in {sim.substeps} substeps" if sim.substeps > 1 else "")
     method, unconverged = sim.method, sim.work().unconverged
     if unconverged:
         method += f" ({unconverged} steps unconverged)"
-    rows = (
-        (pace, f"simulate {1e3 * meter.simulate:.2f} ms", f"draw {1e3 * meter.draw:.1f} ms"),
-        (
-            f"{sim.particle_count} particles",
-            f"{alive} springs, {broken} broken",
-            f"time {sim.time:.10g}",
-            f"frame {sim.frame}",
-        ),
-        (sim.scene.name, method, step, f"{device}, {sim.execution} {sim.topology}", "f1 keys"),
+    counts = _row(
+        f"{sim.particle_count} particles",
+        f"{alive} springs, {broken} broken",
+        f"time {sim.time:.10g}",
+        f"frame {sim.frame}",
     )
-    lines = tuple("  \u00b7  ".join(row) for row in rows)
-    return (notice, *lines) if notice else lines
+    if rates is None:
+        lines = [counts, _row(sim.scene.name, method, step, device)]
+    else:
+        path = f"{device}, {sim.execution} {sim.topology}"
+        lines = [rates, counts, _row(sim.scene.name, method, step, path, "f1 keys")]
+    return (notice, *lines) if notice else tuple(lines)
 
 
-def help_lines(scene: Scene, has_wheel: bool, tool: Tool[Any] | None = None) -> tuple[str, ...]:
+def _row(*parts: str) -> str:
+    return "  \u00b7  ".join(parts)
+
+
+def reset_notice(frames: int) -> str:
+    """What going back to the start does to `--save`, of which `frames` are noted."""
+    return f"back to the start: the next frame makes --save forget {counted(frames, 'frame')}"
+
+
+def help_lines(
+    scene: Scene, has_wheel: bool, tool: Tool[Any] | None = None, *, saves: bool = False
+) -> tuple[str, ...]:
     """Every key and mouse action of this scene, as "key<tab>action".
 
     tool: the one in hand; None: the one that the pointer is from the start.
+    saves: whether the run keeps a trajectory, which a reset shortens.
     """
     tool = tool or tools.for_mouse(scene.world.mouse)
     lines = list(tool.actions(scene)) if tool else []
@@ -133,7 +147,7 @@ def help_lines(scene: Scene, has_wheel: bool, tool: Tool[Any] | None = None) -> 
     lines += [
         ("p" if tool and "space" in tool.modifiers else "space, p") + "\tpause and go on",
         ".  or right arrow\tone frame, while paused",
-        "r\tback to the start",
+        "r\tback to the start" + ("; --save begins anew" if saves else ""),
         "h\thide or show the status",
         "f1 or tab\tthis list",
         "escape\tquit",

@@ -14,7 +14,6 @@ EDGE = (86, 98, 122)  # the wireframe of a 3-D world
 ORIGIN = (236, 239, 244)  # the dot at (0, 0, 0)
 NEUTRAL = (205, 212, 226)  # what springs are mixed with
 INK = (226, 231, 240)
-FAINT_INK = (150, 160, 180)
 KEY_INK = (255, 203, 107)
 PAPER = (19, 22, 30)
 BANNER_PAPER = (132, 28, 36)

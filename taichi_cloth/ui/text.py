@@ -23,7 +23,7 @@ Color = tuple[int, int, int]  # 0..255
 SHADES = 6  # ink coverage levels: few enough for long runs, enough for smooth letters
 
 
-@dataclass(frozen=True, eq=False)  # compared by identity: `panels` keeps what it made
+@dataclass(frozen=True, eq=False)  # compared by identity: what was made of one is kept
 class Panel:
     """Pixels (h, w, 3) uint8 whose top left corner is the window pixel (x, y)."""
 
@@ -44,12 +44,52 @@ def _font(height: int) -> ImageFont | FreeTypeFont:
     return ImageFont.load_default(height)
 
 
+@lru_cache(maxsize=2048)
+def _advance(word: str, height: int) -> float:
+    return float(_font(height).getlength(word))
+
+
+@lru_cache(maxsize=2048)
+def _ink(word: str, height: int) -> np.ndarray:
+    """How much of each pixel a word covers, (h, w, 1) float32 from 0 to 1; it starts at column 1.
+
+    A status changes in a word or two from frame to frame: the others are here.
+    """
+    from PIL import Image, ImageDraw
+
+    font = _font(height)
+    _, _, right, bottom = font.getbbox(word)
+    image = Image.new("L", (int(right) + 3, int(bottom) + 1), 0)
+    ImageDraw.Draw(image).text((1, 0), word, fill=255, font=font)
+    share = np.asarray(image, np.float32)[:, :, None] / 255
+    # A light gamma keeps thin strokes of bright letters from fading into dark paper.
+    inked: np.ndarray = np.round(share**0.8 * (SHADES - 1)) / (SHADES - 1)
+    return inked
+
+
+def _length(line: str, height: int) -> float:
+    """The width of a line in pixels."""
+    words = line.split(" ")
+    return sum(_advance(word, height) for word in words) + (len(words) - 1) * _advance(" ", height)
+
+
+def _write(share: np.ndarray, line: str, corner: tuple[float, float], height: int) -> None:
+    """Lay a line's ink, from its top left corner (x, y), onto share (h, w, 1)."""
+    x, y = corner
+    for word in line.split(" "):
+        ink = _ink(word, height)
+        left, top = round(x) - 1, round(y)
+        under = share[top : top + len(ink), left : left + ink.shape[1]]
+        np.maximum(under, ink[: under.shape[0], : under.shape[1]], out=under)
+        x += _advance(word, height) + _advance(" ", height)
+
+
 def wrapped(line: str, width: int, height: int) -> list[str]:
     """`line` broken at spaces so that each part is at most `width` pixels wide."""
-    font, out, current = _font(height), [], ""
+    out, current = [], ""
     for word in line.split():
         longer = f"{current} {word}".strip()
-        if current and font.getlength(longer) > width:
+        if current and _length(longer, height) > width:
             out.append(current)
             current = word
         else:
@@ -70,51 +110,93 @@ def rasterise(
     A tab starts the second column. inks: a pair of colours, for what stands before and after the
     tab (the second for lines without one). width: of the panel in pixels; None: as needed.
     """
-    from PIL import Image, ImageDraw
-
-    font = _font(height)
-    step, pad = round(1.27 * height), round(0.5 * height)
+    step, pad = _step(height), _pad(height)
     parts = [line.split("\t", 1) for line in lines]
-    column = max((font.getlength(p[0]) for p in parts if len(p) == 2), default=0.0)
+    column: float = max((_length(p[0], height) for p in parts if len(p) == 2), default=0)
     column = round(column + 1.2 * height) if column else 0
-    needed = max((column * (len(p) == 2) + font.getlength(p[-1]) for p in parts), default=0.0)
+    needed = max((column * (len(p) == 2) + _length(p[-1], height) for p in parts), default=0)
     size = (width or round(needed) + 2 * pad, step * len(parts) + 2 * pad - (step - height))
     pixels = np.empty((size[1], size[0], 3), np.uint8)
     pixels[:] = paper
     for ink, chosen in zip(inks, (0, 1), strict=True):
-        image = Image.new("L", size, 0)
-        draw = ImageDraw.Draw(image)
+        share = np.zeros((size[1], size[0], 1), np.float32)
         for row, part in enumerate(parts):
-            y = pad + row * step - round(0.15 * height)
+            y = pad + row * step - _rise(height)
             if chosen == 1:
-                draw.text((pad + column * (len(part) == 2), y), part[-1], fill=255, font=font)
+                _write(share, part[-1], (pad + column * (len(part) == 2), y), height)
             elif len(part) == 2:
-                draw.text((pad, y), part[0], fill=255, font=font)
-        share = np.asarray(image, np.float32)[:, :, None] / 255
-        # A light gamma keeps thin strokes of bright letters from fading into dark paper.
-        share = np.round(share**0.8 * (SHADES - 1)) / (SHADES - 1)
-        pixels[:] = np.where(share > 0, pixels * (1 - share) + np.array(ink) * share, pixels)
+                _write(share, part[0], (pad, y), height)
+        inked = share[:, :, 0] > 0
+        over = share[inked]
+        pixels[inked] = pixels[inked] * (1 - over) + np.array(ink) * over
     return pixels
 
 
+def _step(height: int) -> int:
+    """Pixels from a line's top to the next one's."""
+    return round(1.27 * height)
+
+
+def _pad(height: int) -> int:
+    """Pixels of paper around the lines."""
+    return round(0.5 * height)
+
+
+def _rise(height: int) -> int:
+    """Pixels by which a font's letters begin below the top of its box."""
+    return round(0.15 * height)
+
+
+@lru_cache(maxsize=16)
+def _status_row(line: str, y: int, width: int, height: int, first: bool, last: bool) -> Panel:
+    """A line of the status as a panel of its own: only the lines that change are made anew.
+
+    y: of its letters in the window. first, last: there the paper goes on above and below.
+    """
+    inks = (style.INK, style.INK)
+    pixels = rasterise([line], height, paper=style.PAPER, inks=inks, width=width)
+    letters = _pad(height) - _rise(height)
+    start, end = 0 if first else letters, len(pixels) if last else letters + _step(height)
+    return Panel(0, y - letters + start, pixels[start:end])
+
+
+def _status(lines: tuple[str, ...], size: tuple[int, int]) -> list[Panel]:
+    """The status, bottom left; it shrinks rather than leave a narrow window."""
+    width, height = size[0], font_height(size[1])
+    while height > 9 and max(_length(line, height) for line in lines) > width - height:
+        height -= 1
+    needed = round(max(_length(line, height) for line in lines)) + 2 * _pad(height)
+    below, last = height + _pad(height) + _rise(height), len(lines) - 1
+    return [
+        _status_row(
+            line,
+            size[1] - below - (last - row) * _step(height),
+            needed,
+            height,
+            row == 0,
+            row == last,
+        )  # fmt: skip
+        for row, line in enumerate(lines)
+    ]
+
+
 def panels(picture: Picture, size: tuple[int, int]) -> tuple[Panel, ...]:
-    """The overlay of a frame in a window of `size` (width, height): status, key list, banner."""
-    return _panels(picture.text, picture.help, picture.banner, (int(size[0]), int(size[1])))
+    """The overlay of a frame in a window of `size` (width, height): status, key list, banner.
+
+    A panel that is equal to one of the frame before is the same object.
+    """
+    size = int(size[0]), int(size[1])
+    status = _status(picture.text, size) if picture.text else []
+    return (
+        *(_inside(panel, size) for panel in status),
+        *_panels(picture.help, picture.banner, size),
+    )
 
 
 @lru_cache(maxsize=4)
-def _panels(
-    status: tuple[str, ...], keys: tuple[str, ...], banner: str | None, size: tuple[int, int]
-) -> tuple[Panel, ...]:
+def _panels(keys: tuple[str, ...], banner: str | None, size: tuple[int, int]) -> tuple[Panel, ...]:
     width, window_height = size
     out = []
-    if status:
-        # The status shrinks rather than leave a narrow window.
-        height = font_height(window_height)
-        while height > 9 and max(map(_font(height).getlength, status)) > width - height:
-            height -= 1
-        pixels = rasterise(status, height, paper=style.PAPER, inks=(style.FAINT_INK, style.INK))
-        out.append(Panel(0, window_height - len(pixels), pixels))
     if keys:
         height = font_height(window_height)
         while True:
@@ -138,6 +220,7 @@ def _panels(
     return tuple(_inside(panel, size) for panel in out)
 
 
+@lru_cache(maxsize=32)
 def _inside(panel: Panel, size: tuple[int, int]) -> Panel:
     """The part of `panel` that lies in a window of `size`."""
     left, top = max(0, -panel.x), max(0, -panel.y)

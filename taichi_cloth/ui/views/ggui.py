@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -159,7 +160,7 @@ class GguiView:
         self._fresh = False  # whether what was drawn last can still be taken from the window
         self._spheres: SphereMeshes | None = None
         self._springs, self._discs = Cached(spring_vertices), Cached(disc_vertices)
-        self._overlay = Cached(self._overlay_vertices)
+        self._panel_vertices = lru_cache(maxsize=16)(self._panel_vertices_anew)
         self.has_wheel = bool(self._tap and self._tap.has_wheel)
         self.closed = False
         self._size = size
@@ -309,11 +310,12 @@ class GguiView:
     def _compose_overlay(self, picture: Picture) -> None:
         panels = text.panels(picture, self.size)
         if panels:
-            self._triangles(self._overlay(panels, self.size))
+            size = self.size
+            self._triangles(np.concatenate([self._panel_vertices(p, size) for p in panels]))
 
-    def _overlay_vertices(self, panels: tuple[Panel, ...], size: tuple[int, int]) -> np.ndarray:
-        """Vertices of the panels in a window of this size."""
-        return np.concatenate([self._rectangle_vertices(*text.runs(panel)) for panel in panels])
+    def _panel_vertices_anew(self, panel: Panel, size: tuple[int, int]) -> np.ndarray:
+        """Vertices of a panel in a window of this size."""
+        return self._rectangle_vertices(*text.runs(panel))
 
     def _compose_3d(self, picture: Picture, camera: Camera) -> None:
         _, h = self.size
