@@ -7,16 +7,22 @@ from __future__ import annotations
 
 import contextlib
 import re
+import shutil
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
 # How progress is told: what is going on, how much is done, how much there is in all.
 Tell = Callable[[str, int, int], None]
+NARROWEST = 40  # columns of a terminal, below which lines are wider than it
+SHORT_TEXT = 20  # columns below which a text is not wrapped while another column can be left out
+# What of a text stays whole in any line: a word, or of a path and the like each part.
+PIECE = re.compile(r"[^\s/,;|-]+[/,;|-]*|[/,;|-]+")
+CONTINUED = " \\"  # a shell's sign that a command goes on in the next line
 
 
 def tell_nobody(text: str, done: int, total: int) -> None:
@@ -27,49 +33,58 @@ def tell_nobody(text: str, done: int, total: int) -> None:
 # The terminal
 
 
-def output(width: int) -> Console:
-    """The console of standard output. A pipe or a file has no width: there it is `width` columns
-    wide, so that whole lines have a place where they fit.
+def output() -> Console:
+    """The console of standard output, as wide as its terminal; pipes and files get 80 columns.
+
+    The variable COLUMNS overrides both.
     """
     from rich.console import Console
 
-    return Console() if sys.stdout.isatty() else Console(width=width)
+    return Console(width=max(shutil.get_terminal_size().columns, NARROWEST))
 
 
-def table(
-    title: str | None,
-    headers: Iterable[str],
-    left: Collection[str] | None = None,
-    *,
-    fold: bool = False,
-    show_header: bool = True,
-    padding: tuple[int, int, int, int] = (0, 1, 0, 1),
-) -> Table:
-    """An empty table in the style of all tables.
-
-    left: headers of the columns that are aligned to the left, None for all of them.
-    fold: whether texts too long for their column go on in the next line, instead of being cut.
-    show_header: False leaves the line of headers out.
-    padding: spaces around a cell, from the top clockwise.
-    """
-    from rich import box
-    from rich.table import Table
-
-    made = Table(
-        title=title,
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=padding,
-        pad_edge=False,
-        show_header=show_header,
+def say(to: Console, text: str, *, hang: int = 0) -> None:
+    """Print plain text in whole words; its lines but the first are indented by `hang`."""
+    to.print(
+        "\n".join(wrapped(text, to.width, hang=hang)), highlight=False, markup=False, soft_wrap=True
     )
-    for header in headers:
-        made.add_column(
-            header,
-            justify="left" if left is None or header in left else "right",
-            overflow="fold" if fold else "ellipsis",
-        )
-    return made
+
+
+def say_command(to: Console, command: str) -> None:
+    """Print a command so that a shell takes what is printed, also where it needs several lines."""
+    lines = wrapped(command.replace(" --", "\n--"), to.width - len(CONTINUED), whole=True)
+    joined = [lines[0]]
+    for line in lines[1:]:
+        if len(joined[-1]) + 1 + len(line) + len(CONTINUED) <= to.width:
+            joined[-1] += f" {line}"
+        else:
+            joined.append(f"  {line}")
+    to.print(f"{CONTINUED}\n".join(joined), highlight=False, markup=False, soft_wrap=True)
+
+
+def wrapped(text: str, width: int, *, hang: int = 0, whole: bool = False) -> list[str]:
+    """The lines of a text, at most `width` long, in whole words.
+
+    A word that is longer is cut at the end of a `PIECE`, else anywhere; with `whole`, it stays.
+    hang: spaces before all lines but the first of each line of the text.
+    """
+    lines = []
+    for paragraph in text.split("\n"):
+        line = paragraph[: len(paragraph) - len(paragraph.lstrip())]
+        indent, empty = " " * (len(line) + hang), True
+        for word in paragraph.split():
+            if not empty and len(line) + 1 + len(word) > width:
+                lines.append(line)
+                line, empty = indent, True
+            line, empty = line + word if empty else f"{line} {word}", False
+            while len(line) > width and not whole:
+                ends = [match.end() for match in PIECE.finditer(line, len(indent))]
+                cut = max((end for end in ends if end <= width), default=0)
+                cut = cut or max(width, len(indent) + 1)
+                lines.append(line[:cut])
+                line = indent + line[cut:]
+        lines.append(line)
+    return lines
 
 
 def print_table(
@@ -79,15 +94,116 @@ def print_table(
     lines: Iterable[Sequence[str]],
     left: Collection[str] | None = None,
     *,
-    fold: bool = False,
-) -> None:
-    """Print a table whose cells are plain text; the arguments are those of `table`."""
-    from rich.markup import escape
+    spared: Sequence[str] = (),
+    styles: Sequence[str | None] | None = None,
+    show_header: bool = True,
+) -> list[str]:
+    """Print a table of plain texts, no wider than the console; numbers and words stay whole.
 
-    made = table(title, headers, left, fold=fold)
-    for line in lines:
-        made.add_row(*map(escape, line))
+    left: headers of the columns of text, which are aligned to the left and may take several lines;
+    None for all of them. Other columns are numbers. spared: headers of columns that are left out
+    where there is no room, the first ones first. styles: of the lines, in rich's words.
+    Where even that is too wide, each line becomes a paragraph. Returns the headers left out.
+    """
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    cells = [list(line) for line in lines]
+    columns = [
+        _Column(header, [line[k] for line in cells], left is None or header in left, show_header)
+        for k, header in enumerate(headers)
+    ]
+    left_out: list[str] = []
+    for name in spared:
+        if _width([column.narrow for column in columns]) <= to.width:
+            break
+        if name in headers:
+            columns = [column for column in columns if column.header != name]
+            left_out.append(name)
+    widths = _fitting(columns, to.width)
+    if _width(widths) > to.width:
+        _print_paragraphs(to, title, columns, show_header)
+        return left_out
+    made = Table(
+        title=escape(title) if title else None,
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        show_header=show_header,
+    )
+    for column, width in zip(columns, widths, strict=True):
+        header = "\n".join(wrapped(column.header, width))
+        made.add_column(header, justify="left" if column.text else "right", width=width)
+    for k in range(len(cells)):
+        texts = ["\n".join(wrapped(c.cells[k], w)) for c, w in zip(columns, widths, strict=True)]
+        made.add_row(*map(escape, texts), style=styles[k] if styles else None)
     to.print(made)
+    return left_out
+
+
+def _print_paragraphs(
+    to: Console, title: str | None, columns: Sequence[_Column], show_header: bool
+) -> None:
+    """Print the lines of a table as paragraphs: a name, then each cell after its header."""
+    say(to, f"\n{title}" if title else "")
+    named = next((k for k, column in enumerate(columns) if column.header), 0)
+    for cells in zip(*(column.cells for column in columns), strict=True):
+        name = " ".join(filter(None, cells[: named + 1]))
+        others = [
+            f"{column.header} {cell}" if show_header else cell
+            for column, cell in zip(columns[named + 1 :], cells[named + 1 :], strict=True)
+            if cell
+        ]
+        say(to, "\n" + "; ".join(" ".join(text.split()) for text in (name, *others)), hang=2)
+    to.print()
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A column of a table: its header, its cells, whether these are text, which may be wrapped."""
+
+    header: str
+    cells: Sequence[str]
+    text: bool
+    show_header: bool
+
+    @property
+    def wide(self) -> int:
+        """The width at which nothing is wrapped."""
+        lines = [line for cell in self.cells for line in cell.split("\n")]
+        return max(map(len, [self.header * self.show_header, *lines]))
+
+    @property
+    def least(self) -> int:
+        """The width at which words, and numbers with their units, are still whole."""
+        words = self.header.split() if self.show_header else []
+        for cell in self.cells:
+            words += PIECE.findall(cell) if self.text else cell.split("\n")
+        return max(map(len, words), default=1)
+
+    @property
+    def narrow(self) -> int:
+        """The width down to which it reads well."""
+        return max(self.least, min(self.wide, SHORT_TEXT)) if self.text else self.least
+
+
+def _width(widths: Sequence[int]) -> int:
+    """The width of a table whose columns have these."""
+    return sum(widths) + 2 * len(widths)
+
+
+def _fitting(columns: Sequence[_Column], width: int) -> list[int]:
+    """Widths of columns that make a table no wider than `width`; the widest give way first."""
+    widths = [column.wide for column in columns]
+    for least in [column.narrow for column in columns], [column.least for column in columns]:
+        while _width(widths) > width:
+            spare = [(w, k) for k, w in enumerate(widths) if w > least[k]]
+            if not spare:
+                break
+            widths[max(spare)[1]] -= 1
+    return widths
 
 
 @contextlib.contextmanager

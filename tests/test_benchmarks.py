@@ -149,7 +149,7 @@ def test_contestants_that_fail_are_left_out(bench):
 
 def test_each_part_is_described_and_measures(capsys):
     assert main(["bench", "--help"]) == 0
-    shown = capsys.readouterr().out
+    shown = " ".join(capsys.readouterr().out.split())
     for part in benchmarks.PARTS:
         module = importlib.import_module(f"taichi_cloth.benchmarks.{part}")
         assert inspect.isgeneratorfunction(module.measure) and part == module.PART

@@ -16,9 +16,9 @@ from goldens import GOLDEN
 from inside import measure_by
 
 from taichi_cloth import runtime
-from taichi_cloth.cli import doctor, scene_command
+from taichi_cloth.cli import doctor, run, scene_command
 from taichi_cloth.cli.main import main
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, RunFailure
 from taichi_cloth.files import trajectory as trajectories
 from taichi_cloth.kernels import methods
 from taichi_cloth.scene import checks, library
@@ -258,6 +258,7 @@ def test_doctor_reports_and_succeeds():
 
 def test_doctor_shows_what_was_measured(tmp_path, monkeypatch, capsys, device):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr(doctor, "findings", lambda: ())
     assert doctor.main() == 0 and "nothing measured yet" in capsys.readouterr().out
     measure_by(monkeypatch, lambda way: 1e-4 * (1 + (way.path == "serial")))
@@ -383,6 +384,55 @@ def test_a_failed_simulation_is_status_3_and_keeps_the_last_good_frame(tmp_path)
     saved = trajectories.load(tmp_path / "a.npz")
     assert len(saved.frame) == 1 and np.isfinite(saved.position).all()
     assert f"the last good frame, {saved.frame[0]}, is kept" in err
+
+
+TOO_STIFF = """
+[world]
+size = [100.0, 100.0]
+gravity = [0.0, 0.1]
+[spring]
+stiffness = 1e30
+[[particles]]
+position = [50.0, 20.0]
+fixed = true
+[[particles]]
+position = [60.0, 30.0]
+[[particles]]
+position = [60.0, 40.0]
+[[springs]]
+between = [0, 1]
+[[springs]]
+between = [1, 2]
+"""
+
+
+def test_a_run_most_of_whose_steps_did_not_converge_has_failed(cli, tmp_path):
+    (tmp_path / "stiff.toml").write_text(TOO_STIFF)
+    arguments = ["stiff.toml", *ON_GRAPH, "--method", "implicit_euler", "--frames", 5]
+    _, err = cli("run", *arguments, "--save", "a.npz", "--quiet", cwd=tmp_path, check=3)
+    assert err.startswith("taichi-cloth: error: 5 of 5 steps of implicit_euler did not converge")
+    assert err.count("\n") == 1 and "remedy: use softer springs" in err
+    assert "--unconverged accept" in err
+    assert trajectories.load(tmp_path / "a.npz").frame.tolist() == [1, 2, 3, 4, 5]  # all of it
+    accepted, err = cli("run", *arguments, "--unconverged", "accept", cwd=tmp_path)
+    assert "5 frames in" in accepted and err.startswith("taichi-cloth: note: 5 of 5 steps")
+
+
+def test_a_run_few_of_whose_steps_did_not_converge_is_noted(pool, monkeypatch, capsys):
+    sim = pool(library.build("oscillator"), "implicit_euler")
+    sim.advance(4)
+    sim.check_converged()
+    assert sim.work().unconverged == 0 and not sim.work().mostly_unconverged
+    for unconverged, fails in ((1, False), (2, False), (3, True), (4, True)):
+        work = replace(sim.work(), unconverged=unconverged)
+        monkeypatch.setattr(sim, "work", lambda work=work: work)
+        for options in (RunOptions(), RunOptions(unconverged="accept")):
+            if fails and options.unconverged == "fail":
+                with pytest.raises(RunFailure, match=f"{unconverged} of 4 steps"):
+                    run._check_converged(sim, options)
+            else:
+                run._check_converged(sim, options)
+                assert f"note: {unconverged} of 4 steps" in capsys.readouterr().err
 
 
 def let_work(process, seconds):

@@ -27,7 +27,7 @@ def main(parts: Sequence[str], options: BenchOptions) -> int:
 
     A part that is finished stays in the file of results, whatever becomes of the next.
     """
-    to = console.output(170)
+    to = console.output()
     folder = Path(options.output)
     path = folder / f"{machine.file_name()}.csv"
     document = _document(options.tables) if options.tables else None
@@ -39,9 +39,8 @@ def main(parts: Sequence[str], options: BenchOptions) -> int:
         if path.exists():
             report.read(path)  # what there is can be joined
         description = machine.describe()
-        to.print(
-            *(f"{name}: {value}" for name, value in description.items()), sep="\n", highlight=False
-        )
+        for name, value in description.items():
+            console.say(to, f"{name}: {value}", hang=2)
         rounds = options.rounds or (QUICK_ROUNDS if options.quick else 7)
         left_out = []
         for part in chosen:
@@ -56,9 +55,8 @@ def main(parts: Sequence[str], options: BenchOptions) -> int:
             to.print("\nLeft out:")
             for row in left_out:
                 where = ", ".join(filter(None, (row.part, row.contestant, row.size)))
-                text = f"- {where}: {row.note.removeprefix('left out: ')}"
-                to.print(text, highlight=False, markup=False)
-        to.print(f"\nwritten: {path}", highlight=False, markup=False)
+                console.say(to, f"- {where}: {row.note.removeprefix('left out: ')}", hang=2)
+        console.say(to, f"\nwritten: {path}")
     if document:
         fill_document(document, folder, to.print)
     return 0

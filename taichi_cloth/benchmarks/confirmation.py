@@ -23,7 +23,7 @@ from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import TuneOptions
 from taichi_cloth.trade import command, ode, rows, runner, settings
 from taichi_cloth.trade.settings import Setting
-from taichi_cloth.trade.tune import Figures, Target, choose, kicked
+from taichi_cloth.trade.tune import Figures, Target, is_measured, kicked, meeting
 
 FRAMES = 24
 VARIANTS = 40
@@ -131,12 +131,12 @@ def _judge(
     targets += [(Target(frame_seconds=factor * fastest), times) for factor in TIMES]
     for target, count in targets:
         try:
-            best = choose(made, target)
+            best = meeting(made, target)[0]
         except InputError:
             continue  # nothing meets it: there is no choice to confirm
         other = again[best.setting]
         count.made += 1
-        count.held += other.wall_seconds is not None and target.met_by(Figures.of(other))
+        count.held += is_measured(other) and target.met_by(Figures.of(other))
 
 
 if __name__ == "__main__":

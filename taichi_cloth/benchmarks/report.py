@@ -198,13 +198,20 @@ def _wanted(row: Measurement) -> str:
     return sign if row.met else f"{sign}: missed"
 
 
+# Columns that a narrow terminal goes without, the first ones first; the file has them all.
+SPARED = ("quartiles", "path", "threads", "numbers")
+
+
 def show(title: str, rows: Sequence[Measurement], to: Console) -> None:
     """Print a part's tables and notes."""
-    left = ("contestant", "compared", "path", "target")
+    left, left_out = ("contestant", "compared", "path", "target"), []
     for number, (headers, lines) in enumerate(tables(rows)):
-        console.print_table(to, None if number else title, headers, lines, left)
+        shown = None if number else title
+        left_out += console.print_table(to, shown, headers, lines, left, spared=SPARED)
     for note in notes(rows):
-        to.print(note, highlight=False, markup=False)
+        console.say(to, note)
+    if left_out:
+        console.say(to, f"left out, for the terminal is narrow: {', '.join(left_out)}")
 
 
 def markdown(rows: Sequence[Measurement]) -> str:

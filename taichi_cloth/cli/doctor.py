@@ -32,15 +32,12 @@ class Finding:
 
 def main() -> int:
     """Print the report; return the exit status, which is 0: missing things are no failure."""
-    from rich.markup import escape
-
-    table = console.table(None, ("good", "name", "text"), show_header=False)
-    table.columns[1].no_wrap, table.columns[2].overflow = True, "fold"
-    for finding in findings():
-        mark = "[green]ok[/]" if finding.good else "[yellow]--[/]"
-        table.add_row(mark, finding.name, escape(finding.text))
-    to = console.output(160)
-    to.print(table)
+    found = list(findings())
+    lines = [("ok" if finding.good else "--", finding.name, finding.text) for finding in found]
+    styles = [None if finding.good else "yellow" for finding in found]
+    to = console.output()
+    headers = ("good", "name", "text")
+    console.print_table(to, None, headers, lines, styles=styles, show_header=False)
     _print_choices(to)
     return 0
 
@@ -51,24 +48,22 @@ def _print_choices(to: Console) -> None:
 
     measured = [kind for kind in reversed(autotune.measurements()) if kind.seconds]
     if not measured:
-        to.print("Fastest way to run a scene: nothing measured yet; the first run does it.")
+        console.say(to, "Fastest way to run a scene: nothing measured yet; the first run does it.")
         return
     ways = [f"{topology} {path}" for topology in TOPOLOGIES for path in PATHS]
     title = "Microseconds a step, as measured at a scene's first start; * is what runs by itself"
     what = "device; method; features and size of the scene"
-    headers = [what, *(way.replace(" ", "\n") for way in ways)]
-    table = console.table(title, headers, left=(what,))
-    table.columns[0].overflow = "fold"
+    lines = []
     for kind in measured[:MEASUREMENTS]:
         best = autotune.fastest(kind.seconds)
         times = [
             f"{'*' * (way == best)}{1e6 * kind.seconds[way]:.3g}" if way in kind.seconds else "-"
             for way in ways
         ]
-        table.add_row(kind.what.replace("/", "; "), *times)
-    to.print(table)
+        lines.append([kind.what.replace("/", "; "), *times])
+    console.print_table(to, title, [what, *ways], lines, left=(what,))
     if len(measured) > MEASUREMENTS:
-        to.print(f"{len(measured) - MEASUREMENTS} older ones: {autotune.cache_file()}")
+        console.say(to, f"{len(measured) - MEASUREMENTS} older ones: {autotune.cache_file()}")
 
 
 def findings() -> Iterator[Finding]:

@@ -13,25 +13,25 @@ from taichi_cloth.settings.options import flag
 
 def main() -> int:
     """Print the tables; return the exit status."""
-    to = console.output(160)
-    scenes = console.table(None, ("scene", "what it shows", "parameters"))
+    to = console.output()
+    scenes = []
     for name in library.names():
         parameters = (
             flag(k) if p.default is None else f"{flag(k)} {p.default}"
             for k, p in library.parameters(name).items()
         )
-        scenes.add_row(name, library.description(name), "\n".join(parameters))
-    to.print(scenes)
+        scenes.append((name, library.description(name), "\n".join(parameters)))
+    console.print_table(to, None, ("scene", "what it shows", "parameters"), scenes)
 
-    listed = console.table(None, ("method", "what it is"))
-    for name in methods.METHODS:
-        listed.add_row(name, _first_line(Path(methods.__path__[0], f"{name}.py")))
-    to.print(listed)
+    files = ((name, Path(methods.__path__[0], f"{name}.py")) for name in methods.METHODS)
+    listed = [(name, _first_line(path)) for name, path in files]
+    console.print_table(to, None, ("method", "what it is"), listed)
 
-    backends = console.table(None, ("backend", "usable here"))
-    for name, lack in runtime.usable_backends().items():
-        backends.add_row(name, "yes" if lack is None else f"no: needs {lack}")
-    to.print(backends)
+    backends = [
+        (name, "yes" if lack is None else f"no: needs {lack}")
+        for name, lack in runtime.usable_backends().items()
+    ]
+    console.print_table(to, None, ("backend", "usable here"), backends)
     return 0
 
 

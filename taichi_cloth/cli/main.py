@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from taichi_cloth import __version__
-from taichi_cloth.errors import InputError, SimulationFailure, nearest
+from taichi_cloth.errors import InputError, RunFailure, nearest
 from taichi_cloth.scene.source import DEFAULT_SCENE, names_file
 from taichi_cloth.settings import options
 from taichi_cloth.settings.options import PROGRAM
@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = _dispatch(list(sys.argv[1:] if arguments is None else arguments))
         sys.stdout.flush()
         return status
-    except (InputError, SimulationFailure) as error:
+    except (InputError, RunFailure) as error:
         message = " ".join(str(error).split())
         print(f"{PROGRAM}: error: {message}", file=sys.stderr)
         return error.exit_status
@@ -109,7 +109,9 @@ def _start_on_scene(command: str, arguments: Sequence[str]) -> int:
 
 def _start_plain(command: str, arguments: Sequence[str]) -> int:
     if list(arguments) in (["-h"], ["--help"]):
-        print(f"usage: {PROGRAM} {command}\n\n{COMMANDS[command].capitalize()}.")
+        from taichi_cloth.settings.arguments import laid_out
+
+        print(laid_out(f"usage: {PROGRAM} {command}\n\n{COMMANDS[command].capitalize()}."))
         return 0
     if arguments:
         raise InputError(f"{command}: unexpected '{arguments[0]}'; it takes no arguments")
@@ -130,9 +132,11 @@ def _command_hint(word: str) -> str:
 
 
 def _help() -> str:
-    commands = "\n".join(f"  {name:9} {says}" for name, says in COMMANDS.items())
+    from taichi_cloth.settings.arguments import laid_out
+
+    commands = "\n".join(f"  {name:10} {says}" for name, says in COMMANDS.items())
     others = [name for name in SCENE_COMMANDS if name != "run"]
-    return (
+    return laid_out(
         f"usage: {PROGRAM} [run] [SCENE | FILE.toml] [flags]\n"
         f"       {PROGRAM} {' | '.join(others)} [SCENE | FILE.toml] [flags]\n"
         f"       {PROGRAM} bench [PART ...] [flags]\n"
@@ -142,5 +146,6 @@ def _help() -> str:
         f"Without a command it runs the scene '{DEFAULT_SCENE}'.\n"
         f"'{PROGRAM} run --help' shows all flags of a run, '{PROGRAM} run SCENE --help' those of "
         "a scene, too.\n\n"
-        "exit status: 0 done, 2 the input was refused, 3 the simulation failed"
+        "exit status: 0 done, 1 tune: no setting was confirmed, 2 the input was refused, "
+        "3 the simulation failed"
     )

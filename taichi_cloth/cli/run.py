@@ -16,7 +16,7 @@ import numpy
 
 from taichi_cloth import __version__, runtime
 from taichi_cloth.cli import scene_command
-from taichi_cloth.errors import InputError, SimulationFailure
+from taichi_cloth.errors import InputError, RunFailure, SimulationFailure
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene.model import Scene
@@ -160,7 +160,7 @@ def _simulate(
             )
         if not options.quiet:
             print(_last_line(sim, summary, time.perf_counter() - begin))
-            _note_unconverged(sim)
+        _check_converged(sim, options)
     return 0
 
 
@@ -255,16 +255,18 @@ def _last_line(sim: Simulation, summary: Summary, seconds: float) -> str:
     )
 
 
-def _note_unconverged(sim: Simulation) -> None:
-    """Say on standard error how many steps' solutions missed their tolerance."""
-    work = sim.work()
-    if work.unconverged:
-        tolerance = sim.solver["tolerance"]
-        print(
-            f"{PROGRAM}: note: {work.unconverged} of {work.steps} steps did not converge to a "
-            f"relative residual of {tolerance:g}; use a smaller step or a larger --tolerance",
-            file=sys.stderr,
-        )
+def _check_converged(sim: Simulation, options: RunOptions) -> None:
+    """Say on standard error how many steps' solutions missed their tolerance.
+
+    Raises RunFailure where most of them did, unless the user accepts that.
+    """
+    if options.unconverged == "fail":
+        try:
+            sim.check_converged()
+        except RunFailure as failure:
+            raise RunFailure(f"{failure}, or accept it: --unconverged accept") from None
+    if sim.work().unconverged and not options.quiet:
+        print(f"{PROGRAM}: note: {sim.describe_convergence()}", file=sys.stderr)
 
 
 def _note_differences(recorded: Mapping[str, Any], present: Mapping[str, Any]) -> None:

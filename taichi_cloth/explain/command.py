@@ -81,12 +81,12 @@ def main(source: SceneSource, options: ExplainOptions) -> int:
             said = {"scenes": [asdict(e) for e in found], "links": [asdict(c) for c in cloths]}
         print(json.dumps({"machine": machine} | said, indent=1))
     else:
-        to = console.output(150)
+        to = console.output()
         for explanation in found:
             show(explanation, to)
         if cloths:
             _show_table("What a cloth's links cost", *_table_of_links(cloths), to)
-        to.print("; ".join(f"{k}: {v}" for k, v in machine.items()), highlight=False)
+        console.say(to, "; ".join(f"{k}: {v}" for k, v in machine.items()))
     if document:
         text = filled(document.path.read_text("utf-8"), found, cloths, machine)
         document.fill(lambda file: file.write(text.encode()))
@@ -160,7 +160,7 @@ def show(explanation: Explanation, to: Console) -> None:
     e, compiled = explanation, explanation.compiled
 
     def say(text: str) -> None:
-        to.print(text, highlight=False, markup=False)
+        console.say(to, text, hang=2)
 
     sizes = f"{counted(e.particles, 'particle')}, {counted(e.springs, 'spring')}"
     say(f"{e.scene}: {sizes}; {e.features}")
@@ -278,10 +278,15 @@ def _table_of_links(cloths: Sequence[LinkCost]) -> tuple[list[str], list[list[st
 
 # Columns of text; numbers are aligned to the right.
 LEFT = ("feature", "scene", "what", "cloth", "links", "path", "field", "numbers")
+# Columns that a narrow terminal goes without, the first ones first; `--json` has them all.
+SPARED = ("quartiles", "with", "without", "of a step", "springs", "to compile")
 
 
 def _show_table(title: str, headers: list[str], lines: list[list[str]], to: Console) -> None:
-    console.print_table(to, title, headers, lines, LEFT, fold=True)
+    left_out = console.print_table(to, title, headers, lines, LEFT, spared=SPARED)
+    if left_out:
+        console.say(to, f"(left out, for the terminal is narrow: {', '.join(left_out)})")
+        to.print()
 
 
 def _bytes(count: int, sign: bool = False) -> str:

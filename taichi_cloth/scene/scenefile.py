@@ -403,14 +403,16 @@ class _Reader:
             given[key] = None if value == SPRING_PROPERTIES[key].off else value
         return SpringDefaults(**given)
 
-    def spring_value(self, table: Table, path: Keys, key: str) -> float | str | None:
+    def spring_value(
+        self, table: Table, path: Keys, key: str, read: Callable[[Any], float] = toml.number
+    ) -> float | str | None:
         """A spring's number or word, None where it is absent; ``false``: what its property says."""
         about = SPRING_PROPERTIES[key]
         if about.off is not None and table.get(key) is False:
             return about.off
         if about.words:
             return self.value(table, path, key, toml.text)
-        return self.finite(path, key, self.value(table, path, key, toml.number))
+        return self.finite(path, key, self.value(table, path, key, read))
 
     def particles(
         self, entries: list[Table], world: World, defaults: ParticleDefaults

@@ -6,12 +6,17 @@ Whatever a user gets wrong is an InputError, before Taichi starts.
 from __future__ import annotations
 
 import argparse
+import re
+import shutil
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.settings.options import PROGRAM, Parameter, flag
+
+NARROWEST, WIDEST = 40, 120  # columns of help texts
 
 
 @dataclass(frozen=True)
@@ -40,9 +45,9 @@ class CommandParser(argparse.ArgumentParser):
     def __init__(self, command: str, usage: str = "[flags]", description: str = "") -> None:
         super().__init__(
             usage=f"{PROGRAM} {command} {usage}",
-            description=description,
+            description=laid_out(description),
             formatter_class=lambda prog: argparse.RawDescriptionHelpFormatter(
-                prog, max_help_position=28, width=100
+                prog, max_help_position=28, width=_width()
             ),
             argument_default=argparse.SUPPRESS,  # what is not given is not there
             add_help=False,  # commands print their own, which depends on the scene
@@ -106,6 +111,24 @@ class CommandParser(argparse.ArgumentParser):
 
     def _refuse_missing(self, name: str) -> NoReturn:
         raise InputError(f"{name} needs a value: {self._declared[name].describe()}")
+
+
+def _width() -> int:
+    """Columns of a help text: those of the terminal, between two limits; 80 where there is none."""
+    return min(max(shutil.get_terminal_size().columns, NARROWEST), WIDEST)
+
+
+def laid_out(text: str) -> str:
+    """A help text in whole words; what is listed as '  name  what it is' stays in its column."""
+    lines = []
+    for line in text.splitlines():
+        listed = re.match(r"( +\S+ +|usage: +\S+ +)?", line)
+        indent = " " * (len(listed[0]) if listed else 0)
+        wrapped = textwrap.wrap(
+            line, _width(), subsequent_indent=indent, break_on_hyphens=False, break_long_words=False
+        )
+        lines += wrapped or [""]
+    return "\n".join(lines)
 
 
 def _as_argument(parameter: Parameter) -> dict[str, Any]:

@@ -251,6 +251,11 @@ class RunOptions(Options):
         maximum=0.1,
         metavar="X",
     )
+    unconverged: str = setting(
+        "fail",
+        "implicit methods: what a run is most of whose steps miss the tolerance",
+        choices=("fail", "accept"),
+    )
     iterations: int | None = setting(
         None,
         f"xpbd, vbd: sweeps a step (default {SOLVER_SETTINGS['iterations']})",

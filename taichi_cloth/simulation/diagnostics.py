@@ -26,6 +26,11 @@ class Work:
     sweeps: int
     unconverged: int
 
+    @property
+    def mostly_unconverged(self) -> bool:
+        """Whether most steps' solutions did not converge: what they show is not the scene."""
+        return 2 * self.unconverged > self.steps
+
 
 @dataclass(frozen=True)
 class Solution:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from taichi_cloth.errors import InputError, SimulationFailure
+from taichi_cloth.errors import InputError, RunFailure, SimulationFailure
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.methods.contract import Claims
@@ -466,6 +466,25 @@ class Simulation(Changes):
         forces, sweeps, unconverged = (int(count) for count in self._work)
         forces = self.steps * self.claims.forces or forces
         return diagnostics.Work(self.steps, forces, sweeps, unconverged)
+
+    def check_converged(self) -> None:
+        """Raise RunFailure where most steps since the start missed the tolerance of their solution.
+
+        Such a run does not show the scene; `advance` leaves that to be judged at its end.
+        """
+        if self.work().mostly_unconverged:
+            raise RunFailure(self.describe_convergence())
+
+    def describe_convergence(self) -> str:
+        """How many steps missed their tolerance, how the last one did, and what to change."""
+        work, tolerance = self.work(), self.solver["tolerance"]
+        last = self.solution()
+        ended = "" if last.converged else f" (the last one: {last.outcome})"
+        return (
+            f"{work.unconverged} of {work.steps} steps of {self.method} did not converge to a "
+            f"relative residual of {tolerance:g}{ended}; "
+            "remedy: use softer springs, more --substeps or a larger --tolerance"
+        )
 
     def solution(self) -> diagnostics.Solution:
         """How the last step was solved; InputError where the method has no tolerance to meet."""

@@ -47,7 +47,7 @@ def main(source: SceneSource, options: StabilityOptions) -> int:
     written = report.write(folder, scene, limits, maps, stall)
     if not options.quiet:
         report.show(scene, limits, stall, all_methods=options.method is None)
-        print(f"\nwritten: {', '.join(map(str, written))}")
+        console.say(console.output(), f"\nwritten: {', '.join(map(str, written))}")
     if interrupted:
         raise interrupted
     return 0

@@ -107,25 +107,30 @@ def show(scene: Scene, limits: Sequence[StepLimits], stall: Stall, all_methods: 
 
     all_methods: whether it is about all of them, and not about one that was chosen.
     """
-    to = console.output(160)
+    to = console.output()
     heads = ["method", "Gershgorin", "any geometry", "computed", "measured", "off by", "set by"]
     title = f"largest stable step, {scene.name}"
     lines = [_line(found) for found in limits]
-    console.print_table(to, title, heads, lines, left=("method", "set by"))
+    spared = ("Gershgorin", "any geometry")
+    left_out = console.print_table(
+        to, title, heads, lines, left=("method", "set by"), spared=spared
+    )
     for says in dict.fromkeys(of.limit.describe() for of in limits if of.limit.spring >= 0):
-        to.print(says[0].upper() + says[1:] + ".", highlight=False)
+        console.say(to, says[0].upper() + says[1:] + ".")
     for found in limits:
         if found.status != "measured":
-            to.print(f"{found.method}: {found.status}", highlight=False)
+            console.say(to, f"{found.method}: {found.status}", hang=2)
     dt = scene.world.dt
     says = f"The scene's frame is {dt:g}; --dt auto stays below {SAFETY} of 'any geometry'."
-    to.print(says, highlight=False)
+    console.say(to, says)
     free = [m for m in methods.METHODS if math.isinf(claimed(m))]
     if all_methods and free:
-        to.print(f"Stable at every step: {', '.join(free)}.", highlight=False)
+        console.say(to, f"Stable at every step: {', '.join(free)}.")
     where = f" ({stall.describe()})" if stall.particle >= 0 else ""
     says = f"f32 stalls below a step of {stall.dt:.3g}" if stall.dt else "f32 stalls nowhere"
-    to.print(f"{says}{where}.", highlight=False)
+    console.say(to, f"{says}{where}.")
+    if left_out:
+        console.say(to, f"Left out, for the terminal is narrow: {', '.join(left_out)}.")
 
 
 def _line(found: StepLimits) -> list[str]:

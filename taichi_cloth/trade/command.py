@@ -27,7 +27,7 @@ FILES = ("trade.csv", "trade.json", "trade.png", "trade.svg")
 
 def main(source: SceneSource, options: TradeOptions) -> int:
     """Measure, write the files, print the table; the exit status."""
-    to = console.output(210)
+    to = console.output()
     scene, chosen, how = prepare(source, options)
     folder = Path(options.output or f"trade-{scene.name}")
     prepare_folder(folder, FILES)
@@ -41,10 +41,12 @@ def main(source: SceneSource, options: TradeOptions) -> int:
         with contextlib.suppress(OSError):
             folder.rmdir()  # where nothing was written
     report.show(result, made, to)
-    to.print(f"written: {folder}/", ", ".join(written), highlight=False, markup=False)
+    console.say(to, f"written: {folder}/ {', '.join(written)}")
     if result.interrupted:
         kept = f"{len(made)} of {len(chosen)} settings were finished, and are kept"
-        to.print(f"interrupted: {kept}", highlight=False)
+        console.say(to, f"interrupted: {kept}")
+    report.show_front(result, made, to)
+    if result.interrupted:
         raise KeyboardInterrupt
     return 0
 

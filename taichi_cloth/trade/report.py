@@ -18,40 +18,71 @@ if TYPE_CHECKING:
 
 FRONT, FAILED, FLOOR = "●", "✗", "≤"
 MOST_FAILURES = 8  # that are told one by one
+GOOD = 0.01  # parts of the largest displacement: an error that nobody sees
 # Columns that a narrow terminal goes without, the first ones first; trade.csv has them all.
 SPARED = (
     *("sweeps", "forces", "quartiles", "worst at end", "strain", "energy drift"),
-    *("order", "by solver"),
+    *("order", "by solver", "breaks (as in ref.)"),
 )
+LEFT = ("", "method", "numbers", "solver")  # columns of text
+OF_FRONT = ("method", "numbers", "substeps", "solver", "error", "time a frame")
 
 
 def show(result: Result, rows: Sequence[Row], to: Console) -> None:
     """Print the table and the notes below it."""
     columns = _columns(result, rows)
-    spared = []
-    for name in SPARED:
-        if sum(_width(name, texts) for name, texts in columns.items()) <= to.width:
-            break
-        spared.append(name)
-        del columns[name]
     frames = result.horizon.frames if result.horizon else 0
     title = f"{result.scene.name}: error beside cost over {counted(frames, 'frame')}"
-    left = ("", "method", "numbers", "solver")
-    table = console.table(title, columns, left, padding=(0, 1, 0, 0))
-    for row, texts in zip(rows, zip(*columns.values(), strict=True), strict=True):
-        table.add_row(*texts, style="red" if not row.ok else "bold" if row.pareto else None)
-    to.print(table)
+    styles = ["red" if not row.ok else "bold" if row.pareto else None for row in rows]
+    lines = list(zip(*columns.values(), strict=True))
+    left_out = console.print_table(
+        to, title, list(columns), lines, LEFT, spared=SPARED, styles=styles
+    )
     for note in notes(result, rows):
-        line = note if note.startswith(" ") else f"- {note}"
-        to.print(line, highlight=False, markup=False, soft_wrap=True)
-    if spared:
-        left_out = ", ".join(reversed(spared))
-        to.print(f"- left out, for the terminal is narrow: {left_out}", highlight=False)
+        console.say(to, note if note.startswith(" ") else f"- {note}", hang=2)
+    if left_out:
+        names = ", ".join(reversed(left_out))
+        console.say(to, f"- left out, for the terminal is narrow: {names}", hang=2)
 
 
-def _width(name: str, texts: Sequence[str]) -> int:
-    """Width of a column, with the space that parts it from the next."""
-    return max(map(len, [name, *texts])) + 2
+def show_front(result: Result, rows: Sequence[Row], to: Console) -> None:
+    """Print the cheapest setting at each error, and one sentence that says which to take."""
+    front = sorted((row for row in rows if row.pareto), key=_by_cost)
+    if not front:
+        console.say(to, "Take none of these: no setting has both an error and a time.")
+        return
+    columns = {name: of for name, of in _columns(result, front).items() if name in OF_FRONT}
+    lines = list(zip(*columns.values(), strict=True))
+    to.print()
+    title = f"{FRONT} the front: the cheapest setting at each error"
+    console.print_table(to, title, list(columns), lines, LEFT)
+    taken, why = advised(front)
+    error = _error(taken, result.reference, result.horizon)
+    a_frame = duration(taken.a_frame(taken.wall_seconds))
+    setting = taken.setting.describe()
+    console.say(to, f"Take {setting} ({error}, {a_frame} a frame), {why}; this runs it:")
+    console.say_command(to, taken.command)
+
+
+def advised(front: Sequence[Row]) -> tuple[Row, str]:
+    """The row of a front that most would take, and why: good to the eye, and no more than that.
+
+    Methods that are stable at no step are left aside where others will do: a longer run than that
+    of the study shows it.
+    """
+    from taichi_cloth.kernels import methods
+
+    good = [row for row in front if (row.error_trajectory_relative or 0.0) <= GOOD]
+    lasting = [row for row in good if methods.load(row.setting.method).claims.stability_limit > 0]
+    if lasting or good:
+        taken = min(lasting or good, key=_by_cost)
+        return taken, f"the cheapest with an error of at most {_percent(GOOD)}"
+    best = min(front, key=lambda row: row.error_trajectory_relative or 0.0)
+    return best, "the most accurate there is"
+
+
+def _by_cost(row: Row) -> float:
+    return row.wall_seconds or 0.0
 
 
 def _columns(result: Result, rows: Sequence[Row]) -> dict[str, list[str]]:
@@ -118,7 +149,7 @@ def notes(result: Result, rows: Sequence[Row]) -> list[str]:
     if unknown:
         said.append(
             f"in {len(unknown)} settings the solver's share is not known: to converge it would "
-            "take too long"
+            "take too long, or fails"
         )
     unconverged = [row for row in rows if row.unconverged]
     if unconverged:

@@ -59,7 +59,8 @@ class Trial:
         """Run `frames` frames; the state at the start and after each goes to `file` (npz).
 
         Arrays x, v: (frames + 1, n, dim), alive: (frames + 1, s), rows of a run that fails end with
-        its last good frame. Returns its work, and `failed`, how it ended.
+        its last good frame. Returns its work, and `failed`, how it ended: also one most of whose
+        steps did not converge has failed.
         """
         sim = self._begin(dt, substeps, solver)
         breaks = sim.scene.features().fracture
@@ -81,6 +82,8 @@ class Trial:
             if breaks:
                 alive[frame] = sim.springs_alive()
             done = frame + 1
+        if not failed and sim.work().mostly_unconverged:
+            failed = f"failed: {sim.describe_convergence()}"
         # As the device has them: in f32 half as large, and the same numbers.
         real = np.float32 if runtime.current_device().precision == "f32" else np.float64
         np.savez(file, x=x[:done].astype(real), v=v[:done].astype(real), alive=alive[:done])

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,16 +17,19 @@ import numpy as np
 
 from taichi_cloth import console
 from taichi_cloth.console import duration
-from taichi_cloth.errors import InputError, clipped
+from taichi_cloth.errors import InputError, RunFailure, clipped
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.options import TuneOptions, number_of
+from taichi_cloth.settings.options import PROGRAM, TuneOptions, number_of
 from taichi_cloth.trade import command, rows
 from taichi_cloth.trade.rows import Row
+from taichi_cloth.trade.settings import Setting
 
 # Speeds that the confirming run begins with besides its own, in parts of the speeds that the
 # scene has by itself (root of the mean square).
 KICK = 0.1
+BATCH = 3  # times as many as were tried before are confirmed beside each other
+MOST_TOLD = 8  # of those that did not hold
 TIME_UNITS = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0}
 
 
@@ -46,6 +50,12 @@ class Target:
         assert self.error is not None
         shown = f"{100 * self.error:g} %" if self.relative else f"{self.error:g}"
         return f"--error {shown}"
+
+    def remedy(self) -> str:
+        """What to ask for where nothing holds."""
+        if self.frame_seconds is not None:
+            return "ask for a longer --frame-time, or measure while the machine does nothing else"
+        return "compare more --substeps or other --methods, or ask for a larger --error"
 
     def met_by(self, found: Figures) -> bool:
         if self.frame_seconds is not None:
@@ -80,6 +90,24 @@ class Figures:
         return f"error {percent:.3g} % ({self.error:.3g}), {a_frame} a frame"
 
 
+@dataclass(frozen=True)
+class Attempt:
+    """A setting that met the target, and whether it held where it was not chosen.
+
+    row: of the study that it was chosen from; confirming: of the scene with another start.
+    """
+
+    row: Row
+    confirming: Row
+    held: bool
+
+    def describe(self) -> str:
+        """What the confirming run showed."""
+        if is_measured(self.confirming):
+            return Figures.of(self.confirming).describe()
+        return self.confirming.status if not self.confirming.ok else "its error is not known"
+
+
 def main(source: SceneSource, options: TuneOptions) -> int:
     """Choose, confirm, print; the exit status."""
     target = read_target(options.error, options.frame_time)
@@ -89,32 +117,76 @@ def main(source: SceneSource, options: TuneOptions) -> int:
     with command.measured(source, options, scene, chosen, how, quiet=quiet) as result:
         if result.interrupted:
             raise KeyboardInterrupt
-        assert result.reference and result.horizon  # it went to its end
+        if not (result.reference and result.horizon):
+            raise RunFailure(
+                f"{scene.name}: there is no reference to compare with; use fewer --frames"
+            )
         made = rows.rows_of(result, command.common(scene), command.run_words(source, how))
-        best = choose(made, target)
+        candidates = meeting(made, target)
         other = kicked(scene, result.reference.samples.v, options.seed)
     options = replace(options, frames=result.horizon.asked)
-    with command.measured(source, options, other, [best.setting], how, False, quiet) as again:
-        if again.interrupted:
-            raise KeyboardInterrupt
-        (confirming,) = rows.rows_of(again, command.common(other), [])
-    expected = Figures.of(best)
-    confirmed = Figures.of(confirming) if confirming.wall_seconds else None
-    held = confirmed is not None and target.met_by(confirmed)
+
+    def measure_again(some: Sequence[Setting]) -> list[Row]:
+        with command.measured(source, options, other, list(some), how, False, quiet) as again:
+            if again.interrupted:
+                raise KeyboardInterrupt
+            return rows.rows_of(again, command.common(other), [])
+
+    tried = confirm(candidates, target, measure_again)
     if quiet:
-        print(json.dumps(_as_json(source, target, best, expected, confirming, held), indent=1))
+        print(json.dumps(_as_json(source, target, tried), indent=1))
+    else:
+        _show(scene.name, target, tried)
+    if tried[-1].held:
         return 0
-    to = console.output(170)
-    said = "yes" if held else "no"
-    shown = confirmed.describe() if confirmed else confirming.status
-    for line in (
-        f"{scene.name}, {target.describe()}: {best.setting.describe()}",
-        f"expected:  {expected.describe()}, over {best.frames} frames",
-        f"confirmed: {said}: {shown}, from another start",
-    ):
-        to.print(line, highlight=False, markup=False, soft_wrap=True)
-    to.print(best.command, highlight=False, markup=False, soft_wrap=True)
-    return 0
+    what = "the only setting that meets it" if len(tried) == 1 else f"all {len(tried)} that meet it"
+    said = f"{what} missed it from another start; {target.remedy()}"
+    print(f"{PROGRAM}: {target.describe()}: {said}", file=sys.stderr)
+    return 1
+
+
+def confirm(
+    candidates: Sequence[Row], target: Target, measure_again: Callable[[list[Setting]], list[Row]]
+) -> list[Attempt]:
+    """Try candidates from another start, up to the first that meets the target there, too.
+
+    measure_again: rows of settings from that start. Each call computes a reference, so more and
+    more settings share one.
+    """
+    tried: list[Attempt] = []
+    while len(tried) < len(candidates):
+        batch = candidates[len(tried) :][: max(1, BATCH * len(tried))]
+        again = {row.setting: row for row in measure_again([row.setting for row in batch])}
+        for row in batch:
+            found = again[row.setting]
+            held = is_measured(found) and target.met_by(Figures.of(found))
+            tried.append(Attempt(row, found, held))
+            if held:
+                return tried
+    return tried
+
+
+def _show(scene: str, target: Target, tried: Sequence[Attempt]) -> None:
+    """Print what was chosen, what was expected and confirmed of it, and what was not taken."""
+    to, last = console.output(), tried[-1]
+    failed = [attempt for attempt in tried if not attempt.held]
+    if last.held:
+        console.say(to, f"{scene}, {target.describe()}: {last.row.setting.describe()}", hang=2)
+        expected = f"{Figures.of(last.row).describe()}, over {last.row.frames} frames"
+        console.say(to, f"expected:  {expected}", hang=11)
+        console.say(to, f"confirmed: yes: {last.describe()}, from another start", hang=11)
+    else:
+        says = "no setting that meets it holds from another start"
+        console.say(to, f"{scene}, {target.describe()}: {says}", hang=2)
+    if failed:
+        console.say(to, f"not confirmed{', so not taken' * last.held}:")
+    for attempt in failed[:MOST_TOLD]:
+        setting, expected = attempt.row.setting.describe(), Figures.of(attempt.row).describe()
+        console.say(to, f"- {setting}: {attempt.describe()}; expected {expected}", hang=2)
+    if len(failed) > MOST_TOLD:
+        console.say(to, f"- and {len(failed) - MOST_TOLD} more, which --json lists")
+    if last.held:
+        console.say_command(to, last.row.command)
 
 
 def read_target(error: str | None, frame_time: str | None) -> Target:
@@ -146,30 +218,34 @@ def _positive(flag: str, text: str, says: str, given: str) -> float:
     return number
 
 
-def choose(made: Sequence[Row], target: Target) -> Row:
-    """The cheapest row that meets an error; the most accurate one that fits a time.
+def is_measured(row: Row) -> bool:
+    """Whether it has figures."""
+    return row.ok and row.error_trajectory is not None and row.wall_seconds is not None
+
+
+def meeting(made: Sequence[Row], target: Target) -> list[Row]:
+    """The rows that meet an error, the cheapest first; those that fit a time, the best first.
 
     A row fits a time by the upper quartile of its own. Raises InputError, with the best there is,
     where none does.
     """
-    usable = [row for row in made if row.ok and row.error_trajectory is not None]
-    usable = [row for row in usable if row.wall_seconds is not None]
+    usable = [row for row in made if is_measured(row)]
     if not usable:
         raise InputError(f"{target.describe()}: no setting could be measured")
     if target.frame_seconds is not None:
-        meeting = [row for row in usable if _slow_frame(row) <= target.frame_seconds]
+        found = [row for row in usable if _slow_frame(row) <= target.frame_seconds]
         best = min(usable, key=_slow_frame)
         order = _error_then_time
     else:
-        meeting = [row for row in usable if target.met_by(Figures.of(row))]
+        found = [row for row in usable if target.met_by(Figures.of(row))]
         best = min(usable, key=_error_then_time)
         order = _time_then_error
-    if not meeting:
+    if not found:
         raise InputError(
             f"{target.describe()}: none of {len(usable)} settings meets it; the best is "
             f"{best.setting.describe()}: {Figures.of(best).describe()}"
         )
-    return min(meeting, key=order)
+    return sorted(found, key=order)
 
 
 def _slow_frame(row: Row) -> float:
@@ -203,21 +279,35 @@ def kicked(scene: Scene, v: np.ndarray, seed: int) -> Scene:
     return replace(scene, particles=replace(scene.particles, velocity=velocity))
 
 
-def _as_json(
-    source: SceneSource, target: Target, best: Row, expected: Figures, confirming: Row, held: bool
-) -> dict[str, Any]:
-    done = confirming.wall_seconds is not None
+def _as_json(source: SceneSource, target: Target, tried: Sequence[Attempt]) -> dict[str, Any]:
+    """What was chosen, nulls where nothing held, and all that was tried for it."""
+    last = tried[-1]
+    row = last.row
+    told = [_attempt_as_json(attempt) for attempt in tried]
+    chosen = {name: told[-1][name] for name in ("setting", "command")}
+    expected: dict[str, Any] = told[-1]["expected"]
     return {
         "scene": shlex.join(source.words()),
         "target": vars(target),
-        "setting": vars(best.setting),
-        "command": best.command,
-        "frames": best.frames,
-        "expected": vars(expected),
-        "confirmed": {"held": held, "status": confirming.status}
-        | (vars(Figures.of(confirming)) if done else {})
+        **(chosen if last.held else dict.fromkeys(chosen)),
+        "frames": row.frames,
+        "expected": expected if last.held else None,
+        "confirmed": told[-1]["confirmed"] if last.held else {"held": False},
+        "scene_hash": row.scene_hash,
+        "versions": row.versions,
+        "device": row.device if last.held else None,
+        "tried": told,
+    }
+
+
+def _attempt_as_json(attempt: Attempt) -> dict[str, Any]:
+    row, confirming = attempt.row, attempt.confirming
+    figures = vars(Figures.of(confirming)) if is_measured(confirming) else {}
+    return {
+        "setting": vars(row.setting),
+        "command": row.command,
+        "expected": vars(Figures.of(row)),
+        "confirmed": {"held": attempt.held, "status": confirming.status}
+        | figures
         | {"frames": confirming.frames},
-        "scene_hash": best.scene_hash,
-        "versions": best.versions,
-        "device": best.device,
     }
