@@ -237,7 +237,7 @@ def two_particles(**changes) -> Scene:
             {"break_in": np.array(["push"])},
             "spring 0: break_in must be 'both' or 'tension', is 'p",
         ),
-        ({"break_in": np.array([1.0])}, "spring 0: break_in must be 'both' or 'tension', is 1"),
+        ({"break_in": np.array([1.0])}, "springs: break_in must be an array of words, is float64"),
     ],
 )
 def test_scenes_built_by_hand(changes, says):

@@ -391,9 +391,9 @@ links = ["structural", "shear"]
     ours = grid((10, 10), 3, 3, 5, links=("structural", "shear"), stiffness=2, rest_length=6.5)[1]
     assert (ours.stiffness == 2).all() and (ours.rest_length == 6.5).all()
     for wrong, says in (
-        ("stiffness = -2", "line 12: .* stiffness of links must be at least 0, is -2"),
+        ("stiffness = -2", "line 12: .* stiffness must not be negative, is -2"),
         ("stiffness = [2]", "line 12: .* stiffness must be a number, or a table with one for each"),
-        ("break_force = 0", "line 12: .* break_force of links must be positive, is 0"),
+        ("break_force = 0", "line 12: .* break_force must be positive, is 0"),
         ("damping = inf", "line 12: .* damping must be finite"),
         ("stiffness = false", "line 12: .* stiffness must be a number, or"),
     ):

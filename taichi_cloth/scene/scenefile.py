@@ -358,7 +358,7 @@ class _Reader:
             springs=springs,
             particle_defaults=particle_defaults,
             spring_defaults=spring_defaults,
-            spring_color=None if spring_color is None else (*spring_color,),
+            spring_color=spring_color,
         )
         return validate(scene, self.place_of_fault)
 
@@ -508,7 +508,7 @@ class _Reader:
         """A cloth's numbers or words by kind of link: of some kinds, or one for all its `links`."""
         values = entry.get(key, {})
         if not isinstance(values, dict):
-            value = self.spring_value(entry, path, key)
+            value = self.spring_value(entry, path, key, toml.number_or_table)
             return {} if value is None else dict.fromkeys(links, value)
         for kind in values:
             if kind not in LINKS:

@@ -149,9 +149,9 @@ def names_or_boolean(value: Any) -> bool | list[str]:
     return list_of(text, "true, false or a list of names")(value)
 
 
-def color(value: Any) -> list[int]:
+def color(value: Any) -> tuple[int, int, int]:
     words = "three whole numbers from 0 to 255: red, green, blue"
-    channels = list_of(integer, words, 3)(value)
-    if not all(0 <= channel <= 255 for channel in channels):
+    red, green, blue = list_of(integer, words, 3)(value)
+    if not all(0 <= channel <= 255 for channel in (red, green, blue)):
         raise WrongType(words)
-    return channels
+    return red, green, blue
