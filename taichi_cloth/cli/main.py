@@ -44,6 +44,10 @@ SCENE_COMMANDS: dict[str, tuple[str, type[options.Options]]] = {
 PLAIN_COMMANDS = {"list": "taichi_cloth.cli.listing", "doctor": "taichi_cloth.cli.doctor"}
 
 
+# Signals that end a run as Ctrl-C does; of a terminal that is closed, where there are such.
+_ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Do what the command line says; return the exit status."""
     # Taichi's banner, and its question for a newer version, are not what the user asked for.
@@ -51,7 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
     # A terminated run ends like an interrupted one: with its files saved.
     with contextlib.suppress(ValueError):  # not in the main thread
-        signal.signal(signal.SIGTERM, _interrupt)
+        for number in _ENDING:
+            if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
+                signal.signal(number, _interrupt)
     try:
         status = _dispatch(list(sys.argv[1:] if arguments is None else arguments))
         sys.stdout.flush()
@@ -62,15 +68,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return error.exit_status
     except KeyboardInterrupt as interrupt:
         print(f"{PROGRAM}: interrupted", file=sys.stderr)
-        return 143 if interrupt.args == (signal.SIGTERM,) else 130
+        number = interrupt.args[0] if interrupt.args else signal.SIGINT
+        return 128 + int(number)
     except BrokenPipeError:
         # The reader went away (`| head`). Python would complain once more at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
 
 
-def _interrupt(*_: object) -> NoReturn:
-    raise KeyboardInterrupt(signal.SIGTERM)
+def _interrupt(number: int, _: object) -> NoReturn:
+    raise KeyboardInterrupt(number)
 
 
 def _dispatch(arguments: Sequence[str]) -> int:

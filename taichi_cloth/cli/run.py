@@ -188,17 +188,29 @@ def _kept(
     trajectory: Trajectory | None,
 ) -> Iterator[None]:
     """Finish the log and the trajectory however the run ends; a failed one has its last frame."""
-    failure: KeyboardInterrupt | SimulationFailure | None = None
+    from taichi_cloth.ui import rescue
+
+    failure: KeyboardInterrupt | RunFailure | InputError | None = None
+
+    def finish() -> None:
+        with contextlib.ExitStack() as files:  # each is tried, also where a disk is full
+            if recorder:
+                files.callback(recorder.close)
+            if trajectory:
+                if isinstance(failure, SimulationFailure):
+                    trajectory.record(sim, last=True)
+                files.callback(trajectory.save, _meta(source, sim, device))
+
     try:
-        yield
-    except (KeyboardInterrupt, SimulationFailure) as error:
+        with rescue.saving(finish):
+            yield
+    except (KeyboardInterrupt, RunFailure) as error:
         failure = error
-    if trajectory:
-        if isinstance(failure, SimulationFailure):
-            trajectory.record(sim, last=True)
-        trajectory.save(_meta(source, sim, device))
-    if recorder:
-        recorder.close()
+    except InputError as error:
+        if sim.frame == 0:  # refused before anything was run
+            raise
+        failure = error  # a disk is full: it may not be the one of the other files
+    finish()
     if failure:
         raise failure
 

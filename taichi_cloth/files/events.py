@@ -298,7 +298,7 @@ class Recorder:
         self._write({"frame": int(frame), "event": event.kind, **event.fields()})
 
     def _write(self, entry: dict[str, Any]) -> None:
-        self._pending.file.write(json.dumps(entry).encode() + b"\n")
+        self._pending.write(json.dumps(entry).encode() + b"\n")
 
     def close(self) -> None:
         """Give the file its name. May be called twice."""

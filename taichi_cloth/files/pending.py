@@ -51,6 +51,14 @@ class PendingFile:
             raise InputError(f"{self.path}: cannot be written: {reason}") from None
         self.file = os.fdopen(handle, "w+b")
 
+    def write(self, content: bytes) -> None:
+        """Append to the file; a disk that is full raises InputError."""
+        try:
+            self.file.write(content)
+        except OSError as error:
+            self.discard()
+            raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
+
     def commit(self) -> None:
         """Finish the file and give it its name, in place of what was there. Once only."""
         if self.file.closed:

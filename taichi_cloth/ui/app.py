@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from dataclasses import replace as changed
 from typing import TYPE_CHECKING, Any
@@ -13,12 +13,12 @@ import numpy as np
 
 from taichi_cloth import runtime
 from taichi_cloth.console import progress
-from taichi_cloth.errors import SimulationFailure
+from taichi_cloth.errors import RunFailure, SimulationFailure
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.ui import film as films
-from taichi_cloth.ui import hud
+from taichi_cloth.ui import hud, rescue
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.inputs import COMMANDS, HELP_KEYS, KEYS, STEP_KEYS, Event
@@ -103,7 +103,8 @@ def run(
     device: from `Device.describe()`, for the status; absent: of the device that was started.
 
     A SimulationFailure pauses a window with a banner until R. Without a window, or where the user
-    quits at the banner, it is raised once film and image are saved with the last good frame.
+    quits at the banner, it is raised once film and image are saved with the last good frame; so is
+    the ConnectionCut of a window whose connection to the display is cut.
     """
     with ExitStack() as stack:
         picture_file = films.Image(image) if image else None
@@ -117,12 +118,13 @@ def run(
             film=film_file, paused=paused, status=status, seed=seed, device=device,
         )  # fmt: skip
         bar = stack.enter_context(_progress(frames, not (quiet or view.visible)))
-        failure: SimulationFailure | None = None
+        stack.enter_context(rescue.saving(lambda: loop.finish(picture_file)))
+        failure: RunFailure | None = None
         try:
             while not view.closed and not loop.quit and (frames is None or loop.frames < frames):
                 loop.turn()
                 bar(loop.frames)
-        except SimulationFailure as error:
+        except RunFailure as error:
             failure = error
         except KeyboardInterrupt:
             # What was filmed so far is worth keeping; the caller decides how to end.
@@ -155,6 +157,7 @@ class _Loop:
         self.sim, self.view = sim, view
         self._recorder, self._trajectory = recorder, trajectory
         self._film = film
+        self._unfilmed: films.Film | None = None  # what the frame last drawn is still to be put in
         self._device = device or runtime.current_device().describe()
         if replay is not None:
             seed = int(replay.header.get("seed", seed))
@@ -203,10 +206,12 @@ class _Loop:
         self._step = False
         begin = time.perf_counter()
         film = self._film if self._film and advanced and self._film.wants() else None
+        self._unfilmed = film
         if self.view.visible or film is not None:
             self.view.draw(self._picture())
         if film is not None:
-            film.add(self.view.grab())
+            film.add(self.view.grab() if not self.view.closed else self._last_picture())
+            self._unfilmed = None
         draw = time.perf_counter() - begin
         self._draw += draw
         if advanced:
@@ -345,18 +350,24 @@ class _Loop:
 
     def finish(self, image: films.Image | None) -> None:
         """Save the film, and the last frame as a picture."""
-        if image is not None:
-            image.save(self._last_picture())
-        if self._film is not None:
-            self._film.save()
+        with ExitStack() as files:  # each is tried, also where a disk is full
+            if self._film is not None:
+                files.callback(self._film.save)
+            if image is not None:
+                files.callback(lambda: image.save(self._last_picture()))
+            if self._unfilmed is not None:
+                self._unfilmed.add(self._last_picture())
 
     def _last_picture(self) -> np.ndarray:
         """The last frame, (h, w, 3) uint8; drawn off-screen where the user closed the window."""
+        if not self.view.closed:
+            # Anew: since the last frame the user may have done things.
+            with suppress(RunFailure):  # the window goes at this very moment
+                self.view.draw(self._picture())
         if self.view.closed:
             with closing(offscreen(self.view, self.sim.scene.world)) as view:
                 view.draw(self._picture())
                 return view.grab()
-        self.view.draw(self._picture())  # anew: since the last frame the user may have done things
         return self.view.grab()
 
     def summary(self) -> Summary:

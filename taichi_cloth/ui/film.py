@@ -6,7 +6,7 @@ import os
 import shutil
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
@@ -37,6 +37,18 @@ def fitted(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         return pixels
     corner = tuple(int(c) for c in pixels[0, 0])
     return np.asarray(ImageOps.pad(Image.fromarray(pixels), size, color=corner))
+
+
+def _is_whole(film: Path) -> bool:
+    """Whether ffmpeg finished an .mp4: its last box says where the frames are."""
+    if not film.exists():
+        return False
+    with open(film, "rb") as file:
+        while len(head := file.read(8)) == 8:
+            if head[4:] == b"moov":
+                return True
+            file.seek(max(int.from_bytes(head[:4], "big"), 8) - 8, os.SEEK_CUR)
+    return False
 
 
 class Image:
@@ -116,7 +128,20 @@ class Film:
             )  # fmt: skip
         # H.264 with the usual colour sampling takes even sizes only.
         h, w = pixels.shape[:2]
-        self._writer.append_data(np.pad(pixels, ((0, h % 2), (0, w % 2), (0, 0)), mode="edge"))
+        even = np.pad(pixels, ((0, h % 2), (0, w % 2), (0, 0)), mode="edge")
+        try:
+            self._writer.append_data(even)
+        except OSError as error:  # ffmpeg ended
+            self._refuse(error)
+
+    def _refuse(self, error: OSError | None = None) -> NoReturn:
+        """Leave no file behind, and say why: the disk on which ffmpeg works may be full."""
+        self._writer = None
+        self.discard()
+        raise InputError(
+            f"--video {self._file.path}: cannot be written: ffmpeg failed in "
+            f"{self._raw.parent.parent}; is there room?"
+        ) from error
 
     @property
     def _raw(self) -> Path:
@@ -127,6 +152,8 @@ class Film:
         if self._writer is not None:
             self._writer.close()
             self._writer = None
+            if not _is_whole(self._raw):
+                self._refuse()
             with open(self._raw, "rb") as made:
                 self._file.fill(lambda file: shutil.copyfileobj(made, file))
         elif self._pictures:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import string
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -25,6 +26,7 @@ KEYS = frozenset(NAMED_KEYS) | frozenset(
 # Keys whose names differ in GGUI, ti.GUI or X.
 _KEY_NAMES = {
     " ": "space",
+    "space": "space",
     "Escape": "escape",
     "Control_L": "ctrl",
     "Control_R": "ctrl",
@@ -34,6 +36,7 @@ _KEY_NAMES = {
     "Shift": "shift",
     "Return": "return",
     "Tab": "tab",
+    "ISO_Left_Tab": "tab",
     "BackSpace": "backspace",
     "Up": "up",
     "Down": "down",
@@ -41,11 +44,15 @@ _KEY_NAMES = {
     "Right": "right",
     "F1": "f1",
     ".": ".",
+    "period": ".",
     "KP_Decimal": ".",
     "+": "+",
     "=": "+",
+    "plus": "+",
+    "equal": "+",
     "KP_Add": "+",
     "-": "-",
+    "minus": "-",
     "KP_Subtract": "-",
 }
 
@@ -101,6 +108,16 @@ class Event:
         if self.kind == "wheel":
             said["delta"] = float(self.delta)
         return said
+
+
+def fewest_moves(events: Iterable[Event]) -> list[Event]:
+    """The events with one move, the last, in place of several that follow each other."""
+    out: list[Event] = []
+    for event in events:
+        if event.kind == "move" and out and out[-1].kind == "move":
+            out.pop()
+        out.append(event)
+    return out
 
 
 def _press_or_release(kind: str, values: dict[str, Any]) -> Event:

@@ -1,48 +1,68 @@
 """A second look at our own window on X11, for what Taichi's windows do not report.
 
-GGUI drops the keys ``. + - =`` and F1 and knows no wheel; ti.GUI does not follow a resize. On
-X11 a second connection may listen to the same window: keys through a second event selection,
-the wheel through raw input events, the size by asking. Everywhere else `connect` returns None
-and the always-arriving keys (arrows, tab) stand in.
+GGUI says of a button's press neither where nor in which order with keys it came, drops the keys
+``. + - =`` and F1, and knows no wheel; ti.GUI does not follow a resize; and where the connection
+of either is cut, Xlib ends the process. On X11 a second connection may look at the same window,
+Xlib shows every event that it reads for the window's own (`XESetWireToEvent`), and lets that
+survive its end. Everywhere else `connect` returns None, and what Taichi reports must do.
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import ctypes.util
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
-KEY_PRESS, KEY_RELEASE, GENERIC = 2, 3, 35
-KEY_PRESS_MASK, KEY_RELEASE_MASK = 1, 2
-RAW_BUTTON_PRESS, ALL_MASTER_DEVICES = 15, 1
-KEYS = {  # X's names of the keys that GGUI drops -> ours
-    "period": ".",
-    "KP_Decimal": ".",
-    "plus": "+",
-    "equal": "+",
-    "KP_Add": "+",
-    "minus": "-",
-    "KP_Subtract": "-",
-    "F1": "f1",
+from taichi_cloth.errors import RunFailure
+
+KEY_PRESS, KEY_RELEASE, BUTTON_PRESS, BUTTON_RELEASE, MOTION = 2, 3, 4, 5, 6
+KINDS = {
+    KEY_PRESS: "press",
+    KEY_RELEASE: "release",
+    BUTTON_PRESS: "press",
+    BUTTON_RELEASE: "release",
+    MOTION: "move",
 }
-WHEEL = {4: 1.0, 5: -1.0}  # X's button numbers of the wheel -> notches away from the user
 
 _pointer, _window, _int = ctypes.c_void_p, ctypes.c_ulong, ctypes.c_int
 
 
-_HEAD = (  # what every event of X begins with
-    ("type", _int),
-    ("serial", ctypes.c_ulong),
-    ("send_event", _int),
-    ("display", _pointer),
-)
+class ConnectionCut(RunFailure):
+    """The window went because its connection to the display was cut, or the display ended."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "the window's connection to the display was cut; its files hold the run until then"
+        )
 
 
-class _KeyEvent(ctypes.Structure):
+@dataclass(frozen=True)
+class Input:
+    """One thing the user did in the window, as X says it.
+
+    kind: "press", "release" or "move". pos: (x, y) in window pixels, where the pointer was then.
+    button: X's number (4 and 5 are the wheel's); 0 for a key or a motion.
+    keys: X's names of the key: by the layout in use, and by the first one; () for a button.
+    """
+
+    kind: str
+    pos: tuple[float, float]
+    button: int = 0
+    keys: tuple[str, ...] = ()
+
+
+class _Event(ctypes.Structure):
+    """X's event of a key, a button or the pointer; detail: keycode or button."""
+
     _fields_ = [
-        *_HEAD,
+        ("type", _int),
+        ("serial", ctypes.c_ulong),
+        ("send_event", _int),
+        ("display", _pointer),
         ("window", _window),
         ("root", _window),
         ("subwindow", _window),
@@ -52,7 +72,7 @@ class _KeyEvent(ctypes.Structure):
         ("x_root", _int),
         ("y_root", _int),
         ("state", ctypes.c_uint),
-        ("keycode", ctypes.c_uint),
+        ("detail", ctypes.c_uint),
         ("same_screen", _int),
     ]
 
@@ -67,56 +87,25 @@ class _Error(ctypes.Structure):
     ]
 
 
-class _Cookie(ctypes.Structure):
-    _fields_ = [
-        *_HEAD,
-        ("extension", _int),
-        ("evtype", _int),
-        ("cookie", ctypes.c_uint),
-        ("data", _pointer),
-    ]
-
-
-class _RawEvent(ctypes.Structure):
-    _fields_ = [
-        *_HEAD,
-        ("extension", _int),
-        ("evtype", _int),
-        ("time", ctypes.c_ulong),
-        ("deviceid", _int),
-        ("sourceid", _int),
-        ("detail", _int),
-    ]
-
-
-class _Event(ctypes.Union):
-    _fields_ = [
-        ("type", _int),
-        ("key", _KeyEvent),
-        ("cookie", _Cookie),
-        ("pad", ctypes.c_long * 24),
-    ]
-
-
-class _EventMask(ctypes.Structure):
-    _fields_ = [("deviceid", _int), ("mask_len", _int), ("mask", ctypes.c_char_p)]
-
-
 BAD_WINDOW, BAD_DRAWABLE = 3, 9
 _ErrorHandler = ctypes.CFUNCTYPE(_int, _pointer, _pointer)
+_OfDisplay = ctypes.CFUNCTYPE(_int, _pointer)
+_ExitHandler = ctypes.CFUNCTYPE(None, _pointer, _pointer)
+_Converter = ctypes.CFUNCTYPE(_int, _pointer, _pointer, _pointer)
 
-
-def _library(name: str) -> ctypes.CDLL | None:
-    try:
-        return ctypes.CDLL(ctypes.util.find_library(name) or f"lib{name}.so.6")
-    except OSError:
-        return None
+# Xlib keeps the addresses of these for the life of the process, or of a connection.
+_KEPT_HANDLERS: list[object] = []
+_SURVIVING: set[int] = set()  # connections whose end the process survives
+_CUT: set[int] = set()  # connections that broke: nothing may be asked of them any more
 
 
 def _xlib() -> ctypes.CDLL | None:
     """Xlib with the signatures used here, or None where it is not installed."""
-    x = _library("X11") if sys.platform.startswith(("linux", "freebsd")) else None
-    if x is None:
+    if not sys.platform.startswith(("linux", "freebsd")):
+        return None
+    try:
+        x = ctypes.CDLL(ctypes.util.find_library("X11") or "libX11.so.6")
+    except OSError:
         return None
     by = ctypes.POINTER
     for name, result, arguments in (
@@ -126,50 +115,127 @@ def _xlib() -> ctypes.CDLL | None:
         ("XQueryTree", _int, [_pointer, _window] + [_pointer] * 4),
         ("XFetchName", _int, [_pointer, _window, by(ctypes.c_char_p)]),
         ("XFree", _int, [_pointer]),
-        ("XSelectInput", _int, [_pointer, _window, ctypes.c_long]),
-        ("XPending", _int, [_pointer]),
-        ("XNextEvent", _int, [_pointer, _pointer]),
         ("XLookupString", _int, [_pointer, ctypes.c_char_p, _int, by(_window), _pointer]),
+        ("XkbKeycodeToKeysym", _window, [_pointer, ctypes.c_uint, _int, _int]),
         ("XKeysymToString", ctypes.c_char_p, [_window]),
         ("XSync", _int, [_pointer, _int]),
         ("XGetGeometry", _int, [_pointer, _window] + [_pointer] * 7),
         ("XMoveWindow", _int, [_pointer, _window, _int, _int]),
         ("XTranslateCoordinates", _int, [_pointer, _window, _window, _int, _int] + [_pointer] * 3),
-        ("XQueryPointer", _int, [_pointer, _window] + [_pointer] * 7),
-        ("XQueryExtension", _int, [_pointer, ctypes.c_char_p] + [_pointer] * 3),
-        ("XGetEventData", _int, [_pointer, _pointer]),
-        ("XFreeEventData", None, [_pointer, _pointer]),
-        ("XkbSetDetectableAutoRepeat", _int, [_pointer, _int, _pointer]),
         ("XSetErrorHandler", _pointer, [_pointer]),
+        ("XSetIOErrorHandler", _pointer, [_pointer]),
+        ("XESetWireToEvent", _pointer, [_pointer, _int, _pointer]),
     ):
         function = getattr(x, name)
         function.restype, function.argtypes = result, arguments
     return x
 
 
+@contextlib.contextmanager
+def opening() -> Iterator[list[int]]:
+    """Takes note of the connections to displays that are opened meanwhile: a window's own.
+
+    Taichi does not say which it uses; Xlib calls a function for each that it opens.
+    """
+    opened: list[int] = []
+    x = _xlib() if os.environ.get("DISPLAY") else None
+    if x is None:
+        yield opened
+        return
+    with (
+        _noting(x, "_XInitDisplayLock_fn", opened.append),
+        _noting(x, "_XFreeDisplayLock_fn", opened.remove),  # a driver looks and closes again
+    ):
+        yield opened
+
+
+@contextlib.contextmanager
+def _noting(x: ctypes.CDLL, name: str, note: Callable[[int], None]) -> Iterator[None]:
+    """Have Xlib's function of this name, which takes a connection, call `note` besides."""
+    try:
+        slot = _pointer.in_dll(x, name)
+    except ValueError:  # an Xlib that has none
+        yield
+        return
+    before = slot.value
+    call = _OfDisplay(before) if before else None
+
+    def call_both(display: int) -> int:
+        with contextlib.suppress(ValueError):  # closed, and opened before
+            note(display)
+        return call(display) if call else 0
+
+    both = _OfDisplay(call_both)
+    slot.value = ctypes.cast(both, _pointer).value
+    try:
+        yield
+    finally:
+        slot.value = before
+
+
+def _survive(x: ctypes.CDLL, display: int) -> None:
+    """Let the process go on where this connection breaks. Xlib 1.7 or later can."""
+    if not hasattr(x, "XSetIOErrorExitHandler"):
+        return
+
+    def ended(display: int, _: int | None) -> None:
+        _CUT.add(display)
+
+    go_on = _ExitHandler(ended)
+    x.XSetIOErrorExitHandler.argtypes = [_pointer, _pointer, _pointer]
+    x.XSetIOErrorExitHandler(display, go_on, None)
+    _KEPT_HANDLERS.append(go_on)
+    _SURVIVING.add(display)
+
+
+def keep(window: object) -> None:
+    """Never give this window back: its connection is cut, and drivers would end the process."""
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(window))
+
+
+def _install_end_handler(x: ctypes.CDLL) -> None:
+    """Say nothing where a connection breaks that is survived: we say it ourselves."""
+    before: list[Callable[[int], int]] = []
+
+    def handle(display: int) -> int:
+        return 0 if display in _SURVIVING or not before else before[0](display)
+
+    handler = _OfDisplay(handle)
+    address = x.XSetIOErrorHandler(handler)
+    if address:
+        before.append(_OfDisplay(address))
+    _KEPT_HANDLERS.append(handler)
+
+
 class Connection:
     """Our own window, seen over a second connection to the X server.
 
     title: the window's exact name at the time (it may change afterwards).
+    displays: the window's own connections, from `opening`.
     """
 
-    def __init__(self, x: ctypes.CDLL, title: str, *, keys: bool):
-        self._x = x
+    def __init__(self, x: ctypes.CDLL, title: str, displays: list[int]):
+        self._x, self._displays = x, displays
         self._display = x.XOpenDisplay(None)
         if not self._display:
             raise OSError("the X display cannot be opened")
         self._install_error_handler()
+        _install_end_handler(x)
+        for display in (self._display, *displays):
+            _survive(x, display)
         self._root = x.XDefaultRootWindow(self._display)
         self.window = self._find(self._root, title.encode(), 0)
-        self.has_wheel, self._opcode = False, -1
+        self._read: list[_Event] = []
         if not self.window:
             self.close()
             raise OSError(f"no window is called {title!r}")
-        if keys:
-            x.XSelectInput(self._display, self.window, KEY_PRESS_MASK | KEY_RELEASE_MASK)
-            x.XkbSetDetectableAutoRepeat(self._display, 1, None)
-            self.has_wheel = self._select_wheel()
         x.XSync(self._display, 0)
+
+    def listen(self) -> bool:
+        """Begin to take note of `inputs`; whether that can be done."""
+        for display in self._displays:
+            self._listen(display)
+        return bool(self._displays)
 
     def _install_error_handler(self) -> None:
         """Ignore errors of this connection, and everybody's where a window was destroyed.
@@ -212,65 +278,48 @@ class Connection:
                     return found
         return 0
 
-    def _select_wheel(self) -> bool:
-        """Ask for raw button presses (the window itself keeps the ordinary ones to itself)."""
-        xi = _library("Xi")
-        opcode, a, b = _int(), _int(), _int()
-        refs = [ctypes.byref(v) for v in (opcode, a, b)]
-        if xi is None or not self._x.XQueryExtension(self._display, b"XInputExtension", *refs):
-            return False
-        major, minor = _int(2), _int(2)
-        xi.XIQueryVersion.argtypes = [_pointer, _pointer, _pointer]
-        if xi.XIQueryVersion(self._display, ctypes.byref(major), ctypes.byref(minor)) != 0:
-            return False
-        bits = bytearray(4)
-        bits[RAW_BUTTON_PRESS >> 3] |= 1 << (RAW_BUTTON_PRESS & 7)
-        mask = _EventMask(ALL_MASTER_DEVICES, len(bits), bytes(bits))
-        xi.XISelectEvents.argtypes = [_pointer, _window, _pointer, _int]
-        self._opcode = opcode.value
-        status: int = xi.XISelectEvents(self._display, self._root, ctypes.byref(mask), 1)
-        return status == 0
+    def _listen(self, display: int) -> None:
+        """Take note of the user's events as Xlib reads them for the window itself."""
+        for kind in KINDS:
+            before: list[Callable[[int, int, int], int]] = []
 
-    def _pointer_is_here(self) -> bool:
-        """Whether the pointer is over our window with nothing in front of it."""
-        window = self._root
-        for _ in range(8):
-            root, child = _window(), _window()
-            rest = [_int() for _ in range(4)]
-            state = ctypes.c_uint()
-            out = [ctypes.byref(v) for v in (root, child, *rest, state)]
-            self._x.XQueryPointer(self._display, window, *out)
-            if child.value in (0, self.window):
-                return child.value == self.window
-            window = child.value
-        return False
+            def convert(
+                display: int,
+                event: int,
+                wire: int,
+                before: list[Callable[[int, int, int], int]] = before,
+            ) -> int:
+                converted = before[0](display, event, wire)
+                self._read.append(_Event.from_buffer_copy(ctypes.string_at(event, _SIZE)))
+                return converted
 
-    def poll(self) -> list[tuple[str, str | float]]:
-        """What happened since the last call: ("press"|"release", key) and ("wheel", notches)."""
-        out: list[tuple[str, str | float]] = []
-        event = _Event()
-        while self._x.XPending(self._display):
-            self._x.XNextEvent(self._display, ctypes.byref(event))
-            if event.type in (KEY_PRESS, KEY_RELEASE):
-                symbol, text = _window(), ctypes.create_string_buffer(8)
-                self._x.XLookupString(ctypes.byref(event), text, 8, ctypes.byref(symbol), None)
-                name = self._x.XKeysymToString(symbol.value)
-                key = KEYS.get(name.decode()) if name else None
-                if key:
-                    out.append(("press" if event.type == KEY_PRESS else "release", key))
-            elif (
-                event.type == GENERIC
-                and event.cookie.extension == self._opcode
-                and self._x.XGetEventData(self._display, ctypes.byref(event.cookie))
-            ):
-                raw = ctypes.cast(event.cookie.data, ctypes.POINTER(_RawEvent))[0]
-                if raw.detail in WHEEL and self._pointer_is_here():
-                    out.append(("wheel", WHEEL[raw.detail]))
-                self._x.XFreeEventData(self._display, ctypes.byref(event.cookie))
-        return out
+            converter = _Converter(convert)
+            address = self._x.XESetWireToEvent(display, kind, converter)
+            before.append(_Converter(address))
+            _KEPT_HANDLERS.append(converter)
+
+    def inputs(self) -> list[Input]:
+        """What the user did since the last call, oldest first, where the window itself read it."""
+        read, self._read = self._read, []
+        return [self._input(event) for event in read if event.window == self.window]
+
+    def _input(self, event: _Event) -> Input:
+        kind, pos = KINDS[event.type], (float(event.x), float(event.y))
+        if event.type == MOTION:
+            return Input(kind, pos)
+        if event.type in (BUTTON_PRESS, BUTTON_RELEASE):
+            return Input(kind, pos, button=event.detail)
+        symbol, text = _window(), ctypes.create_string_buffer(8)
+        event.display = self._display
+        self._x.XLookupString(ctypes.byref(event), text, 8, ctypes.byref(symbol), None)
+        first = self._x.XkbKeycodeToKeysym(self._display, event.detail, 0, 0)
+        names = [self._x.XKeysymToString(one) for one in (symbol.value, first)]
+        return Input(kind, pos, keys=tuple(name.decode() for name in names if name))
 
     def size(self) -> tuple[int, int] | None:
         """The window's (width, height) in pixels; None when it is gone."""
+        if _CUT.intersection((self._display, *self._displays)):
+            return None
         root, x, y = _window(), _int(), _int()
         w, h, border, depth = (ctypes.c_uint() for _ in range(4))
         out = [ctypes.byref(v) for v in (root, x, y, w, h, border, depth)]
@@ -281,6 +330,13 @@ class Connection:
     def is_gone(self) -> bool:
         """Whether the window no longer exists (closing it by its frame only asks it to go)."""
         return self.size() is None
+
+    def is_cut(self) -> bool:
+        """Whether the window is gone because its connection was cut, or the display ended."""
+        for display in (self._display, *self._displays):
+            if display not in _CUT:
+                self._x.XSync(display, 0)
+        return bool(_CUT.intersection((self._display, *self._displays)))
 
     def position(self) -> tuple[int, int]:
         """The window's top left corner on the screen."""
@@ -295,25 +351,24 @@ class Connection:
         self._x.XSync(self._display, 0)
 
     def close(self) -> None:
-        """Give the connection back. May be called twice."""
-        if self._display:
+        """Give the connection back, unless it is cut. May be called twice."""
+        if self._display and self._display not in _CUT:
             self._x.XCloseDisplay(self._display)
             self._display = None
 
 
-# Xlib keeps the address of the newest handler for the life of the process.
-_KEPT_HANDLERS: list[object] = []
+_SIZE = ctypes.sizeof(_Event)
 
 
-def connect(title: str, *, keys: bool) -> Connection | None:
+def connect(title: str, displays: list[int]) -> Connection | None:
     """The window called `title` over X11, or None where that cannot be had.
 
-    keys: also listen to the keys and the wheel that GGUI does not report.
+    displays: its own connections, from `opening`.
     """
     x = _xlib()
     if x is None or not os.environ.get("DISPLAY"):
         return None
     try:
-        return Connection(x, title, keys=keys)
+        return Connection(x, title, displays)
     except OSError:
         return None

@@ -9,6 +9,7 @@ and colours and sizes only where these changed. GGUI has copied them when a call
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -19,10 +20,10 @@ from numpy.typing import ArrayLike
 
 from taichi_cloth import runtime
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui import drawing, style, text, x11
+from taichi_cloth.ui import drawing, rescue, style, text, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.drawing import Cached
-from taichi_cloth.ui.inputs import BUTTON_NAMES, Event, key_name
+from taichi_cloth.ui.inputs import BUTTON_NAMES, BUTTONS, Event, fewest_moves, key_name
 from taichi_cloth.ui.text import Panel
 from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
 from taichi_cloth.ui.window_map import WindowMap
@@ -31,6 +32,7 @@ from taichi_cloth.ui.window_map import WindowMap
 # texture, colour with its opacity.
 POSITION, NORMAL, RADIUS, COLOR, ALPHA, STRIDE = slice(0, 3), slice(3, 6), 3, slice(8, 11), 11, 12
 NO_VULKAN = "GGUI needs Vulkan, which is not there (install a Vulkan driver, such as Mesa's)"
+WHEEL = {4: 1.0, 5: -1.0}  # X's numbers of the wheel's buttons -> notches away from the user
 SETTINGS = Path("imgui.ini")  # of GGUI's text library, which we do not use
 MESH_VERTICES = 170_000  # spheres are meshes up to so many vertices (10-40 ms in software)
 SPHERES = ((10.0, 1), (45.0, 2), (math.inf, 3))  # up to this radius in pixels: subdivisions
@@ -149,11 +151,16 @@ class GguiView:
         self.camera = Camera(world.size) if world.dim == 3 else None
         self._had_settings = SETTINGS.exists()
         # The app paces itself; GGUI's own limit would count as time spent drawing.
-        self._window = ti.ui.Window(title, size, vsync=False, show_window=visible, fps_limit=1000)
+        with x11.opening() as displays:
+            self._window = ti.ui.Window(
+                title, size, vsync=False, show_window=visible, fps_limit=1000
+            )
         self._canvas = self._window.get_canvas()
         self._scene: Any = self._window.get_scene() if self.camera else None
         self._eye: Any = ti.ui.Camera() if self.camera else None
-        self._tap = x11.connect(title, keys=True) if visible else None
+        self._tap = x11.connect(title, displays) if visible else None
+        self._guard = rescue.Guard(self._cut) if self._tap else None
+        self._listens = bool(self._tap and self._tap.listen())
         self._pointer: tuple[float, float] | None = None
         self._held: set[str] = set()
         self._last: Picture | None = None
@@ -161,7 +168,7 @@ class GguiView:
         self._spheres: SphereMeshes | None = None
         self._springs, self._discs = Cached(spring_vertices), Cached(disc_vertices)
         self._panel_vertices = lru_cache(maxsize=16)(self._panel_vertices_anew)
-        self.has_wheel = bool(self._tap and self._tap.has_wheel)
+        self.has_wheel = self._listens
         self.closed = False
         self._size = size
 
@@ -178,12 +185,48 @@ class GguiView:
     # Events
 
     def poll(self) -> list[Event]:
-        """The user's events since the last call; the pointer's motion first."""
+        """The user's events since the last call, oldest first.
+
+        Raises ConnectionCut where the window's connection to the display is cut.
+        """
         if self.closed or not self.visible:
             return []
-        if not self._window.running or (self._tap and self._tap.is_gone()):
+        self._close_if_gone()
+        if not self.closed and not self._window.running:
             self.close()
+        if self.closed:
             return []
+        if self._tap and self._listens:
+            self._window.get_events()  # makes Xlib read; which come, and where, X says better
+            return fewest_moves(self._read(self._tap))
+        return self._reported()
+
+    def _read(self, tap: x11.Connection) -> Iterator[Event]:
+        """The events that X sent to the window, each where the pointer was then."""
+        w, h = self.size
+        for given in tap.inputs():
+            if given.kind == "move":
+                if 0 <= given.pos[0] <= w and 0 <= given.pos[1] <= h:
+                    yield Event("move", pos=given.pos)
+            elif given.button in WHEEL:
+                if given.kind == "press":
+                    yield Event("wheel", pos=given.pos, delta=WHEEL[given.button])
+            elif 1 <= given.button <= len(BUTTONS):
+                yield Event(given.kind, pos=given.pos, button=BUTTONS[given.button - 1])
+            else:
+                names = [name for name in map(key_name, given.keys) if name]
+                yield from self._changed(given.kind, names[0]) if names else ()
+
+    def _reported(self) -> list[Event]:
+        """The events as GGUI reports them: none has a position, and it knows no wheel."""
+        ui = self._ti.ui
+        # Presses come before releases: a click within one frame still arrives as a click.
+        reported = [
+            (kind, event.key)
+            for tag, kind in ((ui.PRESS, "press"), (ui.RELEASE, "release"))
+            for event in self._window.get_events(tag)
+        ]
+        # Only now, as the pointer may have moved right before a click.
         w, h = self.size
         x, y = self._window.get_cursor_pos()
         pointer = (round(x * w, 3), round((1 - y) * h, 3))  # to what a mouse resolves
@@ -195,16 +238,8 @@ class GguiView:
             self._pointer = pointer
         elif self._pointer is None:
             self._pointer = pointer
-        ui = self._ti.ui
-        # Presses come before releases: a click within one frame still arrives as a click.
-        for tag, kind in ((ui.PRESS, "press"), (ui.RELEASE, "release")):
-            for event in self._window.get_events(tag):
-                out += self._translated(kind, event.key, pointer)
-        for kind, value in self._tap.poll() if self._tap else ():
-            if isinstance(value, str):
-                out += self._changed(kind, value)
-            else:
-                out.append(Event(kind, pos=pointer, delta=value))
+        for kind, key in reported:
+            out += self._translated(kind, key, pointer)
         return out
 
     def _translated(self, kind: str, key: str, pointer: tuple[float, float]) -> list[Event]:
@@ -223,14 +258,15 @@ class GguiView:
     # Drawing
 
     def draw(self, picture: Picture) -> None:
-        """Draw and present one frame."""
+        """Draw and present one frame. Raises ConnectionCut, as `poll` does."""
         if self.closed:
             return
         self._last = picture
         self._compose(picture)
-        if self.visible and self._tap and self._tap.is_gone():
-            self.close()  # Vulkan ends the process where the window is not there any more
-        elif self.visible:
+        if self.visible:
+            self._close_if_gone()  # Vulkan ends the process where the window is not there any more
+            if self.closed:
+                return
             self._window.show()
         self._fresh = not self.visible
 
@@ -244,16 +280,41 @@ class GguiView:
         self._fresh = False
         return drawing.as_image(self._window.get_image_buffer_as_numpy())
 
+    def _close_if_gone(self) -> None:
+        """Close where the window was destroyed. Raises ConnectionCut where it was not alone."""
+        if self._tap is None or not self._tap.is_gone():
+            return
+        failure = self._cut()
+        if failure is None:
+            self.close()
+        else:
+            raise failure
+
+    def _cut(self) -> x11.ConnectionCut | None:
+        """That the window's connection was cut, if it was; then it is closed, and left alone."""
+        if self._tap is None or self.closed or not self._tap.is_cut():
+            return None
+        self.closed = True
+        x11.keep(self._window)
+        self._forget()
+        return x11.ConnectionCut()
+
     def close(self) -> None:
         """Give the window back. May be called twice."""
         if not self.closed:
             self.closed = True
-            if self._tap:
-                self._tap.close()
             self._window.destroy()
-            # The text library behind GGUI leaves its settings in the current folder.
-            if not self._had_settings:
-                SETTINGS.unlink(missing_ok=True)
+            self._forget()
+
+    def _forget(self) -> None:
+        """Give back what the window had besides."""
+        if self._guard:
+            self._guard.release()
+        if self._tap:
+            self._tap.close()
+        # The text library behind GGUI leaves its settings in the current folder.
+        if not self._had_settings:
+            SETTINGS.unlink(missing_ok=True)
 
     def _compose(self, picture: Picture) -> None:
         if self.camera:

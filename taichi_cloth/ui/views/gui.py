@@ -13,7 +13,7 @@ from taichi_cloth.scene.model import World
 from taichi_cloth.ui import drawing, style, text, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.drawing import Cached
-from taichi_cloth.ui.inputs import BUTTON_NAMES, Event, key_name
+from taichi_cloth.ui.inputs import BUTTON_NAMES, Event, fewest_moves, key_name
 from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
 from taichi_cloth.ui.window_map import WindowMap
 
@@ -35,7 +35,6 @@ class GuiView:
         self.closed = False
         self._gui: Any = None  # a ti.GUI
         self._tap: x11.Connection | None = None
-        self._pointer: tuple[float, float] | None = None
         self._held: set[str] = set()
         self._springs, self._discs = Cached(_prepared_springs), Cached(_prepared_discs)
         self._wanted: tuple[tuple[int, int], float] | None = None
@@ -47,14 +46,15 @@ class GuiView:
         # ti.GUI opens with a name of its own, by which it is found on X11, and is then renamed.
         GuiView._opened += 1
         name = f"taichi-cloth {os.getpid()}.{GuiView._opened}" if self.visible else self._title
-        self._gui = ti.GUI(name, size, style.packed_one(style.WORLD), show_gui=self.visible)
+        with x11.opening() as displays:
+            self._gui = ti.GUI(name, size, style.packed_one(style.WORLD), show_gui=self.visible)
         self._gui.fps_limit = None  # the app paces itself
         self.size = size
         self._map = WindowMap(self.world.size[:2], size)
         self._pixels = np.zeros((*size, 4), np.float32)
         if self.visible:
             self._gui.show()  # only now does the window have its name
-            self._tap = x11.connect(name, keys=False)
+            self._tap = x11.connect(name, displays)
             self._gui.core.title = self._title
 
     def _follow_resize(self) -> None:
@@ -78,16 +78,22 @@ class GuiView:
             self._open(size)
             if self._tap is not None:
                 self._tap.move(position)
-            self._wanted, self._pointer = None, None
+            self._wanted = None
 
     # Events
 
     def poll(self) -> list[Event]:
-        """The user's events since the last call, oldest first."""
+        """The user's events since the last call, oldest first.
+
+        Raises ConnectionCut where the window's connection to the display is cut.
+        """
         if self.closed or not self.visible:
             return []
         if self._tap and self._tap.is_gone():
+            cut = self._tap.is_cut()
             self.close()
+            if cut:
+                raise x11.ConnectionCut
             return []
         gui = self._gui
         out: list[Event] = []
@@ -100,7 +106,9 @@ class GuiView:
                 out.append(Event("wheel", pos=pointer, delta=event.delta[1] / 120))
                 continue
             if event.type == gui.MOTION:
-                continue  # one motion a frame is enough: see below
+                if 0 <= event.pos[0] <= 1 and 0 <= event.pos[1] <= 1:
+                    out.append(Event("move", pos=pointer))
+                continue
             kind = "press" if event.type == gui.PRESS else "release"
             if event.key in BUTTON_NAMES:
                 out.append(Event(kind, pos=pointer, button=BUTTON_NAMES[event.key]))
@@ -109,15 +117,8 @@ class GuiView:
         if not gui.running:
             self.close()
             return []
-        x, y = gui.get_cursor_pos()
-        pointer = self._pixel(x, y)
-        moved = []
-        if pointer != self._pointer and 0 <= x <= 1 and 0 <= y <= 1:
-            if self._pointer is not None:
-                moved.append(Event("move", pos=pointer))
-            self._pointer = pointer
         self._follow_resize()
-        return moved + self._without_repeats(out)
+        return fewest_moves(self._without_repeats(out))
 
     def _pixel(self, x: float, y: float) -> tuple[float, float]:
         """A position of ti.GUI's events in window pixels: it counts rows from the last one up."""
