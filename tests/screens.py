@@ -24,8 +24,18 @@ def virtual_screen():
     os.close(write)
     with os.fdopen(read) as said:
         number = said.readline().strip()
+    _servers[f":{number}"] = server
     try:
         yield f":{number}"
     finally:
         server.terminate()
         server.wait()
+
+
+_servers = {}  # by the names of their screens
+
+
+def end_server(screen):
+    """End a virtual screen at once, under the windows on it."""
+    _servers[screen].kill()
+    _servers[screen].wait()

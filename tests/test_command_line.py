@@ -14,6 +14,7 @@ import pytest
 from commands import PROGRAM, command
 from goldens import GOLDEN
 from inside import measure_by
+from selection import as_thorough
 
 from taichi_cloth import runtime
 from taichi_cloth.cli import doctor, run, scene_command
@@ -450,7 +451,10 @@ def let_work(process, seconds):
         time.sleep(0.05)
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "status"),
+    [(signal.SIGINT, 130), as_thorough((signal.SIGTERM, 143)), (signal.SIGHUP, 129)],
+)
 def test_an_interrupted_run_keeps_its_files(tmp_path, number, status):
     process = subprocess.Popen(
         [*PROGRAM, "run", "oscillator", *ON_GRAPH, "--frames", str(10**9), "--every", "10"]

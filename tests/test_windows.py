@@ -14,11 +14,13 @@ import time
 
 import numpy as np
 import pytest
+from commands import PROGRAM as PROGRAM_LINE
 from commands import command
-from screens import virtual_screen
+from screens import end_server, virtual_screen
 from selection import mostly_thorough
 
 from taichi_cloth import runtime
+from taichi_cloth.files import trajectory as trajectories
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import COLOR_CYCLE, Particles, Scene, World
 from taichi_cloth.simulation.diagnostics import Work
@@ -26,7 +28,7 @@ from taichi_cloth.ui import app, hud, text
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.drawing import Cached
-from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.inputs import Event, fewest_moves
 from taichi_cloth.ui.views.contract import Picture
 from taichi_cloth.ui.views.none import NullView
 
@@ -389,8 +391,60 @@ def test_the_meter_says_how_late_it_is():
         now[0] += 0.1
     assert meter.frames_per_second == pytest.approx(10)
     assert meter.behind == pytest.approx(3 - 30 / 60)
-    status = hud.status_lines(simulation("blow"), meter, "cpu", windowed=True, paused=False)
-    assert "behind real time (0.17x)" in status[0] and "50.00 ms" in status[0]
+    said = hud.rates_line(meter, paused=False)
+    assert "behind real time (0.17x)" in said and "50.00 ms" in said
+
+
+def frames_said(pictures):
+    """The frame that each picture's status says, and all that its first line says."""
+    lines = [next(line for line in p.text if "frame " in line) for p in pictures]
+    return [int(line.rpartition("frame ")[2]) for line in lines], {p.text[0] for p in pictures}
+
+
+def test_the_status_is_that_of_the_frame_drawn(tmp_path):
+    view = Script(*[[] for _ in range(8)])
+    app.run(simulation("blow"), view, device="test")
+    frames, firsts = frames_said(view.pictures)
+    assert frames == [1, 2, 3, 4, 5, 6, 7] and all("frames/s" in line for line in firsts)
+    runs = []
+    for name in ("a", "b"):
+        view = Script([], [])
+        view.visible, view.poll = False, list
+        app.run(
+            simulation("blow"), view, frames=5, film=tmp_path / f"{name}.gif",
+            image=tmp_path / f"{name}.png", quiet=True, device="test",
+        )  # fmt: skip
+        runs.append(view.pictures)
+        assert frames_said(view.pictures)[0] == [1, 2, 3, 4, 5, 5]  # the last one is the picture
+        time.sleep(0.01)  # what a rate would show
+    assert [p.text for p in runs[0]] == [p.text for p in runs[1]]
+    words = " ".join(line for p in runs[0] for line in p.text)
+    assert "/s" not in words and " ms" not in words and "f1" not in words
+    view = Script([], [press(key="h")], [])
+    app.run(simulation("blow"), view, status=False, device="test")
+    assert [bool(p.text) for p in view.pictures] == [False, True]
+
+
+def test_a_reset_says_that_it_shortens_what_is_saved():
+    class Noted:
+        frames = 0
+
+        def record(self, sim):
+            self.frames += 1
+
+    view = Script([], [], [press(key="f1")], [press(key="r")], [])
+    app.run(simulation("blow"), view, trajectory=Noted(), device="test")
+    assert "r\tback to the start; --save begins anew" in view.pictures[2].help
+    assert "forget 3 frames" in view.pictures[3].text[0]
+    view = Script([], [press(key="r")], [])
+    app.run(simulation("blow"), view, device="test")
+    assert "--save" not in view.pictures[-1].text[0]
+
+
+def test_events_come_in_order_with_the_last_of_several_moves():
+    a, b, c = (Event("move", pos=(n, n)) for n in (1, 2, 3))
+    click = press("left", (2, 2))
+    assert fewest_moves([a, b, click, a, c]) == [b, click, c]
 
 
 # Text
@@ -556,6 +610,7 @@ def test_keys_buttons_wheel_and_pointer_arrive(window):
     moves = [tuple(e["pos"]) for e in events if e["kind"] == "move"]
     assert moves[-1] == (200, 150)
     buttons = [(e["kind"], e["button"]) for e in events if "button" in e]
+    assert [e["pos"] for e in events if "button" in e] == [[200, 150]] * 6
     assert buttons == [(k, b) for b in ("left", "middle", "right") for k in ("press", "release")]
     assert [e["delta"] for e in events if e["kind"] == "wheel"] == [1, -1]
     pressed = [key for key in w.pressed() if key != "shift"]
@@ -564,6 +619,27 @@ def test_keys_buttons_wheel_and_pointer_arrive(window):
         "h", "h", "ctrl", "h",
     ]  # fmt: skip
     w.quit()
+
+
+@needs_x
+def test_a_click_is_where_and_when_it_was(window):
+    """Also where the pointer and a key move on before the window looks."""
+    w = window("none", 2)
+    places = np.random.default_rng(4).integers((5, 5), (595, 395), (20, 2, 2)).tolist()
+    go = ("mousemove", "--window", w.id)
+    for n, (at, after) in enumerate(places):
+        key = "a" if n % 2 else "shift"
+        w.ask(*go, *at, "keydown", key, "click", 1, "keyup", key, *go, *after)
+    w.ask(*go, 50, 60, "mousedown", 1, *go, 70, 80, "mouseup", 1, *go, 9, 9)
+    w.quit()
+    events = [e for e in w.events() if "button" in e or "key" in e]
+    clicks = [e["pos"] for e in events if e["kind"] == "press" and "button" in e]
+    assert clicks[:20] == [at for at, _ in places]
+    for n in range(20):
+        key = "a" if n % 2 else "shift"
+        names = [(e["kind"], e.get("key", e.get("button"))) for e in events[4 * n : 4 * n + 4]]
+        assert names == [("press", key), ("press", "left"), ("release", "left"), ("release", key)]
+    assert [e["pos"] for e in events if e.get("button")][-1] == [70, 80]
 
 
 @needs_x
@@ -723,3 +799,39 @@ def test_a_window_destroyed_from_outside_ends_the_run_with_its_files(window, dis
     w.ask("windowclose", w.id)
     assert w.process.wait(20) == 0
     assert w.image.exists() and w.log.exists()
+
+
+@needs_x
+@pytest.mark.thorough
+@pytest.mark.parametrize("kind", ["ggui", "gui"])
+@pytest.mark.parametrize("cut", ["windowkill", "server"])
+def test_a_window_whose_connection_is_cut_keeps_the_files(kind, cut, caches, tmp_path):
+    """At any moment of a frame: Xlib and Vulkan would both end the process."""
+    if kind == "ggui" and not runtime.vulkan_available():
+        pytest.skip("GGUI needs Vulkan")
+    with virtual_screen() as display:
+        env = {**os.environ, **caches, "DISPLAY": display}
+
+        def ask(*words):
+            return subprocess.run(["xdotool", *words], env=env, capture_output=True, text=True)
+
+        names = ("save", "npz"), ("record", "jsonl"), ("video", "gif"), ("image", "png")
+        files = [word for flag, end in names for word in (f"--{flag}", f"{flag}.{end}")]
+        process = subprocess.Popen(
+            [*PROGRAM_LINE, "run", "oscillator", "--view", kind, "--execution", "serial", *files],
+            env=env, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        process.stdout.readline()
+        time.sleep(2.0)
+        found = ask("search", "--onlyvisible", "--name", "taichi-cloth").stdout.split()
+        if cut == "server":
+            end_server(display)
+        else:
+            ask("windowkill", found[0])
+        _, error = process.communicate(timeout=60)
+    assert process.returncode == 3
+    assert error.splitlines()[-1].endswith("was cut; its files hold the run until then")
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "image.png", "record.jsonl", "save.npz", "video.gif",
+    ]  # fmt: skip
+    assert trajectories.load(tmp_path / "save.npz").frame[0] == 1
