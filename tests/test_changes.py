@@ -10,7 +10,7 @@ from selection import as_thorough
 import taichi_cloth as tc
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.trajectory import Trajectory
-from taichi_cloth.kernels import forces, methods
+from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.forces.contract import ACCELERATION, TENSION, has
 from taichi_cloth.scene.library import build
 from taichi_cloth.simulation import diagnostics
@@ -18,10 +18,13 @@ from taichi_cloth.simulation.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("device", "few_lanes")
 
-METHODS = [
-    "symplectic_euler",
-    *(as_thorough(m) for m in methods.METHODS if m != "symplectic_euler"),
+# How a run is stored and stepped; what keeps vectors across steps, or goes by colours, besides.
+RUNS = [
+    ("symplectic_euler", "graph"),
+    as_thorough(("symplectic_euler", "lanes")),
+    *(as_thorough((method, "graph")) for method in ("verlet", "implicit_euler", "vbd", "xpbd")),
 ]
+TOPOLOGIES = ["graph", as_thorough("lanes")]
 
 
 def cloth(**values):
@@ -44,22 +47,23 @@ def test_what_is_set_at_the_start_runs_as_a_scene_that_has_it(pool, some_way):
     scene = cloth()
     n, s = len(scene.particles), len(scene.springs)
     mass, fixed = np.linspace(1, 2, n), np.arange(n) % 7 == 0
-    stiffness, damping = np.linspace(0.4, 0.8, s), np.linspace(0, 0.1, s)
+    v = np.random.default_rng(0).normal(0.0, 3.0, (n, 2))
+    particles = replace(scene.particles, mass=mass, viscous=np.full(n, 0.1), fixed=fixed)
+    numbers = {"stiffness": 0.7, "damping": 0.05, "break_force": 3.0}
+    columns = {name: np.full(s, value) for name, value in numbers.items()}
     other = replace(
         scene.with_world(gravity=(0.01, 0.2)),
-        particles=replace(scene.particles, mass=mass, viscous=np.full(n, 0.1), fixed=fixed),
-        springs=replace(
-            scene.springs, stiffness=stiffness, damping=damping, break_force=np.full(s, 1.5)
-        ),
+        particles=replace(particles, velocity=v),
+        springs=replace(scene.springs, **columns),
     )
     sim = pool(other, **some_way)
     sim.advance(8)
     loaded = sim.positions(), sim.velocities(), sim.springs_alive(), sim.energy()
     sim = pool(scene, **some_way)
-    sim.set(gravity=(0.01, 0.2), mass=mass, viscous=0.1, fixed=fixed)
-    sim.set(stiffness=stiffness, damping=damping, break_force=1.5)
+    sim.set(gravity=(0.01, 0.2), mass=mass, viscous=0.1, fixed=fixed, velocities=v)
+    sim.set(**numbers)
     sim.advance(8)
-    assert not loaded[2].all()
+    assert 0 < loaded[2].sum() < s
     for a, b in zip(loaded, (sim.positions(), sim.velocities(), sim.springs_alive()), strict=False):
         np.testing.assert_array_equal(a, b)
     assert sim.energy() == loaded[3]
@@ -67,7 +71,7 @@ def test_what_is_set_at_the_start_runs_as_a_scene_that_has_it(pool, some_way):
     assert sim.storage.scene is scene
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("method", "topology"), RUNS[:3])
 def test_setting_what_is_so_changes_no_bit(pool, topology, method):
     sim = pool(cloth(), method, topology=topology, substeps=2)
     sim.advance(6)
@@ -83,15 +87,16 @@ def test_setting_what_is_so_changes_no_bit(pool, topology, method):
     np.testing.assert_array_equal(sim.positions(), x)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("method", "topology"), RUNS)
 def test_changes_in_a_run_keep_its_time_and_what_is_broken(pool, topology, method):
     sim = pool(cloth(shear=0.1), method, topology=topology)
     sim.advance(4)
-    sim.set(break_force=0.5, springs=[5])
-    sim.set(positions=sim.positions()[9] + [0.0, 9.0], particles=9)
+    sim.set(break_force=np.inf)
+    sim.set(break_force=0.5, rest_length=5.0, springs=[5])
+    sim.set(positions=sim.positions()[9] + [0.0, 1.0], particles=9)
     sim.advance(2)
     broken = ~sim.springs_alive()
-    assert broken[5] or broken.any()
+    assert broken[5]
     done = sim.work()
     sim.set(stiffness=0.7, kind="shear")
     sim.set(damping=[0.1, 0.2], springs=[3, 4])
@@ -113,6 +118,7 @@ def test_changes_in_a_run_keep_its_time_and_what_is_broken(pool, topology, metho
     np.testing.assert_allclose(sim.forces(), total_forces(sim), rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("topology", TOPOLOGIES)
 def test_springs_are_cut_tied_and_mended_and_particles_pinned_and_removed(pool, topology):
     scene = cloth()
     sim = pool(scene, topology=topology)
@@ -155,6 +161,7 @@ def test_springs_are_cut_tied_and_mended_and_particles_pinned_and_removed(pool, 
     assert sim.particle_count == 48 and sim.springs_alive().all()
 
 
+@pytest.mark.parametrize("topology", TOPOLOGIES)
 def test_a_cut_spring_stays_cut_when_a_frame_is_undone(pool, topology):
     sim = pool(cloth(), topology=topology)
     sim.cut(3)
@@ -283,15 +290,22 @@ def test_public_functions_refuse_what_makes_no_sense(call, message):
 
 
 def test_clicks_find_room_and_kernels_ready():
-    """No click waits for a compiler: a window compiles beforehand what the first ones need."""
+    """No click waits for a compiler, also after hundreds: a window compiles beforehand what the
+    first ones need.
+    """
     sim = Simulation(build("box", radius=2.0), execution="serial")
     for _ in range(10):
         sim.prepare_click()
+    for wrong, message in (((1e4, 0.0, 0.0), "outside the world"), ((1.0, 2.0), "3 numbers")):
+        with pytest.raises(InputError, match=message):
+            sim.spawn(wrong)
+    with pytest.raises(InputError, match="does not exist"):
+        sim.spawn((100.0, 100.0, 0.0), tied_to=5)
     assert sim.positions().shape == (0, 3)
     state, spec = state_of(sim), spec_of(sim)
     kernels = _compiled()
     rng = np.random.default_rng(0)
-    x = rng.uniform([40, 40, -200], [560, 360, 200], (300, 3))
+    x = rng.uniform([40, 40, -200], [560, 360, 200], (260, 3))
     last = None
     for k, place in enumerate(x):
         last = sim.spawn(place, tied_to=last if k < 5 else None)

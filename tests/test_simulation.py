@@ -280,15 +280,6 @@ def test_spawned_springs_break_at_the_scene_default(pool):
         assert sim.springs_alive().tolist() == [holds]
 
 
-def test_spawn_refuses_what_cannot_be():
-    sim = Simulation(build("box"), execution="serial")
-    with pytest.raises(InputError, match="outside the world"):
-        sim.spawn((1e4, 0.0, 0.0))
-    with pytest.raises(InputError, match="does not exist"):
-        sim.spawn((100.0, 100.0, 0.0), tied_to=5)
-    assert sim.particle_count == 0
-
-
 def test_features_that_a_scene_lacks_have_no_fields():
     def fields(scene, topology="graph"):
         return fields_of(Simulation(scene, execution="serial", topology=topology))

@@ -103,5 +103,5 @@ class Changes(ABC):
         """
         now = self.storage.snapshot()
         edited, left = editing.without(now, particles)
-        self._edit(now, edited, left)
+        self._edit(now, edited, left if len(left) < len(now.x) else None)
         return left

@@ -96,7 +96,7 @@ class Simulation(Changes):
             accepted.word("--topology", topology, (*TOPOLOGIES, "auto")),
             accepted.word("--execution", execution, (*PATHS, "auto")),
         )
-        self.topology = self.execution = ""  # until the first `reset` has chosen
+        self.topology = self.execution = self._preferred = ""  # until the first `reset` has chosen
         self._pace: autotune.Pace | None = None
         self._unprepared: list[Callable[[], None]] | None = None  # until a window asks
         self.frame = 0
@@ -242,11 +242,11 @@ class Simulation(Changes):
                 self.storage, self._launcher, self._numbers(), self.substeps, self.method
             )
             choice = autotune.choose(*self._requested, timer)
-            self.topology, self.execution = choice.topology, choice.execution
+            self._preferred, self.execution = choice.topology, choice.execution
             if self.execution == "parallel":
                 self._pace = autotune.Pace(choice.alone)
-        self.storage.load(self.topology, self.execution, self._numbers())
-        self.topology = self.storage.topology
+        self.storage.load(self._preferred, self.execution, self._numbers())
+        self.topology = self.storage.topology  # the graph, while there is no regular grid
         self.storage.mark_new_springs(self.steps)
 
     def load_as(self, topology: str, path: str, x: np.ndarray, v: np.ndarray) -> None:
@@ -262,6 +262,7 @@ class Simulation(Changes):
         self.storage.move(x, v)
         self.storage.load(topology, path, self._numbers())
         self.topology, self.execution = self.storage.topology, path
+        self._preferred = topology
 
     # --- interaction -----------------------------------------------------------------------
 

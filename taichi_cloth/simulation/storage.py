@@ -285,9 +285,8 @@ class Storage:
         if self.specialization.fracture and len(self._now.placement.graph_springs) == 0:
             none = np.zeros((1, 2), np.int32)
             found.append(partial(self._launcher.launch, transfer.read_fracture, state, none))
-            if not self._now.container.spec.uniform_springs:
-                rows = np.zeros((1, len(NUMBERS)), self.real)
-                found.append(partial(self._launch, transfer.load_spring_numbers, rows))
+            rows = np.zeros((1, len(NUMBERS)), self.real)  # of no spring, until the next load
+            found.append(partial(self._launch, transfer.load_spring_numbers, rows))
         return found
 
     # --- pushes ----------------------------------------------------------------------------
