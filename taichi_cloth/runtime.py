@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from taichi_cloth.errors import InputError
@@ -210,6 +211,20 @@ def _initialize(
     if arch == "cpu":
         _pin(sorted(_own_threads() - before)[-threads:], threads)
     return ti.cfg.arch in ((ti.x64, ti.arm64) if arch == "cpu" else (getattr(ti, arch),))
+
+
+def kernel_cache() -> Path:
+    """The folder in which Taichi keeps compiled kernels from process to process."""
+    from taichi.lang import impl
+
+    return Path(impl.default_cfg().offline_cache_file_path)
+
+
+def compilation_time() -> float:
+    """Seconds for which Taichi has compiled kernels, or read them from its cache, since `start`."""
+    from taichi.lang import impl
+
+    return float(impl.get_runtime().prog.get_total_compilation_time())
 
 
 @contextlib.contextmanager

@@ -5,15 +5,14 @@ Kernels are tested on a state that a simulation has loaded, because only it lays
 
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import NamedTuple
 
 import pytest
 
 from taichi_cloth import runtime
 from taichi_cloth.kernels import methods
 from taichi_cloth.simulation import autotune, simulation, storage
-from taichi_cloth.simulation.frame_timer import FrameTimer
 from taichi_cloth.simulation.launch import Launcher
+from taichi_cloth.simulation.prediction import Cost, Prediction
 
 
 def state_of(sim):
@@ -54,30 +53,36 @@ def take_step(sim, step):
     launcher.advance(sim.storage.specialization, state_of(sim), sim.steps, 1, 1)
 
 
-class Way(NamedTuple):
-    """A way to run a scene that is being timed."""
-
-    timer: FrameTimer
-    topology: str
-    path: str
-
-
-def measure_by(monkeypatch, measure):
-    """Let measure(way) -> seconds be how fast a way of running is; returns what it replaces."""
-    before = FrameTimer.time_candidate
-    monkeypatch.setattr(FrameTimer, "time_candidate", lambda *way: measure(Way(*way)))
-    return lambda way: before(*way)
-
-
 def candidates_of(sim):
     """The ways to run a simulation, as `autotune.choose` takes them."""
-    return FrameTimer(sim.storage, sim._launcher, sim._numbers(), sim.substeps, sim.method)
+    return sim._prediction()
+
+
+def predict_by(monkeypatch, cost):
+    """Let cost(topology, path) -> Cost be what a way of running is predicted to cost."""
+    monkeypatch.setattr(Prediction, "predict", lambda _, topology, path: cost(topology, path))
 
 
 def lose_patience(monkeypatch, sim):
     """Let threads of a simulation look slower than one alone, at once."""
-    monkeypatch.setattr(autotune.Pace, "PATIENCE", 0.0)
-    sim._pace = autotune.Pace(alone=1e-12)  # nothing is as fast
+    monkeypatch.setattr(autotune.Watch, "PATIENCE", 0.0)
+    monkeypatch.setattr(autotune.Watch, "SLOWER", 0.0)
+    choice = sim._watch.choice
+    costs = {"serial": Cost(1.0, 1.0), "parallel": Cost(0.5, 0.5)}
+    sim._watch = autotune.Watch(replace(choice, costs=costs), sim.substeps)
+
+
+def counting_kernels(monkeypatch):
+    """The ways, (threads, lanes, one launch per step), whose frames are launched from now on."""
+    ways = []
+    before = Launcher.advance
+
+    def advance(launcher, spec, *arguments):
+        ways.append((spec.threads, spec.lanes, spec.one_launch_per_step))
+        return before(launcher, spec, *arguments)
+
+    monkeypatch.setattr(Launcher, "advance", advance)
+    return ways
 
 
 @contextmanager

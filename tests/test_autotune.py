@@ -1,135 +1,232 @@
-"""Which way to run is fastest: measured once, kept by machine, kind and size of scene."""
+"""Which way to run is taken: predicted from the size, corrected by what runs here have cost."""
 
 import json
+from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from cloths import assert_same, cloth, motion
-from inside import candidates_of, lose_patience, measure_by
-from selection import mostly_thorough, thorough
+from inside import candidates_of, counting_kernels, lose_patience, predict_by
+from selection import mostly_thorough
 
+from taichi_cloth.errors import InputError
+from taichi_cloth.kernels import methods
+from taichi_cloth.runtime import Device
 from taichi_cloth.scene.library import build
-from taichi_cloth.simulation import autotune
+from taichi_cloth.simulation import autotune, compiled
+from taichi_cloth.simulation.autotune import Choice, Watch
+from taichi_cloth.simulation.launch import Launcher
+from taichi_cloth.simulation.prediction import Cost, predict
 from taichi_cloth.simulation.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("few_lanes")
 
+WAYS = [f"{t} {path}" for t in ("lanes", "graph") for path in ("serial", "parallel")]
+DEVICE = Device("cpu", "f32", 2, True)
+SERIAL_HERE = Cost(30e-6, 2e-6)
+
 
 @pytest.fixture
-def measured(device, monkeypatch, tmp_path):
-    """An empty cache of measurements, and the list of what is measured, in order."""
+def empty_cache(monkeypatch, tmp_path):
+    """An empty cache folder."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    happened = []
-
-    def counted(way):
-        happened.append(f"{way.topology} {way.path}")
-        return measure(way)
-
-    measure = measure_by(monkeypatch, counted)
-    return happened
+    return tmp_path / "taichi-cloth"
 
 
-WAYS = [f"{t} {path}" for t in ("lanes", "graph") for path in ("serial", "parallel")]
+def ways_of(scene, method="symplectic_euler", substeps=1, key="k"):
+    """The candidates of a scene with a regular grid, without a simulation."""
+    declared = methods.load(method)
+    return SimpleNamespace(
+        scene_name=scene.name,
+        key=key,
+        paths=("serial", "parallel"),
+        substeps=substeps,
+        topologies=lambda: ["lanes", "graph"],
+        predict=lambda t, p: predict(scene, declared, DEVICE, t, p),
+    )
 
 
-@thorough
-def test_what_is_fastest_is_measured_once(measured):
-    sim = Simulation(build("cloth"), substeps=64)
+def chosen(candidates, topology="auto", execution="auto"):
+    choice = autotune.choose(topology, execution, candidates)
+    return f"{choice.topology} {choice.execution}"
+
+
+def test_a_run_starts_in_one_way_and_remembers_what_it_costs(device, empty_cache, monkeypatch):
+    ways = counting_kernels(monkeypatch)
+    monkeypatch.setattr(Watch, "ENOUGH", 3)
+    sim = Simulation(build("cloth", columns=4, rows=3))
+    assert ways == []  # nothing is run before the first frame
+    for _ in range(6):
+        sim.advance()
+    assert len(set(ways)) == 1
     (of,) = autotune.measurements()
-    assert sorted(measured) == sorted(of.seconds) == sorted(WAYS)
-    assert all(0 < seconds < 1 for seconds in of.seconds.values())
-    chosen = of.seconds[f"{sim.topology} {sim.execution}"]
-    assert chosen <= 1.1 * min(of.seconds.values())
-    np.testing.assert_array_equal(sim.positions(), sim.scene.particles.position)
-    assert sim.frame == 0
-
-    measured.clear()
-    again = Simulation(build("cloth"), substeps=64)
-    assert (again.topology, again.execution) == (sim.topology, sim.execution)
-    assert measured == []
+    assert list(of.costs) == [f"{sim.topology} {sim.execution}"]
+    assert of.what == candidates_of(sim).key
 
 
-@thorough
-def test_threads_are_not_tried_where_one_is_done_before_they_wake(measured, monkeypatch):
-    monkeypatch.setattr(autotune, "WAKING", 1.0)
-    assert Simulation(build("cloth", columns=4, rows=3)).execution == "serial"
-    assert sorted(measured) == ["graph serial", "lanes serial"]
+@pytest.mark.parametrize("method", methods.METHODS)
+def test_the_default_cloth_starts_in_what_compiles_soonest(method, empty_cache):
+    assert chosen(ways_of(build("cloth"), method)) == "graph serial"
 
 
-@pytest.mark.parametrize("path", mostly_thorough(["serial", "parallel"], default=["parallel"]))
-def test_a_run_is_the_same_after_measuring(path, pool, measured, monkeypatch):
-    """Both paths were run in the memory that one of them then goes on with."""
-
-    def measure(way):
-        run(way)
-        return 1.0 if way.path == path else 2.0
-
-    run = measure_by(monkeypatch, measure)
-    scene = cloth(9, 7)
-    sim = Simulation(scene, topology="lanes")
-    assert sim.execution == path
-    assert_same(motion(sim), motion(pool(scene)))
+@pytest.mark.parametrize("method", methods.METHODS)
+def test_a_large_cloth_is_run_in_lanes_by_all_threads(method, empty_cache):
+    assert chosen(ways_of(build("cloth", columns=256, rows=256), method)) == "lanes parallel"
 
 
-def test_the_smallest_of_the_table_is_chosen_and_words_are_honoured(measured, monkeypatch):
-    measure_by(monkeypatch, lambda way: 1.0)
-    scene = build("cloth", columns=4, rows=3)
-    sim = Simulation(scene)
-    table = json.loads(autotune.cache_file().read_text())
-    (key,) = table
-    measure_by(monkeypatch, None)  # not called any more
-
-    def chosen(topology, path):
-        choice = autotune.choose(topology, path, candidates_of(sim))
-        return f"{choice.topology} {choice.execution}"
-
-    for fastest in WAYS:
-        table[key] = {way: 1.0 + (way != fastest) for way in WAYS}
-        autotune.cache_file().write_text(json.dumps(table))
-        topology, path = fastest.split()
-        assert fastest == chosen("auto", "auto") == chosen(topology, "auto") == chosen("auto", path)
-        for way in WAYS:
-            assert chosen(*way.split()) == way
+def test_many_substeps_share_a_launch_and_want_the_faster_step(empty_cache):
+    scene = build("cloth")
+    assert chosen(ways_of(scene)) == "graph serial"
+    assert chosen(ways_of(scene, substeps=64)) == "lanes serial"
+    # A solver that takes several launches a step in lanes pays them at each step.
+    assert chosen(ways_of(scene, "implicit_euler", substeps=64)).startswith("graph")
 
 
-def test_of_ways_that_are_about_as_fast_the_simpler_is_chosen():
-    seconds = {"graph parallel": 1.0, "graph serial": 1.05, "lanes parallel": 1.2}
+def test_what_a_run_with_substeps_cost_does_not_mislead_one_without(empty_cache):
+    """The measured launch would be spread over the substeps, and threads look free."""
+    for way, cost in {
+        "lanes serial": Cost(40e-6, 0.7e-6),
+        "lanes parallel": Cost(100e-6, 0.5e-6),
+    }.items():
+        watch = Watch(Choice(*way.split(), False, {}), substeps=4)
+        watch.lost(1.0, 4)  # compiles
+        told = [watch.enough(cost.of(4) * (1 + 0.1 * k), 4) for k in range(Watch.ENOUGH)]
+        assert told == [False] * (Watch.ENOUGH - 1) + [True]
+        measured = watch.cost(cost.launch)
+        assert measured.step == pytest.approx(cost.step)
+        autotune.remember("k", way, measured)
+    of = {m.what: m.costs for m in autotune.measurements()}["k"]
+    assert of["lanes parallel"].launch == pytest.approx(100e-6)
+    assert chosen(ways_of(build("cloth"), substeps=1), "lanes") == "lanes serial"
+    assert chosen(ways_of(build("cloth"), substeps=1000), "lanes") == "lanes parallel"
+
+
+def test_one_slow_machine_does_not_change_how_ways_compare(empty_cache):
+    scene = build("cloth", columns=128, rows=128)
+    for factor in (0.1, 10.0):
+        found = predict(scene, methods.load("rk4"), DEVICE, "lanes", "parallel")
+        autotune.remember(
+            f"{factor}", "lanes parallel", Cost(factor * found.launch, factor * found.step)
+        )
+        candidates = ways_of(scene, "rk4", key=f"{factor}")
+        assert chosen(candidates) == "lanes parallel"
+        costs = autotune.expected(candidates, ["lanes", "graph"])
+        alone = predict(scene, methods.load("rk4"), DEVICE, "graph", "serial").of(1)
+        assert costs["graph serial"].of(1) == pytest.approx(factor * alone)
+
+
+def test_words_are_honoured(empty_cache):
+    candidates = ways_of(build("cloth"))
+    for way in WAYS:
+        assert chosen(candidates, *way.split()) == way
+    with pytest.raises(InputError, match="--execution both"):
+        autotune.choose("auto", "both", candidates)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "not JSON",
+        "[1]",
+        '{"KEY": 3}',
+        '{"KEY": {"lanes serial": 1e-6, "lanes parallel": 1e-9}}',  # of an earlier version
+        '{"KEY": {"lanes serial": [1e-6], "lanes parallel": ["a", 2], "graph serial": [0, 0]}}',
+    ],
+)
+def test_a_cache_of_another_format_is_passed_over(content, empty_cache):
+    autotune.remember("k", "graph serial", SERIAL_HERE)
+    (key,) = json.loads(autotune.cache_file().read_text())
+    autotune.cache_file().write_text(content.replace("KEY", key))
+    assert autotune.measurements() == []
+    assert chosen(ways_of(build("cloth"))) == "graph serial"
+    autotune.remember("k", "graph serial", SERIAL_HERE)
+    assert [m.costs for m in autotune.measurements()] == [{"graph serial": SERIAL_HERE}]
+
+
+def test_measurements_hold_for_one_machine_and_keep_the_least(empty_cache, monkeypatch):
+    autotune.remember("k", "graph serial", SERIAL_HERE)
+    autotune.remember("k", "graph serial", Cost(90e-6, 9e-6))  # on a busy machine
+    assert autotune.measurements()[0].costs == {"graph serial": SERIAL_HERE}
+    monkeypatch.setattr("platform.node", lambda: "elsewhere")
+    assert autotune.measurements() == []
+
+
+def test_of_ways_that_are_about_as_fast_the_one_that_starts_soonest_is_chosen():
+    seconds = {"graph parallel": 1.0, "graph serial": 1.05, "lanes parallel": 0.95}
     assert autotune.fastest(seconds) == "graph serial"
-    assert autotune.fastest(seconds | {"lanes parallel": 1.09}) == "lanes parallel"
+    assert autotune.fastest(seconds | {"lanes serial": 0.8}) == "lanes serial"
+    assert autotune.fastest(seconds | {"graph serial": 1.5}) == "graph parallel"
+
+
+# --- threads that only wait ------------------------------------------------------------------
+
+
+def parallel_watch(forced):
+    costs = {"serial": Cost(0.0, 1.6e-3), "parallel": Cost(0.0, 1e-3)}
+    watch = Watch(Choice("lanes", "parallel", forced, costs), substeps=1)
+    watch.lost(9.0, 1)  # compiles
+    return watch
+
+
+def test_threads_lose_where_they_are_slower_than_one_would_be():
+    watch = parallel_watch(False)
+    assert not any(watch.lost(1.3e-3, 1) for _ in range(1000))  # a little disturbed
+    assert any(watch.lost(5.5e-3, 1) for _ in range(200))
+    assert watch.alone == pytest.approx(1.6 * 1.3e-3)
+    assert watch.together > 1.25 * watch.alone
 
 
 @pytest.mark.parametrize("topology", mostly_thorough(["lanes", "graph"], default=["graph"]))
 def test_a_run_whose_threads_only_wait_goes_on_with_one(topology, pool, monkeypatch):
     scene = cloth(9, 7)
-    sim = Simulation(scene, topology=topology, execution="parallel")
+    costs = {"serial": Cost(1.0, 1.0), "parallel": Cost(0.5, 0.5)}
+    predict_by(monkeypatch, lambda _, path: costs[path])
+    monkeypatch.setattr(autotune, "remember", lambda *_: None)
+    sim = Simulation(scene, topology=topology)
+    assert sim.execution == "parallel"
     lose_patience(monkeypatch, sim)
     sim.advance()
     assert sim.execution == "parallel"  # the first frame compiles
     sim.advance(15)
     sim.advance(14)
-    assert sim.execution == "serial"
+    assert sim.execution == "serial" and sim.held_up is None
     now = sim.positions(), sim.velocities(), sim.springs_alive()
     assert_same(now, motion(pool(scene)))
 
 
-@thorough
-def test_measurements_hold_for_one_machine_kind_and_size_of_scene(measured, monkeypatch):
-    measure_by(monkeypatch, lambda way: measured.append(1) or 1.0)
-
-    def count(scene, topology="graph"):
-        measured.clear()
-        Simulation(scene, topology=topology)
-        return len(measured)
-
-    small = build("cloth", columns=4, rows=3)
-    assert count(small) == 2  # only what could be chosen
-    assert count(small, "auto") == 2 and count(small, "auto") == 0
-    assert count(build("cloth", columns=9, rows=9)) == 2  # another size
-    assert count(small.with_world(walls=())) == 2  # other features
-    assert count(build("oscillator"), "auto") == 2  # no grid
+def test_threads_that_were_asked_for_are_kept_and_said_to_wait(pool, monkeypatch):
+    sim = pool(cloth(9, 7), execution="parallel")
     with monkeypatch.context() as patch:
-        patch.setattr("platform.node", lambda: "elsewhere")
-        assert count(small) == 2
-    autotune.cache_file().write_text("not JSON")
-    assert count(small) == 2
-    assert len(autotune.measurements()) == 1
+        patch.setattr(sim, "held_up", None)
+        patch.setattr(sim, "_watch", sim._watch)
+        lose_patience(patch, sim)
+        sim.advance()
+        assert sim.held_up is None
+        sim.advance()
+        alone, together = sim.held_up
+        assert together > 0 and alone > 0 and sim.execution == "parallel"
+
+
+# --- a word before the silence ---------------------------------------------------------------
+
+
+def test_compiling_is_told_once_where_no_run_has_compiled(pool, empty_cache, monkeypatch):
+    monkeypatch.setattr(compiled, "kernel_cache", lambda: empty_cache)
+    sim = pool(cloth(9, 7))
+    spec, state = sim.storage.specialization, sim.storage.state
+    told = []
+
+    def start(also=0):
+        launcher = Launcher(methods.load(sim.method), sim._launcher.device, lambda: told.append(1))
+        monkeypatch.setattr("taichi_cloth.simulation.launch.COMPILED", 1e9)
+        launcher.expect(spec, state.capacity)
+        launcher.expect(spec, state.capacity)
+        if also:
+            launcher.advance(spec, state, sim.steps, also, 1)
+        return len(told)
+
+    assert start() == 1
+    assert start(also=1) == 2  # the one before has not come to its first frame
+    assert start() == 2
+    compiled_folder = autotune.cache_file().parent
+    (compiled_folder / "compiled.json").write_text("{}")
+    assert start() == 3

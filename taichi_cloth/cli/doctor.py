@@ -43,24 +43,26 @@ def main() -> int:
 
 
 def _print_choices(to: Console) -> None:
-    """How scenes are run here: what a step took in each way, the newest measurements first."""
+    """How scenes ran here: what a launch and a step cost in each way, the newest first."""
     from taichi_cloth.simulation import autotune
 
-    measured = [kind for kind in reversed(autotune.measurements()) if kind.seconds]
+    measured = list(reversed(autotune.measurements()))
     if not measured:
-        console.say(to, "Fastest way to run a scene: nothing measured yet; the first run does it.")
+        console.say(
+            to, "Cost of a launch and a step: nothing measured yet; runs do it as they go."
+        )
         return
     ways = [f"{topology} {path}" for topology in TOPOLOGIES for path in PATHS]
-    title = "Microseconds a step, as measured at a scene's first start; * is what runs by itself"
+    title = (
+        "Microseconds a launch + a step, as measured in runs; ways that never ran are predicted\n"
+        "from these"
+    )
     what = "device; method; features and size of the scene"
     lines = []
     for kind in measured[:MEASUREMENTS]:
-        best = autotune.fastest(kind.seconds)
-        times = [
-            f"{'*' * (way == best)}{1e6 * kind.seconds[way]:.3g}" if way in kind.seconds else "-"
-            for way in ways
-        ]
-        lines.append([kind.what.replace("/", "; "), *times])
+        costs = [kind.costs.get(way) for way in ways]
+        numbers = [f"{1e6 * c.launch:.3g} + {1e6 * c.step:.3g}" if c else "-" for c in costs]
+        lines.append([kind.what.replace("/", "; "), *numbers])
     console.print_table(to, title, [what, *ways], lines, left=(what,))
     if len(measured) > MEASUREMENTS:
         console.say(to, f"{len(measured) - MEASUREMENTS} older ones: {autotune.cache_file()}")
@@ -111,12 +113,10 @@ def _video_writer() -> Finding:
 
 def _cache_folders() -> Iterator[Finding]:
     """Where compiled kernels and the measured execution paths are kept."""
-    from taichi.lang import impl
-
     from taichi_cloth.simulation import autotune
 
     for name, folder in (
-        ("cache of compiled kernels", Path(impl.default_cfg().offline_cache_file_path)),
+        ("cache of compiled kernels", runtime.kernel_cache()),
         ("cache of measured speeds", autotune.cache_file().parent),
     ):
         there = folder if folder.exists() else _first_existing(folder)

@@ -161,6 +161,8 @@ def _simulate(
         if not options.quiet:
             print(_last_line(sim, summary, time.perf_counter() - begin))
         _check_converged(sim, options)
+        if not options.quiet:
+            _note_held_up(sim)
     return 0
 
 
@@ -176,6 +178,16 @@ def _simulation(scene: Scene, options: RunOptions) -> Simulation:
         topology=options.topology,
         tolerance=options.tolerance,
         iterations=options.iterations,
+        compiling=None if options.quiet else _note_compiling,
+    )
+
+
+def _note_compiling() -> None:
+    """Say on standard error why nothing happens for some seconds."""
+    print(
+        f"{PROGRAM}: compiling kernels for this run: some seconds, once; later runs find them",
+        file=sys.stderr,
+        flush=True,
     )
 
 
@@ -279,6 +291,18 @@ def _check_converged(sim: Simulation, options: RunOptions) -> None:
             raise RunFailure(f"{failure}, or accept it: --unconverged accept") from None
     if sim.work().unconverged and not options.quiet:
         print(f"{PROGRAM}: note: {sim.describe_convergence()}", file=sys.stderr)
+
+
+def _note_held_up(sim: Simulation) -> None:
+    """Say on standard error that several threads were asked for, and only waited."""
+    if sim.held_up:
+        alone, together = (1e3 * seconds for seconds in sim.held_up)
+        print(
+            f"{PROGRAM}: note: another program wants the cores: a frame took {together:.3g} ms on "
+            f"all threads, where one would take about {alone:.3g} ms; --execution parallel keeps "
+            "them, without it the run gives way",
+            file=sys.stderr,
+        )
 
 
 def _note_differences(recorded: Mapping[str, Any], present: Mapping[str, Any]) -> None:

@@ -1,34 +1,39 @@
 """Lanes or graph, serial or parallel: which is fastest for a scene on this machine.
 
-Measured once on the scene itself, then kept in a file in the user's cache folder, by machine,
-device, method, features and size.
+A run starts at once in the way that is predicted from the scene's size (`prediction.py`): each
+further way would have to be compiled, which takes longer than most runs gain by it. What a run's
+own launches then cost is kept in a file in the user's cache folder, by machine, device, method,
+features and size, and corrects the predictions of runs to come. The cost of a launch and of a step
+are kept apart, because substeps and frames that share a launch change from run to run.
 """
 
 from __future__ import annotations
 
-import contextlib
-import functools
-import json
+import math
 import os
 import platform
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import Any, Protocol
 
 from taichi_cloth import __version__
 from taichi_cloth.errors import InputError, nearest
-from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.settings.options import PATHS, TOPOLOGIES
+from taichi_cloth.simulation import cache
+from taichi_cloth.simulation.prediction import Cost
 
-# Seconds in which one thread has done a frame before the others are awake: to measure all of them
-# would only cost the time to compile.
-WAKING = 50e-6
+# Lanes are taken where the graph would take more than so many times as long: they take 2 to 7 times
+# as long to compile.
+TIE = 1.18
+SEVERAL = 1.1  # all threads are taken where one would take more than so many times as long
 
-Table = dict[str, dict[str, float]]  # seconds a step by "topology execution", by kind of scene
+FILE = "execution.json"
+
+Costs = dict[str, Cost]  # by "topology execution"
 
 
 class Candidates(Protocol):
-    """The ways in which a scene can be run, each of which can be timed.
+    """The ways in which a scene can be run.
 
     scene_name: for messages. key: device, method, features and size, which decide what is fastest.
     paths: the paths worth a look here; substeps: steps a frame.
@@ -42,21 +47,25 @@ class Candidates(Protocol):
     def topologies(self) -> list[str]:
         """The topologies that the scene can be stored in."""
 
-    def time_candidate(self, topology: str, path: str) -> float:
-        """Seconds a step takes in a topology, on a path."""
+    def predict(self, topology: str, path: str) -> Cost:
+        """What a way is predicted to cost."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """How a scene is run. alone: seconds a step takes on one thread, where that was measured."""
+    """How a scene is run.
+
+    forced: whether the path was asked for. costs: of both paths in that topology, as expected.
+    """
 
     topology: str
     execution: str
-    alone: float | None = None
+    forced: bool
+    costs: Costs
 
 
 def choose(topology: str, execution: str, candidates: Candidates) -> Choice:
-    """How to run a scene: as requested, else the fastest of the candidates.
+    """How to run a scene: as requested, else what is expected to be fastest. Nothing is run.
 
     Raises InputError for an unknown word, and for lanes where the scene has no regular grid.
     """
@@ -74,123 +83,181 @@ def choose(topology: str, execution: str, candidates: Candidates) -> Choice:
         )
     if topology != "auto":
         topologies = [topology]
+    costs = expected(candidates, topologies)
     paths = candidates.paths if execution == "auto" else (execution,)
-    choices = [(t, p) for t in topologies for p in paths]
-    if len(choices) == 1:
-        return Choice(*choices[0])
-    measured = _measure(choices, candidates)
-    best = fastest({f"{t} {p}": measured[f"{t} {p}"] for t, p in choices if f"{t} {p}" in measured})
-    where, path = best.split()
-    alone = measured.get(f"{where} serial") if execution == "auto" else None
-    return Choice(where, path, alone)
+    seconds = {
+        f"{t} {p}": costs[f"{t} {p}"].of(candidates.substeps) for t in topologies for p in paths
+    }
+    where, path = fastest(seconds).split()
+    known = {p: costs[f"{where} {p}"] for p in {*candidates.paths, path}}
+    return Choice(where, path, execution != "auto", known)
 
 
-def _measure(choices: list[tuple[str, str]], candidates: Candidates) -> dict[str, float]:
-    """Seconds a step by "topology execution": from the cache file, else timed and put there.
+def expected(candidates: Candidates, topologies: list[str]) -> Costs:
+    """What each way is expected to cost: as remembered, else as predicted.
 
-    What cannot win is not timed, and absent.
+    Where other ways of the same kind of scene are remembered, predictions are as much too short or
+    too long as theirs were.
     """
-    table = _read()
-    measured = table.setdefault(f"{_machine()}/{candidates.key}", {})
-    before = dict(measured)
-    for topology, path in choices:
-        alone = measured.get(f"{topology} serial", 1.0)
-        hopeless = path == "parallel" and alone * candidates.substeps < WAKING
-        if f"{topology} {path}" not in measured and not hopeless:
-            measured[f"{topology} {path}"] = candidates.time_candidate(topology, path)
-    if measured != before:
-        _write(table)
-    return measured
+    predicted = {
+        f"{t} {p}": candidates.predict(t, p)
+        for t in topologies
+        for p in {*candidates.paths, *PATHS}
+    }
+    remembered = _entry(_read(), candidates.key)
+    every = {way: candidates.predict(*way.split()) for way in remembered}
+    steps = candidates.substeps
+    ratios = [math.log(remembered[w].of(steps) / every[w].of(steps)) for w in remembered]
+    factor = math.exp(sum(ratios) / len(ratios)) if ratios else 1.0
+    return {
+        way: remembered.get(way) or Cost(factor * cost.launch, factor * cost.step)
+        for way, cost in predicted.items()
+    }
 
 
 def fastest(seconds: dict[str, float]) -> str:
-    """The fastest of "topology execution"; of those within a tenth of it lanes before the graph,
-    one thread before several: launches hide what they gain, and they gain where frames share one.
+    """The fastest of "topology execution" by the seconds of a frame, but for what gains too little.
+
+    Several threads must gain SEVERAL over one, and lanes TIE over the graph.
     """
-    near = [choice for choice in seconds if seconds[choice] <= 1.1 * min(seconds.values())]
-    order = [f"{t} {p}" for t in TOPOLOGIES for p in PATHS]
-    return min(near, key=order.index)
+    best: dict[str, tuple[float, str]] = {}
+    for topology in TOPOLOGIES:
+        paths = {p: seconds[f"{topology} {p}"] for p in PATHS if f"{topology} {p}" in seconds}
+        if paths:
+            path = min(paths, key=paths.__getitem__)
+            if paths.get("serial", math.inf) <= SEVERAL * paths[path]:
+                path = "serial"
+            best[topology] = paths[path], path
+    graph, lanes = best.get("graph"), best.get("lanes")
+    if lanes and not (graph and graph[0] <= TIE * lanes[0]):
+        return f"lanes {lanes[1]}"
+    assert graph is not None  # there is always one of both
+    return f"graph {graph[1]}"
 
 
-class Pace:
-    """Whether all threads together are slower than one alone would be.
+# --- while a run goes on -----------------------------------------------------------------------
+
+
+class Watch:
+    """What the launches of a run cost, and whether all threads together are slower than one alone.
 
     They wait for each other several times a step, so where other programs want the cores they may
-    be. Both ways give the same bits, so a run may change over.
+    be. Both paths give the same bits, so a run may change over.
 
-    alone: seconds a step takes on one thread; None: not known, and never lost.
+    choice: how it is run; substeps: of a frame.
+    alone, together: once threads only wait, seconds a step on one, as estimated, and on all.
     """
 
+    ENOUGH = 20  # launches from which the cost of one is told
     PATIENCE = 0.3  # seconds that are looked at together
-    SLOWER = 1.5  # times slower than alone
+    SLOWER = 1.25  # times slower than alone
 
-    def __init__(self, alone: float | None) -> None:
-        self.alone = alone
+    def __init__(self, choice: Choice, substeps: int) -> None:
+        self.choice = choice
+        costs = choice.costs
+        self._gain = math.inf  # how many times as fast as one all threads are, undisturbed
+        if choice.execution == "parallel" and "serial" in costs:
+            self._gain = costs["serial"].of(substeps) / costs["parallel"].of(substeps)
         self._compiled = False  # the first launch compiles, and does not count
-        self._seconds, self._steps = 0.0, 0
+        self._launches: list[tuple[float, int]] = []
+        self._seconds, self._steps, self._least = 0.0, 0, math.inf
+        self.alone = self.together = 0.0
+
+    def enough(self, seconds: float, steps: int) -> bool:
+        """Note a launch of so many steps; True once, when what one costs can be told."""
+        if not self._compiled or len(self._launches) >= self.ENOUGH:
+            return False
+        self._launches.append((seconds, steps))
+        return len(self._launches) == self.ENOUGH
+
+    def cost(self, launch: float) -> Cost:
+        """The cost by the least disturbed launch. launch: seconds of one without steps."""
+        step = min((seconds - launch) / steps for seconds, steps in self._launches)
+        return Cost(launch, max(step, 1e-9))
 
     def lost(self, seconds: float, steps: int) -> bool:
-        """Note a launch; True when it is time to change over."""
-        if self.alone is None:
-            return False
+        """Note a launch of so many steps; True when one thread would do better.
+
+        How fast one would be, the least disturbed launch shows.
+        """
         if not self._compiled:
             self._compiled = True
             return False
         self._seconds, self._steps = self._seconds + seconds, self._steps + steps
+        self._least = min(self._least, seconds / steps)
         if self._seconds < self.PATIENCE:
             return False
-        slow = self._seconds > self.SLOWER * self.alone * self._steps
+        alone, together = self._gain * self._least, self._seconds / self._steps
         self._seconds, self._steps = 0.0, 0
-        return slow
+        if together <= self.SLOWER * alone:
+            return False
+        self.alone, self.together = alone, together
+        return True
 
 
-# --- the cache file --------------------------------------------------------------------------
+# --- the cache file ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured for one kind of scene: seconds a step by 'topology execution'."""
+    """What was measured for one kind of scene, by 'topology execution'."""
 
     what: str
-    seconds: dict[str, float]
+    costs: Costs
 
 
 def measurements() -> list[Measured]:
     """What the cache holds for this machine and version, the newest last."""
-    prefix = _machine() + "/"
-    return [
-        Measured(key.removeprefix(prefix), seconds)
-        for key, seconds in _read().items()
-        if key.startswith(prefix)
-    ]
+    prefix, table = _machine() + "/", _read()
+    keys = [key.removeprefix(prefix) for key in table if key.startswith(prefix)]
+    kinds = [Measured(key, _entry(table, key)) for key in keys]
+    return [kind for kind in kinds if kind.costs]
+
+
+def remember(key: str, way: str, cost: Cost) -> None:
+    """Keep what a way, "topology execution", was measured to cost, unless it was cheaper before."""
+    table = _read()
+    costs = _entry(table, key)
+    before = costs.get(way)
+    if before and cost.of(1) >= before.of(1) and cost.step >= before.step:
+        return
+    if before:
+        cost = Cost(min(cost.launch, before.launch), min(cost.step, before.step))
+    table.pop(f"{_machine()}/{key}", None)  # the newest come last
+    table[f"{_machine()}/{key}"] = {
+        name: [kept.launch, kept.step] for name, kept in {**costs, way: cost}.items()
+    }
+    cache.write(FILE, table)
 
 
 def cache_file() -> Path:
     """Where the measurements are kept."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "taichi-cloth" / "execution.json"
+    return cache.folder() / FILE
 
 
 def _machine() -> str:
     return f"{__version__}, {platform.node()}, {platform.machine()}, {os.cpu_count()} cores"
 
 
-def _read() -> Table:
-    try:
-        table: Table = json.loads(cache_file().read_text())
-    except (OSError, ValueError):
-        return {}  # nothing measured yet, or not readable: measure again
-    return table
+def _entry(table: dict[str, Any], key: str) -> Costs:
+    """The costs of one kind of scene; what is not written as this version does is left out."""
+    entry = table.get(f"{_machine()}/{key}")
+    if not isinstance(entry, dict):
+        return {}
+    ways = [f"{topology} {path}" for topology in TOPOLOGIES for path in PATHS]
+    return {way: Cost(*entry[way]) for way in ways if _is_cost(entry.get(way))}
 
 
-def _write(table: Table) -> None:
-    text = json.dumps(table, indent=1).encode()
-    path = cache_file()
-    # A cache that cannot be written costs a measurement at the next start.
-    with contextlib.suppress(OSError, InputError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        PendingFile(path).fill(functools.partial(_put, text))
+def _is_cost(pair: object) -> bool:
+    """Whether this is what `remember` writes: two numbers of seconds."""
+    return (
+        isinstance(pair, list)
+        and len(pair) == 2
+        and all(type(number) in (int, float) and math.isfinite(number) for number in pair)
+        and pair[0] >= 0 < pair[1]
+    )
 
 
-def _put(text: bytes, file: BinaryIO) -> None:
-    file.write(text)
+def _read() -> dict[str, Any]:
+    table = cache.read(FILE)
+    return table if isinstance(table, dict) else {}

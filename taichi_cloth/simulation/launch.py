@@ -15,22 +15,31 @@ from taichi_cloth.kernels import stepping, watchdog
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.solvers import phases
 from taichi_cloth.kernels.specialization import Specialization
-from taichi_cloth.runtime import Device, sums_in_order, whole_vectors
+from taichi_cloth.kernels.state import Capacity
+from taichi_cloth.runtime import Device, compilation_time, sums_in_order, whole_vectors
+from taichi_cloth.simulation import compiled
 
 # Particles and springs times steps in one launch: some tenths of a second, so that Ctrl-C is heard.
 LAUNCH_WORK = 20_000_000
 # Iterations of a loop in a shader: Mesa's drivers leave one after 65535, and say nothing.
 MOST_ITERATIONS = 65_000
+# Seconds of compiling in a process, above which kernels are not only read from Taichi's cache.
+COMPILED = 0.1
 
 
 class Launcher:
     """Launches kernels on one device for one method.
 
-    method: out of `kernels.methods`.
+    method: out of `kernels.methods`. compiling: called before kernels are compiled that no earlier
+    run has left, once.
     """
 
-    def __init__(self, method: Method, device: Device) -> None:
+    def __init__(
+        self, method: Method, device: Device, compiling: Callable[[], None] | None = None
+    ) -> None:
         self.device = device
+        self._compiling = compiling
+        self._kind: str | None = None  # what is compiled, until its first frames are done
         self._method = method
         self._step = phases.stepping(method.phases) if method.phases else method.step
 
@@ -40,13 +49,31 @@ class Launcher:
         threads = 1 if path == "serial" else self.device.threads
         return replace(spec, threads=threads, one_launch_per_step=per_step)
 
+    def expect(self, spec: Specialization, capacity: Capacity) -> None:
+        """Say, where someone wants to hear it, if kernels for this are yet to be compiled."""
+        if self._compiling is None:
+            return
+        kind = compiled.kind(self.device, self._method, spec, capacity)
+        if not compiled.was_before(kind):
+            self._tell()
+        self._kind = kind
+
+    def _tell(self) -> None:
+        if self._compiling:
+            self._compiling()
+        self._compiling = None
+
     def launch(self, kernel: Callable[..., Any], *arguments: Any) -> Any:
         """Launch a kernel under the settings of its specialization, and return what it returns.
 
         arguments: the kernel's own: a specialization first, unless it touches no packs.
         """
         with self._settings(arguments[0]):
-            return kernel(*arguments)
+            result = kernel(*arguments)
+        # The first kernels of a start are short, and tell whether those of earlier runs are there.
+        if self._compiling and compilation_time() > COMPILED:
+            self._tell()
+        return result
 
     def begin(self, spec: Specialization, state: Any) -> None:
         """Compute what a method keeps from step to step: before its first step, and after the
@@ -69,6 +96,15 @@ class Launcher:
         self, spec: Specialization, state: Any, done: int, frames: int, substeps: int
     ) -> int:
         """Advance frames, after `done` steps, and return how many passed the watchdog."""
+        passed = self._advance(spec, state, done, frames, substeps)
+        if self._kind:
+            compiled.note(self._kind)
+            self._kind = None
+        return passed
+
+    def _advance(
+        self, spec: Specialization, state: Any, done: int, frames: int, substeps: int
+    ) -> int:
         with self._settings(spec):
             if not spec.one_launch_per_step and not self._by_phases(spec):
                 passed: int = stepping.frames_in_one_launch(

@@ -25,7 +25,6 @@ from taichi_cloth.simulation import autotune, diagnosis, diagnostics
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.changes import Changes
 from taichi_cloth.simulation.editing import same
-from taichi_cloth.simulation.frame_timer import FrameTimer, describe_size
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import (
     Numbers,
@@ -33,6 +32,7 @@ from taichi_cloth.simulation.numbers import (
     runaway_speed,
     solver_settings,
 )
+from taichi_cloth.simulation.prediction import Prediction, describe_size
 from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.storage import Storage
 
@@ -51,12 +51,16 @@ class Simulation(Changes):
     execution: "serial" (on one thread) or "parallel" (on all threads, or a GPU).
     topology: "lanes" (the regular grids among the springs without index lists, in packs of several
     particles; the rest on the graph), or "graph" (all springs by lists of neighbours).
-    "auto" is, for both, what measured fastest on this machine for such a scene.
+    "auto" is, for both, what is predicted to be fastest for such a scene, or was measured to be in
+    earlier runs on this machine.
     lanes: particles in a pack of that topology; LANES on CPUs and 1 on GPUs where absent.
     tolerance: relative residual of a step's solution, of methods that solve for it; iterations:
     sweeps a step, of methods that iterate (`options.SOLVER_SETTINGS` where absent). InputError for
     a method that does not take it.
+    compiling: called before kernels are compiled that no earlier run has left, once.
 
+    held_up: seconds a frame on one thread, as estimated, and on all of them, where the execution
+    "parallel" was asked for and threads only wait, because other programs want the cores.
     storage: the state on the device, to look at. speed_limit: above it a particle runs away.
     Arrays are returned as float64 copies, one row per particle in the order of creation.
     """
@@ -72,6 +76,7 @@ class Simulation(Changes):
         lanes: int | None = None,
         tolerance: float | None = None,
         iterations: int | None = None,
+        compiling: Callable[[], None] | None = None,
     ) -> None:
         accepted.word("--method", method, methods.METHODS)
         follows = isinstance(dt, str) and dt == "auto"
@@ -88,7 +93,7 @@ class Simulation(Changes):
         self.solver = solver_settings(method, self.claims, tolerance, iterations)
         self.speed_limit = runaway_speed(scene, self.dt)
         most = min(LANES, self._module.lanes or LANES)
-        self._launcher = Launcher(self._module, device)
+        self._launcher = Launcher(self._module, device, compiling)
         lanes = lanes or (most if device.arch == "cpu" else 1)
         self.storage = Storage(self._module, lanes, self._launcher, Snapshot.at_start(self.scene))
         self._auto = AutoSubsteps(method, self._module, self.dt) if follows else None
@@ -97,7 +102,8 @@ class Simulation(Changes):
             accepted.word("--execution", execution, (*PATHS, "auto")),
         )
         self.topology = self.execution = self._preferred = ""  # until the first `reset` has chosen
-        self._pace: autotune.Pace | None = None
+        self._watch: autotune.Watch | None = None
+        self.held_up: tuple[float, float] | None = None
         self._unprepared: list[Callable[[], None]] | None = None  # until a window asks
         self.frame = 0
         self._since = 0, 0.0, 0  # frame, time and steps when the step last changed
@@ -164,14 +170,42 @@ class Simulation(Changes):
     def _advance_together(self, frames: int) -> int:
         """Advance frames that share a launch, and return how many passed the watchdog."""
         begin = time.perf_counter()
+        passed = self._launch_frames(frames)
+        if self._watch:
+            self._heed(self._watch, time.perf_counter() - begin, frames * self.substeps)
+        return passed
+
+    def _launch_frames(self, frames: int) -> int:
         self.storage.begin()
         spec, state = self.storage.specialization, self.storage.state
         passed = self._launcher.advance(spec, state, self.steps, frames, self.substeps)
         self._work += self.storage.take_work()
-        if self._pace and self._pace.lost(time.perf_counter() - begin, frames * self.substeps):
-            self.execution, self._pace = "serial", None
-            self.storage.set_path(self.execution)
         return passed
+
+    def _heed(self, watch: autotune.Watch, seconds: float, steps: int) -> None:
+        """Note a launch; remember what it costs, and change over where threads only wait.
+
+        A path that was asked for is kept, and `held_up` says so.
+        """
+        if watch.enough(seconds, steps) and "auto" in self._requested:
+            cost = watch.cost(min(self._time_launch() for _ in range(5)))
+            autotune.remember(self._prediction().key, f"{self.topology} {self.execution}", cost)
+        if not watch.lost(seconds, steps):
+            return
+        if watch.choice.forced:
+            self.held_up = watch.alone * self.substeps, watch.together * self.substeps
+        else:
+            self.execution, self._watch = "serial", None
+            self.storage.set_path(self.execution)
+
+    def _time_launch(self) -> float:
+        """Seconds that a launch without frames takes."""
+        begin = time.perf_counter()
+        self._launch_frames(0)
+        return time.perf_counter() - begin
+
+    def _prediction(self) -> Prediction:
+        return Prediction(self.storage, self._launcher, self.substeps, self.method, self._module)
 
     def _frames_per_launch(self) -> int:
         size = self.particle_count + self.spring_count
@@ -238,13 +272,9 @@ class Simulation(Changes):
         self._unprepared = [] if self._unprepared else self._unprepared
         self.storage.take(snapshot)
         if not self.execution:
-            timer = FrameTimer(
-                self.storage, self._launcher, self._numbers(), self.substeps, self.method
-            )
-            choice = autotune.choose(*self._requested, timer)
+            choice = autotune.choose(*self._requested, self._prediction())
             self._preferred, self.execution = choice.topology, choice.execution
-            if self.execution == "parallel":
-                self._pace = autotune.Pace(choice.alone)
+            self._watch = autotune.Watch(choice, self.substeps)
         self.storage.load(self._preferred, self.execution, self._numbers())
         self.topology = self.storage.topology  # the graph, while there is no regular grid
         self.storage.mark_new_springs(self.steps)

@@ -144,6 +144,7 @@ class Storage:
         container = self._make_room(placement, topology)
         self.topology, self.path = topology, path
         specialization = self._launcher.specialize(container.spec, path)
+        self._launcher.expect(specialization, container.state.capacity)
         self._loaded = _Loaded(container, placement, specialization, numbers)
         self._drawn_springs = None
         upload = self._upload()
