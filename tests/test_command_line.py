@@ -310,8 +310,8 @@ def test_scene_parameters_and_files_run(cli, tmp_path):
     ("flags", "path"),
     [
         (("--threads", 1), "serial"),
-        (("--threads", 2), "parallel"),
-        (("--threads", 2, "--execution", "serial"), "serial"),
+        (("--threads", 2), "serial"),  # at most two, where that pays
+        (("--threads", 2, "--execution", "parallel"), "parallel"),
         (("--execution", "parallel"), "parallel"),
     ],
 )

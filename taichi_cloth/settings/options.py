@@ -479,6 +479,6 @@ def check_run(options: OneRun) -> OneRun:
         return options
     if options.arch != "cpu":
         raise InputError(f"--threads: only --arch cpu takes it, not {options.arch}")
-    if options.execution != "auto":
-        return options
-    return replace(options, execution="serial" if options.threads == 1 else "parallel")
+    if options.execution != "auto" or options.threads > 1:
+        return options  # several threads may be used: where they only wait, one goes on
+    return replace(options, execution="serial")
