@@ -191,10 +191,10 @@ class GguiView:
         """
         if self.closed or not self.visible:
             return []
-        self._close_if_gone()
-        if not self.closed and not self._window.running:
+        if self._was_destroyed():
+            return []
+        if not self._window.running:
             self.close()
-        if self.closed:
             return []
         if self._tap and self._listens:
             self._window.get_events()  # makes Xlib read; which come, and where, X says better
@@ -264,8 +264,7 @@ class GguiView:
         self._last = picture
         self._compose(picture)
         if self.visible:
-            self._close_if_gone()  # Vulkan ends the process where the window is not there any more
-            if self.closed:
+            if self._was_destroyed():  # Vulkan would end the process
                 return
             self._window.show()
         self._fresh = not self.visible
@@ -280,15 +279,15 @@ class GguiView:
         self._fresh = False
         return drawing.as_image(self._window.get_image_buffer_as_numpy())
 
-    def _close_if_gone(self) -> None:
-        """Close where the window was destroyed. Raises ConnectionCut where it was not alone."""
+    def _was_destroyed(self) -> bool:
+        """Whether the window is gone; it is closed then. Raises ConnectionCut where that is why."""
         if self._tap is None or not self._tap.is_gone():
-            return
+            return False
         failure = self._cut()
-        if failure is None:
-            self.close()
-        else:
+        if failure is not None:
             raise failure
+        self.close()
+        return True
 
     def _cut(self) -> x11.ConnectionCut | None:
         """That the window's connection was cut, if it was; then it is closed, and left alone."""
