@@ -469,6 +469,22 @@ def test_an_interrupted_run_keeps_its_files(tmp_path, number, status):
     assert sorted(p.name for p in tmp_path.glob("a.*")) == ["a.jsonl", "a.npz"]
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize("full", ["save", "record", "image", "video"])
+def test_a_full_disk_ends_in_one_line_and_spoils_no_other_file(tmp_path, full):
+    names = {"save": "a.npz", "record": "a.jsonl", "image": "a.png", "video": "a.gif"}
+    if full in ("image", "video"):  # whose names must say what they are
+        (tmp_path / names[full]).symlink_to("/dev/full")
+    paths = {name: "/dev/full" if name == full else tmp_path / file for name, file in names.items()}
+    if full in ("image", "video"):
+        paths[full] = tmp_path / names[full]
+    words = [word for name, path in paths.items() for word in (f"--{name}", path)]
+    _, error = command("run", "oscillator", *ON_GRAPH, "--frames", 5, "--headless", *words, check=2)
+    assert error.count("\n") == 1 and "No space left" in error
+    left = {path.name for path in tmp_path.iterdir() if not path.is_symlink()}
+    assert left == set(names.values()) - {names[full]}
+
+
 def test_a_reader_that_leaves_is_no_error():
     process = subprocess.Popen(
         [*PROGRAM, "run", "oscillator", "--headless", "--frames", "1"],

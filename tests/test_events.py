@@ -43,6 +43,21 @@ def test_what_is_recorded_is_read_back(tmp_path_factory, header, happened):
     assert [(f, e) for f, of_frame in log.by_frame.items() for e in of_frame] == happened
 
 
+def test_a_disk_that_fills_up_ends_a_log_in_one_line_and_leaves_nothing(tmp_path):
+    import resource
+
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    recorder = Recorder(tmp_path / "log.jsonl")
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, limits[1]))
+        with pytest.raises(InputError, match="cannot be written"):
+            for frame in range(1000):
+                recorder.write(frame, Event("move", (1.0, 2.0)))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_golden_log_is_read(request):
     log = interaction.load(request.path.parent / "golden" / "cloth_blow.jsonl")
     assert log.last_frame == 599 and len(log.by_frame) == 600

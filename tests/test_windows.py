@@ -590,6 +590,26 @@ def window(request, display, caches, tmp_path):
             one.process.kill()
 
 
+def check_that_clicks_are_where_and_when_they_were(w):
+    """Also where the pointer and a key move on before the window looks."""
+    before = len(w.events())
+    places = np.random.default_rng(4).integers((5, 5), (595, 395), (20, 2, 2)).tolist()
+    go = ("mousemove", "--window", w.id)
+    for n, (at, after) in enumerate(places):
+        key = "a" if n % 2 else "shift"
+        w.ask(*go, *at, "keydown", key, "click", 1, "keyup", key, *go, *after)
+    w.ask(*go, 50, 60, "mousedown", 1, *go, 70, 80, "mouseup", 1, *go, 9, 9)
+    w.quit()
+    events = [e for e in w.events()[before:] if "button" in e or "key" in e]
+    clicks = [e["pos"] for e in events if e["kind"] == "press" and "button" in e]
+    assert clicks[:20] == [at for at, _ in places]
+    for n in range(20):
+        key = "a" if n % 2 else "shift"
+        names = [(e["kind"], e.get("key", e.get("button"))) for e in events[4 * n : 4 * n + 4]]
+        assert names == [("press", key), ("press", "left"), ("release", "left"), ("release", key)]
+    assert [e["pos"] for e in events if e.get("button")][-1] == [70, 80]
+
+
 @needs_x
 def test_keys_buttons_wheel_and_pointer_arrive(window):
     w = window("none", 2)
@@ -618,28 +638,7 @@ def test_keys_buttons_wheel_and_pointer_arrive(window):
         "f1", "f1", ".", "+", "-", "+", "-", "up", "down", "left", "right", "tab", "tab",
         "h", "h", "ctrl", "h",
     ]  # fmt: skip
-    w.quit()
-
-
-@needs_x
-def test_a_click_is_where_and_when_it_was(window):
-    """Also where the pointer and a key move on before the window looks."""
-    w = window("none", 2)
-    places = np.random.default_rng(4).integers((5, 5), (595, 395), (20, 2, 2)).tolist()
-    go = ("mousemove", "--window", w.id)
-    for n, (at, after) in enumerate(places):
-        key = "a" if n % 2 else "shift"
-        w.ask(*go, *at, "keydown", key, "click", 1, "keyup", key, *go, *after)
-    w.ask(*go, 50, 60, "mousedown", 1, *go, 70, 80, "mouseup", 1, *go, 9, 9)
-    w.quit()
-    events = [e for e in w.events() if "button" in e or "key" in e]
-    clicks = [e["pos"] for e in events if e["kind"] == "press" and "button" in e]
-    assert clicks[:20] == [at for at, _ in places]
-    for n in range(20):
-        key = "a" if n % 2 else "shift"
-        names = [(e["kind"], e.get("key", e.get("button"))) for e in events[4 * n : 4 * n + 4]]
-        assert names == [("press", key), ("press", "left"), ("release", "left"), ("release", key)]
-    assert [e["pos"] for e in events if e.get("button")][-1] == [70, 80]
+    check_that_clicks_are_where_and_when_they_were(w)
 
 
 @needs_x
