@@ -3,15 +3,19 @@
 Cases run `cli.main` in this process: they are refused before Taichi starts.
 """
 
+import re
+
 import numpy as np
 import pytest
 
 from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
+from taichi_cloth.limits.precision import refuse_unholdable, unresolved
 from taichi_cloth.scene import library, scenefile
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import grid
 from taichi_cloth.scene.model import Particles, Scene, SpringDefaults, Springs, World
+from taichi_cloth.simulation.diagnostics import acceleration_at_start
 
 COMMAND_LINES = [
     # (arguments, what the line must say)
@@ -266,3 +270,55 @@ def test_scene_parameters_are_checked_in_python_too():
 def test_a_cloth_refuses_infinite_spacing():
     with pytest.raises(InputError, match="spacing"):
         grid((0, 0), 2, 2, np.inf, spring_defaults=SpringDefaults())
+
+
+def two(apart, size, *, v=0.0, mass=1.0, k=0.1):
+    """Two particles on a spring of the length `apart`, at the far end of a world."""
+    x = np.array([[size - apart, size], [size, size]])
+    springs = Springs.build([[0, 1]], x, stiffness=k)
+    particles = Particles.build(x, [[v, 0.0], [v, 0.0]], mass=mass, radius=0.0, viscous=0.0)
+    return Scene("two", World(size=(size, size), gravity=(0.0, 0.0)), particles, springs)
+
+
+@pytest.mark.parametrize(
+    ("scene", "precision", "says"),
+    [
+        (two(1e-20, 1e-19), "f32", r"spring 0: length 1e-20 .*use --precision f64 or other units"),
+        (two(1e-20, 1e-19), "compensated", "spring 0: length 1e-20 .*--precision f64"),
+        (two(1e-160, 1e-159), "f64", "spring 0: length 1e-160 .*; use other units"),
+        (two(1e20, 1e21), "f32", "spring 0: length 1e.20 is too large"),
+        (two(1.0, 9.0, mass=1e39), "f32", "particle 0: mass 1e.39 is too large"),
+        (two(1.0, 9.0, k=1e-39), "f32", "spring 0: stiffness 1e-39 is too small"),
+    ],
+)
+def test_what_a_precision_cannot_hold_is_refused(scene, precision, says):
+    with pytest.raises(InputError, match=says):
+        refuse_unholdable(scene, precision)
+    if precision != "f64":
+        refuse_unholdable(scene, "f64")
+
+
+@pytest.mark.parametrize(
+    ("scene", "substeps", "precision", "says"),
+    [
+        (two(1.0, 1e7, v=0.3), 1, "f32", "stands still in f32.*--precision compensated or f64"),
+        (two(1.0, 1e7, v=0.3), 1, "compensated", None),
+        (two(1.0, 1e5, v=0.002), 1, "f32", "stands still in f32"),
+        (two(1.0, 1e5, v=0.5), 1, "f32", None),
+        (two(1.0, 1e5, v=0.5), 64, "f32", "or fewer --substeps"),
+        (two(1.0, 1e17, v=3.0), 1, "f64", "stands still in f64: .*; use longer steps"),
+        (two(1.0, 9.0, mass=[1e-20, 1e20], k=1e-21), 1, "f32", "particle 1 of mass 1e.20 .*f64"),
+        (two(1.0, 9.0, mass=[1e-20, 1e20], k=1e-21), 1, "f64", None),
+        (two(1.0, 9.0), 1, "f32", None),
+    ],
+)
+def test_what_a_precision_cannot_resolve_is_said(scene, substeps, precision, says):
+    found = unresolved(scene, acceleration_at_start(scene), 1.0, substeps, precision)
+    assert (found is None) if says is None else re.search(says, found)
+
+
+@pytest.mark.parametrize("name", library.names())
+def test_scenes_of_the_library_are_resolved(name):
+    scene = library.build(name)
+    refuse_unholdable(scene, "f32")
+    assert unresolved(scene, acceleration_at_start(scene), scene.world.dt, 16, "f32") is None

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from selection import mostly_thorough
 
-from taichi_cloth.scene.model import ParticleDefaults, Particles, Scene, World
+from taichi_cloth.errors import SimulationFailure
+from taichi_cloth.kernels import methods
+from taichi_cloth.scene.library import build
+from taichi_cloth.scene.model import WALLS, ParticleDefaults, Particles, Scene, World
+from taichi_cloth.scene.scatter import VELOCITY_HIGH, VELOCITY_LOW
+from taichi_cloth.simulation.simulation import Simulation
 
 PATHS = ["serial", "parallel"]
 
@@ -126,3 +131,88 @@ def test_floor_and_bounce_agree_on_a_hit_to_the_last_bit(pool, radius):
         if hit and v > 0:
             y = high - radius
         assert sim.positions()[0, 1] == pytest.approx(y, abs=1e-9)
+
+
+SIDES = {"left": (-0.5, 0.0), "right": (0.5, 0.0), "top": (0.0, -0.5), "bottom": (0.0, 0.5)}
+
+
+def thrown_about(gravity):
+    """Particles of every restitution and many radii, at rest and thrown at all walls, 100 apart."""
+    restitutions, radii = (0.0, 0.01, 0.5, 0.95, 1.0), (0.0, 0.3, 5.0, 5.0)
+    speeds = np.array([[0, 0], [7, 3], [-20, 11], [60, -45], [-90, 99], [50, 50]], float)
+    e, radius, speed = np.meshgrid(restitutions, radii, np.arange(len(speeds)), indexing="ij")
+    v = speeds[speed.ravel()]
+    x = np.tile([50.0, 50.0], (len(v), 1)) + np.linspace(-9, 9, len(v))[:, None]
+    world = World(size=(100.0, 100.0), gravity=gravity, walls=tuple(SIDES))
+    particles = Particles.build(
+        x, v, radius=radius.ravel(), restitution=e.ravel(), viscous=0.01 * (speed.ravel() == 0)
+    )
+    return Scene("thrown", world, particles)
+
+
+def held(sim, frames):
+    """How far the particle that is farthest outside was so, less its radius, in any frame."""
+    world, worst = sim.scene.world, -np.inf
+    for _ in range(frames):
+        sim.advance()
+        x = sim.positions()
+        outside = np.maximum(world.low - x, x - world.high).max(axis=1)
+        worst = max(worst, (outside - sim.radii()).max())
+    return worst
+
+
+@pytest.mark.parametrize("wall", SIDES)
+def test_every_wall_holds_what_lies_on_it_and_what_is_thrown_at_it(pool, wall):
+    gravity = SIDES[wall]
+    sim = pool(thrown_about(gravity))
+    assert held(sim, 150) <= 1e-9
+    sim.advance(2000)
+    assert held(sim, 20) <= 1e-9
+    rests = (sim.scene.particles.restitution == 0) & (sim.radii() == 5)
+    axis, side = WALLS[wall]
+    depth = 50 + side * (sim.positions()[rests, axis] - 50) - 95
+    assert -1e-9 <= depth.min() and depth.max() <= 1.0 + 1e-9  # two steps of gravity
+
+
+def test_what_crosses_more_than_the_world_in_a_step_is_named(pool):
+    scene = thrown_about((0.0, 0.0))
+    scene.particles.velocity[17] = (0.0, -180.0)
+    sim = pool(scene)
+    says = "frame 1: particle 17 ended .* beyond the wall 'top': .*--substeps"
+    with pytest.raises(SimulationFailure, match=says):
+        sim.advance()
+    np.testing.assert_array_equal(sim.positions(), scene.particles.position)
+    sim.set_step(substeps=2)
+    assert held(sim, 10) <= 1e-9
+
+
+def thin_box(restitution, depth=1e-6):
+    rng = np.random.default_rng(4)
+    x = np.column_stack([rng.uniform(10, 90, (9, 2)), np.zeros(9)])
+    world = World(size=(100.0, 100.0, depth), gravity=(0.0, 0.1, 0.0), walls=tuple(WALLS))
+    v = rng.uniform(-9, 9, (9, 3))
+    return Scene("thin", world, Particles.build(x, v, radius=5.0, restitution=restitution))
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+def test_a_box_thinner_than_its_particles_holds_them(pool, restitution):
+    assert held(pool(thin_box(restitution)), 500) <= 1e-9
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("method", methods.METHODS)
+def test_walls_hold_with_every_method(pool, method):
+    for gravity in SIDES.values():
+        sim = pool(thrown_about(gravity), method)
+        assert held(sim, 300) <= 1e-9
+
+
+@pytest.mark.thorough
+def test_three_hundred_clicks_at_one_point_stay_inside(device):
+    sim = Simulation(build("box"), execution="serial")
+    rng, last = np.random.default_rng(0), None
+    for _ in range(300):
+        v = rng.uniform(VELOCITY_LOW, VELOCITY_HIGH)
+        last = sim.spawn([300.0, 200.0, 0.0], v, tied_to=last)
+    assert held(sim, 2000) <= 1e-9

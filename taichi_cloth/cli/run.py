@@ -243,12 +243,21 @@ def _frames(options: RunOptions, view: View) -> int | None:
 
 
 def _announce(sim: Simulation, device: Device, view: View) -> None:
-    """Say what runs, and on standard error if its steps are too long to be stable."""
+    """Say what runs, and on standard error if its steps are too long to be stable, or if there is
+    something that the precision cannot resolve.
+    """
     from taichi_cloth.limits.auto_step import above_limit
+    from taichi_cloth.limits.precision import unresolved
+    from taichi_cloth.simulation.diagnostics import acceleration_at_start
 
     print(_first_line(sim, device, view), flush=True)
-    warning = above_limit(sim.method, sim.scene, sim.dt, sim.substeps)
-    if warning:
+    warnings = [
+        above_limit(sim.method, sim.scene, sim.dt, sim.substeps),
+        unresolved(
+            sim.scene, acceleration_at_start(sim.scene), sim.dt, sim.substeps, device.precision
+        ),
+    ]
+    for warning in filter(None, warnings):
         print(f"{PROGRAM}: warning: {warning}", file=sys.stderr, flush=True)
 
 

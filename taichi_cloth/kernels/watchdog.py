@@ -105,7 +105,7 @@ def note_lost(spec: ti.template(), state: ti.template(), i, lost):
     if largest(spec, lost) > 0.0:
         for lane in ti.static(range(spec.lanes)):
             here = 0.0
-            if ti.static(spec.lanes == 1):
+            if ti.static(spec.lanes == 1):  # noqa: SIM108 - Taichi builds both parts of the other
                 here = lost
             else:
                 here = lost[lane]

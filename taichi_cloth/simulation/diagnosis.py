@@ -25,7 +25,8 @@ def describe_fault(
     beyond = {wall: _beyond(world, wall, position) for wall in world.walls}
     if beyond and max(beyond.values()) > 0:
         wall = max(beyond, key=lambda name: beyond[name])
-        return f"ended {beyond[wall]:.3g} beyond the wall '{wall}': it crossed more than the world in a step"
+        how_far = f"ended {beyond[wall]:.3g} beyond the wall '{wall}'"
+        return f"{how_far}: it crossed more than the world in a step"
     return "crossed more than the world in a step, past a wall of it"
 
 

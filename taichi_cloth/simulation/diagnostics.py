@@ -113,6 +113,23 @@ def spring_forces(x: np.ndarray, v: np.ndarray, springs: Springs) -> np.ndarray:
     return force
 
 
+def acceleration_at_start(scene: Scene) -> np.ndarray:
+    """Acceleration of a scene's particles at its start (n, dim): gravity, springs, drag.
+
+    What springs in balance leave of their forces by rounding counts as nothing.
+    """
+    p, springs = scene.particles, scene.springs
+    with np.errstate(all="ignore"):
+        force = spring_forces(p.position, p.velocity, springs)
+        reach = np.abs(p.position).max(axis=1, initial=0.0)[springs.between].max(axis=1)
+        each = springs.stiffness * np.maximum(reach, springs.rest_length)
+        rounding = 1e-14 * np.bincount(springs.between.ravel(), np.repeat(each, 2), len(p))
+        force = np.where(np.abs(force) > rounding[:, None], force, 0.0)
+        force -= p.viscous[:, None] * p.velocity
+        a: np.ndarray = np.asarray(scene.world.gravity) + force / p.mass[:, None]
+    return a
+
+
 def momentum(v: np.ndarray, mass: np.ndarray, fixed: np.ndarray) -> np.ndarray:
     """Total linear momentum of the free particles, shape (dim,)."""
     total: np.ndarray = (mass[~fixed, None] * v[~fixed]).sum(axis=0)

@@ -16,6 +16,7 @@ from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.methods.contract import Claims
 from taichi_cloth.kernels.state import WORK
 from taichi_cloth.limits.network import Network
+from taichi_cloth.limits.precision import refuse_unholdable
 from taichi_cloth.runtime import current_device
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import Particles, Scene, Springs
@@ -45,7 +46,7 @@ MOST_LANES = 64  # more fill no vector, and take minutes to compile
 class Simulation(Changes):
     """One scene, integrated by one method on the device that `runtime.start` started.
 
-    scene: validated here (InputError). method: a name out of `kernels.methods.METHODS`.
+    scene: validated here (InputError), also against the device's precision. method: a name out of `kernels.methods.METHODS`.
     dt: time of a frame, the scene's own when absent; substeps: steps a frame is cut into. With
     dt "auto" a frame is the scene's, cut into as many as its springs need (`auto_substeps.py`).
     execution: "serial" (on one thread) or "parallel" (on all threads, or a GPU).
@@ -85,6 +86,7 @@ class Simulation(Changes):
         if follows and substeps != 1:
             raise InputError("--substeps: --dt auto chooses them; give one of the two")
         self.scene, self.method = validate(scene), method
+        refuse_unholdable(scene, current_device().precision)
         step = checked_step(scene.world.dt if dt is None or follows else dt, substeps)
         self.dt, self.substeps = step
         device = current_device()
@@ -122,6 +124,7 @@ class Simulation(Changes):
             raise InputError("--dt auto chooses the step; it cannot be set")
         validate(scene)
         step = checked_step(scene.world.dt if dt is None else dt, substeps)
+        refuse_unholdable(scene, current_device().precision)
         self.scene = scene
         self.dt, self.substeps = step
         if self.follows:

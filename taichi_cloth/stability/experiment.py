@@ -30,7 +30,7 @@ from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
 from taichi_cloth.limits.eigenmodes import Limit, stable_step
 from taichi_cloth.limits.matrices import stiffness_and_damping
 from taichi_cloth.limits.network import Network
-from taichi_cloth.limits.rounding import Stall, f32_stall
+from taichi_cloth.limits import rounding
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
@@ -351,11 +351,7 @@ def _fill_map(
             drawn.points.append((factor, h, not runs.is_unstable(h, limit, mesh.look)))
 
 
-def stall(scene: Scene) -> Stall:
+def stall(scene: Scene) -> rounding.Stall:
     """Where f32 stops following the scene's own start, gravity included."""
-    p = scene.particles
-    with np.errstate(all="ignore"):
-        force = diagnostics.spring_forces(p.position, p.velocity, scene.springs)
-        force -= p.viscous[:, None] * p.velocity
-        a = np.asarray(scene.world.gravity) + force / p.mass[:, None]
-    return f32_stall(p.position, p.velocity, a, p.fixed, scene.world.dt)
+    p, a = scene.particles, diagnostics.acceleration_at_start(scene)
+    return rounding.stall(p.position, p.velocity, a, p.fixed, scene.world.dt)
