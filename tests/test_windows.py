@@ -722,7 +722,8 @@ def test_the_picture_without_a_window_shows_the_scene(kind, dim, caches, tmp_pat
         np.testing.assert_allclose(middle, 1.5 * expected[channel], atol=2.5)
         assert np.ptp(columns) + 1 == pytest.approx(2 * 1.5 * radii[channel], abs=4)
     column, row = (1.5 * expected.mean(axis=0)).round().astype(int)
-    assert (pixels[row - 2 : row + 3, column] == 255).all(axis=1).any(), "the spring is white"
+    lightest = pixels[row - 3 : row + 4, column].min(axis=1).max()
+    assert lightest > 200, "the spring is white; in the colour of its ends it is at most 123"
 
 
 def test_views_that_cannot_open_are_refused(monkeypatch):
