@@ -69,7 +69,7 @@ def reference(
     **settings: Any,
 ) -> dict[int, np.ndarray]:
     """Positions after each of `frames` (ascending) in f64 with steps FINER times shorter."""
-    # Measuring what is fastest would itself take many of its long frames.
+    # The same way on every machine, whatever runs there have cost.
     settings = {
         "topology": "lanes",
         "execution": "parallel" if particles > SERIAL_BEST else "serial",

@@ -222,7 +222,7 @@ def explain(scene: Scene, how: dict[str, Any], quick: bool, tell: Tell) -> Expla
     scene itself fails.
     """
     tell("finding the fastest way to run it", 0, 1)
-    sim = Simulation(scene, **how)  # may measure; the first kernels of a process take longer
+    sim = Simulation(scene, **how)  # the first kernels of a process take longer
     sim.advance()
     how = how | {"topology": sim.topology, "execution": sim.execution}
     compiled = describe(sim)

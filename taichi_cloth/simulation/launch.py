@@ -24,7 +24,7 @@ LAUNCH_WORK = 20_000_000
 # Iterations of a loop in a shader: Mesa's drivers leave one after 65535, and say nothing.
 MOST_ITERATIONS = 65_000
 # Seconds of compiling in a process, above which kernels are not only read from Taichi's cache.
-COMPILED = 0.1
+COMPILED = 0.4
 
 
 class Launcher:
