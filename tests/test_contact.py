@@ -171,7 +171,7 @@ def test_every_wall_holds_what_lies_on_it_and_what_is_thrown_at_it(pool, wall):
     rests = (sim.scene.particles.restitution == 0) & (sim.radii() == 5)
     axis, side = WALLS[wall]
     depth = 50 + side * (sim.positions()[rests, axis] - 50) - 95
-    assert -1e-9 <= depth.min() and depth.max() <= 1.0 + 1e-9  # two steps of gravity
+    assert depth.min() >= -1e-9 and depth.max() <= 1.0 + 1e-9  # two steps of gravity
 
 
 def test_what_crosses_more_than_the_world_in_a_step_is_named(pool):

@@ -18,7 +18,7 @@ from taichi_cloth.limits.bounds import any_geometry, gershgorin, gershgorin_here
 from taichi_cloth.limits.eigenmodes import stable_step
 from taichi_cloth.limits.matrices import stiffness_and_damping
 from taichi_cloth.limits.network import Network
-from taichi_cloth.limits.rounding import stall
+from taichi_cloth.limits.rounding import stall as stall_of
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import (
     ParticleDefaults,
@@ -210,12 +210,12 @@ def test_the_spring_responsible_is_the_one_that_is_stiff():
 def test_f32_stalls_where_the_lower_limit_says():
     x, v = np.array([[300.0, 5.0], [20.0, 900.0]]), np.array([[0.01, 0.0], [0.0, 3.0]])
     a = np.array([[0.0, 0.002], [0.01, 0.0]])
-    stall = stall(x, v, a, np.array([False, False]), 1.0)
+    stall = stall_of(x, v, a, np.array([False, False]), 1.0)
     assert (stall.what, stall.particle, stall.value) == ("x", 0, 300.0)
     for factor, moves in ((0.99, False), (1.01, True)):
         place, step = np.float32(stall.value), np.float32(factor * stall.dt * stall.rate)
         assert (place + step != place) == moves
-    fast = stall(0 * x, v * 1e6, a, np.array([False, True]), 1.0)
+    fast = stall_of(0 * x, v * 1e6, a, np.array([False, True]), 1.0)
     assert (fast.what, fast.particle) == ("v", 0)
     place, step = np.float32(fast.value), fast.rate * fast.dt
     assert place + np.float32(0.99 * step) == place != place + np.float32(1.01 * step)

@@ -48,9 +48,7 @@ def _print_choices(to: Console) -> None:
 
     measured = list(reversed(autotune.measurements()))
     if not measured:
-        console.say(
-            to, "Cost of a launch and a step: nothing measured yet; runs do it as they go."
-        )
+        console.say(to, "Cost of a launch and a step: nothing measured yet; runs do it as they go.")
         return
     ways = [f"{topology} {path}" for topology in TOPOLOGIES for path in PATHS]
     title = (

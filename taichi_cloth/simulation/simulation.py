@@ -46,7 +46,8 @@ MOST_LANES = 64  # more fill no vector, and take minutes to compile
 class Simulation(Changes):
     """One scene, integrated by one method on the device that `runtime.start` started.
 
-    scene: validated here (InputError), also against the device's precision. method: a name out of `kernels.methods.METHODS`.
+    scene: validated here (InputError), against the device's precision, too. method: a name out of
+    `kernels.methods.METHODS`.
     dt: time of a frame, the scene's own when absent; substeps: steps a frame is cut into. With
     dt "auto" a frame is the scene's, cut into as many as its springs need (`auto_substeps.py`).
     execution: "serial" (on one thread) or "parallel" (on all threads, or a GPU).

@@ -25,12 +25,11 @@ import numpy as np
 from taichi_cloth.errors import SimulationFailure
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.methods.contract import Method
-from taichi_cloth.limits import modes
+from taichi_cloth.limits import modes, rounding
 from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
 from taichi_cloth.limits.eigenmodes import Limit, stable_step
 from taichi_cloth.limits.matrices import stiffness_and_damping
 from taichi_cloth.limits.network import Network
-from taichi_cloth.limits import rounding
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
