@@ -159,7 +159,7 @@ def _values_by_kind(
 
 def _of_kinds(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """A property's values by kind of link, numbers as floats; None stands for what is absent."""
-    if getattr(SPRING_PROPERTIES[name], "words", ()):
+    if SPRING_PROPERTIES[name].words:
         return dict(given)
     numbers = {kind: accepted.as_float(value) for kind, value in given.items()}
     for kind, value in given.items():

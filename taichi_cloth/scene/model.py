@@ -129,7 +129,7 @@ def _columns(
     for name in given:
         if name not in properties:
             raise TypeError(f"{owner}() got an unexpected keyword argument '{name}'")
-        if given[name] is not None and not getattr(properties[name], "words", ()):
+        if given[name] is not None and not properties[name].words:
             column = accepted.numbers(f"{owner}: {name}", given[name], finite=False)
             given[name] = accepted.fitted(f"{owner}: {name}", column, (count,), things)
     kind = ParticleDefaults if things == "particles" else SpringDefaults

@@ -275,7 +275,7 @@ def _column(what: str, about: Property, value: Any, count: int, of: str) -> np.n
     """A property's values (count,), for which None stands for `off` where it may be absent."""
     if value is None and about.off is not None:
         value = about.off
-    if words := getattr(about, "words", ()):
+    if words := about.words:
         return accepted.words(what, value, words, count, of)
     infinite = about.off is not None and not np.isfinite(about.off)
     given = accepted.numbers(what, value, infinite=infinite)

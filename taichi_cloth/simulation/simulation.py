@@ -405,6 +405,7 @@ class Simulation(Changes):
         clock = self._since, self.dt, self.substeps, self.speed_limit
         auto, pushed, held = copy.copy(self._auto), self.storage.pushed, self.storage.held()
         try:
+            refuse_unholdable(edited.scene, self._launcher.device.precision)
             if self._auto:
                 chosen = self._auto.after_edit(edited)
                 if chosen != self.substeps:
