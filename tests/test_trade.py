@@ -629,7 +629,7 @@ class MadeUpStudies:
         samples = SimpleNamespace(v=np.ones((2, 2, 2)))
         yield SimpleNamespace(
             interrupted=False, rows=made, reference=SimpleNamespace(samples=samples),
-            horizon=SimpleNamespace(asked=10), lost=(),
+            horizon=SimpleNamespace(asked=10), check_whole=lambda: None,
         )  # fmt: skip
 
     def row(self, setting, error):

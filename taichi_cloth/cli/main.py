@@ -63,8 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return status
     except (InputError, RunFailure) as error:
-        message = " ".join(str(error).split())
-        print(f"{PROGRAM}: error: {message}", file=sys.stderr)
+        _say_error(str(error))
         return error.exit_status
     except KeyboardInterrupt as interrupt:
         print(f"{PROGRAM}: interrupted", file=sys.stderr)
@@ -72,8 +71,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 128 + int(number)
     except BrokenPipeError:
         # The reader went away (`| head`). Python would complain once more at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _abandon_output()
         return 141
+    except OSError as error:  # a full disk, mostly
+        where = error.filename or "standard output, a file or a temporary one (TMPDIR)"
+        _say_error(f"{where}: {error.strerror or error}")
+        with contextlib.suppress(OSError):
+            _abandon_output()
+        return 3
+
+
+def _say_error(text: str) -> None:
+    """One line on standard error, if that can be written to."""
+    with contextlib.suppress(OSError):
+        print(f"{PROGRAM}: error: {' '.join(text.split())}", file=sys.stderr, flush=True)
+
+
+def _abandon_output() -> None:
+    """Let what could not be written go; Python would complain once more at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _interrupt(number: int, _: object) -> NoReturn:

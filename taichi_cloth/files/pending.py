@@ -7,7 +7,7 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -88,6 +88,9 @@ class PendingFile:
         except OSError as error:
             self.discard()
             raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
+        except BaseException:  # an interrupt
+            self.discard()
+            raise
         self.commit()
 
     def discard(self) -> None:
@@ -104,8 +107,40 @@ def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
     PendingFile(path).fill(lambda file: file.write(content))
 
 
+def write_all(contents: Mapping[Path, bytes]) -> None:
+    """Write files, all of them or, where a disk is full, none; raises InputError."""
+    with contextlib.ExitStack() as unfinished:
+        pending = []
+        for path, content in contents.items():
+            file = PendingFile(path)
+            unfinished.callback(file.discard)
+            pending.append(file)
+            try:
+                file.file.write(content)
+                file.file.flush()
+            except OSError as error:
+                raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+        for file in pending:
+            file.commit()
+
+
+@contextlib.contextmanager
+def folder_of_results(folder: Path, names: Iterable[str]) -> Iterator[None]:
+    """A folder that `prepare_folder` made, for as long as the context lasts; empty, it goes."""
+    there = folder.exists()
+    try:
+        prepare_folder(folder, names)
+        yield
+    finally:
+        if not there:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+
 def prepare_folder(folder: Path, names: Iterable[str]) -> None:
     """See before a long run that files of these names can be written to a folder, which is made.
+
+    A disk without room for a line is full.
 
     Raises InputError in the words of the flag `--output`, which names the folder.
     """
@@ -114,4 +149,11 @@ def prepare_folder(folder: Path, names: Iterable[str]) -> None:
     except OSError as error:
         raise InputError(f"--output {folder}: cannot be made: {error.strerror}") from None
     for name in names:
-        PendingFile(folder / name).discard()
+        pending = PendingFile(folder / name)
+        try:
+            pending.file.write(b" " * 80)
+            pending.file.flush()
+        except OSError as error:
+            raise InputError(f"--output {folder}: cannot be written to: {error.strerror}") from None
+        finally:
+            pending.discard()

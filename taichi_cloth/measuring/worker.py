@@ -5,7 +5,8 @@
     {"drop": KEY}                                       ->  {"result": null}
 
 An array is answered with the name of the file it was saved to, in the folder that is this
-process's argument. What goes wrong is answered as {"failed": "one line"}.
+process's argument. What goes wrong is answered as {"failed": "one line"}. When standard input ends,
+its parent has, however that was killed: the process ends at once, and removes that folder.
 
 Taichi has one backend, precision and fast_math in a process, so what compares them has one process
 for each: `Worker` is such a process as its parent sees it, `main` is what runs in it.
@@ -16,16 +17,22 @@ from __future__ import annotations
 import contextlib
 import gc
 import importlib
+import itertools
 import json
 import os
+import queue
+import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+ENDED = "its process ended"  # how a failure begins that took the process with it
 
 
 class WorkerFailed(RuntimeError):
@@ -61,7 +68,7 @@ class Worker:
             line = ""
         if not line:
             self.kill()  # it may still be ending, and would pass for alive
-            raise WorkerFailed(f"its process ended: {self._last_words()}".rstrip(": "))
+            raise WorkerFailed(f"{ENDED}: {self._last_words()}".rstrip(": "))
         answer: dict[str, Any] = json.loads(line)
         if "failed" in answer:
             raise WorkerFailed(answer["failed"])
@@ -93,17 +100,31 @@ class Worker:
 
 
 def main(folder: Path) -> None:
-    """Serve requests until standard input ends."""
+    """Serve requests until standard input ends.
+
+    folder: temporary, of the parent, which removes it where it can.
+    """
     # Libraries greet on standard output: the answers keep it for themselves.
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     objects: dict[str, Any] = {}
-    for number, line in enumerate(sys.stdin):
+    requests: queue.SimpleQueue[str] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(requests, folder), daemon=True).start()
+    for number in itertools.count():
+        line = requests.get()
         try:
             answer = _answer(json.loads(line), objects, folder / f"{os.getpid()}-{number}.npy")
         except Exception as error:
             answer = {"failed": " ".join(f"{type(error).__name__}: {error}".split())[:300]}
         print(json.dumps(answer), file=answers, flush=True)
+
+
+def _listen(requests: queue.SimpleQueue[str], folder: Path) -> None:
+    """Pass requests on until standard input ends; then end the process, whatever it is doing."""
+    for line in sys.stdin:
+        requests.put(line)
+    shutil.rmtree(folder, ignore_errors=True)
+    os._exit(0)
 
 
 def _answer(request: dict[str, Any], objects: dict[str, Any], file: Path) -> dict[str, Any]:

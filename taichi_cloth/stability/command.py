@@ -11,7 +11,7 @@ import numpy as np
 
 from taichi_cloth import console, runtime
 from taichi_cloth.errors import InputError, nearest
-from taichi_cloth.files.pending import prepare_folder
+from taichi_cloth.files.pending import folder_of_results
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.source import SceneSource
@@ -29,22 +29,22 @@ def main(source: SceneSource, options: StabilityOptions) -> int:
     names = _methods(options.method)
     scene = source.build()
     folder = Path(options.output or f"stability-{scene.name}")
-    prepare_folder(folder, report.FILES)
-    np.seterr(all="ignore")  # numbers that overflow are the watchdog's to report
-    runtime.start("cpu", "f64")
-    prepared = experiment.at_rest(scene)
-    network = Network.from_scene(prepared)
-    limits = [experiment.computed(name, network) for name in names]
-    maps: list[Map] = []
-    interrupted = None
-    with _progress(limits, options.quiet) as tell:
-        try:
-            for of_method in limits:
-                experiment.measure(prepared, of_method, maps, tell)
-        except KeyboardInterrupt as interrupt:
-            interrupted = interrupt
-    stall = experiment.stall(scene)
-    written = report.write(folder, scene, limits, maps, stall)
+    with folder_of_results(folder, report.FILES):
+        np.seterr(all="ignore")  # numbers that overflow are the watchdog's to report
+        runtime.start("cpu", "f64")
+        prepared = experiment.at_rest(scene)
+        network = Network.from_scene(prepared)
+        limits = [experiment.computed(name, network) for name in names]
+        maps: list[Map] = []
+        interrupted = None
+        with _progress(limits, options.quiet) as tell:
+            try:
+                for of_method in limits:
+                    experiment.measure(prepared, of_method, maps, tell)
+            except KeyboardInterrupt as interrupt:
+                interrupted = interrupt
+        stall = experiment.stall(scene)
+        written = report.write(folder, scene, limits, maps, stall)
     if not options.quiet:
         report.show(scene, limits, stall, all_methods=options.method is None)
         console.say(console.output(), f"\nwritten: {', '.join(map(str, written))}")

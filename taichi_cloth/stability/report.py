@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taichi_cloth import console
-from taichi_cloth.files.pending import write_whole
+from taichi_cloth.files.pending import write_all
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits.auto_step import SAFETY
 from taichi_cloth.limits.rounding import Stall
@@ -56,8 +56,7 @@ def write(
         buffer = io.BytesIO()
         figure.savefig(buffer, format=kind, dpi=130)
         contents[name] = buffer.getvalue()
-    for name, content in contents.items():
-        write_whole(folder / name, content)
+    write_all({folder / name: content for name, content in contents.items()})
     return [folder / name for name in FILES]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from taichi_cloth import console
 from taichi_cloth.errors import InputError
-from taichi_cloth.files.pending import prepare_folder, write_whole
+from taichi_cloth.files.pending import folder_of_results, write_all
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import ARCHS, PROGRAM, ComparisonOptions, TradeOptions
@@ -30,16 +30,12 @@ def main(source: SceneSource, options: TradeOptions) -> int:
     to = console.output()
     scene, chosen, how = prepare(source, options)
     folder = Path(options.output or f"trade-{scene.name}")
-    prepare_folder(folder, FILES)
-    try:
+    with folder_of_results(folder, FILES):
         with measured(source, options, scene, chosen, how) as result:
             if not result.outcomes:
                 raise KeyboardInterrupt  # before anything was finished
             made = rows.rows_of(result, common(scene), run_words(source, how))
         written = write(folder, source, options, result, made)
-    finally:
-        with contextlib.suppress(OSError):
-            folder.rmdir()  # where nothing was written
     report.show(result, made, to)
     console.say(to, f"written: {folder}/ {', '.join(written)}")
     if result.interrupted:
@@ -48,6 +44,7 @@ def main(source: SceneSource, options: TradeOptions) -> int:
     report.show_front(result, made, to)
     if result.interrupted:
         raise KeyboardInterrupt
+    result.check_whole()
     return 0
 
 
@@ -124,8 +121,7 @@ def write(
     }
     drawn = plot.draw(result, measured, ("png", "svg"))
     texts |= {f"trade.{kind}": content for kind, content in drawn.items()}
-    for name, content in texts.items():
-        write_whole(folder / name, content)
+    write_all({folder / name: content for name, content in texts.items()})
     return list(texts)
 
 

@@ -23,7 +23,7 @@ from taichi_cloth import runtime
 from taichi_cloth.console import Tell, tell_nobody
 from taichi_cloth.errors import InputError, RunFailure
 from taichi_cloth.measuring.timing import Quiet
-from taichi_cloth.measuring.worker import Worker, WorkerFailed
+from taichi_cloth.measuring.worker import ENDED, Worker, WorkerFailed
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import ComparisonOptions
 from taichi_cloth.simulation import adjacency
@@ -38,6 +38,9 @@ MAKING = 4  # how much longer compiling a method takes than running a setting, a
 CONVERGED_WORK = 1e9
 SWEEPS_TO_CONVERGE = 50  # of a solver that ends by its tolerance, about
 REFUSED = "InputError: "  # how a worker says that
+# How it says that the machine was at fault, and not the setting: a full disk, a killed process.
+LOST = (ENDED, "OSError: ", "MemoryError: ")
+LOST_REMEDY = "see that there is memory, and room for temporary files (TMPDIR), and start again"
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,10 @@ class RunConditions:
 
 @dataclass
 class Outcome:
-    """What came of a setting: its samples' file, its work, the seconds of each timed run."""
+    """What came of a setting: its samples' file, its work, the seconds of each timed run.
+
+    lost: whether it came to nothing because of the machine, such as a full disk.
+    """
 
     setting: Setting
     status: str = "ok"
@@ -72,6 +78,7 @@ class Outcome:
     force_evaluations: int | None = None
     sweeps: int | None = None
     unconverged: int | None = None
+    lost: bool = False
     seconds: list[float] = field(default_factory=list)
     about: dict[str, Any] = field(default_factory=dict)
 
@@ -84,6 +91,10 @@ class Outcome:
         if self.file is None:
             raise ValueError(f"{self.setting.describe()}: {self.status}")
         return Samples.read(self.file)
+
+
+class StudyFailure(RunFailure):
+    """Not even the reference could be computed, or the machine failed."""
 
 
 @dataclass
@@ -99,6 +110,16 @@ class Result:
     horizon: reference.Horizon | None
     reference: reference.Reference | None
     interrupted: bool = False
+
+    def check_whole(self) -> None:
+        """Raise StudyFailure where the machine lost settings: the others are no fair choice."""
+        lost = [outcome for outcome in self.outcomes if outcome.lost]
+        if lost:
+            why = lost[0].status.removeprefix("failed: ")
+            raise StudyFailure(
+                f"{len(lost)} of {len(self.outcomes)} settings were lost, the first because {why}; "
+                f"{LOST_REMEDY}"
+            )
 
 
 def conditions(scene: Scene, options: ComparisonOptions) -> RunConditions:
@@ -122,10 +143,6 @@ def conditions(scene: Scene, options: ComparisonOptions) -> RunConditions:
 
 class Stopped(Exception):
     """The study was interrupted: a thread ends."""
-
-
-class StudyFailure(RunFailure):
-    """Not even the reference could be computed."""
 
 
 @dataclass(frozen=True)
@@ -234,7 +251,7 @@ class Study:
         if isinstance(failure, WorkerFailed):
             if str(failure).startswith(REFUSED):
                 raise InputError(str(failure).removeprefix(REFUSED))
-            raise StudyFailure(f"the process of the references: {failure}")
+            raise StudyFailure(f"the process of the references: {failure}; {LOST_REMEDY}")
         if failure:
             raise failure
         return [course.result(self.settings, self._dt, interrupted) for course in self._courses]
@@ -292,7 +309,7 @@ class Study:
                         raise
                     for course in self._courses:
                         for setting in of:
-                            self._finish(course, Outcome(setting, _refusal(failed)))
+                            self._finish(course, _failed(Outcome(setting), failed))
                     if not worker.alive:
                         worker = self._start()
                     continue
@@ -337,6 +354,8 @@ class Study:
             outcome = self._sample(trial, Setting(method, self._dt, substeps), frames)
             if not outcome.ok:
                 failed = outcome.status.removeprefix("failed: ")
+                if outcome.lost:
+                    raise StudyFailure(f"the reference was lost: {failed}; {LOST_REMEDY}")
                 raise StudyFailure(
                     f"the reference ({method} in f64, {substeps} substeps) fails: {failed}; "
                     "use fewer --frames, a smaller --dt or softer springs"
@@ -415,8 +434,7 @@ class Study:
         try:
             found = self._ask(trial, "sample", **_step(setting), frames=frames, file=str(file))
         except WorkerFailed as failed:
-            outcome.status = _refusal(failed)
-            return outcome
+            return _failed(outcome, failed)
         outcome.file = file
         outcome.status = found["failed"] or "ok"
         outcome.force_evaluations = found["force_evaluations"]
@@ -430,7 +448,7 @@ class Study:
                 trial, "time", **_step(outcome.setting), frames=frames, budget=budget
             )
         except WorkerFailed as failed:
-            outcome.status = _refusal(failed)
+            _failed(outcome, failed)
 
     def _finish(self, course: _Course, outcome: Outcome) -> None:
         """Keep an outcome: of a setting that is compared, of a converged solver, or of both."""
@@ -466,12 +484,13 @@ def _step(setting: Setting) -> dict[str, Any]:
     return {"dt": setting.dt, "substeps": setting.substeps, "solver": solver}
 
 
-def _refusal(failed: WorkerFailed) -> str:
-    """The status of settings that a worker could not even make or run."""
+def _failed(outcome: Outcome, failed: WorkerFailed) -> Outcome:
+    """The outcome of a setting that a worker could not even make or run."""
     text = str(failed)
+    outcome.status, outcome.lost = f"failed: {text}", text.startswith(LOST)
     if text.startswith(REFUSED):
-        return f"refused: {text.removeprefix(REFUSED)}"
-    return f"failed: {text}"
+        outcome.status = f"refused: {text.removeprefix(REFUSED)}"
+    return outcome
 
 
 def without_mouse(scene: Scene) -> Scene:

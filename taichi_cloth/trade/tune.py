@@ -117,6 +117,7 @@ def main(source: SceneSource, options: TuneOptions) -> int:
     with command.measured(source, options, scene, chosen, how, quiet=quiet) as result:
         if result.interrupted:
             raise KeyboardInterrupt
+        result.check_whole()
         if not (result.reference and result.horizon):
             raise RunFailure(
                 f"{scene.name}: there is no reference to compare with; use fewer --frames"
@@ -130,6 +131,7 @@ def main(source: SceneSource, options: TuneOptions) -> int:
         with command.measured(source, options, other, list(some), how, False, quiet) as again:
             if again.interrupted:
                 raise KeyboardInterrupt
+            again.check_whole()
             return rows.rows_of(again, command.common(other), [])
 
     tried = confirm(candidates, target, measure_again)
