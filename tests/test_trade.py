@@ -2,6 +2,7 @@
 
 import contextlib
 import csv
+import errno
 import itertools
 import json
 import math
@@ -23,13 +24,16 @@ from selection import thorough
 
 from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
+from taichi_cloth.files import pending
 from taichi_cloth.kernels import methods
 from taichi_cloth.measuring.timing import Quiet
+from taichi_cloth.measuring.worker import Worker, WorkerFailed
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.settings.options import TradeOptions
 from taichi_cloth.trade import ode, reference, rows, settings, tune
 from taichi_cloth.trade.errors import Breaks, Invariants, Samples, distance
+from taichi_cloth.trade.runner import Outcome, Result, StudyFailure, _failed
 from taichi_cloth.trade.settings import Setting
 
 CONTRACT = (
@@ -414,6 +418,66 @@ def test_an_interrupted_sweep_keeps_what_is_finished(tmp_path):
     assert 0 < len(table) < len(everything)
     assert all(row["error_trajectory"] is not None for row in table)
     assert json.loads((tmp_path / "trade.json").read_text())["environment"]["interrupted"] is True
+
+
+# ------------------------------------------------------------------------------------------
+# Kills and full disks
+
+
+def test_a_process_ends_with_its_parent(tmp_path):
+    """Its input ends with the parent, however that was killed; the parent's folder goes, too."""
+    folder = tmp_path / "work"
+    folder.mkdir()
+    worker = Worker(folder, {})
+    worker._requests.close()
+    worker._process.wait(timeout=30)
+    assert not folder.exists()
+    worker.close()
+
+
+def test_files_are_written_all_or_none(tmp_path):
+    (tmp_path / "a").write_bytes(b"old")
+    (tmp_path / "b").mkdir()
+    with pytest.raises(InputError, match="is a folder"):
+        pending.write_all({tmp_path / "a": b"new", tmp_path / "b": b"new"})
+    assert (tmp_path / "a").read_bytes() == b"old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
+    (tmp_path / "b").rmdir()
+    pending.write_all({tmp_path / "a": b"new", tmp_path / "b": b"new"})
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes() == b"new"
+
+
+@pytest.mark.parametrize(
+    "failure",
+    [
+        StudyFailure("the reference fails"),
+        OSError(errno.ENOSPC, "No space left on device"),
+        OSError(errno.ENOSPC, "No space left on device", "/tmp/x"),
+    ],
+)
+def test_what_ends_a_sweep_is_one_line_and_status_3(failure, monkeypatch, capsys, tmp_path):
+    def measured(*_, **__):
+        raise failure
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("taichi_cloth.trade.command.measured", measured)
+    monkeypatch.setattr("taichi_cloth.cli.main._abandon_output", lambda: None)
+    for command in (["trade", "oscillator"], ["tune", "oscillator", "--error", "1%"]):
+        assert main(command) == 3
+        error = capsys.readouterr().err
+        assert error.startswith("taichi-cloth: error: ") and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_settings_that_the_machine_lost_are_no_choice():
+    outcome = Outcome(Setting("rk4", 1.0, 1))
+    result = Result(library.build("oscillator"), [outcome], {}, None, None)
+    _failed(outcome, WorkerFailed("SimulationFailure: frame 1"))
+    result.check_whole()
+    for why in ("its process ended: Killed", "OSError: [Errno 28] No space left on device"):
+        _failed(outcome, WorkerFailed(why))
+        with pytest.raises(StudyFailure, match="1 of 1 settings were lost"):
+            result.check_whole()
 
 
 # ------------------------------------------------------------------------------------------
