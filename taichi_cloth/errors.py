@@ -12,9 +12,18 @@ from collections.abc import Iterable
 
 
 class InputError(ValueError):
-    """The user's input is refused (exit status 2). The message is one line."""
+    """The user's input is refused (exit status 2). The message is one line.
+
+    Whatever of the input it shows, it is a line that a terminal can show: what does not print
+    (a newline in a key, an escape sequence, half of a surrogate pair) is written as its escape, and
+    what is longer than a screen is cut.
+    """
 
     exit_status = 2
+
+    def __init__(self, message: str = "") -> None:
+        shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in message)
+        super().__init__(clipped("".join(shown), 1000))
 
 
 class RunFailure(RuntimeError):
@@ -43,7 +52,7 @@ class SimulationFailure(RunFailure):
 def nearest(word: str, known: Iterable[str]) -> str:
     """'did you mean X?' for the known word most like `word`, else a list of the known ones."""
     known = sorted(known)
-    close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(word[:100], known, n=1, cutoff=0.5)
     if close:
         return f"did you mean '{close[0]}'?"
     return f"known: {', '.join(known)}"

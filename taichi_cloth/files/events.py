@@ -18,7 +18,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
-from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.errors import InputError, clipped, nearest
+from taichi_cloth.files.content import content
 from taichi_cloth.files.pending import PendingFile
 
 # Reads a field: (its name, its JSON value) -> the value that events carry. It raises InputError
@@ -94,7 +95,7 @@ def load(path: str | Path, kinds: Iterable[Kind[E]]) -> Log[E]:
     path, by_name = Path(path), {kind.name: kind for kind in kinds}
     log: Log[E] = Log()
     last_frame = 0
-    for number, raw in enumerate(_content(path).split(b"\n"), start=1):
+    for number, raw in enumerate(content(path, "interaction log").split(b"\n"), start=1):
         where = f"{path.name} line {number}"
         try:
             line = raw.decode("utf-8-sig" if number == 1 else "utf-8").strip()
@@ -117,18 +118,6 @@ def load(path: str | Path, kinds: Iterable[Kind[E]]) -> Log[E]:
         last_frame = frame
         log.by_frame.setdefault(frame, []).append(event)
     return log
-
-
-def _content(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder; name the interaction log in it") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: cannot be read: {reason}") from None
 
 
 def _object(line: str) -> dict[str, Any]:
@@ -268,8 +257,10 @@ def _is_finite(value: Any) -> bool:
 
 def show(value: Any) -> str:
     """`value` as JSON, cut where it is long."""
-    text = json.dumps(value)
-    return text if len(text) <= 40 else text[:37] + "..."
+    try:
+        return clipped(json.dumps(value))
+    except (RecursionError, ValueError):  # which may be read, yet not be written
+        return "nested too deeply, or too long"
 
 
 class Recorder:

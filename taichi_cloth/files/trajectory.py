@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import operator
+import struct
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -14,6 +16,11 @@ import numpy as np
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.pending import PendingFile
 
+# What NumPy, zipfile and json raise for files that are something else, or damaged.
+_UNREADABLE = (
+    *(OSError, ValueError, EOFError, AttributeError, TypeError, MemoryError, OverflowError),
+    *(RuntimeError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error),
+)
 _ARRAYS = ("frame", "time", "position", "velocity", "spring", "spring_alive", "meta")
 
 
@@ -176,5 +183,5 @@ def load(path: str | Path) -> Saved:
         raise InputError(f"{path}: there is no such file") from None
     except KeyError as error:
         raise InputError(f"{path}: is not a saved trajectory: it has no {error}") from None
-    except (OSError, ValueError, zipfile.BadZipFile, AttributeError, TypeError) as error:
+    except _UNREADABLE as error:
         raise InputError(f"{path}: is not a saved trajectory: {error}") from None

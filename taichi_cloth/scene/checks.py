@@ -28,6 +28,9 @@ from taichi_cloth.scene.properties import (
 from taichi_cloth.scene.world_keys import world_keys
 from taichi_cloth.settings import accepted
 
+# Lengths of worlds whose squares, and these times a stiffness, are numbers of double precision.
+SMALLEST_LENGTH, LARGEST_LENGTH = 1e-100, 1e100
+
 Place = Callable[[str, "int | None", "str | None"], str]
 
 
@@ -203,6 +206,9 @@ def _check_world(world: World, refusal: _Refusal) -> None:
         refuse("size", f"size must be 2 or 3 lengths, is {_show(world.size)}")
     for value in world.size:
         refusal.check_number("world", "size", value, POSITIVE)
+        if not SMALLEST_LENGTH <= value <= LARGEST_LENGTH:
+            limits = f"{SMALLEST_LENGTH:g} to {LARGEST_LENGTH:g}"
+            refuse("size", f"size must be from {limits}, is {_show(value)}; use other units")
     _check_vector(world, "gravity", world.gravity, None, refusal)
     refusal.check_number("world", "dt", world.dt, POSITIVE)
     walls = [name for name, (axis, _) in WALLS.items() if axis < world.dim]

@@ -7,6 +7,7 @@ Every refusal is one line with the file, the line in it where one is at fault, a
 from __future__ import annotations
 
 import difflib
+import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from typing import Any, BinaryIO, NoReturn, TypeVar, overload
 import numpy as np
 
 from taichi_cloth.errors import InputError, counted, nearest
+from taichi_cloth.files.content import content
 from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.scene import toml
 from taichi_cloth.scene.assignments import Assignment
@@ -71,19 +73,13 @@ def load(path: str | Path, assignments: Sequence[Assignment] = ()) -> Scene:
     """
     path = accepted.path("load_scene: path", path)
     try:
-        text = path.read_bytes().decode("utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file{_similar_file(path)}") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder; name the scene file in it") from None
+        text = content(path, "scene file", hint=_similar_file).decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(
             f"{path}: is not a text file in UTF-8 (byte {error.start}); save it as UTF-8"
         ) from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: cannot be read: {reason}") from None
-    return parse(text, path.name, path.stem, assignments)
+    name = os.fsencode(path.stem).decode("utf-8", "replace")
+    return parse(text, path.name, name, assignments)
 
 
 def parse(
@@ -116,7 +112,8 @@ def parse_table(
     reader = _Reader(name, text, default_scene_name)
     for assignment in assignments:
         reader.assign(table, assignment)
-    return reader.scene(table)
+    with np.errstate(all="ignore"):  # numbers that overflow are refused by name
+        return reader.scene(table)
 
 
 def save(scene: Scene, path: str | Path) -> None:

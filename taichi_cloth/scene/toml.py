@@ -67,6 +67,8 @@ def describe(value: Any) -> str:
         text = str(value)
     except ValueError:  # Python does not write a whole number of thousands of digits
         return "a number of thousands of digits"
+    except RecursionError:
+        return "nested too deeply"
     short = f" {text!r}" if isinstance(value, str) else f" {text}"
     short = short if len(short) <= 40 and not isinstance(value, dict) else ""
     if isinstance(value, bool):

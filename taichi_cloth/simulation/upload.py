@@ -240,13 +240,15 @@ def _low(values: np.ndarray, real: Real) -> np.ndarray:
 
 
 def _collision_grid(world: World, particles: Particles) -> tuple[list[int], float]:
-    """Cells per axis and their width, the largest diameter, for the collision grid.
+    """Cells per axis and their width, at least the largest diameter, for the collision grid.
 
     The grid wraps around, so where the world has more cells than the container holds, it is made
-    smaller in proportion: far particles then share a cell, at the cost of comparisons.
+    smaller in proportion: far particles then share a cell, at the cost of comparisons. Cells are
+    wide enough that their coordinates are whole numbers of 32 bits.
     """
     size = np.array(world.size)
-    width = 2.0 * float(particles.radius.max(initial=0.0)) or float(size.max())
+    largest = float(size.max())
+    width = max(2.0 * float(particles.radius.max(initial=0.0)) or largest, largest / 2**24)
     cells = np.ceil(size / width) + 1
     capacity = CELLS_PER_PARTICLE * max(len(particles), 1) + 64
     while cells.prod() > capacity:

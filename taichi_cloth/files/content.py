@@ -1,0 +1,32 @@
+"""Reading a whole file that a user names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from taichi_cloth.errors import InputError
+
+# A scene of a million particles takes 60 MB. What is larger is no file that somebody wrote, or has
+# no end, such as /dev/zero.
+LARGEST = 2**29
+
+
+def content(path: Path, what: str, hint: Callable[[Path], str] = lambda path: "") -> bytes:
+    """The bytes of the file at `path`; raises InputError where it cannot be read.
+
+    what: what it should be, such as "scene file". hint: what to add where there is no such file.
+    """
+    try:
+        with open(path, "rb") as file:
+            read = file.read(LARGEST + 1)
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file{hint(path)}") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a folder; name the {what} in it") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read: {reason}") from None
+    if len(read) > LARGEST:
+        raise InputError(f"{path}: has more than {LARGEST >> 20} MiB, too much for a {what}")
+    return read
