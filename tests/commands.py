@@ -9,6 +9,7 @@ import importlib
 import io
 import json
 import os
+import re
 import select
 import subprocess
 import sys
@@ -17,10 +18,18 @@ from pathlib import Path
 
 PROGRAM = [sys.executable, "-m", "taichi_cloth"]
 PATIENCE = 300  # seconds that a command may take
+COMPILING = re.compile(r"taichi-cloth: compiling kernels for this run: [^\n]*\n")
+
+
+def after_start(err):
+    """What a run printed on standard error but for the word that kernels are being compiled, which
+    depends on what ran before.
+    """
+    return COMPILING.sub("", err)
 
 
 def command(*arguments, check=0, env=None, cwd=None):
-    """Run `taichi-cloth` with arguments in a process of its own; return (stdout, stderr)."""
+    """Run `taichi-cloth` in a process of its own; return (stdout, stderr `after_start`)."""
     done = subprocess.run(
         [*PROGRAM, *map(str, arguments)],
         capture_output=True,
@@ -30,7 +39,7 @@ def command(*arguments, check=0, env=None, cwd=None):
         env={**os.environ, **(env or {})},
     )
     assert done.returncode == check, f"exit {done.returncode}: {done.stdout}{done.stderr}"
-    return done.stdout, done.stderr
+    return done.stdout, after_start(done.stderr)
 
 
 class Commands:
@@ -52,11 +61,11 @@ class Commands:
         )
 
     def __call__(self, *arguments, check=0, env=None, cwd=None):
-        """Do a command; return (stdout, stderr). env: for this one only."""
+        """Do a command; return (stdout, stderr `after_start`). env: for this one only."""
         words = [str(word) for word in arguments]
         status, out, err = self._ask(do=words, env=env or {}, cwd=str(cwd) if cwd else None)
         assert status == check, f"exit {status}: {out}{err}"
-        return out, err
+        return out, after_start(err)
 
     def call(self, function, **arguments):
         """Call a function, "module:name", of a module in this folder, there; what it returns."""

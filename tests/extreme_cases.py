@@ -945,6 +945,7 @@ NUMBERS = [
         tiny,
         exactly(0.1, 10, 100),
         (Ask("the amplitude is at most what the discrete map makes of it, or 0", _tiny),),
+        refused=("f32",),
     ),
     Case("overflowing_speed", fast(huge), exactly(FRAME, 4, 10), (MUST_FAIL,), "must"),
     Case(

@@ -253,6 +253,7 @@ class Case:
 
     asks: what must hold at every check. fails: whether a run may end with a SimulationFailure:
     "never", "may", "must". drive(run, frame): before every frame. kind: which simulation runs it.
+    refused: the precisions that cannot hold the scene, in which it must not start.
     checks: how often the run is looked at. errors: methods that are wrong here: how many times the
     bound they may take instead, measured, and why.
     """
@@ -262,6 +263,7 @@ class Case:
     steps: Callable
     asks: tuple[Ask, ...]
     fails: str = "never"
+    refused: tuple[str, ...] = ()
     drive: Callable | None = None
     kind: str = "springs"
     checks: int = 20

@@ -16,7 +16,7 @@ from extreme_cases import CASES, KINDS
 from extreme_runs import Run
 
 from taichi_cloth import runtime
-from taichi_cloth.errors import SimulationFailure
+from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.kernels import methods
 from taichi_cloth.simulation.simulation import Simulation
 
@@ -49,7 +49,17 @@ class Runner:
         """The result as a dict: status "held", "failed" (by name) or "broken", and each ask."""
         began = time.perf_counter()
         made, steps = case.scene(), self.steps(case)
-        sim = self._started(case, made, steps)
+        precision = runtime.current_device().precision
+        result = {"method": self.method, "case": case.name, "precision": precision}
+        result["steps"], result["dt"] = steps.count, steps.dt
+        try:
+            sim = self._started(case, made, steps)
+        except InputError as refusal:
+            expected = precision in case.refused
+            result["status"], result["failure"] = "failed" if expected else "broken", str(refusal)
+            faults = [] if expected else ["this precision should hold the scene"]
+            seconds = round(time.perf_counter() - began, 3)
+            return result | {"asks": [], "unconverged": 0, "faults": faults, "seconds": seconds}
         run = Run(self.module, sim, made, steps)
         asked = [{"words": ask.words, "value": 0.0, "bound": 1.0, "part": 0.0} for ask in case.asks]
         failure = None
@@ -67,17 +77,14 @@ class Runner:
                         said.update(value=value, bound=bound, part=part)
         except SimulationFailure as error:
             failure = error
-        precision = runtime.current_device().precision
-        result = {"method": self.method, "case": case.name, "precision": precision, "asks": asked}
-        result["steps"], result["dt"] = steps.count, steps.dt
-        result["unconverged"] = sim.work().unconverged
+        result["asks"], result["unconverged"] = asked, sim.work().unconverged
         result["status"] = self._judge(case, asked)
         if failure:
             result["failure"] = str(failure)
             result["faults"] = self._faults(case, made, steps, sim, failure)
             bad = case.fails == "never" or result["faults"] or result["status"] == "broken"
             result["status"] = "broken" if bad else "failed"
-        elif case.fails == "must":
+        elif case.fails == "must" or precision in case.refused:
             result["status"] = "broken"
         result["seconds"] = round(time.perf_counter() - began, 3)
         return result

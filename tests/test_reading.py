@@ -352,8 +352,8 @@ def test_saved_trajectories(examples, tmp_path):
     [
         ("dt", "0x" + "f" * 6000, "line 5: [world]: dt must be a number that fits"),
         ("dt", "9" * 6000, "has a whole number with too many digits"),
-        ("size", "[5e-324, 5e-324]", "line 3: [world]: size must be from 1e-100 to 1e+100"),
-        ("size", "[1e300, 1e300]", "line 3: [world]: size must be from 1e-100 to 1e+100"),
+        ("size", "[5e-324, 5e-324]", "line 3: [world]: size must be"),
+        ("size", "[1e300, 1e300]", "line 3: [world]: size must be"),
         ("size", "a" + ".a" * 20000 + "=1", "line 3"),
     ],
 )

@@ -99,7 +99,7 @@ def test_every_run_is_accepted(line, tmp_path, monkeypatch, capsys):
 
 def test_python_example_runs_and_is_short(cli, tmp_path):
     (example,) = blocks("python")
-    assert len(example.splitlines()) <= 15
+    assert len(example.splitlines()) <= 20
     out = cli.call("commands:printed_by", program=example)
     assert re.search(r"\(384, 2\) 7\d\d -?\d+\.\d+", out)
 

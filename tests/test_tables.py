@@ -21,7 +21,7 @@ from taichi_cloth.limits.eigenmodes import Limit
 from taichi_cloth.limits.rounding import Stall
 from taichi_cloth.scene import library
 from taichi_cloth.settings.options import PATHS, TOPOLOGIES
-from taichi_cloth.simulation import autotune
+from taichi_cloth.simulation import autotune, prediction
 from taichi_cloth.stability import report as stability_report
 from taichi_cloth.stability.experiment import StepLimits
 from taichi_cloth.trade import report as trade_report
@@ -126,7 +126,7 @@ def test_list_and_doctor_fit(width, monkeypatch, capsys):
     ways = [(topology, path) for topology in TOPOLOGIES for path in PATHS]
     kind = SimpleNamespace(
         what="cuda compensated, 128 threads/implicit_midpoint/3-D, collisions; 2^18 particles",
-        seconds={f"{topology} {path}": 12.3456e-3 for topology, path in ways},
+        costs={f"{topology} {path}": prediction.Cost(12.3e-3, 4.56e-3) for topology, path in ways},
     )
     monkeypatch.setattr(autotune, "measurements", lambda: [kind] * 9)
     found = [

@@ -48,7 +48,12 @@ class FakeSimulation:
 
     def __init__(self, scene):
         self.scene, self.frame, self.calls = scene, 0, []
+        self.prepared = 0
         self.x, self.pairs = list(scene.particles.position), []
+
+    def prepare_click(self):
+        self.prepared += 1
+        return False
 
     time = property(lambda self: self.frame * self.dt)
     particle_count = property(lambda self: len(self.x))
