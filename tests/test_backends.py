@@ -115,7 +115,7 @@ def test_features_that_a_scene_lacks_are_not_compiled(tmp_path, cli):
 
 
 def test_a_second_run_compiles_and_measures_nothing(tmp_path):
-    """From empty caches of kernels, of what is compiled and of speeds, and again as they are then."""
+    """From empty caches of kernels, of their list and of speeds, and again as they are then."""
     env = {"TI_OFFLINE_CACHE_FILE_PATH": str(tmp_path / "ti"), "XDG_CACHE_HOME": str(tmp_path)}
     made = []
     for _ in range(2):

@@ -279,7 +279,10 @@ def test_wrong_arguments_are_refused_in_one_line_and_change_nothing(pool):
         (lambda: tc.load_events(5), "load_events: path must be a path, is 5"),
         (lambda: tc.load_trajectory(5), "a trajectory's path is no int"),
         (lambda: tc.save_scene(None, "x.toml"), "scene must be a Scene"),
-        (lambda: tc.scenes.build("cloth", columns=np.inf), "columns must be a (whole|finite) number"),
+        (
+            lambda: tc.scenes.build("cloth", columns=np.inf),
+            "columns must be a (whole|finite) number",
+        ),
         (lambda: tc.scenes.build(None), "a scene's name is a word, not None"),
     ],
 )
