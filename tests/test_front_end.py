@@ -1,0 +1,73 @@
+"""Taichi's front end after `front_end.quicken`: it reads the same kernels, and says the same."""
+
+import pytest
+import taichi as ti
+from taichi.lang import kernel_impl
+
+from taichi_cloth import front_end
+
+
+@pytest.fixture(autouse=True)
+def started(device):
+    assert hasattr(kernel_impl.getsourcelines, "cache_info"), "the replacements are not there"
+
+
+def test_functions_of_classes_and_of_functions_are_told_apart():
+    @ti.data_oriented
+    class Counter:
+        @ti.func
+        def more(self, i):
+            return 2 * i + 1
+
+        @ti.kernel
+        def count(self, i: ti.i32) -> ti.i32:
+            return self.more(i)
+
+    @ti.kernel
+    def count(i: ti.i32) -> ti.i32:
+        return 3 * i
+
+    assert Counter().count(4) == 9 and count(4) == 12
+
+
+def test_functions_of_one_name_keep_their_own_source():
+    kernels = []
+    for _ in range(2):
+
+        @ti.func
+        def law(x):
+            return x + 1
+
+        if kernels:
+
+            @ti.func
+            def law(x):  # noqa: F811
+                return x * 10
+
+        @ti.kernel
+        def apply(x: ti.i32, law: ti.template()) -> ti.i32:
+            return law(x)
+
+        kernels.append(apply(5, law))
+    assert kernels == [6, 50]
+
+
+def test_an_error_in_a_kernel_names_its_line():
+    @ti.kernel
+    def wrong(n: ti.i32):
+        for _i in range(n):
+            _x = nobody_defined_this + 1  # noqa: F821
+
+    with pytest.raises(ti.TaichiCompilationError) as error:
+        wrong(3)
+    first, source = str(error.value).strip().splitlines()[:2]
+    assert "test_front_end.py" in first and first.endswith("in wrong:")
+    assert source.startswith("_x = nobody_defined_this + 1")
+
+
+def test_a_taichi_that_is_made_otherwise_is_left_alone(monkeypatch):
+    plain = kernel_impl.getsourcelines.__wrapped__
+    monkeypatch.setattr(kernel_impl, "getsourcelines", plain)
+    monkeypatch.delattr(kernel_impl, "_inside_class")
+    front_end.quicken()
+    assert kernel_impl.getsourcelines is plain
