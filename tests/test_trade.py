@@ -6,6 +6,7 @@ import errno
 import itertools
 import json
 import math
+import os
 import re
 import signal
 import subprocess
@@ -33,7 +34,7 @@ from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.settings.options import TradeOptions
 from taichi_cloth.trade import ode, reference, rows, settings, tune
 from taichi_cloth.trade.errors import Breaks, Invariants, Samples, distance
-from taichi_cloth.trade.runner import Outcome, Result, StudyFailure, _failed
+from taichi_cloth.trade.runner import Outcome, Result, Study, StudyFailure, _failed
 from taichi_cloth.trade.settings import Setting
 
 CONTRACT = (
@@ -396,7 +397,8 @@ def test_errors_of_the_step_and_of_its_solver_are_kept_apart(cli, tmp_path):
 
 
 @thorough
-def test_an_interrupted_sweep_keeps_what_is_finished(tmp_path):
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupted_sweep_keeps_what_is_finished(tmp_path, number, status):
     process = subprocess.Popen(
         [sys.executable, "-m", "taichi_cloth", "trade", "oscillator", "--output", str(tmp_path)]
         + ["--precisions", "f64"],
@@ -409,9 +411,9 @@ def test_an_interrupted_sweep_keeps_what_is_finished(tmp_path):
     for line in process.stderr:
         if re.search(r"of \d+: \w+, \d+ substep", line):
             break
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     out, error = process.communicate(timeout=60)
-    assert process.returncode == 130 and error.endswith("taichi-cloth: interrupted\n")
+    assert process.returncode == status and error.endswith("taichi-cloth: interrupted\n")
     assert "Traceback" not in error and "are kept" in out
     table = read(tmp_path)
     everything = settings.choose(library.build("oscillator"), TradeOptions(precisions="f64"))
@@ -422,6 +424,27 @@ def test_an_interrupted_sweep_keeps_what_is_finished(tmp_path):
 
 # ------------------------------------------------------------------------------------------
 # Kills and full disks
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_a_sweep_ends_with_the_status_of_its_signal(
+    number, status, monkeypatch, capsys, tmp_path, request
+):
+    before = signal.signal(number, signal.SIG_DFL)  # which nohup may have had ignored
+    request.addfinalizer(lambda: signal.signal(number, before))
+
+    def send_signal(study):
+        time.sleep(0.2)  # until the study waits for news
+        os.kill(os.getpid(), number)
+        study._stop.wait(30)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Study, "_groups", lambda _: {})
+    monkeypatch.setattr(Study, "_solve", send_signal)
+    for command in (["trade", "oscillator"], ["tune", "oscillator", "--error", "1%"]):
+        assert main(command) == status
+        assert capsys.readouterr().err.endswith("taichi-cloth: interrupted\n")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_process_ends_with_its_parent(tmp_path):

@@ -33,7 +33,8 @@ def main(source: SceneSource, options: TradeOptions) -> int:
     with folder_of_results(folder, FILES):
         with measured(source, options, scene, chosen, how) as result:
             if not result.outcomes:
-                raise KeyboardInterrupt  # before anything was finished
+                # Before anything was finished.
+                raise result.interrupted or KeyboardInterrupt
             made = rows.rows_of(result, common(scene), run_words(source, how))
         written = write(folder, source, options, result, made)
     report.show(result, made, to)
@@ -43,7 +44,7 @@ def main(source: SceneSource, options: TradeOptions) -> int:
         console.say(to, f"interrupted: {kept}")
     report.show_front(result, made, to)
     if result.interrupted:
-        raise KeyboardInterrupt
+        raise result.interrupted
     result.check_whole()
     return 0
 
@@ -160,7 +161,7 @@ def environment(
         "reference_apart": found.apart.trajectory if found else None,
         "reference_floor": found.floor(horizon) if found and horizon else None,
         "event": found.event if found else None,
-        "interrupted": result.interrupted,
+        "interrupted": result.interrupted is not None,
     }
 
 

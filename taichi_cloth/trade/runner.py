@@ -102,6 +102,7 @@ class Result:
     """What a study found, whole or, where it was interrupted, what was finished.
 
     outcomes: of the settings, in their order; converged: those with a converged solver, by setting.
+    interrupted: by what, which the caller raises once it has kept what was finished; None: whole.
     """
 
     scene: Scene
@@ -109,7 +110,7 @@ class Result:
     converged: dict[Setting, Outcome]
     horizon: reference.Horizon | None
     reference: reference.Reference | None
-    interrupted: bool = False
+    interrupted: KeyboardInterrupt | None = None
 
     def check_whole(self) -> None:
         """Raise StudyFailure where the machine lost settings: the others are no fair choice."""
@@ -166,7 +167,9 @@ class _Course:
         self.fine: list[tuple[str, Samples]] = []
         self.smooth: ode.SmoothTrajectory | None = None
 
-    def result(self, wanted: Sequence[Setting], dt: float, interrupted: bool) -> Result:
+    def result(
+        self, wanted: Sequence[Setting], dt: float, interrupted: KeyboardInterrupt | None
+    ) -> Result:
         found = None
         if self.horizon:
             frames = self.horizon.frames
@@ -224,14 +227,15 @@ class Study:
         total += len(self._courses) * (
             2 * MAKING + sum(len(of) for methods in groups.values() for of in methods.values())
         )
-        done, interrupted = 0, False
+        done = 0
+        interrupted: KeyboardInterrupt | None = None
         failure: BaseException | None = None
         threads = 1 + min(len(groups), runtime.available_cores())
         with ThreadPoolExecutor(max_workers=threads) as pool:
-            tasks = [pool.submit(self._solve)]
-            tasks += [pool.submit(self._run_group, key, of) for key, of in groups.items()]
-            self.tell("starting", 0, total)
             try:
+                tasks = [pool.submit(self._solve)]
+                tasks += [pool.submit(self._run_group, key, of) for key, of in groups.items()]
+                self.tell("starting", 0, total)
                 while any(not task.done() for task in tasks) or not self._news.empty():
                     with contextlib.suppress(queue.Empty):
                         text, units = self._news.get(timeout=0.1)
@@ -241,8 +245,8 @@ class Study:
                     failure = next((f for f in failed if f is not None), None)
                     if failure:
                         break
-            except KeyboardInterrupt:
-                interrupted = True
+            except KeyboardInterrupt as interrupt:
+                interrupted = interrupt
             self._stop.set()
             for course in self._courses:
                 course.horizon_known.set()

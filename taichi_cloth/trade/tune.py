@@ -116,7 +116,7 @@ def main(source: SceneSource, options: TuneOptions) -> int:
     quiet = options.json
     with command.measured(source, options, scene, chosen, how, quiet=quiet) as result:
         if result.interrupted:
-            raise KeyboardInterrupt
+            raise result.interrupted
         result.check_whole()
         if not (result.reference and result.horizon):
             raise RunFailure(
@@ -130,7 +130,7 @@ def main(source: SceneSource, options: TuneOptions) -> int:
     def measure_again(some: Sequence[Setting]) -> list[Row]:
         with command.measured(source, options, other, list(some), how, False, quiet) as again:
             if again.interrupted:
-                raise KeyboardInterrupt
+                raise again.interrupted
             again.check_whole()
             return rows.rows_of(again, command.common(other), [])
 

@@ -150,7 +150,7 @@ def _trade(part: str) -> tuple[str, Any]:
     with command.measured(source, options, scene, chosen, how) as result:
         made = rows.rows_of(result, command.common(scene), command.run_words(source, how))
         if result.interrupted:
-            raise KeyboardInterrupt
+            raise result.interrupted
     horizon, found = result.horizon, result.reference
     assert horizon and found  # it went to its end
     data = {
