@@ -15,7 +15,6 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.methods.contract import Claims
 from taichi_cloth.kernels.state import WORK
-from taichi_cloth.limits.network import Network
 from taichi_cloth.limits.precision import refuse_unholdable
 from taichi_cloth.runtime import current_device
 from taichi_cloth.scene.checks import validate
@@ -33,7 +32,8 @@ from taichi_cloth.simulation.numbers import (
     runaway_speed,
     solver_settings,
 )
-from taichi_cloth.simulation.prediction import Prediction, describe_size
+from taichi_cloth.simulation.prediction import Prediction
+from taichi_cloth.simulation.readings import Readings
 from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.storage import Storage
 
@@ -43,7 +43,7 @@ LANES = 8
 MOST_LANES = 64  # more fill no vector, and take minutes to compile
 
 
-class Simulation(Changes):
+class Simulation(Readings, Changes):
     """One scene, integrated by one method on the device that `runtime.start` started.
 
     scene: validated here (InputError), against the device's precision, too. method: a name out of
@@ -421,81 +421,7 @@ class Simulation(Changes):
         if held is not None:
             self.storage.hold_again(held if left is None else held[left], pushed)
 
-    # --- what there is ---------------------------------------------------------------------
-
-    @property
-    def particle_count(self) -> int:
-        """How many particles there are."""
-        return len(self.storage.scene.particles)
-
-    @property
-    def spring_count(self) -> int:
-        """How many springs there are, broken ones included."""
-        return len(self.storage.scene.springs)
-
-    def describe_size(self) -> str:
-        """What decides a step's cost besides the device: features, and sizes by powers of two."""
-        return describe_size(self.storage.scene)
-
-    def positions(self) -> np.ndarray:
-        """Positions, (n, dim)."""
-        return self.storage.positions()
-
-    def velocities(self) -> np.ndarray:
-        """Velocities, (n, dim)."""
-        return self.storage.velocities()
-
-    def forces(self) -> np.ndarray:
-        """The total force on each particle in the present state, (n, dim), in the scene's units.
-
-        It is that of springs, dashpots, drag, gravity and a push that is held, but not of contacts,
-        which are impulses; on fixed particles, too: what holds them gives the opposite.
-        """
-        return self.storage.forces()
-
-    def radii(self) -> np.ndarray:
-        """Radii, (n,)."""
-        return self.storage.scene.particles.radius
-
-    def colors(self) -> np.ndarray:
-        """Colours, (n, 3) uint8."""
-        return self.storage.scene.particles.color
-
-    def springs(self) -> np.ndarray:
-        """The particles each spring ties, (s, 2), broken springs included."""
-        return self.storage.scene.springs.between
-
-    def springs_alive(self) -> np.ndarray:
-        """Which springs hold, (s,) bool: those whose force has not exceeded their break force."""
-        return self.storage.springs_alive()
-
-    def drawn_positions(self) -> np.ndarray:
-        """Positions for a window, (n, dim) in the device's precision.
-
-        Without a copy: the next call fills the same array anew.
-        """
-        return self.storage.drawn_positions()
-
-    def drawn_springs(self) -> np.ndarray:
-        """The particles that each spring that holds ties, (alive, 2).
-
-        The same array until a spring breaks, comes or is whole again.
-        """
-        return self.storage.drawn_springs()
-
-    def network(self) -> Network:
-        """The particles where they are, and the springs that pull."""
-        return self.storage.snapshot().network()
-
-    def energy(self) -> diagnostics.Energy:
-        """Kinetic, gravitational and elastic energy."""
-        now = self.storage.snapshot()
-        return diagnostics.energy(now.scene, now.x, now.v, now.pulling)
-
-    def momentum(self) -> np.ndarray:
-        """Total momentum of the free particles, (dim,)."""
-        particles = self.storage.scene.particles
-        return diagnostics.momentum(self.velocities(), particles.mass, particles.fixed)
+    # --- what has been done; what there is: see `Readings` ----------------------------------
 
     def work(self) -> diagnostics.Work:
         """What has been done since the start, or since `reset`."""

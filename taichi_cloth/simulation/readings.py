@@ -1,0 +1,93 @@
+"""What may be read of a simulation, as its users call it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taichi_cloth.limits.network import Network
+from taichi_cloth.simulation import diagnostics
+from taichi_cloth.simulation.prediction import describe_size
+from taichi_cloth.simulation.storage import Storage
+
+
+class Readings:
+    """The part of a `Simulation` that reads its particles and springs back from the device.
+
+    Arrays are float64 copies, one row per particle or spring in the order of creation.
+    """
+
+    storage: Storage
+
+    @property
+    def particle_count(self) -> int:
+        """How many particles there are."""
+        return len(self.storage.scene.particles)
+
+    @property
+    def spring_count(self) -> int:
+        """How many springs there are, broken ones included."""
+        return len(self.storage.scene.springs)
+
+    def describe_size(self) -> str:
+        """What decides a step's cost besides the device: features, and sizes by powers of two."""
+        return describe_size(self.storage.scene)
+
+    def positions(self) -> np.ndarray:
+        """Positions, (n, dim)."""
+        return self.storage.positions()
+
+    def velocities(self) -> np.ndarray:
+        """Velocities, (n, dim)."""
+        return self.storage.velocities()
+
+    def forces(self) -> np.ndarray:
+        """The total force on each particle in the present state, (n, dim), in the scene's units.
+
+        It is that of springs, dashpots, drag, gravity and a push that is held, but not of contacts,
+        which are impulses; on fixed particles, too: what holds them gives the opposite.
+        """
+        return self.storage.forces()
+
+    def radii(self) -> np.ndarray:
+        """Radii, (n,)."""
+        return self.storage.scene.particles.radius
+
+    def colors(self) -> np.ndarray:
+        """Colours, (n, 3) uint8."""
+        return self.storage.scene.particles.color
+
+    def springs(self) -> np.ndarray:
+        """The particles each spring ties, (s, 2), broken springs included."""
+        return self.storage.scene.springs.between
+
+    def springs_alive(self) -> np.ndarray:
+        """Which springs hold, (s,) bool: those whose force has not exceeded their break force."""
+        return self.storage.springs_alive()
+
+    def drawn_positions(self) -> np.ndarray:
+        """Positions for a window, (n, dim) in the device's precision.
+
+        Without a copy: the next call fills the same array anew.
+        """
+        return self.storage.drawn_positions()
+
+    def drawn_springs(self) -> np.ndarray:
+        """The particles that each spring that holds ties, (alive, 2).
+
+        The same array until a spring breaks, comes or is whole again.
+        """
+        return self.storage.drawn_springs()
+
+    def network(self) -> Network:
+        """The particles where they are, and the springs that pull."""
+        return self.storage.snapshot().network()
+
+    def energy(self) -> diagnostics.Energy:
+        """Kinetic, gravitational and elastic energy."""
+        now = self.storage.snapshot()
+        return diagnostics.energy(now.scene, now.x, now.v, now.pulling)
+
+    def momentum(self) -> np.ndarray:
+        """Total momentum of the free particles, (dim,)."""
+        particles = self.storage.scene.particles
+        return diagnostics.momentum(self.velocities(), particles.mass, particles.fixed)
