@@ -228,7 +228,8 @@ def test_scene_files(examples, tmp_path):
         assert validate(scene) is scene
         for columns in (scene.particles, scene.springs):
             for name, column in vars(columns).items():
-                assert name == "break_force" or np.isfinite(column).all()
+                words = column.dtype.kind == "U"
+                assert name == "break_force" or words or np.isfinite(column).all()
         again = scenefile.parse(scenefile.dump(scene))
         assert again.world == scene.world and again.name == scene.name
         assert (again.particles.position == scene.particles.position).all()
