@@ -10,7 +10,7 @@ import pytest
 from discrete import DISCRETE
 from selection import mostly_thorough
 
-from taichi_cloth.errors import SimulationFailure
+from taichi_cloth.errors import RunFailure, SimulationFailure
 from taichi_cloth.kernels import methods
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
@@ -153,6 +153,30 @@ def test_energy_falls_under_implicit_euler(pool):
         energies.append(sim.energy().total)
     assert (np.diff(energies) < 0).all()
     assert sim.work().unconverged == 0
+
+
+def swung(pool, stiffness, gravity=1.0):
+    """A simulation of a chain that starts level, held at one end, after 20 frames."""
+    x = np.column_stack([50 + 10 / 3 * np.arange(4), np.full(4, 50.0)])
+    particles = Particles.build(x, fixed=np.arange(4) == 0)
+    springs = Springs.build([[0, 1], [1, 2], [2, 3]], x, stiffness=stiffness)
+    world = World((100.0, 100.0), (0.0, gravity), dt=1 / 60)
+    sim = pool(Scene("chain", world, particles, springs), "implicit_euler")
+    sim.advance(20)
+    return sim
+
+
+def test_stiff_springs_do_not_hide_gravity_from_implicit_steps(pool):
+    """A chain swings alike however stiff it is, or its steps count as unconverged."""
+    fall = swung(pool, 1e6).positions()[-1, 1] - 50
+    assert fall > 0.05
+    for stiffness in (1e11, 1e12):
+        assert swung(pool, stiffness).positions()[-1, 1] - 50 == pytest.approx(fall, rel=1e-4)
+    sim = swung(pool, 1e30)
+    with pytest.raises(RunFailure, match="rounding of .* hides gravity.*; remedy: use softer"):
+        sim.check_converged()
+    sim = swung(pool, 1e12, gravity=0.0)  # nothing to hide: it stays where it is
+    assert sim.work().unconverged == 0 and (sim.velocities() == 0).all()
 
 
 def test_a_hanging_chain_rests_where_statics_says(pool):

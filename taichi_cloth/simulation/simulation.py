@@ -14,6 +14,7 @@ from taichi_cloth.errors import InputError, RunFailure, SimulationFailure
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.solvers.stages import HIDDEN, OUTCOMES
 from taichi_cloth.kernels.state import WORK
 from taichi_cloth.limits.precision import refuse_unholdable
 from taichi_cloth.runtime import current_device
@@ -442,10 +443,13 @@ class Simulation(Readings, Changes):
         work, tolerance = self.work(), self.solver["tolerance"]
         last = self.solution()
         ended = "" if last.converged else f" (the last one: {last.outcome})"
+        remedy = "use softer springs, more --substeps or a larger --tolerance"
+        if last.outcome == OUTCOMES[HIDDEN]:  # which no step and no tolerance changes
+            wider = " or --precision f64" * (self._launcher.device.precision != "f64")
+            remedy = f"use softer springs{wider}"
         return (
             f"{work.unconverged} of {work.steps} steps of {self.method} did not converge to a "
-            f"relative residual of {tolerance:g}{ended}; "
-            "remedy: use softer springs, more --substeps or a larger --tolerance"
+            f"relative residual of {tolerance:g}{ended}; remedy: {remedy}"
         )
 
     def solution(self) -> diagnostics.Solution:

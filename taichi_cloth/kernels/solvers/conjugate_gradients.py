@@ -29,11 +29,11 @@ from taichi_cloth.kernels.solvers.stages import (
     CLAMPED,
     FINISH,
     ITERATE,
-    ROUNDED,
     SHIFT,
     SINGULAR,
     mass_of,
     momentum_of,
+    outcome_of_rounding,
     wanted_residual,
 )
 from taichi_cloth.kernels.springs import (
@@ -167,8 +167,8 @@ def _begin_iterating(spec: ti.template(), state: ti.template(), i):
     state.sweeps[None] = 0
     state.phase[None] = ITERATE
     if energy < ti.static(_least(state)):  # what is left is too small to be squared
-        state.outcome[None] = ROUNDED
-        state.step_outcome[None] = ti.max(state.step_outcome[None], ROUNDED)
+        state.outcome[None] = outcome_of_rounding(state)
+        state.step_outcome[None] = ti.max(state.step_outcome[None], state.outcome[None])
         state.phase[None] = FINISH
 
 

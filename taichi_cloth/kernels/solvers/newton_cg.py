@@ -23,9 +23,10 @@ Baraff, Witkin, "Large steps in cloth simulation", 1998; Choi, Ko, "Stable but r
 2002; Nocedal, Wright, Numerical Optimization, 3.5 and 7.1 (line search Newton-CG).
 
 A stage has converged when its largest residual is at most state.tolerance times the largest
-residual that it began with (gravity at least), or is as small as rounding leaves it. Otherwise it
-ends after MOST_DIRECTIONS, after MOST_STALLS directions that brought little, or where numbers are
-no longer finite, and state.work counts its step as unconverged.
+residual that it began with (gravity at least), or is as small as rounding leaves it; what is left
+must be small beside gravity, too (`stages.SOLVED`). Otherwise it ends after MOST_DIRECTIONS, after
+MOST_STALLS directions that brought little, or where numbers are no longer finite, and state.work
+counts its step as unconverged.
 """
 
 import functools
@@ -67,6 +68,8 @@ from taichi_cloth.kernels.solvers.stages import (
     iterate_from,
     largest_component,
     momentum_of,
+    outcome_of_rounding,
+    rounding_accepted,
     set_tau,
     wanted_residual,
 )
@@ -81,6 +84,7 @@ SCALARS = (
     "tau",  # time of a stage
     "scale",  # acceleration that the residual is compared with
     "rounding",  # residual that rounding alone leaves
+    "load",  # largest acceleration by gravity or by the iterate's gain
     "residual_max",  # largest component of the residual, without its sign
     "residual_rms",  # root of the mean square of its components
     "best",  # least residual_max so far
@@ -195,6 +199,8 @@ def evaluate(spec: ti.template(), state: ti.template(), t):
     accumulate(spec, state, t, force_between, _store_residual, _residual_more)
     find_largest(spec, state, t, _rounding_of, 0)
     each(spec, state, t, 1, _keep_rounding)
+    find_largest(spec, state, t, _gained, 0)
+    each(spec, state, t, 1, _keep_load)
     find_largest(spec, state, t, _size, 0)
     add_up(spec, state, t, _square, 1)
     add_up(spec, state, t, _slope, 2)
@@ -222,8 +228,14 @@ def _residual_more(spec: ti.template(), state: ti.template(), slot, f):
 def _rounding_of(spec: ti.template(), state: ti.template(), i):
     """The residual that rounding of positions, over all springs, and of the gain can make up."""
     w, x = read(spec, state.w, i), largest_component(spec, state.x, i)
-    gain = (1.0 / state.tau[None]) * largest_component(spec, state.gain, i)
+    gain = _gained(spec, state, i)
     return ti.select(w > 0.0, w * read(spec, state.summed_k, i) * x + gain, 0.0 * w)
+
+
+@ti.func
+def _gained(spec: ti.template(), state: ti.template(), i):
+    """The acceleration that gives pack i its gain."""
+    return (1.0 / state.tau[None]) * largest_component(spec, state.gain, i)
 
 
 @ti.func
@@ -245,8 +257,8 @@ def _judge(spec: ti.template(), state: ti.template(), i):
         next_phase = FINISH
     elif finite and most <= wanted:
         state.outcome[None], next_phase = CONVERGED, FINISH
-    elif finite and state.directions[None] > 1 and most <= state.rounding[None]:
-        state.outcome[None], next_phase = ROUNDED, FINISH
+    elif finite and state.directions[None] > 1 and most <= rounding_accepted(state):
+        state.outcome[None], next_phase = outcome_of_rounding(state), FINISH
     elif first and not finite:
         state.outcome[None], next_phase = NOT_FINITE, FINISH
     elif not first and missed and state.trials[None] < MOST_TRIALS:
@@ -263,7 +275,8 @@ def _judge(spec: ti.template(), state: ti.template(), i):
             next_phase = FINISH
         elif not first and state.stalls[None] > MOST_STALLS:
             rounded = most <= MOST_ROUNDINGS * state.rounding[None]
-            state.outcome[None], next_phase = ti.select(rounded, ROUNDED, STALLED), FINISH
+            state.outcome[None] = ti.select(rounded, outcome_of_rounding(state), STALLED)
+            next_phase = FINISH
         elif state.directions[None] >= MOST_DIRECTIONS:
             state.outcome[None], next_phase = EXHAUSTED, FINISH
     state.best[None] = ti.min(state.best[None], most)
@@ -335,6 +348,12 @@ def _slope(spec: ti.template(), state: ti.template(), i):
 def _keep_rounding(spec: ti.template(), state: ti.template(), i):
     """Set the residual that rounding alone leaves, from the largest of `_rounding_of`."""
     state.rounding[None] = ROUNDING * ti.static(_epsilon(state)) * state.sums[0, 0]
+
+
+@ti.func
+def _keep_load(spec: ti.template(), state: ti.template(), i):
+    """Set what a residual must be small beside, from the largest of `_gained`."""
+    state.load[None] = ti.max(state.least_scale[None], state.sums[0, 0])
 
 
 def _epsilon(state):

@@ -20,16 +20,24 @@ from taichi_cloth.kernels.solvers.phases import set_alone
 from taichi_cloth.kernels.watchdog import commit
 
 BEGIN, EVALUATE, DIRECT, ITERATE, SHIFT, FINISH = range(6)  # phases
-# What came of a stage. ROUNDED: its residual is as small as rounding lets it be.
-CONVERGED, ROUNDED, EXHAUSTED, STALLED, SINGULAR, NOT_FINITE = range(6)
+# What came of a stage. ROUNDED: its residual is as small as rounding lets it be; HIDDEN: so it is,
+# but what rounding leaves hides what moves the particles. From HIDDEN on a stage is not solved.
+CONVERGED, ROUNDED, HIDDEN, EXHAUSTED, STALLED, SINGULAR, NOT_FINITE = range(7)
 OUTCOMES = (
     "converged",
     "converged to rounding",
+    "rounding of the springs' forces hides gravity",
     "the most directions were not enough",
     "directions brought no more progress",
     "singular",
     "not finite",
 )
+# Forces of stiff springs cancel, so a small part of the first residual may be more than all that is
+# left of them. Where there is gravity, a stage that has converged leaves at most SOLVED times its
+# load, the larger of gravity and of what the particles gain; one that rounding ends, HIDING times.
+# Rounding acts along springs, and moves only what is far softer than it: measured, swings and
+# cloths lose a percent of their motion at 4 times the load, and most of it at 40 times.
+SOLVED, HIDING = 0.1, 5.0
 CLAMPED, EXACT = 0.0, -1e30  # state.least: how K is taken across springs
 ONLY_EVALUATE = -1  # number of a stage that only computes the acceleration, as its residual
 
@@ -145,4 +153,23 @@ def momentum_of(spec: ti.template(), state: ti.template(), i, residual):
 @ti.func
 def wanted_residual(state: ti.template()):
     """The residual at which a stage has converged."""
-    return state.tolerance[None] * state.scale[None]
+    wanted = state.tolerance[None] * state.scale[None]
+    if state.least_scale[None] > 0.0:
+        wanted = ti.min(wanted, SOLVED * state.load[None])
+    return wanted
+
+
+@ti.func
+def rounding_accepted(state: ti.template()):
+    """The residual at which a stage is ROUNDED at once, without a look for further progress."""
+    accepted = state.rounding[None]
+    if state.least_scale[None] > 0.0:
+        accepted = ti.min(accepted, SOLVED * state.load[None])
+    return accepted
+
+
+@ti.func
+def outcome_of_rounding(state: ti.template()):
+    """What came of a stage whose residual rounding does not let become smaller."""
+    hidden = state.residual_max[None] > HIDING * state.load[None]
+    return ti.select(state.least_scale[None] > 0.0 and hidden, HIDDEN, ROUNDED)
