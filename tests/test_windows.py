@@ -785,7 +785,8 @@ def test_films_and_pictures_appear_whole_or_not_at_all(tmp_path):
 
 
 @needs_x
-@pytest.mark.parametrize("kind", mostly_thorough(["ggui", "gui"], default=["gui"]))
+@pytest.mark.thorough
+@pytest.mark.parametrize("kind", ["ggui", "gui"])
 def test_a_window_opens_also_while_the_server_starts_anew(kind, display, caches, tmp_path):
     """Every run here is the server's only client, so between two runs it begins from scratch."""
     for _ in range(3):
