@@ -9,10 +9,11 @@ import taichi as ti
 
 from taichi_cloth.kernels.packs import dot, scaled
 
-# Inverse mass of a fixed particle in a collision: a mass that no free particle comes near. Exactly
-# zero would do as well, but the reference trajectories were computed with this mass, and
-# collisions amplify the difference of 1e-8 past their tolerance.
+# Inverse mass of a fixed particle in a collision, for what is lighter by far. Exactly zero would do
+# as well, but the reference trajectories were computed with this mass, and collisions amplify the
+# difference of 1e-8 past their tolerance. To heavy particles it is HEAVIER times theirs.
 FIXED_INVERSE_MASS = 1e-9
+HEAVIER = 1e-6
 
 
 @ti.func
@@ -125,5 +126,8 @@ def pair_bounce(d, v1, v2, w1, w2, reach, e):
         n = d / ti.sqrt(distance2)
         closing = (v1 - v2).dot(n)
         if closing >= 0.0:
-            change = -(1.0 + e) * closing * w1 / (w1 + ti.max(w2, FIXED_INVERSE_MASS)) * n
+            other = w2
+            if w2 == 0.0:
+                other = ti.min(FIXED_INVERSE_MASS, HEAVIER * w1)
+            change = -(1.0 + e) * closing * (w1 / (w1 + other)) * n
     return change

@@ -55,7 +55,7 @@ def largest_step(method: Method, omega2: float, damping: float = 0.0) -> float:
         return float(method.claims.stability_limit) / math.sqrt(omega2)
     # In units of time in which the faster of the two rates is 1.
     rate = max(math.sqrt(omega2), damping)
-    omega2, damping = omega2 / rate**2, damping / rate
+    omega2, damping = omega2 / rate / rate, damping / rate  # rate^2 may not be a number
     return _largest_multiple(lambda h: growth(method, h, omega2, damping)) / rate
 
 

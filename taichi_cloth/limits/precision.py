@@ -17,6 +17,8 @@ from taichi_cloth.scene.model import Scene
 # A step whose change of a coordinate is below so many halves of the coordinate's last bit is not
 # resolved: rounding takes, or adds, more than a quarter of it.
 HALF_BITS = 4.0
+# Sums of coordinates above it count as infinite in every precision (`watchdog.is_finite`).
+WATCHED = float(np.finfo(np.float32).max)
 SMALL_STRETCH = 1e-6  # of a spring's length: a change of velocity by less may vanish
 
 
@@ -47,6 +49,11 @@ def _unholdable(scene: Scene, real: type[np.floating]) -> str | None:
     if row is not None:
         large = "large" if weight[row] < tiny else "small"
         return f"particle {row}: mass {particles.mass[row]:.4g} is too {large}"
+    far = np.abs(particles.position).sum(axis=1)
+    row = _first(far > WATCHED)
+    if row is not None:
+        place = f"{far[row]:.4g} away, beyond the {WATCHED:.2g} that is watched"
+        return f"particle {row}: its position is {place},"
     lengths = []
     if scene.world.collisions:
         lengths.append(("particle", "radius", particles.radius))

@@ -12,6 +12,9 @@ from taichi_cloth.limits.bounds import Bounds, any_geometry, gershgorin, step_wi
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import WALLS, World
 
+# Squares of speeds, and sums of coordinates, above it count as infinite: `watchdog.is_finite`.
+WATCHED = float(np.finfo(np.float32).max)
+
 
 def describe_fault(
     world: World, position: np.ndarray, velocity: np.ndarray, speed_limit: float
@@ -22,6 +25,10 @@ def describe_fault(
     speed = float(np.linalg.norm(velocity))
     if speed > speed_limit:
         return f"runs away at speed {speed:.3g} (limit {speed_limit:.3g})"
+    if speed > WATCHED**0.5:
+        return f"has speed {speed:.3g}, and only speeds up to {WATCHED**0.5:.2g} are watched"
+    if np.abs(position).sum() > WATCHED:
+        return f"is {np.abs(position).max():.3g} away, and only {WATCHED:.2g} is watched"
     beyond = {wall: _beyond(world, wall, position) for wall in world.walls}
     if beyond and max(beyond.values()) > 0:
         wall = max(beyond, key=lambda name: beyond[name])
