@@ -171,6 +171,46 @@ KINDS = {  # dimension, walls, collisions
 }
 
 
+@pytest.mark.parametrize("mass", [1.0, 1e20])
+@pytest.mark.parametrize("fixed", [False, True])
+def test_a_collision_does_not_depend_on_the_unit_of_mass(pool, mass, fixed):
+    """Equal balls exchange their velocities; one that is fixed sends the other back."""
+    x = [[40.0, 50.0], [49.0, 50.0]]
+    particles = Particles.build(
+        x, [[1.0, 0.0], [0.0, 0.0]], mass=mass, radius=5.0, fixed=[False, fixed]
+    )
+    world = World((100.0, 100.0), (0.0, 0.0), collisions=True)
+    sim = pool(Scene("balls", world, particles, Springs.none()), dt=0.1)
+    sim.advance()
+    after = [[-1.0, 0.0], [0.0, 0.0]] if fixed else [[0.0, 0.0], [1.0, 0.0]]
+    assert sim.velocities() == pytest.approx(np.array(after), abs=3e-6)
+
+
+def test_the_stable_step_of_rates_whose_squares_vanish():
+    for drag in (1e-170, 1e-300):
+        particles = Particles.build([[1.0, 1.0]], viscous=drag)
+        scene = Scene("slow", World((2.0, 2.0), (0.0, 0.0)), particles, Springs.none())
+        assert above_limit("symplectic_euler", scene, 1.0, 1) is None
+        assert above_limit("symplectic_euler", scene, 1e301, 1)
+
+
+def test_what_no_precision_can_watch_is_named_so(pool):
+    """Squares of speeds and sums of coordinates are watched as numbers of f32."""
+
+    def scene(size, speed):
+        particles = Particles.build([[size / 2, size / 2]], [[speed, 0.0]])
+        world = World((size, size), (0.0, 0.0), mouse="blow")
+        return Scene("vast", world, particles, Springs.none())
+
+    with pytest.raises(
+        InputError, match="particle 0: its position is 1e.40 away, beyond the 3.4e.38"
+    ):
+        pool(scene(1e40, 0.0), dt=1.0)
+    sim = pool(scene(1e30, 1e20), dt=1.0)
+    with pytest.raises(SimulationFailure, match="has speed 1e.20, and only speeds up to 1.8e.19"):
+        sim.advance()
+
+
 def fuzz(pool, kind, examples):
     """Run so many scenes of a kind; what came of them."""
     calculate_in(np.float64 if runtime.current_device().precision == "f64" else np.float32)
