@@ -17,7 +17,8 @@ CONTEXT = decimal.Context(prec=40, Emax=10**6, Emin=-(10**6), traps=[])
 ENDLESS = Decimal("Infinity")
 SLACK = 8
 WATCHED = Decimal(float(np.finfo(np.float32).max))  # what is more counts as infinite
-HEAVIEST = 1e-9  # inverse mass of a fixed particle in a collision, or that of 1e6 times the other's
+# Inverse mass of a fixed particle in a collision with what has more than that of HEAVY, else 0.
+HEAVIEST, HEAVY = 1e-9, 1e-6
 
 
 class Doubt(Exception):
@@ -223,9 +224,8 @@ class Twin:
                 if closing.value == 0 and closing.error == 0 or not closing.positive():
                     continue
                 other = self.w[j]
-                if other.value == 0:
-                    fixed = Number.given(HEAVIEST), Number.given(1e-6) * w
-                    other = min(fixed, key=lambda a: a.value)
+                if other.value == 0 and w.value > HEAVY:
+                    other = Number.given(HEAVIEST)
                 e = ONE + self.restitution[i] * self.restitution[j]
                 change = e * closing * (w * (w + other).inverse())
                 jumps[i] = _difference(jumps[i], _scaled(change, n))

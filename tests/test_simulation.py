@@ -244,7 +244,7 @@ def test_spawning_past_the_capacity_loses_nothing(execution, first_room):
     np.testing.assert_array_equal(grown.springs_alive(), roomy.springs_alive())
     # the grid's cells differ with the capacity, and with them the order of a collision's sums
     np.testing.assert_allclose(grown.positions(), roomy.positions(), rtol=0, atol=1e-6)
-    np.testing.assert_array_equal(grown.springs(), [[k, k + 1] for k in range(39)])
+    np.testing.assert_array_equal(grown.springs(), [[k, k + 1] for k in range(23)])
 
 
 def test_spawned_springs_break_at_the_scene_default(pool):

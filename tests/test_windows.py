@@ -17,7 +17,6 @@ import pytest
 from commands import PROGRAM as PROGRAM_LINE
 from commands import command
 from screens import end_server, virtual_screen
-from selection import mostly_thorough
 
 from taichi_cloth import runtime
 from taichi_cloth.files import trajectory as trajectories

@@ -9,11 +9,11 @@ import taichi as ti
 
 from taichi_cloth.kernels.packs import dot, scaled
 
-# Inverse mass of a fixed particle in a collision, for what is lighter by far. Exactly zero would do
-# as well, but the reference trajectories were computed with this mass, and collisions amplify the
-# difference of 1e-8 past their tolerance. To heavy particles it is HEAVIER times theirs.
+# Inverse mass of a fixed particle in a collision. Exactly zero would do as well, but the reference
+# trajectories were computed with this mass, and collisions amplify the difference of 1e-8 past
+# their tolerance. It is zero to what is as heavy as it: where the inverse mass is HEAVY or less.
 FIXED_INVERSE_MASS = 1e-9
-HEAVIER = 1e-6
+HEAVY = 1e-6
 
 
 @ti.func
@@ -127,7 +127,7 @@ def pair_bounce(d, v1, v2, w1, w2, reach, e):
         closing = (v1 - v2).dot(n)
         if closing >= 0.0:
             other = w2
-            if w2 == 0.0:
-                other = ti.min(FIXED_INVERSE_MASS, HEAVIER * w1)
+            if w2 == 0.0 and w1 > HEAVY:
+                other = FIXED_INVERSE_MASS
             change = -(1.0 + e) * closing * (w1 / (w1 + other)) * n
     return change
