@@ -230,6 +230,7 @@ def fuzz(pool, kind, examples):
     return counts
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize(
     ("kind", "examples"),
     [("springs", 30), *(as_thorough((kind, 130)) for kind in KINDS)],

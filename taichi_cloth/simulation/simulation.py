@@ -220,11 +220,12 @@ class Simulation(Readings, Changes):
         """Put the last good frame back, and say who failed, why, and what to change."""
         particle = self.storage.faulty_particle()
         x, v = self.positions()[particle], self.velocities()[particle]
-        what = diagnosis.describe_fault(self.scene.world, x, v, self.speed_limit)
-        self.storage.restore(self.steps)
-        cause, remedy = diagnosis.likely_cause(
-            self.network(), self.method, self.dt, self.substeps, self.storage.real.__name__
-        )
+        with np.errstate(all="ignore"):  # of numbers that overflow, which is what it reports
+            what = diagnosis.describe_fault(self.scene.world, x, v, self.speed_limit)
+            self.storage.restore(self.steps)
+            cause, remedy = diagnosis.likely_cause(
+                self.network(), self.method, self.dt, self.substeps, self.storage.real.__name__
+            )
         raise SimulationFailure(particle, self.frame + 1, what, cause, remedy)
 
     @property
