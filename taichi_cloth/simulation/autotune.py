@@ -170,10 +170,14 @@ class Watch:
         self._launches.append((seconds, steps))
         return len(self._launches) == self.ENOUGH
 
-    def cost(self, launch: float) -> Cost:
-        """The cost by the least disturbed launch. launch: seconds of one without steps."""
-        step = min((seconds - launch) / steps for seconds, steps in self._launches)
-        return Cost(launch, max(step, 1e-9))
+    def cost(self, launch: float) -> Cost | None:
+        """The cost by the least disturbed launch. launch: seconds of one without steps.
+
+        None where steps take less than half of it: they are the difference of two times, each of
+        which another program may have lengthened, and nothing could be said of more substeps.
+        """
+        seconds, steps = min(self._launches, key=lambda noted: noted[0] / noted[1])
+        return Cost(launch, (seconds - launch) / steps) if seconds >= 2 * launch else None
 
     def lost(self, seconds: float, steps: int) -> bool:
         """Note a launch of so many steps; True when one thread would do better.

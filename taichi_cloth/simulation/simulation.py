@@ -193,8 +193,10 @@ class Simulation(Readings, Changes):
         A path that was asked for is kept, and `held_up` says so.
         """
         if watch.enough(seconds, steps) and "auto" in self._requested:
-            cost = watch.cost(min(self._time_launch() for _ in range(5)))
-            autotune.remember(self._prediction().key, f"{self.topology} {self.execution}", cost)
+            cost = watch.cost(min(self._time_launch() for _ in range(watch.ENOUGH)))
+            if cost:
+                way = f"{self.topology} {self.execution}"
+                autotune.remember(self._prediction().key, way, cost)
         if not watch.lost(seconds, steps):
             return
         if watch.choice.forced:
