@@ -44,6 +44,7 @@ class FakeSimulation:
 
     method, dt, substeps, execution = "symplectic_euler", 1.0, 1, "serial"
     topology = "graph"
+    held_up = None
 
     def __init__(self, scene):
         self.scene, self.frame, self.calls = scene, 0, []
@@ -427,6 +428,26 @@ def test_the_status_is_that_of_the_frame_drawn(tmp_path):
     view = Script([], [press(key="h")], [])
     app.run(simulation("blow"), view, status=False, device="test")
     assert [bool(p.text) for p in view.pictures] == [False, True]
+
+
+def test_the_status_says_that_threads_which_were_asked_for_only_wait(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(app.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(app.time, "sleep", lambda _: None)
+    sim = simulation("blow")
+    advance = sim.advance
+
+    def held_up_once(frames=1):
+        advance(frames)
+        now[0] += 1.0
+        if sim.frame == 2:
+            sim.held_up = (1e-3, 5e-3)
+
+    sim.advance = held_up_once
+    view = Script(*[[] for _ in range(9)])
+    app.run(sim, view, device="test")
+    waits = ["threads wait" in p.text[0] for p in view.pictures]
+    assert waits == [False, True, True, True, True, False, False, False]
 
 
 def test_a_reset_says_that_it_shortens_what_is_saved():

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 # Keys that act on the window alone. They work while a log is replayed, too.
 WINDOW_KEYS = ("escape", "h", "p", *STEP_KEYS, *HELP_KEYS)
 
-NOTICE_SECONDS = 4.0  # how long a word about the last click stays
+NOTICE_SECONDS = 4.0  # how long a word about the last click stays, or about threads that waited
 
 
 @dataclass(frozen=True)
@@ -178,6 +178,8 @@ class _Loop:
         self._rates_due = 0.0
         self._notice: str | None = None
         self._notice_until = 0.0
+        self._held_up: tuple[float, float] | None = None
+        self._held_up_until = 0.0
         self._next_frame = 0.0
         self._started: float | None = None
         self._simulate = self._draw = 0.0
@@ -340,10 +342,14 @@ class _Loop:
         if self._controls.notice != self._notice:
             self._notice, self._notice_until = self._controls.notice, now + NOTICE_SECONDS
         if windowed:
+            if self.sim.held_up is not self._held_up:  # found anew, for as long as it goes on
+                self._held_up, self._held_up_until = self.sim.held_up, now + NOTICE_SECONDS
             if now >= self._rates_due:
                 self._rates_due = now + hud.REFRESH
                 stopped = self._paused or self.failure is not None
                 self._rates = hud.rates_line(self._meter, paused=stopped)
+                if now < self._held_up_until:
+                    self._rates += hud.HELD_UP
             rates = self._rates
         shown = self._notice if now < self._notice_until else None
         return hud.status_lines(self.sim, self._device, rates=rates, notice=shown)
