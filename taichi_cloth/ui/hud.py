@@ -19,7 +19,7 @@ FRAME_RATE = 60.0  # frames a second that count as real time
 WINDOW = 0.75  # seconds over which rates are averaged
 REFRESH = 0.2  # seconds between changes of the rates: faster cannot be read
 # Follows the rates where the execution was asked for, and threads only wait.
-HELD_UP = "  \u00b7  threads wait: another program wants the cores"
+HELD_UP = "  \u00b7  threads wait for another program"
 
 
 class Meter:
