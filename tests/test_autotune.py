@@ -82,6 +82,15 @@ def test_many_substeps_share_a_launch_and_want_the_faster_step(empty_cache):
     assert chosen(ways_of(scene, "implicit_euler", substeps=64)).startswith("graph")
 
 
+@pytest.mark.parametrize("substeps", [4, 16])
+def test_a_solver_on_16384_particles_takes_all_threads(substeps, empty_cache):
+    """Measured: 1.4 times as fast as one, though threads are woken for each of its launches."""
+    scene = build("cloth", columns=128, rows=128)
+    assert chosen(ways_of(scene, "implicit_euler", substeps)) == "lanes parallel"
+    smaller = build("cloth", columns=64, rows=48)
+    assert chosen(ways_of(smaller, "implicit_euler", substeps)) == "graph parallel"
+
+
 def test_what_a_run_with_substeps_cost_does_not_mislead_one_without(empty_cache):
     """The measured launch would be spread over the substeps, and threads look free."""
     for way, cost in {

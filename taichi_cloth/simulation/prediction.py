@@ -20,6 +20,7 @@ from taichi_cloth.simulation.storage import Storage
 LAUNCH = 30e-6  # seconds to launch a kernel
 COUNT = 90e-6  # to ask a solver, after each launch of frames, how much it worked
 WAKE = 50e-6  # until all threads are awake
+WAKE_AGAIN = 20e-6  # soon after, between the launches of one step
 SPREAD_LOOP = 50e-6  # of a loop that Taichi spreads over threads
 MEETING = 1.5e-6  # of threads at the barriers of a pass over all springs
 SHARED = 0.55  # part of the work that remains for each of two threads
@@ -98,7 +99,7 @@ def predict(scene: Scene, method: Method, device: Device, topology: str, path: s
         loops = passes * 2 + COLLISION_LOOPS * collisions
         return Cost(counts, shared + loops * SPREAD_LOOP)
     # Where each step takes several launches, the threads are woken for each.
-    woken = HANDOVERS * WAKE if handovers else 0.0
+    woken = HANDOVERS * WAKE_AGAIN if handovers else 0.0
     return Cost(LAUNCH + counts + WAKE, shared + handovers + woken + passes * MEETING)
 
 
