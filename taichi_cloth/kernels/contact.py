@@ -205,15 +205,26 @@ def wall_gap(state: ti.template(), x, radius, axis: ti.template(), side: ti.temp
 
 
 @ti.func
-def past_wall(spec: ti.template(), state: ti.template(), x, radius):
-    """Whether any particle of a pack is past any wall: for most packs it is all that walls cost.
+def _outside_inner_box(state: ti.template(), x, axis: ti.template(), side: ti.template()):
+    """How far positions x are past the face of the inner box that is before a wall [length]."""
+    if ti.static(side > 0):
+        return component(x, axis) - state.inner_high[axis]
+    else:
+        return state.inner_low[axis] - component(x, axis)
 
-    x, radius: the pack's positions and radii.
+
+@ti.func
+def near_wall(spec: ti.template(), state: ti.template(), x):
+    """Whether any of a pack's positions x is outside of the inner box.
+
+    Whoever is inside is past no wall, whatever its radius: most packs ask no more than this, and it
+    is all that walls cost them.
     """
-    most = 0.0 * radius
-    for axis, side in ti.static(spec.walls):
-        most = ti.max(most, -1.0 * wall_gap(state, x, radius, axis, side))
-    return largest(spec, most) > 0.0
+    first = ti.static(spec.walls[0])
+    outside = _outside_inner_box(state, x, first[0], first[1])
+    for axis, side in ti.static(spec.walls[1:]):
+        outside = ti.max(outside, _outside_inner_box(state, x, axis, side))
+    return largest(spec, outside) > 0.0
 
 
 @ti.func
@@ -225,8 +236,8 @@ def velocity_jump(spec: ti.template(), state: ti.template(), i, x, v):
     """
     jump = zeros(spec, state)
     if ti.static(len(spec.walls) > 0):
-        radius = read(spec, state.radius, i)
-        if past_wall(spec, state, x, radius):
+        if near_wall(spec, state, x):
+            radius = read(spec, state.radius, i)
             restitution = read(spec, state.restitution, i)
             for axis, side in ti.static(spec.walls):
                 gap, vn = wall_gap(state, x, radius, axis, side), float(side) * component(v, axis)
@@ -245,16 +256,17 @@ def held_by_walls(spec: ti.template(), state: ti.template(), i, x, v, new_x, new
     x, v: positions and velocities at the start of the step; new_x, new_v: those at its end.
     Bounces are changes of velocity at a step's start (`velocity_jump`), which alone neither keep a
     particle from crossing a wall nor hold one that is pressed against it. So what `_held_by_wall`
-    says comes after. A pack none of whose particles is past a wall asks no more than that.
+    says comes after, for the walls that a particle of the pack is past.
     """
     kept_x, kept_v = new_x, new_v
     if ti.static(len(spec.walls) > 0):
-        radius = read(spec, state.radius, i)
-        if past_wall(spec, state, new_x, radius):
+        if near_wall(spec, state, new_x):
+            radius = read(spec, state.radius, i)
             for axis, side in ti.static(spec.walls):
-                kept_x, kept_v = _held_by_wall(
-                    spec, state, i, x, v, kept_x, kept_v, radius, axis, side
-                )
+                if largest(spec, -1.0 * wall_gap(state, kept_x, radius, axis, side)) > 0.0:
+                    kept_x, kept_v = _held_by_wall(
+                        spec, state, i, x, v, kept_x, kept_v, radius, axis, side
+                    )
     return kept_x, kept_v
 
 

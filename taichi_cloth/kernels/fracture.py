@@ -11,7 +11,7 @@ import taichi as ti
 from taichi_cloth.kernels.graph import number
 from taichi_cloth.kernels.grids import link_index, link_offset, pitch_of
 from taichi_cloth.kernels.links import link_stiffness
-from taichi_cloth.kernels.loops import each, each_pack
+from taichi_cloth.kernels.loops import each, each_pack, each_row
 from taichi_cloth.kernels.packs import (
     component,
     dot,
@@ -31,7 +31,10 @@ def break_springs(spec: ti.template(), state: ti.template(), t):
     It comes at the end of a step.
     """
     if ti.static(spec.kinds > 0):
-        each_pack(spec, state, t, _break_links)
+        if ti.static(spec.lanes == 1):
+            each_pack(spec, state, t, _break_links_of_pack)
+        else:
+            each_row(spec, state, t, _break_links_of_row)
     if ti.static(spec.springs):
         each(spec, state, t, state.n_springs[None], _break_spring)
 
@@ -72,33 +75,50 @@ def _mark_spring(spec: ti.template(), state: ti.template(), s):
 
 
 @ti.func
-def _break_links(spec: ti.template(), state: ti.template(), i):
-    """Remove or mark the links that begin at pack i, as `_break_spring` does for a spring.
+def _break_links_of_pack(spec: ti.template(), state: ti.template(), i):
+    """Run `_break_links_of_row` for pack i alone."""
+    _break_links_of_row(spec, state, i, 1)
 
-    One test comes first for the whole pack: in most packs no link breaks, and it is all they pay.
+
+@ti.func
+def _break_links_of_row(spec: ti.template(), state: ti.template(), begin, width):
+    """Remove or mark the links that begin in a row of packs, as `_break_spring` does for a spring.
+
+    What the row's links share is read before its packs, because no compiler does so: this loop is
+    short, and would spend much of its time on it.
     """
-    g = state.grid_of[i]
+    g = state.grid_of[begin]
     if g >= 0:
-        x = read(spec, state.x, i)
-        none = -1.0 + 0.0 * component(x, 0)
-        most = none
+        pitch = pitch_of(spec, state, g)
+        to_far = ti.Vector([link_offset(state, s, pitch) for s in range(spec.kinds)])
+        shortest2 = ti.Vector([state.link_shortest2[s, g] for s in range(spec.kinds)])
+        longest2 = ti.Vector([state.link_longest2[s, g] for s in range(spec.kinds)])
+        for i in range(begin, begin + width):
+            x = read(spec, state.x, i)
+            most = 0.0 * component(x, 0)
+            for s in ti.static(range(spec.kinds)):
+                d = read(spec, state.x, i + to_far[s]) - x
+                d2 = dot(d, d)
+                excess = ti.max(d2 - longest2[s], shortest2[s] - d2)
+                # Positive where both are: a link that is there has a stiffness.
+                most = ti.max(most, ti.min(excess, link_stiffness(spec, state, s, i)))
+            # Most packs pay no more than this one test: no link of theirs breaks.
+            if largest(spec, most) > 0.0 or state.breaking[i] > 0:
+                _break_links(spec, state, g, i)
+
+
+@ti.func
+def _break_links(spec: ti.template(), state: ti.template(), g, i):
+    """Remove the links that begin at pack i and were breaking; mark those over their limit now."""
+    for lane in range(spec.lanes):
         for s in range(spec.kinds):
-            far = i + link_offset(state, s, pitch_of(spec, state, g))
-            d = read(spec, state.x, far) - x
-            d2 = dot(d, d)
-            excess = ti.max(d2 - state.link_longest2[s, g], state.link_shortest2[s, g] - d2)
-            k = link_stiffness(spec, state, s, i)
-            most = ti.max(most, ti.select(k > 0.0, excess, none))
-        if largest(spec, most) > 0.0 or state.breaking[i] > 0:
-            for lane in range(spec.lanes):
-                for s in range(spec.kinds):
-                    link = link_index(state, s, i) * spec.lanes + lane
-                    if slot_number(spec, state.link_status, link) == BREAKING:
-                        set_slot_number(spec, state.link_status, link, GONE)
-                        set_slot_number(spec, state.link_k, link, 0.0)
-                        state.breaking[i] -= 1
-                    else:
-                        _mark_link(spec, state, s, g, i, lane)
+            link = link_index(state, s, i) * spec.lanes + lane
+            if slot_number(spec, state.link_status, link) == BREAKING:
+                set_slot_number(spec, state.link_status, link, GONE)
+                set_slot_number(spec, state.link_k, link, 0.0)
+                state.breaking[i] -= 1
+            else:
+                _mark_link(spec, state, s, g, i, lane)
 
 
 @ti.func

@@ -82,9 +82,10 @@ class State:
         ring_forces: what links give their earlier ends: rows of zeros, a ring of rows for each
         thread, then the last rows of each thread's share of each grid. row, ring_size: packs in a
         row of it, and in all of it for one kind of link.
-    Numbers that a run may change are 0-D fields: n, n_packs, n_grids, dt, low, high, ..., and those
-        of the scene's forces; step: the number of the step under way; stage: which of its stages;
-        fault, watching: see `watchdog.py`.
+    Numbers that a run may change are 0-D fields: n, n_packs, n_grids, dt, ..., and those of the
+        scene's forces; low, high: the world's ends; inner_low, inner_high: those of the inner box,
+        in which no particle is past a wall (`contact.py`); step: the number of the step under way;
+        stage: which of its stages; fault, watching: see `watchdog.py`.
     Solvers (`solvers/`): phase: the one that comes next; tolerance, iterations: settings; work:
         the counts `WORK` since the host last asked; summed_k, summed_c: sums of the stiffness and
         damping of a particle's springs (needs "summed_springs").
@@ -256,7 +257,8 @@ class State:
             self.number_names.append("one")
         if spec.walls:
             self.low, self.high = self._scalars(dim), self._scalars(dim)
-            self.number_names += ["low", "high"]
+            self.inner_low, self.inner_high = self._scalars(dim), self._scalars(dim)
+            self.number_names += ["low", "high", "inner_low", "inner_high"]
 
     def _place_links_of_kinds(self, spec):
         of_kinds = spec.kinds, max(self.capacity.grids, 1)

@@ -47,6 +47,7 @@ class Upload:
         """Fill what is one number for all."""
         world, particles = self.snapshot.scene.world, self.snapshot.scene.particles
         grid_size, cell_size = _collision_grid(world, particles)
+        inner_low, inner_high = _inner_box(world, particles, self.real)
         values: dict[str, Any] = {
             "n": len(particles),
             "iterations": numbers.iterations,
@@ -59,6 +60,8 @@ class Upload:
             "one": 1.0,
             "low": world.low,
             "high": world.high,
+            "inner_low": inner_low,
+            "inner_high": inner_high,
         } | self._of_forces([*self.state.count_names, *self.state.number_names])
         counts, reals = (
             np.concatenate([np.ravel(values[name]) for name in names])
@@ -254,6 +257,20 @@ def _collision_grid(world: World, particles: Particles) -> tuple[list[int], floa
     while cells.prod() > capacity:
         cells = np.maximum(3, np.floor(cells * 0.97))
     return [int(max(3, c)) for c in cells], width
+
+
+def _inner_box(world: World, particles: Particles, real: Real) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner of where every particle is past no wall, each of shape (dim,).
+
+    The largest radius and a few roundings lie between it and the walls: kernels compare positions
+    with it before they ask exactly. Where particles are as large as the world it is inside out.
+    """
+    radius = particles.radius.max(initial=0.0)
+    roundings = 4.0 * float(np.finfo(real).eps)
+    at_low, at_high = (
+        radius + roundings * (np.abs(corner) + radius) for corner in (world.low, world.high)
+    )
+    return world.low + at_low, world.high - at_high
 
 
 def _starts(colours: np.ndarray) -> np.ndarray:
