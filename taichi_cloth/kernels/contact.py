@@ -250,24 +250,28 @@ def velocity_jump(spec: ti.template(), state: ti.template(), i, x, v):
 
 
 @ti.func
-def held_by_walls(spec: ti.template(), state: ti.template(), i, x, v, new_x, new_v):
-    """The positions new_x and velocities new_v of pack i, as the walls let it have them.
+def store_held_by_walls(
+    spec: ti.template(), state: ti.template(), i, x, v, new_x, new_v, store: ti.template()
+):
+    """Run store(spec, state, i, x, v) with new_x and new_v, and again as the walls let them be.
 
     x, v: positions and velocities at the start of the step; new_x, new_v: those at its end.
     Bounces are changes of velocity at a step's start (`velocity_jump`), which alone neither keep a
     particle from crossing a wall nor hold one that is pressed against it. So what `_held_by_wall`
-    says comes after, for the walls that a particle of the pack is past.
+    says comes after, for the walls that a particle of the pack is past. What they change is stored
+    anew: joined with what most packs store, it would take their vectors through memory.
     """
-    kept_x, kept_v = new_x, new_v
+    store(spec, state, i, new_x, new_v)
     if ti.static(len(spec.walls) > 0):
         if near_wall(spec, state, new_x):
+            kept_x, kept_v = new_x, new_v
             radius = read(spec, state.radius, i)
             for axis, side in ti.static(spec.walls):
                 if largest(spec, -1.0 * wall_gap(state, kept_x, radius, axis, side)) > 0.0:
                     kept_x, kept_v = _held_by_wall(
                         spec, state, i, x, v, kept_x, kept_v, radius, axis, side
                     )
-    return kept_x, kept_v
+            store(spec, state, i, kept_x, kept_v)
 
 
 @ti.func
@@ -283,7 +287,7 @@ def _held_by_wall(
     axis: ti.template(),
     side: ti.template(),
 ):
-    """What `held_by_walls` gives, for one wall.
+    """Positions and velocities as one wall lets pack i have them, for `store_held_by_walls`.
 
     A particle that is pressed against the wall is put onto it: one that hits it, that the bounce
     does not send back, and that was past it already a step before. So a bounce is left to itself in

@@ -95,16 +95,29 @@ def _break_links_of_row(spec: ti.template(), state: ti.template(), begin, width)
         longest2 = ti.Vector([state.link_longest2[s, g] for s in range(spec.kinds)])
         for i in range(begin, begin + width):
             x = read(spec, state.x, i)
+            # Most packs pay no more than this one test, which reads no stiffness: also where there
+            # is no link it asks for the lengths.
+            excesses = [
+                _excess(read(spec, state.x, i + to_far[s]) - x, shortest2[s], longest2[s])
+                for s in range(spec.kinds)
+            ]
             most = 0.0 * component(x, 0)
             for s in ti.static(range(spec.kinds)):
-                d = read(spec, state.x, i + to_far[s]) - x
-                d2 = dot(d, d)
-                excess = ti.max(d2 - longest2[s], shortest2[s] - d2)
-                # Positive where both are: a link that is there has a stiffness.
-                most = ti.max(most, ti.min(excess, link_stiffness(spec, state, s, i)))
-            # Most packs pay no more than this one test: no link of theirs breaks.
+                most = ti.max(most, excesses[s])
             if largest(spec, most) > 0.0 or state.breaking[i] > 0:
-                _break_links(spec, state, g, i)
+                # A link that is there has a stiffness: the lesser is positive where both are.
+                there = 0.0 * component(x, 0)
+                for s in ti.static(range(spec.kinds)):
+                    there = ti.max(there, ti.min(excesses[s], link_stiffness(spec, state, s, i)))
+                if largest(spec, there) > 0.0 or state.breaking[i] > 0:
+                    _break_links(spec, state, g, i)
+
+
+@ti.func
+def _excess(d, shortest2, longest2):
+    """Positive where links that reach to d are over their limit, as `is_beyond` says of one."""
+    d2 = dot(d, d)
+    return ti.max(d2 - longest2, shortest2 - d2)
 
 
 @ti.func

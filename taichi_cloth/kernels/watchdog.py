@@ -1,6 +1,6 @@
 """The watchdog: whether every particle is finite, below the speed limit and in the world.
 
-It looks at each step. In the world is what no wall has lost (`contact.held_by_walls`).
+It looks at each step. In the world is what no wall has lost (`contact.store_held_by_walls`).
 
 Each frame begins with a checkpoint of the state, to which a frame that fails is restored.
 """

@@ -9,7 +9,7 @@ import taichi as ti
 
 from taichi_cloth.kernels.accelerations import accelerate_then
 from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
-from taichi_cloth.kernels.contact import compute_contacts, held_by_walls, velocity_jump
+from taichi_cloth.kernels.contact import compute_contacts, store_held_by_walls, velocity_jump
 from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.kernels.packs import read, write
 from taichi_cloth.kernels.watchdog import commit
@@ -57,8 +57,7 @@ def move(spec: ti.template(), state: ti.template(), i, a):
         new_v = add_to_velocity(spec, state, i, new_v, jump)
         new_x = add_to_position(spec, state, i, start_x, (dt / 6.0) * sum_v)
         new_x = add_to_position(spec, state, i, new_x, dt * jump)
-        new_x, new_v = held_by_walls(spec, state, i, start_x, start_v, new_x, new_v)
-        commit(spec, state, i, new_x, new_v)
+        store_held_by_walls(spec, state, i, start_x, start_v, new_x, new_v, commit)
 
 
 @ti.func

@@ -10,7 +10,7 @@ import taichi as ti
 
 from taichi_cloth.kernels.accelerations import accelerate_then
 from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
-from taichi_cloth.kernels.contact import compute_contacts, held_by_walls, velocity_jump
+from taichi_cloth.kernels.contact import compute_contacts, store_held_by_walls, velocity_jump
 from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.kernels.packs import read
 from taichi_cloth.kernels.watchdog import commit
@@ -28,8 +28,7 @@ def move(spec: ti.template(), state: ti.template(), i, a):
     jump = velocity_jump(spec, state, i, x, v)
     new_v = add_to_velocity(spec, state, i, add_to_velocity(spec, state, i, v, dt * a), jump)
     new_x = add_to_position(spec, state, i, x, dt * new_v)
-    new_x, new_v = held_by_walls(spec, state, i, x, v, new_x, new_v)
-    commit(spec, state, i, new_x, new_v)
+    store_held_by_walls(spec, state, i, x, v, new_x, new_v, commit)
 
 
 @ti.func

@@ -13,7 +13,7 @@ import taichi as ti
 
 from taichi_cloth.kernels.accelerations import compute_acceleration, kick_after, kicks_at_once
 from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
-from taichi_cloth.kernels.contact import compute_contacts, held_by_walls, velocity_jump
+from taichi_cloth.kernels.contact import compute_contacts, store_held_by_walls, velocity_jump
 from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.kernels.packs import read, write
 from taichi_cloth.kernels.watchdog import commit
@@ -41,12 +41,18 @@ def drift(spec: ti.template(), state: ti.template(), i):
     jump = velocity_jump(spec, state, i, x, v)
     half_v = add_to_velocity(spec, state, i, add_to_velocity(spec, state, i, v, jump), 0.5 * dt * a)
     new_x = add_to_position(spec, state, i, x, dt * half_v)
-    new_x, half_v = held_by_walls(spec, state, i, x, v, new_x, half_v)
+    store_held_by_walls(spec, state, i, x, v, new_x, half_v, _store_drift)
+
+
+@ti.func
+def _store_drift(spec: ti.template(), state: ti.template(), i, x, half_v):
+    """Store pack i's new positions x and velocities half_v, and what `kick` needs of them."""
+    dt, a = state.dt[None], read(spec, state.a, i)
     if ti.static(spec.compensated):
         write(spec, state.half_v, i, half_v)
     elif ti.static(not kicks_at_once(spec)):
         write(spec, state.old_a, i, a)
-    write(spec, state.x, i, new_x)
+    write(spec, state.x, i, x)
     write(spec, state.v, i, half_v + 0.5 * dt * a)
 
 

@@ -25,7 +25,7 @@ from taichi_cloth.kernels.accelerations import (
     stiffness_of,
 )
 from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
-from taichi_cloth.kernels.contact import compute_contacts, held_by_walls, velocity_jump
+from taichi_cloth.kernels.contact import compute_contacts, store_held_by_walls, velocity_jump
 from taichi_cloth.kernels.loops import each, each_pack_moving
 from taichi_cloth.kernels.packs import read, scaled, write, zeros
 from taichi_cloth.kernels.solvers.phases import DONE, go_to
@@ -183,8 +183,7 @@ def _move(spec: ti.template(), state: ti.template(), i):
     if ti.static(spec.compensated):
         v = add_to_velocity(spec, state, i, read(spec, state.goal_v, i), v)
     new_x = add_to_position(spec, state, i, x, state.dt[None] * v)
-    kept_x, kept_v = held_by_walls(spec, state, i, x, old_v, new_x, v)
-    commit(spec, state, i, kept_x, kept_v)
+    store_held_by_walls(spec, state, i, x, old_v, new_x, v, commit)
 
 
 @ti.func

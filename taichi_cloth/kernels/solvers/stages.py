@@ -8,7 +8,7 @@ computed as for all methods (`newton_cg.py`).
 import taichi as ti
 
 from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
-from taichi_cloth.kernels.contact import held_by_walls, velocity_jump
+from taichi_cloth.kernels.contact import store_held_by_walls, velocity_jump
 from taichi_cloth.kernels.loops import barrier
 from taichi_cloth.kernels.packs import (
     component,
@@ -114,8 +114,7 @@ def arrive(spec: ti.template(), state: ti.template(), i, change, new_v):
     """
     x, v = read(spec, state.old_x, i), read(spec, state.old_v, i)
     new_x = moved_from_old(spec, state, i, change)
-    kept_x, kept_v = held_by_walls(spec, state, i, x, v, new_x, new_v)
-    commit(spec, state, i, kept_x, kept_v)
+    store_held_by_walls(spec, state, i, x, v, new_x, new_v, commit)
 
 
 @ti.func
