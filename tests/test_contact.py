@@ -10,6 +10,7 @@ from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import WALLS, ParticleDefaults, Particles, Scene, World
 from taichi_cloth.scene.scatter import VELOCITY_HIGH, VELOCITY_LOW
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.simulation.upload import inner_box
 
 PATHS = ["serial", "parallel"]
 
@@ -131,6 +132,19 @@ def test_floor_and_bounce_agree_on_a_hit_to_the_last_bit(pool, radius):
         if hit and v > 0:
             y = high - radius
         assert sim.positions()[0, 1] == pytest.approx(y, abs=1e-9)
+
+
+@pytest.mark.parametrize("real", [np.float32, np.float64])
+def test_in_the_inner_box_no_particle_is_past_a_wall(real):
+    """Also where the gap is rounded: kernels ask for gaps only outside of the box."""
+    rng = np.random.default_rng(6)
+    for size, radius in 10.0 ** rng.uniform(-3, 5, (500, 2)):
+        world = World(size=(size, size, size), gravity=(0.0, 0.0, 0.0), walls=tuple(WALLS))
+        balls = Particles.build(np.zeros((1, 3)), radius=radius)
+        low, high = (np.asarray(corner, real) for corner in inner_box(world, balls, real))
+        world_low, world_high = world.low.astype(real), world.high.astype(real)
+        assert ((low - world_low) - real(radius) >= 0).all()
+        assert ((world_high - high) - real(radius) >= 0).all()
 
 
 SIDES = {"left": (-0.5, 0.0), "right": (0.5, 0.0), "top": (0.0, -0.5), "bottom": (0.0, 0.5)}

@@ -47,7 +47,7 @@ class Upload:
         """Fill what is one number for all."""
         world, particles = self.snapshot.scene.world, self.snapshot.scene.particles
         grid_size, cell_size = _collision_grid(world, particles)
-        inner_low, inner_high = _inner_box(world, particles, self.real)
+        inner_low, inner_high = inner_box(world, particles, self.real)
         values: dict[str, Any] = {
             "n": len(particles),
             "iterations": numbers.iterations,
@@ -259,7 +259,7 @@ def _collision_grid(world: World, particles: Particles) -> tuple[list[int], floa
     return [int(max(3, c)) for c in cells], width
 
 
-def _inner_box(world: World, particles: Particles, real: Real) -> tuple[np.ndarray, np.ndarray]:
+def inner_box(world: World, particles: Particles, real: Real) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper corner of where every particle is past no wall, each of shape (dim,).
 
     The largest radius and a few roundings lie between it and the walls: kernels compare positions
