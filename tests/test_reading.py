@@ -352,7 +352,7 @@ def test_saved_trajectories(examples, tmp_path):
     ("name", "value", "says"),
     [
         ("dt", "0x" + "f" * 6000, "line 5: [world]: dt must be a number that fits"),
-        ("dt", "9" * 6000, "has a whole number with too many digits"),
+        ("dt", "9" * 6000, "line 5: has a whole number with too many digits"),
         ("size", "[5e-324, 5e-324]", "line 3: [world]: size must be"),
         ("size", "[1e300, 1e300]", "line 3: [world]: size must be"),
         ("size", "a" + ".a" * 20000 + "=1", "line 3"),

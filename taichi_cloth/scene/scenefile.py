@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -63,7 +64,10 @@ def parse(
     except RecursionError:
         raise InputError(f"{name}: is nested too deeply to be a scene") from None
     except ValueError:  # the one thing tomllib passes on: int() refuses thousands of digits
-        raise InputError(f"{name}: has a whole number with too many digits") from None
+        digits = re.search(r"[\d_]{4300}", text)
+        line = text.count("\n", 0, digits.start()) + 1 if digits else 1
+        where = f"{name} line {line}"
+        raise InputError(f"{where}: has a whole number with too many digits") from None
     return parse_table(table, name, text, default_scene_name, assignments)
 
 
