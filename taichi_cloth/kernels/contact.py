@@ -15,6 +15,7 @@ from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.compensated import forget_low
 from taichi_cloth.kernels.packs import (
     component,
+    epsilon,
     largest,
     read,
     set_slot_value,
@@ -274,6 +275,15 @@ def store_held_by_walls(
             store(spec, state, i, kept_x, kept_v)
 
 
+def _rounding_of_gaps(state, axis, side):
+    """How far short of a wall, in parts of the lengths in a gap, counts as past it.
+
+    What was put onto a wall counts as past it, whatever rounding makes of its gap; on the floor it
+    does not, in the original.
+    """
+    return 0.0 if (axis, side) == (1, 1) else 8.0 * epsilon(state)
+
+
 @ti.func
 def _held_by_wall(
     spec: ti.template(),
@@ -308,8 +318,9 @@ def _held_by_wall(
     new_gap = wall_gap(state, new_x, radius, axis, side)
     new_vn = float(side) * component(new_v, axis)
     # Where these are positive it is so.
+    slack = ti.static(_rounding_of_gaps(state, axis, side)) * (ti.abs(bound) + radius)
     no_nearer = ti.select(ti.min(vn, new_vn) >= 0.0, vn + new_vn, -1.0 + 0.0 * vn)
-    pressed = ti.min(-1.0 * gap - dt * vn, no_nearer)
+    pressed = ti.min(slack - gap - dt * vn, no_nearer)
     if ti.static((axis, side) == (1, 1)):
         pressed = ti.max(pressed, ti.min(ti.min(-1.0 * gap, vn), new_vn))
     pressed = ti.min(pressed, w)

@@ -47,6 +47,11 @@ def rows_of(spec, field):
     return field.shape[1] // spec.lanes
 
 
+def epsilon(state):
+    """The distance from 1 to the next number that the device's precision holds."""
+    return 2.0**-52 if state.real == ti.f64 else 2.0**-23
+
+
 @ti.func
 def read(spec: ti.template(), field: ti.template(), i):
     """The value of a field at pack i: vectors (dim, lanes), or a number for each lane.

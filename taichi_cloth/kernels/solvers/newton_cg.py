@@ -40,6 +40,7 @@ from taichi_cloth.kernels.contact import compute_contacts
 from taichi_cloth.kernels.loops import add_up, each, each_pack_moving, find_largest
 from taichi_cloth.kernels.packs import (
     dot,
+    epsilon,
     read,
     set_slot_value,
     slot_number,
@@ -347,18 +348,13 @@ def _slope(spec: ti.template(), state: ti.template(), i):
 @ti.func
 def _keep_rounding(spec: ti.template(), state: ti.template(), i):
     """Set the residual that rounding alone leaves, from the largest of `_rounding_of`."""
-    state.rounding[None] = ROUNDING * ti.static(_epsilon(state)) * state.sums[0, 0]
+    state.rounding[None] = ROUNDING * ti.static(epsilon(state)) * state.sums[0, 0]
 
 
 @ti.func
 def _keep_load(spec: ti.template(), state: ti.template(), i):
     """Set what a residual must be small beside, from the largest of `_gained`."""
     state.load[None] = ti.max(state.least_scale[None], state.sums[0, 0])
-
-
-def _epsilon(state):
-    """The distance from 1 to the next number that the device's precision holds."""
-    return 2.0**-52 if state.real == ti.f64 else 2.0**-23
 
 
 @ti.func
