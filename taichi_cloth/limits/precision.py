@@ -17,7 +17,8 @@ from taichi_cloth.scene.model import Scene
 # A step whose change of a coordinate is below so many halves of the coordinate's last bit is not
 # resolved: rounding takes, or adds, more than a quarter of it.
 HALF_BITS = 4.0
-# Sums of coordinates above it count as infinite in every precision (`watchdog.is_finite`).
+# Sums of coordinates, and squares of speeds, above it count as infinite in every precision
+# (`watchdog.is_finite`).
 WATCHED = float(np.finfo(np.float32).max)
 SMALL_STRETCH = 1e-6  # of a spring's length: a change of velocity by less may vanish
 

@@ -10,10 +10,8 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.limits.auto_step import substeps_needed
 from taichi_cloth.limits.bounds import Bounds, any_geometry, gershgorin, step_within
 from taichi_cloth.limits.network import Network
+from taichi_cloth.limits.precision import WATCHED
 from taichi_cloth.scene.model import WALLS, World
-
-# Squares of speeds, and sums of coordinates, above it count as infinite: `watchdog.is_finite`.
-WATCHED = float(np.finfo(np.float32).max)
 
 
 def describe_fault(
