@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.errors import InputError, clipped, nearest
 from taichi_cloth.settings.options import PROGRAM, Parameter, flag
 
 NARROWEST, WIDEST = 40, 120  # columns of help texts
@@ -100,14 +100,14 @@ class CommandParser(argparse.ArgumentParser):
         if name not in self._option_string_actions:
             return None
         if equals and self._option_string_actions[name].nargs == 0:
-            raise InputError(f"{name} takes no value, got '{text}'")
+            raise InputError(f"{name} takes no value, got '{clipped(text)}'")
         return super()._parse_optional(word)
 
     def _refuse_flag(self, name: str) -> NoReturn:
         hint = nearest(name, self._option_string_actions)
         if not hint.startswith("did"):
             hint = f"'{PROGRAM} {self._command} --help' shows all flags"
-        raise InputError(f"unknown flag '{name}'; {hint}")
+        raise InputError(f"unknown flag '{clipped(name)}'; {hint}")
 
     def _refuse_missing(self, name: str) -> NoReturn:
         raise InputError(f"{name} needs a value: {self._declared[name].describe()}")
