@@ -206,6 +206,11 @@ def test_flags_are_written_out(word):
         scene_command.read("run", RunOptions, [word, "3"], "")
 
 
+def test_the_hint_of_a_long_flag_is_not_cut_off():
+    with pytest.raises(InputError, match=r"unknown flag '-9+\.\.\.'; '.* --help' shows all flags$"):
+        scene_command.read("run", RunOptions, ["-" + "9" * 5000], "")
+
+
 def test_a_scene_source_and_options_are_written_as_they_are_read():
     words = ["chain", "--particles", "5", "--methods", "rk4", "--dt", "0.5", "--quick"]
     source, options = scene_command.read("trade", TradeOptions, words, "")
