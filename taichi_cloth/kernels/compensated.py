@@ -16,7 +16,7 @@ In every other precision these functions are plain sums and differences, to the 
 
 import taichi as ti
 
-from taichi_cloth.kernels.packs import component, read, with_component, write
+from taichi_cloth.kernels.packs import read, set_slot_value, slot_value, write
 
 
 @ti.func
@@ -67,20 +67,12 @@ def difference(spec: ti.template(), state: ti.template(), value: ti.template(), 
 
 
 @ti.func
-def forget_low(
-    spec: ti.template(),
-    state: ti.template(),
-    low: ti.template(),
-    i,
-    axis: ti.template(),
-    where,
-):
-    """Clear the low parts of pack i's vectors on an axis, where the numbers `where` are positive.
+def forget_low(spec: ti.template(), state: ti.template(), low: ti.template(), slot, axis):
+    """Clear the low part of a particle's vector on an axis.
 
-    There they were set to a value and not changed by a sum, so nothing is owed to them.
+    There it was set to a value and not changed by a sum, so nothing is owed to it.
     low: the field of these parts: state.x_low or state.v_low.
     """
-    parts = read(spec, low, i)
-    part = component(parts, axis)
-    none = ti.select(where > 0.0, 0.0 * part, part)
-    write(spec, low, i, with_component(parts, axis, none))
+    part = slot_value(spec, low, slot)
+    part[axis] = 0.0
+    set_slot_value(spec, low, slot, part)

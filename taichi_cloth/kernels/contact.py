@@ -21,6 +21,7 @@ from taichi_cloth.kernels.packs import (
     set_slot_value,
     slot_number,
     slot_value,
+    vector_of_lane,
     where_positive,
     with_component,
     zeros,
@@ -265,14 +266,27 @@ def store_held_by_walls(
     store(spec, state, i, new_x, new_v)
     if ti.static(len(spec.walls) > 0):
         if near_wall(spec, state, new_x):
-            kept_x, kept_v = new_x, new_v
-            radius = read(spec, state.radius, i)
-            for axis, side in ti.static(spec.walls):
-                if largest(spec, -1.0 * wall_gap(state, kept_x, radius, axis, side)) > 0.0:
-                    kept_x, kept_v = _held_by_wall(
-                        spec, state, i, x, v, kept_x, kept_v, radius, axis, side
+            if ti.static(spec.lanes == 1):
+                kept_x, kept_v = _held_by_walls(spec, state, i, x, v, new_x, new_v)
+                store(spec, state, i, kept_x, kept_v)
+            else:
+                # Lane by lane, from copies: few packs come here, and what is compiled for all walls
+                # would be as many times larger as a pack has lanes.
+                begin_x, begin_v, kept_x, kept_v = 1.0 * x, 1.0 * v, 1.0 * new_x, 1.0 * new_v
+                for lane in range(spec.lanes):
+                    lane_x, lane_v = _held_by_walls(
+                        spec,
+                        state,
+                        i * spec.lanes + lane,
+                        vector_of_lane(begin_x, lane),
+                        vector_of_lane(begin_v, lane),
+                        vector_of_lane(kept_x, lane),
+                        vector_of_lane(kept_v, lane),
                     )
-            store(spec, state, i, kept_x, kept_v)
+                    for axis in ti.static(range(spec.dim)):
+                        kept_x[axis, lane] = lane_x[axis]
+                        kept_v[axis, lane] = lane_v[axis]
+                store(spec, state, i, kept_x, kept_v)
 
 
 def _rounding_of_gaps(state, axis, side):
@@ -285,10 +299,26 @@ def _rounding_of_gaps(state, axis, side):
 
 
 @ti.func
+def _held_by_walls(spec: ti.template(), state: ti.template(), slot, x, v, new_x, new_v):
+    """Position and velocity as the walls let the particle at a slot have them: all (dim,).
+
+    Parameters are those of `store_held_by_walls`.
+    """
+    kept_x, kept_v = new_x, new_v
+    radius = slot_number(spec, state.radius, slot)
+    for axis, side in ti.static(spec.walls):
+        if wall_gap(state, kept_x, radius, axis, side) < 0.0:
+            kept_x, kept_v = _held_by_wall(
+                spec, state, slot, x, v, kept_x, kept_v, radius, axis, side
+            )
+    return kept_x, kept_v
+
+
+@ti.func
 def _held_by_wall(
     spec: ti.template(),
     state: ti.template(),
-    i,
+    slot,
     x,
     v,
     new_x,
@@ -297,7 +327,7 @@ def _held_by_wall(
     axis: ti.template(),
     side: ti.template(),
 ):
-    """Positions and velocities as one wall lets pack i have them, for `store_held_by_walls`.
+    """Position and velocity as one wall lets a particle have them, for `_held_by_walls`.
 
     A particle that is pressed against the wall is put onto it: one that hits it, that the bounce
     does not send back, and that was past it already a step before. So a bounce is left to itself in
@@ -311,38 +341,40 @@ def _held_by_wall(
     """
     low, high = state.low[axis], state.high[axis]
     bound = high if ti.static(side > 0) else low
-    dt, w = state.dt[None], read(spec, state.w, i)
     # On the wall; in a world that is narrower than the particle in its middle.
     on_wall = bound - float(side) * ti.min(radius, 0.5 * (high - low))
-    gap, vn = wall_gap(state, x, radius, axis, side), float(side) * component(v, axis)
+    gap = wall_gap(state, x, radius, axis, side)
     new_gap = wall_gap(state, new_x, radius, axis, side)
-    new_vn = float(side) * component(new_v, axis)
-    # Where these are positive it is so.
+    vn, new_vn = float(side) * v[axis], float(side) * new_v[axis]
+    no_nearer = vn >= 0.0 and new_vn >= 0.0 and vn + new_vn > 0.0
     slack = ti.static(_rounding_of_gaps(state, axis, side)) * (ti.abs(bound) + radius)
-    no_nearer = ti.select(ti.min(vn, new_vn) >= 0.0, vn + new_vn, -1.0 + 0.0 * vn)
-    pressed = ti.min(slack - gap - dt * vn, no_nearer)
+    pressed = no_nearer and slack - gap - state.dt[None] * vn > 0.0
     if ti.static((axis, side) == (1, 1)):
-        pressed = ti.max(pressed, ti.min(ti.min(-1.0 * gap, vn), new_vn))
-    pressed = ti.min(pressed, w)
-    far = ti.min(-1.0 * new_gap - 2.0 * radius, w)
-    way = float(side) * (component(new_x, axis) - component(x, axis))
-    held = ti.max(pressed, far)
+        pressed = pressed or (gap < 0.0 and vn > 0.0 and new_vn > 0.0)
+    far = -1.0 * new_gap - 2.0 * radius > 0.0
+    way = float(side) * (new_x[axis] - x[axis])
+    if slot_number(spec, state.w, slot) == 0.0:
+        pressed, far = False, False
     if ti.static(not spec.collisions):
         # A world narrower than the particle holds what crosses less than the particle.
-        lost = ti.min(far, way - ti.max(high - low, 2.0 * radius))
-        note_lost(spec, state, i, lost)
-        held = ti.max(pressed, ti.select(lost > 0.0, -1.0 * far, far))
-    part = ti.select(gap > 0.0, gap / way, 0.0 * gap)  # of the step, after which it met the wall
-    met_with = vn + part * (new_vn - vn)
-    left_with = -1.0 * read(spec, state.restitution, i) * ti.max(met_with, 0.0)
-    turned = ti.select(new_vn > 0.0, left_with, new_vn)
-    at_rest = new_vn if ti.static((axis, side) == (1, 1)) else 0.0 * new_vn
-    normal_v = ti.select(pressed > 0.0, at_rest, ti.select(held > 0.0, turned, new_vn))
-    if ti.static(spec.compensated):
-        forget_low(spec, state, state.x_low, i, axis, held)
-        changed = held if ti.static((axis, side) != (1, 1)) else ti.min(held, -1.0 * pressed)
-        forget_low(spec, state, state.v_low, i, axis, changed)
-    return (
-        with_component(new_x, axis, ti.select(held > 0.0, on_wall, component(new_x, axis))),
-        with_component(new_v, axis, float(side) * normal_v),
-    )
+        if far and way - ti.max(high - low, 2.0 * radius) > 0.0:
+            note_lost(spec, state, slot)
+            far = False
+    kept_x, kept_v = new_x, new_v
+    if pressed or far:
+        kept_x[axis] = on_wall
+        if ti.static(spec.compensated):
+            forget_low(spec, state, state.x_low, slot, axis)
+        normal_v = new_vn
+        if pressed and ti.static((axis, side) != (1, 1)):
+            normal_v = 0.0 * new_vn
+        elif not pressed and new_vn > 0.0:
+            # Of the step, after which it met the wall.
+            part = gap / way if gap > 0.0 else 0.0 * gap
+            met_with = vn + part * (new_vn - vn)
+            normal_v = -1.0 * slot_number(spec, state.restitution, slot) * ti.max(met_with, 0.0)
+        kept_v[axis] = float(side) * normal_v
+        if ti.static(spec.compensated):
+            if ti.static((axis, side) != (1, 1)) or not pressed:
+                forget_low(spec, state, state.v_low, slot, axis)
+    return kept_x, kept_v

@@ -209,6 +209,15 @@ def with_component(a, axis: ti.template(), value):
 
 
 @ti.func
+def vector_of_lane(a: ti.template(), lane):
+    """The vector (dim,) in one lane of the vectors a; lane: also one known only at run time.
+
+    `a` is kept in memory for it, so it should be a copy, of what is otherwise in registers.
+    """
+    return ti.Vector([a[axis, lane] for axis in range(a.n)])
+
+
+@ti.func
 def slot_value(spec: ti.template(), field: ti.template(), slot):
     """The vector (dim,) of the particle at a slot, for code that runs particle by particle."""
     if ti.static(spec.lanes == 1):

@@ -11,7 +11,6 @@ from taichi_cloth.kernels.loops import each_pack, each_pack_moving
 from taichi_cloth.kernels.packs import (
     component,
     dot,
-    largest,
     over_lanes,
     read,
     slot_number,
@@ -100,18 +99,10 @@ def _note_fault(spec: ti.template(), state: ti.template(), slot, limit2):
 
 
 @ti.func
-def note_lost(spec: ti.template(), state: ti.template(), i, lost):
-    """Note the particles of pack i that a wall has lost: where the numbers `lost` are positive."""
-    if largest(spec, lost) > 0.0:
-        for lane in ti.static(range(spec.lanes)):
-            here = 0.0
-            if ti.static(spec.lanes == 1):  # noqa: SIM108 - Taichi builds both parts of the other
-                here = lost
-            else:
-                here = lost[lane]
-            if here > 0.0 and state.watching[None] == 1:
-                slot = i * spec.lanes + lane
-                ti.atomic_min(state.fault[None], slot_number(spec, state.particle, slot))
+def note_lost(spec: ti.template(), state: ti.template(), slot):
+    """Note the particle at a slot, which a wall has lost."""
+    if state.watching[None] == 1:
+        ti.atomic_min(state.fault[None], slot_number(spec, state.particle, slot))
 
 
 @ti.kernel
