@@ -461,8 +461,8 @@ def test_an_interrupted_run_keeps_its_files(tmp_path, number, status):
         stderr=subprocess.PIPE,
         text=True,
         env={**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": str(tmp_path / "ti")},
-        # A shell that runs the tests in the background would have SIGINT ignored.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        # What runs the tests in the background, or beyond a terminal's end, has signals ignored.
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
     )
     assert process.stdout.readline().startswith("oscillator")
     let_work(process, 2.5)  # the first frames are compiled and run
