@@ -21,6 +21,7 @@ _HOMES = {  # public name: (module, name in it; None: the module itself)
     "SpringDefaults": ("scene.model", "SpringDefaults"),
     "validate": ("scene.checks", "validate"),
     "grid": ("scene.cloth", "grid"),
+    "grid_triangles": ("scene.cloth", "grid_triangles"),
     "load_scene": ("scene.scenefile", "load"),
     "save_scene": ("scene.scenefile", "save"),
     "load_events": ("ui.interaction", "load"),

@@ -1,6 +1,6 @@
 """Scene files: what they mean, and that a scene survives being written and read back."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -22,6 +22,8 @@ from taichi_cloth.scene.model import (
     World,
 )
 from taichi_cloth.scene.properties import BREAK_IN
+from taichi_cloth.simulation import editing
+from taichi_cloth.simulation.snapshot import Snapshot
 
 EXAMPLE = """
 name = "box"
@@ -399,3 +401,40 @@ links = ["structural", "shear"]
     ):
         with pytest.raises(InputError, match=says):
             scenefile.parse(entry + wrong)
+
+
+def test_triangles_of_cloths_and_of_a_list_come_back_as_they_were():
+    """Two a cell, all with the same normal; a list of one's own first, numbered as particles are.
+
+    Without a particle those at it are gone, the others keep their corners.
+    """
+    text = """
+    triangles = [[0, 1, 2],
+        [3, 1, 0]]
+    [world]
+    size = [9.0, 9.0, 9.0]
+    [[particles]]
+    position = [1.0, 1.0, 0.0]
+    [[cloths]]
+    origin = [2.0, 2.0, 0.0]
+    columns = 4
+    rows = 3
+    spacing = 1.0
+    """
+    scene = scenefile.parse(text)
+    np.testing.assert_array_equal(scene.triangles[:2], [[0, 1, 2], [3, 1, 0]])
+    mine, x = scene.triangles[2:], scene.particles.position
+    assert len(mine) == 2 * 3 * 2 and len(np.unique(np.sort(mine), axis=0)) == len(mine)
+    area = np.cross(x[mine[:, 1]] - x[mine[:, 0]], x[mine[:, 2]] - x[mine[:, 0]]) / 2
+    np.testing.assert_array_equal(area, np.tile([0.0, 0.0, 0.5], (12, 1)))  # across x down
+    again = scenefile.parse(scenefile.dump(scene))
+    np.testing.assert_array_equal(again.triangles, scene.triangles)
+    left, _ = editing.without(Snapshot.at_start(scene), [5])
+    kept = scene.triangles[(scene.triangles != 5).all(axis=1)]
+    np.testing.assert_array_equal(left.x[left.scene.triangles], x[kept])
+    assert not editing.same(
+        Snapshot.at_start(scene), Snapshot.at_start(replace(scene, triangles=mine))
+    )
+    for listed, says in (("[0, 1, 13]", "there is no particle 13"), ("[2, 1, 2]", "one particle")):
+        with pytest.raises(InputError, match=rf"line 2: triangle 0: .*{says}"):
+            scenefile.parse(text.replace("[0, 1, 2]", listed))

@@ -43,15 +43,16 @@ def validate(scene: Scene, place: Place = _plain_place) -> Scene:
     """Return `scene` if it can be simulated, else raise InputError with one line that says why.
 
     place: names the place of a fault in the message: ``place(kind, index, field)`` with kind
-        "world", "particle", "spring", "particle defaults" or "spring defaults", the index of the
-        particle or spring (None for the rest) and the field at fault (None: the whole of it).
+        "world", "particle", "spring", "triangle", "particle defaults" or "spring defaults", the
+        index of the particle, spring or triangle (None for the rest) and the field at fault (None:
+        the whole of it).
         A scene file names its line there.
 
     Raises InputError for: a NaN or infinite number (an infinite break force is allowed: it says
     unbreakable); a number that breaks its rule (`properties`); dt not positive; an unknown wall,
     mouse mode or further key of the world; arrays whose shapes do not fit each other or the world's
     dimension; a particle outside the world; a spring between missing or equal particles, or a
-    second spring between the same two.
+    second spring between the same two; a triangle with a missing corner or with two equal ones.
     """
     if not isinstance(scene, Scene):
         raise InputError(f"scene must be a Scene, is {accepted.shown(scene)}; build or load one")
@@ -72,6 +73,7 @@ def validate(scene: Scene, place: Place = _plain_place) -> Scene:
                 refusal.check_number(kind, name, value, about.rule)
     _check_particles(scene.particles, scene.world, refusal)
     _check_springs(scene.springs, len(scene.particles), refusal)
+    _check_triangles(scene.triangles, len(scene.particles), refusal)
     if scene.spring_color is not None:
         color = np.asarray(scene.spring_color)
         if color.shape != (3,) or color.dtype.kind not in "iu" or not ((color >> 8) == 0).all():
@@ -277,6 +279,27 @@ def _check_springs(springs: Springs, particle_count: int, refusal: _Refusal) -> 
         refusal.check_rows("spring", name, getattr(springs, name), about.rule, finite)
     if s > 0:
         _check_ends(springs.between, particle_count, refusal)
+
+
+def _check_triangles(triangles: Any, particle_count: int, refusal: _Refusal) -> None:
+    def refuse(triangle: int | None, text: str) -> NoReturn:
+        refusal.refuse("triangles" if triangle is None else "triangle", triangle, None, text)
+
+    if not isinstance(triangles, np.ndarray) or triangles.dtype.kind not in "iu":
+        has = triangles.dtype if isinstance(triangles, np.ndarray) else accepted.shown(triangles)
+        refuse(None, f"must be an array of whole numbers, is {has}")
+    if triangles.ndim != 2 or triangles.shape[1] != 3:
+        refuse(None, f"must have shape (m, 3), has {triangles.shape}")
+    present = ((triangles >= 0) & (triangles < particle_count)).all(axis=1)
+    if not present.all():
+        at = int(np.argmin(present))
+        missing = next(i for i in triangles[at].tolist() if not 0 <= i < particle_count)
+        has = f"particles 0 to {particle_count - 1}" if particle_count else "none"
+        refuse(at, f"there is no particle {missing}; the scene has {has}")
+    twice = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
+    if twice.any():
+        at = int(np.argmax(twice))
+        refuse(at, f"two of its corners {_show(triangles[at])} are one particle; give three")
 
 
 def _check_ends(between: np.ndarray, particle_count: int, refusal: _Refusal) -> None:

@@ -341,6 +341,8 @@ class Scene:
 
     spring_color: in which all springs are drawn, red, green, blue, 0..255; None: each has that of
         its ends, paler.
+    triangles: (m, 3) int64, the particles at the corners of the surfaces. Seen from the side that
+        their normal points to, the corners of each go round counterclockwise.
     """
 
     name: str
@@ -350,6 +352,7 @@ class Scene:
     particle_defaults: ParticleDefaults = field(default_factory=ParticleDefaults)
     spring_defaults: SpringDefaults = field(default_factory=SpringDefaults)
     spring_color: tuple[int, int, int] | None = None
+    triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
 
     def features(self) -> Features:
         """Which parts of the physics this scene can ever need (also after clicks)."""

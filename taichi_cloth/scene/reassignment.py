@@ -53,6 +53,7 @@ def reassigned(scene: Scene, assignments: Sequence[Assignment]) -> Scene:
         frame,
         particles=replace(scene.particles, **columns),
         springs=replace(scene.springs, **tied),
+        triangles=scene.triangles,
     )
     return validate(changed, place)
 

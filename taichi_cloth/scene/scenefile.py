@@ -142,6 +142,7 @@ def dump(scene: Scene) -> str:
     world, springs, particles = scene.world, scene.springs, scene.particles
     out = [
         f"name = {_quoted(scene.name)}",
+        *_triangles(scene.triangles),
         "",
         "[world]",
         f"size = {_listed(world.size)}",
@@ -184,6 +185,13 @@ def dump(scene: Scene) -> str:
             elif value != default:
                 out.append(f"{key} = {_written(value)}")
     return "\n".join(out) + "\n"
+
+
+def _triangles(triangles: np.ndarray) -> list[str]:
+    """The lines of the list of triangles; none where there are none."""
+    if len(triangles) == 0:
+        return []
+    return ["triangles = [", *(f"    [{i}, {j}, {k}]," for i, j, k in triangles.tolist()), "]"]
 
 
 def _written(value: float | str) -> str:

@@ -15,7 +15,7 @@ from taichi_cloth.errors import InputError, counted, nearest
 from taichi_cloth.scene import toml
 from taichi_cloth.scene.assignments import Assignment
 from taichi_cloth.scene.checks import validate
-from taichi_cloth.scene.cloth import LINKS, grid
+from taichi_cloth.scene.cloth import LINKS, grid, grid_triangles
 from taichi_cloth.scene.model import (
     FIXED_COLOR,
     MOUSE_MODES,
@@ -35,7 +35,7 @@ from taichi_cloth.scene.world_keys import world_keys
 # Each table's keys, besides further ones of [world] (`world_keys`). `break_force = false` says
 # unbreakable where [spring] gives a force.
 _TABLES = {
-    "": ("name", "world", "particle", "spring", "particles", "springs", "cloths"),
+    "": ("name", "triangles", "world", "particle", "spring", "particles", "springs", "cloths"),
     "world": ("size", "gravity", "dt", "walls", "collisions", "mouse"),
     "particle": tuple(PARTICLE_PROPERTIES),
     "spring": (*SPRING_PROPERTIES, "color"),
@@ -100,6 +100,8 @@ class TableReader:
             return self.place(kind.split()[0], field_name)
         if index is None:
             return self.place(kind)
+        if kind == "triangle":
+            return f"{self.place('triangles')}: triangle {index}"
         source = next(s for s in reversed(self.sources[kind]) if s.first <= index)
         if source.table == "cloths":
             offset = f" particle {index - source.first}" if kind == "particle" else ""
@@ -222,6 +224,7 @@ class TableReader:
         spring_color = self.value(spring_table, ("spring",), "color", toml.color)
         particles = self.particles(self.entries(table, "particles"), world, particle_defaults)
         cloths, links = [], []
+        surfaces = [self.triangles(table)]
         count = len(particles)
         spring_entries = self.entries(table, "springs")
         link_count = len(spring_entries)
@@ -231,6 +234,7 @@ class TableReader:
             self.sources["particle"].append(_Source(count, "cloths", index, keys))
             self.sources["spring"].append(_Source(link_count, "cloths", index, keys))
             ties.between[:] += count
+            surfaces.append(grid_triangles(entry["columns"], entry["rows"], count))
             cloths.append(nodes)
             links.append(ties)
             count += len(nodes)
@@ -248,6 +252,7 @@ class TableReader:
             particle_defaults=particle_defaults,
             spring_defaults=spring_defaults,
             spring_color=spring_color,
+            triangles=np.concatenate(surfaces),
         )
         return validate(scene, self.place_of_fault)
 
@@ -280,6 +285,11 @@ class TableReader:
             else:
                 more[name] = self.required(table, ("world",), name, toml.number)
         return more
+
+    def triangles(self, table: Table) -> np.ndarray:
+        """The triangles that are listed one by one, (m, 3) int64, those of no cloth."""
+        listed = self.value(table, (), "triangles", toml.triples, [])
+        return np.array(listed, np.int64).reshape(-1, 3)
 
     def particle_defaults(self, table: Table) -> ParticleDefaults:
         given = {key: self.required(table, ("particle",), key, toml.number) for key in table}

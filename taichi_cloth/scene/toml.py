@@ -143,6 +143,10 @@ texts = list_of(text, "a list of texts")
 tables = list_of(table, "a list of tables, each under its own [[...]]")
 pair = list_of(integer, "a list of two whole numbers", 2)
 pairs = list_of(pair, "a list of [column, row] pairs")
+triples = list_of(
+    list_of(integer, "a list of three whole numbers", 3),
+    "a list of [i, j, k], three particles each",
+)
 
 
 def names_or_boolean(value: Any) -> bool | list[str]:

@@ -118,9 +118,9 @@ def with_cut(now: Snapshot, springs: Any, steps: int) -> Snapshot:
 
 
 def without(now: Snapshot, particles: Any) -> tuple[Snapshot, np.ndarray]:
-    """The state without some particles and their springs, and which particles are left (m,).
+    """The state without some particles, their springs and triangles, and which particles are left.
 
-    Particles and springs that are left keep their order.
+    The latter by their numbers, (m,). All that is left keeps its order.
     """
     count = len(now.x)
     gone = np.zeros(count, bool)
@@ -131,8 +131,12 @@ def without(now: Snapshot, particles: Any) -> tuple[Snapshot, np.ndarray]:
     holds = np.flatnonzero(~gone[between].any(axis=1))
     springs = scene.springs.select(holds)
     kept = Particles(**{name: rows[left] for name, rows in vars(scene.particles).items()})
+    whole = ~gone[scene.triangles].any(axis=1)
     scene = replace(
-        scene, particles=kept, springs=replace(springs, between=number[springs.between])
+        scene,
+        particles=kept,
+        springs=replace(springs, between=number[springs.between]),
+        triangles=number[scene.triangles[whole]],
     )
     return Snapshot(scene, now.x[left], now.v[left], now.marks[holds]), left
 
@@ -149,6 +153,7 @@ def same(a: Snapshot, b: Snapshot) -> bool:
         equal(*worlds)
         and equal(vars(a.scene.particles), vars(b.scene.particles))
         and equal(vars(a.scene.springs), vars(b.scene.springs))
+        and np.array_equal(a.scene.triangles, b.scene.triangles)
         and all(np.array_equal(getattr(a, k), getattr(b, k)) for k in ("x", "v", "marks"))
     )
 

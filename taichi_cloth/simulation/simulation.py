@@ -365,7 +365,8 @@ class Simulation(Readings, Changes):
             tied_to = accepted.whole_number("spawn: tied_to", tied_to)
             if tied_to >= self.particle_count:
                 raise InputError(f"spawn: tied to particle {tied_to}, which does not exist")
-        validate(replace(self.scene, particles=new, springs=Springs.none()))
+        none = np.zeros((0, 3), np.int64)
+        validate(replace(self.scene, particles=new, springs=Springs.none(), triangles=none))
         grown = self.storage.snapshot().with_particle(new, tied_to)
         if self._auto:  # before anything changes: it may refuse
             chosen = self._auto.before_spawn(grown)

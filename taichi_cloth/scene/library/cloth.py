@@ -15,7 +15,7 @@ import math
 from typing import Annotated
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.scene.cloth import grid
+from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.model import ParticleDefaults, Scene, SpringDefaults, World
 from taichi_cloth.settings.options import Parameter
 
@@ -107,6 +107,7 @@ def scene(
         springs=springs,
         particle_defaults=particle,
         spring_defaults=spring,
+        triangles=grid_triangles(columns, rows),
     )
 
 
