@@ -41,6 +41,15 @@ def test_a_free_body_falls_as_the_discrete_sum_says(pool):
     assert sim.positions()[0, 1] == pytest.approx(9.8 * 0.01**2 * 1000 * 1001 / 2, rel=1e-12)
 
 
+@pytest.mark.parametrize("method", methods.METHODS)
+def test_the_position_weight_is_what_a_constant_acceleration_gets(pool, method):
+    world = World(size=(100.0, 100.0), gravity=(0.0, 8.0), dt=0.5)
+    sim = pool(Scene("fall", world, Particles.build([[50.0, 0.0]])), method)
+    sim.advance()
+    expected = methods.load(method).position_weight * 0.5**2 * 8.0
+    assert sim.positions()[0, 1] == pytest.approx(expected, rel=1e-12)
+
+
 def test_drag_decays_as_a_power(pool):
     world = World(size=(1e4, 100.0), gravity=(0.0, 0.0), dt=0.5)
     particles = Particles.build([[0.0, 50.0]], [[10.0, 0.0]], mass=4.0, viscous=0.8)

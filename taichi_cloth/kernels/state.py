@@ -8,6 +8,7 @@ from dataclasses import astuple, dataclass
 
 import taichi as ti
 
+from taichi_cloth.kernels import clock
 from taichi_cloth.kernels.forces import load
 from taichi_cloth.kernels.forces.contract import (
     COUNT,
@@ -86,6 +87,9 @@ class State:
         scene's forces; low, high: the world's ends; inner_low, inner_high: those of the inner box,
         in which no particle is past a wall (`contact.py`); step: the number of the step under way;
         stage: which of its stages; fault, watching: see `watchdog.py`.
+    Time (`clock.py`, where something asks for it): first_time, first_time_low, first_step, dt_low;
+        wide: the widest type of numbers that the device has.
+    position_weight, begin: the method's (`methods.contract.Method`).
     Solvers (`solvers/`): phase: the one that comes next; tolerance, iterations: settings; work:
         the counts `WORK` since the host last asked; summed_k, summed_c: sums of the stiffness and
         damping of a particle's springs (needs "summed_springs").
@@ -113,6 +117,8 @@ class State:
         `methods.contract.Method`. Raises TypeError where two declare a field of the same name.
         """
         self.real, self.capacity = real, capacity
+        self.wide = ti.f32 if ti.cfg.arch == ti.metal else ti.f64
+        self.position_weight, self.begin = method.position_weight, method.begin
         self.packs = max(capacity.packs, 1)
         self.number_names, self.count_names = [], []
         self.particle_names, self.vector_names = [], []
@@ -248,6 +254,13 @@ class State:
             elif field.shape == COUNT:
                 self._add(field.name, self._counts())
                 self.count_names += [field.name] if field.value else []
+        if clock.timed(spec):
+            for name in clock.NUMBERS:
+                self._add(name, self._scalars())
+            for name in clock.COUNTS:
+                self._add(name, self._counts())
+            self.number_names += clock.NUMBERS
+            self.count_names += clock.COUNTS
         for name in method.scalars:
             self._add(name, self._scalars())
         for name in method.counts:

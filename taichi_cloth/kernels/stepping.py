@@ -10,6 +10,7 @@ from taichi_cloth.kernels.forces import load
 from taichi_cloth.kernels.forces.contract import has
 from taichi_cloth.kernels.fracture import break_springs
 from taichi_cloth.kernels.loops import COUNTER, PIECE, barrier
+from taichi_cloth.kernels.settling import settle, settles
 from taichi_cloth.kernels.solvers.phases import run_one_of
 from taichi_cloth.kernels.watchdog import all_well, begin_step, checkpoint
 
@@ -28,9 +29,15 @@ def after_steps(spec):
     return [term.after_step for term in terms if has(term.after_step)]
 
 
+def has_end(spec):
+    """Whether anything comes at the end of a step, so that `end_step` is not empty."""
+    return bool(spec.fracture or after_steps(spec) or settles(spec))
+
+
 @ti.func
 def end_step(spec: ti.template(), state: ti.template(), t):
-    """End a step: what the scene's forces do then, and fracture from the positions it reached."""
+    """End a step: its contacts, what forces do then, and fracture from the positions it reached."""
+    settle(spec, state, t)
     for after_step in ti.static(after_steps(spec)):
         after_step(spec, state, t)
     if ti.static(spec.fracture):

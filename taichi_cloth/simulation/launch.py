@@ -129,7 +129,7 @@ class Launcher:
         for step in range(done + 1, done + substeps + 1):
             if by_phases:
                 self._launch_phases(spec, state, step)
-                if spec.fracture or stepping.after_steps(spec):
+                if stepping.has_end(spec):
                     stepping.end_step_launch(beside, state)
             else:
                 stepping.substep_launch(self._step, spec, state, step)

@@ -266,11 +266,14 @@ class Simulation(Readings, Changes):
         self.dt, self.substeps = dt, substeps
 
     def _numbers(self) -> Numbers:
+        _, first_time, first_step = self._since
         return Numbers(
             dt=self.dt / self.substeps,
             speed_limit=self.speed_limit,
             tolerance=self.solver.get("tolerance", 0.0),
             iterations=int(self.solver.get("iterations", 0)),
+            first_time=first_time,
+            first_step=first_step,
         )
 
     # --- the state on the device -----------------------------------------------------------

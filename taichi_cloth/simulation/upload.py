@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.kernels import transfer
+from taichi_cloth.kernels import clock, transfer
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import CELLS_PER_PARTICLE, GONE, device_fields
@@ -48,10 +48,15 @@ class Upload:
         world, particles = self.snapshot.scene.world, self.snapshot.scene.particles
         grid_size, cell_size = _collision_grid(world, particles)
         inner_low, inner_high = inner_box(world, particles, self.real)
+        first_time, first_time_low = clock.split(numbers.first_time, self.real)
         values: dict[str, Any] = {
             "n": len(particles),
             "iterations": numbers.iterations,
             "grid_size": grid_size,
+            "first_step": numbers.first_step,
+            "first_time": first_time,
+            "first_time_low": first_time_low,
+            "dt_low": clock.split(numbers.dt, self.real)[1],
             "dt": numbers.dt,
             "speed_limit": numbers.speed_limit,
             "tolerance": numbers.tolerance,

@@ -105,6 +105,7 @@ class Term:
         rates at which they lengthen, both (s,).
     bound(world, particles, springs): its share of the stability limit: (stiffness, damping), each
         (n,), or (s,) along springs, at least the magnitude of the law's derivatives.
+    timed: whether its law asks for the scene's time (`kernels/clock.py`).
     variant(scene): a `Variant`, the scene with the term switched over; None where that makes no
         sense.
 
@@ -125,6 +126,7 @@ class Term:
     twin: Callable | Absent
     bound: Callable | Absent
     variant: Callable | Absent
+    timed: bool = False
 
     def __post_init__(self):
         if self.adds not in KINDS:
@@ -141,7 +143,9 @@ class Term:
                     raise ValueError(
                         f"{part.name} must be a tuple of {kind.__name__}, or Absent(reason)"
                     )
-            elif part.name != "adds" and not (isinstance(value, Absent) or callable(value)):
+            elif part.name not in ("adds", "timed") and not (
+                isinstance(value, Absent) or callable(value)
+            ):
                 raise ValueError(f"{part.name} must be a function, or Absent(reason)")
         if not has(self.law) and not has(self.after_step):
             raise ValueError("law and after_step cannot both be absent")

@@ -53,6 +53,9 @@ class Method:
         (`solvers/phases.py`): a step is the first one and then all phases that `go_to` leads to.
     launches: which phases share a kernel on packs of several lanes, where one kernel of all of them
         would be too large; empty: all do.
+    position_weight: the part of dt^2 a that a constant acceleration a adds to the position in a
+        step that begins at rest: 0, 1/2 or 1. Contacts that end a step change positions by it
+        (`settling.py`).
     begin(spec, state, t): what comes before the first step, and after every change of the state
         from outside: there a method computes the forces that it keeps from step to step.
 
@@ -73,6 +76,7 @@ class Method:
     """
 
     claims: Claims
+    position_weight: float
     step: Callable | None = None
     phases: tuple[Callable, ...] = ()
     launches: tuple[tuple[int, ...], ...] = ()
@@ -93,6 +97,8 @@ class Method:
             raise ValueError("give either step or phases")
         if bool(self.stability_function) == bool(self.amplification):
             raise ValueError("give either stability_function or amplification")
+        if self.position_weight not in (0.0, 0.5, 1.0):
+            raise ValueError(f"position_weight is {self.position_weight}; it must be 0, 0.5 or 1")
         _check_known("needs", self.needs, NEEDS)
         _check_known("haloed", self.haloed, self.vectors)
         if self.launches:

@@ -44,6 +44,7 @@ METHOD = Method(
         stability_limit=0.0,
         choose="Never: every swing grows. It is the baseline that the others are held against.",
     ),
+    position_weight=0.0,
     step=step,
     stability_function=stability_function,
 )

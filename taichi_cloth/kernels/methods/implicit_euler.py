@@ -34,6 +34,7 @@ METHOD = Method(
             "and slow motion with it."
         ),
     ),
+    position_weight=1.0,
     phases=newton_cg.phases(1.0, stages.start, move),
     stability_function=backward_euler,
     **newton_cg.keeps(),

@@ -40,6 +40,7 @@ METHOD = Method(
             "rings on, at a lower pitch."
         ),
     ),
+    position_weight=0.5,
     phases=newton_cg.phases(0.5, stages.start, move),
     stability_function=stability_function,
     **newton_cg.keeps(),

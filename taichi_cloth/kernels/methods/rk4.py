@@ -88,6 +88,7 @@ METHOD = Method(
             "limit: it loses energy there."
         ),
     ),
+    position_weight=0.5,
     step=step,
     stability_function=stability_function,
     # The state at the step's start; sums of the slopes of position and velocity.

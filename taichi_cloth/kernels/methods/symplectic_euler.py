@@ -49,6 +49,7 @@ METHOD = Method(
             "to errors of some percent."
         ),
     ),
+    position_weight=1.0,
     step=step,
     amplification=amplification,
 )

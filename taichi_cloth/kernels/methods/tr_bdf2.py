@@ -72,6 +72,7 @@ METHOD = Method(
             "damped away."
         ),
     ),
+    position_weight=0.5,
     phases=newton_cg.phases(TAU, stay, go_on, first=stages.ONLY_EVALUATE, last=BACKWARD),
     stability_function=stability_function,
     # What velocities gain until a stage starts, and how far from the step's start the second does.

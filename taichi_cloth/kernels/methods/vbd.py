@@ -189,6 +189,7 @@ METHOD = Method(
             "xpbd, which gets nearer in the same time."
         ),
     ),
+    position_weight=1.0,
     phases=gauss_seidel.phases(colours_of_particles, relax, renew_both_halos),
     stability_function=backward_euler,  # once its sweeps have converged
     needs=("particle_colours",),

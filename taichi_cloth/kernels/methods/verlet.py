@@ -95,6 +95,7 @@ METHOD = Method(
             "better. Not where drag is strong: its limit falls sooner."
         ),
     ),
+    position_weight=0.5,
     step=step,
     begin=begin,
     amplification=amplification,

@@ -129,6 +129,7 @@ METHOD = Method(
             "sweeps. Too few look like softer springs."
         ),
     ),
+    position_weight=1.0,
     phases=gauss_seidel.phases(colours_of_springs, project),
     stability_function=backward_euler,  # once its sweeps have converged
     needs=("spring_colours",),

@@ -1,0 +1,37 @@
+"""Contacts that end a step, alike for every method: obstacles, ground, what lies on each other.
+
+A step leads to its free end (x, v), as if there were no contact. Then each part takes positions to
+where they may be, and velocities to what contact and friction leave of them; a position gets
+state.position_weight times dt of what a velocity is changed by, which is the weight that the
+method's step gives a constant acceleration in its position (`methods.contract.Method`). So what
+lies on something stays there, under every method: it neither sinks nor hovers nor trembles.
+
+A part is a pair of functions in a file of its own: needed(spec), whether a scene has it, and the
+ti.func settle(spec, state, t), which changes state.x and state.v (with the low parts of the
+precision `compensated`) and renews halos, as `loops.each_pack_moving` does.
+"""
+
+import taichi as ti
+
+PARTS = ()  # (needed, settle), in the order in which they act
+
+
+def settles(spec):
+    """Whether a specialization has any contact that ends a step."""
+    return any(needed(spec) for needed, _ in PARTS)
+
+
+def _acts(spec, state):
+    """What is run one after the other at the end of a step, as ti.funcs."""
+    acts = [settle for needed, settle in PARTS if needed(spec)]
+    return [*acts, state.begin] if acts and state.begin else acts
+
+
+@ti.func
+def settle(spec: ti.template(), state: ti.template(), t):
+    """Take the free end of a step to what contacts leave of it.
+
+    What the method keeps of forces from step to step is then computed anew.
+    """
+    for act in ti.static(_acts(spec, state)):
+        act(spec, state, t)
