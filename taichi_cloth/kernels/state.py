@@ -38,7 +38,7 @@ class Capacity:
     """How much fits into a `State`.
 
     particles; springs: those on the graph; packs, the empty ones included; grids; row: packs in the
-    widest row, with its halos.
+    widest row, with its halos; triangles: those of which the scene's forces know.
     """
 
     particles: int
@@ -46,10 +46,40 @@ class Capacity:
     packs: int
     grids: int
     row: int
+    triangles: int = 0
 
     def holds(self, other: "Capacity") -> bool:
         """Whether what needs the capacity `other` fits into this one."""
         return all(a >= b for a, b in zip(astuple(self), astuple(other), strict=True))
+
+
+@ti.data_oriented
+class Surface:
+    """The triangles of a scene on the device: m of them, by slots of particles (`surfaces.py`).
+
+    corner: (m, 3): slots; side: (m, 3): the spring between the corners k and k + 1: its number on
+    the graph, -1 where there is none, or -2 - i for link i (`grids.link_index`, of slots); vector:
+    (m, 3), a vector for each, whatever is summed.
+    In compressed rows the triangles at each particle: row_slot, row_start, row_triangle.
+    """
+
+    def __init__(self, real, triangles, particles, reals, integers):
+        """Place the fields in two trees, `reals` and `integers` (`ti.FieldsBuilder`)."""
+        m, self.capacity = max(triangles, 1), (triangles, particles)
+        rows = max(min(particles, 3 * m), 1)
+        self.vector = _placed(reals, ti.field(real), m, 3)
+        self.corner, self.side = (_placed(integers, ti.field(ti.i32), m, 3) for _ in range(2))
+        self.n_triangles, self.n_rows = (_placed(integers, ti.field(ti.i32)) for _ in range(2))
+        self.row_slot = _placed(integers, ti.field(ti.i32), rows)
+        self.row_start = _placed(integers, ti.field(ti.i32), rows + 1)
+        self.row_triangle = _placed(integers, ti.field(ti.i32), 3 * m)
+
+    @classmethod
+    def alone(cls, real, triangles, particles):
+        """One with trees of its own, and these: (surface, trees)."""
+        reals, integers = ti.FieldsBuilder(), ti.FieldsBuilder()
+        surface = cls(real, triangles, particles, reals, integers)
+        return surface, [reals.finalize(), integers.finalize()]
 
 
 @ti.data_oriented
@@ -139,7 +169,7 @@ class State:
             self._place_graph(spec, method)
         if spec.collisions:
             self._place_collision_grid(spec)
-        self._trees = [self._reals.finalize(), self._integers.finalize()]
+        self.trees = [self._reals.finalize(), self._integers.finalize()]
         if method.sums:
             self.add_sums(method.sums)
         self._list_what_is_loaded(spec)
@@ -364,7 +394,7 @@ class State:
         haloed: whether neighbours read it, so that its halos are to be renewed.
         """
         field = self._pack_vectors(spec, tree=(tree := ti.FieldsBuilder()))
-        self._trees.append(tree.finalize())
+        self.trees.append(tree.finalize())
         setattr(self, name, field)
         if haloed:
             self.haloed = (*self.haloed, field)
@@ -372,12 +402,7 @@ class State:
     def add_sums(self, count):
         """Allocate state.sums for `count` sums by `loops.add_up`: sums[k, 0], then its parts."""
         self.sums = _placed(tree := ti.FieldsBuilder(), ti.field(self.real), count, self.packs + 1)
-        self._trees.append(tree.finalize())
-
-    def free(self):
-        """Give the device memory back; no field of this state may be used afterwards."""
-        for tree in self._trees:
-            tree.destroy()
+        self.trees.append(tree.finalize())
 
 
 def device_fields(spec):

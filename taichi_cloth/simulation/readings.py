@@ -64,6 +64,29 @@ class Readings:
         """Which springs hold, (s,) bool: those whose force has not exceeded their break force."""
         return self.storage.springs_alive()
 
+    def triangles(self) -> np.ndarray:
+        """The particles at the corners of each triangle, (m, 3), torn ones included."""
+        return self.storage.scene.triangles
+
+    def triangles_alive(self) -> np.ndarray:
+        """Which triangles are whole, (m,) bool: all springs along their sides hold."""
+        return self.storage.triangles_alive()
+
+    def normals(self) -> np.ndarray:
+        """Unit normals of the surface at each particle, (n, 3), 0 where there is none.
+
+        The triangles at a particle count by their areas. A triangle is gone from here and from the
+        forces when a spring along its side is gone, which is a step after that broke.
+        """
+        return self.storage.drawn_normals().astype(np.float64)
+
+    def drawn_normals(self) -> np.ndarray:
+        """Those normals for a window, (n, 3) in the device's precision.
+
+        Without a copy: the next call fills the same array anew.
+        """
+        return self.storage.drawn_normals()
+
     def drawn_positions(self) -> np.ndarray:
         """Positions for a window, (n, dim) in the device's precision.
 

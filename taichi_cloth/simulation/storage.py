@@ -19,7 +19,6 @@ from taichi_cloth.kernels.solvers import stages
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE, WORK, Capacity, State
-from taichi_cloth.runtime import Device, still_runs
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation import adjacency, diagnostics
 from taichi_cloth.simulation.launch import Launcher
@@ -27,6 +26,7 @@ from taichi_cloth.simulation.layouts import Layout
 from taichi_cloth.simulation.numbers import Numbers
 from taichi_cloth.simulation.placement import Placement, Placements
 from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.surfaces import Surfaces, free_with
 from taichi_cloth.simulation.upload import Real, Upload, as_real
 
 SPAWN_CAPACITY = 16384  # room for clicks before the fields must grow: some 10 MB
@@ -82,6 +82,7 @@ class Storage:
         self._drawn_positions = np.zeros((0, 0))
         self._drawn_springs: np.ndarray | None = None
         self._drawn_broken = 0
+        self._surfaces = Surfaces()
 
     @property
     def scene(self) -> Scene:
@@ -231,8 +232,7 @@ class Storage:
         device = self._launcher.device
         state: Any = State(spec, getattr(ti, device.real), capacity, self._method)
         # Taichi has room for 512 trees of fields, of which each state takes two.
-        free = weakref.finalize(self, _free, state, device)
-        free.atexit = False
+        free = free_with(self, state.trees, device)
         return _Container(state, spec, topology, free)
 
     def _specialize(self, placement: Placement) -> Specialization:
@@ -289,6 +289,19 @@ class Storage:
             rows = np.zeros((1, len(NUMBERS)), self.real)  # of no spring, until the next load
             found.append(partial(self._launch, transfer.load_spring_numbers, rows))
         return found
+
+    # --- surfaces --------------------------------------------------------------------------
+
+    def drawn_normals(self) -> np.ndarray:
+        """Unit normals of the particles, (n, 3) in the device's precision.
+
+        Without a copy: the next call fills the same array anew.
+        """
+        return self._surfaces.normals(self._upload())
+
+    def triangles_alive(self) -> np.ndarray:
+        """Which triangles are whole, (m,) bool: no spring along a side was over its limit."""
+        return self._surfaces.whole(self.scene, self.springs_alive())
 
     # --- pushes ----------------------------------------------------------------------------
 
@@ -460,12 +473,7 @@ def _same_places(one: Scene, other: Scene) -> bool:
     return (
         one.springs is other.springs
         and one.particles.position is other.particles.position
+        and one.triangles is other.triangles
         and one.world.collisions == other.world.collisions
         and forces.present_in(one) == forces.present_in(other)
     )
-
-
-def _free(state: Any, device: Device) -> None:
-    """Give the memory of a state back, unless Taichi was started anew since, or cannot (OpenGL)."""
-    if still_runs(device) and device.arch != "opengl":
-        state.free()

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.kernels import clock, transfer
+from taichi_cloth.kernels import clock, surfaces, transfer
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import CELLS_PER_PARTICLE, GONE, device_fields
@@ -201,6 +201,33 @@ class Upload:
             held = held[:1]
         arrays = _not_empty(indices.astype(np.int32)), _not_empty(held)
         self._launch(transfer.load_springs, len(springs), *arrays)
+
+    # --- surfaces --------------------------------------------------------------------------
+
+    def surface(self, surface: Any) -> None:
+        """The scene's triangles, into a `kernels.state.Surface`."""
+        layout, scene = self.placement.layout, self.snapshot.scene
+        slots = layout.slot[scene.triangles].astype(np.int32)
+        # Where the device has the status of each spring, and at the end that of none.
+        place = np.full(len(scene.springs) + 1, -1, np.int64)
+        place[self.placement.graph_springs] = np.arange(len(self.placement.graph_springs))
+        kind, slot = self.placement.link_places.astype(np.int64).T
+        link = kind * self.state.packs * layout.lanes + slot
+        place[self.placement.links] = -2 - link
+        sides = place[adjacency.springs_of_sides(scene.triangles, scene.springs.between)]
+        corners = np.column_stack([slots, sides]).astype(np.int32)
+        order = np.argsort(slots.ravel(), kind="stable")
+        rows, start = np.unique(slots.ravel()[order], return_index=True)
+        self.launcher.launch(
+            surfaces.load_surface,
+            surface,
+            _not_empty(corners),
+            _not_empty(rows.astype(np.int32)),
+            np.append(start, slots.size).astype(np.int32),
+            _not_empty((order // 3).astype(np.int32)),
+            len(slots),
+            len(rows),
+        )
 
     # --- links of grids --------------------------------------------------------------------
 
