@@ -19,6 +19,7 @@ _HOMES = {  # public name: (module, name in it; None: the module itself)
     "ParticleDefaults": ("scene.model", "ParticleDefaults"),
     "Springs": ("scene.model", "Springs"),
     "SpringDefaults": ("scene.model", "SpringDefaults"),
+    "Material": ("scene.material", "Material"),
     "validate": ("scene.checks", "validate"),
     "grid": ("scene.cloth", "grid"),
     "grid_triangles": ("scene.cloth", "grid_triangles"),

@@ -289,13 +289,18 @@ def store_held_by_walls(
                 store(spec, state, i, kept_x, kept_v)
 
 
-def _rounding_of_gaps(state, axis, side):
+def _is_floor(spec, axis, side):
+    """Whether a wall is the floor of the original program, where y points down."""
+    return spec.floor and (axis, side) == (1, 1)
+
+
+def _rounding_of_gaps(spec, state, axis, side):
     """How far short of a wall, in parts of the lengths in a gap, counts as past it.
 
     What was put onto a wall counts as past it, whatever rounding makes of its gap; on the floor it
     does not, in the original.
     """
-    return 0.0 if (axis, side) == (1, 1) else 8.0 * epsilon(state)
+    return 0.0 if _is_floor(spec, axis, side) else 8.0 * epsilon(state)
 
 
 @ti.func
@@ -331,7 +336,7 @@ def _held_by_wall(
 
     A particle that is pressed against the wall is put onto it: one that hits it, that the bounce
     does not send back, and that was past it already a step before. So a bounce is left to itself in
-    its first step, where the particle dips into the wall and comes back. The floor (axis 1 points
+    its first step, where the particle dips into the wall and comes back. The floor (where y points
     down) holds already then what still moves down, and leaves its velocity to gravity, as the
     original program did.
     A particle that a step takes farther out than its radius is put onto the wall, too, and leaves
@@ -347,9 +352,9 @@ def _held_by_wall(
     new_gap = wall_gap(state, new_x, radius, axis, side)
     vn, new_vn = float(side) * v[axis], float(side) * new_v[axis]
     no_nearer = vn >= 0.0 and new_vn >= 0.0 and vn + new_vn > 0.0
-    slack = ti.static(_rounding_of_gaps(state, axis, side)) * (ti.abs(bound) + radius)
+    slack = ti.static(_rounding_of_gaps(spec, state, axis, side)) * (ti.abs(bound) + radius)
     pressed = no_nearer and slack - gap - state.dt[None] * vn > 0.0
-    if ti.static((axis, side) == (1, 1)):
+    if ti.static(_is_floor(spec, axis, side)):
         pressed = pressed or (gap < 0.0 and vn > 0.0 and new_vn > 0.0)
     far = -1.0 * new_gap - 2.0 * radius > 0.0
     way = float(side) * (new_x[axis] - x[axis])
@@ -366,7 +371,7 @@ def _held_by_wall(
         if ti.static(spec.compensated):
             forget_low(spec, state, state.x_low, slot, axis)
         normal_v = new_vn
-        if pressed and ti.static((axis, side) != (1, 1)):
+        if pressed and ti.static(not _is_floor(spec, axis, side)):
             normal_v = 0.0 * new_vn
         elif not pressed and new_vn > 0.0:
             # Of the step, after which it met the wall.
@@ -375,6 +380,6 @@ def _held_by_wall(
             normal_v = -1.0 * slot_number(spec, state.restitution, slot) * ti.max(met_with, 0.0)
         kept_v[axis] = float(side) * normal_v
         if ti.static(spec.compensated):
-            if ti.static((axis, side) != (1, 1)) or not pressed:
+            if ti.static(not _is_floor(spec, axis, side)) or not pressed:
                 forget_low(spec, state, state.v_low, slot, axis)
     return kept_x, kept_v

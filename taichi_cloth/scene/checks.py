@@ -11,6 +11,7 @@ import numpy as np
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene.model import (
     MOUSE_MODES,
+    UPWARD,
     WALLS,
     ParticleDefaults,
     Particles,
@@ -192,7 +193,11 @@ def _check_world_types(world: World, refuse: Callable[[str, str], NoReturn]) -> 
     collisions: Any = world.collisions
     if not isinstance(collisions, (bool, np.bool_)):
         refuse("collisions", f"collisions must be True or False, is {accepted.shown(collisions)}")
-    for name, word in (("mouse", world.mouse), *(("walls", wall) for wall in world.walls)):
+    for name, word in (
+        ("up", world.up),
+        ("mouse", world.mouse),
+        *(("walls", wall) for wall in world.walls),
+    ):
         if not isinstance(word, str):
             refuse(name, f"{name}: a name is expected, not {accepted.shown(word)}")
     if not isinstance(world.more, Mapping):
@@ -219,6 +224,8 @@ def _check_world(world: World, refusal: _Refusal) -> None:
             refuse("walls", f"unknown wall {name!r}; {nearest(name, walls)}")
         if name not in walls:
             refuse("walls", f"a 2-D world has no {name} wall; known: {', '.join(walls)}")
+    if world.up not in UPWARD:
+        refuse("up", f"up must be 'y', or absent where y points down, is {world.up!r}")
     if world.mouse not in MOUSE_MODES:
         refuse("mouse", f"unknown mouse mode {world.mouse!r}; {nearest(world.mouse, MOUSE_MODES)}")
     for name, further in world.more.items():

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import (
     CLOTH_COLOR,
     FIXED_COLOR,
@@ -20,6 +21,7 @@ from taichi_cloth.scene.model import (
     Springs,
 )
 from taichi_cloth.scene.properties import SPRING_PROPERTIES
+from taichi_cloth.scene.triangles import masses
 from taichi_cloth.settings import accepted
 
 # Kind of link: (column, row) offsets to the neighbours a particle is tied to. The order here is
@@ -43,6 +45,7 @@ def grid(
     links: Sequence[str] = ("structural",),
     across: Sequence[float] | None = None,
     down: Sequence[float] | None = None,
+    material: Material | None = None,
     particle_defaults: ParticleDefaults | None = None,
     spring_defaults: SpringDefaults | None = None,
     **per_kind: Mapping[str, Any] | float | str | None,
@@ -55,6 +58,8 @@ def grid(
     links: kinds out of `LINKS`. Springs are numbered particle by particle: left, upper; then
         upper left, upper right (shear); then two left, two up (bend).
     across, down: directions of a row and of a column, any length (default: x and y).
+    material: what the cloth is made of, in the place of masses, radii and stiffness; None: each
+        particle and link has its own. It needs two rows and columns.
     per_kind: stiffness, rest_length and the others of `SpringProperties`, each as one value for all
         links or as values by kind; a kind that is absent takes `spring_defaults` (whose absent rest
         length is the distance at the start).
@@ -81,10 +86,20 @@ def grid(
         shown = accepted.shown(defaults)
         raise InputError(f"grid: spring_defaults must be of type SpringDefaults, is {shown}")
 
+    of = Material() if material is None else material.checked(links, of_kinds)
+    if of != Material() and min(columns, rows) < 2:
+        raise InputError("columns and rows: a cloth of a material needs at least two of both")
     row, column = np.divmod(np.arange(rows * columns), columns)
+    position = start + column[:, None] * step_across + row[:, None] * step_down
+    mass = None
+    if of.density is not None:
+        mass = masses(position, grid_triangles(columns, rows), of.density)
     particles = Particles.build(
-        start + column[:, None] * step_across + row[:, None] * step_down,
+        position,
         defaults=particle_defaults,
+        mass=mass,
+        radius=None if of.thickness is None else of.thickness / 2,
+        thickness=of.thickness,
         fixed=fixed.ravel(),
         color=np.where(fixed.reshape(-1, 1), FIXED_COLOR, CLOTH_COLOR),
     )
@@ -101,6 +116,14 @@ def grid(
         default = getattr(defaults, name)
         values = about.filled([of_kinds[name].get(kind, default) for kind, _ in slots], at_start)
         spring_columns[name] = about.column(values, len(slots))[slot]
+    if of.stretch is not None:
+        for n, (kind, (columns_away, _)) in enumerate(slots):
+            mine = slot == n
+            at, last = (row, rows - 1) if columns_away else (column, columns - 1)
+            beside = at[between[mine, 0]]  # the row of a link in a row, else the column
+            width = np.where((beside == 0) | (beside == last), 0.5, 1.0)
+            for name, numbers in of.of_links(kind, width, at_start[n]).items():
+                spring_columns[name][mine] = numbers
     return particles, Springs(between=between, **spring_columns)
 
 

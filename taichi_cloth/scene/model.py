@@ -5,7 +5,8 @@ A `Scene` knows no Taichi, no window and no method. Build one with the built-in
 be simulated, and `features` says which parts of the physics it needs. The numbers of particles
 and springs are declared in `properties`.
 
-Units are the scene's own (the seed scenes use pixels and frames); y points down.
+Units are the scene's own (the seed scenes use pixels and frames); y points down, or up where the
+world says so.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ from taichi_cloth.settings import accepted
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-WALLS = {  # name: (axis, side); side -1 is the wall at the axis's low end
+# name: (axis, side) where y points down; side -1 is the wall at the axis's low end
+WALLS = {
     "left": (0, -1),
     "right": (0, +1),
     "top": (1, -1),
@@ -38,6 +40,7 @@ WALLS = {  # name: (axis, side); side -1 is the wall at the axis's low end
     "back": (2, +1),
 }
 MOUSE_MODES = ("none", "blow", "spawn")
+UPWARD = ("", "y")
 PARTICLE_COLOR = (220, 60, 60)
 CLOTH_COLOR = (0, 255, 0)  # of a cloth's particles, as in the first program
 FIXED_COLOR = (128, 128, 128)
@@ -63,6 +66,10 @@ class World:
     collisions: whether particles bounce off each other.
     mouse: what the pointer does, out of `MOUSE_MODES`.
     more: values of further keys (`world_keys`), those that a scene gives.
+    up: "y" where y points up; "": it points down, as in the original programs.
+
+    The walls "bottom" and "top" are at the ends of y, "left" and "right" at those of x. "front" is
+    the one near to who looks, with x to the right: it is at the end of z where y points up.
     """
 
     size: tuple[float, ...]
@@ -72,6 +79,7 @@ class World:
     collisions: bool = False
     mouse: str = "none"
     more: Mapping[str, float | tuple[float, ...]] = field(default_factory=dict, hash=False)
+    up: str = ""
 
     @property
     def dim(self) -> int:
@@ -87,6 +95,16 @@ class World:
         """Upper corner of the world, shape (dim,)."""
         high: np.ndarray = self.low + np.array(self.size)
         return high
+
+    @property
+    def downward(self) -> tuple[float, ...]:
+        """The direction that points down, a unit vector (dim,)."""
+        return (0.0, -1.0 if self.up else 1.0, 0.0)[: self.dim]
+
+    def side(self, wall: str) -> tuple[int, int]:
+        """Where a wall is, out of `WALLS`: (axis, side); side -1 is the low end of the axis."""
+        axis, side = WALLS[wall]
+        return axis, -side if self.up and axis > 0 else side
 
 
 @dataclass(frozen=True)
@@ -369,8 +387,8 @@ class Scene:
                 np.isfinite(springs.break_force).any()
                 or (spawns and defaults.break_force is not None)
             ),
-            walls=tuple(sorted(WALLS[name] for name in self.world.walls)),
-            floor="bottom" in self.world.walls,
+            walls=tuple(sorted(map(self.world.side, self.world.walls))),
+            floor="bottom" in self.world.walls and not self.world.up,
             collisions=self.world.collisions,
         )
 

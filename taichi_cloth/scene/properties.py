@@ -126,6 +126,9 @@ class ParticleProperties(Generic[Number]):
     restitution: Number = declared(
         1.0, FRACTION, "1", "part of the normal speed kept at walls; multiplied for two particles"
     )
+    thickness: Number = declared(
+        0.0, NOT_NEGATIVE, "length", "of its cloth; 0: that passes through itself", shared=False
+    )
 
 
 # What breaks a spring: a force along it, either way (as in the original), or a pull alone, as for

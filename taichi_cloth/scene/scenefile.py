@@ -108,6 +108,7 @@ def table_of(scene: Scene) -> Table:
         "name": scene.name,
         "world": {
             "size": list(world.size),
+            **({"up": world.up} if world.up else {}),
             "gravity": list(world.gravity),
             "dt": world.dt,
             "walls": list(world.walls),
@@ -146,6 +147,7 @@ def dump(scene: Scene) -> str:
         "",
         "[world]",
         f"size = {_listed(world.size)}",
+        *([f"up = {_quoted(world.up)}"] if world.up else []),
         f"gravity = {_listed(world.gravity)}",
         f"dt = {float(world.dt)!r}",
         f"walls = [{', '.join(map(_quoted, world.walls))}]",

@@ -16,6 +16,8 @@ from taichi_cloth.scene import toml
 from taichi_cloth.scene.assignments import Assignment
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import LINKS, grid, grid_triangles
+from taichi_cloth.scene.material import KEYS as MATERIAL_KEYS
+from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import (
     FIXED_COLOR,
     MOUSE_MODES,
@@ -36,13 +38,14 @@ from taichi_cloth.scene.world_keys import world_keys
 # unbreakable where [spring] gives a force.
 _TABLES = {
     "": ("name", "triangles", "world", "particle", "spring", "particles", "springs", "cloths"),
-    "world": ("size", "gravity", "dt", "walls", "collisions", "mouse"),
+    "world": ("size", "up", "gravity", "dt", "walls", "collisions", "mouse"),
     "particle": tuple(PARTICLE_PROPERTIES),
     "spring": (*SPRING_PROPERTIES, "color"),
     "particles": ("position", "velocity", "fixed", "color", *PARTICLE_PROPERTIES),
     "springs": ("between", *SPRING_PROPERTIES),
     "cloths": (
         *("origin", "columns", "rows", "spacing", "pinned", "links", "across", "down"),
+        *MATERIAL_KEYS,
         *SPRING_PROPERTIES,
     ),
 }
@@ -272,6 +275,7 @@ class TableReader:
             collisions=self.value(table, path, "collisions", toml.boolean, False),
             mouse=self.value(table, path, "mouse", toml.text, MOUSE_MODES[0]),
             more=self.further_keys(table, len(size)),
+            up=self.value(table, path, "up", toml.text, ""),
         )
 
     def further_keys(self, table: Table, dim: int) -> dict[str, float | tuple[float, ...]]:
@@ -380,6 +384,7 @@ class TableReader:
             self.refuse(path, "'origin' is missing")
         links = self.value(entry, path, "links", toml.texts, ["structural"])
         per_kind = {key: self.of_kinds(entry, path, key, links) for key in SPRING_PROPERTIES}
+        material = {key: self.value(entry, path, key, toml.number) for key in MATERIAL_KEYS}
         try:
             return grid(
                 self.vector(entry, path, "origin", world.dim) or [],
@@ -389,7 +394,8 @@ class TableReader:
                 pinned=self.value(entry, path, "pinned", toml.pairs, []),
                 links=links,
                 across=self.vector(entry, path, "across", world.dim),
-                down=self.vector(entry, path, "down", world.dim),
+                down=self.vector(entry, path, "down", world.dim) or world.downward,
+                material=Material(**material),
                 particle_defaults=particle_defaults,
                 spring_defaults=spring_defaults,
                 **per_kind,

@@ -11,7 +11,7 @@ from taichi_cloth.limits.auto_step import substeps_needed
 from taichi_cloth.limits.bounds import Bounds, any_geometry, gershgorin, step_within
 from taichi_cloth.limits.network import Network
 from taichi_cloth.limits.precision import WATCHED
-from taichi_cloth.scene.model import WALLS, World
+from taichi_cloth.scene.model import World
 
 
 def describe_fault(
@@ -37,7 +37,7 @@ def describe_fault(
 
 def _beyond(world: World, wall: str, position: np.ndarray) -> float:
     """How far a position (dim,) is beyond a wall; negative: short of it."""
-    axis, side = WALLS[wall]
+    axis, side = world.side(wall)
     bound = world.high[axis] if side > 0 else world.low[axis]
     return float(side * (position[axis] - bound))
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, TENSION, has
-from taichi_cloth.scene.model import WALLS, Scene
+from taichi_cloth.scene.model import Scene
 
 if TYPE_CHECKING:
     from scipy.integrate import DOP853
@@ -83,7 +83,7 @@ class Forces:
         """What happens here that is no part of the equation: a contact, a break; None: nothing."""
         particles, world = self.scene.particles, self.scene.world
         for wall in world.walls:
-            axis, side = WALLS[wall]
+            axis, side = world.side(wall)
             bound = world.high[axis] if side > 0 else world.low[axis]
             hit = (side * (bound - x[:, axis]) < particles.radius) & (side * v[:, axis] > 0)
             if (hit & self.free).any():

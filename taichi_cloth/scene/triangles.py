@@ -1,0 +1,69 @@
+"""Triangles between points: areas, what share each corner has, sums at particles (NumPy)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taichi_cloth.errors import InputError
+
+
+def area_vectors(position: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The area of each triangle times its normal, (m, 3); position: (n, dim), in 2-D with z = 0."""
+    a, b, c = (_in_space(position)[corner] for corner in triangles.T)
+    vectors: np.ndarray = np.cross(b - a, c - a) / 2
+    return vectors
+
+
+def areas(position: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The area of each triangle, (m,)."""
+    area: np.ndarray = np.linalg.norm(area_vectors(position, triangles), axis=1)
+    return area
+
+
+def corner_shares(position: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The share that each corner has of its triangle, (m, 3): its angle, in half turns.
+
+    They add up to 1. The four corners of a square that is cut in two get a quarter of it each,
+    whichever way it is cut, and those of an equilateral triangle a third, as they should by
+    symmetry (Thuermer, Wuethrich, "Computing vertex normals from polygonal facets", 1998, weigh by
+    angles for the same reason). Corners of a triangle without an area get a third.
+    """
+    corners = _in_space(position)[triangles]
+    ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    across = np.linalg.norm(np.cross(ahead, back), axis=-1)
+    shares = np.arctan2(across, (ahead * back).sum(axis=-1)) / np.pi
+    flat = ~(across > 0).all(axis=1)
+    shares[flat] = 1 / 3
+    total: np.ndarray = shares / shares.sum(axis=1, keepdims=True)
+    return total
+
+
+def at_corners(values: np.ndarray, triangles: np.ndarray, count: int) -> np.ndarray:
+    """The sum at each of `count` particles of what the triangles give their corners.
+
+    values: (m, 3) numbers, or (m, 3, dim) vectors; the result is (count,) or (count, dim).
+    """
+    flat = values.reshape(len(triangles) * 3, -1)
+    sums = [np.bincount(triangles.ravel(), column, count) for column in flat.T]
+    total: np.ndarray = np.stack(sums, axis=-1) if values.ndim == 3 else sums[0]
+    return total
+
+
+def masses(position: np.ndarray, triangles: np.ndarray, density: float) -> np.ndarray:
+    """The mass of each particle, (n,): density times its share of the triangles at it.
+
+    The total is density times area, whatever the triangles' size. InputError for a particle at no
+    triangle that has an area, which would have no mass.
+    """
+    shares = corner_shares(position, triangles) * areas(position, triangles)[:, None]
+    mass = density * at_corners(shares, triangles, len(position))
+    if len(mass) and not mass.min() > 0:
+        raise InputError(f"density: particle {int(mass.argmin())} is at no triangle with an area")
+    return mass
+
+
+def _in_space(position: np.ndarray) -> np.ndarray:
+    """Points with three coordinates, the last of them 0 in a plane."""
+    if position.shape[1] == 3:
+        return position
+    return np.column_stack([position, np.zeros(len(position))])
