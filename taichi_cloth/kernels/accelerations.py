@@ -4,8 +4,9 @@ import functools
 
 import taichi as ti
 
+from taichi_cloth.kernels.clock import time_of_forces
 from taichi_cloth.kernels.forces import load
-from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, TENSION, has
+from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, has
 from taichi_cloth.kernels.loops import each_pack_moving
 from taichi_cloth.kernels.packs import (
     read,
@@ -23,6 +24,8 @@ from taichi_cloth.kernels.springs import (
     reads_velocity,
     sum_of,
 )
+from taichi_cloth.kernels.state import has_tractions
+from taichi_cloth.kernels.surfaces import compute_tractions
 
 
 @ti.func
@@ -32,6 +35,7 @@ def compute_acceleration(spec: ti.template(), state: ti.template(), t):
     It is what `acceleration` gives with the forces of all springs (Newton's second law). Positions
     and velocities are only read, so no loop has a race.
     """
+    compute_tractions(spec, state, t, time_of_forces, False)
     accumulate(spec, state, t, force_between, _store_acceleration, _accelerate_more)
 
 
@@ -44,6 +48,7 @@ def accelerate_then(spec: ti.template(), state: ti.template(), t, move: ti.templ
     acceleration, which saves storing and reading it: measured, that pays. All else takes two loops.
     """
     if ti.static(spec.lanes > 1 and not spec.springs):
+        compute_tractions(spec, state, t, time_of_forces, False)
         accumulate(spec, state, t, force_between, ti.static(_moving(move)), _accelerate_more)
     else:
         compute_acceleration(spec, state, t)
@@ -55,6 +60,8 @@ def kicks_at_once(spec):
 
     state.a is then what the method stored there, until `kick` changes it.
     """
+    if has_tractions(spec):  # which come before the links of the first row
+        return False
     if spec.lanes > 1:
         return not spec.springs and not spec.one_launch_per_step
     # Neighbours read positions, which a kick leaves, and for dashpots velocities.
@@ -140,13 +147,16 @@ def acceleration(spec: ti.template(), state: ti.template(), i, f):
             total += term.law(spec, state, i)
         elif term.acts(state):
             total += term.law(spec, state, i)
+    if ti.static(has_tractions(spec)):
+        total += read(spec, state.traction, i)
     return where_positive(w, a + scaled(w, total), none)
 
 
 def _derivatives(spec, part):
     """The functions that give one part, "stiffness" or "damping", of the terms on particles."""
     found = [load(name) for name in spec.terms]
-    return [getattr(t, part) for t in found if t.adds != TENSION and has(getattr(t, part))]
+    on_particles = [term for term in found if term.adds in (ACCELERATION, FORCE)]
+    return [getattr(term, part) for term in on_particles if has(getattr(term, part))]
 
 
 def resists(spec):

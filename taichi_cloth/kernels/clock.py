@@ -38,6 +38,17 @@ def time_at_end(state: ti.template()):
 
 
 @ti.func
+def time_of_forces(state: ti.template()):
+    """The scene's time at which the method takes its forces in the present stage of its step."""
+    part = ti.cast(ti.static(state.force_times[0][1]), state.wide)
+    for stage, other in ti.static(state.force_times[1:]):
+        if state.stage[None] == stage:
+            part = ti.cast(other, state.wide)
+    dt = wide(state, state.dt[None]) + wide(state, state.dt_low[None])
+    return time_at_start(state) + part * dt
+
+
+@ti.func
 def _time_after(state: ti.template(), steps):
     """The time after so many steps since the start of the run."""
     first = wide(state, state.first_time[None]) + wide(state, state.first_time_low[None])

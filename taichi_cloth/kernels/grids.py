@@ -7,7 +7,7 @@ halos.
 
 import taichi as ti
 
-from taichi_cloth.kernels.packs import read, write
+from taichi_cloth.kernels.packs import read, set_slot_number, slot_number, write
 
 
 @ti.func
@@ -76,6 +76,18 @@ def return_right_halo(spec: ti.template(), field: ti.template(), first, width, r
         a, b = read(spec, field, first + width + h), read(spec, field, first + h)
         rows = [[b[i, 0]] + [a[i, lane] for lane in range(spec.lanes - 1)] for i in range(spec.dim)]
         write(spec, field, first + h, ti.Matrix(rows))
+
+
+@ti.func
+def renew_number(spec: ti.template(), field: ti.template(), first, width, h, lane):
+    """Fill place h of both halos of a row in one of its lanes but the last, of a field of numbers.
+
+    That is in this lane to the right, and in the next one to the left.
+    """
+    right, left = (first + width + h) * spec.lanes, (first - 1 - h) * spec.lanes
+    from_right, from_left = (first + h) * spec.lanes, (first + width - 1 - h) * spec.lanes
+    set_slot_number(spec, field, right + lane, slot_number(spec, field, from_right + lane + 1))
+    set_slot_number(spec, field, left + lane + 1, slot_number(spec, field, from_left + lane))
 
 
 @ti.func

@@ -15,6 +15,7 @@ from taichi_cloth.kernels.forces.contract import (
     NUMBER,
     PARTICLE_NUMBER,
     PARTICLE_VECTOR,
+    TRACTION,
     VECTOR,
     has,
 )
@@ -59,15 +60,16 @@ class Surface:
 
     corner: (m, 3): slots; side: (m, 3): the spring between the corners k and k + 1: its number on
     the graph, -1 where there is none, or -2 - i for link i (`grids.link_index`, of slots); vector:
-    (m, 3), a vector for each, whatever is summed.
-    In compressed rows the triangles at each particle: row_slot, row_start, row_triangle.
+    (m, 3), a vector for each, whatever is summed; share: (m, 3), what each corner gets of it.
+    In compressed rows the triangles at each particle: row_slot, row_start, row_triangle, row_share.
     """
 
     def __init__(self, real, triangles, particles, reals, integers):
         """Place the fields in two trees, `reals` and `integers` (`ti.FieldsBuilder`)."""
         m, self.capacity = max(triangles, 1), (triangles, particles)
         rows = max(min(particles, 3 * m), 1)
-        self.vector = _placed(reals, ti.field(real), m, 3)
+        self.vector, self.share = (_placed(reals, ti.field(real), m, 3) for _ in range(2))
+        self.row_share = _placed(reals, ti.field(real), 3 * m)
         self.corner, self.side = (_placed(integers, ti.field(ti.i32), m, 3) for _ in range(2))
         self.n_triangles, self.n_rows = (_placed(integers, ti.field(ti.i32)) for _ in range(2))
         self.row_slot = _placed(integers, ti.field(ti.i32), rows)
@@ -119,7 +121,9 @@ class State:
         stage: which of its stages; fault, watching: see `watchdog.py`.
     Time (`clock.py`, where something asks for it): first_time, first_time_low, first_step, dt_low;
         wide: the widest type of numbers that the device has.
-    position_weight, begin: the method's (`methods.contract.Method`).
+    position_weight, begin, force_times: the method's (`methods.contract.Method`).
+    Triangles, where forces act on them: surface: a `Surface`; traction, traction_damping: what they
+        give each particle of force, or of whatever else was summed last, and of damping.
     Solvers (`solvers/`): phase: the one that comes next; tolerance, iterations: settings; work:
         the counts `WORK` since the host last asked; summed_k, summed_c: sums of the stiffness and
         damping of a particle's springs (needs "summed_springs").
@@ -149,6 +153,7 @@ class State:
         self.real, self.capacity = real, capacity
         self.wide = ti.f32 if ti.cfg.arch == ti.metal else ti.f64
         self.position_weight, self.begin = method.position_weight, method.begin
+        self.force_times = method.force_times
         self.packs = max(capacity.packs, 1)
         self.number_names, self.count_names = [], []
         self.particle_names, self.vector_names = [], []
@@ -169,6 +174,9 @@ class State:
             self._place_graph(spec, method)
         if spec.collisions:
             self._place_collision_grid(spec)
+        if has_tractions(spec):
+            room = capacity.triangles, capacity.particles
+            self.surface = Surface(real, *room, self._reals, self._integers)
         self.trees = [self._reals.finalize(), self._integers.finalize()]
         if method.sums:
             self.add_sums(method.sums)
@@ -239,6 +247,13 @@ class State:
             self.particle_names += ["radius", "restitution"]
         if spec.collisions:
             self.jump = self._pack_vectors(spec)
+        if has_tractions(spec):
+            self.traction, self.traction_damping = (
+                self._pack_vectors(spec),
+                self._pack_numbers(spec),
+            )
+            for name in method.traction_vectors:
+                self._add(name, self._pack_vectors(spec))
 
     def _place_links_of_packs(self, spec, method):
         kinds, row = spec.kinds, self.capacity.row
@@ -403,6 +418,11 @@ class State:
         """Allocate state.sums for `count` sums by `loops.add_up`: sums[k, 0], then its parts."""
         self.sums = _placed(tree := ti.FieldsBuilder(), ti.field(self.real), count, self.packs + 1)
         self.trees.append(tree.finalize())
+
+
+def has_tractions(spec):
+    """Whether any force of a specialization acts on triangles."""
+    return any(load(name).adds == TRACTION for name in spec.terms)
 
 
 def device_fields(spec):

@@ -93,11 +93,13 @@ def frames_in_one_launch(
 
 
 @ti.kernel
-def begin_launch(begin: ti.template(), spec: ti.template(), state: ti.template()):
-    """Compute what a method wants before its first step, with every loop run in parallel.
+def begin_launch(begin: ti.template(), spec: ti.template(), state: ti.template(), done: ti.i32):
+    """Compute what a method wants before its next step, with every loop run in parallel.
 
     It is a kernel by itself because compile time grows with the square of what is in one.
     """
+    for _ in range(1):
+        state.step[None] = done
     begin(spec, state, 0)
 
 

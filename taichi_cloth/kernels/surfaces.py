@@ -1,18 +1,45 @@
-"""Surfaces: triangles between particles, whole or torn, and what they add up at their corners.
+"""Surfaces: triangles between particles, whole or torn, and what they give their corners.
 
 A triangle is gone when a spring along one of its sides is gone. That is asked of the springs
 themselves whenever triangles are looked at, so it depends on no launch, and what is restored or
 loaded needs nothing besides.
 
-What triangles give their corners is gathered particle by particle, in the order of the triangles:
-no atomics, and the same bits for every number of threads and on both topologies.
+What triangles give their corners is computed once for each, then gathered particle by particle, in
+the order of the triangles: no atomics, and the same bits for every number of threads and on both
+topologies. Forces on triangles ("traction" in `forces/contract.py`) see one velocity, the mean of
+their corners' by the share that each has of the triangle, and each corner gets its share of the
+force: so what a force takes from that velocity it takes from the particles, no more and no less.
 """
+
+import functools
 
 import taichi as ti
 
 from taichi_cloth.kernels.compensated import difference
-from taichi_cloth.kernels.packs import slot_number, slot_value
-from taichi_cloth.kernels.state import GONE
+from taichi_cloth.kernels.forces import load
+from taichi_cloth.kernels.forces.contract import TRACTION, has
+from taichi_cloth.kernels.loops import each, each_pack
+from taichi_cloth.kernels.packs import (
+    read,
+    set_slot_number,
+    set_slot_value,
+    slot_number,
+    slot_value,
+    write,
+    zeros,
+)
+from taichi_cloth.kernels.state import GONE, has_tractions
+
+
+def tractions(spec):
+    """The terms of a specialization that act on triangles."""
+    found = [load(name) for name in spec.terms]
+    return [term for term in found if term.adds == TRACTION]
+
+
+def _parts(spec, part):
+    """The functions that are one part ("law", "damping", ...) of the terms that have this part."""
+    return [getattr(term, part) for term in tractions(spec) if has(getattr(term, part))]
 
 
 @ti.func
@@ -64,20 +91,196 @@ def in_space(spec: ti.template(), a):
 
 
 @ti.func
-def gathered(state: ti.template(), surface: ti.template(), p):
-    """The sum of the vectors of the triangles at the particle of row p, in their order (3,)."""
+def gathered(state: ti.template(), surface: ti.template(), p, shared: ti.template()):
+    """The sum of the vectors of the triangles at the particle of row p, in their order (3,).
+
+    shared: whether it gets its share of each, or the whole.
+    """
     total = ti.Vector.zero(state.real, 3)
     for h in range(surface.row_start[p], surface.row_start[p + 1]):
         m = surface.row_triangle[h]
         for axis in ti.static(range(3)):
-            total[axis] += surface.vector[m, axis]
+            if ti.static(shared):
+                total[axis] += surface.row_share[h] * surface.vector[m, axis]
+            else:
+                total[axis] += surface.vector[m, axis]
     return total
+
+
+# --- forces on triangles -----------------------------------------------------------------------
+
+
+@ti.func
+def compute_tractions(
+    spec: ti.template(), state: ti.template(), t, time: ti.template(), ahead: ti.template()
+):
+    """Compute state.traction, what the forces on triangles give each particle.
+
+    It comes before forces are added up, with top-level loops where each step is a launch, and does
+    nothing in a scene without such forces.
+    time(state): the scene's time; ahead: whether particles are taken where their velocities bring
+    them by the end of the step, as solvers do that keep positions until then.
+    """
+    if ti.static(has_tractions(spec)):
+        each(spec, state, t, 1, ti.static(_preparing(time)))
+        each(spec, state, t, state.surface.n_triangles[None], ti.static(_pulling(ahead)))
+        each(spec, state, t, state.surface.n_rows[None], _gather)
+
+
+@functools.cache
+def _preparing(time):
+    """The body of a loop, run once, that computes what the laws need besides the state."""
+
+    @ti.func
+    def body(spec: ti.template(), state: ti.template(), i):
+        for prepare in ti.static(_parts(spec, "prepare")):
+            prepare(spec, state, time(state))
+
+    return body
+
+
+@functools.cache
+def _pulling(ahead):
+    """The body of a loop over triangles that computes the force on each."""
+
+    @ti.func
+    def body(spec: ti.template(), state: ti.template(), m):
+        force = ti.Vector.zero(state.real, 3)
+        if is_whole(spec, state, state.surface, m):
+            area, v = _area_and_velocity(spec, state, m, ahead)
+            for law in ti.static(_parts(spec, "law")):
+                force += law(spec, state, area, v)
+        _set_vector(state, m, force)
+
+    return body
+
+
+@ti.func
+def _set_vector(state: ti.template(), m, vector):
+    for axis in ti.static(range(3)):
+        state.surface.vector[m, axis] = vector[axis]
+
+
+@ti.func
+def _area_and_velocity(spec: ti.template(), state: ti.template(), m, ahead: ti.template()):
+    """The area vector of triangle m and the mean velocity of its corners."""
+    i, j, k = state.surface.corner[m, 0], state.surface.corner[m, 1], state.surface.corner[m, 2]
+    v_i = _velocity(spec, state, i, ahead)
+    v_j, v_k = _velocity(spec, state, j, ahead), _velocity(spec, state, k, ahead)
+    a, b = edge(spec, state, i, j), edge(spec, state, i, k)
+    if ti.static(ahead):
+        a += state.dt[None] * (v_j - v_i)
+        b += state.dt[None] * (v_k - v_i)
+    return area_vector(a, b), _mean(state, m, v_i, v_j, v_k)
+
+
+@ti.func
+def _velocity(spec: ti.template(), state: ti.template(), i, ahead: ti.template()):
+    """The velocity of the particle in slot i; ahead: as `gauss_seidel.py` has it in its sweeps."""
+    v = slot_value(spec, state.v, i)
+    if ti.static(ahead and spec.compensated):
+        v += slot_value(spec, state.goal_v, i)
+    return v
+
+
+@ti.func
+def _mean(state: ti.template(), m, at_i, at_j, at_k):
+    """The mean of what the corners of triangle m have, by their shares of it."""
+    share = ti.static(state.surface.share)
+    return share[m, 0] * at_i + share[m, 1] * at_j + share[m, 2] * at_k
+
+
+@ti.func
+def _gather(spec: ti.template(), state: ti.template(), p):
+    total = gathered(state, state.surface, p, True)
+    set_slot_value(spec, state.traction, state.surface.row_slot[p], total)
+
+
+@ti.func
+def compute_traction_damping(spec: ti.template(), state: ti.template(), t):
+    """Compute state.traction_damping, a bound on the damping of each particle by its triangles.
+
+    That of a triangle acts on its mean velocity along its normal, and is shared by the products of
+    its corners' shares: a matrix that is at most the diagonal one of each corner's share of it.
+    """
+    if ti.static(has_tractions(spec)):
+        each(spec, state, t, state.surface.n_triangles[None], _damp)
+        each(spec, state, t, state.surface.n_rows[None], _gather_damping)
+
+
+@ti.func
+def _damp(spec: ti.template(), state: ti.template(), m):
+    damping = ti.Vector.zero(state.real, 3)
+    if is_whole(spec, state, state.surface, m):
+        area, v = _area_and_velocity(spec, state, m, False)
+        damping[0] = _damping(spec, state, area, v)
+    _set_vector(state, m, damping)
+
+
+@ti.func
+def _damping(spec: ti.template(), state: ti.template(), area, v):
+    """The damping of a triangle's mean velocity along its normal, by all forces on triangles."""
+    total = 0.0 * v[0]
+    for damping in ti.static(_parts(spec, "damping")):
+        total += damping(spec, state, area, v)
+    return total
+
+
+@ti.func
+def _gather_damping(spec: ti.template(), state: ti.template(), p):
+    total = gathered(state, state.surface, p, True)
+    set_slot_number(spec, state.traction_damping, state.surface.row_slot[p], total[0])
+
+
+@ti.func
+def compute_damping_product(spec: ti.template(), state: ti.template(), t):
+    """Compute into state.traction the product of the triangles' damping with state.direction."""
+    if ti.static(has_tractions(spec)):
+        each(spec, state, t, state.surface.n_triangles[None], _damp_direction)
+        each(spec, state, t, state.surface.n_rows[None], _gather)
+
+
+@ti.func
+def _damp_direction(spec: ti.template(), state: ti.template(), m):
+    product = ti.Vector.zero(state.real, 3)
+    if is_whole(spec, state, state.surface, m):
+        area, v = _area_and_velocity(spec, state, m, False)
+        i, j, k = state.surface.corner[m, 0], state.surface.corner[m, 1], state.surface.corner[m, 2]
+        moved = _mean(
+            state,
+            m,
+            slot_value(spec, state.direction, i),
+            slot_value(spec, state.direction, j),
+            slot_value(spec, state.direction, k),
+        )
+        size2 = area[0] * area[0] + area[1] * area[1] + area[2] * area[2]
+        along = area[0] * moved[0] + area[1] * moved[1] + area[2] * moved[2]
+        part = ti.select(size2 > 0.0, along / size2, 0.0 * along)
+        product = (_damping(spec, state, area, v) * part) * area
+    _set_vector(state, m, product)
+
+
+@ti.kernel
+def clear_tractions(spec: ti.template(), state: ti.template()):
+    """Set what triangles give particles to zero, which it stays for those at no triangle."""
+    each_pack(spec, state, 0, _clear)
+
+
+@ti.func
+def _clear(spec: ti.template(), state: ti.template(), i):
+    none = zeros(spec, state)
+    write(spec, state.traction, i, none)
+    write(spec, state.traction_damping, i, 0.0 * read(spec, state.w, i))
+
+
+# --- from and to the host ----------------------------------------------------------------------
 
 
 @ti.kernel
 def load_surface(
     surface: ti.template(),
     corners: ti.types.ndarray(),
+    shares: ti.types.ndarray(),
     rows: ti.types.ndarray(),
     start: ti.types.ndarray(),
     at: ti.types.ndarray(),
@@ -86,8 +289,10 @@ def load_surface(
 ):
     """Load the triangles.
 
-    corners: (m, 6), slots of the corners, then what `Surface.side` has; rows, start, at: row_slot,
-    row_start and row_triangle. triangle_count, row_count: how many count of m and of rows.
+    corners: (m, 6), slots of the corners, then what `Surface.side` has; shares: (m, 3); rows,
+    start: row_slot and row_start; at: for each place in the rows 3 times the triangle and which of
+    its corners it is. triangle_count, row_count: how many count of m
+    and of rows.
     """
     for _ in range(1):
         surface.n_triangles[None] = triangle_count
@@ -96,12 +301,14 @@ def load_surface(
         for k in ti.static(range(3)):
             surface.corner[m, k] = corners[m, k]
             surface.side[m, k] = corners[m, 3 + k]
+            surface.share[m, k] = shares[m, k]
     for p in range(row_count):
         surface.row_slot[p] = rows[p]
     for p in range(start.shape[0]):
         surface.row_start[p] = start[p]
     for h in range(3 * triangle_count):
-        surface.row_triangle[h] = at[h]
+        surface.row_triangle[h] = at[h] // 3
+        surface.row_share[h] = shares[at[h] // 3, at[h] % 3]
 
 
 @ti.kernel
@@ -126,7 +333,7 @@ def compute_normals(
         for axis in ti.static(range(3)):
             surface.vector[m, axis] = area[axis]
     for p in range(surface.n_rows[None]):
-        total = gathered(state, surface, p)
+        total = gathered(state, surface, p, False)
         largest = ti.max(ti.max(ti.abs(total[0]), ti.abs(total[1])), ti.abs(total[2]))
         scale = ti.select(largest > 0.0, 1.0 / largest, 0.0)
         total = scale * total  # so that no square vanishes

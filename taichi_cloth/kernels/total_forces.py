@@ -3,18 +3,26 @@
 import taichi as ti
 
 from taichi_cloth.kernels.accelerations import terms_on_particles
+from taichi_cloth.kernels.clock import time_at_end
 from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, has
-from taichi_cloth.kernels.packs import set_slot_value, slot_value, write
+from taichi_cloth.kernels.packs import read, set_slot_value, slot_value, write
 from taichi_cloth.kernels.springs import accumulate, force_between
+from taichi_cloth.kernels.state import has_tractions
+from taichi_cloth.kernels.surfaces import compute_tractions
 
 
 @ti.kernel
-def compute_forces(spec: ti.template(), state: ti.template()):
+def compute_forces(spec: ti.template(), state: ti.template(), step: ti.i32):
     """Compute what acts on each particle, fixed ones too, from positions and velocities.
+
+    step: the number of the last step, which tells the time.
 
     Forces go to state.saved_x, accelerations that do not depend on mass to state.saved_v: between
     frames the fields of the checkpoint are free, and all that the method keeps stays as it is.
     """
+    for _ in range(1):
+        state.step[None] = step
+    compute_tractions(spec, state, 0, time_at_end, False)
     accumulate(spec, state, 0, force_between, _store, _store_more)
 
 
@@ -29,6 +37,8 @@ def _store(spec: ti.template(), state: ti.template(), i, f):
             total += term.law(spec, state, i)
         elif term.acts(state):
             total += term.law(spec, state, i)
+    if ti.static(has_tractions(spec)):
+        total += read(spec, state.traction, i)
     write(spec, state.saved_x, i, total)
     write(spec, state.saved_v, i, a)
 

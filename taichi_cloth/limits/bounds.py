@@ -83,7 +83,10 @@ def _row_sums(network: Network, stiff: np.ndarray, damped: np.ndarray) -> Bounds
     if not free.any():
         return Bounds(0.0, -1, 0.0, -1, 0.0)
     a, b = network.springs.between.T
-    held, drag = (of / particles.mass for of in network.on_particles)
+    held, drag = (
+        (of + by) / particles.mass
+        for of, by in zip(network.on_particles, network.by_triangles, strict=True)
+    )
 
     def rows(weights: np.ndarray) -> np.ndarray:
         sums = np.zeros(n)
@@ -101,7 +104,7 @@ def _row_sums(network: Network, stiff: np.ndarray, damped: np.ndarray) -> Bounds
         stiffest if omega2[stiffest] > 0 else -1,
         float(damping[damped_most]),
         damped_most if damping[damped_most] > 0 else -1,
-        float(drag[free].min()),
+        float((network.on_particles[1] / particles.mass)[free].min()),
     )
 
 
@@ -169,4 +172,7 @@ def any_geometry(network: Network) -> Bounds:
 
 def _weights_and_diagonal(network: Network) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The Laplacians of K and C, each as springs' weights (s,) and addends of the diagonal (n,)."""
-    yield from zip(network.along_springs, network.on_particles, strict=True)
+    for weights, held, by in zip(
+        network.along_springs, network.on_particles, network.by_triangles, strict=True
+    ):
+        yield weights, held + by

@@ -203,4 +203,8 @@ def _energies(network: Network, mode: np.ndarray, h: float) -> tuple[np.ndarray,
     energy = h * h * k * ((1 - t) * axial + t * whole)
     energy += h * c * axial
     moved = (mode**2).sum(axis=1)
-    return energy, h * float((drag * moved).sum()), h * h * float((held * moved).sum())
+    taken = float((drag * moved).sum())
+    if len(network.triangles):
+        mean = (mode[network.triangles] * network.shares[:, :, None]).sum(axis=1)
+        taken += float(np.einsum("mi,mij,mj", mean, network.damping_of_triangles, mean))
+    return energy, h * taken, h * h * float((held * moved).sum())

@@ -103,8 +103,26 @@ def stiffness_and_damping(network: Network) -> tuple[csr_matrix, csr_matrix]:
     stiff = k[:, None, None] * ((1 - t)[:, None, None] * nn + t[:, None, None] * np.eye(dim))
     return (
         _from_blocks(network, stiff, held),
-        _from_blocks(network, c[:, None, None] * nn, drag),
+        _from_blocks(network, c[:, None, None] * nn, drag) + _of_triangles(network),
     )
+
+
+def _of_triangles(network: Network) -> csr_matrix:
+    """The part of the damping matrix that the forces on triangles add.
+
+    The block of a triangle acts between any two of its corners, by the product of their shares.
+    """
+    blocks, corners = network.damping_of_triangles, network.triangles
+    shares, axis = network.shares, np.arange(3)
+    shape = (len(corners), 3, 3, 3, 3)  # triangle, corner and axis of the row, of the column
+    dofs = 3 * corners[:, :, None] + axis
+    rows = np.broadcast_to(dofs[:, :, :, None, None], shape)
+    columns = np.broadcast_to(dofs[:, None, None, :, :], shape)
+    values = shares[:, :, None, None, None] * shares[:, None, None, :, None]
+    values = values * blocks[:, None, :, None, :]
+    entries = rows.ravel(), columns.ravel(), values.ravel()
+    none = np.zeros(len(network.particles))
+    return _free_block(network, *entries, none, network.position.shape[1])
 
 
 def _from_blocks(network: Network, blocks: np.ndarray, diagonal: np.ndarray) -> csr_matrix:

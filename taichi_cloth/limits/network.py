@@ -8,37 +8,66 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_cloth.kernels import forces
-from taichi_cloth.kernels.forces.contract import TENSION, has
+from taichi_cloth.kernels.forces.contract import TENSION, TRACTION, has
+from taichi_cloth.limits import tractions
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.scene.triangles import corner_shares, springs_of_sides
 
 
 @dataclass(frozen=True)
 class Network:
     """Particles and the springs that hold, at one moment.
 
-    position: (n, dim). world, particles, springs: those of the scene, the springs those that hold.
-    number: (s,) int, what each of these is called.
+    position, velocity: (n, dim). world, particles, springs: those of the scene, the springs those
+    that hold. number: (s,) int, what each of these is called. triangles: (m, 3), those that are
+    whole; shares: (m, 3), their corners' of them.
     """
 
     position: np.ndarray
+    velocity: np.ndarray
     world: World
     particles: Particles
     springs: Springs
     number: np.ndarray
+    triangles: np.ndarray
+    shares: np.ndarray
 
     @classmethod
     def from_scene(
-        cls, scene: Scene, position: np.ndarray | None = None, holds: np.ndarray | None = None
+        cls,
+        scene: Scene,
+        position: np.ndarray | None = None,
+        holds: np.ndarray | None = None,
+        velocity: np.ndarray | None = None,
     ) -> Network:
         """The network of a scene's particles, at its start or elsewhere, where only some springs
         may hold.
 
-        position: (n, dim); absent: that of its start. holds: (s,) bool; absent: all springs do.
+        position, velocity: (n, dim); absent: those of its start. holds: (s,) bool; absent: all
+        springs do.
         """
         position = scene.particles.position if position is None else position
+        velocity = scene.particles.velocity if velocity is None else velocity
         number = np.arange(len(scene.springs)) if holds is None else np.flatnonzero(holds)
         springs = scene.springs.select(number)
-        return cls(position, scene.world, scene.particles, springs, number)
+        triangles, shares = np.zeros((0, 3), np.int64), np.zeros((0, 3))
+        if len(scene.triangles) and tractions.present(scene.world):
+            triangles = scene.triangles
+            shares = corner_shares(scene.particles.position, triangles)
+            if holds is not None:
+                sides = springs_of_sides(triangles, scene.springs.between)
+                whole = np.append(holds, True)[sides].all(axis=1)
+                triangles, shares = triangles[whole], shares[whole]
+        return cls(
+            position,
+            velocity,
+            scene.world,
+            scene.particles,
+            springs,
+            number,
+            triangles,
+            shares,
+        )
 
     @functools.cached_property
     def geometry(self) -> tuple[np.ndarray, np.ndarray]:
@@ -66,12 +95,30 @@ class Network:
         """What forces on single particles, such as drag, add to K and C, (n,)."""
         return self._shares(False, len(self.particles))
 
+    @functools.cached_property
+    def by_triangles(self) -> tuple[np.ndarray, np.ndarray]:
+        """What forces on triangles add to K and C at most, whatever way these are turned, (n,)."""
+        return tractions.bounds(
+            self.position, self.velocity, self.world, self.triangles, self.shares
+        )
+
+    @functools.cached_property
+    def damping_of_triangles(self) -> np.ndarray:
+        """What forces on triangles add to C, in the geometry as it is: blocks (m, 3, 3).
+
+        Each acts on the mean velocity of a triangle's corners. What they add to K is left out: it
+        is no symmetric matrix, and what grows by it, such as a flag's flutter, is physics.
+        """
+        return tractions.damping_blocks(
+            self.position, self.velocity, self.world, self.triangles, self.shares
+        )
+
     def _shares(self, along: bool, count: int) -> tuple[np.ndarray, np.ndarray]:
         """The sum of the shares that the terms along springs, or on particles, declare."""
         stiffness, damping = np.zeros(count), np.zeros(count)
         for name in forces.TERMS:
             term = forces.load(name)
-            if has(term.bound) and (term.adds == TENSION) == along:
+            if term.adds != TRACTION and has(term.bound) and (term.adds == TENSION) == along:
                 k, c = term.bound(self.world, self.particles, self.springs)
                 stiffness, damping = stiffness + k, damping + c
         return stiffness, damping

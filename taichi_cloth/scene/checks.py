@@ -25,6 +25,7 @@ from taichi_cloth.scene.properties import (
     POSITIVE,
     SPRING_PROPERTIES,
     Rule,
+    WorldKey,
 )
 from taichi_cloth.scene.world_keys import world_keys
 from taichi_cloth.settings import accepted
@@ -232,10 +233,35 @@ def _check_world(world: World, refusal: _Refusal) -> None:
         if name not in world_keys():
             refuse(name, f"unknown key {name!r}; {nearest(name, world_keys())}")
         key = world_keys()[name]
-        if key.vector:
-            _check_vector(world, name, further, key.rule, refusal)
-        else:
-            refusal.check_number("world", name, further, key.rule)
+        if key.in_space and world.dim != 3:
+            refuse(name, f"{name}: a 2-D world has none; give size three lengths")
+        if key.needs and key.needs not in world.more:
+            refuse(name, f"{name} does nothing without {key.needs}; give both")
+        _check_key(world, name, key, further, refusal)
+
+
+def _check_key(world: World, name: str, key: WorldKey, value: Any, refusal: _Refusal) -> None:
+    """A further key of the world, or one in its table; name: what it is called in messages."""
+    place = name.partition(".")[0]
+    if key.table:
+        if not isinstance(value, Mapping):
+            words = f"{name} must be a table with {', '.join(key.table)}"
+            refusal.refuse("world", None, place, f"{words}, is {accepted.shown(value)}")
+        for part in value:
+            if part not in key.table:
+                text = f"{name}: unknown key {part!r}; {nearest(part, key.table)}"
+                refusal.refuse("world", None, place, text)
+        for part, declared in key.table.items():
+            if part in value:
+                _check_key(world, f"{name}.{part}", declared, value[part], refusal)
+            elif not declared.optional:
+                refusal.refuse("world", None, place, f"{name}: '{part}' is missing")
+    elif key.vector:
+        _check_vector(world, name, value, key.rule, refusal)
+    else:
+        refusal.check_number("world", name, value, key.rule)
+        if key.whole and float(value) != int(value):
+            refusal.refuse("world", None, place, f"{name} must be a whole number, is {value:g}")
 
 
 def _check_vector(

@@ -24,6 +24,7 @@ from taichi_cloth.scene.properties import (
     ParticleProperties,
     Property,
     SpringProperties,
+    WorldValue,
 )
 from taichi_cloth.settings import accepted
 
@@ -78,7 +79,7 @@ class World:
     walls: tuple[str, ...] = ()
     collisions: bool = False
     mouse: str = "none"
-    more: Mapping[str, float | tuple[float, ...]] = field(default_factory=dict, hash=False)
+    more: Mapping[str, WorldValue] = field(default_factory=dict, hash=False)
     up: str = ""
 
     @property

@@ -9,7 +9,7 @@ columns and the defaults, so that a type checker knows each value in either.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Generic, TypeVar
 
@@ -166,6 +166,11 @@ class WorldKey:
 
     rule: what each of its numbers satisfies besides being finite; None: nothing.
     vector: whether it has one number per dimension, rather than a single one.
+    whole: whether it is a whole number.
+    table: the keys of the inline table that it is, by name; none: it is no table.
+    optional: of a key in a table, whether it may be absent.
+    needs: another key of [world] without which it says nothing; "": none.
+    in_space: whether it means something in 3-D alone.
     """
 
     name: str
@@ -173,3 +178,13 @@ class WorldKey:
     help: str
     rule: Rule | None = None
     vector: bool = False
+    whole: bool = False
+    table: Mapping[str, WorldKey] = field(default_factory=dict, hash=False)
+    optional: bool = False
+    needs: str = ""
+    in_space: bool = False
+
+
+# The value of a key of [world]: a number, a vector, or a table of them by name.
+WorldNumber = float | tuple[float, ...]
+WorldValue = WorldNumber | Mapping[str, WorldNumber]

@@ -10,9 +10,9 @@ import difflib
 import os
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from taichi_cloth.scene import toml
 from taichi_cloth.scene.assignments import Assignment
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import FIXED_COLOR, PARTICLE_COLOR, Scene
-from taichi_cloth.scene.properties import PARTICLE_PROPERTIES, SPRING_PROPERTIES
+from taichi_cloth.scene.properties import PARTICLE_PROPERTIES, SPRING_PROPERTIES, WorldValue
 from taichi_cloth.scene.tables import Table, TableReader
 from taichi_cloth.settings import accepted
 
@@ -114,13 +114,20 @@ def table_of(scene: Scene) -> Table:
             "walls": list(world.walls),
             "collisions": world.collisions,
             "mouse": world.mouse,
-            **{key: list(v) if isinstance(v, tuple) else v for key, v in world.more.items()},
+            **{key: _plain(value) for key, value in world.more.items()},
         },
         **{
             kind: {key: value for key, value in numbers.items() if value is not None}
             for kind, numbers in given.items()
         },
     }
+
+
+def _plain(value: WorldValue) -> Any:
+    """A value of a world's key as TOML's parser gives it."""
+    if isinstance(value, Mapping):
+        return {name: _plain(inner) for name, inner in value.items()}
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _similar_file(path: Path) -> str:
@@ -155,7 +162,7 @@ def dump(scene: Scene) -> str:
         f"mouse = {_quoted(world.mouse)}",
     ]
     for name, value in world.more.items():
-        out.append(f"{name} = {_listed(value) if isinstance(value, tuple) else repr(float(value))}")
+        out.append(f"{name} = {_inline(value)}")
     for table, defaults, properties in (
         ("particle", scene.particle_defaults, PARTICLE_PROPERTIES),
         ("spring", scene.spring_defaults, SPRING_PROPERTIES),
@@ -199,6 +206,13 @@ def _triangles(triangles: np.ndarray) -> list[str]:
 def _written(value: float | str) -> str:
     """A number, with all its digits, or a word."""
     return _quoted(value) if isinstance(value, str) else repr(float(value))
+
+
+def _inline(value: WorldValue) -> str:
+    """A number, a list of them, or an inline table."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{name} = {_inline(of)}" for name, of in value.items()) + " }"
+    return repr(float(value)) if isinstance(value, (int, float)) else _listed(value)
 
 
 def _listed(values: Iterable[float]) -> str:

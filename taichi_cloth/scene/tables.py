@@ -30,7 +30,13 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
-from taichi_cloth.scene.properties import PARTICLE_PROPERTIES, SPRING_PROPERTIES
+from taichi_cloth.scene.properties import (
+    PARTICLE_PROPERTIES,
+    SPRING_PROPERTIES,
+    WorldKey,
+    WorldNumber,
+    WorldValue,
+)
 from taichi_cloth.scene.toml import Keys
 from taichi_cloth.scene.world_keys import world_keys
 
@@ -278,17 +284,32 @@ class TableReader:
             up=self.value(table, path, "up", toml.text, ""),
         )
 
-    def further_keys(self, table: Table, dim: int) -> dict[str, float | tuple[float, ...]]:
+    def further_keys(self, table: Table, dim: int) -> dict[str, WorldValue]:
         """The values of those keys of [world] that not every scene has."""
-        more: dict[str, float | tuple[float, ...]] = {}
+        more: dict[str, WorldValue] = {}
         for name in table:
             if name in _TABLES["world"]:
                 continue
-            if world_keys()[name].vector:
-                more[name] = tuple(self.vector(table, ("world",), name, dim) or ())
+            key, path = world_keys()[name], ("world", name)
+            if key.table:
+                inner = self.required(table, ("world",), name, toml.table)
+                for part in inner:
+                    if part not in key.table:
+                        hint = nearest(part, key.table)
+                        self.refuse((*path, part), f"{name}: unknown key '{part}'; {hint}")
+                values = {
+                    part: self.world_value(inner, path, key.table[part], dim) for part in inner
+                }
+                more[name] = values
             else:
-                more[name] = self.required(table, ("world",), name, toml.number)
+                more[name] = self.world_value(table, ("world",), key, dim)
         return more
+
+    def world_value(self, table: Table, path: Keys, key: WorldKey, dim: int) -> WorldNumber:
+        """The number or vector that a table has for a key."""
+        if key.vector:
+            return tuple(self.vector(table, path, key.name, dim) or ())
+        return self.required(table, path, key.name, toml.number)
 
     def triangles(self, table: Table) -> np.ndarray:
         """The triangles that are listed one by one, (m, 3) int64, those of no cloth."""

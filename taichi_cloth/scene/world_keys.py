@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 from taichi_cloth.scene.properties import Rule, WorldKey
 
@@ -18,14 +19,23 @@ def world_keys() -> dict[str, WorldKey]:
     from taichi_cloth.kernels.forces.contract import has
 
     terms = (forces.load(name) for name in forces.TERMS)
-    return {
-        key.name: WorldKey(
-            key.name, key.unit, key.help, _rule(key.minimum, key.maximum), key.vector
-        )
-        for term in terms
-        if has(term.keys)
-        for key in term.keys
-    }
+    return {key.name: _key(key) for term in terms if has(term.keys) for key in term.keys}
+
+
+def _key(key: Any) -> WorldKey:
+    """A key as a term declares it, `kernels.forces.contract.Key`."""
+    return WorldKey(
+        key.name,
+        key.unit,
+        key.help,
+        _rule(key.minimum, key.maximum),
+        key.vector,
+        whole=key.whole,
+        table={part.name: _key(part) for part in key.table},
+        optional=key.default is not None,
+        needs=key.needs,
+        in_space=key.in_space,
+    )
 
 
 def _rule(minimum: float | None, maximum: float | None) -> Rule | None:

@@ -17,7 +17,15 @@ from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.kernels.state import ALIVE, GONE
 from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
-from taichi_cloth.scene.properties import PARTICLE_PROPERTIES, SPRING_PROPERTIES, Property, Rule
+from taichi_cloth.scene.properties import (
+    PARTICLE_PROPERTIES,
+    SPRING_PROPERTIES,
+    Property,
+    Rule,
+    WorldKey,
+    WorldNumber,
+    WorldValue,
+)
 from taichi_cloth.scene.world_keys import world_keys
 from taichi_cloth.settings import accepted
 from taichi_cloth.simulation import layouts
@@ -196,18 +204,53 @@ def _world(world: World, given: Mapping[str, Any]) -> World:
     more, gravity = dict(world.more), world.gravity
     for name, value in given.items():
         what, key = f"set: {name}", world_keys().get(name)
-        if key is not None and not key.vector:
-            more[name] = accepted.number(what, value)
-            _hold(what, np.array(more[name]), key.rule)
-            continue
-        vector = accepted.array(what, value, (world.dim,), "one a dimension")
-        _hold(what, vector, key.rule if key else None)
-        numbers = tuple(float(number) for number in vector)
         if key is None:
-            gravity = numbers
+            gravity = _vector(what, value, None, world.dim)
+        elif key.table:
+            more[name] = _table(what, value, key, world)
         else:
-            more[name] = numbers
+            more[name] = _world_number(what, value, key, world.dim)
+    for name in more:
+        needs = world_keys()[name].needs
+        if needs and needs not in more:
+            raise InputError(f"set: {name} does nothing without {needs}; set both")
     return replace(world, gravity=gravity, more=more)
+
+
+def _table(what: str, value: Any, key: WorldKey, world: World) -> WorldValue:
+    """A table of [world] with other values of some of its keys."""
+    if not isinstance(value, Mapping):
+        known = ", ".join(key.table)
+        raise InputError(f"{what} must be a mapping with {known}, is {accepted.shown(value)}")
+    before = world.more.get(key.name, {})
+    table = dict(before) if isinstance(before, Mapping) else {}
+    for name, inner in value.items():
+        if name not in key.table:
+            raise InputError(f"{what}: unknown key '{name}'; {nearest(name, key.table)}")
+        table[name] = _world_number(f"{what}.{name}", inner, key.table[name], world.dim)
+    for name, part in key.table.items():
+        if name not in table and not part.optional:
+            raise InputError(f"{what}: '{name}' is missing")
+    if key.in_space and world.dim != 3:
+        raise InputError(f"{what}: a 2-D world has none")
+    return table
+
+
+def _world_number(what: str, value: Any, key: WorldKey, dim: int) -> WorldNumber:
+    """A number or vector of [world], checked."""
+    if key.vector:
+        return _vector(what, value, key.rule, dim)
+    number = accepted.number(what, value)
+    _hold(what, np.array(number), key.rule)
+    if key.whole and number != int(number):
+        raise InputError(f"{what} must be a whole number, is {number:g}")
+    return number
+
+
+def _vector(what: str, value: Any, rule: Rule | None, dim: int) -> tuple[float, ...]:
+    vector = accepted.array(what, value, (dim,), "one a dimension")
+    _hold(what, vector, rule)
+    return tuple(float(number) for number in vector)
 
 
 def _motion(

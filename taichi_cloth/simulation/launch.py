@@ -75,15 +75,15 @@ class Launcher:
             self._tell()
         return result
 
-    def begin(self, spec: Specialization, state: Any) -> None:
+    def begin(self, spec: Specialization, state: Any, done: int) -> None:
         """Compute what a method keeps from step to step: before its first step, and after the
         state was changed from outside.
 
-        spec: one with parallel loops, one launch per step.
+        spec: one with parallel loops, one launch per step. done: steps so far.
         """
         if self._method.begin:
             with self._settings(spec):
-                stepping.begin_launch(self._method.begin, spec, state)
+                stepping.begin_launch(self._method.begin, spec, state, done)
 
     def frames_per_launch(self, substeps: int, size: int) -> int:
         """Frames that may share a launch. size: particles and springs."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 
 from taichi_cloth.limits.network import Network
@@ -10,13 +12,18 @@ from taichi_cloth.simulation.prediction import describe_size
 from taichi_cloth.simulation.storage import Storage
 
 
-class Readings:
+class Readings(ABC):
     """The part of a `Simulation` that reads its particles and springs back from the device.
 
     Arrays are float64 copies, one row per particle or spring in the order of creation.
     """
 
     storage: Storage
+
+    @property
+    @abstractmethod
+    def steps(self) -> int:
+        """Steps done since the start."""
 
     @property
     def particle_count(self) -> int:
@@ -43,10 +50,10 @@ class Readings:
     def forces(self) -> np.ndarray:
         """The total force on each particle in the present state, (n, dim), in the scene's units.
 
-        It is that of springs, dashpots, drag, gravity and a push that is held, but not of contacts,
-        which are impulses; on fixed particles, too: what holds them gives the opposite.
+        It is that of springs, dashpots, drag, gravity, air and a push that is held, but not of
+        contacts, which are impulses; on fixed particles, too: what holds them gives the opposite.
         """
-        return self.storage.forces()
+        return self.storage.forces(self.steps)
 
     def radii(self) -> np.ndarray:
         """Radii, (n,)."""

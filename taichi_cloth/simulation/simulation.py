@@ -181,7 +181,7 @@ class Simulation(Readings, Changes):
         return passed
 
     def _launch_frames(self, frames: int) -> int:
-        self.storage.begin()
+        self.storage.begin(self.steps)
         spec, state = self.storage.specialization, self.storage.state
         passed = self._launcher.advance(spec, state, self.steps, frames, self.substeps)
         self._work += self.storage.take_work()

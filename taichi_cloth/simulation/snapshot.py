@@ -57,4 +57,4 @@ class Snapshot:
 
     def network(self) -> Network:
         """The particles where they are, and the springs that pull."""
-        return Network.from_scene(self.scene, self.x, self.pulling)
+        return Network.from_scene(self.scene, self.x, self.pulling, self.v)

@@ -174,10 +174,10 @@ class Storage:
         self._loaded = replace(self._now, numbers=numbers)
         self._upload().numbers(numbers)
 
-    def begin(self) -> None:
-        """Before frames: compute what the method keeps from step to step, if that is outdated."""
+    def begin(self, done: int) -> None:
+        """Before frames, after `done` steps: compute what the method keeps, if that is outdated."""
         if self._altered:
-            self._launcher.begin(self._now.container.spec, self.state)
+            self._launcher.begin(self._now.container.spec, self.state, done)
         self._altered = False
 
     def restore(self, steps: int) -> None:
@@ -265,6 +265,7 @@ class Storage:
             packs=layout.n_packs,
             grids=len(layout.grid) + (clicked > 0),
             row=max(layout.row, clicked),
+            triangles=len(self.scene.triangles) if forces.act_on_triangles(self.scene) else 0,
         )
 
     def unprepared(self) -> list[Callable[[], None]]:
@@ -372,12 +373,12 @@ class Storage:
         """Velocities, (n, dim) float64."""
         return self._read("v")
 
-    def forces(self) -> np.ndarray:
-        """The total force on each particle in the present state, (n, dim) float64."""
+    def forces(self, done: int) -> np.ndarray:
+        """The total force on each particle in the present state, after `done` steps, (n, dim)."""
         mass = self.scene.particles.mass[:, None]
         if len(mass) == 0:
             return np.zeros((0, self.scene.world.dim))
-        self._launch(total_forces.compute_forces)
+        self._launch(total_forces.compute_forces, done)
         force: np.ndarray = self._read_field(self.state.saved_x)
         force += mass * self._read_field(self.state.saved_v)
         return force

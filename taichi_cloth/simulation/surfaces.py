@@ -13,7 +13,7 @@ from taichi_cloth.kernels import surfaces
 from taichi_cloth.kernels.state import Surface
 from taichi_cloth.runtime import Device, still_runs
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.simulation import adjacency
+from taichi_cloth.scene.triangles import springs_of_sides
 from taichi_cloth.simulation.upload import Upload
 
 
@@ -51,7 +51,7 @@ class Surfaces:
     def whole(self, scene: Scene, springs_alive: np.ndarray) -> np.ndarray:
         """Which triangles are whole, (m,) bool; springs_alive: (s,) bool."""
         if self._sides is None or self._sides[0] is not scene:
-            sides = adjacency.springs_of_sides(scene.triangles, scene.springs.between)
+            sides = springs_of_sides(scene.triangles, scene.springs.between)
             self._sides = scene, sides
         alive = np.append(springs_alive, True)  # a side without a spring does not break
         whole: np.ndarray = alive[self._sides[1]].all(axis=1)

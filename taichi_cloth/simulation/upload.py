@@ -15,8 +15,9 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import clock, surfaces, transfer
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
-from taichi_cloth.kernels.state import CELLS_PER_PARTICLE, GONE, device_fields
+from taichi_cloth.kernels.state import CELLS_PER_PARTICLE, GONE, device_fields, has_tractions
 from taichi_cloth.scene.model import Particles, Springs, World
+from taichi_cloth.scene.triangles import corner_shares, springs_of_sides
 from taichi_cloth.simulation import adjacency, layouts
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import Numbers
@@ -97,6 +98,9 @@ class Upload:
             self._graph()
         if self.spec.links:
             self._links()
+        if has_tractions(self.spec):
+            self._launch(surfaces.clear_tractions)
+            self.surface(self.state.surface)
 
     def _launch(self, kernel: Any, *arguments: Any) -> None:
         self.launcher.launch(kernel, self.spec, self.state, *arguments)
@@ -214,17 +218,19 @@ class Upload:
         kind, slot = self.placement.link_places.astype(np.int64).T
         link = kind * self.state.packs * layout.lanes + slot
         place[self.placement.links] = -2 - link
-        sides = place[adjacency.springs_of_sides(scene.triangles, scene.springs.between)]
+        sides = place[springs_of_sides(scene.triangles, scene.springs.between)]
         corners = np.column_stack([slots, sides]).astype(np.int32)
+        shares = corner_shares(scene.particles.position, scene.triangles).astype(self.real)
         order = np.argsort(slots.ravel(), kind="stable")
         rows, start = np.unique(slots.ravel()[order], return_index=True)
         self.launcher.launch(
             surfaces.load_surface,
             surface,
             _not_empty(corners),
+            _not_empty(shares),
             _not_empty(rows.astype(np.int32)),
             np.append(start, slots.size).astype(np.int32),
-            _not_empty((order // 3).astype(np.int32)),
+            _not_empty(order.astype(np.int32)),
             len(slots),
             len(rows),
         )

@@ -15,7 +15,9 @@ import numpy as np
 
 from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, TENSION, has
+from taichi_cloth.limits import tractions
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.triangles import corner_shares
 
 if TYPE_CHECKING:
     from scipy.integrate import DOP853
@@ -45,10 +47,11 @@ class Forces:
         self.reads_rate = any(t.adds == TENSION and has(t.damping) for t in terms)
         self.shortest, self.longest = springs.lengths_held()
         self.breaks = bool(np.isfinite(springs.break_force).any())
+        self.shares = corner_shares(particles.position, scene.triangles)
         self.scene = scene
 
-    def acceleration(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Acceleration (n, dim) at positions x and velocities v (n, dim)."""
+    def acceleration(self, x: np.ndarray, v: np.ndarray, t: float = 0.0) -> np.ndarray:
+        """Acceleration (n, dim) at positions x and velocities v (n, dim), at the time t."""
         world, particles = self.scene.world, self.scene.particles
         force = -self._pull(x, v)
         a = np.zeros_like(x)
@@ -57,6 +60,8 @@ class Forces:
                 a += twin(x, v, world, particles)
             elif adds == FORCE:
                 force += twin(x, v, world, particles)
+        triangles = self.scene.triangles
+        force += tractions.forces_on_particles(x, v, t, world, triangles, self.shares)
         total: np.ndarray = np.where(self.free[:, None], a, 0.0) + self.inverse_mass * force
         return total
 
@@ -77,7 +82,7 @@ class Forces:
     def slope(self, t: float, y: np.ndarray) -> np.ndarray:
         """dy/dt of y = (x, v), flat."""
         x, v = y.reshape(2, -1, self.dim)
-        return np.stack([v, self.acceleration(x, v)]).ravel()
+        return np.stack([v, self.acceleration(x, v, t)]).ravel()
 
     def event(self, x: np.ndarray, v: np.ndarray) -> str | None:
         """What happens here that is no part of the equation: a contact, a break; None: nothing."""

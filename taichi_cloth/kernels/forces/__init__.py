@@ -8,7 +8,7 @@ import importlib
 import pkgutil
 from typing import Any
 
-from taichi_cloth.kernels.forces.contract import Term
+from taichi_cloth.kernels.forces.contract import TRACTION, Term
 
 TERMS = tuple(sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name != "contract"))
 
@@ -31,6 +31,11 @@ def load(name: str) -> Term:
 def present_in(scene: Any) -> tuple[str, ...]:
     """Names of the terms that a scene needs, in the order in which they are added up."""
     return tuple(name for name in TERMS if load(name).present(scene))
+
+
+def act_on_triangles(scene: Any) -> bool:
+    """Whether any force that a scene needs acts on triangles."""
+    return any(load(name).adds == TRACTION for name in present_in(scene))
 
 
 def describe(scene: Any) -> str:

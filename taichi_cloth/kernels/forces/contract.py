@@ -3,7 +3,7 @@
 A term is one file in this folder with a `TERM = Term(...)`. No part has a default: one that a force
 does not have is `Absent("because ...")`, one that is forgotten is an error when the file is loaded.
 
-There are three kinds of term. They differ in what their law gives, and to what that is added:
+There are four kinds of term. They differ in what their law gives, and to what that is added:
 
 - "acceleration" and "force" act on single particles. law(spec, state, i) gives the vectors of
   pack i. stiffness(spec, state, number, i) and damping(spec, state, number, i) give -df/dx and
@@ -16,6 +16,12 @@ There are three kinds of term. They differ in what their law gives, and to what 
   damping(numbers) that by the rate at which a spring lengthens, and across(length, numbers, least)
   the stiffness across a spring, at least `least` times the one along it.
 
+- "traction" acts on triangles (`kernels/surfaces.py`), in 3-D. law(spec, state, area, v) gives the
+  force on a whole one, of which each corner gets its share: area is the area vector, the area times
+  the unit normal (3,); v the corners' mean velocity (3,), by the same shares. damping(spec, state,
+  area, v) gives -df/dv along the normal, a number that is never negative: what implicit methods
+  solve with beside the force itself.
+
 All other functions run on the host, in NumPy, and use no kernel. Their x and v are (n, dim); world,
 particles and springs are those of a scene, without springs that are gone; scene is a whole one.
 """
@@ -26,7 +32,8 @@ from typing import Any, TypeGuard, TypeVar
 
 Part = TypeVar("Part")
 
-ACCELERATION, FORCE, TENSION = KINDS = ("acceleration", "force", "tension")
+KINDS = ("acceleration", "force", "tension", "traction")
+ACCELERATION, FORCE, TENSION, TRACTION = KINDS
 PARTICLE_NUMBER, PARTICLE_VECTOR, NUMBER, VECTOR, COUNT = SHAPES = (
     "particle number",  # one for each particle, or one for all where they share it
     "particle vector",
@@ -45,10 +52,14 @@ class Absent:
 
 @dataclass(frozen=True)
 class Key:
-    """A key of [world] in scene files, and of world.more in Python: a number, or a vector.
+    """A key of [world] in scene files, and of world.more in Python: a number, a vector, a table.
 
     help, unit: for documents. minimum, maximum: inclusive limits of each of its numbers; None: it
     has none. A scene that does not give it must not need the force.
+    table: the keys of an inline table, if it is one; default: of a key in a table, what it is where
+    it is absent; None: it must be given. whole: whether it is a whole number.
+    needs: another key of [world] without which it says nothing, and is refused.
+    in_space: whether it means something in 3-D alone, and is refused in a plane.
     """
 
     name: str
@@ -57,6 +68,11 @@ class Key:
     vector: bool = False
     minimum: float | None = None
     maximum: float | None = None
+    table: tuple["Key", ...] = ()
+    default: float | None = None
+    whole: bool = False
+    needs: str = ""
+    in_space: bool = False
 
 
 @dataclass(frozen=True)
@@ -102,10 +118,18 @@ class Term:
     energy(x, v, world, particles, springs): its potential energy, of all particles, a number.
     twin: the law in NumPy, for references. On particles twin(x, v, world, particles) gives
         (n, dim); along springs twin(length, rate, springs) gives (s,), from their lengths and the
-        rates at which they lengthen, both (s,).
+        rates at which they lengthen, both (s,). On triangles twin(area, v, time, world) gives
+        (m, 3), from the same as the law, (m, 3) each, and the scene's time.
     bound(world, particles, springs): its share of the stability limit: (stiffness, damping), each
-        (n,), or (s,) along springs, at least the magnitude of the law's derivatives.
+        (n,), or (s,) along springs, at least the magnitude of the law's derivatives. On triangles
+        bound(corners, v, world), from positions (m, 3, 3) and mean velocities (m, 3), gives (m,)
+        each, whatever way a triangle is turned and at whatever time: of the derivative by v, and of
+        that by the position of one corner.
     timed: whether its law asks for the scene's time (`kernels/clock.py`).
+    steady(world): of a force that changes with time by itself: the world of a scene in which it is
+        constantly at its strongest.
+    prepare(spec, state, time): what it computes once before its law is asked in a stage of a step,
+        a ti.func for one thread, of terms on triangles; time: the scene's then, of type state.wide.
     variant(scene): a `Variant`, the scene with the term switched over; None where that makes no
         sense.
 
@@ -127,6 +151,8 @@ class Term:
     bound: Callable | Absent
     variant: Callable | Absent
     timed: bool = False
+    steady: Callable | Absent = Absent("it does not change with time by itself")
+    prepare: Callable | Absent = Absent("its law needs nothing beside the state")
 
     def __post_init__(self):
         if self.adds not in KINDS:
@@ -149,8 +175,10 @@ class Term:
                 raise ValueError(f"{part.name} must be a function, or Absent(reason)")
         if not has(self.law) and not has(self.after_step):
             raise ValueError("law and after_step cannot both be absent")
-        if has(self.acts) and (self.adds == TENSION or has(self.damping)):
+        if has(self.acts) and (self.adds in (TENSION, TRACTION) or has(self.damping)):
             raise ValueError("acts is for forces on particles without damping")
+        if has(self.prepare) and self.adds != TRACTION:
+            raise ValueError("prepare is for forces on triangles")
         for field in () if isinstance(self.fields, Absent) else self.fields:
             if field.shape not in SHAPES:
                 raise ValueError(f"field {field.name}: shape {field.shape!r} is none of {SHAPES}")

@@ -56,6 +56,9 @@ class Method:
     position_weight: the part of dt^2 a that a constant acceleration a adds to the position in a
         step that begins at rest: 0, 1/2 or 1. Contacts that end a step change positions by it
         (`settling.py`).
+    force_times: when its forces are taken, as parts of the step: pairs (stage, part), where
+        state.stage tells the stages apart; a single pair stands for all of them. What blows or
+        moves by itself is asked for these times (`clock.py`).
     begin(spec, state, t): what comes before the first step, and after every change of the state
         from outside: there a method computes the forces that it keeps from step to step.
 
@@ -67,6 +70,7 @@ class Method:
     vectors: names of the fields state.<name> in which it keeps a vector for each particle, within a
         step or from step to step; haloed: those of them that neighbours read; low_vectors: further
         ones in the precision `compensated`.
+    traction_vectors: further vectors that it keeps only where forces act on triangles.
     scalars, counts: names of 0-D fields of real and of whole numbers.
     sums: how many sums over all particles it takes (`loops.add_up`).
     needs: what it needs of the host, out of `NEEDS`.
@@ -77,6 +81,7 @@ class Method:
 
     claims: Claims
     position_weight: float
+    force_times: tuple[tuple[int, float], ...]
     step: Callable | None = None
     phases: tuple[Callable, ...] = ()
     launches: tuple[tuple[int, ...], ...] = ()
@@ -86,6 +91,7 @@ class Method:
     vectors: tuple[str, ...] = ()
     haloed: tuple[str, ...] = ()
     low_vectors: tuple[str, ...] = ()
+    traction_vectors: tuple[str, ...] = ()
     scalars: tuple[str, ...] = ()
     counts: tuple[str, ...] = ()
     sums: int = 0
@@ -99,13 +105,16 @@ class Method:
             raise ValueError("give either stability_function or amplification")
         if self.position_weight not in (0.0, 0.5, 1.0):
             raise ValueError(f"position_weight is {self.position_weight}; it must be 0, 0.5 or 1")
+        if not self.force_times or not all(0 <= part <= 1 for _, part in self.force_times):
+            raise ValueError("force_times must be pairs of a stage and a part of the step, 0 to 1")
         _check_known("needs", self.needs, NEEDS)
         _check_known("haloed", self.haloed, self.vectors)
         if self.launches:
             launched = sorted(phase for these in self.launches for phase in these)
             if launched != list(range(len(self.phases))):
                 raise ValueError("launches must name each phase once")
-        names = [*self.vectors, *self.low_vectors, *self.scalars, *self.counts]
+        names = [*self.vectors, *self.low_vectors, *self.traction_vectors]
+        names += [*self.scalars, *self.counts]
         for name in names:
             if not name.isidentifier() or names.count(name) > 1:
                 raise ValueError(f"{name!r} is no name of a field, or names two")

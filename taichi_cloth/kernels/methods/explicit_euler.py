@@ -45,6 +45,7 @@ METHOD = Method(
         choose="Never: every swing grows. It is the baseline that the others are held against.",
     ),
     position_weight=0.0,
+    force_times=((0, 0.0),),
     step=step,
     stability_function=stability_function,
 )

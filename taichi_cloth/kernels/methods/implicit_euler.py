@@ -35,6 +35,7 @@ METHOD = Method(
         ),
     ),
     position_weight=1.0,
+    force_times=((0, 1.0),),
     phases=newton_cg.phases(1.0, stages.start, move),
     stability_function=backward_euler,
     **newton_cg.keeps(),

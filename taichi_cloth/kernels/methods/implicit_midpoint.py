@@ -41,6 +41,7 @@ METHOD = Method(
         ),
     ),
     position_weight=0.5,
+    force_times=((0, 0.5),),
     phases=newton_cg.phases(0.5, stages.start, move),
     stability_function=stability_function,
     **newton_cg.keeps(),

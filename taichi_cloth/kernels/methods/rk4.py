@@ -89,6 +89,7 @@ METHOD = Method(
         ),
     ),
     position_weight=0.5,
+    force_times=((0, 0.0), (1, 0.5), (2, 0.5), (3, 1.0)),
     step=step,
     stability_function=stability_function,
     # The state at the step's start; sums of the slopes of position and velocity.

@@ -50,6 +50,7 @@ METHOD = Method(
         ),
     ),
     position_weight=1.0,
+    force_times=((0, 0.0),),
     step=step,
     amplification=amplification,
 )

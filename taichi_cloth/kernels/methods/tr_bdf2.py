@@ -73,6 +73,7 @@ METHOD = Method(
         ),
     ),
     position_weight=0.5,
+    force_times=((stages.ONLY_EVALUATE, 0.0), (TRAPEZOIDAL, PART), (BACKWARD, 1.0)),
     phases=newton_cg.phases(TAU, stay, go_on, first=stages.ONLY_EVALUATE, last=BACKWARD),
     stability_function=stability_function,
     # What velocities gain until a stage starts, and how far from the step's start the second does.

@@ -96,6 +96,7 @@ METHOD = Method(
         ),
     ),
     position_weight=0.5,
+    force_times=((0, 1.0),),
     step=step,
     begin=begin,
     amplification=amplification,

@@ -130,6 +130,7 @@ METHOD = Method(
         ),
     ),
     position_weight=1.0,
+    force_times=((0, 1.0),),
     phases=gauss_seidel.phases(colours_of_springs, project),
     stability_function=backward_euler,  # once its sweeps have converged
     needs=("spring_colours",),

@@ -41,7 +41,8 @@ from taichi_cloth.kernels.springs import (
     reads_velocity,
     stiffness_product,
 )
-from taichi_cloth.kernels.state import SWEEPS
+from taichi_cloth.kernels.state import SWEEPS, has_tractions
+from taichi_cloth.kernels.surfaces import compute_damping_product, compute_traction_damping
 
 FORCING = 0.1  # this part of the residual is left to the next direction
 
@@ -49,6 +50,7 @@ FORCING = 0.1  # this part of the residual is left to the next direction
 @ti.func
 def direct(spec: ti.template(), state: ti.template(), t):
     """Begin conjugate gradients: no change yet, the first direction is downhill."""
+    compute_traction_damping(spec, state, t)
     add_up(spec, state, t, _first_energy, 0)
     each_pack_moving(spec, state, t, _downhill)
     each(spec, state, t, 1, _begin_iterating)
@@ -80,6 +82,8 @@ def _preconditioned(spec: ti.template(), state: ti.template(), i, residual):
         diagonal = diagonal + tau * tau * stiffness_of(spec, state, read, i)
     if ti.static(resists(spec)):
         diagonal = diagonal + tau * damping_of(spec, state, read, i)
+    if ti.static(has_tractions(spec)):
+        diagonal = diagonal + tau * read(spec, state.traction_damping, i)
     if ti.static(reads_velocity(spec)):
         diagonal = diagonal + tau * read(spec, state.summed_c, i)
     return scaled(ti.select(w > 0.0, 1.0 / diagonal, 0.0 * w), residual)
@@ -88,6 +92,7 @@ def _preconditioned(spec: ti.template(), state: ti.template(), i, residual):
 @ti.func
 def iterate(spec: ti.template(), state: ti.template(), t):
     """Make one step of conjugate gradients."""
+    compute_damping_product(spec, state, t)
     accumulate(spec, state, t, _product_between, _store_product, _product_more)
     add_up(spec, state, t, _curvature, 0)
     add_up(spec, state, t, _approach, 1)
@@ -119,6 +124,8 @@ def _store_product(spec: ti.template(), state: ti.template(), i, pulled):
     if ti.static(resists(spec)):
         diagonal = diagonal + tau * damping_of(spec, state, read, i)
     product = scaled(diagonal, direction) - (tau * tau) * pulled
+    if ti.static(has_tractions(spec)):
+        product += tau * read(spec, state.traction, i)
     w = read(spec, state.w, i)
     write(spec, state.product, i, where_positive(w, product, 0.0 * product))
 

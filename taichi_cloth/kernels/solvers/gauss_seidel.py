@@ -8,7 +8,13 @@ stays where the step began until its end. Saad, Iterative Methods for Sparse Lin
 chapters 4 (Gauss-Seidel) and 12 (multicolouring).
 
 The unknown is the velocity: if it were computed from positions, as in the papers, it would lose
-gravity to rounding in f32. In the precision `compensated` state.v is, until the step ends, only
+gravity to rounding in f32. Forces on triangles depend on where particles go, and on each other's
+velocities: they are computed anew before every sweep, at the state that the sweeps have so far, and
+goal_v follows. Between sweeps they count as -damping*(change of velocity), with a bound on their
+damping that stays the same through a step; where the sweeps converge, that is to backward Euler's
+solution whatever the bound.
+
+In the precision `compensated` state.v is, until the step ends, only
 what the sweeps add to goal_v, which is far less.
 """
 
@@ -24,22 +30,28 @@ from taichi_cloth.kernels.accelerations import (
     resists,
     stiffness_of,
 )
+from taichi_cloth.kernels.clock import time_of_forces
 from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
 from taichi_cloth.kernels.contact import compute_contacts, store_held_by_walls, velocity_jump
-from taichi_cloth.kernels.loops import each, each_pack_moving
+from taichi_cloth.kernels.grids import renew_number
+from taichi_cloth.kernels.loops import each, each_pack_moving, each_row
 from taichi_cloth.kernels.packs import read, scaled, write, zeros
 from taichi_cloth.kernels.solvers.phases import DONE, go_to
-from taichi_cloth.kernels.state import SWEEPS
+from taichi_cloth.kernels.state import SWEEPS, has_tractions
+from taichi_cloth.kernels.surfaces import compute_traction_damping, compute_tractions
 from taichi_cloth.kernels.watchdog import commit
 
 # The parts of a `methods.contract.Method` that these methods share.
 KEEPS = {
     "vectors": ("old_v", "goal_v"),  # velocity at the step's start, and after it without springs
     "haloed": ("goal_v",),
+    # Forces on triangles and velocity at the step's start, or in the precision `compensated` the
+    # change to goal_v; and by how much goal_v has followed these forces since.
+    "traction_vectors": ("first_traction", "first_v", "followed"),
     "counts": ("colour", "sweep"),
     "lanes": 4,  # with 8 it is no faster, and takes twice as long to compile
 }
-SWEEP, FINISH = 1, 2  # phases, after the first one
+SWEEP, FINISH, RENEW = 1, 2, 3  # phases, after the first one
 
 
 @ti.func
@@ -61,6 +73,10 @@ def phases(colours, visit, prepare=_nothing):
     @ti.func
     def begin(spec: ti.template(), state: ti.template(), t):
         compute_contacts(spec, state)
+        compute_tractions(spec, state, t, time_of_forces, False)
+        compute_traction_damping(spec, state, t)
+        if ti.static(has_tractions(spec) and spec.halo > 0):
+            each_row(spec, state, t, _renew_halos_of_damping)
         each_pack_moving(spec, state, t, predict)
         prepare(spec, state, t)
         each(spec, state, t, 1, ti.static(_beginning(colours)))
@@ -74,11 +90,23 @@ def phases(colours, visit, prepare=_nothing):
             for k in range(state.iterations[None]):
                 # Every thread writes the same number, and none is still in the sweep before.
                 state.sweep[None] = k
+                _follow_tractions(spec, state, t, prepare)
                 for colour in range(colours(spec, state)):
                     visit(spec, state, t, colour)
             go_to(spec, state, t, FINISH)
 
-    return begin, sweep, finish
+    @ti.func
+    def renew(spec: ti.template(), state: ti.template(), t):
+        if ti.static(has_tractions(spec) and spec.one_launch_per_step):
+            _follow_tractions(spec, state, t, prepare)
+            each(spec, state, t, 1, ti.static(_renewed(colours)))
+
+    return begin, sweep, finish, renew
+
+
+def _first_phase(spec):
+    """The phase that a sweep begins with."""
+    return RENEW if has_tractions(spec) and spec.one_launch_per_step else SWEEP
 
 
 @functools.cache
@@ -89,6 +117,8 @@ def _beginning(colours):
     def body(spec: ti.template(), state: ti.template(), i):
         state.colour[None], state.sweep[None] = 0, 0
         state.phase[None] = ti.select(colours(spec, state) > 0, SWEEP, FINISH)
+        if ti.static(has_tractions(spec)):
+            state.phase[None] = 0 + ti.static(_first_phase(spec))
 
     return body
 
@@ -100,13 +130,38 @@ def _turning(colours):
     @ti.func
     def body(spec: ti.template(), state: ti.template(), i):
         state.colour[None] += 1
-        if state.colour[None] == colours(spec, state):
-            state.colour[None] = 0
-            state.sweep[None] += 1
-            if state.sweep[None] == state.iterations[None]:
-                state.phase[None] = FINISH
+        if state.colour[None] >= colours(spec, state):
+            _end_sweep(spec, state)
 
     return body
+
+
+@ti.func
+def _end_sweep(spec: ti.template(), state: ti.template()):
+    """Go to the next sweep, or to the end."""
+    state.colour[None] = 0
+    state.sweep[None] += 1
+    state.phase[None] = 0 + ti.static(_first_phase(spec))
+    if state.sweep[None] == state.iterations[None]:
+        state.phase[None] = FINISH
+
+
+@functools.cache
+def _renewed(colours):
+    """The body of a loop, run once, that goes to a sweep's first colour, if there is any."""
+
+    @ti.func
+    def body(spec: ti.template(), state: ti.template(), i):
+        state.phase[None] = SWEEP
+        if colours(spec, state) == 0:
+            _end_sweep(spec, state)
+
+    return body
+
+
+def _resists(spec):
+    """Whether any force on particles or triangles has damping."""
+    return resists(spec) or has_tractions(spec)
 
 
 @ti.func
@@ -120,13 +175,49 @@ def predict(spec: ti.template(), state: ti.template(), i):
     if ti.static(binds(spec)):  # its force where the particle goes, not where it is
         back = state.dt[None] * read(spec, state.w, i) * stiffness_of(spec, state, read, i)
         a = a - scaled(back, v)
-    if ti.static(resists(spec) or binds(spec)):
+    if ti.static(_resists(spec) or binds(spec)):
         a = scaled(_softened(spec, state, read, i), a)
+    if ti.static(has_tractions(spec)):
+        write(spec, state.first_traction, i, read(spec, state.traction, i))
+        write(spec, state.followed, i, zeros(spec, state))
+        write(spec, state.first_v, i, state.dt[None] * a if ti.static(spec.compensated) else v)
     v = add_to_velocity(spec, state, i, v, state.dt[None] * a)
     write(spec, state.goal_v, i, v)
     if ti.static(spec.compensated):
         v = zeros(spec, state)
     write(spec, state.v, i, v)
+
+
+@ti.func
+def _renew_halos_of_damping(spec: ti.template(), state: ti.template(), begin, width):
+    """Fill the halos of the numbers state.traction_damping of a row, which links there ask for."""
+    for h in range(spec.halo):
+        for lane in range(spec.lanes - 1):
+            renew_number(spec, state.traction_damping, begin, width, h, lane)
+
+
+@ti.func
+def _follow_tractions(spec: ti.template(), state: ti.template(), t, prepare: ti.template()):
+    """Let goal_v follow the forces on triangles to the state that the sweeps have so far."""
+    if ti.static(has_tractions(spec)):
+        compute_tractions(spec, state, t, time_of_forces, True)
+        each_pack_moving(spec, state, t, _follow)
+        prepare(spec, state, t)  # what is read of neighbours in their halos
+
+
+@ti.func
+def _follow(spec: ti.template(), state: ti.template(), i):
+    """Change goal_v and the velocities of pack i by what its triangles' forces have changed."""
+    v, first_v = read(spec, state.v, i), read(spec, state.first_v, i)
+    gained = v + first_v if ti.static(spec.compensated) else v - first_v
+    force = read(spec, state.traction, i) - read(spec, state.first_traction, i)
+    force += scaled(read(spec, state.traction_damping, i), gained)
+    follows = scaled(state.dt[None] * mobility(spec, state, read, i), force)
+    change = follows - read(spec, state.followed, i)
+    write(spec, state.followed, i, follows)
+    write(spec, state.v, i, v + change)
+    if ti.static(not spec.compensated):
+        write(spec, state.goal_v, i, read(spec, state.goal_v, i) + change)
 
 
 @ti.func
@@ -144,6 +235,8 @@ def short_of_goal(spec: ti.template(), state: ti.template(), value: ti.template(
     missing = -1.0 * value(spec, state.v, i)
     if ti.static(not spec.compensated):
         missing += value(spec, state.goal_v, i)
+    elif ti.static(has_tractions(spec)):
+        missing += value(spec, state.followed, i)
     return missing
 
 
@@ -151,7 +244,7 @@ def short_of_goal(spec: ti.template(), state: ti.template(), value: ti.template(
 def mobility(spec: ti.template(), state: ti.template(), number: ti.template(), i):
     """The mobility at i: inverse masses, made smaller by the damping and stiffness of forces."""
     w = number(spec, state.w, i)
-    if ti.static(resists(spec) or binds(spec)):
+    if ti.static(_resists(spec) or binds(spec)):
         w *= _softened(spec, state, number, i)
     return w
 
@@ -163,6 +256,8 @@ def _softened(spec: ti.template(), state: ti.template(), number: ti.template(), 
     resistance = 0.0 * w
     if ti.static(resists(spec)):
         resistance = damping_of(spec, state, number, i)
+    if ti.static(has_tractions(spec)):
+        resistance += number(spec, state.traction_damping, i)
     if ti.static(binds(spec)):
         resistance += dt * stiffness_of(spec, state, number, i)
     return laws.drag_factor(w, resistance, dt)

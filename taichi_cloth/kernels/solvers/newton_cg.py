@@ -9,7 +9,7 @@ The residual is an acceleration for each particle. The iterate's v and x are kep
 state.x, so that forces are computed as for all methods (`accelerations.py`). A *direction* p, by
 which the gain is changed, solves A p = tau*M*residual with the masses M and
 
-    A = M + tau*(drag + dashpots) + tau^2*K.
+    A = M + tau*(drag + dashpots + air's damping along normals) + tau^2*K.
 
 K is the springs' stiffness matrix with its negative eigenvalues clamped to 0
 (`laws.spring_stiffness_across`), so that A is positive definite. A is never stored, only multiplied
@@ -36,6 +36,7 @@ import taichi as ti
 from taichi_cloth.kernels.accelerations import (
     acceleration,
 )
+from taichi_cloth.kernels.clock import time_of_forces
 from taichi_cloth.kernels.contact import compute_contacts
 from taichi_cloth.kernels.loops import add_up, each, each_pack_moving, find_largest
 from taichi_cloth.kernels.packs import (
@@ -79,6 +80,7 @@ from taichi_cloth.kernels.springs import (
     force_between,
 )
 from taichi_cloth.kernels.state import FORCES, UNCONVERGED
+from taichi_cloth.kernels.surfaces import compute_tractions
 from taichi_cloth.kernels.watchdog import is_finite
 
 SCALARS = (
@@ -197,6 +199,7 @@ def _ending(last):
 @ti.func
 def evaluate(spec: ti.template(), state: ti.template(), t):
     """Compute the iterate's residual, and decide what comes next."""
+    compute_tractions(spec, state, t, time_of_forces, False)
     accumulate(spec, state, t, force_between, _store_residual, _residual_more)
     find_largest(spec, state, t, _rounding_of, 0)
     each(spec, state, t, 1, _keep_rounding)
