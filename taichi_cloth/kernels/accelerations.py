@@ -55,6 +55,19 @@ def accelerate_then(spec: ti.template(), state: ti.template(), t, move: ti.templ
         each_pack_moving(spec, state, t, ti.static(_moving_with_stored(move)))
 
 
+@ti.func
+def set_stage(spec: ti.template(), state: ti.template(), stage):
+    """Say which of its stages a step is in, before the forces of that stage are asked for.
+
+    All threads write the same number, and none is still in the stage before.
+    """
+    if ti.static(spec.one_launch_per_step):
+        for _ in range(1):
+            state.stage[None] = stage
+    else:
+        state.stage[None] = stage
+
+
 def kicks_at_once(spec):
     """Whether `kick_after` runs `kick` for a pack as soon as it has its forces.
 

@@ -104,7 +104,7 @@ class TableReader:
     def place_of_fault(self, kind: str, index: int | None, field_name: str | None) -> str:
         """`checks.validate`'s places, in the words of the file."""
         if kind == "world":
-            return self.place("world", field_name)
+            return self.place("world", *(field_name or "").split("."))
         if kind in ("particle defaults", "spring defaults"):
             return self.place(kind.split()[0], field_name)
         if index is None:

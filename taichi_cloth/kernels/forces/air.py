@@ -3,14 +3,16 @@
 A triangle of area A and unit normal n, whose corners move relative to the air at the mean velocity
 u, with its part u_n = (u.n) n along the normal and the rest u_t along the surface, gets the force
 
-    f = - 1/2 density A [ drag |u_n| u_n  +  lift (|u_t|^2 u_n - |u_n|^2 u_t) / |u| ].
+    f = - 1/2 density A [ drag |u_n| + lift |u_t|^2 / |u| ] u_n,
 
-The first part is a pressure, that on a plate across the stream (Wejchert, Haumann, "Animation
+a pressure: air that glides along a thin sheet hardly pulls at it (Wejchert, Haumann, "Animation
 aerodynamics", 1991; Ling, Damodaran, Gay, "Aerodynamic force models for animating cloth motion in
-air flow", 1996): a flat sheet of mass sigma an area falls at sqrt(2 sigma g / (density drag)). The
-second is a lift, at a right angle to u: on a plate at the angle a to the stream it is
-1/2 density A lift |u|^2 sin a cos a, as a thin plate's at small angles. So drag takes energy and
-lift does none of its own: in still air f.u = -1/2 density A drag |u_n|^3 <= 0.
+air flow", 1996). On a plate at the angle a to the stream it is 1/2 density A |u|^2 sin a times
+(drag sin a + lift cos^2 a). So `drag` is that of a plate across the stream: a flat sheet of mass
+sigma an area falls at sqrt(2 sigma g / (density drag)). `lift` is by how much the force across the
+stream grows with a small angle, and what keeps a flag up. Still air only takes energy: f.u <= 0.
+(A lift at a right angle to u, with a part along the surface, would drive a sheet that falls flat
+sideways: stalled plates have no such thrust.)
 
 The wind is the same everywhere: velocity (1 + gust g(t)), where g is a sum of sinusoids of
 incommensurable periods around `period`, with phases by `seed`, and a root mean square of 1. It is a
@@ -175,9 +177,7 @@ def law(spec: ti.template(), state: ti.template(), area, v):
     inverse = ti.select(speed > 0.0, 1.0 / speed, 0.0 * speed)
     pressure = state.air_drag[None] * ti.max(along, -1.0 * along)
     lift = state.air_lift[None] * inverse
-    normal = size * (pressure + lift * across2)
-    tangential = size * lift * along * along
-    return tangential * u_t - normal * u_n
+    return (-1.0 * size * (pressure + lift * across2)) * u_n
 
 
 @ti.func
@@ -204,18 +204,16 @@ def twin(area, v, time, world):
     u_t = u - along * n
     speed = np.linalg.norm(u, axis=1, keepdims=True)
     across2 = (u_t**2).sum(axis=1, keepdims=True)
-    drag = air["drag"] * np.abs(along) * along * n
-    lift = air["lift"] * (across2 * along * n - along**2 * u_t) / np.where(speed > 0, speed, 1.0)
-    return -0.5 * air["density"] * size * (drag + lift)
+    lift = air["lift"] * across2 / np.where(speed > 0, speed, 1.0)
+    return -0.5 * air["density"] * size * (air["drag"] * np.abs(along) + lift) * along * n
 
 
 def bound(corners, v, world):
     """Bounds on the law's derivatives however a triangle is turned, in the strongest wind.
 
     At the relative speed u of the triangle's corners drag has the derivative
-    density A drag |u|, lift at most sqrt(5)/2 of half of it (its derivatives along and across u are
-    |u| sin 2a along the lift, and |u| (cos 2a, sin(2a)/2) at right angles). By the area vector
-    both have at most 3 times the pressure, and that has half an edge as its derivative by a corner.
+    density A drag |u|, lift at most half of that. By the area vector both have at most 3 times the
+    largest pressure, and that vector has half an edge as its derivative by a corner.
     """
     air = _of(world, AIR)
     a, b, c = (corners[:, k] for k in range(3))
@@ -223,7 +221,7 @@ def bound(corners, v, world):
     edge = np.max([np.linalg.norm(q - p, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
     speed = np.linalg.norm(v, axis=1) + strongest(world) * np.linalg.norm(mean_wind(world))
     half = 0.5 * air["density"] * speed
-    resistance = half * size * (2.0 * air["drag"] + math.sqrt(1.25) * air["lift"])
+    resistance = half * size * (2.0 * air["drag"] + air["lift"])
     stiffness = half * speed * 3.0 * (air["drag"] + air["lift"]) * edge / 2
     return stiffness, resistance
 

@@ -1,0 +1,290 @@
+"""Air and wind: the law against its twin and closed forms, its order, its share of the limit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import taichi as ti
+from inside import spec_of, state_of
+from selection import mostly_thorough
+
+from taichi_cloth.errors import InputError, SimulationFailure
+from taichi_cloth.kernels import forces, methods
+from taichi_cloth.kernels.forces import air
+from taichi_cloth.kernels.packs import slot_number
+from taichi_cloth.kernels.surfaces import compute_traction_damping
+from taichi_cloth.limits import tractions
+from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
+from taichi_cloth.limits.eigenmodes import stable_step
+from taichi_cloth.limits.network import Network
+from taichi_cloth.scene import assignments, scenefile
+from taichi_cloth.scene.triangles import area_vectors, at_corners, corner_shares
+from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.trade import ode
+
+FLAG = """
+[world]
+size = [8.0, 40.0, 8.0]
+up = "y"
+gravity = [0.0, -9.81, 0.0]
+dt = 0.01
+air = { density = 1.2, drag = 1.1, lift = 0.6 }
+wind = { velocity = [1.0, 0.5, 4.0], gust = 0.3, period = 0.1, seed = 1 }
+[[cloths]]
+origin = [3.0, 20.0, 0.0]
+columns = 4
+rows = 4
+spacing = 0.1
+links = ["structural", "shear"]
+density = 0.15
+stretch = 8.0
+shear = 2.0
+damping_time = 0.002
+pinned = [[0, 0], [3, 0]]
+"""
+
+
+def flag(**world):
+    """A small cloth in gusts that could tear, its particles moving at random."""
+    scene = scenefile.parse(FLAG.replace("shear = 2.0", "shear = 2.0\nstrength = 1e4"))
+    particles, rng = scene.particles, np.random.default_rng(5)
+    free = ~particles.fixed[:, None]
+    x = particles.position + free * rng.normal(0, 0.01, particles.position.shape)
+    v = free * rng.normal(0, 1.0, particles.position.shape)
+    scene = replace(scene, particles=replace(particles, position=x, velocity=v))
+    return scene.with_world(**world)
+
+
+def sheet(stretch=8.0, **more):
+    """A flat sheet that lies across y, free, and falls; more: of [world]."""
+    text = FLAG.replace("pinned = [[0, 0], [3, 0]]", "down = [0.0, 0.0, 1.0]")
+    scene = scenefile.parse(text.replace("stretch = 8.0", f"stretch = {stretch}"))
+    still = {"air": {"density": 1.2, "drag": 1.1, "lift": 0.6}}
+    return scene.with_world(more=still | more)
+
+
+@pytest.fixture(scope="module")
+def falling(device):
+    """A simulation of the sheet on the graph, with symplectic Euler."""
+    return Simulation(sheet(), topology="graph", execution="serial")
+
+
+@ti.kernel
+def damping_of_triangles(spec: ti.template(), state: ti.template(), out: ti.types.ndarray()):
+    compute_traction_damping(spec, state, 0)
+    for i in range(out.shape[0]):
+        out[i] = slot_number(spec, state.traction_damping, state.slot[i])
+
+
+def expected_forces(sim):
+    """All forces on the particles by twins, where triangles with a broken side are gone."""
+    scene = sim.storage.scene
+    whole = replace(
+        scene,
+        triangles=scene.triangles[sim.triangles_alive()],
+        springs=scene.springs.select(sim.springs_alive()),
+    )
+    twins = ode.Forces(whole)
+    twins.free[:] = True
+    a = twins.acceleration(sim.positions(), sim.velocities(), sim.time)
+    return np.where(scene.particles.fixed[:, None], 0.0, a * scene.particles.mass[:, None])
+
+
+@pytest.mark.parametrize("topology", mostly_thorough(["lanes", "graph"], default=["graph"]))
+def test_the_law_is_its_twin_in_gusts_and_on_torn_surfaces(topology, device):
+    sim = Simulation(flag(), topology=topology, execution="serial", lanes=2)
+    assert sim.topology == topology
+    free = ~sim.scene.particles.fixed
+    for substeps in (1, 5):  # the same wind at finer steps
+        sim.load_scene(flag(), substeps=substeps)
+        for _ in range(3):
+            found, expected = sim.forces()[free], expected_forces(sim)[free]
+            np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
+            sim.advance(7)
+    sim.cut([3, 20])
+    assert sim.triangles_alive().sum() < len(sim.triangles())
+    sim.advance()
+    np.testing.assert_allclose(sim.forces()[free], expected_forces(sim)[free], atol=1e-14)
+    if topology == "graph":
+        found = np.zeros(len(free))
+        damping_of_triangles(spec_of(sim), state_of(sim), found)
+        alive = sim.triangles()[sim.triangles_alive()]
+        shares = corner_shares(sim.scene.particles.position, sim.triangles())
+        shares = shares[sim.triangles_alive()]
+        area = area_vectors(sim.positions(), alive)
+        mean = tractions.mean_velocities(sim.velocities(), alive, shares)
+        n, h = area / np.linalg.norm(area, axis=1)[:, None], 1e-6
+        change = [air.twin(area, mean + s * h * n, sim.time, sim.scene.world) for s in (-1, 1)]
+        along = ((change[0] - change[1]) * n).sum(axis=1) / (2 * h)
+        expected = at_corners(shares * along[:, None], alive, len(free))
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_a_flat_sheet_falls_at_its_terminal_velocity(falling):
+    """Flat: each particle's share of the air is its share of the mass."""
+    scene = sheet()
+    falling.load_scene(scene, substeps=4)
+    falling.advance(200)
+    v = falling.velocities()
+    terminal = np.sqrt(2 * 0.15 * 9.81 / (1.2 * 1.1))
+    np.testing.assert_allclose(v[:, 1], -terminal, rtol=1e-9)
+    assert np.abs(v[:, [0, 2]]).max() < 1e-9 and np.ptp(falling.positions()[:, 1]) < 1e-9
+
+
+def test_air_takes_energy_and_presses_on_plates_at_an_angle():
+    rng, world = np.random.default_rng(0), sheet().world
+    area, v = rng.normal(size=(2, 50, 3))
+    assert ((air.twin(area, v, 0.0, world) * v).sum(axis=1) < 0).all()
+    a = np.linspace(0.0, np.pi / 2, 7)
+    plates = 0.3 * np.column_stack([0 * a, np.cos(a), -np.sin(a)])  # turned about x
+    found = air.twin(plates, np.tile([0.0, 0.0, 2.0], (7, 1)), 0.0, world)
+    size = 0.5 * 1.2 * 0.3 * 4.0 * np.sin(a) * (1.1 * np.sin(a) + 0.6 * np.cos(a) ** 2)
+    expected = size[:, None] * plates / 0.3  # they move along z: the air presses back
+    np.testing.assert_allclose(found, expected, atol=1e-15)
+    for degenerate in (0 * area, area):
+        assert np.isfinite(air.twin(degenerate, 0 * v, 0.0, world)).all()
+
+
+def test_bounds_hold_for_every_triangle_in_every_wind():
+    rng, world = np.random.default_rng(1), flag().world
+    x, v = rng.normal(size=(2, 300, 3))
+    triangles, h = np.arange(300).reshape(-1, 3), 1e-6
+    corners = x[triangles]
+    third = np.full((100, 3), 1 / 3)
+    mean = tractions.mean_velocities(v, triangles, third)
+    k, c = air.bound(corners, mean, world)
+    by_v, by_x = np.zeros((100, 3, 3)), np.zeros((100, 3, 3))
+    for time in (0.0, 0.03, 0.71):
+        for axis in range(3):
+            way = h * np.eye(3)[axis]
+            for of, sign in ((by_v, 1), (by_x, 1)):
+                pair = []
+                for s in (sign, -sign):
+                    there = corners.copy()
+                    there[:, 1] += s * way if of is by_x else 0.0
+                    area = area_vectors(there.reshape(-1, 3), triangles)
+                    at = mean + (s * way if of is by_v else 0.0)
+                    pair.append(air.twin(area, at, time, world))
+                of[:, :, axis] = (pair[0] - pair[1]) / (2 * h)
+        assert (np.linalg.norm(by_v, 2, axis=(1, 2)) <= c * (1 + 1e-6)).all()
+        assert (np.linalg.norm(by_x, 2, axis=(1, 2)) <= k * (1 + 1e-6)).all()
+
+
+def test_gusts_are_of_their_size_seeded_and_smooth():
+    world = flag().world
+    t = np.linspace(0, 40, 20001)
+    g = np.array([air.gust(world, time) for time in t])
+    assert np.sqrt((g**2).mean()) == pytest.approx(0.3, rel=0.01) and abs(g.mean()) < 3e-3
+    assert np.abs(g).max() <= 0.3 * air.PEAK == pytest.approx(air.strongest(world) - 1)
+    assert np.abs(np.diff(g)).max() < 0.3 * air.PEAK * 2 * np.pi * 1.2 / 0.1 * 0.002
+    other = flag(more=world.more | {"wind": {**world.more["wind"], "seed": 2.0}}).world
+    assert air.gust(other, 0.5) != air.gust(world, 0.5)
+
+
+def sinking(stretch):
+    """The sheet in water, without dashpots, at its terminal velocity: flat, and steadily so."""
+    density = 769.0
+    speed = np.sqrt(2 * 0.15 * 9.81 / (density * 1.1))
+    scene = sheet(stretch, air={"density": density, "drag": 1.1, "lift": 0.6})
+    particles, springs = scene.particles, scene.springs
+    noise = np.random.default_rng(0).normal(0, 1e-9, particles.position.shape)
+    return replace(
+        scene,
+        particles=replace(particles, velocity=noise + (0.0, -speed, 0.0)),
+        springs=replace(springs, damping=np.zeros(len(springs))),
+    )
+
+
+@pytest.mark.parametrize(
+    "method", mostly_thorough(["symplectic_euler", "verlet", "rk4"], default=["symplectic_euler"])
+)
+def test_the_limit_counts_the_air(falling, method):
+    """A step at 0.98 of the limit holds, one at 1.05 does not, whether springs or air set it."""
+    module, sim = methods.load(method), falling
+    if method != "symplectic_euler":
+        sim = Simulation(sheet(), method, topology="graph", execution="serial")
+    for stretch in (8.0, 60.0):
+        scene = sinking(stretch)
+        network = Network.from_scene(scene)
+        limit = stable_step(module, network).dt
+        still = stable_step(module, Network.from_scene(scene.with_world(more={}))).dt
+        assert limit < 0.7 * still if stretch < 60 else limit == pytest.approx(still, rel=0.1)
+        for bounds in (gershgorin, any_geometry):
+            assert 0.2 * limit < step_within(module, bounds(network)) <= limit * (1 + 1e-9)
+        for part, holds in ((0.98, True), (1.05, False)):
+            sim.load_scene(scene, dt=part * limit * 600, substeps=600)
+            try:
+                sim.advance()
+                change = np.abs(sim.velocities() - scene.particles.velocity).max()
+            except SimulationFailure:
+                change = np.inf
+            assert (change < 1e-6) == holds, (stretch, part, change)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("method", methods.METHODS)
+def test_every_method_keeps_its_order_in_gusts(method, device):
+    scene, times = scenefile.parse(FLAG), np.linspace(0, 0.1, 6)
+    exact = ode.solve(scene, times)
+    assert exact.until == times[-1]
+    claims = methods.load(method).claims
+    settings = {"tolerance": 1e-13, "iterations": 400}
+    given = {name: settings[name] for name in claims.settings}
+    sim = Simulation(scene, method, topology="graph", execution="serial", **given)
+    errors = []
+    for substeps in (8, 16, 32):
+        sim.load_scene(scene, substeps=substeps)
+        sim.advance(10)
+        errors.append(np.abs(sim.positions() - exact.x[-1]).max())
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert np.abs(orders - claims.order).max() < 0.1 and sim.work().unconverged == 0
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("method", methods.METHODS)
+def test_air_is_the_same_on_both_topologies_and_all_threads(method, device):
+    ends = []
+    for topology, execution in (("graph", "serial"), ("lanes", "parallel"), ("graph", "parallel")):
+        how = {"topology": topology, "execution": execution, "lanes": 2}
+        sim = Simulation(flag(), method, substeps=4, **how)
+        sim.advance(20)
+        ends.append(sim.positions())
+    np.testing.assert_array_equal(ends[0], ends[2])
+    np.testing.assert_allclose(ends[1], ends[0], atol=1e-10)
+
+
+def test_tables_of_world_are_read_written_assigned_and_refused():
+    scene = scenefile.parse(FLAG)
+    assert scene.world.more["wind"] == {
+        "velocity": (1.0, 0.5, 4.0), "gust": 0.3, "period": 0.1, "seed": 1.0
+    }  # fmt: skip
+    assert scenefile.parse(scenefile.dump(scene)).world == scene.world
+    other = assignments.read("world.wind.velocity=[3,0,1]"), assignments.read("world.air.drag=2")
+    changed = scenefile.parse(FLAG, assignments=other).world.more
+    assert changed["wind"]["velocity"] == (3, 0, 1) and changed["wind"]["gust"] == 0.3
+    assert changed["air"]["drag"] == 2 and forces.load("air").present(scene)
+    table = "[world.air]\ndensity = 1.2\ndrag = 1.1\nlift = 0.6\n[[cloths]]"
+    header = FLAG.replace("air = {", "#").replace("[[cloths]]", table)
+    assert scenefile.parse(header).world == scene.world
+    for old, new, says in (
+        ("density = 1.2, ", "", "line 7: .*'density' is missing"),
+        ("gust", "gusts", "line 8: .*unknown key 'gusts'; did you mean 'gust'"),
+        ("seed = 1", "seed = 1.5", "line 8: .*seed must be a whole number"),
+        ("drag = 1.1", "drag = -1.0", "line 7: .*drag must be at least 0"),
+        ("[1.0, 0.5, 4.0]", "[1.0, 0.5]", "line 8: .*must have 3 numbers"),
+        ("period = 0.1", "period = 0.0", "line 8: .*period must be at least"),
+        ("air = {", "# air = {", "line 8: .*wind does nothing without air"),
+        ("{ density = 1.2, drag = 1.1, lift = 0.6 }", "1.2", "line 7: .*air must be a table"),
+    ):
+        with pytest.raises(InputError, match=says):
+            scenefile.parse(FLAG.replace(old, new))
+
+
+def test_wind_is_set_while_a_scene_runs(falling):
+    falling.load_scene(sheet())
+    falling.set(wind={"velocity": (0.0, 3.0, 0.0)}, air={"drag": 2.0})
+    force = falling.forces()[:, 1].sum()
+    weight = -0.15 * 9.81 * 0.09
+    assert force == pytest.approx(weight + 0.5 * 1.2 * 2.0 * 9.0 * 0.09, rel=1e-12)
+    with pytest.raises(InputError, match=r"set: wind: unknown key 'speed'"):
+        falling.set(wind={"speed": 1.0})
