@@ -11,7 +11,7 @@ import taichi_cloth as tc
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.kernels import forces
-from taichi_cloth.kernels.forces.contract import ACCELERATION, TENSION, has
+from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, has
 from taichi_cloth.scene.library import build
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
@@ -37,7 +37,7 @@ def total_forces(sim):
     world, particles = now.scene.world, now.scene.particles
     total = diagnostics.spring_forces(now.x, now.v, now.scene.springs.select(now.pulling))
     for term in map(forces.load, forces.TERMS):
-        if term.adds != TENSION and has(term.twin):
+        if term.adds in (ACCELERATION, FORCE) and has(term.twin):
             law = term.twin(now.x, now.v, world, particles)
             total += particles.mass[:, None] * law if term.adds == ACCELERATION else law
     return total

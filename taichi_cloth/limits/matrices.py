@@ -103,15 +103,17 @@ def stiffness_and_damping(network: Network) -> tuple[csr_matrix, csr_matrix]:
     stiff = k[:, None, None] * ((1 - t)[:, None, None] * nn + t[:, None, None] * np.eye(dim))
     return (
         _from_blocks(network, stiff, held),
-        _from_blocks(network, c[:, None, None] * nn, drag) + _of_triangles(network),
+        _with_triangles(network, _from_blocks(network, c[:, None, None] * nn, drag)),
     )
 
 
-def _of_triangles(network: Network) -> csr_matrix:
-    """The part of the damping matrix that the forces on triangles add.
+def _with_triangles(network: Network, damping: csr_matrix) -> csr_matrix:
+    """The damping matrix with what the forces on triangles add to it.
 
     The block of a triangle acts between any two of its corners, by the product of their shares.
     """
+    if len(network.triangles) == 0:
+        return damping
     blocks, corners = network.damping_of_triangles, network.triangles
     shares, axis = network.shares, np.arange(3)
     shape = (len(corners), 3, 3, 3, 3)  # triangle, corner and axis of the row, of the column
@@ -122,7 +124,7 @@ def _of_triangles(network: Network) -> csr_matrix:
     values = values * blocks[:, None, :, None, :]
     entries = rows.ravel(), columns.ravel(), values.ravel()
     none = np.zeros(len(network.particles))
-    return _free_block(network, *entries, none, network.position.shape[1])
+    return damping + _free_block(network, *entries, none, 3)
 
 
 def _from_blocks(network: Network, blocks: np.ndarray, diagonal: np.ndarray) -> csr_matrix:

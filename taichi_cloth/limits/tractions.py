@@ -79,9 +79,11 @@ def damping_blocks(
 
     It is what takes energy. In the strongest wind; by differences of the forces' twins.
     """
+    blocks = np.zeros((len(triangles), 3, 3))
+    if len(triangles) == 0 or not present(world):
+        return blocks
     area, mean = area_vectors(x, triangles), mean_velocities(v, triangles, shares)
     world = at_their_strongest(world)
-    blocks = np.zeros((len(triangles), 3, 3))
     for term in _terms():
         if not has(term.twin):
             continue

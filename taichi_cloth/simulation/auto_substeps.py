@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from taichi_cloth.kernels.forces import act_on_triangles as acts_by_speed
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.limits.auto_step import SubstepController
 from taichi_cloth.simulation.snapshot import Snapshot
@@ -30,6 +31,8 @@ class AutoSubsteps:
         InputError where no number of substeps will do.
         """
         self._broken, self._breaking = int((~grown.alive).sum()), True
+        if acts_by_speed(grown.scene):
+            return self._controller.choose_in_motion(grown.network())
         return self._controller.choose(Snapshot.at_start(grown.scene, grown.marks).network())
 
     def after_edit(self, edited: Snapshot) -> int:
@@ -41,12 +44,21 @@ class AutoSubsteps:
         vars(self).update(vars(tried))
         return chosen
 
+    def follows(self, storage: Storage) -> bool:
+        """Whether a frame can change how many substeps the next one needs.
+
+        It can where springs break, and where the damping of forces on triangles grows with speed.
+        """
+        return storage.specialization.fracture or acts_by_speed(storage.scene)
+
     def after_frame(self, storage: Storage, substeps: int) -> int:
         """The substeps of the next frame, after one of `substeps`: fewer, where springs that broke
         leave slower ones.
 
         What breaks in a frame may pull in the next one, so the frame after is looked at, too.
         """
+        if acts_by_speed(storage.scene):
+            return self._controller.choose_in_motion(storage.snapshot().network())
         broken = storage.count_broken()
         changed = broken != self._broken
         if not (changed or self._breaking):

@@ -158,7 +158,7 @@ class Simulation(Readings, Changes):
         frames = accepted.whole_number("advance: frames", frames)
         while frames > 0:
             # A push lasts one frame, and what breaks may change the next; else they share a launch.
-            follows = self._auto is not None and self.storage.specialization.fracture
+            follows = self._auto is not None and self._auto.follows(self.storage)
             batch = 1 if self.storage.pushed or follows else min(frames, self._frames_per_launch())
             passed = self._advance_together(batch)
             self.frame += passed
