@@ -78,10 +78,16 @@ class Surface:
 
     @classmethod
     def alone(cls, real, triangles, particles):
-        """One with trees of its own, and these: (surface, trees)."""
+        """One with trees of its own, which `free` gives back."""
         reals, integers = ti.FieldsBuilder(), ti.FieldsBuilder()
         surface = cls(real, triangles, particles, reals, integers)
-        return surface, [reals.finalize(), integers.finalize()]
+        surface.trees = [reals.finalize(), integers.finalize()]
+        return surface
+
+    def free(self):
+        """Give the device memory of one that is alone back."""
+        for tree in self.trees:
+            tree.destroy()
 
 
 @ti.data_oriented
@@ -418,6 +424,11 @@ class State:
         """Allocate state.sums for `count` sums by `loops.add_up`: sums[k, 0], then its parts."""
         self.sums = _placed(tree := ti.FieldsBuilder(), ti.field(self.real), count, self.packs + 1)
         self.trees.append(tree.finalize())
+
+    def free(self):
+        """Give the device memory back; no field of this state may be used afterwards."""
+        for tree in self.trees:
+            tree.destroy()
 
 
 def has_tractions(spec):

@@ -232,7 +232,7 @@ class Storage:
         device = self._launcher.device
         state: Any = State(spec, getattr(ti, device.real), capacity, self._method)
         # Taichi has room for 512 trees of fields, of which each state takes two.
-        free = free_with(self, state.trees, device)
+        free = free_with(self, state, device)
         return _Container(state, spec, topology, free)
 
     def _specialize(self, placement: Placement) -> Specialization:

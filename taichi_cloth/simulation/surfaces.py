@@ -82,25 +82,24 @@ class Surfaces:
             else:
                 if old is not None and old.free is not None:
                     old.free()
-                surface, trees = Surface.alone(getattr(ti, device.real), *needed)
-                free = free_with(self, trees, device)
+                surface = Surface.alone(getattr(ti, device.real), *needed)
+                free = free_with(self, surface, device)
             upload.surface(surface)
         normals = np.zeros((len(scene.particles), 3), upload.real)
         return _OnDevice(upload.placement, upload.state, surface, normals, free)
 
 
-def free_with(owner: object, trees: list[Any], device: Device) -> weakref.finalize:
-    """What gives the memory of trees of fields back, by itself when nobody holds `owner` any more.
+def free_with(owner: object, fields: Any, device: Device) -> weakref.finalize:
+    """What gives the memory of fields back, by itself when nobody holds `owner` any more.
 
-    Taichi has room for 512 trees.
+    Taichi has room for 512 trees of fields.
     """
-    free = weakref.finalize(owner, _free, trees, device)
+    free = weakref.finalize(owner, _free, fields, device)
     free.atexit = False
     return free
 
 
-def _free(trees: list[Any], device: Device) -> None:
+def _free(fields: Any, device: Device) -> None:
     """Give the memory back, unless Taichi was started anew since, or cannot (OpenGL)."""
     if still_runs(device) and device.arch != "opengl":
-        for tree in trees:
-            tree.destroy()
+        fields.free()
