@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -109,3 +110,11 @@ def at_their_strongest(world: World) -> World:
         if has(term.steady):
             world = term.steady(world)
     return world
+
+
+def without(world: World) -> World:
+    """A world without the keys of forces on triangles."""
+    keys = {key.name for term in _terms() if has(term.keys) for key in term.keys}
+    if not keys & world.more.keys():
+        return world
+    return replace(world, more={name: v for name, v in world.more.items() if name not in keys})

@@ -3,9 +3,9 @@
 What is measured is stability alone: the scene's particles, springs, dashpots and drag at their
 start, at rest. Gravity, walls, collisions and the mouse are left out, springs do not break, and
 each particle is pushed by the force that balances its springs, so that the start is an equilibrium
-whatever the springs' lengths, and the air. A spring that starts compressed gets its length as its
-rest length: that it would buckle is physics. The wind blows constantly, at its strongest; what it
-makes flutter grows at every step, which is physics, too.
+whatever the springs' lengths. A spring that starts compressed gets its length as its rest length:
+that it would buckle is physics. So is what wind makes flutter, which grows at every step: air and
+wind are left out, too, and at rest in still air nothing is damped by it.
 
 A run starts from that state disturbed by a millionth of a spring's length, along the mode that is
 expected to grow first, and by a thousandth of that in every direction at random, so that no other
@@ -32,7 +32,6 @@ from taichi_cloth.limits.eigenmodes import Limit, stable_step
 from taichi_cloth.limits.matrices import stiffness_and_damping
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.scene.triangles import corner_shares
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
 
@@ -126,7 +125,7 @@ def at_rest(scene: Scene) -> Scene:
     length = np.linalg.norm(particles.position[b] - particles.position[a], axis=1)
     compressed = length < springs.rest_length * (1 - 1e-9)
     return replace(
-        replace(scene, world=tractions.at_their_strongest(scene.world)).with_world(
+        replace(scene, world=tractions.without(scene.world)).with_world(
             gravity=(0.0,) * scene.world.dim, walls=(), collisions=False, mouse="blow"
         ),
         particles=replace(particles, velocity=np.zeros_like(particles.velocity)),
@@ -174,11 +173,7 @@ class Runs:
         network = Network.from_scene(scene)
         self._stiffness = stiffness_and_damping(network)[0]
         v = np.zeros_like(particles.position)
-        x, triangles = particles.position, scene.triangles
-        self._force = -diagnostics.spring_forces(x, v, scene.springs)
-        shares = corner_shares(x, triangles)
-        blown = tractions.forces_on_particles(x, v, 0.0, scene.world, triangles, shares)
-        self._force -= blown
+        self._force = -diagnostics.spring_forces(particles.position, v, scene.springs)
         a, b = scene.springs.between.T
         lengths = np.linalg.norm(particles.position[b] - particles.position[a], axis=1)
         lengths = lengths[lengths > 0]
