@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,7 +20,9 @@ def content(path: Path, what: str, hint: Callable[[Path], str] = lambda path: ""
     """
     try:
         with open(path, "rb") as file:
-            read = file.read(LARGEST + 1)
+            # What says its size is refused by it, before anything is read.
+            large = os.fstat(file.fileno()).st_size > LARGEST
+            read = b"" if large else file.read(LARGEST + 1)
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file{hint(path)}") from None
     except IsADirectoryError:
@@ -27,6 +30,6 @@ def content(path: Path, what: str, hint: Callable[[Path], str] = lambda path: ""
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from None
-    if len(read) > LARGEST:
+    if large or len(read) > LARGEST:
         raise InputError(f"{path}: has more than {LARGEST >> 20} MiB, too much for a {what}")
     return read
