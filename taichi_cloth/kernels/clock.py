@@ -16,7 +16,7 @@ COUNTS = ("first_step",)
 
 def timed(spec):
     """Whether anything that a specialization has asks for the time."""
-    return any(load(name).timed for name in spec.terms)
+    return spec.moving or any(load(name).timed for name in spec.terms)
 
 
 def split(value, real):

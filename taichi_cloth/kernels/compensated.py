@@ -46,12 +46,25 @@ def add_to_velocity(spec: ti.template(), state: ti.template(), i, v, change):
 @ti.func
 def _added(spec: ti.template(), state: ti.template(), low: ti.template(), i, value, change):
     """The sum value + change + low, whose own rounding error becomes the new low."""
-    one = state.one[None]
-    change_and_low = change + read(spec, low, i)
-    total = one * (value + change_and_low)
-    added = one * (total - value)
-    write(spec, low, i, (value - (total - added)) + (change_and_low - added))
+    total, new_low = joined(spec, state, value, read(spec, low, i), change)
+    write(spec, low, i, new_low)
     return total
+
+
+@ti.func
+def joined(spec: ti.template(), state: ti.template(), value, low, change):
+    """The sum value + change + low, and what it loses to rounding, the new low.
+
+    But for the precision `compensated` it is value + change, and low as it is.
+    """
+    if ti.static(spec.compensated):
+        one = state.one[None]
+        change_and_low = change + low
+        total = one * (value + change_and_low)
+        added = one * (total - value)
+        return total, (value - (total - added)) + (change_and_low - added)
+    else:
+        return value + change, low
 
 
 @ti.func

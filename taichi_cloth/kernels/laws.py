@@ -111,6 +111,23 @@ def wall_bounce(gap, vn, e):
 
 
 @ti.func
+def friction(slide, lost, mu):
+    """What friction takes from the velocity along a surface, and whether it takes all of it.
+
+    It is Coulomb's law in a step (Coulomb, Theorie des machines simples, 1785): at most mu times
+    what the normal velocity has lost, at most to rest.
+    slide: velocity (dim,) relative to the surface, along it; lost: change of the normal velocity by
+    the contact, not negative; mu: coefficient.
+    """
+    speed, most = length(slide), mu * lost
+    stops = most >= speed
+    part = 1.0 + 0.0 * speed
+    if not stops:
+        part = most / speed
+    return (-1.0 * part) * slide, stops
+
+
+@ti.func
 def pair_bounce(d, v1, v2, w1, w2, reach, e):
     """The velocity change of particle 1 in a collision with particle 2; zero if there is none.
 

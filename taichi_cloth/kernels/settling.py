@@ -8,12 +8,18 @@ lies on something stays there, under every method: it neither sinks nor hovers n
 
 A part is a pair of functions in a file of its own: needed(spec), whether a scene has it, and the
 ti.func settle(spec, state, t), which changes state.x and state.v (with the low parts of the
-precision `compensated`) and renews halos, as `loops.each_pack_moving` does.
+precision `compensated`) and renews halos, as `loops.each_pack_moving` does. Where the step began is
+in state.begun_x and begun_v, with begun_x_low, if spec.keeps_begun says so.
 """
 
 import taichi as ti
 
-PARTS = ()  # (needed, settle), in the order in which they act
+from taichi_cloth.kernels import obstruction
+from taichi_cloth.kernels.loops import each_pack
+from taichi_cloth.kernels.watchdog import keep_begun
+
+# (needed, settle), in the order in which they act
+PARTS = ((obstruction.needed, obstruction.settle),)
 
 
 def settles(spec):
@@ -24,7 +30,14 @@ def settles(spec):
 def _acts(spec, state):
     """What is run one after the other at the end of a step, as ti.funcs."""
     acts = [settle for needed, settle in PARTS if needed(spec)]
+    if acts and spec.keeps_begun:
+        acts.append(_keep_begun)
     return [*acts, state.begin] if acts and state.begin else acts
+
+
+@ti.func
+def _keep_begun(spec: ti.template(), state: ti.template(), t):
+    each_pack(spec, state, t, keep_begun)
 
 
 @ti.func

@@ -9,6 +9,8 @@ class Specialization:
 
     dim, uniform_springs, uniform_particles, fracture, walls, floor, collisions: features of the
         scene, as in `scene.model.Features`.
+    obstacles: the shapes of its obstacles, ground and resting walls included (`obstacles/`).
+    moving: whether any of them moves.
     terms: the names of its forces (`forces/`), in the order in which they are added up.
     springs: whether there are springs on the graph: all of them, or those that no grid holds.
     lanes: how many particles a pack has (`packs.py`); 1 on a graph and on GPUs.
@@ -29,6 +31,8 @@ class Specialization:
     floor: bool
     collisions: bool
     terms: tuple[str, ...]
+    obstacles: tuple[str, ...] = ()
+    moving: bool = False
     lanes: int = 1
     links: tuple[tuple[int, int], ...] = ()
     rows_share_stiffness: bool = False
@@ -55,6 +59,16 @@ class Specialization:
             and all(mine[name] or not theirs[name] for name in wider)
             and all(theirs[name] or not mine[name] for name in closer)
         )
+
+    @property
+    def keeps_begun(self) -> bool:
+        """Whether contacts that end a step look at where it began (`settling.py`)."""
+        return bool(self.obstacles)
+
+    @property
+    def has_bodies(self) -> bool:
+        """Whether particles have a radius and a restitution."""
+        return bool(self.walls or self.collisions or self.obstacles)
 
     @property
     def kinds(self) -> int:

@@ -8,7 +8,7 @@ from dataclasses import astuple, dataclass
 
 import taichi as ti
 
-from taichi_cloth.kernels import clock
+from taichi_cloth.kernels import clock, poses
 from taichi_cloth.kernels.forces import load
 from taichi_cloth.kernels.forces.contract import (
     COUNT,
@@ -20,6 +20,7 @@ from taichi_cloth.kernels.forces.contract import (
     has,
 )
 from taichi_cloth.kernels.loops import COUNTER_SIZE
+from taichi_cloth.kernels.obstacles import contract
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.springs import reads_velocity
 
@@ -39,7 +40,8 @@ class Capacity:
     """How much fits into a `State`.
 
     particles; springs: those on the graph; packs, the empty ones included; grids; row: packs in the
-    widest row, with its halos; triangles: those of which the scene's forces know.
+    widest row, with its halos; triangles: those of which the scene's forces know; obstacles;
+    nodes: of their grids.
     """
 
     particles: int
@@ -48,6 +50,8 @@ class Capacity:
     grids: int
     row: int
     triangles: int = 0
+    obstacles: int = 0
+    nodes: int = 0
 
     def holds(self, other: "Capacity") -> bool:
         """Whether what needs the capacity `other` fits into this one."""
@@ -97,8 +101,9 @@ class State:
     Packs (`packs.py`): a vector (dim,) or a number for each of a pack's particles.
         x, v: position and velocity; a: acceleration of the current step; w: inverse mass (0: fixed
         or no particle); saved_x, saved_v: the last checkpoint (`watchdog.py`).
-        radius, restitution (walls or collisions), and the fields that the scene's forces declare
-        for particles (`forces/`): these numbers are 0-D where all particles share them.
+        begun_x, begun_v, begun_x_low: where the step began (`settling.py`).
+        radius, restitution (walls, collisions, obstacles), and the fields that the scene's forces
+        declare for particles (`forces/`): these numbers are 0-D where all particles share them.
         x_low, v_low, saved_x_low, saved_v_low (compensated): what sums lost to rounding.
         jump (collisions): change of velocity by collisions with other particles.
         particle: index of the particle in each place; slot, by that index: its slot.
@@ -144,6 +149,11 @@ class State:
         cell_start, cell_fill, block_start, cell_of, sorted_index, sorted_x, sorted_radius: the
         counting sort's.
 
+    Obstacles (`poses.py`), a row each: obstacle_shape: its number in spec.obstacles;
+        obstacle_numbers, obstacle_sizes: of contact and of its shape; obstacle_start: its pose at
+        time 0 and its velocities; obstacle_pose: its poses at both ends of the step.
+        obstacle_low, obstacle_nodes, obstacle_grid: of its grid of distances, where it has one.
+
     What the host loads is listed by name, so that it comes in the order in which kernels take it:
     number_names, count_names, vector_names and particle_names; number_places and count_places:
     (field, index of its first number, how many: 0 for a 0-D field); vector_places and
@@ -183,6 +193,8 @@ class State:
         if has_tractions(spec):
             room = capacity.triangles, capacity.particles
             self.surface = Surface(real, *room, self._reals, self._integers)
+        if spec.obstacles:
+            self._place_obstacles(spec)
         self.trees = [self._reals.finalize(), self._integers.finalize()]
         if method.sums:
             self.add_sums(method.sums)
@@ -234,6 +246,10 @@ class State:
         self.haloed += tuple(getattr(self, name) for name in method.haloed)
         if spec.compensated:
             self.haloed = (*self.haloed, self.x_low)
+        if spec.keeps_begun:
+            self.begun_x, self.begun_v = self._pack_vectors(spec), self._pack_vectors(spec)
+            if spec.compensated:
+                self.begun_x_low = self._pack_vectors(spec)
         if "summed_springs" in method.needs:
             self.summed_k, self.summed_c = self._pack_numbers(spec), self._pack_numbers(spec)
         if "particle_colours" in method.needs and spec.springs:
@@ -245,7 +261,7 @@ class State:
             elif field.shape == PARTICLE_VECTOR:
                 self._add(field.name, self._pack_vectors(spec))
                 self.vector_names += [field.name] if field.value else []
-        if spec.walls or spec.collisions:
+        if spec.has_bodies:
             self.radius, self.restitution = (
                 self._particle_numbers(spec),
                 self._particle_numbers(spec),
@@ -373,6 +389,19 @@ class State:
         self.block_start = self._counts(self.cell_capacity // self.block + 2)
         self.cell_of, self.sorted_index = self._counts(n), self._counts(n)
         self.sorted_x, self.sorted_radius = self._scalars(n, spec.dim), self._scalars(n)
+
+    def _place_obstacles(self, spec):
+        count, nodes = max(self.capacity.obstacles, 1), self.capacity.nodes
+        self.n_obstacles = self._counts()
+        self.obstacle_shape, self.obstacle_nodes = self._counts(count), self._counts(count, 4)
+        self.obstacle_numbers = self._scalars(count, len(contract.NUMBERS))
+        self.obstacle_sizes = self._scalars(count, contract.SIZES)
+        self.obstacle_low = self._scalars(count, 3)
+        self.obstacle_start = self._scalars(count, poses.start_size(spec.dim))
+        self.obstacle_pose = self._scalars(count, 2 * poses.pose_size(spec.dim))
+        self.has_nodes = nodes > 0
+        if self.has_nodes:
+            self.obstacle_grid = self._scalars(nodes, 4)
 
     def _add(self, name, field):
         """Take up a field by the name that a method or a force gave it.

@@ -49,6 +49,17 @@ def _checkpoint_pack(spec: ti.template(), state: ti.template(), i):
     if ti.static(spec.compensated):
         write(spec, state.saved_x_low, i, read(spec, state.x_low, i))
         write(spec, state.saved_v_low, i, read(spec, state.v_low, i))
+    if ti.static(spec.keeps_begun):
+        keep_begun(spec, state, i)
+
+
+@ti.func
+def keep_begun(spec: ti.template(), state: ti.template(), i):
+    """Keep where the next step begins for pack i, for contacts that end it (`settling.py`)."""
+    write(spec, state.begun_x, i, read(spec, state.x, i))
+    write(spec, state.begun_v, i, read(spec, state.v, i))
+    if ti.static(spec.compensated):
+        write(spec, state.begun_x_low, i, read(spec, state.x_low, i))
 
 
 @ti.func
@@ -96,6 +107,12 @@ def _note_fault(spec: ti.template(), state: ti.template(), slot, limit2):
     if not (is_finite(speed2) and is_finite(x.sum())) or speed2 > limit2:
         if state.watching[None] == 1:
             ti.atomic_min(state.fault[None], slot_number(spec, state.particle, slot))
+
+
+@ti.func
+def note_fault(spec: ti.template(), state: ti.template(), slot):
+    """Note the particle at a slot if it is not finite or too fast."""
+    _note_fault(spec, state, slot, state.speed_limit[None] * state.speed_limit[None])
 
 
 @ti.func

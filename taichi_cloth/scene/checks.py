@@ -20,7 +20,9 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
+from taichi_cloth.scene.obstacles import CONTACTS, fault
 from taichi_cloth.scene.properties import (
+    NOT_NEGATIVE,
     PARTICLE_PROPERTIES,
     POSITIVE,
     SPRING_PROPERTIES,
@@ -45,16 +47,17 @@ def validate(scene: Scene, place: Place = _plain_place) -> Scene:
     """Return `scene` if it can be simulated, else raise InputError with one line that says why.
 
     place: names the place of a fault in the message: ``place(kind, index, field)`` with kind
-        "world", "particle", "spring", "triangle", "particle defaults" or "spring defaults", the
-        index of the particle, spring or triangle (None for the rest) and the field at fault (None:
-        the whole of it).
+        "world", "particle", "spring", "triangle", "obstacle", "particle defaults" or "spring
+        defaults", the index of the particle, spring, triangle or obstacle (None for the rest) and
+        the field at fault (None: the whole of it).
         A scene file names its line there.
 
     Raises InputError for: a NaN or infinite number (an infinite break force is allowed: it says
     unbreakable); a number that breaks its rule (`properties`); dt not positive; an unknown wall,
-    mouse mode or further key of the world; arrays whose shapes do not fit each other or the world's
-    dimension; a particle outside the world; a spring between missing or equal particles, or a
-    second spring between the same two; a triangle with a missing corner or with two equal ones.
+    mouse mode or further key of the world; an obstacle of an unknown shape, or with a key or number
+    that this cannot have; arrays whose shapes do not fit each other or the world's dimension; a
+    particle outside the world; a spring between missing or equal particles, or a second spring
+    between the same two; a triangle with a missing corner or with two equal ones.
     """
     if not isinstance(scene, Scene):
         raise InputError(f"scene must be a Scene, is {accepted.shown(scene)}; build or load one")
@@ -75,6 +78,8 @@ def validate(scene: Scene, place: Place = _plain_place) -> Scene:
                 refusal.check_number(kind, name, value, about.rule)
     _check_particles(scene.particles, scene.world, refusal)
     _check_springs(scene.springs, len(scene.particles), refusal)
+    if scene.obstacles:
+        _check_obstacles(scene, refusal)
     _check_triangles(scene.triangles, len(scene.particles), refusal)
     if scene.spring_color is not None:
         color = np.asarray(scene.spring_color)
@@ -227,6 +232,16 @@ def _check_world(world: World, refusal: _Refusal) -> None:
             refuse("walls", f"a 2-D world has no {name} wall; known: {', '.join(walls)}")
     if world.up not in UPWARD:
         refuse("up", f"up must be 'y', or absent where y points down, is {world.up!r}")
+    if world.ground is not None:
+        refusal.check_number("world", "ground", world.ground)
+    refusal.check_number("world", "friction", world.friction, NOT_NEGATIVE)
+    if world.contact not in CONTACTS:
+        hint = nearest(str(world.contact), CONTACTS)
+        refuse("contact", f"unknown contact {accepted.shown(world.contact)}; {hint}")
+    if world.friction > 0 and world.ground is None and world.contact == CONTACTS[0]:
+        refuse(
+            "friction", "friction acts on a ground and on resting walls; set contact = 'resting'"
+        )
     if world.mouse not in MOUSE_MODES:
         refuse("mouse", f"unknown mouse mode {world.mouse!r}; {nearest(world.mouse, MOUSE_MODES)}")
     for name, further in world.more.items():
@@ -301,6 +316,17 @@ def _check_particles(particles: Particles, world: World, refusal: _Refusal) -> N
             f"position {_show(particles.position[i])} is outside the world, which reaches "
             f"from {_show(world.low)} to {_show(world.high)}",
         )
+
+
+def _check_obstacles(scene: Scene, refusal: _Refusal) -> None:
+    listed: Any = scene.obstacles
+    if not isinstance(listed, tuple):
+        shown = accepted.shown(listed)
+        raise InputError(f"scene: obstacles must be a tuple of Obstacle, is {shown}")
+    for index, obstacle in enumerate(scene.obstacles):
+        found = fault(obstacle, scene.world.dim)
+        if found:
+            refusal.refuse("obstacle", index, *found)
 
 
 def _check_springs(springs: Springs, particle_count: int, refusal: _Refusal) -> None:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from taichi_cloth.errors import InputError
+from taichi_cloth.scene.obstacles import CONTACTS, Obstacle
 from taichi_cloth.scene.properties import (
     PARTICLE_PROPERTIES,
     SPRING_PROPERTIES,
@@ -66,6 +67,9 @@ class World:
     walls: names out of `WALLS`; a particle bounces off these sides.
     collisions: whether particles bounce off each other.
     mouse: what the pointer does, out of `MOUSE_MODES`.
+    ground: height, along y, of a plane that particles rest on; None: there is none.
+    friction: Coulomb coefficient of the ground and of resting walls.
+    contact: how walls and pairs of particles treat positions, out of `obstacles.CONTACTS`.
     more: values of further keys (`world_keys`), those that a scene gives.
     up: "y" where y points up; "": it points down, as in the original programs.
 
@@ -79,6 +83,9 @@ class World:
     walls: tuple[str, ...] = ()
     collisions: bool = False
     mouse: str = "none"
+    ground: float | None = None
+    friction: float = 0.0
+    contact: str = CONTACTS[0]
     more: Mapping[str, WorldValue] = field(default_factory=dict, hash=False)
     up: str = ""
 
@@ -342,15 +349,20 @@ class Features:
     walls: tuple[tuple[int, int], ...]  # (axis, side) of each wall
     floor: bool
     collisions: bool
+    obstacles: tuple[str, ...] = ()  # shapes, those of the ground and of resting walls included
+    moving: bool = False  # whether any of them moves
 
     def describe(self) -> str:
         """In words, such as '2-D, uniform springs, fracture, drag, 4 walls, floor'."""
         words = {name.replace("_", " "): has for name, has in vars(self).items()}
         words["springs"] = self.springs and not self.uniform_springs
         words["uniform springs"] = self.springs and self.uniform_springs
-        words["walls"] = None
+        words["walls"] = words["obstacles"] = words["moving"] = None
         if self.walls:
             words[f"{len(self.walls)} walls"] = True
+        if self.obstacles:
+            moving = "moving " * self.moving
+            words[f"{moving}obstacles ({', '.join(self.obstacles)})"] = True
         return ", ".join([f"{self.dim}-D", *(word for word, has in words.items() if has is True)])
 
 
@@ -362,6 +374,7 @@ class Scene:
         its ends, paler.
     triangles: (m, 3) int64, the particles at the corners of the surfaces. Seen from the side that
         their normal points to, the corners of each go round counterclockwise.
+    obstacles: what particles rest on, slide along and bounce off.
     """
 
     name: str
@@ -372,6 +385,7 @@ class Scene:
     spring_defaults: SpringDefaults = field(default_factory=SpringDefaults)
     spring_color: tuple[int, int, int] | None = None
     triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    obstacles: tuple[Obstacle, ...] = ()
 
     def features(self) -> Features:
         """Which parts of the physics this scene can ever need (also after clicks)."""
@@ -379,6 +393,9 @@ class Scene:
         springs = self.springs
         has_springs = spawns or len(springs) > 0
         defaults = self.spring_defaults
+        walls = self.world.walls if self.world.contact == CONTACTS[0] else ()
+        planes = self.world.ground is not None or len(walls) < len(self.world.walls)
+        shapes = {obstacle.shape for obstacle in self.obstacles} | ({"plane"} if planes else set())
         return Features(
             dim=self.world.dim,
             springs=has_springs,
@@ -388,9 +405,15 @@ class Scene:
                 np.isfinite(springs.break_force).any()
                 or (spawns and defaults.break_force is not None)
             ),
-            walls=tuple(sorted(map(self.world.side, self.world.walls))),
-            floor="bottom" in self.world.walls and not self.world.up,
+            walls=tuple(sorted(map(self.world.side, walls))),
+            floor="bottom" in walls and not self.world.up,
             collisions=self.world.collisions,
+            obstacles=tuple(sorted(shapes)),
+            moving=any(
+                np.any(obstacle.values.get(name, 0.0))
+                for obstacle in self.obstacles
+                for name in ("velocity", "spin")
+            ),
         )
 
     def _uniform_springs(self) -> bool:

@@ -22,7 +22,8 @@ from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.scene import toml
 from taichi_cloth.scene.assignments import Assignment
 from taichi_cloth.scene.checks import validate
-from taichi_cloth.scene.model import FIXED_COLOR, PARTICLE_COLOR, Scene
+from taichi_cloth.scene.model import FIXED_COLOR, PARTICLE_COLOR, Scene, World
+from taichi_cloth.scene.obstacles import CONTACTS, Obstacle
 from taichi_cloth.scene.properties import PARTICLE_PROPERTIES, SPRING_PROPERTIES, WorldValue
 from taichi_cloth.scene.tables import Table, TableReader
 from taichi_cloth.settings import accepted
@@ -46,7 +47,7 @@ def load(path: str | Path, assignments: Sequence[Assignment] = ()) -> Scene:
             f"{path}: is not a text file in UTF-8 (byte {error.start}); save it as UTF-8"
         ) from None
     name = os.fsencode(path.stem).decode("utf-8", "replace")
-    return parse(text, path.name, name, assignments)
+    return parse(text, path.name, name, assignments, path.parent)
 
 
 def parse(
@@ -54,8 +55,12 @@ def parse(
     name: str = "scene.toml",
     default_scene_name: str = "scene",
     assignments: Sequence[Assignment] = (),
+    folder: Path | None = None,
 ) -> Scene:
-    """The scene that `text` describes, checked; `name` is the file's in messages."""
+    """The scene that `text` describes, checked; `name` is the file's in messages.
+
+    folder: the one from which the files that it names are read; absent: the present one.
+    """
     text = text.removeprefix("\ufeff").replace("\r\n", "\n")
     try:
         table = tomllib.loads(text)
@@ -68,7 +73,7 @@ def parse(
         line = text.count("\n", 0, digits.start()) + 1 if digits else 1
         where = f"{name} line {line}"
         raise InputError(f"{where}: has a whole number with too many digits") from None
-    return parse_table(table, name, text, default_scene_name, assignments)
+    return parse_table(table, name, text, default_scene_name, assignments, folder)
 
 
 def parse_table(
@@ -77,9 +82,10 @@ def parse_table(
     text: str = "",
     default_scene_name: str = "scene",
     assignments: Sequence[Assignment] = (),
+    folder: Path | None = None,
 ) -> Scene:
     """The scene that a file's table describes, checked; text: what it was read from."""
-    reader = TableReader(name, text, default_scene_name)
+    reader = TableReader(name, text, default_scene_name, folder)
     for assignment in assignments:
         reader.assign(table, assignment)
     with np.errstate(all="ignore"):  # numbers that overflow are refused by name
@@ -114,8 +120,12 @@ def table_of(scene: Scene) -> Table:
             "walls": list(world.walls),
             "collisions": world.collisions,
             "mouse": world.mouse,
+            **_contact_of(world),
             **{key: _plain(value) for key, value in world.more.items()},
         },
+        **(
+            {"obstacles": [_listed_obstacle(o) for o in scene.obstacles]} if scene.obstacles else {}
+        ),
         **{
             kind: {key: value for key, value in numbers.items() if value is not None}
             for kind, numbers in given.items()
@@ -128,6 +138,18 @@ def _plain(value: WorldValue) -> Any:
     if isinstance(value, Mapping):
         return {name: _plain(inner) for name, inner in value.items()}
     return list(value) if isinstance(value, tuple) else value
+
+
+def _contact_of(world: World) -> dict[str, Any]:
+    """Those keys of [world] for contacts that end a step that a scene gives."""
+    given = {"ground": world.ground, "friction": world.friction, "contact": world.contact}
+    absent = {"ground": None, "friction": 0.0, "contact": CONTACTS[0]}
+    return {key: value for key, value in given.items() if value != absent[key]}
+
+
+def _listed_obstacle(obstacle: Obstacle) -> Table:
+    """An obstacle as a table of a file."""
+    return {"shape": obstacle.shape, **obstacle.values}
 
 
 def _similar_file(path: Path) -> str:
@@ -161,6 +183,7 @@ def dump(scene: Scene) -> str:
         f"collisions = {str(bool(world.collisions)).lower()}",
         f"mouse = {_quoted(world.mouse)}",
     ]
+    out += [f"{key} = {_toml(value)}" for key, value in _contact_of(world).items()]
     for name, value in world.more.items():
         out.append(f"{name} = {_inline(value)}")
     for table, defaults, properties in (
@@ -193,7 +216,19 @@ def dump(scene: Scene) -> str:
                 out += [f"{key} = false"] if default is not None else []
             elif value != default:
                 out.append(f"{key} = {_written(value)}")
+    for obstacle in scene.obstacles:
+        out += ["", "[[obstacles]]"]
+        out += [f"{key} = {_toml(value)}" for key, value in _listed_obstacle(obstacle).items()]
     return "\n".join(out) + "\n"
+
+
+def _toml(value: Any) -> str:
+    """A number with all its digits, a text, or a list of these or of lists."""
+    if isinstance(value, (tuple, list)):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    if isinstance(value, (int, np.integer)) and not isinstance(value, bool):
+        return str(int(value))
+    return _written(value)
 
 
 def _triangles(triangles: np.ndarray) -> list[str]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NoReturn, TypeVar, overload
 
 import numpy as np
@@ -30,6 +31,7 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
+from taichi_cloth.scene.obstacles import CONTACTS, Obstacle
 from taichi_cloth.scene.properties import (
     PARTICLE_PROPERTIES,
     SPRING_PROPERTIES,
@@ -43,8 +45,29 @@ from taichi_cloth.scene.world_keys import world_keys
 # Each table's keys, besides further ones of [world] (`world_keys`). `break_force = false` says
 # unbreakable where [spring] gives a force.
 _TABLES = {
-    "": ("name", "triangles", "world", "particle", "spring", "particles", "springs", "cloths"),
-    "world": ("size", "up", "gravity", "dt", "walls", "collisions", "mouse"),
+    "": (
+        "name",
+        "triangles",
+        "world",
+        "particle",
+        "spring",
+        "particles",
+        "springs",
+        "cloths",
+        "obstacles",
+    ),
+    "world": (
+        "size",
+        "up",
+        "gravity",
+        "dt",
+        "walls",
+        "collisions",
+        "mouse",
+        "ground",
+        "friction",
+        "contact",
+    ),
     "particle": tuple(PARTICLE_PROPERTIES),
     "spring": (*SPRING_PROPERTIES, "color"),
     "particles": ("position", "velocity", "fixed", "color", *PARTICLE_PROPERTIES),
@@ -73,10 +96,15 @@ class _Source:
 
 
 class TableReader:
-    """Turns parsed TOML into a Scene; knows the place of everything for messages."""
+    """Turns parsed TOML into a Scene; knows the place of everything for messages.
 
-    def __init__(self, name: str, text: str, default_scene_name: str):
-        self.name = name
+    folder: the one from which the files that it names are read; absent: the present one.
+    """
+
+    def __init__(
+        self, name: str, text: str, default_scene_name: str, folder: Path | None = None
+    ) -> None:
+        self.name, self.folder = name, folder
         self.lines = toml.lines_of(text)
         self.assigned: set[Keys] = set()
         self.default_scene_name = default_scene_name
@@ -109,6 +137,8 @@ class TableReader:
             return self.place(kind.split()[0], field_name)
         if index is None:
             return self.place(kind)
+        if kind == "obstacle":
+            return self.place("obstacles", index, field_name)
         if kind == "triangle":
             return f"{self.place('triangles')}: triangle {index}"
         source = next(s for s in reversed(self.sources[kind]) if s.first <= index)
@@ -261,6 +291,7 @@ class TableReader:
             particle_defaults=particle_defaults,
             spring_defaults=spring_defaults,
             spring_color=spring_color,
+            obstacles=self.obstacles(table),
             triangles=np.concatenate(surfaces),
         )
         return validate(scene, self.place_of_fault)
@@ -280,6 +311,9 @@ class TableReader:
             walls=tuple(dict.fromkeys(walls or ())),
             collisions=self.value(table, path, "collisions", toml.boolean, False),
             mouse=self.value(table, path, "mouse", toml.text, MOUSE_MODES[0]),
+            ground=self.value(table, path, "ground", toml.number),
+            friction=self.value(table, path, "friction", toml.number, 0.0),
+            contact=self.value(table, path, "contact", toml.text, CONTACTS[0]),
             more=self.further_keys(table, len(size)),
             up=self.value(table, path, "up", toml.text, ""),
         )
@@ -315,6 +349,18 @@ class TableReader:
         """The triangles that are listed one by one, (m, 3) int64, those of no cloth."""
         listed = self.value(table, (), "triangles", toml.triples, [])
         return np.array(listed, np.int64).reshape(-1, 3)
+
+    def obstacles(self, table: Table) -> tuple[Obstacle, ...]:
+        """The obstacles; `checks.validate` says what is wrong with the values of their keys."""
+        found = []
+        for index, entry in enumerate(self.value(table, (), "obstacles", toml.tables) or []):
+            shape = self.required(entry, ("obstacles", index), "shape", toml.text)
+            values = {key: value for key, value in entry.items() if key != "shape"}
+            obstacle = Obstacle.build(shape, **values)
+            if "file" in values and self.folder is not None:
+                obstacle = obstacle.with_file(self.folder)
+            found.append(obstacle)
+        return tuple(found)
 
     def particle_defaults(self, table: Table) -> ParticleDefaults:
         given = {key: self.required(table, ("particle",), key, toml.number) for key in table}

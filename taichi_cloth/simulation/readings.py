@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from taichi_cloth.limits.network import Network
+from taichi_cloth.scene.obstacles import Drawn, depths, surface
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.prediction import describe_size
 from taichi_cloth.simulation.storage import Storage
@@ -24,6 +25,11 @@ class Readings(ABC):
     @abstractmethod
     def steps(self) -> int:
         """Steps done since the start."""
+
+    @property
+    @abstractmethod
+    def time(self) -> float:
+        """Simulated time, in the scene's units."""
 
     @property
     def particle_count(self) -> int:
@@ -107,6 +113,27 @@ class Readings(ABC):
         The same array until a spring breaks, comes or is whole again.
         """
         return self.storage.drawn_springs()
+
+    def obstacles(self) -> list[Drawn]:
+        """What is in the way, where it is now: obstacles in their order, then the ground.
+
+        Each has vertices (k, dim) and triangles (m, 3) to draw it by. Resting walls are left out.
+        """
+        world, found = self.storage.scene.world, []
+        extent = float(np.linalg.norm(world.size))
+        for solid in self.storage.solids:
+            if not solid.name.endswith("wall"):
+                shape = surface(solid, extent)
+                found.append(Drawn(solid.name, solid.shape, *shape, *solid.pose(self.time)))
+        return found
+
+    def depths(self) -> np.ndarray:
+        """How deep each particle is in what is in its way, (n,) [length].
+
+        It is negative where it touches nothing: how far it is from all of it. It is infinitely far
+        in a scene without obstacles, ground and resting walls.
+        """
+        return depths(self.storage.solids, self.positions(), self.radii(), self.time)
 
     def network(self) -> Network:
         """The particles where they are, and the springs that pull."""

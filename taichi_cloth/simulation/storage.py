@@ -19,6 +19,7 @@ from taichi_cloth.kernels.solvers import stages
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE, WORK, Capacity, State
+from taichi_cloth.scene import obstacles
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation import adjacency, diagnostics
 from taichi_cloth.simulation.launch import Launcher
@@ -64,6 +65,7 @@ class _Loaded:
 class Storage:
     """A state on the device. `take` says which, and `load` puts it there; all else comes after.
 
+    solids: what is in the way of the scene that was taken last (`scene.obstacles`).
     method: the one that runs on it. lanes: particles in a pack of the grids.
     real: type of the device's numbers. topology, path: how it was loaded. pushed: whether a push
     lasts until the frame's end.
@@ -74,6 +76,7 @@ class Storage:
         self._needs = method.needs
         self.real: Real = np.float64 if launcher.device.real == "f64" else np.float32
         self._taken = snapshot
+        self.solids = obstacles.solids(snapshot.scene)
         self._placements = Placements(snapshot.scene, self._needs, lanes)
         self.topology = self.path = ""
         self.pushed = self._held = False
@@ -118,6 +121,8 @@ class Storage:
 
     def take(self, snapshot: Snapshot) -> None:
         """Hold another state from the next load on, without a push."""
+        if not _same_solids(self._taken.scene, snapshot.scene):
+            self.solids = obstacles.solids(snapshot.scene)
         if not _same_places(self._taken.scene, snapshot.scene):
             self._placements = Placements(snapshot.scene, self._needs, self._lanes)
         self._taken = snapshot
@@ -202,6 +207,7 @@ class Storage:
             snapshot=self._taken,
             placements=self._placements,
             placement=now.placement,
+            solids=self.solids,
             needs=self._needs,
             real=self.real,
         )
@@ -266,6 +272,10 @@ class Storage:
             grids=len(layout.grid) + (clicked > 0),
             row=max(layout.row, clicked),
             triangles=len(self.scene.triangles) if forces.act_on_triangles(self.scene) else 0,
+            obstacles=len(self.solids),
+            nodes=sum(
+                s.placed.nodes[..., 0].size for s in self.solids if s.placed.nodes is not None
+            ),
         )
 
     def unprepared(self) -> list[Callable[[], None]]:
@@ -467,6 +477,12 @@ class Storage:
             self._launch(transfer.read_vectors, of, out)
         values: np.ndarray = out.astype(np.float64)
         return values
+
+
+def _same_solids(one: Scene, other: Scene) -> bool:
+    """Whether the same is in the way in two scenes."""
+    radius = [scene.particles.radius.max(initial=0.0) for scene in (one, other)]
+    return one.obstacles is other.obstacles and one.world is other.world and radius[0] == radius[1]
 
 
 def _same_places(one: Scene, other: Scene) -> bool:

@@ -5,18 +5,20 @@ One method a kernel of `kernels/transfer.py`, in the order in which a load calls
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.kernels import clock, surfaces, transfer
+from taichi_cloth.kernels import clock, poses, surfaces, transfer
+from taichi_cloth.kernels.obstacles.contract import SIZES
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import CELLS_PER_PARTICLE, GONE, device_fields, has_tractions
 from taichi_cloth.scene.model import Particles, Springs, World
+from taichi_cloth.scene.obstacles import Solid
 from taichi_cloth.scene.triangles import corner_shares, springs_of_sides
 from taichi_cloth.simulation import adjacency, layouts
 from taichi_cloth.simulation.launch import Launcher
@@ -31,8 +33,8 @@ Real = type[np.floating]  # the device's precision: np.float32 or np.float64
 class Upload:
     """Where a snapshot goes: `state`, whose fields are of `spec`.
 
-    placements: of its scene; placement: the one that is used. needs: what the method asks of the
-    host (`kernels.methods`). real: type of the device's numbers.
+    placements: of its scene; placement: the one that is used. solids: what is in its way.
+    needs: what the method asks of the host (`kernels.methods`). real: type of the device's numbers.
     """
 
     launcher: Launcher
@@ -41,6 +43,7 @@ class Upload:
     snapshot: Snapshot
     placements: Placements
     placement: Placement
+    solids: Sequence[Solid]
     needs: Collection[str]
     real: Real
 
@@ -101,6 +104,8 @@ class Upload:
         if has_tractions(self.spec):
             self._launch(surfaces.clear_tractions)
             self.surface(self.state.surface)
+        if self.spec.obstacles:
+            self._obstacles()
 
     def _launch(self, kernel: Any, *arguments: Any) -> None:
         self.launcher.launch(kernel, self.spec, self.state, *arguments)
@@ -247,6 +252,31 @@ class Upload:
         own = self._spring_numbers(self.snapshot.scene.springs.select(links))
         rows = np.column_stack([self.placement.link_places, self.snapshot.marks[links]])
         self._launch(transfer.load_links, shared, rows, own)
+
+    # --- obstacles -------------------------------------------------------------------------
+
+    def _obstacles(self) -> None:
+        """What is in the way, a row each, and the nodes of their grids one after the other."""
+        counts, rows, nodes = [], [], [np.zeros((1, 4))]
+        first = 0
+        for solid in self.solids:
+            placed, count = solid.placed, [0, 0, 0]
+            if placed.nodes is not None:
+                count = list(placed.nodes.shape[:3])
+                nodes.append(placed.nodes.reshape(-1, 4))
+            counts.append([self.spec.obstacles.index(solid.shape), first, *count])
+            first += int(np.prod(count))
+            scale = max((abs(size) for size in placed.sizes), default=0.0)
+            restitution = -1.0 if solid.restitution is None else solid.restitution
+            numbers = [solid.friction, restitution, placed.thin, placed.bound, scale, placed.cell]
+            sizes = np.zeros(SIZES)
+            sizes[: len(placed.sizes)] = placed.sizes
+            low = np.zeros(3) if placed.low is None else placed.low
+            pose = placed.centre, placed.turn.ravel(), solid.velocity, solid.spin
+            rows.append(np.concatenate([numbers, sizes, low, *pose]))
+        arrays = np.array(counts, np.int32), as_real(self.real, "obstacle", *np.transpose(rows))
+        grids = np.concatenate(nodes[1:] or nodes).astype(self.real)
+        self._launch(poses.load_obstacles, *arrays, grids)
 
     def _spring_numbers(self, springs: Springs) -> np.ndarray:
         """The numbers of springs, a column each (s, numbers): `kernels.spring_numbers`."""

@@ -1,0 +1,319 @@
+"""A closed mesh, by the distances of a grid's nodes from it (a signed distance field).
+
+The distance of a point is interpolated between the nodes of its cell, and so is the normal, from
+the slope of the distances at these nodes: a body's edges are as round as a cell is wide, and what
+is thinner than two cells may be lost. Which side a node is on: how often a line from it crosses the
+mesh. Jones, Baerentzen, Sramek, "3D distance fields: a survey", 2006; near the mesh distances are
+exact (Ericson, Real-Time Collision Detection, 5.1.5), beyond it they are from the nearest points
+that neighbouring nodes have found.
+"""
+
+import functools
+
+import numpy as np
+import taichi as ti
+
+from taichi_cloth.kernels.obstacles.contract import (
+    CELL,
+    FACES,
+    NUMBER,
+    POINT,
+    POINTS,
+    TEXT,
+    TURN,
+    Key,
+    Placed,
+    Shape,
+    turned,
+)
+
+MOST_NODES = 4_000_000
+CELLS = 32  # along its longest side, where `cell` is absent
+BAND = 2  # cells from the mesh within which distances are exact
+PAIRS = 500_000  # of nodes and faces that are looked at together
+
+
+@ti.func
+def distance(spec: ti.template(), state: ti.template(), o, q):
+    """Interpolated in the grid; outside of it at least the way to it and its margin."""
+    cell = state.obstacle_numbers[o, CELL]
+    first = state.obstacle_nodes[o, 0]
+    at, past = 0.0 * q, 0.0 * q
+    base = ti.Vector([0, 0, 0])
+    for axis in ti.static(range(3)):
+        count = state.obstacle_nodes[o, 1 + axis]
+        place = (q[axis] - state.obstacle_low[o, axis]) / cell
+        inside = ti.min(ti.max(place, 0.0), ti.cast(count - 1, state.real))
+        past[axis] = (place - inside) * cell
+        base[axis] = ti.min(ti.cast(inside, ti.i32), count - 2)
+        at[axis] = inside - ti.cast(base[axis], state.real)
+    d, n = 0.0 * q[0], 0.0 * q
+    rows, columns = state.obstacle_nodes[o, 2], state.obstacle_nodes[o, 3]
+    for corner in range(8):
+        i, j, k = corner % 2, corner // 2 % 2, corner // 4
+        node = first + ((base[0] + i) * rows + base[1] + j) * columns + base[2] + k
+        weight = ti.select(i == 1, at[0], 1.0 - at[0])
+        weight *= ti.select(j == 1, at[1], 1.0 - at[1])
+        weight *= ti.select(k == 1, at[2], 1.0 - at[2])
+        d += weight * state.obstacle_grid[node, 0]
+        for axis in ti.static(range(3)):
+            n[axis] += weight * state.obstacle_grid[node, 1 + axis]
+    outside, length = ti.sqrt(past.dot(past)), ti.sqrt(n.dot(n))
+    if outside > 0.0:
+        d, n = outside + state.obstacle_sizes[o, 0], (1.0 / outside) * past
+    elif length > 0.0:
+        n = (1.0 / length) * n
+    else:
+        n[2] = 1.0
+    return d, n
+
+
+def refusal(values):
+    """Either a file or its contents; what a file may not have, lists may not either."""
+    given = [name for name in ("vertices", "faces") if values[name] is not None]
+    if values["file"] is not None:
+        if given:
+            return given[0], f"{given[0]} and file exclude each other; give one of them"
+        return "file", "file names a mesh: load the scene from a file, or give vertices and faces"
+    for name in ("vertices", "faces"):
+        if values[name] is None:
+            return None, f"'{name}' is missing; give file, or vertices and faces"
+    vertices = np.asarray(values["vertices"], np.float64)
+    faces = np.asarray(values["faces"], np.int64)
+    if len(faces) == 0:
+        return "faces", "faces has none"
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        wrong = faces[(faces < 0) | (faces >= len(vertices))][0]
+        return "faces", f"there is no vertex {wrong}; they are 0 to {len(vertices) - 1}"
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    if (edges[:, 0] == edges[:, 1]).any():
+        return "faces", f"face {int((edges[:, 0] == edges[:, 1]).argmax()) // 3} has a corner twice"
+    kinds, count = np.unique(edges, axis=0, return_counts=True)
+    if (count != 2).any():
+        a, b = kinds[(count != 2).argmax()]
+        has = int(count[(count != 2).argmax()])
+        words = f"{has} face{'s' * (has != 1)} at the edge from vertex {a} to {b}, a closed one 2"
+        return "faces" if values[
+            "file"
+        ] is None else "file", f"the mesh is not closed: it has {words}"
+    size = np.ptp(vertices[np.unique(faces)], axis=0) * values["scale"]
+    if values["cell"] is not None:
+        nodes = np.prod(np.ceil(size / values["cell"]) + 2 * BAND + 3)
+        if nodes > MOST_NODES:
+            least = values["cell"] * (nodes / MOST_NODES) ** (1 / 3)
+            words = f"its grid would have {nodes:.3g} nodes, more than {MOST_NODES:g}"
+            return (
+                "cell",
+                f"cell {values['cell']:g} is too small: {words}; give {least:.2g} or more",
+            )
+    if not size.min() > 0:
+        return "vertices", "the mesh is flat: it has no inside"
+    return None
+
+
+def place(values, dim, margin):
+    """The mesh at time 0, with its grid."""
+    vertices = np.asarray(values["vertices"], np.float64) * float(values["scale"])
+    faces = np.asarray(values["faces"], np.int64)
+    size = np.ptp(vertices[np.unique(faces)], axis=0)
+    cell = float(values["cell"] or size.max() / CELLS)
+    low, nodes = _grid(vertices.tobytes(), faces.tobytes(), cell, float(margin))
+    centre = np.zeros(3) if values["centre"] is None else np.asarray(values["centre"], np.float64)
+    bound = float(np.linalg.norm(vertices, axis=1).max())
+    clear = float(min(face.min() for axis in range(3) for face in _sides(nodes[..., 0], axis)))
+    # It may be as thin as its cells are wide in some places.
+    return Placed(
+        centre,
+        turned(values["turn"], dim),
+        (clear,),
+        thin=cell,
+        bound=bound,
+        low=low,
+        cell=cell,
+        nodes=nodes,
+        vertices=vertices,
+        faces=faces,
+    )
+
+
+def _sides(distances, axis):
+    """The first and the last layer of nodes along an axis."""
+    return np.take(distances, 0, axis), np.take(distances, -1, axis)
+
+
+@functools.lru_cache(maxsize=8)
+def _grid(vertices, faces, cell, margin):
+    """The low corner (3,) of a mesh's grid, and distances and normals at its nodes (.., 4).
+
+    vertices, faces: bytes of float64 and int64 arrays. margin: kept free around the mesh [length].
+    """
+    corners = np.frombuffer(vertices).reshape(-1, 3)[np.frombuffer(faces, np.int64).reshape(-1, 3)]
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    room = max((BAND + 0.5) * cell, min(margin + cell, float((high - low).max())))
+    counts = np.ceil((high - low + 2.0 * room) / cell).astype(np.int64) + 1
+    low = 0.5 * (low + high) - 0.5 * cell * (counts - 1)
+    # Not through a vertex or along an edge: a line there would cross two faces or none.
+    low = low + cell * np.array([0.0, 1.37e-5, 2.71e-5])
+    points = [low[axis] + cell * np.arange(counts[axis]) for axis in range(3)]
+    nearest = _nearest_points(corners, low, cell, counts)
+    at = np.stack(np.meshgrid(*points, indexing="ij"), axis=3)
+    distances = np.linalg.norm(at - nearest, axis=3)
+    distances[_inside(corners, points)] *= -1.0
+    slopes = np.stack(np.gradient(distances, cell), axis=3)
+    return low, np.concatenate([distances[..., None], slopes], axis=3)
+
+
+def _nearest_points(corners, low, cell, counts):
+    """The point of the mesh nearest to each node (nx, ny, nz, 3); corners: (m, 3, 3)."""
+    nearest = np.full((*counts, 3), 1e30)
+    best = np.full(counts.prod(), np.inf)
+    flat = nearest.reshape(-1, 3)
+    first = np.maximum(np.floor((corners.min(axis=1) - low) / cell).astype(int) - BAND, 0)
+    last = np.minimum(np.ceil((corners.max(axis=1) - low) / cell).astype(int) + BAND, counts - 1)
+    sizes = last - first + 1
+    pairs = sizes.prod(axis=1)
+    begin = 0
+    while begin < len(corners):
+        many = np.searchsorted(np.cumsum(pairs[begin:]), PAIRS) + 1
+        mine = np.arange(begin, min(begin + many, len(corners)))
+        face = np.repeat(mine, pairs[mine])
+        inner = np.arange(len(face)) - np.repeat(np.cumsum(pairs[mine]) - pairs[mine], pairs[mine])
+        ny, nz = sizes[face, 1], sizes[face, 2]
+        node = first[face] + np.column_stack([inner // (ny * nz), inner // nz % ny, inner % nz])
+        point = closest_points(low + cell * node, corners[face])
+        distance = np.linalg.norm(low + cell * node - point, axis=1)
+        index = (node[:, 0] * counts[1] + node[:, 1]) * counts[2] + node[:, 2]
+        order = np.argsort(-distance, kind="stable")  # the last of equal indices is what remains
+        index, point, distance = index[order], point[order], distance[order]
+        better = distance < best[index]
+        best[index[better]], flat[index[better]] = distance[better], point[better]
+        begin += many
+    _pass_on(nearest, low, cell, counts)
+    return nearest
+
+
+def _pass_on(nearest, low, cell, counts):
+    """Give each node the nearest of the points that its neighbours have (jump flooding).
+
+    Rong, Tan, "Jump flooding in GPU", 2006.
+    """
+    at = low + cell * np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=3)
+    own = np.linalg.norm(at - nearest, axis=3)
+    step = 1 << int(counts.max() - 1).bit_length()
+    steps = []
+    while step > 1:
+        step //= 2
+        steps.append(step)
+    for step in (*steps, 1):
+        for axis in range(3):
+            for side in (-1, 1):
+                here, there = [slice(None)] * 3, [slice(None)] * 3
+                here[axis] = slice(step, None) if side > 0 else slice(None, -step)
+                there[axis] = slice(None, -step) if side > 0 else slice(step, None)
+                if counts[axis] <= step:
+                    continue
+                passed = nearest[tuple(there)]
+                distance = np.linalg.norm(at[tuple(here)] - passed, axis=3)
+                nearer = distance < own[tuple(here)]
+                nearest[tuple(here)][nearer] = passed[nearer]
+                own[tuple(here)][nearer] = distance[nearer]
+
+
+def closest_points(p, corners):
+    """The point of each triangle (n, 3, 3) that is closest to a point of its own (n, 3).
+
+    Ericson, Real-Time Collision Detection, 5.1.5: by the region of the triangle's plane.
+    """
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, ac, bc = b - a, c - a, c - b
+    best, found = np.full(len(p), np.inf), a.copy()
+    normal = np.cross(ab, ac)
+    area2 = np.einsum("ij,ij->i", normal, normal)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        height = np.einsum("ij,ij->i", p - a, normal) / area2
+        on = p - height[:, None] * normal
+        inside = area2 > 0
+        for from_, edge in ((a, ab), (b, bc), (c, -1.0 * ac)):
+            inside &= np.einsum("ij,ij->i", np.cross(edge, on - from_), normal) >= 0
+    for from_, edge in ((a, ab), (b, bc), (a, ac)):
+        length2 = np.einsum("ij,ij->i", edge, edge)
+        part = np.einsum("ij,ij->i", p - from_, edge) / np.where(length2 > 0, length2, 1.0)
+        point = from_ + np.clip(part, 0.0, 1.0)[:, None] * edge
+        distance = np.linalg.norm(p - point, axis=1)
+        nearer = distance < best
+        found[nearer], best[nearer] = point[nearer], distance[nearer]
+    found[inside] = on[inside]
+    return found
+
+
+def _inside(corners, points):
+    """Which nodes are inside the mesh (nx, ny, nz): those from which x crosses it an odd number.
+
+    points: the nodes' coordinates along each axis.
+    """
+    x, y, z = points
+    crossings = np.zeros((len(x) + 1, len(y), len(z)), np.int64)
+    for a, b, c in corners:
+        ys, zs = (
+            slice(*np.searchsorted(values, [min(t), max(t)]))
+            for values, t in ((y, (a[1], b[1], c[1])), (z, (a[2], b[2], c[2])))
+        )
+        py, pz = y[ys][:, None], z[zs][None, :]
+        area = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
+        if area == 0.0 or py.size == 0 or pz.size == 0:
+            continue
+        u = ((b[1] - py) * (c[2] - pz) - (b[2] - pz) * (c[1] - py)) / area
+        v = ((c[1] - py) * (a[2] - pz) - (c[2] - pz) * (a[1] - py)) / area
+        hit = (u >= 0) & (v >= 0) & (u + v <= 1)
+        if hit.any():
+            where = u * a[0] + v * b[0] + (1 - u - v) * c[0]
+            row, column = np.nonzero(hit)
+            first = np.searchsorted(x, where[hit])
+            np.add.at(crossings, (first, row + ys.start, column + zs.start), 1)
+    odd: np.ndarray = np.cumsum(crossings, axis=0)[:-1] % 2 == 1
+    return odd
+
+
+def twin(placed, q):
+    """The law in NumPy."""
+    count = np.array(placed.nodes.shape[:3])
+    at = (q - placed.low) / placed.cell
+    inside = np.clip(at, 0.0, count - 1)
+    past = (at - inside) * placed.cell
+    base = np.minimum(inside.astype(np.int64), count - 2)
+    part = inside - base
+    value = np.zeros((len(q), 4))
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.where(np.array(corner) == 1, part, 1.0 - part).prod(axis=1)
+        value += weight[:, None] * placed.nodes[tuple((base + corner).T)]
+    d, n = value[:, 0], value[:, 1:]
+    length, outside = np.linalg.norm(n, axis=1), np.linalg.norm(past, axis=1)
+    n = np.where(length[:, None] > 0, n / np.where(length, length, 1.0)[:, None], [0.0, 0.0, 1.0])
+    far = outside > 0
+    d[far] = outside[far] + placed.sizes[0]
+    n[far] = past[far] / outside[far, None]
+    return d, n
+
+
+def surface(placed, extent):
+    """The mesh itself."""
+    return placed.vertices, placed.faces
+
+
+SHAPE = Shape(
+    keys=(
+        Key("file", TEXT, "a mesh file, relative to the scene's", "", None),
+        Key("vertices", POINTS, "its vertices, where there is no file", "length", None),
+        Key("faces", FACES, "its triangles, by numbers of vertices", "", None),
+        Key("centre", POINT, "where the mesh's origin is", "length", None),
+        Key("turn", TURN, "about that, at time 0", "degrees", None),
+        Key("scale", NUMBER, "by which vertices are multiplied", "1", 1.0, above=0.0),
+        Key("cell", NUMBER, "width of the grid's cells", "length", None, above=0.0),
+    ),
+    dims=(3,),
+    refusal=refusal,
+    place=place,
+    distance=distance,
+    twin=twin,
+    surface=surface,
+)

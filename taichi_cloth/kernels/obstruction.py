@@ -1,0 +1,236 @@
+"""What obstacles leave of a step: particles neither enter them nor slide along them for nothing.
+
+From a step's free end (x, v) a particle that has entered an obstacle is put onto its surface. The
+velocity relative to the surface loses what points into it, and friction takes from what is left at
+most the coefficient times that, at most all of it (Coulomb, 1785). The position gets the method's
+weight times dt of what friction changes (`settling.py`), so on a slope it is where the method has
+it under a constant acceleration, and what sticks stays, to the bit where nothing moves.
+
+Who meets an obstacle with a restitution bounces off where the step meets the surface, and goes on
+for the rest of the step; a bounce that ends within the step is rest. Where a step goes farther than
+the obstacle is thick, its whole path is looked at, as the obstacle sees it, by steps of the
+distance to it (sphere tracing; Hart, The Visual Computer 12, 1996).
+
+Distances count from the surface of the particle. Walls are obstacles too where they are `resting`.
+"""
+
+import taichi as ti
+
+from taichi_cloth.kernels import laws
+from taichi_cloth.kernels.compensated import joined
+from taichi_cloth.kernels.loops import each_pack_moving
+from taichi_cloth.kernels.obstacles.contract import BOUND, FRICTION, RESTITUTION, SCALE, THIN
+from taichi_cloth.kernels.packs import (
+    epsilon,
+    set_slot_value,
+    slot_number,
+    slot_value,
+)
+from taichi_cloth.kernels.poses import (
+    END,
+    START,
+    centre_of,
+    place_obstacles,
+    signed_distance,
+    to_local,
+    to_world,
+    velocity_at,
+)
+from taichi_cloth.kernels.watchdog import note_fault
+
+ROUNDS = 8  # in which a particle that several obstacles touch finds where all let it be
+ROUNDINGS = 8.0  # of the lengths in a distance, that count as touching
+MOST_LOOKS = 128  # along the path of a step
+LEAST_STEP = 0.25  # of a look, in parts of how thin the obstacle is
+NEAR = 0.01  # distance, in the same parts, at which a path has met the obstacle
+
+
+def needed(spec):
+    """Whether a specialization has obstacles."""
+    return bool(spec.obstacles)
+
+
+@ti.func
+def settle(spec: ti.template(), state: ti.template(), t):
+    """Take all particles out of all obstacles, with what contact and friction leave of v."""
+    if ti.static(spec.moving):
+        place_obstacles(spec, state, t)
+    each_pack_moving(spec, state, t, _settle_pack)
+
+
+@ti.func
+def _settle_pack(spec: ti.template(), state: ti.template(), i):
+    for lane in range(spec.lanes):
+        slot = i * spec.lanes + lane
+        if slot_number(spec, state.w, slot) > 0.0:
+            _settle_particle(spec, state, slot)
+
+
+@ti.func
+def _settle_particle(spec: ti.template(), state: ti.template(), slot):
+    """Run all obstacles on the particle at a slot, until none changes it."""
+    x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)
+    x_low, v_low = 0.0 * x, 0.0 * v
+    if ti.static(spec.compensated):
+        x_low, v_low = slot_value(spec, state.x_low, slot), slot_value(spec, state.v_low, slot)
+    radius = slot_number(spec, state.radius, slot)
+    touched, changing, steady = 0, 1, 1
+    for _ in range(ROUNDS):
+        if changing == 1:
+            changing = 0
+            for o in range(state.n_obstacles[None]):
+                if is_near(spec, state, o, slot, x, radius):
+                    new_x, new_x_low, new_v, new_v_low, changed, steady = obstructed(
+                        spec, state, o, slot, x, x_low, v, v_low, radius, steady
+                    )
+                    if changed == 1:
+                        x, x_low, v, v_low = new_x, new_x_low, new_v, new_v_low
+                        changing, touched = 1, 1
+    if touched == 1:
+        set_slot_value(spec, state.x, slot, x)
+        set_slot_value(spec, state.v, slot, v)
+        if ti.static(spec.compensated):
+            set_slot_value(spec, state.x_low, slot, x_low)
+            set_slot_value(spec, state.v_low, slot, v_low)
+        note_fault(spec, state, slot)
+
+
+@ti.func
+def is_near(spec: ti.template(), state: ti.template(), o, slot, x, radius):
+    """Whether a particle may have touched obstacle o in this step: most have not."""
+    d, way = x - centre_of(spec, state, o, END), x - slot_value(spec, state.begun_x, slot)
+    if ti.static(spec.moving):
+        way += centre_of(spec, state, o, START) - centre_of(spec, state, o, END)
+    reach = state.obstacle_numbers[o, BOUND] + radius
+    return ti.sqrt(d.dot(d)) <= 1.001 * reach + ti.sqrt(way.dot(way))
+
+
+@ti.func
+def obstructed(
+    spec: ti.template(), state: ti.template(), o, slot, x, x_low, v, v_low, radius, steady
+):
+    """What obstacle o leaves of a particle's free end: x, x_low, v, v_low.
+
+    Then come 1 if it changed them, and `steady`: 1 while all that the particle has touched in this
+    step is at rest. slot: where the particle is; x_low, v_low: what is to be added to x and v
+    (`compensated.py`).
+    """
+    new_x, new_x_low, new_v, new_v_low, changed, still = x, x_low, v, v_low, 0, steady
+    began = slot_value(spec, state.begun_x, slot)
+    centre, dt = centre_of(spec, state, o, END), state.dt[None]
+    d = x - centre + x_low
+    slack = (
+        ROUNDINGS
+        * ti.static(epsilon(state))
+        * (_size(x) + _size(centre) + radius + state.obstacle_numbers[o, SCALE])
+    )
+    gap, n, gap_before, part = meet(spec, state, o, slot, d, radius, slack)
+    surface_v = velocity_at(spec, state, o, d - (gap + radius) * n)
+    relative = v - surface_v + v_low
+    u = relative.dot(n)
+    if gap <= slack and (gap < 0.0 or u < 0.0):
+        push, weight = ti.max(-1.0 * gap, 0.0), ti.static(state.position_weight) * dt
+        new_u = ti.max(u, 0.0)
+        e = state.obstacle_numbers[o, RESTITUTION]
+        if e < 0.0:
+            e = slot_number(spec, state.restitution, slot)
+        meets = gap_before > slack
+        if meets:
+            weight = (1.0 - part) * dt
+            if e > 0.0:
+                u_before = (slot_value(spec, state.begun_v, slot) - surface_v).dot(n)
+                new_u, lift = bounce(u_before, u, part, e, state.position_weight, dt)
+                push += lift
+        slide = relative - u * n
+        taken, stops = laws.friction(
+            slide, ti.max(new_u - u, 0.0), state.obstacle_numbers[o, FRICTION]
+        )
+        if surface_v.dot(surface_v) > 0.0:
+            still = 0
+        new_x, new_x_low = joined(spec, state, x, x_low, push * n + weight * taken)
+        new_v, new_v_low = joined(spec, state, v, v_low, (new_u - u) * n + taken)
+        if stops:
+            new_v, new_v_low = surface_v + new_u * n, 0.0 * v_low
+            begun_v = slot_value(spec, state.begun_v, slot)
+            at_rest = begun_v.dot(begun_v) + new_u == 0.0
+            if still == 1 and at_rest and not meets and gap_before > -1.0 * slack:
+                new_x = began  # to the bit, however often rounding would have moved it
+                if ti.static(spec.compensated):
+                    new_x_low = slot_value(spec, state.begun_x_low, slot)
+        changed = 1
+    return new_x, new_x_low, new_v, new_v_low, changed, still
+
+
+@ti.func
+def _size(a):
+    """The sum of the sizes of a vector's components."""
+    total = a[0] - a[0]
+    for axis in ti.static(range(a.n)):
+        total += ti.max(a[axis], -1.0 * a[axis])
+    return total
+
+
+@ti.func
+def bounce(u_before, u, part, e, position_weight: ti.template(), dt):
+    """The normal velocity after a bounce in a step, and how far it leads from the surface.
+
+    u_before, u: normal velocities at the step's start and at its free end; part: of the step, after
+    which the surface is met. The velocity it is met with is between both, so that energy does not
+    grow: under a constant acceleration it is at most that of the fall. It is the first of both for
+    methods whose positions follow that one.
+    """
+    met = u_before
+    if ti.static(position_weight > 0.0):
+        met = u_before + part * (u - u_before)
+    met = ti.min(met, 0.0)
+    rest = (1.0 - part) * (u - u_before)
+    new_u = rest - e * met
+    lift = (1.0 - part) * dt * (0.5 * rest - e * met)
+    if new_u <= 0.0 or lift <= 0.0:
+        new_u, lift = ti.max(u, 0.0), 0.0 * lift
+    return new_u, lift
+
+
+@ti.func
+def meet(spec: ti.template(), state: ti.template(), o, slot, d, radius, slack):
+    """How a particle's step meets obstacle o: (gap, n, gap_before, part).
+
+    d: where it ends, from the obstacle's centre. gap: how far the particle's surface then is from
+    the obstacle's, negative: past it; n: the normal there, of the world. Where the step is longer
+    than the obstacle is thick, both are those of the plane that touches it where the path meets it.
+    gap_before: the gap at the step's start; part: of the step, after which the surface is met.
+    """
+    end = to_local(spec, state, o, END, d)
+    distance, n = signed_distance(spec, state, o, end)
+    gap, gap_before, met = distance - radius, distance - radius, -1.0 + 0.0 * radius
+    began = slot_value(spec, state.begun_x, slot) - centre_of(spec, state, o, START)
+    if ti.static(spec.compensated):
+        began += slot_value(spec, state.begun_x_low, slot)
+    start = to_local(spec, state, o, START, began)
+    way, thin = end - start, state.obstacle_numbers[o, THIN]
+    length = ti.sqrt(way.dot(way))
+    fast = length > thin
+    if gap <= slack or fast:
+        looks, at, going = 0, 0.0 * radius, True
+        while going:
+            here_d, here_n = signed_distance(spec, state, o, start + at * way)
+            here = here_d - radius
+            inward = here_n.dot(way)
+            if looks == 0:
+                gap_before = here
+            if not fast or (looks == 0 and here < -1.0 * slack):
+                going = False
+            elif here <= NEAR * thin + slack and inward < 0.0:
+                past = here + (1.0 - at) * inward
+                if past < 0.0:
+                    gap, n, met, going = past, here_n, at - here / inward, False
+            at += ti.max(here, LEAST_STEP * thin, length / MOST_LOOKS) / length
+            looks += 1
+            if at >= 1.0 or looks >= MOST_LOOKS:
+                going = False
+    part = 1.0 + 0.0 * radius
+    if met >= 0.0:
+        part = ti.min(met, 1.0)
+    elif gap < 0.0 and gap_before > 0.0:
+        part = gap_before / (gap_before - gap)
+    return gap, to_world(spec, state, o, END, n), gap_before, part

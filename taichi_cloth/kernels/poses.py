@@ -1,0 +1,180 @@
+"""Where obstacles are at both ends of a step, and how their points move.
+
+A pose is a centre and a matrix, whose columns are the axes of the obstacle's own frame: a local
+point q is at centre + matrix q. Obstacles move with constant velocities along and about their
+centres, from where they are at time 0. Their poses are computed once a step, in f64 also where the
+state is in f32 (`clock.py`), so that they go smoothly and what lies on them does not tremble.
+"""
+
+import taichi as ti
+
+from taichi_cloth.kernels.clock import time_at_end, time_at_start, wide
+from taichi_cloth.kernels.loops import each
+from taichi_cloth.kernels.obstacles import load
+from taichi_cloth.kernels.obstacles.contract import NUMBERS, SIZES
+
+START, END = range(2)  # of a step
+SIZES_AT = len(NUMBERS)  # columns of what `load_obstacles` takes
+LOW_AT = SIZES_AT + SIZES
+START_AT = LOW_AT + 3
+
+
+def spins(dim):
+    """How many numbers an angular velocity has."""
+    return 1 if dim == 2 else 3
+
+
+def pose_size(dim):
+    """How many numbers a pose has: the centre, then the matrix row by row."""
+    return dim + dim * dim
+
+
+def start_size(dim):
+    """How many numbers state.obstacle_start has for each: pose at time 0, velocity, spin."""
+    return pose_size(dim) + dim + spins(dim)
+
+
+@ti.kernel
+def load_obstacles(
+    spec: ti.template(),
+    state: ti.template(),
+    counts: ti.types.ndarray(),
+    rows: ti.types.ndarray(),
+    nodes: ti.types.ndarray(),
+):
+    """Load the obstacles.
+
+    counts: (o, 5): number of the shape in spec.obstacles; of its grid the first node and how many
+    there are along each axis. rows: (o, columns): `NUMBERS`, sizes, low corner of the grid, then
+    what `start_size` counts. nodes: (nodes, 4), distance and normal, or one row where there are
+    none.
+    """
+    for _ in range(1):
+        state.n_obstacles[None] = counts.shape[0]
+    for o in range(counts.shape[0]):
+        state.obstacle_shape[o] = counts[o, 0]
+        for k in ti.static(range(4)):
+            state.obstacle_nodes[o, k] = counts[o, 1 + k]
+        for k in ti.static(NUMBERS):
+            state.obstacle_numbers[o, k] = rows[o, k]
+        for k in ti.static(range(SIZES)):
+            state.obstacle_sizes[o, k] = rows[o, SIZES_AT + k]
+        for k in ti.static(range(3)):
+            state.obstacle_low[o, k] = rows[o, LOW_AT + k]
+        for k in ti.static(range(start_size(spec.dim))):
+            state.obstacle_start[o, k] = rows[o, START_AT + k]
+        size = ti.static(pose_size(spec.dim))
+        for k in ti.static(range(2 * pose_size(spec.dim))):
+            state.obstacle_pose[o, k] = rows[o, START_AT + k % size]
+    for n in range(nodes.shape[0]):
+        for k in ti.static(range(4)):
+            if ti.static(state.has_nodes):
+                state.obstacle_grid[n, k] = nodes[n, k]
+
+
+@ti.func
+def place_obstacles(spec: ti.template(), state: ti.template(), t):
+    """Compute the poses of all obstacles at both ends of the present step."""
+    each(spec, state, t, state.n_obstacles[None], _place)
+
+
+@ti.func
+def _place(spec: ti.template(), state: ti.template(), o):
+    _place_at(spec, state, o, START, time_at_start(state))
+    _place_at(spec, state, o, END, time_at_end(state))
+
+
+@ti.func
+def _place_at(spec: ti.template(), state: ti.template(), o, end: ti.template(), time):
+    """Compute the pose of obstacle o at one end of the step, which is at `time`."""
+    dim = ti.static(spec.dim)
+    size = ti.static(pose_size(spec.dim))
+    first = ti.static(end * pose_size(spec.dim))
+    for axis in ti.static(range(dim)):
+        moved = wide(state, state.obstacle_start[o, size + axis]) * time
+        at = wide(state, state.obstacle_start[o, axis]) + moved
+        state.obstacle_pose[o, first + axis] = ti.cast(at, state.real)
+    spin = [state.obstacle_start[o, size + dim + k] for k in ti.static(range(spins(spec.dim)))]
+    x, y, z = wide(state, 0.0), wide(state, 0.0), wide(state, spin[0])
+    if ti.static(spec.dim == 3):
+        x, y, z = wide(state, spin[0]), wide(state, spin[1]), wide(state, spin[-1])
+    rate = ti.sqrt(x * x + y * y + z * z)
+    if rate > 0.0:
+        x, y, z = x / rate, y / rate, z / rate
+    s, c = ti.sin(rate * time), ti.cos(rate * time)
+    d = 1.0 - c
+    # Rodrigues' matrix, row by row (`contract.about`); in 2-D only its first two rows and columns.
+    turn = [
+        [c + d * x * x, d * x * y - s * z, d * x * z + s * y],
+        [d * x * y + s * z, c + d * y * y, d * y * z - s * x],
+        [d * x * z - s * y, d * y * z + s * x, c + d * z * z],
+    ]
+    for a in ti.static(range(spec.dim)):
+        for b in ti.static(range(spec.dim)):
+            total = wide(state, 0.0)
+            for k in ti.static(range(spec.dim)):
+                column = ti.static(spec.dim * (k + 1)) + b
+                total += turn[a][k] * wide(state, state.obstacle_start[o, column])
+            column = first + ti.static(spec.dim * (a + 1)) + b
+            state.obstacle_pose[o, column] = ti.cast(total, state.real)
+
+
+@ti.func
+def centre_of(spec: ti.template(), state: ti.template(), o, end: ti.template()):
+    """The centre (dim,) of obstacle o at one end of the step."""
+    first = ti.static(end * pose_size(spec.dim))
+    return ti.Vector([state.obstacle_pose[o, first + axis] for axis in range(spec.dim)])
+
+
+@ti.func
+def to_local(spec: ti.template(), state: ti.template(), o, end: ti.template(), d):
+    """A vector d (dim,) of the world in the frame of obstacle o at one end of the step."""
+    first = ti.static(end * pose_size(spec.dim) + spec.dim)
+    q = 0.0 * d
+    for b in ti.static(range(spec.dim)):
+        for a in ti.static(range(spec.dim)):
+            q[b] += state.obstacle_pose[o, first + ti.static(a * spec.dim + b)] * d[a]
+    return q
+
+
+@ti.func
+def to_world(spec: ti.template(), state: ti.template(), o, end: ti.template(), q):
+    """A vector q (dim,) of the frame of obstacle o at one end of the step, in the world."""
+    first = ti.static(end * pose_size(spec.dim) + spec.dim)
+    d = 0.0 * q
+    for a in ti.static(range(spec.dim)):
+        for b in ti.static(range(spec.dim)):
+            d[a] += state.obstacle_pose[o, first + ti.static(a * spec.dim + b)] * q[b]
+    return d
+
+
+@ti.func
+def velocity_at(spec: ti.template(), state: ti.template(), o, r):
+    """The velocity of the point of obstacle o that is at r (dim,) from its centre."""
+    at = ti.static(pose_size(spec.dim))
+    v = 0.0 * r
+    if ti.static(spec.moving):
+        for axis in ti.static(range(spec.dim)):
+            v[axis] = state.obstacle_start[o, at + axis]
+        first = ti.static(at + spec.dim)
+        if ti.static(spec.dim == 2):
+            spin = state.obstacle_start[o, first]
+            v[0] += -1.0 * spin * r[1]
+            v[1] += spin * r[0]
+        else:
+            for axis in ti.static(range(3)):
+                b, c = ti.static((axis + 1) % 3), ti.static((axis + 2) % 3)
+                v[axis] += state.obstacle_start[o, first + b] * r[c]
+                v[axis] += -1.0 * state.obstacle_start[o, first + c] * r[b]
+    return v
+
+
+@ti.func
+def signed_distance(spec: ti.template(), state: ti.template(), o, q):
+    """The distance of obstacle o's surface from the local point q, and its normal there."""
+    d, n = q[0], 0.0 * q
+    for s in ti.static(range(len(spec.obstacles))):
+        if state.obstacle_shape[o] == s:
+            new_d, new_n = ti.static(load(spec.obstacles[s]).distance)(spec, state, o, q)
+            d, n = new_d, new_n
+    return d, n
