@@ -200,34 +200,37 @@ def meet(spec: ti.template(), state: ti.template(), o, slot, d, radius, slack):
     than the obstacle is thick, both are those of the plane that touches it where the path meets it.
     gap_before: the gap at the step's start; part: of the step, after which the surface is met.
     """
-    end = to_local(spec, state, o, END, d)
-    distance, n = signed_distance(spec, state, o, end)
-    gap, gap_before, met = distance - radius, distance - radius, -1.0 + 0.0 * radius
     began = slot_value(spec, state.begun_x, slot) - centre_of(spec, state, o, START)
     if ti.static(spec.compensated):
         began += slot_value(spec, state.begun_x_low, slot)
     start = to_local(spec, state, o, START, began)
-    way, thin = end - start, state.obstacle_numbers[o, THIN]
+    way, thin = to_local(spec, state, o, END, d) - start, state.obstacle_numbers[o, THIN]
     length = ti.sqrt(way.dot(way))
     fast = length > thin
-    if gap <= slack or fast:
-        looks, at, going = 0, 0.0 * radius, True
-        while going:
-            here_d, here_n = signed_distance(spec, state, o, start + at * way)
-            here = here_d - radius
+    n, gap, gap_before, met = 0.0 * d, 0.0 * radius, 0.0 * radius, -1.0 + 0.0 * radius
+    # The first look is at the end, the second at the start: one loop, so that the laws of all
+    # shapes are compiled once.
+    looks, at, going = 0, 1.0 + 0.0 * radius, True
+    while going:
+        here_d, here_n = signed_distance(spec, state, o, start + at * way)
+        here = here_d - radius
+        if looks == 0:
+            gap, n, gap_before = here, here_n, here
+            at, going = 0.0 * at, here <= slack or fast
+        else:
             inward = here_n.dot(way)
-            if looks == 0:
+            if looks == 1:
                 gap_before = here
-            if not fast or (looks == 0 and here < -1.0 * slack):
+            if not fast or (looks == 1 and here < -1.0 * slack):
                 going = False
             elif here <= NEAR * thin + slack and inward < 0.0:
                 past = here + (1.0 - at) * inward
                 if past < 0.0:
                     gap, n, met, going = past, here_n, at - here / inward, False
             at += ti.max(here, LEAST_STEP * thin, length / MOST_LOOKS) / length
-            looks += 1
-            if at >= 1.0 or looks >= MOST_LOOKS:
+            if at >= 1.0 or looks > MOST_LOOKS:
                 going = False
+        looks += 1
     part = 1.0 + 0.0 * radius
     if met >= 0.0:
         part = ti.min(met, 1.0)

@@ -127,25 +127,43 @@ def centre_of(spec: ti.template(), state: ti.template(), o, end: ti.template()):
 
 
 @ti.func
+def _product(
+    spec: ti.template(),
+    state: ti.template(),
+    o,
+    first: ti.template(),
+    stride: ti.template(),
+    d,
+):
+    """The sum of d's components times every stride-th number of obstacle o's pose from `first`."""
+    total = state.obstacle_pose[o, first] * d[0]
+    for k in ti.static(range(1, spec.dim)):
+        total += state.obstacle_pose[o, first + k * stride] * d[k]
+    return total
+
+
+@ti.func
 def to_local(spec: ti.template(), state: ti.template(), o, end: ti.template(), d):
     """A vector d (dim,) of the world in the frame of obstacle o at one end of the step."""
     first = ti.static(end * pose_size(spec.dim) + spec.dim)
-    q = 0.0 * d
-    for b in ti.static(range(spec.dim)):
-        for a in ti.static(range(spec.dim)):
-            q[b] += state.obstacle_pose[o, first + ti.static(a * spec.dim + b)] * d[a]
-    return q
+    return ti.Vector(
+        [
+            _product(spec, state, o, ti.static(first + b), spec.dim, d)
+            for b in ti.static(range(spec.dim))
+        ]
+    )
 
 
 @ti.func
 def to_world(spec: ti.template(), state: ti.template(), o, end: ti.template(), q):
     """A vector q (dim,) of the frame of obstacle o at one end of the step, in the world."""
     first = ti.static(end * pose_size(spec.dim) + spec.dim)
-    d = 0.0 * q
-    for a in ti.static(range(spec.dim)):
-        for b in ti.static(range(spec.dim)):
-            d[a] += state.obstacle_pose[o, first + ti.static(a * spec.dim + b)] * q[b]
-    return d
+    return ti.Vector(
+        [
+            _product(spec, state, o, ti.static(first + a * spec.dim), 1, q)
+            for a in ti.static(range(spec.dim))
+        ]
+    )
 
 
 @ti.func
