@@ -136,9 +136,12 @@ def obstructed(
             e = slot_number(spec, state.restitution, slot)
         meets = gap_before > slack
         if meets:
-            weight = (1.0 - part) * dt
+            u_before = (slot_value(spec, state.begun_v, slot) - surface_v).dot(n)
+            if u < 0.0:
+                # What it came with is lost where it meets the surface, the rest through the step.
+                came = ti.min(ti.max(u_before / u, 0.0), 1.0)
+                weight += came * ((1.0 - part) * dt - weight)
             if e > 0.0:
-                u_before = (slot_value(spec, state.begun_v, slot) - surface_v).dot(n)
                 new_u, lift = bounce(u_before, u, part, e, state.position_weight, dt)
                 push += lift
         slide = relative - u * n

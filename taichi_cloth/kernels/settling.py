@@ -14,12 +14,12 @@ in state.begun_x and begun_v, with begun_x_low, if spec.keeps_begun says so.
 
 import taichi as ti
 
-from taichi_cloth.kernels import obstruction
+from taichi_cloth.kernels import faces, obstruction
 from taichi_cloth.kernels.loops import each_pack
 from taichi_cloth.kernels.watchdog import keep_begun
 
 # (needed, settle), in the order in which they act
-PARTS = ((obstruction.needed, obstruction.settle),)
+PARTS = ((faces.needed, faces.settle), (obstruction.needed, obstruction.settle))
 
 
 def settles(spec):

@@ -10,7 +10,8 @@ class Specialization:
     dim, uniform_springs, uniform_particles, fracture, walls, floor, collisions: features of the
         scene, as in `scene.model.Features`.
     obstacles: the shapes of its obstacles, ground and resting walls included (`obstacles/`).
-    moving: whether any of them moves.
+    moving: whether any of them moves. faces: whether any is so thin that the faces of triangles are
+        tested against it (`faces.py`).
     terms: the names of its forces (`forces/`), in the order in which they are added up.
     springs: whether there are springs on the graph: all of them, or those that no grid holds.
     lanes: how many particles a pack has (`packs.py`); 1 on a graph and on GPUs.
@@ -33,6 +34,7 @@ class Specialization:
     terms: tuple[str, ...]
     obstacles: tuple[str, ...] = ()
     moving: bool = False
+    faces: bool = False
     lanes: int = 1
     links: tuple[tuple[int, int], ...] = ()
     rows_share_stiffness: bool = False

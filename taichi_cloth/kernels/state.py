@@ -40,8 +40,8 @@ class Capacity:
     """How much fits into a `State`.
 
     particles; springs: those on the graph; packs, the empty ones included; grids; row: packs in the
-    widest row, with its halos; triangles: those of which the scene's forces know; obstacles;
-    nodes: of their grids.
+    widest row, with its halos; triangles: those of which the scene's forces and
+    thin obstacles know; obstacles; nodes: of their grids.
     """
 
     particles: int
@@ -152,6 +152,7 @@ class State:
     Obstacles (`poses.py`), a row each: obstacle_shape: its number in spec.obstacles;
         obstacle_numbers, obstacle_sizes: of contact and of its shape; obstacle_start: its pose at
         time 0 and its velocities; obstacle_pose: its poses at both ends of the step.
+        face_hit, surface (faces): what each triangle wants of its corners, and a `Surface`.
         obstacle_low, obstacle_nodes, obstacle_grid: of its grid of distances, where it has one.
 
     What the host loads is listed by name, so that it comes in the order in which kernels take it:
@@ -190,11 +191,13 @@ class State:
             self._place_graph(spec, method)
         if spec.collisions:
             self._place_collision_grid(spec)
-        if has_tractions(spec):
+        if has_surface(spec):
             room = capacity.triangles, capacity.particles
             self.surface = Surface(real, *room, self._reals, self._integers)
         if spec.obstacles:
             self._place_obstacles(spec)
+        if spec.faces:
+            self.face_hit = self._scalars(max(capacity.triangles, 1), 9)
         self.trees = [self._reals.finalize(), self._integers.finalize()]
         if method.sums:
             self.add_sums(method.sums)
@@ -463,6 +466,11 @@ class State:
 def has_tractions(spec):
     """Whether any force of a specialization acts on triangles."""
     return any(load(name).adds == TRACTION for name in spec.terms)
+
+
+def has_surface(spec):
+    """Whether a specialization has triangles: forces act on them, or obstacles are thin."""
+    return has_tractions(spec) or spec.faces
 
 
 def device_fields(spec):

@@ -235,6 +235,18 @@ def solids(scene: Scene) -> list[Solid]:
     return found
 
 
+def thin_ones(scene: Scene) -> list[str]:
+    """The names of those obstacles that are thinner than the sides of triangles are long.
+
+    They would pass between a cloth's particles. There is none in 2-D.
+    """
+    if scene.world.dim == 2 or len(scene.triangles) == 0 or not scene.obstacles:
+        return []
+    x = scene.particles.position[scene.triangles]
+    longest = float(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max())
+    return [solid.name for solid in solids(scene) if solid.placed.thin < longest]
+
+
 def _placed(shape: str, values: Mapping[str, Any], dim: int, margin: float) -> Placed:
     from taichi_cloth.kernels import obstacles
 
@@ -244,7 +256,7 @@ def _placed(shape: str, values: Mapping[str, Any], dim: int, margin: float) -> P
 def _planes(world: World) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """Name, a point and the normal of the ground and of resting walls."""
     if world.ground is not None:
-        normal = up(world)
+        normal = -1.0 * np.array(world.downward)
         yield "ground", np.abs(normal) * world.ground, normal
     if world.contact == "resting":
         for name in world.walls:
@@ -252,12 +264,6 @@ def _planes(world: World) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
             corner = world.high if side > 0 else world.low
             inwards = -float(side) * np.eye(world.dim)[axis]
             yield f"{name} wall", np.abs(inwards) * corner, inwards
-
-
-def up(world: World) -> np.ndarray:
-    """The direction (dim,) that points up: -y where a scene does not say otherwise."""
-    axis: np.ndarray = np.eye(world.dim)[1]
-    return axis if world.up else -1.0 * axis
 
 
 @dataclass(frozen=True)

@@ -252,6 +252,7 @@ class Storage:
         features["uniform_springs"] &= not any(number.changes(terms) for number in NUMBERS)
         return Specialization(
             **features,
+            faces=bool(obstacles.thin_ones(self.scene)),
             terms=terms,
             lanes=layout.lanes,
             links=layout.links,
@@ -271,12 +272,14 @@ class Storage:
             packs=layout.n_packs,
             grids=len(layout.grid) + (clicked > 0),
             row=max(layout.row, clicked),
-            triangles=len(self.scene.triangles) if forces.act_on_triangles(self.scene) else 0,
             obstacles=len(self.solids),
-            nodes=sum(
-                s.placed.nodes[..., 0].size for s in self.solids if s.placed.nodes is not None
-            ),
+            nodes=sum(solid.nodes for solid in self.solids),
+            triangles=len(self.scene.triangles) if self._knows_triangles() else 0,
         )
+
+    def _knows_triangles(self) -> bool:
+        """Whether forces act on the scene's triangles, or thin obstacles meet them."""
+        return forces.act_on_triangles(self.scene) or bool(obstacles.thin_ones(self.scene))
 
     def unprepared(self) -> list[Callable[[], None]]:
         """What compiles the kernels that only a first click needs, in a scene where clicks spawn.

@@ -16,9 +16,15 @@ from taichi_cloth.kernels import clock, poses, surfaces, transfer
 from taichi_cloth.kernels.obstacles.contract import SIZES
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
-from taichi_cloth.kernels.state import CELLS_PER_PARTICLE, GONE, device_fields, has_tractions
+from taichi_cloth.kernels.state import (
+    CELLS_PER_PARTICLE,
+    GONE,
+    device_fields,
+    has_surface,
+    has_tractions,
+)
 from taichi_cloth.scene.model import Particles, Springs, World
-from taichi_cloth.scene.obstacles import Solid
+from taichi_cloth.scene.obstacles import Solid, thin_ones
 from taichi_cloth.scene.triangles import corner_shares, springs_of_sides
 from taichi_cloth.simulation import adjacency, layouts
 from taichi_cloth.simulation.launch import Launcher
@@ -103,9 +109,10 @@ class Upload:
             self._links()
         if has_tractions(self.spec):
             self._launch(surfaces.clear_tractions)
-            self.surface(self.state.surface)
         if self.spec.obstacles:
             self._obstacles()
+        if has_surface(self.spec):
+            self.surface(self.state.surface)
 
     def _launch(self, kernel: Any, *arguments: Any) -> None:
         self.launcher.launch(kernel, self.spec, self.state, *arguments)
@@ -258,6 +265,7 @@ class Upload:
     def _obstacles(self) -> None:
         """What is in the way, a row each, and the nodes of their grids one after the other."""
         counts, rows, nodes = [], [], [np.zeros((1, 4))]
+        thin = thin_ones(self.snapshot.scene)
         first = 0
         for solid in self.solids:
             placed, count = solid.placed, [0, 0, 0]
@@ -269,6 +277,7 @@ class Upload:
             scale = max((abs(size) for size in placed.sizes), default=0.0)
             restitution = -1.0 if solid.restitution is None else solid.restitution
             numbers = [solid.friction, restitution, placed.thin, placed.bound, scale, placed.cell]
+            numbers.append(float(solid.name in thin))
             sizes = np.zeros(SIZES)
             sizes[: len(placed.sizes)] = placed.sizes
             low = np.zeros(3) if placed.low is None else placed.low

@@ -24,8 +24,9 @@ NUMBER, POINT, DIRECTION, POINTS, FACES, TURN, SPIN, TEXT = KINDS = (
 REQUIRED = "required"  # the default of a key that must be given
 FAR = 1e15  # a length beyond all scenes whose square f32 holds
 # Columns of state.obstacle_numbers. THIN and BOUND: as in `Placed`; SCALE: size of the numbers that
-# the law takes differences of; RESTITUTION: negative: that of the particle; CELL: of its grid.
-FRICTION, RESTITUTION, THIN, BOUND, SCALE, CELL = NUMBERS = range(6)
+# the law takes differences of; RESTITUTION: negative: that of the particle; CELL: of its grid;
+# FACES_TOO: 1: the faces of triangles are tested against it, not only particles.
+FRICTION, RESTITUTION, THIN, BOUND, SCALE, CELL, FACES_TOO = NUMBERS = range(7)
 SIZES = 4  # numbers of a shape that its law reads on the device
 
 
