@@ -20,6 +20,7 @@ _HOMES = {  # public name: (module, name in it; None: the module itself)
     "Springs": ("scene.model", "Springs"),
     "SpringDefaults": ("scene.model", "SpringDefaults"),
     "Material": ("scene.material", "Material"),
+    "Obstacle": ("scene.obstacles", "Obstacle"),
     "validate": ("scene.checks", "validate"),
     "grid": ("scene.cloth", "grid"),
     "grid_triangles": ("scene.cloth", "grid_triangles"),

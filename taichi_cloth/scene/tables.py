@@ -72,6 +72,7 @@ _TABLES = {
     "spring": (*SPRING_PROPERTIES, "color"),
     "particles": ("position", "velocity", "fixed", "color", *PARTICLE_PROPERTIES),
     "springs": ("between", *SPRING_PROPERTIES),
+    "obstacles": ("shape",),  # and what its shape declares (`kernels/obstacles/`)
     "cloths": (
         *("origin", "columns", "rows", "spacing", "pinned", "links", "across", "down"),
         *MATERIAL_KEYS,

@@ -1,0 +1,264 @@
+"""Contacts that end a step: obstacles, the ground and resting walls, against closed forms."""
+
+import numpy as np
+import pytest
+from selection import mostly_thorough
+
+from taichi_cloth.errors import InputError
+from taichi_cloth.kernels import methods
+from taichi_cloth.kernels.obstacles import SHAPES
+from taichi_cloth.scene import scenefile
+from taichi_cloth.scene.checks import validate
+from taichi_cloth.scene.cloth import grid, grid_triangles
+from taichi_cloth.scene.model import (
+    ParticleDefaults,
+    Particles,
+    Scene,
+    SpringDefaults,
+    World,
+)
+from taichi_cloth.scene.obstacles import Obstacle, solids, surface
+from taichi_cloth.simulation.simulation import Simulation
+
+G, RADIUS = 9.81, 0.1
+TETRAHEDRON = np.array([[0, 0, 0], [0.9, 0, 0], [0, 0.9, 0], [0, 0, 0.9]])
+ITS_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+
+def on_slope(degrees, friction, **world):
+    """A disc at rest on a slope that falls to the right, and the direction down the slope."""
+    slope = np.radians(degrees)
+    normal, down = (
+        np.array([np.sin(slope), np.cos(slope)]),
+        np.array([np.cos(slope), -np.sin(slope)]),
+    )
+    here = World(size=(100.0, 100.0), gravity=(0.0, -G), dt=0.01, **world)
+    start = np.array([20.0, 70.0]) + RADIUS * normal
+    plane = Obstacle.build("plane", point=[20.0, 70.0], normal=normal, friction=friction)
+    return Scene("slope", here, Particles.build(start, radius=RADIUS), obstacles=(plane,)), down
+
+
+@pytest.mark.parametrize("method", mostly_thorough(methods.METHODS, default=["verlet"]))
+def test_friction_on_a_slope_is_coulombs(device, method):
+    sliding, down = on_slope(30.0, 0.2)
+    sim = Simulation(sliding, method, execution="serial")
+    start = sim.positions()[0]
+    sim.advance(100)
+    rate = G * (np.sin(np.radians(30.0)) - 0.2 * np.cos(np.radians(30.0)))
+    velocity, way = sim.velocities()[0], sim.positions()[0] - start
+    np.testing.assert_allclose(velocity, rate * down, rtol=1e-12, atol=1e-13)
+    weight = methods.load(method).position_weight
+    expected = (0.5 + (weight - 0.5) * 0.01) * rate  # what the method itself makes of it
+    np.testing.assert_allclose(way, expected * down, rtol=1e-11, atol=1e-12)
+    for degrees, sticks in ((20.05, False), (19.95, True)):
+        scene, down = on_slope(degrees, np.tan(np.radians(20.0)))
+        sim.load_scene(scene)
+        start = sim.positions()
+        sim.advance(1000)
+        assert np.array_equal(sim.positions(), start) == sticks
+        assert np.array_equal(sim.velocities(), 0.0 * start) == sticks
+
+
+def test_a_bounce_rises_as_its_closed_form_says(device):
+    """Second order: what is left of a step after a bounce is part of the flight."""
+    world = World(size=(100.0, 100.0), gravity=(0.0, -10.0), dt=0.01)
+    floor = Obstacle.build("plane", point=[20.0, 70.0], normal=[0.0, 1.0], restitution=0.8)
+    ball = Particles.build([[20.0, 70.0 + RADIUS + 1.0123]], radius=RADIUS)
+    sim = Simulation(Scene("bounce", world, ball, obstacles=(floor,)), "verlet", execution="serial")
+    sim.advance(72)
+    touched = np.sqrt(2 * 1.0123 / 10.0)
+    flight, speed = 0.72 - touched, 0.8 * 10.0 * touched
+    assert sim.positions()[0, 1] - 70.0 - RADIUS == pytest.approx(
+        speed * flight - 5.0 * flight**2, abs=2e-6
+    )
+    energies = []
+    for _ in range(600):
+        sim.advance()
+        height = sim.positions()[0, 1] - 70.0 - RADIUS
+        energies.append(10.0 * height + 0.5 * (sim.velocities() ** 2).sum())
+    assert np.diff(energies).max() < 1e-12 and energies[-1] == 0.0
+
+
+def one_of_each(**more):
+    """An obstacle of each shape, with what lies on top of it, in 3-D."""
+    shapes = {
+        "plane": {"point": [0.0, 1.0, 0.0], "normal": [0.0, 1.0, 0.0]},
+        "sphere": {"centre": [2.0, 2.0, 0.0], "radius": 0.4},
+        "capsule": {"ends": [[3.7, 2.0, 0.2], [4.3, 2.0, -0.2]], "radius": 0.4},
+        "box": {"centre": [6.0, 2.0, 0.0], "half": [0.5, 0.4, 0.3], "turn": [0.0, 33.0, 0.0]},
+        "mesh": {
+            "vertices": TETRAHEDRON * [1, -1, 1],
+            "faces": ITS_FACES[:, ::-1],
+            "centre": [8.0, 2.4, 0.0],
+            "cell": 0.05,
+        },
+    }
+    tops = [[0.5, 1.0], [2.0, 2.4], [4.0, 2.4], [6.0, 2.4], [8.25, 2.4]]
+    z = [0.0, 0.0, 0.0, 0.0, 0.25]
+    assert set(shapes) == set(SHAPES)
+    obstacles = tuple(Obstacle.build(name, **given, **more) for name, given in shapes.items())
+    lying = np.array([[x, y + RADIUS, at] for (x, y), at in zip(tops, z, strict=True)])
+    world = World(size=(10.0, 10.0, 10.0), gravity=(0.0, -G, 0.0), dt=1 / 60, up="y")
+    return world, obstacles, lying
+
+
+@pytest.mark.parametrize("method", mostly_thorough(methods.METHODS, default=["symplectic_euler"]))
+def test_what_lies_on_a_shape_stays_to_the_bit(device, method):
+    """Also where it was dropped from; it neither sinks nor hovers, and has no velocity."""
+    world, obstacles, lying = one_of_each(friction=0.3)
+    particles = Particles.build(lying + [0.0, 0.05, 0.0], radius=RADIUS)
+    scene = Scene("rest", world, particles, obstacles=obstacles)
+    sim = Simulation(scene, method, substeps=4, execution="serial")
+    sim.advance(40)
+    settled = sim.positions()
+    np.testing.assert_allclose(settled, lying, atol=1e-12)
+    assert np.abs(sim.depths()).max() < 1e-14
+    sim.advance(100)
+    assert np.array_equal(sim.positions(), settled) and not sim.velocities().any()
+
+
+def test_shapes_have_distances_normals_and_closed_surfaces():
+    world, obstacles, _ = one_of_each(velocity=[0.1, 0.2, 0.3], spin=[10.0, 20.0, 30.0])
+    rng = np.random.default_rng(1)
+    for solid in solids(Scene("shapes", world, Particles.none(3), obstacles=obstacles)):
+        centre, turn = solid.pose(0.7)
+        x = centre + rng.uniform(-0.7, 0.7, (500, 3))
+        d, n = solid.distances(x, 0.7)
+        slope = [
+            (solid.distances(x + h, 0.7)[0] - solid.distances(x - h, 0.7)[0]) / 2e-6
+            for h in 1e-6 * np.eye(3)
+        ]
+        error = np.abs(np.transpose(slope) - n).max(axis=1)
+        assert np.median(error) < (1e-8 if solid.shape != "mesh" else 0.05), solid.shape
+        vertices, faces = surface(solid, 10.0)
+        on, _ = solid.distances(centre + vertices @ turn.T, 0.7)
+        assert np.abs(on).max() < (1e-12 if solid.shape != "mesh" else 0.03), solid.shape
+        if solid.shape != "plane":
+            a, b, c = (vertices[faces[:, k]] for k in range(3))
+            assert np.einsum("ij,ij->", a, np.cross(b, c)) > 0  # all round, seen from outside
+        assert np.allclose(d[on.argmin() : on.argmin() + 1], d[on.argmin()])
+
+
+def test_a_file_with_obstacles_reads_back_as_it_was():
+    world, obstacles, lying = one_of_each(friction=0.25, velocity=[0.1, 0.0, -0.0])
+    world = World(**{**vars(world), "ground": -0.0, "friction": 0.5, "contact": "resting"})
+    scene = Scene("file", world, Particles.build(lying), obstacles=obstacles)
+    again = scenefile.parse(scenefile.dump(scene))
+    assert again.obstacles == scene.obstacles and again.world == world
+    assert scenefile.dump(again) == scenefile.dump(scene)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (
+            "shape = 'spere'",
+            "line 4: [[obstacles]] 0: unknown shape 'spere'; did you mean 'sphere'?",
+        ),
+        ("shape = 'sphere'\nradius = 1", "'centre' is missing"),
+        ("shape = 'sphere'\ncentre = [0, 0]\nradius = 1", "centre must be 3 numbers"),
+        (
+            "shape = 'sphere'\ncentre = [0, 0, 0]\nradius = 0",
+            "line 6: [[obstacles]] 0: radius must be",
+        ),
+        ("shape = 'sphere'\ncentre = [0, 0, nan]\nradius = 1", "centre must be finite"),
+        ("shape = 'sphere'\ncentre = [0, 0, 0]\nradius = 1\nfriktion = 1", "mean 'friction'?"),
+        ("shape = 'box'\ncentre = [0, 0, 0]\nhalf = [1, 0, 1]", "half must be positive"),
+        ("shape = 'plane'\npoint = [0, 0, 0]\nnormal = [0, 0, 0]", "normal must not be zero"),
+        ("shape = 'capsule'\nradius = 1\nends = [[0, 0, 0], [0, 0, 0]]", "two different points"),
+        ("shape = 'mesh'\nvertices = [[0, 0, 0]]\nfaces = [[0, 0, 1]]", "there is no vertex 1"),
+    ],
+)
+def test_a_wrong_obstacle_is_refused_by_its_line(given, says):
+    text = f"[world]\nsize = [1, 1, 1]\n[[obstacles]]\n{given}\n"
+    with pytest.raises(InputError) as refused:
+        scenefile.parse(text)
+    assert says in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_friction_without_a_surface_is_refused():
+    world = World(size=(1.0, 1.0), gravity=(0.0, 1.0), friction=0.5, walls=("bottom",))
+    with pytest.raises(InputError, match="set contact = 'resting'"):
+        validate(Scene("none", world, Particles.none(2)))
+
+
+def draped(**sphere):
+    """A cloth above a sphere and the ground."""
+    cloth, ties = grid(
+        [4.6, 1.05, -0.4],
+        9,
+        9,
+        0.1,
+        links=["structural", "shear"],
+        across=[1, 0, 0],
+        down=[0, 0, 1],
+        particle_defaults=ParticleDefaults(mass=0.001, radius=0.02, viscous=1e-4),
+        spring_defaults=SpringDefaults(stiffness=20.0, damping=0.002),
+    )
+    ball = Obstacle.build("sphere", centre=[5.0, 0.7, 0.0], radius=0.3, friction=0.5, **sphere)
+    world = World(
+        size=(10.0, 10.0, 10.0), gravity=(0.0, -G, 0.0), dt=1 / 60, up="y", ground=0.4, friction=0.3
+    )
+    return Scene("draped", world, cloth, ties, obstacles=(ball,))
+
+
+@pytest.mark.thorough
+def test_a_cloth_on_a_turning_sphere_is_outside_and_turns_alike_in_all_ways(device):
+    ends = []
+    for topology, execution in (("graph", "serial"), ("lanes", "serial"), ("lanes", "parallel")):
+        how = {"topology": topology, "execution": execution, "lanes": 2}
+        sim = Simulation(draped(spin=[0.0, 90.0, 0.0]), "symplectic_euler", substeps=8, **how)
+        for _ in range(120):
+            sim.advance()
+            assert sim.depths().max() < 1e-12
+        ends.append((sim.positions(), sim.velocities()))
+    for end in ends[1:]:
+        np.testing.assert_array_equal(end, ends[0])
+    arm, v = ends[0][0] - [5.0, 0.0, 0.0], ends[0][1]
+    spin = (arm[:, 2] * v[:, 0] - arm[:, 0] * v[:, 2]).sum() / (arm[:, ::2] ** 2).sum()
+    assert spin == pytest.approx(np.pi / 2, rel=0.15)
+
+
+@pytest.mark.thorough
+def test_nothing_passes_through_in_one_step(device):
+    """A plate thinner than a particle's step, and a sphere that flies through a sheet of them."""
+    world = World(size=(10.0, 10.0, 10.0), gravity=(0.0, 0.0, 0.0), dt=0.02)
+    x = np.stack(np.meshgrid(np.linspace(4.8, 5.2, 9), [1.0], np.linspace(-0.2, 0.2, 9)), -1)
+    particles = Particles.build(x.reshape(-1, 3), np.tile([0, -100.0, 0], (81, 1)), radius=0.01)
+    plate = Obstacle.build("box", centre=[5.0, 0.5, 0.0], half=[1.0, 0.001, 1.0])
+    ball = Obstacle.build("sphere", centre=[5.0, -0.2, 0.0], radius=0.1, velocity=[0, 100.0, 0])
+    sim = Simulation(Scene("thin", world, particles, obstacles=(plate,)), execution="serial")
+    sim.advance(2)
+    np.testing.assert_allclose(sim.positions()[:, 1], 0.511, rtol=1e-12)
+    sim = Simulation(
+        Scene("fast", world, Particles.build(x.reshape(-1, 3), radius=0.01), obstacles=(ball,)),
+        execution="serial",
+    )
+    sim.advance()
+    hit = np.hypot(*(x.reshape(-1, 3)[:, ::2] - [5.0, 0.0]).T) < 0.11
+    assert (sim.velocities()[hit, 1] > 0).all() and not sim.velocities()[~hit].any()
+    assert sim.depths().max() < 1e-12
+
+
+@pytest.mark.thorough
+def test_a_cloth_hangs_on_a_rod_that_would_pass_between_its_particles(device):
+    cloth, ties = grid(
+        [4.8, 1.0, -0.2],
+        9,
+        9,
+        0.05,
+        links=["structural", "shear"],
+        across=[1, 0, 0],
+        down=[0, 0, 1],
+        particle_defaults=ParticleDefaults(mass=0.001, radius=0.002, viscous=1e-3),
+        spring_defaults=SpringDefaults(stiffness=20.0, damping=0.005),
+    )
+    world = World(size=(10.0, 10.0, 10.0), gravity=(0.0, -G, 0.0), dt=1 / 60, up="y")
+    rod = Obstacle.build(
+        "capsule", ends=[[4.0, 0.95, 0.013], [6.0, 0.95, 0.017]], radius=0.006, friction=0.6
+    )
+    scene = Scene("rod", world, cloth, ties, triangles=grid_triangles(9, 9), obstacles=(rod,))
+    how = {"topology": "graph", "execution": "serial"}
+    sim = Simulation(scene, "symplectic_euler", substeps=8, **how)
+    sim.advance(120)
+    assert sim.positions()[:, 1].max() > 0.955  # without faces all of it is below by now
