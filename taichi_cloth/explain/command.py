@@ -212,6 +212,7 @@ def _switches(plan: dict[str, Any], on: bool) -> list[str]:
         "fracture": "fracture",
         "walls": "walls",
         "floor": "floor",
+        "obstacles": "obstacles",
         "collisions": "collisions",
         "rows_share_stiffness": "one row of stiffness for all rows",
         "compensated": "compensated sums",

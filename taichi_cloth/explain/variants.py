@@ -12,6 +12,7 @@ from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.forces.contract import PARTICLE_NUMBER, Variant, has
 from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.model import WALLS, Features, Particles, Scene, SpringDefaults, Springs
+from taichi_cloth.scene.obstacles import CONTACTS
 from taichi_cloth.simulation import adjacency
 
 # Of what is added where a scene has none. Light enough for the scene's own step to stay stable.
@@ -30,7 +31,10 @@ def variants(scene: Scene, on_graph: bool) -> Iterator[Variant]:
     yield from _links(scene)
     if len(scene.springs):
         yield _fracture(scene, features.fracture)
-    yield _walls(scene, features)
+    if features.obstacles:
+        yield _obstacles(scene, features)
+    if scene.world.contact == CONTACTS[0]:
+        yield _walls(scene, features)
     yield _collisions(scene)
     if scene.world.mouse == "spawn":
         about = "clicks add particles and springs"
@@ -60,6 +64,14 @@ def _walls(scene: Scene, features: Features) -> Variant:
     return Variant("walls", False, about, scene.with_world(walls=walls))
 
 
+def _obstacles(scene: Scene, features: Features) -> Variant:
+    """The scene without obstacles, ground and resting walls."""
+    walls = scene.world.walls if scene.world.contact == CONTACTS[0] else ()
+    bare = scene.with_world(ground=None, friction=0.0, contact=CONTACTS[0], walls=walls)
+    about = ", ".join(features.obstacles)
+    return Variant("obstacles", True, about, replace(bare, obstacles=()))
+
+
 def _collisions(scene: Scene) -> Variant:
     collide, particles = scene.world.collisions, scene.particles
     radius = float(np.median(particles.radius)) if len(particles) else 0.0
@@ -82,7 +94,8 @@ def _uniform_particles(scene: Scene, features: Features) -> Iterator[Variant]:
     particles = scene.particles
     terms = [forces.load(name) for name in forces.present_in(scene)]
     stored = [field.shape for term in terms if has(term.fields) for field in term.fields]
-    read = PARTICLE_NUMBER in stored or features.walls or features.collisions
+    bodies = bool(features.walls or features.collisions or features.obstacles)
+    read = PARTICLE_NUMBER in stored or bodies
     if features.uniform_particles and len(particles) > 1 and read:
         radius, viscous = particles.radius.copy(), particles.viscous.copy()
         radius[0], viscous[0] = radius[0] * ODD, viscous[0] * ODD

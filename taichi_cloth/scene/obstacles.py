@@ -197,6 +197,15 @@ class Solid:
         turn = about(rotation)[:dim, :dim] @ self.placed.turn
         return self.placed.centre + time * self.velocity, turn
 
+    def velocities(self, r: np.ndarray) -> np.ndarray:
+        """The velocities (n, dim) of its points that are at r (n, dim) from its centre."""
+        if len(self.spin) == 1:
+            turning = self.spin[0] * np.column_stack([-1.0 * r[:, 1], r[:, 0]])
+        else:
+            turning = np.cross(self.spin, r)
+        total: np.ndarray = self.velocity + turning
+        return total
+
     def distances(self, x: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
         """The signed distances (n,) of its surface from points x (n, dim), and its normals there.
 

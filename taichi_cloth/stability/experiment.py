@@ -1,11 +1,11 @@
 """The largest stable step of each method on a scene: computed (`limits`), and found by runs.
 
 What is measured is stability alone: the scene's particles, springs, dashpots and drag at their
-start, at rest. Gravity, walls, collisions and the mouse are left out, springs do not break, and
-each particle is pushed by the force that balances its springs, so that the start is an equilibrium
-whatever the springs' lengths. A spring that starts compressed gets its length as its rest length:
-that it would buckle is physics. So is what wind makes flutter, which grows at every step: air and
-wind are left out, too, and at rest in still air nothing is damped by it.
+start, at rest. Gravity, walls, obstacles, collisions and the mouse are left out, no spring breaks,
+and each particle is pushed by the force that balances its springs, so that the start is an
+equilibrium whatever the springs' lengths. A spring that starts compressed gets its length as its
+rest length: that it would buckle is physics. So is what wind makes flutter, which grows at every
+step: air and wind are left out, too, and at rest in still air nothing is damped by it.
 
 A run starts from that state disturbed by a millionth of a spring's length, along the mode that is
 expected to grow first, and by a thousandth of that in every direction at random, so that no other
@@ -126,8 +126,14 @@ def at_rest(scene: Scene) -> Scene:
     compressed = length < springs.rest_length * (1 - 1e-9)
     return replace(
         replace(scene, world=tractions.without(scene.world)).with_world(
-            gravity=(0.0,) * scene.world.dim, walls=(), collisions=False, mouse="blow"
+            gravity=(0.0,) * scene.world.dim,
+            walls=(),
+            collisions=False,
+            mouse="blow",
+            ground=None,
+            friction=0.0,
         ),
+        obstacles=(),
         particles=replace(particles, velocity=np.zeros_like(particles.velocity)),
         springs=replace(
             springs,

@@ -170,6 +170,9 @@ def scene_hash(scene: Scene) -> str:
     digest = hashlib.sha256()
     world = scene.world
     digest.update(repr((world.size, world.gravity, world.walls, world.collisions)).encode())
+    if scene.features().obstacles:
+        given = world.up, world.ground, world.friction, world.contact
+        digest.update(repr((given, scene.obstacles)).encode())
     for part in (scene.particles, scene.springs):
         for column in fields(part):
             if column.name != "color":

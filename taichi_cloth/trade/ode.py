@@ -17,6 +17,7 @@ from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, TENSION, has
 from taichi_cloth.limits import tractions
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.obstacles import solids
 from taichi_cloth.scene.triangles import corner_shares
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ class Forces:
         self.shortest, self.longest = springs.lengths_held()
         self.breaks = bool(np.isfinite(springs.break_force).any())
         self.shares = corner_shares(particles.position, scene.triangles)
-        self.scene = scene
+        self.scene, self.solids = scene, solids(scene)
 
     def acceleration(self, x: np.ndarray, v: np.ndarray, t: float = 0.0) -> np.ndarray:
         """Acceleration (n, dim) at positions x and velocities v (n, dim), at the time t."""
@@ -84,7 +85,7 @@ class Forces:
         x, v = y.reshape(2, -1, self.dim)
         return np.stack([v, self.acceleration(x, v, t)]).ravel()
 
-    def event(self, x: np.ndarray, v: np.ndarray) -> str | None:
+    def event(self, t: float, x: np.ndarray, v: np.ndarray) -> str | None:
         """What happens here that is no part of the equation: a contact, a break; None: nothing."""
         particles, world = self.scene.particles, self.scene.world
         for wall in world.walls:
@@ -93,6 +94,13 @@ class Forces:
             hit = (side * (bound - x[:, axis]) < particles.radius) & (side * v[:, axis] > 0)
             if (hit & self.free).any():
                 return f"particle {int((hit & self.free).argmax())} hits the wall '{wall}'"
+        for solid in self.solids:
+            distance, n = solid.distances(x, t)
+            centre, _ = solid.pose(t)
+            u = ((v - solid.velocities(x - centre)) * n).sum(axis=1)
+            hit = (distance < particles.radius) & (u < 0) & self.free
+            if hit.any():
+                return f"particle {int(hit.argmax())} touches {solid.name}"
         if self.breaks:
             length = np.sqrt(((self.difference @ x) ** 2).sum(axis=1))
             beyond = (length > self.longest) | (length < self.shortest)
@@ -159,7 +167,7 @@ def solve(
         return SmoothTrajectory(out[0], out[1], until, event, given_up)
 
     end = float(times[-1])
-    event = forces.event(*y)
+    event = forces.event(0.0, *y)
     if event or end <= 0:
         return ended(0.0, event)
     begin = time.perf_counter()
@@ -210,7 +218,7 @@ def _event_in_step(solver: DOP853, forces: Forces, shape: tuple[int, ...]) -> st
     if moments > 1:
         within = solver.dense_output()
         for t in np.linspace(solver.t_old, solver.t, moments, endpoint=False)[1:]:
-            event = forces.event(*within(t).reshape(2, *shape))
+            event = forces.event(t, *within(t).reshape(2, *shape))
             if event:
                 return event
-    return forces.event(x, v)
+    return forces.event(solver.t, x, v)
