@@ -164,8 +164,8 @@ def _help() -> str:
     commands = "\n".join(f"  {name:10} {says}" for name, says in COMMANDS.items())
     others = [name for name in SCENE_COMMANDS if name != "run"]
     return laid_out(
-        f"usage: {PROGRAM} [run] [SCENE | FILE.toml] [flags]\n"
-        f"       {PROGRAM} {' | '.join(others)} [SCENE | FILE.toml] [flags]\n"
+        f"usage: {PROGRAM} [run] [SCENE | FILE.toml | MESH.obj] [flags]\n"
+        f"       {PROGRAM} {' | '.join(others)} [SCENE | FILE.toml | MESH.obj] [flags]\n"
         f"       {PROGRAM} bench [PART ...] [flags]\n"
         f"       {PROGRAM} list | doctor | --version | --help\n\n"
         "An interactive cloth and spring-mass simulator.\n\n"

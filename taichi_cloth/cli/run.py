@@ -40,6 +40,8 @@ def main(source: SceneSource, options: RunOptions) -> int:
     if options.dt == "auto" and "substeps" in options.given:
         raise InputError("--substeps: --dt auto chooses them; give one of the two")
     scene = source.build()
+    if not options.given & {"dt", "substeps"}:
+        options = replace(options, dt=source.frame())
 
     from taichi_cloth.ui import film, interaction
 

@@ -47,7 +47,7 @@ def read(
     is_file = names_file(scene)
     if not is_file and scene not in of_scenes:
         hint = nearest(scene, of_scenes)
-        raise InputError(f"unknown scene '{scene}'; {hint} (or name a .toml file)")
+        raise InputError(f"unknown scene '{scene}'; {hint} (or name a .toml or mesh file)")
     of_scene = {} if is_file else of_scenes[scene]
     if words.wants_help:
         print(_help(command, of_command, scene, of_scene, about))
@@ -92,9 +92,8 @@ def _refuse(
 ) -> NoReturn:
     """Refuse a flag that is a parameter of other scenes only."""
     if names_file(scene):
-        raise InputError(
-            f"{word}: only built-in scenes take it; change the value in {scene}, or --set its key"
-        )
+        instead = f"change the value in {scene}, or " if scene.endswith(".toml") else ""
+        raise InputError(f"{word}: only built-in scenes take it; {instead}--set its key")
     has = f"has {', '.join(map(flag, of_scene))}" if of_scene else "has no parameters"
     raise InputError(
         f"{word}: scene '{scene}' does not take it (it {has}); "
@@ -111,7 +110,7 @@ def _help(
 ) -> str:
     """The command's help, with the flags of one scene."""
     scenes = f"Scenes: {', '.join(library.names())}; default {DEFAULT_SCENE}."
-    parser = CommandParser(command, "[SCENE | FILE.toml] [flags]", about + scenes)
+    parser = CommandParser(command, "[SCENE | FILE.toml | MESH.obj] [flags]", about + scenes)
     # A flag that is in both is listed with the command.
     own = {name: p for name, p in of_scene.items() if name not in of_command}
     parser.declare(f"scene '{scene}'", own | OF_EVERY_SCENE)

@@ -26,7 +26,7 @@ def reassigned(scene: Scene, assignments: Sequence[Assignment]) -> Scene:
         return scene
     has = "a built-in scene has no entries by number; its flags set what it is built of"
     for entry in assignments:
-        if entry.keys[0] in ("particles", "springs", "cloths"):
+        if entry.keys[0] in ("particles", "springs", "cloths", "meshes"):
             raise InputError(f"--set {dotted(entry.keys)}: {has}")
     frame = scenefile.parse_table(
         scenefile.table_of(scene), f"scene '{scene.name}'", assignments=assignments

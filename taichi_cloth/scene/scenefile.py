@@ -55,11 +55,11 @@ def parse(
     name: str = "scene.toml",
     default_scene_name: str = "scene",
     assignments: Sequence[Assignment] = (),
-    folder: Path | None = None,
+    folder: Path = Path(),
 ) -> Scene:
     """The scene that `text` describes, checked; `name` is the file's in messages.
 
-    folder: the one from which the files that it names are read; absent: the present one.
+    folder: to which the files that it names are relative.
     """
     text = text.removeprefix("\ufeff").replace("\r\n", "\n")
     try:
@@ -82,7 +82,7 @@ def parse_table(
     text: str = "",
     default_scene_name: str = "scene",
     assignments: Sequence[Assignment] = (),
-    folder: Path | None = None,
+    folder: Path = Path(),
 ) -> Scene:
     """The scene that a file's table describes, checked; text: what it was read from."""
     reader = TableReader(name, text, default_scene_name, folder)
@@ -167,7 +167,8 @@ def _similar_file(path: Path) -> str:
 def dump(scene: Scene) -> str:
     """`scene` as TOML text that `parse` reads back as an equal scene (bit for bit).
 
-    Cloths come out as single particles and springs; what equals the defaults is left out.
+    Cloths and meshes come out as single particles, springs and triangles; what equals the defaults
+    is left out.
     """
     world, springs, particles = scene.world, scene.springs, scene.particles
     out = [

@@ -1,12 +1,14 @@
-"""Which scene is meant: a built-in one with its parameters, or a scene file."""
+"""Which scene is meant: a built-in one with its parameters, a scene file, or a mesh file."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from taichi_cloth.files.meshes import FORMATS
 from taichi_cloth.settings.options import flag_words
 
 if TYPE_CHECKING:
@@ -19,13 +21,14 @@ if TYPE_CHECKING:
 # all the rest of a start that only prints help.
 
 DEFAULT_SCENE = "cloth"
+MESHES = tuple(f".{name}" for name in FORMATS)  # suffixes of files that are no scene files
 
 
 @dataclass(frozen=True)
 class SceneSource:
     """Where a scene comes from, before it is built.
 
-    name: of a built-in scene, or of a scene file.
+    name: of a built-in scene, of a scene file, or of a mesh file, which hangs (`hanging`).
     parameters: values of the built-in scene's parameters, by name; the rest have their defaults.
     assignments: values in the place of the scene's own, by keys of scene files; the last one of a
         key holds.
@@ -39,16 +42,41 @@ class SceneSource:
     def is_file(self) -> bool:
         return names_file(self.name)
 
+    @property
+    def is_mesh(self) -> bool:
+        return self.is_file and self.name.lower().endswith(MESHES)
+
     def build(self) -> Scene:
         """The scene, checked. Raises InputError where there is none, or it cannot be simulated."""
         from taichi_cloth.scene import library, scenefile
         from taichi_cloth.scene.checks import mark_checked
         from taichi_cloth.scene.reassignment import reassigned
 
+        if self.is_mesh:
+            return mark_checked(self._hung())
         if self.is_file:
             return mark_checked(scenefile.load(self.name, self.assignments))
         built = library.build(self.name, **self.parameters)
         return mark_checked(reassigned(built, self.assignments))
+
+    def _hung(self) -> Scene:
+        from taichi_cloth.scene import hanging, scenefile
+
+        path = Path(self.name)
+        table = hanging.table(path)
+        return scenefile.parse_table(table, path.name, "", path.stem, self.assignments)
+
+    def frame(self) -> str | None:
+        """What `--dt` is where neither it nor the substeps are given; None: the scene's own.
+
+        Cloth in SI units is so stiff that a frame of 1/60 s takes dozens of explicit steps: a scene
+        that is to run as it stands, in any method, says `FRAME = "auto"` in its file.
+        """
+        from taichi_cloth.scene import library
+
+        if self.is_file:
+            return "auto" if self.is_mesh else None
+        return library.frame(self.name)
 
     def solution(self) -> Callable[..., tuple[np.ndarray, np.ndarray]] | None:
         """What gives the scene's closed form at given times; None without one.
@@ -78,10 +106,11 @@ class SceneSource:
 
 
 def names_file(word: str) -> bool:
-    """Whether a word names a scene file rather than a built-in scene."""
+    """Whether a word names a scene file or a mesh file rather than a built-in scene."""
     from taichi_cloth.scene import library
 
     if word in library.names() or not word:
         return False
     # os.path.exists takes a word too long for a file's name; Path.exists does not.
-    return word.endswith(".toml") or os.sep in word or "/" in word or os.path.exists(word)
+    suffix = word.lower().endswith((".toml", *MESHES))
+    return suffix or os.sep in word or "/" in word or os.path.exists(word)

@@ -13,7 +13,7 @@ from typing import Any, NoReturn, TypeVar, overload
 import numpy as np
 
 from taichi_cloth.errors import InputError, counted, nearest
-from taichi_cloth.scene import toml
+from taichi_cloth.scene import mesh_tables, toml
 from taichi_cloth.scene.assignments import Assignment
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import LINKS, grid, grid_triangles
@@ -54,6 +54,7 @@ _TABLES = {
         "particles",
         "springs",
         "cloths",
+        "meshes",
         "obstacles",
     ),
     "world": (
@@ -78,6 +79,7 @@ _TABLES = {
         *MATERIAL_KEYS,
         *SPRING_PROPERTIES,
     ),
+    "meshes": mesh_tables.KEYS,
 }
 
 Table = dict[str, Any]
@@ -99,12 +101,10 @@ class _Source:
 class TableReader:
     """Turns parsed TOML into a Scene; knows the place of everything for messages.
 
-    folder: the one from which the files that it names are read; absent: the present one.
+    folder: to which the files that a scene names are relative.
     """
 
-    def __init__(
-        self, name: str, text: str, default_scene_name: str, folder: Path | None = None
-    ) -> None:
+    def __init__(self, name: str, text: str, default_scene_name: str, folder: Path):
         self.name, self.folder = name, folder
         self.lines = toml.lines_of(text)
         self.assigned: set[Keys] = set()
@@ -143,9 +143,9 @@ class TableReader:
         if kind == "triangle":
             return f"{self.place('triangles')}: triangle {index}"
         source = next(s for s in reversed(self.sources[kind]) if s.first <= index)
-        if source.table == "cloths":
+        if source.table in ("cloths", "meshes"):
             offset = f" particle {index - source.first}" if kind == "particle" else ""
-            return self.place("cloths", source.index, field_name) + offset
+            return self.place(source.table, source.index, field_name) + offset
         default = (kind, field_name)
         if field_name not in source.keys and (default in self.lines or default in self.assigned):
             return f"{self.place(kind, field_name)} for [[{source.table}]] {source.index}"
@@ -268,17 +268,19 @@ class TableReader:
         count = len(particles)
         spring_entries = self.entries(table, "springs")
         link_count = len(spring_entries)
-        for index, entry in enumerate(self.entries(table, "cloths")):
-            nodes, ties = self.cloth(entry, index, world, particle_defaults, spring_defaults)
-            keys = frozenset(entry)
-            self.sources["particle"].append(_Source(count, "cloths", index, keys))
-            self.sources["spring"].append(_Source(link_count, "cloths", index, keys))
-            ties.between[:] += count
-            surfaces.append(grid_triangles(entry["columns"], entry["rows"], count))
-            cloths.append(nodes)
-            links.append(ties)
-            count += len(nodes)
-            link_count += len(ties)
+        defaults = world, particle_defaults, spring_defaults
+        for kind, read in (("cloths", self.cloth), ("meshes", self.mesh)):
+            for index, entry in enumerate(self.entries(table, kind)):
+                nodes, ties, triangles = read(entry, index, *defaults)
+                keys = frozenset(entry)
+                self.sources["particle"].append(_Source(count, kind, index, keys))
+                self.sources["spring"].append(_Source(link_count, kind, index, keys))
+                ties.between[:] += count
+                surfaces.append(count + triangles)
+                cloths.append(nodes)
+                links.append(ties)
+                count += len(nodes)
+                link_count += len(ties)
         for nodes in cloths:
             particles = particles.joined(nodes)
         springs = self.springs(spring_entries, particles, spring_defaults)
@@ -446,7 +448,8 @@ class TableReader:
         world: World,
         particle_defaults: ParticleDefaults,
         spring_defaults: SpringDefaults,
-    ) -> tuple[Particles, Springs]:
+    ) -> tuple[Particles, Springs, np.ndarray]:
+        """The particles, springs and triangles of a cloth, numbered from 0."""
         path = ("cloths", index)
         if "origin" not in entry:
             self.refuse(path, "'origin' is missing")
@@ -454,10 +457,12 @@ class TableReader:
         per_kind = {key: self.of_kinds(entry, path, key, links) for key in SPRING_PROPERTIES}
         material = {key: self.value(entry, path, key, toml.number) for key in MATERIAL_KEYS}
         try:
-            return grid(
+            columns = self.required(entry, path, "columns", toml.integer)
+            rows = self.required(entry, path, "rows", toml.integer)
+            nodes, ties = grid(
                 self.vector(entry, path, "origin", world.dim) or [],
-                self.required(entry, path, "columns", toml.integer),
-                self.required(entry, path, "rows", toml.integer),
+                columns,
+                rows,
                 self.required(entry, path, "spacing", toml.number),
                 pinned=self.value(entry, path, "pinned", toml.pairs, []),
                 links=links,
@@ -468,12 +473,24 @@ class TableReader:
                 spring_defaults=spring_defaults,
                 **per_kind,
             )
+            return nodes, ties, grid_triangles(columns, rows)
         except InputError as error:
             message = str(error)
             if message.startswith(self.name):
                 raise
             at_fault = next((key for key in entry if message.startswith(key)), None)
             raise InputError(f"{self.place(*path, at_fault)}: {message}") from None
+
+    def mesh(
+        self,
+        entry: Table,
+        index: int,
+        world: World,
+        particle_defaults: ParticleDefaults,
+        spring_defaults: SpringDefaults,
+    ) -> tuple[Particles, Springs, np.ndarray]:
+        """The particles, springs and triangles of a mesh, numbered from 0."""
+        return mesh_tables.read(self, entry, index, world, particle_defaults, spring_defaults)
 
     def of_kinds(
         self, entry: Table, path: Keys, key: str, links: list[str]

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import importlib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.files.content import content
-from taichi_cloth.files.meshes.surface import Polygons, Surface, checked
+
+if TYPE_CHECKING:
+    from taichi_cloth.files.meshes.surface import Polygons, Surface
 
 # Each suffix is the module that reads it: `read(path, data)` gives `Polygons`.
 FORMATS = ("obj", "ply", "stl", "glb")
@@ -38,6 +41,8 @@ def read(path: Path) -> Surface:
     `files.content`), that is not of the format which its suffix names, or that has no sound
     surface.
     """
+    from taichi_cloth.files.meshes.surface import checked  # with NumPy: not at a start
+
     name = format_of(path)
     data = content(path, "mesh")
     if not data.strip():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -42,8 +42,9 @@ class Surface:
 
     vertices: positions, (n, 3) float64; each is a corner of some face.
     triangles: numbers of vertices, (m, 3) int64, each face cut into triangles: quads along their
-        shorter diagonal, larger polygons from one corner.
-    quads: the faces with four corners, (q, 4) int64, in the order of `quad_triangles`.
+        shorter diagonal that lies inside, larger polygons from a corner, or ear by ear. All are
+        wound alike where that can be (a Moebius strip cannot), as most of the file's are.
+    quads: the convex faces with four corners, (q, 4) int64.
     quad_triangles: (q, 2) int64, the two triangles that each of them is cut into.
     """
 
@@ -51,6 +52,11 @@ class Surface:
     triangles: np.ndarray
     quads: np.ndarray
     quad_triangles: np.ndarray
+
+    def parts(self) -> int:
+        """How many parts there are that no edge joins."""
+        ends = self.triangles[:, [0, 1, 1, 2]].reshape(-1, 2)
+        return int(_components(ends, len(self.vertices))[0])
 
 
 def check_counts(path: Path, vertices: int, faces: int) -> None:
@@ -119,7 +125,7 @@ def checked(path: Path, polygons: Polygons) -> Surface:
     used[polygons.corners] = True
     if not used.all():
         refusal.vertex(int(used.argmin()), "is a corner of no face; remove loose vertices")
-    return surface
+    return replace(surface, triangles=_wound_alike(surface.triangles))
 
 
 def _check_vertices(polygons: Polygons, refusal: _Refusal) -> None:
@@ -171,23 +177,118 @@ def _triangulated(polygons: Polygons) -> tuple[Surface, np.ndarray]:
     start = np.concatenate([[0], np.cumsum(count)])
     first = np.concatenate([[0], np.cumsum(count - 2)])
     triangles = np.empty((first[-1], 3), np.int64)
+    quads, convex = np.zeros((0, 4), np.int64), np.zeros(0, np.int64)
     for corners in np.unique(count):
         faces = np.flatnonzero(count == corners)
         rows = polygons.corners[start[faces, None] + np.arange(corners)]
-        if corners == 4:  # from the corner at which the shorter diagonal begins
-            a, b, c, d = (x[rows[:, n]] for n in range(4))
-            turned = ((b - d) ** 2).sum(axis=1) < ((a - c) ** 2).sum(axis=1)
+        if corners == 4:
+            turned, whole = _diagonals(x[rows])
+            quads, convex = rows[whole], faces[whole]
             rows[turned] = np.roll(rows[turned], -1, axis=1)
         for n in range(corners - 2):
             triangles[first[faces] + n] = rows[:, [0, n + 1, n + 2]]
-    quads = np.flatnonzero(count == 4)
+        for f in np.flatnonzero(_folds(x[rows])) if corners > 4 else ():
+            triangles[first[faces[f]] : first[faces[f] + 1]] = _ears(x, rows[f])
     surface = Surface(
         vertices=x,
         triangles=triangles,
-        quads=polygons.corners[start[quads, None] + np.arange(4)].reshape(-1, 4),
-        quad_triangles=first[quads, None] + np.arange(2),
+        quads=quads,
+        quad_triangles=first[convex, None] + np.arange(2),
     )
     return surface, np.repeat(np.arange(len(count)), count - 2)
+
+
+def _normals(x: np.ndarray) -> np.ndarray:
+    """The normals of the triangles of which polygons (f, c, 3) are cut from their first corner,
+    (f, c - 2, 3), as long as twice their areas.
+    """
+    spokes = x[:, 1:] - x[:, :1]
+    normals: np.ndarray = np.cross(spokes[:, :-1], spokes[:, 1:])
+    return normals
+
+
+def _folds(x: np.ndarray) -> np.ndarray:
+    """Which polygons (f, c, 3) have a triangle that faces the other way, so cut; (f,) bool."""
+    normals = _normals(x)
+    folds: np.ndarray = ((normals * normals.sum(axis=1, keepdims=True)).sum(axis=2) <= 0).any(
+        axis=1
+    )
+    return folds
+
+
+def _diagonals(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which quads (f, 4, 3) are cut from the second corner instead of the first, and which are
+    convex: either diagonal lies inside them; (f,) bool each.
+    """
+    here, there = _folds(x), _folds(np.roll(x, -1, axis=1))
+    shorter = ((x[:, 1] - x[:, 3]) ** 2).sum(axis=1) < ((x[:, 0] - x[:, 2]) ** 2).sum(axis=1)
+    return np.where(here == there, shorter, here), ~here & ~there
+
+
+def _ears(x: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """A polygon that is not convex as triangles, (c - 2, 3): ears are cut off one by one.
+
+    Meisters, "Polygons have ears", 1975. Where none is found, the nearest to one is taken.
+    """
+    left = corners.tolist()
+    spokes = x[corners[1:]] - x[corners[0]]
+    normal = np.cross(spokes[:-1], spokes[1:]).sum(axis=0)  # also of a polygon that is not convex
+    cut = []
+    while len(left) > 3:
+        best, widest = 0, -np.inf
+        for n, b in enumerate(left):
+            a, c = left[n - 1], left[(n + 1) % len(left)]
+            width = np.cross(x[b] - x[a], x[c] - x[a]) @ normal
+            others = [i for i in left if i not in (a, b, c)]
+            inside = any(_inside(x[i], x[a], x[b], x[c], normal) for i in others)
+            if not inside and width > widest:
+                best, widest = n, width
+        cut.append([left[best - 1], left[best], left[(best + 1) % len(left)]])
+        left.pop(best)
+    return np.array([*cut, left])
+
+
+def _inside(p: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, normal: np.ndarray) -> bool:
+    """Whether p lies in the triangle, seen along the normal."""
+    return all(np.cross(v - u, p - u) @ normal >= 0 for u, v in ((a, b), (b, c), (c, a)))
+
+
+def _components(ends: np.ndarray, count: int) -> tuple[int, np.ndarray]:
+    """How many parts of `count` things the pairs `ends` (e, 2) leave, and the part of each."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    joined = coo_array((np.ones(len(ends), bool), tuple(ends.T)), shape=(count, count))
+    found: tuple[int, np.ndarray] = connected_components(joined, directed=False)
+    return found
+
+
+def _wound_alike(triangles: np.ndarray) -> np.ndarray:
+    """The triangles, some turned over, so that neighbours agree which side is which.
+
+    Each triangle stands twice, as it is and turned over; neighbours join those that agree. A part
+    that can be wound alike then falls into two, of which the one with more as they are is taken.
+    """
+    m = len(triangles)
+    begin, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    ends = np.sort(np.stack([begin, end], axis=1), axis=1)
+    order = np.lexsort((ends[:, 1], ends[:, 0]))
+    shared = np.flatnonzero((ends[order[1:]] == ends[order[:-1]]).all(axis=1))
+    one, other = order[shared], order[shared + 1]
+    f, g = one // 3, other // 3
+    against = (begin[one] == begin[other]) * m  # both go along the edge the same way
+    pairs = np.concatenate(
+        [np.stack([f, g + against], axis=1), np.stack([f + m, g + m - against], axis=1)]
+    )
+    count, part = _components(pairs, 2 * m)
+    as_they_are = np.bincount(part[:m], minlength=count)
+    turned = as_they_are[part[:m]] < as_they_are[part[m:]]
+    # Of two as large ones the first triangle's own.
+    even = (as_they_are[part[:m]] == as_they_are[part[m:]]) & (part[:m] > part[m:])
+    flip = turned | even
+    alike: np.ndarray = triangles.copy()
+    alike[flip] = alike[flip][:, [0, 2, 1]]
+    return alike
 
 
 def _check_areas(surface: Surface, face_of: np.ndarray, refusal: _Refusal) -> None:

@@ -1,0 +1,67 @@
+"""A mesh file by itself as a scene: its cloth hangs from its highest points, in SI units, y up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_cloth.files import meshes
+
+GRAVITY = 9.81  # [m/s^2]
+FRAME = 1 / 60  # [s]
+DENSITY = 0.15  # of a cotton shirt [kg/m^2]
+STRETCH = 80.0  # at least, of a soft knit [N/m]
+SAG = 0.02  # part of its height by which cloth lengthens at most under its own weight
+DRAG = 0.5  # of the air, beside mass: swings die away within seconds [1/s]
+DAMPING_RATIO = 0.02  # of a spring between two particles of mean mass
+HELD = 0.05  # the part of the height, from the top, that is held
+RADIUS = 0.35  # of a particle, in mean edges
+FLAT = 1e-6  # a sheet that is less high than this part of its size lies, and is stood upright
+
+
+def table(path: Path) -> dict[str, Any]:
+    """What a scene file would say of the mesh at `path`, as a table of TOML.
+
+    The mesh is in metres, hangs in the middle of a world three times its size, and is held by all
+    vertices within the highest twentieth of its height. A sheet that lies is stood upright.
+    Raises InputError for a file without a sound surface.
+    """
+    surface = meshes.read(path)
+    x = surface.vertices
+    size = np.ptp(x, axis=0)
+    lies = bool(size[1] <= FLAT * size.max())
+    if lies:  # y to z, and z to -y: 90 degrees about x
+        x = np.stack([x[:, 0], -x[:, 2], x[:, 1]], axis=1)
+        size = np.ptp(x, axis=0)
+    low, reach = x.min(axis=0), float(size.max())
+    # The lowest point stands one size above the ground, which leaves room to swing and to stretch.
+    place = np.array([1.5 * reach, reach + size[1] / 2, 0.0]) - low - size / 2
+    top = reach + size[1]
+    corners = x[surface.triangles]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    area = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    mass = DENSITY * float(area.sum()) / 2 / len(x)
+    stretch = max(STRETCH, DENSITY * GRAVITY * float(size[1]) / SAG)
+    return {
+        "world": {
+            "size": [3 * reach, float(top + reach), 3 * reach],
+            "gravity": [0.0, -GRAVITY, 0.0],
+            "dt": FRAME,
+        },
+        "particle": {"radius": RADIUS * float(edges.mean()), "viscous": DRAG * mass},
+        "meshes": [
+            {
+                "file": str(path.absolute()),
+                "turn": [90.0 if lies else 0.0, 0.0, 0.0],
+                "move": place.tolist(),
+                "pinned": {"above": float(top - HELD * size[1])},
+                "stretch": stretch,
+                "density": DENSITY,
+                "damping": 2 * DAMPING_RATIO * float(np.sqrt(stretch * mass)),
+            }
+        ],
+    }

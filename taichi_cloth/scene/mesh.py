@@ -1,0 +1,248 @@
+"""Cloths of triangles, quads and polygons out of mesh files: particles and springs of a surface.
+
+One builder for ``[[meshes]]`` in scene files, for ``run shirt.obj`` and for Python.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taichi_cloth.errors import InputError, counted
+from taichi_cloth.files import meshes
+from taichi_cloth.files.meshes.surface import Surface
+from taichi_cloth.scene.model import (
+    CLOTH_COLOR,
+    FIXED_COLOR,
+    ParticleDefaults,
+    Particles,
+    SpringDefaults,
+    Springs,
+)
+from taichi_cloth.scene.properties import SPRING_PROPERTIES
+from taichi_cloth.settings import accepted
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+# The numbers of springs that a mesh gives itself: from its edges, and from `stretch`.
+OF_THE_MESH = ("stiffness", "rest_length")
+# A quad's springs are no softer than this part of what its triangles would make them.
+SOFTEST = 0.1
+# Corners of a quad at the ends of its springs: edges, then diagonals.
+QUAD_SPRINGS = ((0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3))
+
+
+def mesh(
+    file: str | Path,
+    *,
+    scale: float = 1.0,
+    turn: ArrayLike = (0.0, 0.0, 0.0),
+    move: ArrayLike = (0.0, 0.0, 0.0),
+    pinned: Iterable[int] | Mapping[str, float] = (),
+    parts: int | None = None,
+    stretch: float | None = None,
+    density: float | None = None,
+    up: int = 1,
+    particle_defaults: ParticleDefaults | None = None,
+    spring_defaults: SpringDefaults | None = None,
+    **numbers: Any,
+) -> tuple[Particles, Springs, np.ndarray]:
+    """Particles, springs and triangles (m, 3) of the surface in an OBJ, PLY, STL or GLB file.
+
+    Vertex i of the file is particle i. Each edge is a spring that rests at its length; quads have
+    a spring along each of their diagonals, and larger polygons along the edges of the triangles
+    that they are cut into.
+
+    scale: by what positions are multiplied; turn: degrees about x, then y, then z, all through the
+        origin; move: what is added then [length].
+    pinned: numbers of the vertices that never move, or {"above": h}: those that are then at height
+        h or above it.
+    parts: how many parts that nothing joins the mesh must have; None: any number.
+    stretch: force by which a width of cloth resists being stretched, a strip of one width and
+        length by its own length [force / length]; None: every spring has the default stiffness.
+    density: mass of an area; None: every particle has the default mass.
+    up: +1 where y points up, -1 where it points down.
+    numbers: damping, break_force and others of `SpringProperties`, one for all springs.
+
+    Raises InputError for a file that holds no sound surface (`files.meshes.read`), and for values
+    that make no sense.
+    """
+    for name in numbers:
+        if name not in SPRING_PROPERTIES or name in OF_THE_MESH:
+            raise TypeError(f"mesh() got an unexpected keyword argument '{name}'")
+    path = accepted.path("mesh: file", file)
+    surface = meshes.read(path)
+    if parts is not None and surface.parts() != parts:
+        has = counted(surface.parts(), "part")
+        raise InputError(f"parts: {path} has {has}, not {parts}, that nothing joins")
+    position = placed(surface.vertices, scale, turn, move)
+    fixed = _pinned(pinned, position, up, path)
+    mass = None if density is None else _masses(surface, position, _positive("density", density))
+    particles = Particles.build(
+        position,
+        defaults=particle_defaults,
+        fixed=fixed,
+        mass=mass,
+        color=np.where(fixed[:, None], FIXED_COLOR, CLOTH_COLOR),
+    )
+    between, shape = stiffness_by_shape(surface, position)
+    rest = np.linalg.norm(position[between[:, 0]] - position[between[:, 1]], axis=1)
+    springs = Springs.build(
+        between,
+        position,
+        defaults=spring_defaults,
+        rest_length=rest,
+        stiffness=None if stretch is None else _positive("stretch", stretch) * shape,
+        **numbers,
+    )
+    return particles, springs, surface.triangles
+
+
+def _positive(name: str, value: float) -> float:
+    number = accepted.number(f"mesh: {name}", value)
+    if not 0 < number < np.inf:
+        raise InputError(f"{name} must be positive and finite, is {number:g}")
+    return number
+
+
+def placed(vertices: np.ndarray, scale: float, turn: ArrayLike, move: ArrayLike) -> np.ndarray:
+    """Vertices (n, 3) scaled, turned by degrees about x, then y, then z, and moved."""
+    scale = _positive("scale", scale)
+    shift = accepted.array("mesh: move", move, (3,))
+    a, b, c = np.radians(accepted.array("mesh: turn", turn, (3,)))
+    about_x = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+    about_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
+    about_z = np.array([[np.cos(c), -np.sin(c), 0], [np.sin(c), np.cos(c), 0], [0, 0, 1]])
+    turned: np.ndarray = scale * vertices @ (about_z @ about_y @ about_x).T + shift
+    return turned
+
+
+def _pinned(
+    pinned: Iterable[int] | Mapping[str, float], position: np.ndarray, up: int, path: Path
+) -> np.ndarray:
+    """Which vertices never move, (n,) bool."""
+    count = len(position)
+    if isinstance(pinned, Mapping):
+        if set(pinned) != {"above"}:
+            raise InputError(f"pinned must be a list, or {{ above = h }}, is {pinned}")
+        height = accepted.number("mesh: pinned: above", pinned["above"])
+        up_there: np.ndarray = up * position[:, 1] >= up * height
+        if not up_there.any():
+            highest = up * (up * position[:, 1]).max()
+            raise InputError(
+                f"pinned: no vertex of {path} is above {height:g}; its highest is at {highest:.6g}"
+            )
+        if up_there.all():
+            raise InputError(f"pinned: every vertex of {path} is above {height:g}")
+        return up_there
+    numbers = accepted.numbers("mesh: pinned", list(pinned))
+    fixed = np.zeros(count, bool)
+    for value in numbers.ravel().tolist():
+        if value != int(value) or not 0 <= value < count:
+            has = f"{path} has 0 to {count - 1}"
+            raise InputError(f"pinned: there is no vertex {value:g}; {has}")
+        fixed[int(value)] = True
+    return fixed
+
+
+def areas(triangles: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """The areas of triangles (m, 3) of the points `position` (n, 3), (m,)."""
+    a, b, c = (position[triangles[:, n]] for n in range(3))
+    area: np.ndarray = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return area
+
+
+def _masses(surface: Surface, position: np.ndarray, density: float) -> np.ndarray:
+    """The mass of each vertex: density times a third of the areas of the triangles at it, (n,).
+
+    A quad's is the mean over both ways to cut it.
+    """
+    triangles, weight = _both_cuts(surface)
+    third = density * weight * areas(triangles, position) / 3
+    return np.bincount(triangles.ravel(), np.repeat(third, 3), minlength=len(position))
+
+
+def _both_cuts(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles and their weights: of quads those of either cut, with half the weight each."""
+    alone = np.ones(len(surface.triangles), bool)
+    alone[surface.quad_triangles] = False
+    q = surface.quads
+    halves = [q[:, list(corners)] for corners in ((0, 1, 2), (2, 3, 0), (1, 2, 3), (3, 0, 1))]
+    triangles = np.concatenate([surface.triangles[alone], *halves])
+    weight = np.concatenate([np.ones(alone.sum()), np.full(4 * len(q), 0.5)])
+    return triangles, weight
+
+
+def stiffness_by_shape(surface: Surface, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The springs of a surface, pairs (s, 2), and what each has of the stretch stiffness, (s,).
+
+    An edge of triangles of areas A has sum(A) / length^2: a width sum(A) / length of cloth, of
+    that length (van Gelder, "Approximate simulation of elastic membranes by triangulated spring
+    meshes", 1998). Sheets of equilateral triangles are then isotropic, with a Poisson ratio of 1/3;
+    so are the springs of quads made (`_quad_shares`).
+    """
+    alone = np.ones(len(surface.triangles), bool)
+    alone[surface.quad_triangles] = False
+    triangles = surface.triangles[alone]
+    pairs = [triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]
+    area = areas(triangles, position)
+    shares = [area / _squares(position, ends) for ends in pairs]
+    of_quads = _quad_shares(surface.quads, position)
+    for n, ends in enumerate(QUAD_SPRINGS):
+        pairs.append(surface.quads[:, ends])
+        shares.append(of_quads[:, n])
+    all_pairs, all_shares = np.sort(np.concatenate(pairs), axis=1), np.concatenate(shares)
+    key = all_pairs[:, 0] * len(position) + all_pairs[:, 1]
+    found, where = np.unique(key, return_inverse=True)
+    between = np.stack(np.divmod(found, len(position)), axis=1)
+    return between, np.bincount(where.ravel(), all_shares, minlength=len(found))
+
+
+def _squares(position: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Squared distances of the ends (s, 2)."""
+    squares: np.ndarray = ((position[ends[:, 0]] - position[ends[:, 1]]) ** 2).sum(axis=1)
+    return squares
+
+
+def _quad_shares(quads: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """What a quad's edges and diagonals have of the stretch stiffness, (q, 6), by `QUAD_SPRINGS`.
+
+    Springs along unit vectors n, of length l, make a sheet of area A with the elasticity
+    sum(k l^2 n n n n) / A, which has 5 components in a plane. The 6 springs take those of an
+    isotropic sheet of stiffness 1 and Poisson ratio 1/3 (what springs can be), nearest to what van
+    Gelder's rule makes of the quad's triangles cut both ways. A square's edges get 3/8 each, and
+    so do its diagonals. Where that would leave a spring with less than `SOFTEST` of what it has by
+    the rule, as in oblongs of more than 1 : 1.6, a quad goes only as far from the rule as it can.
+    """
+    x = position[quads]
+    across, along = x[:, 2] - x[:, 0], x[:, 3] - x[:, 1]
+    normal = np.cross(across, along)
+    area = np.linalg.norm(normal, axis=1) / 2
+    e1 = across / np.linalg.norm(across, axis=1, keepdims=True)
+    e2 = np.cross(normal, e1) / (2 * area[:, None])
+    edges = np.stack([x[:, b] - x[:, a] for a, b in QUAD_SPRINGS], axis=1)
+    squares = (edges**2).sum(axis=2)
+    p, q = (np.einsum("fsd,fd->fs", edges, e) for e in (e1, e2))
+    # l^2 n n n n / A of each spring: the components 1111, 1112, 1122, 1222, 2222.
+    made = (
+        np.stack([p ** (4 - n) * q**n for n in range(5)], axis=1)
+        / (squares * area[:, None])[:, None, :]
+    )
+    wanted = np.array([9 / 8, 0.0, 3 / 8, 0.0, 9 / 8])
+    cut = np.zeros_like(squares)
+    for a, b, c in ((0, 1, 2), (2, 3, 0), (1, 2, 3), (3, 0, 1)):
+        half = np.linalg.norm(np.cross(x[:, b] - x[:, a], x[:, c] - x[:, a]), axis=1) / 4
+        for ends in ((a, b), (b, c), (c, a)):
+            n = next(n for n, s in enumerate(QUAD_SPRINGS) if set(s) == set(ends))
+            cut[:, n] += half / squares[:, n]
+    off = wanted - np.einsum("fms,fs->fm", made, cut)
+    # Shapes whose springs hardly differ in direction are left as they are.
+    change = np.einsum("fsm,fm->fs", np.linalg.pinv(made, rcond=0.05), off)
+    with np.errstate(divide="ignore"):
+        room = np.where(change < 0, (SOFTEST - 1) * cut / change, np.inf).min(axis=1)
+    shares: np.ndarray = cut + np.minimum(room, 1.0)[:, None] * change
+    return shares

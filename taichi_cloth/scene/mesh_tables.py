@@ -1,0 +1,89 @@
+"""`[[meshes]]` of a scene file: a mesh file, where it lies, and what its cloth is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taichi_cloth.errors import InputError
+from taichi_cloth.scene import toml
+from taichi_cloth.scene.mesh import OF_THE_MESH, mesh
+from taichi_cloth.scene.model import (
+    ParticleDefaults,
+    Particles,
+    SpringDefaults,
+    Springs,
+    World,
+)
+from taichi_cloth.scene.properties import SPRING_PROPERTIES
+
+if TYPE_CHECKING:
+    from taichi_cloth.scene.tables import Table, TableReader
+
+# Numbers and words of springs that are given for a mesh's springs alone.
+SPRING_KEYS = tuple(name for name in SPRING_PROPERTIES if name not in OF_THE_MESH)
+KEYS = (
+    *("file", "scale", "turn", "move", "pinned", "parts", "stretch", "density"),
+    *SPRING_KEYS,
+)
+
+
+def upward(world: World) -> int:
+    """+1 where y points up in a world, -1 where it points down."""
+    return 1 if world.gravity[1] < 0 else -1
+
+
+def read(
+    reader: TableReader,
+    entry: Table,
+    index: int,
+    world: World,
+    particle_defaults: ParticleDefaults,
+    spring_defaults: SpringDefaults,
+) -> tuple[Particles, Springs, np.ndarray]:
+    """The particles, springs and triangles of an entry, numbered from 0.
+
+    Raises InputError, naming the entry's line, and the mesh file's where that is at fault.
+    """
+    path = ("meshes", index)
+    if world.dim != 3:
+        reader.refuse(path, "a mesh needs a 3-D world: size = [width, height, depth]")
+    file = reader.folder / reader.required(entry, path, "file", toml.text)
+    parts = reader.value(entry, path, "parts", toml.integer)
+    if parts is not None and parts < 1:
+        reader.refuse((*path, "parts"), f"parts must be at least 1, is {parts}")
+    numbers = {key: reader.spring_value(entry, path, key) for key in SPRING_KEYS}
+    try:
+        return mesh(
+            file,
+            scale=reader.value(entry, path, "scale", toml.number, 1.0),
+            turn=reader.vector(entry, path, "turn", 3) or (0.0, 0.0, 0.0),
+            move=reader.vector(entry, path, "move", 3) or (0.0, 0.0, 0.0),
+            pinned=reader.value(entry, path, "pinned", _pins, []),
+            parts=parts,
+            stretch=reader.value(entry, path, "stretch", toml.number),
+            density=reader.value(entry, path, "density", toml.number),
+            up=upward(world),
+            particle_defaults=particle_defaults,
+            spring_defaults=spring_defaults,
+            **{key: value for key, value in numbers.items() if value is not None},
+        )
+    except InputError as error:
+        message = str(error)
+        if message.startswith((reader.name, "--set")):
+            raise
+        at_fault = next((key for key in entry if message.startswith(key)), None)
+        if at_fault is None and message.startswith(str(file)):
+            at_fault = "file"
+        raise InputError(f"{reader.place(*path, at_fault)}: {message}") from None
+
+
+def _pins(value: Any) -> list[int] | Mapping[str, float]:
+    words = "a list of vertices, by number, or { above = height }"
+    if isinstance(value, dict):
+        if set(value) != {"above"}:
+            raise toml.WrongType(words)
+        return {"above": toml.number(value["above"])}
+    return toml.list_of(toml.integer, words)(value)
