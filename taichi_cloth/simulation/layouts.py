@@ -20,6 +20,7 @@ from taichi_cloth.simulation import adjacency
 FORWARD = tuple((-column, -row) for kind in LINKS.values() for column, row in kind)
 WORTH_SORTING = 4096  # particles; fewer are in the processor's fastest caches anyway
 LOOSE_WIDTH = 16  # packs in a row of particles that are on no grid
+WORTH_LANES = 10  # one of so many springs must be a link, or lanes only add what they cost
 # Rest lengths of links of one kind may differ by the rounding of the positions they come from.
 SAME = 1e-11
 
@@ -208,8 +209,8 @@ def on_grids(
     kind[~(springs.stiffness > 0)] = -1
     shared, held, kind = _shared_numbers(springs, kind, grid, len(grids), terms)
     used = np.unique(kind[kind >= 0])
-    if not len(used):
-        return None  # all of them differ
+    if WORTH_LANES * np.count_nonzero(kind >= 0) < len(springs):
+        return None  # all of them differ, or most: it is a mesh that looks like a grid in places
     renumbered = np.full(len(FORWARD) + 1, -1)
     renumbered[used] = np.arange(len(used))
     kind = renumbered[kind]

@@ -1,0 +1,33 @@
+"""A shirt of our own making, held at its collar: what `run shirt.obj` shows of any mesh.
+
+The mesh lies beside this file: two panels of quads, sewn along shoulders, sleeves and sides, 2500
+vertices in metres (`tests/shirt.py` made it).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from taichi_cloth.scene import hanging, scenefile
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.settings.options import Parameter
+
+FILE = Path(__file__).with_name("shirt.obj")
+FRAME = "auto"
+
+
+def scene(
+    *,
+    stretch: Annotated[
+        float, Parameter("stiffness of a width of cloth", unit="N/m", above=0)
+    ] = hanging.STRETCH,
+    density: Annotated[
+        float, Parameter("mass of an area", unit="kg/m2", above=0)
+    ] = hanging.DENSITY,
+) -> Scene:
+    """A shirt out of a mesh file, held at its collar; 3-D, in metres and seconds."""
+    table = hanging.table(FILE)
+    table["name"] = "shirt"
+    table["meshes"][0] |= {"stretch": stretch, "density": density, "parts": 1}
+    return scenefile.parse_table(table, "shirt")
