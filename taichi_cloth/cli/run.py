@@ -16,8 +16,10 @@ import numpy
 
 from taichi_cloth import __version__, runtime
 from taichi_cloth.cli import scene_command
-from taichi_cloth.errors import InputError, RunFailure, SimulationFailure
+from taichi_cloth.errors import InputError, RunFailure, SimulationFailure, counted
 from taichi_cloth.files.events import Recorder
+from taichi_cloth.files.exports import Export
+from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
@@ -59,10 +61,22 @@ def main(source: SceneSource, options: RunOptions) -> int:
         trajectory = Trajectory(options.save, options.every) if options.save else None
         if trajectory:
             unfinished.callback(trajectory.discard)
+        export = _export(scene, options)
+        if export:
+            unfinished.callback(export.discard)
         recorder = Recorder(options.record) if options.record else None
         if recorder:
             unfinished.callback(recorder.discard)
-        return _simulate(source, scene, options, log, recorder, trajectory)
+        recordings = Recordings(trajectory, export)
+        return _simulate(source, scene, options, log, recorder, recordings)
+
+
+def _export(scene: Scene, options: RunOptions) -> Export | None:
+    """What `--export` asks for."""
+    if options.export is None:
+        return None
+    dt = options.dt if isinstance(options.dt, float) else scene.world.dt
+    return Export(options.export, dt, options.every)
 
 
 def _as_recorded(options: RunOptions, header: Mapping[str, Any]) -> RunOptions:
@@ -97,7 +111,7 @@ def _consistent(options: RunOptions) -> RunOptions:
             raise InputError(f"--headless and --view {options.view} exclude each other; give one")
         options = replace(options, view="none")
     written: dict[str, str] = {}
-    for name in ("record", "save", "image", "video"):
+    for name in ("record", "save", "export", "image", "video"):
         path = getattr(options, name)
         if path is None:
             continue
@@ -113,7 +127,7 @@ def _simulate(
     options: RunOptions,
     log: Log | None,
     recorder: Recorder | None,
-    trajectory: Trajectory | None,
+    recordings: Recordings,
 ) -> int:
     """Run a checked scene on the device; return the exit status."""
     from taichi_cloth.ui import app
@@ -141,17 +155,18 @@ def _simulate(
             recorder.write_header(_header(source, app.log_header(sim, view, seed, replay=log)))
         if not options.quiet:
             _announce(sim, device, view)
-            if trajectory and view.visible:
-                print("r goes back to the start, and --save begins anew there", flush=True)
+            if recordings and view.visible:
+                words = "--save" if recordings.trajectory else "--export"
+                print(f"r goes back to the start, and {words} begins anew there", flush=True)
         begin = time.perf_counter()
-        with _kept(source, sim, device, recorder, trajectory):
+        with _kept(source, sim, device, recorder, recordings):
             summary = app.run(
                 sim,
                 view,
                 frames=_frames(options, view),
                 replay=log,
                 recorder=recorder,
-                trajectory=trajectory,
+                trajectory=recordings if recordings else None,
                 film=options.video,
                 image=options.image,
                 paused=options.paused,
@@ -165,6 +180,7 @@ def _simulate(
         _check_converged(sim, options)
         if not options.quiet:
             _note_held_up(sim)
+            _note_left_out(recordings)
     return 0
 
 
@@ -199,9 +215,9 @@ def _kept(
     sim: Simulation,
     device: Device,
     recorder: Recorder | None,
-    trajectory: Trajectory | None,
+    recordings: Recordings,
 ) -> Iterator[None]:
-    """Finish the log and the trajectory however the run ends; a failed one has its last frame."""
+    """Finish log, trajectory and export however the run ends; a failed one has its last frame."""
     from taichi_cloth.ui import rescue
 
     failure: KeyboardInterrupt | RunFailure | InputError | None = None
@@ -210,10 +226,12 @@ def _kept(
         with contextlib.ExitStack() as files:  # each is tried, also where a disk is full
             if recorder:
                 files.callback(recorder.close)
-            if trajectory:
-                if isinstance(failure, SimulationFailure):
-                    trajectory.record(sim, last=True)
-                files.callback(trajectory.save, _meta(source, sim, device))
+            if recordings.export:
+                files.callback(recordings.export.save)
+            if recordings.trajectory:
+                files.callback(recordings.trajectory.save, _meta(source, sim, device))
+            if isinstance(failure, SimulationFailure):
+                recordings.record(sim, last=True)
 
     try:
         with rescue.saving(finish):
@@ -312,6 +330,17 @@ def _note_held_up(sim: Simulation) -> None:
             f"{PROGRAM}: note: another program wants the cores: a frame took {together:.3g} ms on "
             f"all threads, where one would take about {alone:.3g} ms; --execution parallel keeps "
             "them, without it the run gives way",
+            file=sys.stderr,
+        )
+
+
+def _note_left_out(recordings: Recordings) -> None:
+    """Say on standard error that an export lacks particles, which came after its first frame."""
+    left_out = recordings.export.left_out if recordings.export else 0
+    if left_out:
+        print(
+            f"{PROGRAM}: note: the export has the particles of its first frame; left out: "
+            f"{counted(left_out, 'particle')} that came later",
             file=sys.stderr,
         )
 

@@ -312,7 +312,14 @@ class RunOptions(Options):
     save: str | None = setting(
         None, "save the trajectory (of a window: since the last r)", str, metavar="FILE.npz"
     )
-    every: int = setting(1, "save every Nth frame only", minimum=1, metavar="N")
+    export: str | None = setting(
+        None,
+        "write frames for other programs: a folder or NAME.ply or .obj (a file each), or a file "
+        ".npz, .pc2, .usda, .usd",
+        str,
+        metavar="DIR|FILE",
+    )
+    every: int = setting(1, "save and export every Nth frame only", minimum=1, metavar="N")
     image: str | None = setting(None, "save the last frame as a picture", str, metavar="FILE.png")
     video: str | None = setting(None, "save all frames as a film", str, metavar="FILE.mp4|gif")
     status: bool = setting(True, "the status in the window, in pictures and films", bool)

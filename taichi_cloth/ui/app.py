@@ -15,6 +15,7 @@ from taichi_cloth import runtime
 from taichi_cloth.console import progress
 from taichi_cloth.errors import RunFailure, SimulationFailure
 from taichi_cloth.files.events import Recorder
+from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.ui import film as films
@@ -77,7 +78,7 @@ def run(
     frames: int | None = None,
     replay: Log | None = None,
     recorder: Recorder | None = None,
-    trajectory: Trajectory | None = None,
+    trajectory: Trajectory | Recordings | None = None,
     film: str | None = None,
     image: str | None = None,
     paused: bool = False,
@@ -94,7 +95,7 @@ def run(
     replay: a log; its events of frame f (0-based, counted over resets) are applied
         before that frame is advanced. Until its last event the user's mouse is ignored.
     recorder: made with `log_header`; every applied event is written.
-    trajectory: is shown every frame. Saving it is the caller's.
+    trajectory: is shown every frame; recordings: it and an export. Saving them is the caller's.
     film, image: paths of a film of the run and of a picture of its last frame; the view must
         draw pictures for them. Refused paths raise InputError before anything is run.
     paused: start paused (a window only). quiet: no progress bar.
@@ -147,7 +148,7 @@ class _Loop:
         *,
         replay: Log | None,
         recorder: Recorder | None,
-        trajectory: Trajectory | None,
+        trajectory: Trajectory | Recordings | None,
         film: films.Film | None,
         paused: bool,
         status: bool,

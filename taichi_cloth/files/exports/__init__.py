@@ -1,0 +1,98 @@
+"""Results for other programs: PLY and OBJ sequences, NumPy archives, point caches, USD.
+
+`open_export` chooses the format by a path: a folder becomes a sequence of PLY files, every other
+path says it by its suffix. Each file appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.files.exports import npz, pc2, sequence, usd
+from taichi_cloth.files.exports.frame import Clock, Frame, Writer
+from taichi_cloth.files.trajectory import Recordable
+
+# What writes the formats, by suffix.
+WRITERS: dict[str, Callable[[Path, Clock], Writer]] = {
+    ".ply": sequence.Sequence,
+    ".obj": sequence.Sequence,
+    ".npz": npz.Archive,
+    ".pc2": pc2.PointCache,
+    ".usda": usd.Stage,
+    ".usd": usd.Stage,
+    ".usdc": usd.Stage,
+}
+
+
+class Export:
+    """Every `every`-th frame of a simulation, in files for other programs.
+
+    dt: time of a frame. Raises InputError at once, naming the flag `--export`, where the path
+    cannot be written, or names no format.
+
+    The particles are those of the first frame that is noted: what is clicked in later is left out,
+    since the formats have the same points in all frames, and is counted in `left_out`.
+
+    frames: how many are noted.
+    """
+
+    def __init__(self, path: str | Path, dt: float, every: int = 1):
+        self.every = operator.index(every)
+        self._writer = open_export(Path(path), Clock(dt, self.every))
+        self._points, self._last = 0, -1
+        self.frames = self.left_out = 0
+
+    def record(self, sim: Recordable, *, last: bool = False) -> None:
+        """Take note of a simulation's present frame, if its number is a multiple of `every`.
+
+        last: whatever its number is, as the last good one of a run that failed. A frame that was
+        noted already is not noted twice; a lower number means that the simulation was reset, and
+        what was noted before is forgotten.
+        """
+        frame = sim.frame
+        if frame < self._last:
+            self._writer.restart()
+            self._last, self.frames, self.left_out = -1, 0, 0
+        wanted = last or (frame > 0 and frame % self.every == 0)
+        if not wanted or frame == self._last:
+            return
+        noted = self._frame(sim)
+        self._writer.add(noted)
+        self._last, self.frames = frame, self.frames + 1
+
+    def _frame(self, sim: Recordable) -> Frame:
+        position = sim.positions()
+        if self._last < 0:
+            self._points = len(position)
+        self.left_out = max(self.left_out, len(position) - self._points)
+        points = np.full((self._points, 3), 0.0)
+        kept = position[: self._points]
+        points[: len(kept), : position.shape[1]] = kept  # of a plane's, z is 0
+        edges, faces = sim.springs(), sim.triangles()
+        held = sim.springs_alive() & (edges < self._points).all(axis=1)
+        whole = sim.triangles_alive() & (faces < self._points).all(axis=1)
+        return Frame(sim.frame, sim.time, points, faces, whole, edges, held)
+
+    def save(self) -> None:
+        """Write what is not yet written, and give the files their names. Once only."""
+        self._writer.finish()
+
+    def discard(self) -> None:
+        """Leave nothing behind, unless saved; what was at the path before stays."""
+        self._writer.discard()
+
+
+def open_export(path: Path, clock: Clock) -> Writer:
+    """The writer of the format that a path names. Raises InputError where there is none."""
+    suffix = path.suffix.lower()
+    if path.is_dir() or not suffix:
+        return sequence.Sequence(path / "frame.ply", clock)
+    if suffix not in WRITERS:
+        hint = nearest(suffix, WRITERS)
+        raise InputError(f"--export {path}: '{suffix}' is no format of results; {hint}")
+    return WRITERS[suffix](path, clock)

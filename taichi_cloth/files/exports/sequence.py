@@ -1,0 +1,152 @@
+"""A file a frame, PLY or OBJ, in a folder: frame_00001.ply and so on.
+
+The files are written to a folder beside it, and come to their place together: a sequence is never
+mixed of two runs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+import tempfile
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+from taichi_cloth.errors import InputError
+from taichi_cloth.files.exports.frame import Clock, Frame
+
+
+class Sequence:
+    """Writes NAME_00001.EXT and so on for a path FOLDER/NAME.EXT; the folder is made.
+
+    An earlier sequence of that name is replaced as a whole. Raises InputError where nothing can be
+    written there.
+    """
+
+    def __init__(self, path: Path, clock: Clock):
+        self._path, self._clock = path, clock
+        self._text = {".ply": ply, ".obj": obj}[path.suffix.lower()]
+        folder = Path(os.path.realpath(path.parent))
+        self._target, self._done = folder, False
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"--export {path}: '{path.parent}' is a file, not a folder")
+        if folder.is_dir() and not os.access(folder, os.W_OK):
+            self._refuse(PermissionError(13, os.strerror(13)))
+        # Inside a folder that there is, which may stand in one that cannot be written to.
+        beside = folder if folder.is_dir() else folder.parent
+        try:
+            self._folder = Path(
+                tempfile.mkdtemp(prefix=f"{path.stem}.", suffix=".part", dir=beside)
+            )
+        except FileNotFoundError:
+            raise InputError(
+                f"--export {path}: cannot be written: there is no folder '{path.parent.parent}'"
+            ) from None
+        except (OSError, ValueError) as error:
+            self._refuse(error)
+
+    def _refuse(self, error: Exception) -> NoReturn:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"--export {self._path}: cannot be written: {reason}") from None
+
+    def add(self, frame: Frame) -> None:
+        file = self._folder / f"{self._path.stem}_{frame.number:05d}{self._path.suffix}"
+        try:
+            file.write_bytes(self._text(frame, self._clock))
+        except OSError as error:
+            self.discard()
+            self._refuse(error)
+        except BaseException:  # an interrupt: no half of it
+            file.unlink(missing_ok=True)
+            raise
+
+    def restart(self) -> None:
+        for file in self._folder.iterdir():
+            file.unlink()
+
+    def finish(self) -> None:
+        if self._done:
+            return
+        try:
+            written = sorted(self._folder.iterdir())
+            if not self._target.is_dir() and written:
+                os.chmod(self._folder, 0o777 & ~_mask())
+                os.rename(self._folder, self._target)
+            elif written:
+                new = {file.name for file in written}
+                mine = re.compile(
+                    rf"{re.escape(self._path.stem)}_\d{{5,}}{re.escape(self._path.suffix)}"
+                )
+                old = [f for f in self._target.iterdir() if mine.fullmatch(f.name)]
+                for file in written:
+                    os.replace(file, self._target / file.name)
+                for file in old:
+                    if file.name not in new:
+                        file.unlink()
+        except OSError as error:
+            self.discard()
+            self._refuse(error)
+        self.discard()
+
+    def discard(self) -> None:
+        self._done = True
+        with contextlib.suppress(OSError):
+            shutil.rmtree(self._folder)
+
+
+def _mask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _about(frame: Frame, clock: Clock) -> str:
+    return f"frame {frame.number}, time {frame.time:.17g}, {clock.rate:.17g} frames a unit of time"
+
+
+def ply(frame: Frame, clock: Clock) -> bytes:
+    """A frame as binary PLY: positions in double precision, the triangles that are whole; without
+    triangles the springs that hold.
+    """
+    faces, edges = frame.faces(), frame.edges()
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment {_about(frame, clock)}",
+        f"element vertex {len(frame.position)}",
+        *(f"property double {axis}" for axis in "xyz"),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        *([f"element edge {len(edges)}"] if len(edges) else []),
+        *(["property int vertex1", "property int vertex2"] if len(edges) else []),
+        "end_header\n",
+    ]
+    rows = np.empty(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
+    rows["count"], rows["corners"] = 3, faces
+    return b"".join(
+        (
+            "\n".join(header).encode(),
+            frame.position.astype("<f8").tobytes(),
+            rows.tobytes(),
+            edges.astype("<i4").tobytes(),
+        )
+    )
+
+
+def obj(frame: Frame, clock: Clock) -> bytes:
+    """A frame as OBJ: positions with all their digits, the triangles that are whole; without
+    triangles the springs that hold, as lines.
+    """
+    faces, edges = frame.faces() + 1, frame.edges() + 1
+    parts = [f"# {_about(frame, clock)}\n"]
+    for line, rows in (
+        ("v %.17g %.17g %.17g\n", frame.position),
+        ("f %d %d %d\n", faces),
+        ("l %d %d\n", edges),
+    ):
+        parts.append(line * len(rows) % tuple(rows.ravel().tolist()))
+    return "".join(parts).encode()

@@ -1,0 +1,27 @@
+"""All that a run notes frame by frame, as one."""
+
+from __future__ import annotations
+
+from taichi_cloth.files.exports import Export
+from taichi_cloth.files.trajectory import Recordable, Trajectory
+
+
+class Recordings:
+    """A trajectory and an export, as far as a run has them."""
+
+    def __init__(self, trajectory: Trajectory | None, export: Export | None):
+        self.trajectory, self.export = trajectory, export
+
+    def __bool__(self) -> bool:
+        return not (self.trajectory is None and self.export is None)
+
+    @property
+    def frames(self) -> int:
+        """How many frames are noted."""
+        return max((part.frames for part in (self.trajectory, self.export) if part), default=0)
+
+    def record(self, sim: Recordable, *, last: bool = False) -> None:
+        """Take note of a simulation's present frame; last: whatever its number is."""
+        for part in (self.trajectory, self.export):
+            if part is not None:
+                part.record(sim, last=last)
