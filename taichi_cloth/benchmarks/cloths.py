@@ -6,9 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from taichi_cloth.scene.cloth import grid
+from taichi_cloth.files.meshes.surface import Surface
+from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.library import build
-from taichi_cloth.scene.model import ParticleDefaults, Scene, SpringDefaults, Springs, World
+from taichi_cloth.scene.mesh import stiffness_by_shape
+from taichi_cloth.scene.model import (
+    ParticleDefaults,
+    Particles,
+    Scene,
+    SpringDefaults,
+    Springs,
+    World,
+)
 
 # Warp's benchmark (warp/examples/benchmarks/benchmark_cloth.py), in metres, kilograms and seconds.
 WARP_SPACING, WARP_MASS, WARP_STIFFNESS, WARP_DAMPING = 0.1, 0.1, 1000.0, 10.0
@@ -20,6 +29,9 @@ STRUCTURAL_FRAME: dict[str, Any] = {
     "dt": float(STRUCTURAL_SUBSTEPS),
     "substeps": STRUCTURAL_SUBSTEPS,
 }
+
+# A sheet of triangles, 1 m x 1 m: of cotton; a step is this time divided by its vertices in a row.
+SHEET_DENSITY, SHEET_STRETCH, SHEET_STEP = 0.15, 80.0, 0.005
 
 # The function that makes a scene, "module:name", and its arguments.
 SceneCall = tuple[str, dict[str, Any]]
@@ -68,3 +80,37 @@ def warp_cloth(size: int, gravity: float = WARP_GRAVITY) -> Scene:
         particles=particles,
         springs=springs,
     )
+
+
+def sheet(side: int, order: str = "shuffled") -> Scene:
+    """A sheet of triangles in space, held at two corners: some `side` x `side` vertices, jittered.
+
+    order: of the vertices' numbers: "rows" of the sheet, or "shuffled", as no mesh is worse.
+    """
+    rng = np.random.default_rng(0)
+    h = 1.0 / (side - 1)
+    row, column = np.divmod(np.arange(side * side), side)
+    flat = np.stack([column * h, row * h], axis=1) + rng.uniform(-0.2 * h, 0.2 * h, (side**2, 2))
+    position = np.column_stack([0.5 + flat[:, 0], 0.5 + flat[:, 1], np.zeros(side**2)])
+    velocity = rng.normal(0, 0.05, position.shape)
+    triangles = grid_triangles(side, side)
+    fixed = (row == side - 1) & ((column == 0) | (column == side - 1))
+    if order == "shuffled":
+        where = rng.permutation(side * side)
+        number = np.argsort(where)
+        position, velocity, fixed = position[where], velocity[where], fixed[where]
+        triangles = number[triangles]
+    none = np.zeros((0, 4), np.int64), np.zeros((0, 2), np.int64)
+    surface = Surface(position, triangles, *none)
+    between, shares = stiffness_by_shape(surface, position)
+    mass = SHEET_DENSITY / side**2
+    return Scene(
+        name="sheet",
+        world=World(size=(2.0, 2.0, 2.0), gravity=(0.0, -9.81, 0.0), dt=SHEET_STEP / side),
+        particles=Particles.build(
+            position, np.where(fixed[:, None], 0.0, velocity), fixed=fixed, mass=mass, radius=0.0,
+            viscous=0.1 * mass,
+        ),
+        springs=Springs.build(between, position, stiffness=SHEET_STRETCH * shares),
+        triangles=triangles,
+    )  # fmt: skip

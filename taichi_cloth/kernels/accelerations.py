@@ -100,6 +100,18 @@ def kick_after(
         accumulate(spec, state, t, force_between, ti.static(_moving(kick)), _accelerate_more)
 
 
+@ti.func
+def kick_then(
+    spec: ti.template(), state: ti.template(), t, kick: ti.template(), move: ti.template()
+):
+    """Run kick(spec, state, i, a) with the acceleration of every pack i, then move(spec, state, i).
+
+    Only where `kicks_at_once`, on packs of one lane: no acceleration is then stored and read.
+    """
+    accumulate(spec, state, t, force_between, ti.static(_moving(kick)), _accelerate_more)
+    each_pack_moving(spec, state, t, move)
+
+
 @functools.cache
 def _moving(move):
     """A `consume` that runs move(spec, state, i, a) with the acceleration by the forces it gets."""

@@ -20,6 +20,7 @@ class Specialization:
     rows_share_stiffness: whether all rows of each grid, but the last ones, have the same links with
         the same stiffness, none of which breaks.
     compensated: whether positions and velocities have low parts (`compensated.py`).
+    together: whether several springs of a particle on the graph are computed at once (`graph.py`).
     threads, one_launch_per_step: how loops are run (`loops.py`).
     """
 
@@ -39,6 +40,7 @@ class Specialization:
     links: tuple[tuple[int, int], ...] = ()
     rows_share_stiffness: bool = False
     compensated: bool = False
+    together: bool = False
     threads: int = 1
     one_launch_per_step: bool = False
 

@@ -360,7 +360,7 @@ class TableReader:
             shape = self.required(entry, ("obstacles", index), "shape", toml.text)
             values = {key: value for key, value in entry.items() if key != "shape"}
             obstacle = Obstacle.build(shape, **values)
-            if "file" in values and self.folder is not None:
+            if "file" in values:
                 obstacle = obstacle.with_file(self.folder)
             found.append(obstacle)
         return tuple(found)

@@ -67,19 +67,18 @@ def squares_held(springs: Springs) -> np.ndarray:
         return squares
 
 
-def on_graph(springs: Springs, position: np.ndarray | None, particle_count: int) -> Layout:
+def on_graph(springs: Springs, particle_count: int, sort: bool) -> Layout:
     """The layout in which particles stand one by one, and all springs are on the graph.
 
-    Particles are in the order of their numbers, or, where springs reach far between those and
-    `position` (n, dim) is given, along a curve through space, so that neighbours are near in
-    memory.
+    Particles are in the order of their numbers, or, where `sort` allows it and springs reach far
+    between those, in one in which neighbours are near in memory.
     """
     slot = np.arange(particle_count, dtype=np.int32)
-    if position is not None and particle_count >= WORTH_SORTING:
-        curve = np.empty_like(slot)
-        curve[adjacency.z_order(position)] = slot
-        if _reach(springs, curve) < 0.5 * _reach(springs, slot):
-            slot = curve
+    if sort and particle_count >= WORTH_SORTING and len(springs):
+        near = np.empty_like(slot)
+        near[adjacency.banded_order(springs.between, particle_count)] = slot
+        if _reach(springs, near) < 0.5 * _reach(springs, slot):
+            slot = near
     return Layout(
         lanes=1,
         links=(),

@@ -81,8 +81,7 @@ class Placements:
         count = len(scene.particles)
         if topology == "graph":
             # Collisions add up in the order of the particles, which is then that of memory too.
-            position = None if scene.world.collisions else scene.particles.position
-            return layouts.on_graph(scene.springs, position, count)
+            return layouts.on_graph(scene.springs, count, sort=not scene.world.collisions)
         period = layouts.any_period
         if "spring_colours" in self._needs:
             period = layouts.spring_period

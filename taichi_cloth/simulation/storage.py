@@ -23,7 +23,7 @@ from taichi_cloth.scene import obstacles
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation import adjacency, diagnostics
 from taichi_cloth.simulation.launch import Launcher
-from taichi_cloth.simulation.layouts import Layout
+from taichi_cloth.simulation.layouts import WORTH_SORTING, Layout
 from taichi_cloth.simulation.numbers import Numbers
 from taichi_cloth.simulation.placement import Placement, Placements
 from taichi_cloth.simulation.snapshot import Snapshot
@@ -258,9 +258,18 @@ class Storage:
             links=layout.links,
             rows_share_stiffness=layout.rows_share_stiffness and not features["fracture"],
             compensated=self._launcher.device.compensated,
+            together=self._is_mesh(),
             threads=self._launcher.device.threads,
             one_launch_per_step=True,
         )
+
+    def _is_mesh(self) -> bool:
+        """Whether the scene is a large net without a grid, whose springs are computed several at
+        once on the CPU.
+        """
+        particles, springs = len(self.scene.particles), len(self.scene.springs)
+        large = particles >= WORTH_SORTING and springs >= 2 * particles
+        return large and self._launcher.device.arch == "cpu" and "lanes" not in self.topologies()
 
     def _needed(self, placement: Placement) -> Capacity:
         layout = placement.layout
