@@ -92,7 +92,7 @@ def sheet(side: int, order: str = "shuffled") -> Scene:
     row, column = np.divmod(np.arange(side * side), side)
     flat = np.stack([column * h, row * h], axis=1) + rng.uniform(-0.2 * h, 0.2 * h, (side**2, 2))
     position = np.column_stack([0.5 + flat[:, 0], 0.5 + flat[:, 1], np.zeros(side**2)])
-    velocity = rng.normal(0, 0.05, position.shape)
+    velocity = np.asarray(rng.normal(0, 0.05, position.shape))
     triangles = grid_triangles(side, side)
     fixed = (row == side - 1) & ((column == 0) | (column == side - 1))
     if order == "shuffled":

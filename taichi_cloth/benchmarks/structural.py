@@ -64,7 +64,7 @@ def measure(bench: Bench) -> Iterator[Measurement]:
         **shared,
     )
     cpp = {
-        kind: _enter_compiled(bench, f"C++, {kind}", kind, {"side": side}, **shared)
+        kind: _enter(bench, f"C++, {kind}", kind, {"side": side}, **shared)
         for kind in ("csr", "grid")
     }
     racing = [*entered.values(), gather, *cpp.values()]
@@ -89,7 +89,7 @@ def _triad(bench: Bench, side: int) -> Iterator[Measurement]:
     """How fast the machine moves numbers: arrays of the cloth's size, and larger than caches."""
     numbers = {"the cloth's size": side * side, "64 MiB": 2**24}
     contestants = [
-        _enter_compiled(
+        _enter(
             bench,
             f"STREAM triad, arrays of {words}",
             "stream",
@@ -108,21 +108,32 @@ def _triad(bench: Bench, side: int) -> Iterator[Measurement]:
         yield row
 
 
-def _enter_compiled(
+def _enter(
+    bench: Bench, name: str, kind: str, arguments: dict[str, Any], **shared: Any
+) -> Contestant | None:
+    return enter_compiled(
+        bench, name, f"{__name__}:Compiled{kind.capitalize()}", arguments, part=PART, **shared
+    )
+
+
+def enter_compiled(
     bench: Bench,
     name: str,
     kind: str,
     arguments: dict[str, Any],
+    *,
+    part: str,
     steps: int = STRUCTURAL_SUBSTEPS,
     **shared: Any,
 ) -> Contestant | None:
+    """Enter a contestant of C++, class `kind` ("module:Class"), compiled here; None without g++."""
     if not machine.installed("g++"):
-        bench.leave_out(PART, name, shared["size"], "no g++ here; install a C++ compiler")
+        bench.leave_out(part, name, shared["size"], "no g++ here; install a C++ compiler")
         return None
     return bench.enter(
-        PART,
+        part,
         name,
-        f"{__name__}:Compiled{kind.capitalize()}",
+        kind,
         {"folder": str(bench.folder), **arguments},
         library="C++",
         precision="f32",
@@ -149,7 +160,7 @@ def compiled(folder: str) -> ctypes.CDLL:
     return ctypes.CDLL(str(library))
 
 
-def _call(function: Callable[..., Any], count: int, *arguments: int | float | np.ndarray) -> None:
+def call(function: Callable[..., Any], count: int, *arguments: int | float | np.ndarray) -> None:
     """Call a C function: `count` as long, int as int, float as float, arrays as pointers."""
     converted: list[Any] = [ctypes.c_long(count)]
     for value in arguments:
@@ -177,7 +188,7 @@ class CompiledCsr:
         self.arguments = (len(p), *numbers, half.row, half.far, k, rest, w, self.x, v)
 
     def advance(self, units: int) -> None:
-        _call(self.step, units * STRUCTURAL_SUBSTEPS, *self.arguments)
+        call(self.step, units * STRUCTURAL_SUBSTEPS, *self.arguments)
 
     def positions(self) -> np.ndarray:
         return self.x
@@ -205,7 +216,7 @@ class CompiledGrid:
         return np.pad(values.astype(np.float32), MARGIN)[MARGIN:-MARGIN]
 
     def advance(self, units: int) -> None:
-        _call(self.step, units * STRUCTURAL_SUBSTEPS, *self.arguments)
+        call(self.step, units * STRUCTURAL_SUBSTEPS, *self.arguments)
 
     def positions(self) -> np.ndarray:
         return np.stack([self.x, self.y], axis=1)

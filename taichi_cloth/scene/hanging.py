@@ -49,6 +49,7 @@ def table(path: Path) -> dict[str, Any]:
     return {
         "world": {
             "size": [3 * reach, float(top + reach), 3 * reach],
+            "up": "y",
             "gravity": [0.0, -GRAVITY, 0.0],
             "dt": FRAME,
         },

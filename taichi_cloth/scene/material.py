@@ -83,7 +83,9 @@ class Material:
                 raise InputError(f"{name} of {twice[0]} links is given by {instead} too; leave one")
         return Material(**numbers)
 
-    def of_links(self, kind: str, width: np.ndarray, length: float) -> dict[str, np.ndarray]:
+    def of_links(
+        self, kind: str, width: np.ndarray, length: float | np.ndarray
+    ) -> dict[str, np.ndarray]:
         """What the material says of links of a kind, (s,) each: stiffness and others, by name.
 
         width: of the strip that each structural one stands for, in spacings, (s,); length: theirs.
@@ -92,7 +94,7 @@ class Material:
         if self.stretch is None or per_width is None:
             return {}
         stiffness = per_width * (width if kind == "structural" else np.ones_like(width))
-        found = {"stiffness": stiffness}
+        found: dict[str, np.ndarray] = {"stiffness": stiffness}
         if self.damping_time is not None:
             found["damping"] = self.damping_time * stiffness
         if self.strength is not None:

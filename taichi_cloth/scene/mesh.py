@@ -13,7 +13,8 @@ import numpy as np
 
 from taichi_cloth.errors import InputError, counted
 from taichi_cloth.files import meshes
-from taichi_cloth.files.meshes.surface import Surface
+from taichi_cloth.files.meshes.surface import LARGEST_COORDINATE, Surface
+from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import (
     CLOTH_COLOR,
     FIXED_COLOR,
@@ -23,6 +24,7 @@ from taichi_cloth.scene.model import (
     Springs,
 )
 from taichi_cloth.scene.properties import SPRING_PROPERTIES
+from taichi_cloth.scene.triangles import areas
 from taichi_cloth.settings import accepted
 
 if TYPE_CHECKING:
@@ -44,8 +46,7 @@ def mesh(
     move: ArrayLike = (0.0, 0.0, 0.0),
     pinned: Iterable[int] | Mapping[str, float] = (),
     parts: int | None = None,
-    stretch: float | None = None,
-    density: float | None = None,
+    material: Material | None = None,
     up: int = 1,
     particle_defaults: ParticleDefaults | None = None,
     spring_defaults: SpringDefaults | None = None,
@@ -62,9 +63,8 @@ def mesh(
     pinned: numbers of the vertices that never move, or {"above": h}: those that are then at height
         h or above it.
     parts: how many parts that nothing joins the mesh must have; None: any number.
-    stretch: force by which a width of cloth resists being stretched, a strip of one width and
-        length by its own length [force / length]; None: every spring has the default stiffness.
-    density: mass of an area; None: every particle has the default mass.
+    material: what the cloth is made of, in the place of masses, radii and stiffness (it has no
+        shear of its own: triangles resist it); None: each particle and spring has its own.
     up: +1 where y points up, -1 where it points down.
     numbers: damping, break_force and others of `SpringProperties`, one for all springs.
 
@@ -79,14 +79,17 @@ def mesh(
     if parts is not None and surface.parts() != parts:
         has = counted(surface.parts(), "part")
         raise InputError(f"parts: {path} has {has}, not {parts}, that nothing joins")
+    of = Material() if material is None else material.checked(("structural",), _given(numbers))
     position = placed(surface.vertices, scale, turn, move)
     fixed = _pinned(pinned, position, up, path)
-    mass = None if density is None else _masses(surface, position, _positive("density", density))
+    mass = None if of.density is None else _masses(surface, position, of.density)
     particles = Particles.build(
         position,
         defaults=particle_defaults,
         fixed=fixed,
         mass=mass,
+        radius=None if of.thickness is None else of.thickness / 2,
+        thickness=of.thickness,
         color=np.where(fixed[:, None], FIXED_COLOR, CLOTH_COLOR),
     )
     between, shape = stiffness_by_shape(surface, position)
@@ -96,10 +99,14 @@ def mesh(
         position,
         defaults=spring_defaults,
         rest_length=rest,
-        stiffness=None if stretch is None else _positive("stretch", stretch) * shape,
-        **numbers,
+        **numbers | of.of_links("structural", shape, rest),
     )
     return particles, springs, surface.triangles
+
+
+def _given(numbers: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Numbers of springs as `Material.checked` takes them: by kind of link, here of one kind."""
+    return {name: {"structural": value} for name, value in numbers.items() if value is not None}
 
 
 def _positive(name: str, value: float) -> float:
@@ -118,6 +125,10 @@ def placed(vertices: np.ndarray, scale: float, turn: ArrayLike, move: ArrayLike)
     about_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
     about_z = np.array([[np.cos(c), -np.sin(c), 0], [np.sin(c), np.cos(c), 0], [0, 0, 1]])
     turned: np.ndarray = scale * vertices @ (about_z @ about_y @ about_x).T + shift
+    farthest = float(np.abs(turned).max())
+    if not farthest <= LARGEST_COORDINATE:
+        most = f"beyond {LARGEST_COORDINATE:g}"
+        raise InputError(f"scale, turn and move take the mesh to {farthest:g}, {most}")
     return turned
 
 
@@ -149,20 +160,13 @@ def _pinned(
     return fixed
 
 
-def areas(triangles: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """The areas of triangles (m, 3) of the points `position` (n, 3), (m,)."""
-    a, b, c = (position[triangles[:, n]] for n in range(3))
-    area: np.ndarray = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-    return area
-
-
 def _masses(surface: Surface, position: np.ndarray, density: float) -> np.ndarray:
     """The mass of each vertex: density times a third of the areas of the triangles at it, (n,).
 
     A quad's is the mean over both ways to cut it.
     """
     triangles, weight = _both_cuts(surface)
-    third = density * weight * areas(triangles, position) / 3
+    third = density * weight * areas(position, triangles) / 3
     return np.bincount(triangles.ravel(), np.repeat(third, 3), minlength=len(position))
 
 
@@ -189,7 +193,7 @@ def stiffness_by_shape(surface: Surface, position: np.ndarray) -> tuple[np.ndarr
     alone[surface.quad_triangles] = False
     triangles = surface.triangles[alone]
     pairs = [triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]
-    area = areas(triangles, position)
+    area = areas(position, triangles)
     shares = [area / _squares(position, ends) for ends in pairs]
     of_quads = _quad_shares(surface.quads, position)
     for n, ends in enumerate(QUAD_SPRINGS):

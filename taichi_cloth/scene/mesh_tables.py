@@ -9,6 +9,7 @@ import numpy as np
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene import toml
+from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.mesh import OF_THE_MESH, mesh
 from taichi_cloth.scene.model import (
     ParticleDefaults,
@@ -24,15 +25,12 @@ if TYPE_CHECKING:
 
 # Numbers and words of springs that are given for a mesh's springs alone.
 SPRING_KEYS = tuple(name for name in SPRING_PROPERTIES if name not in OF_THE_MESH)
+MATERIAL_KEYS = ("density", "thickness", "stretch", "damping_time", "strength")
 KEYS = (
-    *("file", "scale", "turn", "move", "pinned", "parts", "stretch", "density"),
+    *("file", "scale", "turn", "move", "pinned", "parts"),
+    *MATERIAL_KEYS,
     *SPRING_KEYS,
 )
-
-
-def upward(world: World) -> int:
-    """+1 where y points up in a world, -1 where it points down."""
-    return 1 if world.gravity[1] < 0 else -1
 
 
 def read(
@@ -55,6 +53,7 @@ def read(
     if parts is not None and parts < 1:
         reader.refuse((*path, "parts"), f"parts must be at least 1, is {parts}")
     numbers = {key: reader.spring_value(entry, path, key) for key in SPRING_KEYS}
+    material = {key: reader.value(entry, path, key, toml.number) for key in MATERIAL_KEYS}
     try:
         return mesh(
             file,
@@ -63,9 +62,8 @@ def read(
             move=reader.vector(entry, path, "move", 3) or (0.0, 0.0, 0.0),
             pinned=reader.value(entry, path, "pinned", _pins, []),
             parts=parts,
-            stretch=reader.value(entry, path, "stretch", toml.number),
-            density=reader.value(entry, path, "density", toml.number),
-            up=upward(world),
+            material=Material(**material),
+            up=1 if world.up else -1,
             particle_defaults=particle_defaults,
             spring_defaults=spring_defaults,
             **{key: value for key, value in numbers.items() if value is not None},

@@ -1,0 +1,234 @@
+"""Exports: what other programs read is what the simulation had, whole or not at all."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from taichi_cloth.cli.main import main
+from taichi_cloth.errors import InputError
+from taichi_cloth.files import exports
+from taichi_cloth.files.exports import Export
+
+TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
+SPRINGS = np.array([[0, 1], [1, 2], [2, 3], [3, 0], [0, 2]])
+DT = 1 / 24
+FORMATS = ("frames", "frames/cloth.ply", "frames/cloth.obj", "a.npz", "a.pc2", "a.usda")
+
+
+class Moving:
+    """What an export asks of a simulation: four particles that move, a triangle that tears."""
+
+    dt = DT
+
+    def __init__(self, surface=True):
+        self.frame, self.surface, self.more = 0, surface, 0
+
+    @property
+    def time(self):
+        return self.frame * DT
+
+    def positions(self):
+        """Single precision, as of most runs, with digits of every size."""
+        x = np.random.default_rng(self.frame).normal(0, 3, (4 + self.more, 3))
+        return x.astype(np.float32).astype(float)
+
+    def springs(self):
+        return SPRINGS
+
+    def springs_alive(self):
+        return np.array([True, True, self.frame < 4, True, True])
+
+    def triangles(self):
+        return TRIANGLES if self.surface else TRIANGLES[:0]
+
+    def triangles_alive(self):
+        return np.array([True, self.frame < 4])[: len(self.triangles())]
+
+
+def recorded(path, frames, every=1, sim=None):
+    """An export of some frames that is still to be saved, and the positions of those it keeps."""
+    export, sim, kept = Export(path, DT, every), sim or Moving(), {}
+    for sim.frame in range(1, frames + 1):
+        export.record(sim)
+        if sim.frame % every == 0:
+            kept[sim.frame] = sim.positions()
+    return export, kept
+
+
+def read_usda(path):
+    """Positions and corners of faces by frame, as USD's text has them, and the frames a second."""
+    text = path.read_text()
+
+    def samples(name):
+        if f"{name} = " in text:
+            return {0: eval(text.partition(f"{name} = ")[2].partition("\n")[0])}
+        block = text[text.index(f"{name}.timeSamples = {{") :].partition("\n    }")[0]
+        lines = [line.strip().rstrip(",").partition(": ") for line in block.splitlines()[1:]]
+        return {int(frame): eval(values, {"__builtins__": {}}) for frame, _, values in lines}
+
+    rate = float(text.partition("timeCodesPerSecond = ")[2].partition("\n")[0])
+    ends = [int(text.partition(f"{word}TimeCode = ")[2].split()[0]) for word in ("start", "end")]
+    return samples("points"), samples("faceVertexIndices"), rate, ends
+
+
+def read_back(path, name):
+    """Positions by frame, triangles by frame, and frames in a second, where the format has it."""
+    if name == "a.usda":
+        points, faces, rate, (first, last) = read_usda(path)
+        corners, now = {}, []
+        for n in points:
+            now = faces.get(n, faces.get(0, now))
+            corners[n] = np.reshape(now, (-1, 3))
+        assert (first, last) == (min(points), max(points))
+        return points, corners, rate
+    if name == "a.npz":
+        with np.load(path) as z:
+            faces = [z["triangles"][whole] for whole in z["triangle_whole"]]
+            numbers = z["frame"].tolist()
+            np.testing.assert_allclose(z["time"], z["frame"] * DT)
+            points = dict(zip(numbers, z["position"], strict=True))
+            return points, dict(zip(numbers, faces, strict=True)), float(z["rate"])
+    if name == "a.pc2":
+        data = path.read_bytes()
+        word, version, points, first, step, samples = struct.unpack("<12siiffi", data[:32])
+        assert word == b"POINTCACHE2\0" and version == 1 and len(data) == 32 + 12 * points * samples
+        table = np.frombuffer(data, "<f4", offset=32).reshape(samples, points, 3)
+        frames = (first + step * np.arange(samples)).astype(int).tolist()
+        return dict(zip(frames, table, strict=True)), None, None
+    found = sorted((path if name == "frames" else path.parent).iterdir())
+    by_frame = {}
+    for file in found:
+        read = trimesh.load(file, process=False, maintain_order=True)
+        by_frame[int(file.stem.partition("_")[2])] = read.vertices, read.faces
+    about = found[0].read_bytes()[:200].decode("ascii", "replace")
+    rate = float(about.partition(" frames a unit")[0].rpartition(", ")[2])
+    x, faces = ({n: part[i] for n, part in by_frame.items()} for i in (0, 1))
+    return x, faces, rate
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_what_is_read_back_is_what_the_simulation_had(tmp_path, name):
+    """Positions within 1e-6, the triangles that are whole, every second frame, and the rate."""
+    export, kept = recorded(tmp_path / name, 6, every=2)
+    export.save()
+    points, faces, rate = read_back(tmp_path / name, name)
+    assert list(points) == [2, 4, 6] == list(kept)
+    for n, x in points.items():
+        np.testing.assert_allclose(x, kept[n], atol=1e-6, rtol=0)
+    if faces is not None:
+        assert [len(f) for f in faces.values()] == [2, 1, 1] and rate == 24
+        np.testing.assert_array_equal(faces[2], TRIANGLES)
+    assert not list(tmp_path.rglob("*.part"))
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_an_export_appears_whole_or_not_at_all(tmp_path, name):
+    """A run that is given up leaves what was there; after a reset it begins anew."""
+    first, _ = recorded(tmp_path / name, 5)
+    first.save()
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    second, _ = recorded(tmp_path / name, 2)
+    second.discard()
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+    third, kept = recorded(tmp_path / name, 3)
+    third.record(Moving())  # a reset: what was noted is forgotten
+    for sim in [Moving()]:
+        for sim.frame in (1, 2):
+            third.record(sim)
+    third.save()
+    points = read_back(tmp_path / name, name)[0]
+    assert list(points) == [1, 2]
+    np.testing.assert_array_equal(np.float32(points[2]), np.float32(kept[2]))
+    assert not list(tmp_path.rglob("*.part"))
+
+
+@pytest.mark.parametrize("name", ["frames", "a.pc2", "a.usda"])
+def test_an_interrupt_in_the_middle_of_a_frame_leaves_the_whole_ones(tmp_path, name, monkeypatch):
+    export, kept = recorded(tmp_path / name, 2)
+    sim = Moving()
+    sim.frame = 3
+    if name == "frames":
+        written = Path.write_bytes
+
+        def half(self, data):
+            written(self, data[:50])
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(Path, "write_bytes", half)
+    else:
+        file = export._writer._file
+
+        def half(data):
+            file.file.write(data[:7])
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(file, "write", half)
+    with pytest.raises(KeyboardInterrupt):
+        export.record(sim)
+    monkeypatch.undo()
+    export.save()
+    points = read_back(tmp_path / name, name)[0]
+    assert list(points) == [1, 2]
+    np.testing.assert_array_equal(np.float32(points[2]), np.float32(kept[2]))
+
+
+def test_a_full_disk_is_a_line_and_leaves_nothing(tmp_path, monkeypatch):
+    for name in ("frames", "a.pc2"):
+        export, _ = recorded(tmp_path / name, 1)
+        sim = Moving()
+        sim.frame = 2
+
+        def fail(*_):
+            raise OSError(28, "No space left on device")
+
+        if name == "frames":
+            monkeypatch.setattr(Path, "write_bytes", fail)
+        else:
+            monkeypatch.setattr(export._writer._file, "file", Full(export._writer._file.file))
+        with pytest.raises(InputError, match="No space left on device"):
+            export.record(sim)
+        monkeypatch.undo()
+        assert not list(tmp_path.iterdir())
+
+
+class Full:
+    """A file on a disk without room."""
+
+    def __init__(self, file):
+        self.closed, self.close = False, file.close
+
+    def write(self, data):
+        raise OSError(28, "No space left on device")
+
+
+def test_a_scene_without_a_surface_and_particles_that_come_later(tmp_path):
+    """Springs as edges; what is clicked in later is left out, and counted."""
+    sim = Moving(surface=False)
+    export, _ = recorded(tmp_path / "chain.obj", 1, sim=sim)
+    sim.frame, sim.more = 2, 3
+    export.record(sim)
+    export.save()
+    assert export.left_out == 3
+    text = (tmp_path / "chain_00002.obj").read_text()
+    assert text.count("\nv ") == 4 and text.count("\nl ") == len(SPRINGS)
+
+
+def test_formats_that_are_none_are_refused_by_name(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").touch()
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(__import__("sys").modules, "pxr", None)  # as where it is not installed
+    for word, says in (
+        ("a.foo", "'.foo' is no format of results; did you mean '.obj'?"),
+        ("a.usd", ".usd needs usd-core, which is not there (pip install 'taichi-cloth[usd]')"),
+        ("no/a.pc2", "there is no folder 'no'"),
+        ("no/way/a.ply", "there is no folder 'no'"),
+        ("file/a.ply", "'file' is a file, not a folder"),
+    ):
+        assert main(["run", "--headless", "--frames", "1", "--export", word]) == 2
+        assert says in capsys.readouterr().err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "here"]
+    assert exports.open_export(Path("here"), exports.Clock(1.0, 1)).discard() is None
