@@ -24,6 +24,7 @@ _HOMES = {  # public name: (module, name in it; None: the module itself)
     "validate": ("scene.checks", "validate"),
     "grid": ("scene.cloth", "grid"),
     "grid_triangles": ("scene.cloth", "grid_triangles"),
+    "mesh": ("scene.mesh", "mesh"),
     "load_scene": ("scene.scenefile", "load"),
     "save_scene": ("scene.scenefile", "save"),
     "load_events": ("ui.interaction", "load"),

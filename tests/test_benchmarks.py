@@ -13,7 +13,8 @@ from goldens import golden
 from selection import thorough
 
 from taichi_cloth import benchmarks, runtime
-from taichi_cloth.benchmarks import contest, newton, objects, objects_inlined, report
+from taichi_cloth.benchmarks import cloths, contest, newton, objects, objects_inlined, report
+from taichi_cloth.benchmarks import meshes as meshes_part
 from taichi_cloth.benchmarks import structural as structural_part
 from taichi_cloth.benchmarks import warp as warp_part
 from taichi_cloth.benchmarks.cloths import warp_cloth
@@ -75,11 +76,30 @@ def test_compiled_yardsticks_agree_with_ours(bench, pool):
     resolution = np.spacing(np.float32(scene.particles.position.max()))
     for kind in ("csr", "grid"):
         shared = {"size": "24 x 17", "particles": 24 * 17, "units": 4}
-        entered = structural_part._enter_compiled(
-            bench, kind, kind, {"side": 24, "rows": 17}, **shared
-        )
+        entered = structural_part._enter(bench, kind, kind, {"side": 24, "rows": 17}, **shared)
         assert bench.mark_after("structural", [entered], 4), bench.left_out
         assert contest.distance(entered.marks[4], sim.positions()) < 20 * resolution
+
+
+@thorough
+@pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
+def test_the_compiled_mesh_agrees_with_ours_in_every_order(bench, pool):
+    """To f32's round-off, by the sheet's own numbers, however its vertices lie in memory."""
+    substeps, side = structural_part.STRUCTURAL_SUBSTEPS, 9
+    for order in meshes_part.ORDERS:
+        scene = cloths.sheet(side, "rows" if order == "rows" else "shuffled")
+        sim = pool(scene, dt=substeps * scene.world.dt, substeps=substeps)
+        sim.advance(4)
+        entered = structural_part.enter_compiled(
+            bench,
+            order,
+            "taichi_cloth.benchmarks.meshes:CompiledMesh",
+            {"side": side, "order": order},
+            part="meshes",
+            **{"size": "81", "particles": side**2, "units": 4},
+        )
+        assert bench.mark_after("meshes", [entered], 4), bench.left_out
+        assert contest.distance(entered.marks[4], sim.positions()) < 20 * np.spacing(np.float32(2))
 
 
 def test_cloth_of_warp_is_ours(tmp_path):

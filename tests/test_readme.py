@@ -67,7 +67,7 @@ def test_commands_run_one_after_the_other(tmp_path):
         shell(line, tmp_path, environment())
     made = {path.name for path in tmp_path.iterdir()}
     files = {"curtain.toml", "cloth.npz", "session.jsonl", "cloth.png", "cloth.mp4"}
-    assert made == files | {"trade-cloth", "stability-cloth"}
+    assert made == files | {"trade-cloth", "stability-cloth", "frames"}
 
 
 @thorough
