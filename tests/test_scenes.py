@@ -20,16 +20,16 @@ def test_every_scene_declares_itself_and_runs(name, pool):
     signature = inspect.signature(library.function(name))
     assert all(p.kind is p.KEYWORD_ONLY for p in signature.parameters.values())
     scene = library.build(name)
-    x = frames(pool, scene, 3)
+    x = frames(pool, scene, 3, dt=library.frame(name))
     assert (
         np.isfinite(x).all() and (x[:, scene.particles.fixed] == x[0, scene.particles.fixed]).all()
     )
     assert len(scene.particles) == 0 or (x[-1] != x[0]).any(), "nothing moves"
 
 
-def frames(pool, scene, count, substeps=1):
+def frames(pool, scene, count, **step):
     """Positions at the start and after each frame, (count + 1, n, dim)."""
-    sim = pool(scene, substeps=substeps)
+    sim = pool(scene, **step)
     positions = [sim.positions()]
     for _ in range(count):
         sim.advance()
@@ -49,7 +49,7 @@ def test_the_oscillator_is_a_cosine(pool):
 @pytest.mark.parametrize(("n", "mode"), [(1, 1), (7, 2), (16, 1), (16, 16)])
 def test_the_chain_swings_in_its_normal_mode(pool, n, mode):
     scene = library.build("chain", particles=n, mode=mode)
-    x = frames(pool, scene, 100, 200)
+    x = frames(pool, scene, 100, substeps=200)
     omega = 2 * np.sqrt(0.1) * np.sin(np.pi * mode / (2 * (n + 1)))
     at_rest = 50 + 500 * np.arange(n + 2) / (n + 1)
     expected = at_rest + np.cos(omega * np.arange(101))[:, None] * (x[0, :, 0] - at_rest)
