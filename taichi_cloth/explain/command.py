@@ -68,7 +68,9 @@ def main(source: SceneSource, options: ExplainOptions) -> int:
             return lambda text, done, total: show_progress(f"{name}: {text}", done, total)
 
         for name, scene in scenes.items():
-            explanation = costs.explain(scene, how, options.quick, tell(name))
+            of = SceneSource(name.partition(" ")[0]) if options.all else source
+            step = {} if options.given & {"dt", "substeps"} else {"dt": of.frame()}
+            explanation = costs.explain(scene, how | step, options.quick, tell(name))
             found.append(replace(explanation, scene=name))
         if options.all:
             for side in SIDES[: 2 if options.quick else None]:
