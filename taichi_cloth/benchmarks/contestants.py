@@ -9,7 +9,9 @@ import taichi as ti
 
 from taichi_cloth import runtime
 from taichi_cloth.benchmarks.cloths import STRUCTURAL_SUBSTEPS, SceneCall, structural
-from taichi_cloth.kernels.contact import compute_pair_bounces, sort_into_cells
+from taichi_cloth.kernels import stepping
+from taichi_cloth.kernels.collision_grid import sort_into_cells
+from taichi_cloth.kernels.contact import compute_pair_bounces
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation import adjacency
 from taichi_cloth.simulation.simulation import Simulation
@@ -121,28 +123,19 @@ class PlainGather:
         return x
 
 
-# Taichi reads a kernel's annotations as values, and has no types itself.
-@ti.kernel  # type: ignore[untyped-decorator]
-def sort(plan: ti.template(), state: ti.template()):  # type: ignore[no-untyped-def, valid-type]
-    sort_into_cells(plan, state)
-
-
-@ti.kernel  # type: ignore[untyped-decorator]
-def sort_and_bounce(plan: ti.template(), state: ti.template()):  # type: ignore[no-untyped-def, valid-type]
-    compute_pair_bounces(plan, state)
-
-
 class Collisions(Ours):
-    """Ours, of which also the search for collisions can be run alone."""
+    """Ours on all threads, of which also the search for collisions can be run alone."""
 
     def build(self, units: int) -> None:
-        for _ in range(units):
-            sort(self.sim.storage.specialization, self.sim.storage.state)
-        ti.sync()
+        self._repeat(sort_into_cells, units)
 
     def build_and_query(self, units: int) -> None:
-        for _ in range(units):
-            sort_and_bounce(self.sim.storage.specialization, self.sim.storage.state)
+        self._repeat(compute_pair_bounces, units)
+
+    def _repeat(self, part: Any, units: int) -> None:
+        """Run a part of a step, a ti.func(spec, state, t), so many times in a launch."""
+        spec, state = self.sim.storage.specialization, self.sim.storage.state
+        stepping.frames_in_one_launch(part, spec, state, 0, 1, units)
         ti.sync()
 
 

@@ -1,18 +1,22 @@
 """Contacts with walls and between particles, as changes of velocity, which all methods share.
 
-All changes are computed from the state at the start of the step. Pairs are found with a uniform
-collision grid of *cells* at least one largest diameter wide, filled by a counting sort (Green,
-"Particle Simulation using CUDA", 2010). The grid wraps around at its edges, so it needs no bounds:
-with at least three cells per axis the 3^dim cells around a particle are distinct, and a particle
-that is far away but in the same cell costs one comparison. Each cell lists its particles by index,
-which fixes the order of sums. c in this file: a cell, by its integer coordinates (dim,) or by its
-index.
+All changes are computed from the state at the start of the step.
 """
 
 import taichi as ti
 
 from taichi_cloth.kernels import laws
+from taichi_cloth.kernels.collision_grid import (
+    slot_of,
+    sort_into_cells,
+    sorted_radius,
+    sorted_v,
+    sorted_w,
+    sorted_x,
+    sum_over_near,
+)
 from taichi_cloth.kernels.compensated import forget_low
+from taichi_cloth.kernels.loops import each
 from taichi_cloth.kernels.packs import (
     component,
     epsilon,
@@ -20,7 +24,6 @@ from taichi_cloth.kernels.packs import (
     read,
     set_slot_value,
     slot_number,
-    slot_value,
     vector_of_lane,
     where_positive,
     with_component,
@@ -30,169 +33,63 @@ from taichi_cloth.kernels.watchdog import note_lost
 
 
 @ti.func
-def cell_coordinates(state: ti.template(), x):
-    """The integer coordinates (dim,) of the cell at position x, before they are wrapped."""
-    at = x / state.cell_size[None]
-    return ti.Vector([ti.cast(ti.floor(at[axis]), ti.i32) for axis in range(x.n)])
+def _bounce_off(spec: ti.template(), state: ti.template(), at, other):
+    """The velocity change of the particle at place `at` by a collision with that at `other`.
 
-
-@ti.func
-def wrapped(c, size):
-    """The coordinate c modulo size: in 0 .. size - 1, also for negative c."""
-    m = c % size
-    return ti.select(m < 0, m + size, m)
-
-
-@ti.func
-def cell_index(state: ti.template(), c):
-    """The index of the cell with coordinates c, which it wraps; the first axis runs fastest."""
-    size = ti.static(state.grid_size)
-    index = wrapped(c[c.n - 1], size[c.n - 1])
-    for axis in ti.static(range(c.n - 2, -1, -1)):
-        index = index * size[axis] + wrapped(c[axis], size[axis])
-    return index
-
-
-@ti.func
-def cell_count(state: ti.template()):
-    """How many cells the collision grid has."""
-    count = 1
-    for axis in ti.static(range(state.grid_size.shape[0])):
-        count *= state.grid_size[axis]
-    return count
-
-
-@ti.func
-def slot_of(spec: ti.template(), state: ti.template(), i):
-    """The slot of the particle with index i."""
-    if ti.static(spec.kinds > 0):
-        return state.slot[i]
-    else:
-        return i
-
-
-@ti.func
-def sort_into_cells(spec: ti.template(), state: ti.template()):
-    """Sort the particles by cell, and by index in each: a counting sort.
-
-    It fills state.cell_start (the place in this order at which a cell's particles begin) and, by
-    place, sorted_index, sorted_x and sorted_radius.
+    A pair's restitution is the product of both.
     """
-    for c in range(cell_count(state)):
-        state.cell_fill[c] = 0
-    for i in range(state.n[None]):
-        x = slot_value(spec, state.x, slot_of(spec, state, i))
-        c = cell_index(state, cell_coordinates(state, x))
-        state.cell_of[i] = c
-        ti.atomic_add(state.cell_fill[c], 1)
-
-    # An exclusive prefix sum in blocks: first over each block, then over these, then inside each.
-    for b in range((cell_count(state) + state.block - 1) // state.block):
-        total = 0
-        for c in range(b * state.block, ti.min((b + 1) * state.block, cell_count(state))):
-            total += state.cell_fill[c]
-        state.block_start[b] = total
-    for _ in range(1):
-        total = 0
-        for b in range((cell_count(state) + state.block - 1) // state.block):
-            count = state.block_start[b]
-            state.block_start[b] = total
-            total += count
-        state.cell_start[cell_count(state)] = total
-    for b in range((cell_count(state) + state.block - 1) // state.block):
-        total = state.block_start[b]
-        for c in range(b * state.block, ti.min((b + 1) * state.block, cell_count(state))):
-            state.cell_start[c] = total
-            total += state.cell_fill[c]
-            state.cell_fill[c] = 0
-
-    for i in range(state.n[None]):
-        c = state.cell_of[i]
-        state.sorted_index[state.cell_start[c] + ti.atomic_add(state.cell_fill[c], 1)] = i
-
-    # Threads may have filled a cell in any order: an insertion sort by index fixes it.
-    for c in range(cell_count(state)):
-        first = state.cell_start[c]
-        for at in range(first + 1, state.cell_start[c + 1]):
-            i = state.sorted_index[at]
-            to = at
-            while to > first and state.sorted_index[to - 1] > i:
-                state.sorted_index[to] = state.sorted_index[to - 1]
-                to -= 1
-            state.sorted_index[to] = i
-    for at in range(state.n[None]):
-        slot = slot_of(spec, state, state.sorted_index[at])
-        set_sorted_x(state, at, slot_value(spec, state.x, slot))
-        state.sorted_radius[at] = slot_number(spec, state.radius, slot)
-
-
-@ti.func
-def sorted_x(state: ti.template(), at):
-    """The position (dim,) of the particle at place `at` in the order by cells."""
-    return ti.Vector([state.sorted_x[at, axis] for axis in range(state.sorted_x.shape[1])])
-
-
-@ti.func
-def set_sorted_x(state: ti.template(), at, x):
-    """Store the position (dim,) of the particle at place `at` in the order by cells."""
-    for axis in ti.static(range(x.n)):
-        state.sorted_x[at, axis] = x[axis]
-
-
-@ti.func
-def bounce_off_cell(spec: ti.template(), state: ti.template(), c, i, x, v, w, radius, e):
-    """The sum of the velocity changes of particle i by collisions with the particles of cell c.
-
-    i, c: their indices; x, v, w, radius, e: position, velocity, inverse mass, radius and
-    restitution of particle i. A pair's restitution is the product of both.
-    """
-    change = 0.0 * x
-    for at in range(state.cell_start[c], state.cell_start[c + 1]):
-        d = sorted_x(state, at) - x
-        reach = radius + state.sorted_radius[at]
-        if d.dot(d) <= reach * reach:
-            j = state.sorted_index[at]
-            if j != i:
-                slot = slot_of(spec, state, j)
-                change += laws.pair_bounce(
-                    d,
-                    v,
-                    slot_value(spec, state.v, slot),
-                    w,
-                    slot_number(spec, state.w, slot),
-                    reach,
-                    e * slot_number(spec, state.restitution, slot),
-                )
+    d = sorted_x(spec, state, other) - sorted_x(spec, state, at)
+    reach = sorted_radius(spec, state, at) + sorted_radius(spec, state, other)
+    change = 0.0 * d
+    if d.dot(d) <= reach * reach and other != at:
+        a = slot_of(spec, state, state.sorted_index[at])
+        b = slot_of(spec, state, state.sorted_index[other])
+        change = laws.pair_bounce(
+            d,
+            sorted_v(spec, state, at),
+            sorted_v(spec, state, other),
+            sorted_w(spec, state, at),
+            sorted_w(spec, state, other),
+            reach,
+            slot_number(spec, state.restitution, a) * slot_number(spec, state.restitution, b),
+        )
     return change
 
 
 @ti.func
-def compute_pair_bounces(spec: ti.template(), state: ti.template()):
+def _bounce_particle(spec: ti.template(), state: ti.template(), at):
+    """Compute state.jump, which is zero, of the particle at place `at` in the order by cells."""
+    reach = sorted_radius(spec, state, at) + state.largest_radius[None]
+    jump = sum_over_near(spec, state, at, reach, _bounce_off)
+    most = ti.abs(jump[0])
+    for axis in ti.static(range(1, spec.dim)):
+        most = ti.max(most, ti.abs(jump[axis]))
+    if most != 0.0:  # most are zero, and written one by one they would take long
+        set_slot_value(spec, state.jump, slot_of(spec, state, state.sorted_index[at]), jump)
+
+
+@ti.func
+def _clear_jump(spec: ti.template(), state: ti.template(), i):
+    set_slot_value(spec, state.jump, slot_of(spec, state, i), ti.Vector.zero(state.real, spec.dim))
+
+
+@ti.func
+def compute_pair_bounces(spec: ti.template(), state: ti.template(), t):
     """Compute state.jump, the change of each particle's velocity by all its collisions.
 
     All collisions see the state at the start of the step, as if they happened at once.
     """
-    sort_into_cells(spec, state)
-    for at in range(state.n[None]):  # cell by cell, so that successive ones read the same memory
-        i = state.sorted_index[at]
-        slot = slot_of(spec, state, i)
-        x, v = sorted_x(state, at), slot_value(spec, state.v, slot)
-        w = slot_number(spec, state.w, slot)
-        jump = 0.0 * x
-        if w > 0.0:
-            centre = cell_coordinates(state, x)
-            radius, e = state.sorted_radius[at], slot_number(spec, state.restitution, slot)
-            for offset in ti.grouped(ti.ndrange(*((-1, 2),) * spec.dim)):
-                c = cell_index(state, centre + offset)
-                jump += bounce_off_cell(spec, state, c, i, x, v, w, radius, e)
-        set_slot_value(spec, state.jump, slot, jump)
+    each(spec, state, t, state.n[None], _clear_jump)
+    sort_into_cells(spec, state, t)
+    # Cell by cell, so that successive ones read the same memory.
+    each(spec, state, t, state.n[None], _bounce_particle)
 
 
 @ti.func
-def compute_contacts(spec: ti.template(), state: ti.template()):
+def compute_contacts(spec: ti.template(), state: ti.template(), t):
     """Compute the collisions of a step at its start; it does nothing in a scene without them."""
     if ti.static(spec.collisions):
-        compute_pair_bounces(spec, state)
+        compute_pair_bounces(spec, state, t)
 
 
 @ti.func

@@ -5,8 +5,7 @@ threads (spec.threads is more): a launch holds whole frames, on all CPU threads;
     share of every loop, and they meet at a barrier after it. Starting a parallel loop takes Taichi
     some 50 us, a barrier less than one.
 one launch per step (spec.one_launch_per_step): a launch is one step, and every loop in it is a
-    top-level loop that Taichi makes parallel. GPUs are run so, and scenes with collisions, whose
-    sorting needs more than shares and barriers.
+    top-level loop that Taichi makes parallel. GPUs are run so.
 """
 
 import functools

@@ -9,6 +9,7 @@ from dataclasses import astuple, dataclass
 import taichi as ti
 
 from taichi_cloth.kernels import clock, poses
+from taichi_cloth.kernels.collision_grid import BLOCK, MOST_BINS, most_cells
 from taichi_cloth.kernels.forces import load
 from taichi_cloth.kernels.forces.contract import (
     COUNT,
@@ -29,8 +30,6 @@ ALIVE, BREAKING, GONE = 0, 1, 2  # of a spring; BREAKING: over its limit, pulls 
 # Counts of a solver's work: evaluations of all forces, sweeps (passes over all springs, by
 # Gauss-Seidel or for a product with the stiffness matrix), steps that did not converge.
 WORK = FORCES, SWEEPS, UNCONVERGED = range(3)
-
-CELLS_PER_PARTICLE = 8  # of the collision grid: more cells mean fewer comparisons, more clearing
 
 CACHE_LINE = 32  # whole numbers in two lines of 64 bytes, which processors fetch in pairs
 
@@ -145,9 +144,10 @@ class State:
     Colours of particles with springs on the graph (needs "particle_colours"): those of colour k are
         in the slots csr_slot[coloured[n]], n from colour_start[k] to colour_start[k+1]; own: 0 for
         these particles, 1 for all others.
-    The collision grid (`contact.py`): grid_size, cell_size: cells along each axis, and their width;
-        cell_start, cell_fill, block_start, cell_of, sorted_index, sorted_x, sorted_radius: the
-        counting sort's.
+    The collision grid (`collision_grid.py`): grid_bits: binary logarithms of the cells along each
+        axis; per_cell: cells per length along each; largest_radius; cell_end, sorted_index, sorted:
+        the particles by cell; cell_of, block_start, bins, bin_bits (binary logarithm of the cells
+        in a bin), bin_fill, bin_start, bin_size, binned_cell, binned_index, binned: the sort's.
 
     Obstacles (`poses.py`), a row each: obstacle_shape: its number in spec.obstacles;
         obstacle_numbers, obstacle_sizes: of contact and of its shape; obstacle_start: its pose at
@@ -381,17 +381,20 @@ class State:
                 setattr(self, f"{place}_{number.letter}", self._scalars(*own))
 
     def _place_collision_grid(self, spec):
-        n = max(self.capacity.particles, 1)
-        self.cell_capacity = CELLS_PER_PARTICLE * n + 64
-        self.block = 1024  # cells whose counts one loop iteration sums
-        self.grid_size, self.cell_size = self._counts(spec.dim), self._scalars()
-        self.count_names.append("grid_size")
-        self.number_names.append("cell_size")
-        self.cell_start = self._counts(self.cell_capacity + 1)
-        self.cell_fill = self._counts(self.cell_capacity)
-        self.block_start = self._counts(self.cell_capacity // self.block + 2)
-        self.cell_of, self.sorted_index = self._counts(n), self._counts(n)
-        self.sorted_x, self.sorted_radius = self._scalars(n, spec.dim), self._scalars(n)
+        n, cells = max(self.capacity.particles, 1), most_cells(self.capacity.particles)
+        self.grid_bits, self.per_cell = self._counts(spec.dim), self._scalars(spec.dim)
+        self.bins, self.bin_bits = self._counts(), self._counts()
+        self.largest_radius = self._scalars()
+        self.count_names += ["grid_bits", "bins", "bin_bits"]
+        self.number_names += ["per_cell", "largest_radius"]
+        self.cell_end, self.cell_of, self.sorted_index = (
+            self._counts(count) for count in (cells + 1, n, n)
+        )
+        self.sorted, self.binned = (self._scalars(n, 2 * spec.dim + 2) for _ in range(2))
+        self.block_start = self._counts(cells // BLOCK + 1)
+        self.bin_fill = self._counts(spec.threads * MOST_BINS)
+        self.bin_start, self.bin_size = self._counts(MOST_BINS), self._counts(MOST_BINS)
+        self.binned_cell, self.binned_index = self._counts(n), self._counts(n)
 
     def _place_obstacles(self, spec):
         count, nodes = max(self.capacity.obstacles, 1), self.capacity.nodes

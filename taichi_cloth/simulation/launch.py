@@ -45,7 +45,7 @@ class Launcher:
 
     def specialize(self, spec: Specialization, path: str) -> Specialization:
         """What is compiled for frames on a path, "serial" or "parallel", of what `spec` stores."""
-        per_step = path == "parallel" and (self.device.arch != "cpu" or spec.collisions)
+        per_step = path == "parallel" and self.device.arch != "cpu"
         threads = 1 if path == "serial" else self.device.threads
         return replace(spec, threads=threads, one_launch_per_step=per_step)
 

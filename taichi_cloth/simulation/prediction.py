@@ -35,8 +35,8 @@ LONGER = {
 # Passes of a solver's step, typically, by the setting that it takes.
 SOLVER_PASSES = {"tolerance": 26, "iterations": 18}
 HANDOVERS = 15  # launches of a step whose solver takes several kernels, typically
-COLLIDING = 450e-9  # seconds a particle to sort it into cells and find whom it meets
-COLLISION_LOOPS = 7  # loops that do it
+COLLIDING = 90e-9  # seconds a particle to sort it into cells and find whom it meets
+COLLISION_LOOPS = 8  # loops that do it
 
 
 @dataclass(frozen=True)
@@ -95,12 +95,13 @@ def predict(scene: Scene, method: Method, device: Device, topology: str, path: s
     if path == "serial":
         return Cost(LAUNCH + counts, work + handovers)
     shared = work * (SHARED if device.threads > 1 else 1.0) * 2 / max(device.threads, 2)
-    if collisions or device.arch != "cpu":  # a launch for each step
+    if device.arch != "cpu":  # a launch for each step
         loops = passes * 2 + COLLISION_LOOPS * collisions
         return Cost(counts, shared + loops * SPREAD_LOOP)
     # Where each step takes several launches, the threads are woken for each.
     woken = HANDOVERS * WAKE_AGAIN if handovers else 0.0
-    return Cost(LAUNCH + counts + WAKE, shared + handovers + woken + passes * MEETING)
+    meetings = passes + COLLISION_LOOPS * collisions
+    return Cost(LAUNCH + counts + WAKE, shared + handovers + woken + meetings * MEETING)
 
 
 def describe_size(scene: Scene) -> str:

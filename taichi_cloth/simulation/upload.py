@@ -13,11 +13,11 @@ import numpy as np
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import clock, poses, surfaces, transfer
+from taichi_cloth.kernels.collision_grid import ALONE, MOST_BINS, most_cells
 from taichi_cloth.kernels.obstacles.contract import SIZES
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import (
-    CELLS_PER_PARTICLE,
     GONE,
     device_fields,
     has_surface,
@@ -56,13 +56,11 @@ class Upload:
     def numbers(self, numbers: Numbers) -> None:
         """Fill what is one number for all."""
         world, particles = self.snapshot.scene.world, self.snapshot.scene.particles
-        grid_size, cell_size = _collision_grid(world, particles)
         inner_low, inner_high = inner_box(world, particles, self.real)
         first_time, first_time_low = clock.split(numbers.first_time, self.real)
         values: dict[str, Any] = {
             "n": len(particles),
             "iterations": numbers.iterations,
-            "grid_size": grid_size,
             "first_step": numbers.first_step,
             "first_time": first_time,
             "first_time_low": first_time_low,
@@ -71,13 +69,13 @@ class Upload:
             "speed_limit": numbers.speed_limit,
             "tolerance": numbers.tolerance,
             "least_scale": np.abs(world.gravity).max(),
-            "cell_size": cell_size,
             "one": 1.0,
             "low": world.low,
             "high": world.high,
             "inner_low": inner_low,
             "inner_high": inner_high,
         } | self._of_forces([*self.state.count_names, *self.state.number_names])
+        values |= collision_grid(world, particles)
         counts, reals = (
             np.concatenate([np.ravel(values[name]) for name in names])
             for names in (self.state.count_names, self.state.number_names)
@@ -319,21 +317,38 @@ def _low(values: np.ndarray, real: Real) -> np.ndarray:
     return np.where(np.isfinite(low), low, 0.0)  # `values` themselves are refused
 
 
-def _collision_grid(world: World, particles: Particles) -> tuple[list[int], float]:
-    """Cells per axis and their width, at least the largest diameter, for the collision grid.
+def collision_grid(world: World, particles: Particles) -> dict[str, Any]:
+    """The numbers of the collision grid (`kernels.collision_grid`), by the names of their fields.
 
-    The grid wraps around, so where the world has more cells than the container holds, it is made
-    smaller in proportion: far particles then share a cell, at the cost of comparisons. Cells are
-    wide enough that their coordinates are whole numbers of 32 bits.
+    Along rows a cell is at least as wide as the largest particle, across them twice that: then few
+    rows lie near a particle. The grid wraps around, so where the world has more cells than the
+    container holds, it is made smaller: far particles then share a cell, at the cost of
+    comparisons. Cells are wide enough that their coordinates are whole numbers of 32 bits.
     """
-    size = np.array(world.size)
+    size, count = np.array(world.size), len(particles)
     largest = float(size.max())
-    width = max(2.0 * float(particles.radius.max(initial=0.0)) or largest, largest / 2**24)
-    cells = np.ceil(size / width) + 1
-    capacity = CELLS_PER_PARTICLE * max(len(particles), 1) + 64
-    while cells.prod() > capacity:
-        cells = np.maximum(3, np.floor(cells * 0.97))
-    return [int(max(3, c)) for c in cells], width
+    radius = float(particles.radius.max(initial=0.0))
+    width = max(2.0 * radius or largest, largest / 2**24)
+    widths = np.full(world.dim, 2.01 * width)
+    widths[0] = width
+    # About as many cells as fit into the world.
+    bits = np.maximum(
+        np.round(np.log2(size / widths) + float(__import__("os").environ.get("SH", 0))), 0.0
+    ).astype(int)
+    widths = np.maximum(size / 2.0**bits, widths)
+    while 2.0 ** bits.sum() > most_cells(count):
+        bits[bits.argmax()] -= 1
+    if count <= ALONE:
+        bits[:] = 0
+    cells = int(bits.sum())
+    bins = min(int(np.log2(max(count // 64, 1))), cells, int(np.log2(MOST_BINS)))
+    return {
+        "grid_bits": bits,
+        "per_cell": 1.0 / widths,
+        "bins": 2**bins,
+        "bin_bits": cells - bins,
+        "largest_radius": radius,
+    }
 
 
 def inner_box(world: World, particles: Particles, real: Real) -> tuple[np.ndarray, np.ndarray]:

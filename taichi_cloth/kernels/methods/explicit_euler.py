@@ -32,7 +32,7 @@ def move(spec: ti.template(), state: ti.template(), i, a):
 @ti.func
 def step(spec: ti.template(), state: ti.template(), t):
     """Advance the state by one step."""
-    compute_contacts(spec, state)
+    compute_contacts(spec, state, t)
     accelerate_then(spec, state, t, move)
 
 

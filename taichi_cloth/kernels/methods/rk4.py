@@ -63,7 +63,7 @@ def move(spec: ti.template(), state: ti.template(), i, a):
 @ti.func
 def step(spec: ti.template(), state: ti.template(), t):
     """Advance the state by one step."""
-    compute_contacts(spec, state)
+    compute_contacts(spec, state, t)
     if ti.static(spec.one_launch_per_step):
         for stage in ti.static(range(4)):
             for _ in range(1):

@@ -61,7 +61,7 @@ def step(spec: ti.template(), state: ti.template(), t):
     if ti.static(kicks_first(spec)):
         kick_then(spec, state, t, kick, drift)
     else:
-        compute_contacts(spec, state)
+        compute_contacts(spec, state, t)
         accelerate_then(spec, state, t, move)
 
 

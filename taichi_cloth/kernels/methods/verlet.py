@@ -80,7 +80,7 @@ def kick(spec: ti.template(), state: ti.template(), i, a):
 @ti.func
 def step(spec: ti.template(), state: ti.template(), t):
     """Advance the state by one step."""
-    compute_contacts(spec, state)
+    compute_contacts(spec, state, t)
     kick_after(spec, state, t, drift, kick)
 
 

@@ -72,7 +72,7 @@ def phases(colours, visit, prepare=_nothing):
 
     @ti.func
     def begin(spec: ti.template(), state: ti.template(), t):
-        compute_contacts(spec, state)
+        compute_contacts(spec, state, t)
         compute_tractions(spec, state, t, time_of_forces, False)
         compute_traction_damping(spec, state, t)
         if ti.static(has_tractions(spec) and spec.halo > 0):

@@ -149,7 +149,7 @@ def phases(fraction, start, move, first=0, last=0):
     @ti.func
     def begin(spec: ti.template(), state: ti.template(), t):
         set_tau(spec, state, t, fraction * state.dt[None])
-        compute_contacts(spec, state)
+        compute_contacts(spec, state, t)
         each_pack_moving(spec, state, t, start)
         begin_stage(spec, state, t, first)
 

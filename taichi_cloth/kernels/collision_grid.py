@@ -1,0 +1,333 @@
+"""The collision grid: who is near whom, found by cells.
+
+Particles are sorted by cell, and by index in each cell, by a counting sort (Green, "Particle
+Simulation using CUDA", 2010). Cells follow each other along the first axis, so what is near a
+particle lies in a few ranges of places, one a row of cells. Cells are narrow along the rows, which
+costs nothing, and wide across them, so that few rows are read. The grid wraps around at its edges
+and needs no bounds: its sizes are powers of two, and what is far away but in the same cell costs a
+comparison. Few particles share a single cell: then all pairs are compared.
+
+c in this file: a cell, by its integer coordinates (dim,) or by its index.
+"""
+
+import math
+
+import taichi as ti
+
+from taichi_cloth.kernels.loops import barrier, share
+from taichi_cloth.kernels.packs import (
+    epsilon,
+    slot_number,
+    slot_value,
+)
+
+CELLS_PER_PARTICLE = 8  # about, at most; more cells mean fewer comparisons, more clearing
+BLOCK = 1024  # cells whose counts one iteration sums on a GPU
+# Where threads sort, they first sort into bins of consecutive cells, then each bin by itself, so
+# that what is written lies in the fastest caches. Each thread has a count for each bin.
+MOST_BINS = 512
+ALONE = 48  # so many particles share a single cell
+
+
+def most_cells(particles):
+    """How many cells the grid of so many particles has at most."""
+    return 2 ** round(math.log2(CELLS_PER_PARTICLE * max(particles, 1)))
+
+
+@ti.func
+def slot_of(spec: ti.template(), state: ti.template(), i):
+    """The slot of the particle with index i."""
+    if ti.static(spec.kinds > 0):
+        return state.slot[i]
+    else:
+        return i
+
+
+@ti.func
+def _coordinate(state: ti.template(), place, axis: ti.template()):
+    """The coordinate along an axis of the cell in which the coordinate `place` lies, unwrapped."""
+    at = place * state.per_cell[axis]
+    c = ti.cast(at, ti.i32)  # towards zero; `floor` is a call of a library on CPUs
+    return c - ti.cast(at < ti.cast(c, state.real), ti.i32)
+
+
+@ti.func
+def _index(state: ti.template(), c: ti.template()):
+    """The index of the cell with the coordinates c, a list, which it wraps."""
+    dim = ti.static(len(c))
+    index = c[dim - 1] & ((1 << state.grid_bits[dim - 1]) - 1)
+    for axis in ti.static(range(dim - 2, -1, -1)):
+        bits = state.grid_bits[axis]
+        index = (index << bits) | (c[axis] & ((1 << bits) - 1))
+    return index
+
+
+@ti.func
+def _cell_at(spec: ti.template(), state: ti.template(), x):
+    """The index of the cell at position x."""
+    return _index(state, [_coordinate(state, x[axis], axis) for axis in range(spec.dim)])
+
+
+@ti.func
+def cell_count(spec: ti.template(), state: ti.template()):
+    """How many cells the grid has."""
+    bits = 0
+    for axis in ti.static(range(spec.dim)):
+        bits += state.grid_bits[axis]
+    return 1 << bits
+
+
+@ti.func
+def sort_into_cells(spec: ti.template(), state: ti.template(), t):
+    """Sort the particles by cell, and by index in each.
+
+    It fills state.cell_end: cell_end[c + 1] is the place in this order at which cell c ends, and
+    cell_end[c] that at which it begins; and, by place, sorted_index and sorted: position, radius,
+    velocity and inverse mass.
+    """
+    if ti.static(spec.one_launch_per_step):
+        _sort_on_gpu(spec, state)
+    else:
+        _sort_into_bins(spec, state, t)
+        _sort_bins(spec, state, t)
+
+
+@ti.func
+def _sort_into_bins(spec: ti.template(), state: ti.template(), t):
+    """Sort the particles by bin, and by index in each: thread t those of its share."""
+    bins, bits = state.bins[None], state.bin_bits[None]
+    begin, end = share(spec, state.n[None], t), share(spec, state.n[None], t + 1)
+    mine = t * MOST_BINS
+    for b in range(bins):
+        state.bin_fill[mine + b] = 0
+    for i in range(begin, end):
+        c = _cell_at(spec, state, slot_value(spec, state.x, slot_of(spec, state, i)))
+        state.cell_of[i] = c
+        at = mine + (c >> bits)
+        state.bin_fill[at] = state.bin_fill[at] + 1  # += would be atomic, and slower
+    barrier(spec, state)
+    # In each bin, what is of the threads before comes before.
+    for b in range(share(spec, bins, t), share(spec, bins, t + 1)):
+        total = 0
+        for other in range(spec.threads):
+            count = state.bin_fill[other * MOST_BINS + b]
+            state.bin_fill[other * MOST_BINS + b] = total
+            total += count
+        state.bin_size[b] = total
+    barrier(spec, state)
+    start = 0
+    for b in range(bins):
+        state.bin_fill[mine + b] = state.bin_fill[mine + b] + start
+        if t == 0:
+            state.bin_start[b] = start
+        start += state.bin_size[b]
+    for i in range(begin, end):
+        c, slot = state.cell_of[i], slot_of(spec, state, i)
+        at = mine + (c >> bits)
+        place = state.bin_fill[at]
+        state.bin_fill[at] = place + 1
+        state.binned_cell[place], state.binned_index[place] = c, i
+        _copy_particle(spec, state, slot, place, state.binned)
+    barrier(spec, state)
+
+
+@ti.func
+def _sort_bins(spec: ti.template(), state: ti.template(), t):
+    """Sort the particles of each bin by cell, in the order that they have: thread t some bins."""
+    bins, n = state.bins[None], state.n[None]
+    if t == 0:
+        state.cell_end[0] = 0
+    for b in range(bins):
+        # Bins are shared out by their particles and their cells, in equal parts.
+        before = state.bin_start[b] / ti.cast(ti.max(n, 1), ti.f32) + b / ti.cast(bins, ti.f32)
+        if ti.min(ti.cast(0.5 * spec.threads * before, ti.i32), spec.threads - 1) == t:
+            _sort_bin(spec, state, b)
+    barrier(spec, state)
+
+
+@ti.func
+def _sort_bin(spec: ti.template(), state: ti.template(), b):
+    """Sort the particles of bin b by cell."""
+    first_cell, cells = b << state.bin_bits[None], 1 << state.bin_bits[None]
+    begin = state.bin_start[b]
+    end = begin + state.bin_size[b]
+    for c in range(first_cell, first_cell + cells):
+        state.cell_end[c + 1] = 0
+    for at in range(begin, end):
+        c = state.binned_cell[at]
+        state.cell_end[c + 1] = state.cell_end[c + 1] + 1
+    start = begin
+    for c in range(first_cell, first_cell + cells):
+        count = state.cell_end[c + 1]
+        state.cell_end[c + 1] = start
+        start += count
+    for at in range(begin, end):
+        c = state.binned_cell[at]
+        place = state.cell_end[c + 1]
+        state.cell_end[c + 1] = place + 1
+        state.sorted_index[place] = state.binned_index[at]
+        for k in ti.static(range(2 * spec.dim + 2)):
+            state.sorted[place, k] = state.binned[at, k]
+
+
+@ti.func
+def _copy_particle(spec: ti.template(), state: ti.template(), slot, at, to: ti.template()):
+    """Copy position, radius, velocity and inverse mass of the particle at a slot to to[at, ...].
+
+    Side by side, they are read with one access to memory.
+    """
+    x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)
+    for axis in ti.static(range(spec.dim)):
+        to[at, axis], to[at, ti.static(spec.dim + 1 + axis)] = x[axis], v[axis]
+    to[at, ti.static(spec.dim)] = slot_number(spec, state.radius, slot)
+    to[at, ti.static(2 * spec.dim + 1)] = slot_number(spec, state.w, slot)
+
+
+@ti.func
+def _sort_on_gpu(spec: ti.template(), state: ti.template()):
+    """Sort the particles by cell with loops that Taichi makes parallel."""
+    for c in range(cell_count(spec, state) + 1):
+        state.cell_end[c] = 0
+    for i in range(state.n[None]):
+        c = _cell_at(spec, state, slot_value(spec, state.x, slot_of(spec, state, i)))
+        state.cell_of[i] = c
+        ti.atomic_add(state.cell_end[c + 1], 1)
+
+    # An exclusive prefix sum in blocks: first over each block, then over these, then inside each.
+    for b in range((cell_count(spec, state) + BLOCK - 1) // BLOCK):
+        total = 0
+        for c in range(b * BLOCK, ti.min((b + 1) * BLOCK, cell_count(spec, state))):
+            total += state.cell_end[c + 1]
+        state.block_start[b] = total
+    for _ in range(1):
+        total = 0
+        for b in range((cell_count(spec, state) + BLOCK - 1) // BLOCK):
+            count = state.block_start[b]
+            state.block_start[b] = total
+            total += count
+    for b in range((cell_count(spec, state) + BLOCK - 1) // BLOCK):
+        total = state.block_start[b]
+        for c in range(b * BLOCK, ti.min((b + 1) * BLOCK, cell_count(spec, state))):
+            count = state.cell_end[c + 1]
+            state.cell_end[c + 1] = total
+            total += count
+
+    for i in range(state.n[None]):
+        state.sorted_index[ti.atomic_add(state.cell_end[state.cell_of[i] + 1], 1)] = i
+
+    # They may have filled a cell in any order: an insertion sort by index fixes it.
+    for c in range(cell_count(spec, state)):
+        first = state.cell_end[c]
+        for at in range(first + 1, state.cell_end[c + 1]):
+            i = state.sorted_index[at]
+            to = at
+            while to > first and state.sorted_index[to - 1] > i:
+                state.sorted_index[to] = state.sorted_index[to - 1]
+                to -= 1
+            state.sorted_index[to] = i
+    for at in range(state.n[None]):
+        slot = slot_of(spec, state, state.sorted_index[at])
+        _copy_particle(spec, state, slot, at, state.sorted)
+
+
+@ti.func
+def sorted_x(spec: ti.template(), state: ti.template(), at):
+    """The position (dim,) of the particle at place `at` in the order by cells."""
+    return ti.Vector([state.sorted[at, axis] for axis in range(spec.dim)])
+
+
+@ti.func
+def sorted_radius(spec: ti.template(), state: ti.template(), at):
+    """The radius of the particle at place `at` in the order by cells."""
+    return state.sorted[at, ti.static(spec.dim)]
+
+
+@ti.func
+def sorted_v(spec: ti.template(), state: ti.template(), at):
+    """The velocity (dim,) of the particle at place `at` in the order by cells."""
+    return ti.Vector([state.sorted[at, spec.dim + 1 + axis] for axis in range(spec.dim)])
+
+
+@ti.func
+def sorted_w(spec: ti.template(), state: ti.template(), at):
+    """The inverse mass of the particle at place `at` in the order by cells."""
+    return state.sorted[at, ti.static(2 * spec.dim + 1)]
+
+
+@ti.func
+def _block_of_rows(
+    spec: ti.template(), state: ti.template(), low: ti.template(), counts: ti.template(), r, layer
+):
+    """The first cells of two rows, or in 3-D of two by two, and which of them are read: 1 or 0.
+
+    low: coordinates of the first cell that is read; counts: how many along each axis; r, layer: the
+    first row of the block, along the second and the third axis.
+    """
+    size = ti.static(2 ** (spec.dim - 1))
+    rows, read = ti.Vector([0] * size), ti.Vector([0] * size)
+    for k in ti.static(range(size)):
+        inside = r + k % 2 < counts[1]
+        if ti.static(spec.dim == 3):
+            inside = inside and layer + k // 2 < counts[2]
+            rows[k] = _index(state, [0, low[1] + r + k % 2, low[2] + layer + k // 2])
+        else:
+            rows[k] = _index(state, [0, low[1] + r + k % 2])
+        read[k] = ti.select(inside, 1, 0)
+    return rows, read
+
+
+@ti.func
+def _sum_over_block(
+    spec: ti.template(), state: ti.template(), at, rows, read, begin, end, term: ti.template()
+):
+    """The sum of term(spec, state, at, other) over what is in cells `begin` to `end` of rows.
+
+    It is one loop over all rows: where loops over few end, processors guess wrong.
+    """
+    size = ti.static(2 ** (spec.dim - 1))
+    until, shift, count = ti.Vector([0] * size), ti.Vector([0] * size), 0
+    for k in ti.static(range(size)):
+        first = state.cell_end[rows[k] + begin]
+        shift[k] = first - count
+        count += read[k] * (state.cell_end[rows[k] + end] - first)
+        until[k] = count
+    total = ti.Vector.zero(state.real, ti.static(spec.dim))
+    for n in range(count):
+        other = n + shift[size - 1]
+        for k in ti.static(range(size - 2, -1, -1)):
+            other = ti.select(n < until[k], n + shift[k], other)
+        total += term(spec, state, at, other)
+    return total
+
+
+@ti.func
+def sum_over_near(spec: ti.template(), state: ti.template(), at, reach, term: ti.template()):
+    """The sum of term(spec, state, at, other), vectors (dim,), over the places near a place.
+
+    They are those of all particles within `reach` of the one at `at`, itself included, and of some
+    that are farther away; their order is the same for every number of threads.
+    """
+    dim = ti.static(spec.dim)
+    x = sorted_x(spec, state, at)
+    total = 0.0 * x
+    rounding = ti.static(8.0 * epsilon(state))
+    spans = [reach + rounding * (reach + ti.abs(x[axis])) for axis in range(dim)]
+    low = [_coordinate(state, x[axis] - spans[axis], axis) for axis in range(dim)]
+    high = [_coordinate(state, x[axis] + spans[axis], axis) for axis in range(dim)]
+    sizes = [1 << state.grid_bits[axis] for axis in range(dim)]
+    # No cell is read twice where the grid is small.
+    counts = [ti.min(high[axis] - low[axis] + 1, sizes[axis]) for axis in range(dim)]
+    begin = low[0] & (sizes[0] - 1)
+    end = ti.min(begin + counts[0], sizes[0])
+    beyond = begin + counts[0] - sizes[0]  # cells after the row's last one, which wrap around
+    layers = 1
+    if ti.static(dim == 3):
+        layers = counts[2]
+    # Mostly there are at most two by two rows.
+    for layer in range((layers + 1) // 2):
+        for r in range((counts[1] + 1) // 2):
+            rows, filled = _block_of_rows(spec, state, low, counts, 2 * r, 2 * layer)
+            total += _sum_over_block(spec, state, at, rows, filled, begin, end, term)
+            if beyond > 0:
+                total += _sum_over_block(spec, state, at, rows, filled, 0, beyond, term)
+    return total
