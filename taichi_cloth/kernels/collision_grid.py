@@ -255,25 +255,14 @@ def sorted_w(spec: ti.template(), state: ti.template(), at):
 
 
 @ti.func
-def _block_of_rows(
-    spec: ti.template(), state: ti.template(), low: ti.template(), counts: ti.template(), r, layer
-):
-    """The first cells of two rows, or in 3-D of two by two, and which of them are read: 1 or 0.
+def _place_of_row(state: ti.template(), low, count, k, stride_bits, axis: ti.template()):
+    """What the coordinate low + k across rows, wrapped, adds to the index of a row's first cell,
+    and whether k is less than `count`, as 1 or 0.
 
-    low: coordinates of the first cell that is read; counts: how many along each axis; r, layer: the
-    first row of the block, along the second and the third axis.
+    stride_bits: the binary logarithm of the cells between coordinates.
     """
-    size = ti.static(2 ** (spec.dim - 1))
-    rows, read = ti.Vector([0] * size), ti.Vector([0] * size)
-    for k in ti.static(range(size)):
-        inside = r + k % 2 < counts[1]
-        if ti.static(spec.dim == 3):
-            inside = inside and layer + k // 2 < counts[2]
-            rows[k] = _index(state, [0, low[1] + r + k % 2, low[2] + layer + k // 2])
-        else:
-            rows[k] = _index(state, [0, low[1] + r + k % 2])
-        read[k] = ti.select(inside, 1, 0)
-    return rows, read
+    wrapped = (low + k) & ((1 << state.grid_bits[axis]) - 1)
+    return wrapped << stride_bits, ti.select(k < count, 1, 0)
 
 
 @ti.func
@@ -282,7 +271,8 @@ def _sum_over_block(
 ):
     """The sum of term(spec, state, at, other) over what is in cells `begin` to `end` of rows.
 
-    It is one loop over all rows: where loops over few end, processors guess wrong.
+    rows: the first cells of two rows, or in 3-D of two by two; read: which of them, 1 or 0. It is
+    one loop over all rows: where loops over few end, processors guess wrong.
     """
     size = ti.static(2 ** (spec.dim - 1))
     until, shift, count = ti.Vector([0] * size), ti.Vector([0] * size), 0
@@ -301,33 +291,50 @@ def _sum_over_block(
 
 
 @ti.func
+def _span(state: ti.template(), x, reach, axis: ti.template()):
+    """The coordinates of the first cell within `reach` of x along an axis, and how many they are.
+
+    No cell is counted twice where the grid is small.
+    """
+    rounding = ti.static(8.0 * epsilon(state))
+    span = reach + rounding * (reach + ti.abs(x))
+    low = _coordinate(state, x - span, axis)
+    return low, ti.min(_coordinate(state, x + span, axis) - low + 1, 1 << state.grid_bits[axis])
+
+
+@ti.func
 def sum_over_near(spec: ti.template(), state: ti.template(), at, reach, term: ti.template()):
     """The sum of term(spec, state, at, other), vectors (dim,), over the places near a place.
 
     They are those of all particles within `reach` of the one at `at`, itself included, and of some
     that are farther away; their order is the same for every number of threads.
     """
-    dim = ti.static(spec.dim)
     x = sorted_x(spec, state, at)
     total = 0.0 * x
-    rounding = ti.static(8.0 * epsilon(state))
-    spans = [reach + rounding * (reach + ti.abs(x[axis])) for axis in range(dim)]
-    low = [_coordinate(state, x[axis] - spans[axis], axis) for axis in range(dim)]
-    high = [_coordinate(state, x[axis] + spans[axis], axis) for axis in range(dim)]
-    sizes = [1 << state.grid_bits[axis] for axis in range(dim)]
-    # No cell is read twice where the grid is small.
-    counts = [ti.min(high[axis] - low[axis] + 1, sizes[axis]) for axis in range(dim)]
-    begin = low[0] & (sizes[0] - 1)
-    end = ti.min(begin + counts[0], sizes[0])
-    beyond = begin + counts[0] - sizes[0]  # cells after the row's last one, which wrap around
-    layers = 1
-    if ti.static(dim == 3):
-        layers = counts[2]
+    along, width = _span(state, x[0], reach, 0)
+    low_1, count_1 = _span(state, x[1], reach, 1)
+    low_2, count_2 = 0, 1
+    if ti.static(spec.dim == 3):
+        low_2, count_2 = _span(state, x[2], reach, 2)
+    cells = 1 << state.grid_bits[0]
+    begin = along & (cells - 1)
+    end = ti.min(begin + width, cells)
+    beyond = begin + width - cells  # cells after the row's last one, which wrap around
+    bits_1, bits_2 = state.grid_bits[0], state.grid_bits[0] + state.grid_bits[1]
     # Mostly there are at most two by two rows.
-    for layer in range((layers + 1) // 2):
-        for r in range((counts[1] + 1) // 2):
-            rows, filled = _block_of_rows(spec, state, low, counts, 2 * r, 2 * layer)
-            total += _sum_over_block(spec, state, at, rows, filled, begin, end, term)
+    for block_2 in range((count_2 + 1) >> 1):
+        for block_1 in range((count_1 + 1) >> 1):
+            size = ti.static(2 ** (spec.dim - 1))
+            rows, read = ti.Vector([0] * size), ti.Vector([0] * size)
+            for k in ti.static(range(size)):
+                row, there = _place_of_row(state, low_1, count_1, 2 * block_1 + k % 2, bits_1, 1)
+                if ti.static(spec.dim == 3):
+                    layer, here = _place_of_row(
+                        state, low_2, count_2, 2 * block_2 + k // 2, bits_2, 2
+                    )
+                    row, there = row + layer, there * here
+                rows[k], read[k] = row, there
+            total += _sum_over_block(spec, state, at, rows, read, begin, end, term)
             if beyond > 0:
-                total += _sum_over_block(spec, state, at, rows, filled, 0, beyond, term)
+                total += _sum_over_block(spec, state, at, rows, read, 0, beyond, term)
     return total

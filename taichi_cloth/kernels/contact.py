@@ -41,7 +41,7 @@ def _bounce_off(spec: ti.template(), state: ti.template(), at, other):
     d = sorted_x(spec, state, other) - sorted_x(spec, state, at)
     reach = sorted_radius(spec, state, at) + sorted_radius(spec, state, other)
     change = 0.0 * d
-    if d.dot(d) <= reach * reach and other != at:
+    if (d.dot(d) <= reach * reach) & (other != at):  # `and` would be two branches to guess
         a = slot_of(spec, state, state.sorted_index[at])
         b = slot_of(spec, state, state.sorted_index[other])
         change = laws.pair_bounce(

@@ -142,9 +142,7 @@ def pair_bounce(d, v1, v2, w1, w2, reach, e):
     if distance2 <= reach * reach and distance2 > 0.0 and w1 > 0.0:
         n = d / ti.sqrt(distance2)
         closing = (v1 - v2).dot(n)
-        if closing >= 0.0:
-            other = w2
-            if w2 == 0.0 and w1 > HEAVY:
-                other = FIXED_INVERSE_MASS
-            change = -(1.0 + e) * closing * (w1 / (w1 + other)) * n
+        other = ti.select((w2 == 0.0) & (w1 > HEAVY), FIXED_INVERSE_MASS, w2)
+        impulse = ti.select(closing >= 0.0, -(1.0 + e) * closing * (w1 / (w1 + other)), 0.0)
+        change = impulse * n
     return change
