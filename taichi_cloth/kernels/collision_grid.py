@@ -26,6 +26,7 @@ BLOCK = 1024  # cells whose counts one iteration sums on a GPU
 # Where threads sort, they first sort into bins of consecutive cells, then each bin by itself, so
 # that what is written lies in the fastest caches. Each thread has a count for each bin.
 MOST_BINS = 512
+MOST_NEAR = 16  # particles that one keeps in a list, where pairs rest; others search the grid again
 ALONE = 48  # so many particles share a single cell
 
 
@@ -127,7 +128,7 @@ def _sort_into_bins(spec: ti.template(), state: ti.template(), t):
         place = state.bin_fill[at]
         state.bin_fill[at] = place + 1
         state.binned_cell[place], state.binned_index[place] = c, i
-        _copy_particle(spec, state, slot, place, state.binned)
+        _copy_particle(spec, state, slot, ti.static(state.sorted_half) + place)
     barrier(spec, state)
 
 
@@ -167,20 +168,20 @@ def _sort_bin(spec: ti.template(), state: ti.template(), b):
         state.cell_end[c + 1] = place + 1
         state.sorted_index[place] = state.binned_index[at]
         for k in ti.static(range(2 * spec.dim + 2)):
-            state.sorted[place, k] = state.binned[at, k]
+            state.sorted[place, k] = state.sorted[ti.static(state.sorted_half) + at, k]
 
 
 @ti.func
-def _copy_particle(spec: ti.template(), state: ti.template(), slot, at, to: ti.template()):
-    """Copy position, radius, velocity and inverse mass of the particle at a slot to to[at, ...].
+def _copy_particle(spec: ti.template(), state: ti.template(), slot, at):
+    """Copy position, radius, velocity and inverse mass of the particle at a slot to a place.
 
     Side by side, they are read with one access to memory.
     """
     x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)
     for axis in ti.static(range(spec.dim)):
-        to[at, axis], to[at, ti.static(spec.dim + 1 + axis)] = x[axis], v[axis]
-    to[at, ti.static(spec.dim)] = slot_number(spec, state.radius, slot)
-    to[at, ti.static(2 * spec.dim + 1)] = slot_number(spec, state.w, slot)
+        state.sorted[at, axis], state.sorted[at, ti.static(spec.dim + 1 + axis)] = x[axis], v[axis]
+    state.sorted[at, ti.static(spec.dim)] = slot_number(spec, state.radius, slot)
+    state.sorted[at, ti.static(2 * spec.dim + 1)] = slot_number(spec, state.w, slot)
 
 
 @ti.func
@@ -227,7 +228,7 @@ def _sort_on_gpu(spec: ti.template(), state: ti.template()):
             state.sorted_index[to] = i
     for at in range(state.n[None]):
         slot = slot_of(spec, state, state.sorted_index[at])
-        _copy_particle(spec, state, slot, at, state.sorted)
+        _copy_particle(spec, state, slot, at)
 
 
 @ti.func
@@ -267,24 +268,32 @@ def _place_of_row(state: ti.template(), low, count, k, stride_bits, axis: ti.tem
 
 @ti.func
 def _sum_over_block(
-    spec: ti.template(), state: ti.template(), at, rows, read, begin, end, term: ti.template()
+    spec: ti.template(),
+    state: ti.template(),
+    at,
+    rows,
+    read,
+    begin,
+    end,
+    size: ti.template(),
+    term: ti.template(),
 ):
     """The sum of term(spec, state, at, other) over what is in cells `begin` to `end` of rows.
 
     rows: the first cells of two rows, or in 3-D of two by two; read: which of them, 1 or 0. It is
     one loop over all rows: where loops over few end, processors guess wrong.
     """
-    size = ti.static(2 ** (spec.dim - 1))
-    until, shift, count = ti.Vector([0] * size), ti.Vector([0] * size), 0
-    for k in ti.static(range(size)):
+    n_rows = ti.static(2 ** (spec.dim - 1))
+    until, shift, count = ti.Vector([0] * n_rows), ti.Vector([0] * n_rows), 0
+    for k in ti.static(range(n_rows)):
         first = state.cell_end[rows[k] + begin]
         shift[k] = first - count
         count += read[k] * (state.cell_end[rows[k] + end] - first)
         until[k] = count
-    total = ti.Vector.zero(state.real, ti.static(spec.dim))
+    total = ti.Vector.zero(state.real, size)
     for n in range(count):
-        other = n + shift[size - 1]
-        for k in ti.static(range(size - 2, -1, -1)):
+        other = n + shift[n_rows - 1]
+        for k in ti.static(range(n_rows - 2, -1, -1)):
             other = ti.select(n < until[k], n + shift[k], other)
         total += term(spec, state, at, other)
     return total
@@ -303,14 +312,21 @@ def _span(state: ti.template(), x, reach, axis: ti.template()):
 
 
 @ti.func
-def sum_over_near(spec: ti.template(), state: ti.template(), at, reach, term: ti.template()):
-    """The sum of term(spec, state, at, other), vectors (dim,), over the places near a place.
+def sum_over_near(
+    spec: ti.template(),
+    state: ti.template(),
+    at,
+    x,
+    reach,
+    size: ti.template(),
+    term: ti.template(),
+):
+    """The sum of term(spec, state, at, other), vectors (size,), over the places near x.
 
-    They are those of all particles within `reach` of the one at `at`, itself included, and of some
-    that are farther away; their order is the same for every number of threads.
+    They are those of all particles within `reach` of x (dim,), and of some that are farther away;
+    their order is the same for every number of threads.
     """
-    x = sorted_x(spec, state, at)
-    total = 0.0 * x
+    total = ti.Vector.zero(state.real, size)
     along, width = _span(state, x[0], reach, 0)
     low_1, count_1 = _span(state, x[1], reach, 1)
     low_2, count_2 = 0, 1
@@ -324,9 +340,9 @@ def sum_over_near(spec: ti.template(), state: ti.template(), at, reach, term: ti
     # Mostly there are at most two by two rows.
     for block_2 in range((count_2 + 1) >> 1):
         for block_1 in range((count_1 + 1) >> 1):
-            size = ti.static(2 ** (spec.dim - 1))
-            rows, read = ti.Vector([0] * size), ti.Vector([0] * size)
-            for k in ti.static(range(size)):
+            n_rows = ti.static(2 ** (spec.dim - 1))
+            rows, read = ti.Vector([0] * n_rows), ti.Vector([0] * n_rows)
+            for k in ti.static(range(n_rows)):
                 row, there = _place_of_row(state, low_1, count_1, 2 * block_1 + k % 2, bits_1, 1)
                 if ti.static(spec.dim == 3):
                     layer, here = _place_of_row(
@@ -334,7 +350,9 @@ def sum_over_near(spec: ti.template(), state: ti.template(), at, reach, term: ti
                     )
                     row, there = row + layer, there * here
                 rows[k], read[k] = row, there
-            total += _sum_over_block(spec, state, at, rows, read, begin, end, term)
-            if beyond > 0:
-                total += _sum_over_block(spec, state, at, rows, read, 0, beyond, term)
+            for part in range(ti.select(beyond > 0, 2, 1)):
+                first, past = begin, end
+                if part == 1:
+                    first, past = 0, beyond
+                total += _sum_over_block(spec, state, at, rows, read, first, past, size, term)
     return total

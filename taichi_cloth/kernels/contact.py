@@ -60,7 +60,9 @@ def _bounce_off(spec: ti.template(), state: ti.template(), at, other):
 def _bounce_particle(spec: ti.template(), state: ti.template(), at):
     """Compute state.jump, which is zero, of the particle at place `at` in the order by cells."""
     reach = sorted_radius(spec, state, at) + state.largest_radius[None]
-    jump = sum_over_near(spec, state, at, reach, _bounce_off)
+    jump = sum_over_near(
+        spec, state, at, sorted_x(spec, state, at), reach, ti.static(spec.dim), _bounce_off
+    )
     most = ti.abs(jump[0])
     for axis in ti.static(range(1, spec.dim)):
         most = ti.max(most, ti.abs(jump[axis]))
@@ -88,7 +90,7 @@ def compute_pair_bounces(spec: ti.template(), state: ti.template(), t):
 @ti.func
 def compute_contacts(spec: ti.template(), state: ti.template(), t):
     """Compute the collisions of a step at its start; it does nothing in a scene without them."""
-    if ti.static(spec.collisions):
+    if ti.static(spec.collisions and not spec.resting):
         compute_pair_bounces(spec, state, t)
 
 
@@ -143,7 +145,7 @@ def velocity_jump(spec: ti.template(), state: ti.template(), i, x, v):
                 bounce = float(side) * laws.wall_bounce(gap, vn, restitution)
                 jump = with_component(jump, axis, component(jump, axis) + bounce)
             jump = where_positive(read(spec, state.w, i), jump, zeros(spec, state))
-    if ti.static(spec.collisions):
+    if ti.static(spec.collisions and not spec.resting):
         jump += read(spec, state.jump, i)
     return jump
 

@@ -14,6 +14,7 @@ class Specialization:
         tested against it (`faces.py`).
     terms: the names of its forces (`forces/`), in the order in which they are added up.
     springs: whether there are springs on the graph: all of them, or those that no grid holds.
+    resting: whether pairs that collide rest on each other (`resting_pairs.py`).
     lanes: how many particles a pack has (`packs.py`); 1 on a graph and on GPUs.
     links: (columns, rows) from the earlier end to the later one, for each kind of link; empty on a
         graph.
@@ -34,6 +35,7 @@ class Specialization:
     collisions: bool
     terms: tuple[str, ...]
     obstacles: tuple[str, ...] = ()
+    resting: bool = False
     moving: bool = False
     faces: bool = False
     lanes: int = 1

@@ -9,7 +9,7 @@ from dataclasses import astuple, dataclass
 import taichi as ti
 
 from taichi_cloth.kernels import clock, poses
-from taichi_cloth.kernels.collision_grid import BLOCK, MOST_BINS, most_cells
+from taichi_cloth.kernels.collision_grid import BLOCK, MOST_BINS, MOST_NEAR, most_cells
 from taichi_cloth.kernels.forces import load
 from taichi_cloth.kernels.forces.contract import (
     COUNT,
@@ -147,7 +147,9 @@ class State:
     The collision grid (`collision_grid.py`): grid_bits: binary logarithms of the cells along each
         axis; per_cell: cells per length along each; largest_radius; cell_end, sorted_index, sorted:
         the particles by cell; cell_of, block_start, bins, bin_bits (binary logarithm of the cells
-        in a bin), bin_fill, bin_start, bin_size, binned_cell, binned_index, binned: the sort's.
+        in a bin), bin_fill, bin_start, bin_size, binned_cell, binned_index: the sort's.
+    Resting pairs (`resting_pairs.py`): near, near_count, touching, residual, pair_friction;
+        unsettled: steps that ended before all pairs were apart.
 
     Obstacles (`poses.py`), a row each: obstacle_shape: its number in spec.obstacles;
         obstacle_numbers, obstacle_sizes: of contact and of its shape; obstacle_start: its pose at
@@ -270,7 +272,7 @@ class State:
                 self._particle_numbers(spec),
             )
             self.particle_names += ["radius", "restitution"]
-        if spec.collisions:
+        if spec.collisions and not spec.resting:
             self.jump = self._pack_vectors(spec)
         if has_tractions(spec):
             self.traction, self.traction_damping = (
@@ -390,7 +392,14 @@ class State:
         self.cell_end, self.cell_of, self.sorted_index = (
             self._counts(count) for count in (cells + 1, n, n)
         )
-        self.sorted, self.binned = (self._scalars(n, 2 * spec.dim + 2) for _ in range(2))
+        # In two halves: what is being sorted, or goes from iteration to iteration, changes sides.
+        self.sorted_half, self.sorted = n, self._scalars(2 * n, 2 * spec.dim + 2)
+        if spec.resting:
+            self.pair_friction, self.residual = self._scalars(), self._scalars(2, 2)
+            self.number_names.append("pair_friction")
+            self.near, self.near_count = self._counts(n, MOST_NEAR), self._counts(n)
+            self.touching = self._scalars(n, 2)
+            self.iteration, self.unsettled = self._counts(), self._counts()
         self.block_start = self._counts(cells // BLOCK + 1)
         self.bin_fill = self._counts(spec.threads * MOST_BINS)
         self.bin_start, self.bin_size = self._counts(MOST_BINS), self._counts(MOST_BINS)

@@ -351,6 +351,7 @@ class Features:
     collisions: bool
     obstacles: tuple[str, ...] = ()  # shapes, those of the ground and of resting walls included
     moving: bool = False  # whether any of them moves
+    resting: bool = False  # whether pairs that collide rest on each other
 
     def describe(self) -> str:
         """In words, such as '2-D, uniform springs, fracture, drag, 4 walls, floor'."""
@@ -414,6 +415,7 @@ class Scene:
                 for obstacle in self.obstacles
                 for name in ("velocity", "spin")
             ),
+            resting=self.world.collisions and self.world.contact == "resting",
         )
 
     def _uniform_springs(self) -> bool:

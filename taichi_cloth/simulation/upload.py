@@ -69,6 +69,7 @@ class Upload:
             "speed_limit": numbers.speed_limit,
             "tolerance": numbers.tolerance,
             "least_scale": np.abs(world.gravity).max(),
+            "pair_friction": world.friction,
             "one": 1.0,
             "low": world.low,
             "high": world.high,

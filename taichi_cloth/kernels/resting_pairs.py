@@ -1,0 +1,346 @@
+"""Pairs of particles that rest on each other: at a step's end none overlaps or approaches another.
+
+From a step's free end the positions of pairs that overlap are moved apart and the velocities of
+pairs that touch are changed until none closes in, with friction (Coulomb, 1785), and with
+restitution in the first iteration (Newton, 1687), for pairs that meet faster than gravity lets them
+in some steps. All pairs act at once, by mass splitting (Tonge, Benevolenski, Voroshilov, "Mass
+splitting for jitter-free parallel rigid body simulation", ACM Trans. Graphics 31, 2012): a particle
+in m contacts takes part in each with 1/m of its mass, and goes on with the mean of what comes of
+its parts. Each pair conserves momentum and loses energy, and a mean of velocities has at most their
+mean energy: so does the whole, however many iterations are done. Positions move in proportion to
+inverse masses, so the centre of mass of a free pair stays, and with it its height.
+
+Obstacles and walls hold in every iteration: whoever is pushed into one is put onto it.
+Iterations end when the deepest overlap and the fastest approach are small; after MOST_ITERATIONS
+the step is counted as unsettled, where more than a hundredth of a pair's reach overlaps.
+
+at, other in this file: places in the order by cells; side: the half of state.sorted that is read.
+"""
+
+import functools
+
+import taichi as ti
+
+from taichi_cloth.kernels import laws
+from taichi_cloth.kernels.collision_grid import (
+    MOST_NEAR,
+    slot_of,
+    sort_into_cells,
+    sorted_radius,
+    sorted_w,
+    sum_over_near,
+)
+from taichi_cloth.kernels.compensated import joined
+from taichi_cloth.kernels.loops import each, each_pack_moving, leave
+from taichi_cloth.kernels.obstacles.contract import FRICTION
+from taichi_cloth.kernels.packs import (
+    epsilon,
+    set_slot_value,
+    slot_number,
+    slot_value,
+)
+from taichi_cloth.kernels.poses import (
+    END,
+    centre_of,
+    signed_distance,
+    to_local,
+    to_world,
+    velocity_at,
+)
+from taichi_cloth.kernels.watchdog import note_fault
+
+MOST_ITERATIONS = 96  # of a step; a column of ten needs about as many
+UNROLLED = 12  # on a GPU, where a launch cannot look at what came of an iteration
+MARGIN = 0.25  # of a pair's reach, within which particles may come to touch in a step
+SLACK = 1e-4  # of a pair's reach, within which they touch
+SETTLED = 2e-4  # of a pair's reach: overlap, and approach in a step, at which iterations end
+UNSETTLED = 1e-2  # of a pair's reach: an overlap that is counted
+MEETS = 4.0  # gravity times dt: a pair that closes in faster bounces
+ROUNDINGS = 4.0  # of the coordinates, that an overlap may have
+OVERLAP, APPROACH = range(2)  # columns of state.touching and state.residual
+
+
+def needed(spec):
+    """Whether pairs rest on each other in a specialization."""
+    return spec.resting
+
+
+@ti.func
+def settle(spec: ti.template(), state: ti.template(), t):
+    """Take all pairs apart, with what contact and friction leave of their velocities."""
+    sort_into_cells(spec, state, t)
+    n = state.n[None]
+    each(spec, state, t, n, _begin)
+    if ti.static(spec.one_launch_per_step):
+        for k in ti.static(range(UNROLLED)):
+            _iterate(spec, state, t, k)
+    else:
+        done, going = 0, 1
+        while going == 1:
+            _iterate(spec, state, t, done)
+            worst = ti.max(state.residual[done % 2, OVERLAP], state.residual[done % 2, APPROACH])
+            done += 1
+            if worst <= SETTLED or done == MOST_ITERATIONS:
+                going = 0
+    each(spec, state, t, n, _store)
+    each(spec, state, t, 1, _judge)
+    if ti.static(spec.halo > 0):
+        each_pack_moving(spec, state, t, leave)
+
+
+@ti.func
+def _iterate(spec: ti.template(), state: ti.template(), t, done):
+    """Do an iteration, after `done` of them; state.residual[done % 2] says what was left before."""
+    if ti.static(spec.one_launch_per_step):
+        for _ in range(1):
+            _number(spec, state, done)
+    else:  # every thread writes the same, and none is still in the iteration before
+        state.iteration[None] = done
+    each(spec, state, t, state.n[None], _count_touching)
+    each(spec, state, t, 1, _clear_residual)
+    each(spec, state, t, state.n[None], _move)
+
+
+@ti.func
+def _number(spec: ti.template(), state: ti.template(), done):
+    state.iteration[None] = done
+
+
+@ti.func
+def _clear_residual(spec: ti.template(), state: ti.template(), i):
+    for kind in ti.static((OVERLAP, APPROACH)):
+        state.residual[state.iteration[None] % 2, kind] = 0.0
+
+
+@ti.func
+def _judge(spec: ti.template(), state: ti.template(), i):
+    """Count the step if some pair still overlaps much."""
+    if state.residual[state.iteration[None] % 2, OVERLAP] > UNSETTLED:
+        state.unsettled[None] = state.unsettled[None] + 1
+
+
+# --- who is near -----------------------------------------------------------------------------
+
+
+@ti.func
+def _begin(spec: ti.template(), state: ti.template(), at):
+    """List the particles near the one at a place, and what the other half's place keeps."""
+    for k in ti.static(range(2 * spec.dim + 2)):
+        state.sorted[ti.static(state.sorted_half) + at, k] = state.sorted[at, k]
+    state.near_count[at] = 0
+    _sum_over_grid(spec, state, at, _list_near)
+
+
+@ti.func
+def _sum_over_grid(spec: ti.template(), state: ti.template(), at, term: ti.template()):
+    """The sum of term(spec, state, at, other) over all that are near at the step's free end."""
+    x = slot_value(spec, state.x, slot_of(spec, state, state.sorted_index[at]))
+    reach = (1.0 + MARGIN) * (sorted_radius(spec, state, at) + state.largest_radius[None])
+    return sum_over_near(
+        spec, state, at, x, reach, ti.static(_sizes(spec)), ti.static(_if_near(term))
+    )
+
+
+def _sizes(spec):
+    """How many numbers the terms of this file have: changes of position and of velocity."""
+    return 2 * spec.dim
+
+
+@functools.cache
+def _if_near(term):
+    """The term for pairs that are near at the step's free end, and zeros for others."""
+
+    @ti.func
+    def near(spec: ti.template(), state: ti.template(), at, other):
+        x = slot_value(spec, state.x, slot_of(spec, state, state.sorted_index[at]))
+        other_x = slot_value(spec, state.x, slot_of(spec, state, state.sorted_index[other]))
+        d = other_x - x
+        reach = (1.0 + MARGIN) * (
+            sorted_radius(spec, state, at) + sorted_radius(spec, state, other)
+        )
+        found = ti.Vector.zero(state.real, ti.static(_sizes(spec)))
+        if (d.dot(d) <= reach * reach) & (other != at):
+            found = term(spec, state, at, other)
+        return found
+
+    return near
+
+
+@ti.func
+def _list_near(spec: ti.template(), state: ti.template(), at, other):
+    """Put `other` into the list of the particle at `at`, and count it, also where it is full."""
+    count = state.near_count[at]
+    if count < MOST_NEAR:
+        state.near[at, count] = other
+    state.near_count[at] = count + 1
+    return ti.Vector.zero(state.real, ti.static(_sizes(spec)))
+
+
+@ti.func
+def _sum_over_listed(spec: ti.template(), state: ti.template(), at, term: ti.template()):
+    """The sum of term(spec, state, at, other) over all that are near at the step's free end.
+
+    Who has more of them than its list holds looks for them in the grid again.
+    """
+    total = ti.Vector.zero(state.real, ti.static(_sizes(spec)))
+    count = state.near_count[at]
+    if count <= MOST_NEAR:
+        for k in range(count):
+            total += term(spec, state, at, state.near[at, k])
+    else:
+        total = _sum_over_grid(spec, state, at, term)
+    return total
+
+
+# --- an iteration ----------------------------------------------------------------------------
+
+
+@ti.func
+def _value(spec: ti.template(), state: ti.template(), at, column: ti.template()):
+    """The vector (dim,) that begins in a column, of the half from which this iteration reads."""
+    row = at + state.iteration[None] % 2 * ti.static(state.sorted_half)
+    return ti.Vector([state.sorted[row, column + axis] for axis in range(spec.dim)])
+
+
+@ti.func
+def _between(spec: ti.template(), state: ti.template(), at, other):
+    """A pair: normal towards `other`, gap, relative velocity, its normal part, whether it overlaps
+    and whether it approaches, as 1 or 0."""
+    x = _value(spec, state, at, 0)
+    d = _value(spec, state, other, 0) - x
+    reach = sorted_radius(spec, state, at) + sorted_radius(spec, state, other)
+    distance = laws.length(d)
+    n = laws.unit(d, distance)
+    if distance == 0.0:  # they have no normal: any will do, the other way for the other one
+        n[0] = ti.select(state.sorted_index[at] < state.sorted_index[other], 1.0, -1.0)
+    gap = distance - reach
+    size = ti.abs(x[0])
+    for axis in ti.static(range(1, spec.dim)):
+        size = ti.max(size, ti.abs(x[axis]))
+    relative = _value(spec, state, other, ti.static(spec.dim + 1)) - _value(
+        spec, state, at, ti.static(spec.dim + 1)
+    )
+    u = relative.dot(n)
+    rounding = ti.static(ROUNDINGS * epsilon(state)) * size
+    overlaps = ti.select(gap < -1.0 * rounding, 1, 0)
+    approaches = ti.select((gap <= SLACK * reach + rounding) & (u < 0.0), 1, 0)
+    return n, gap, relative, u, overlaps, approaches
+
+
+@ti.func
+def _count_touching(spec: ti.template(), state: ti.template(), at):
+    """Count the pairs of a particle that overlap, and those that touch and approach."""
+    counts = _sum_over_listed(spec, state, at, _touching)
+    for kind in ti.static((OVERLAP, APPROACH)):
+        state.touching[at, kind] = counts[kind]
+
+
+@ti.func
+def _touching(spec: ti.template(), state: ti.template(), at, other):
+    _, _, _, _, overlaps, approaches = _between(spec, state, at, other)
+    counts = ti.Vector.zero(state.real, ti.static(_sizes(spec)))
+    counts[OVERLAP], counts[APPROACH] = float(overlaps), float(approaches)
+    return counts
+
+
+@ti.func
+def _move(spec: ti.template(), state: ti.template(), at):
+    """Take a particle to the other half, with the mean of what its pairs do to its parts."""
+    x, v = _value(spec, state, at, 0), _value(spec, state, at, ti.static(spec.dim + 1))
+    if sorted_w(spec, state, at) > 0.0:
+        if state.touching[at, OVERLAP] + state.touching[at, APPROACH] > 0.0:
+            change = _sum_over_listed(spec, state, at, _change)
+            for axis in ti.static(range(spec.dim)):
+                x[axis] += change[axis]
+                v[axis] += change[ti.static(spec.dim + axis)]
+        if ti.static(len(spec.obstacles) > 0):
+            x, v = _out_of_obstacles(spec, state, at, x, v)
+    to = at + (state.iteration[None] + 1) % 2 * ti.static(state.sorted_half)
+    for axis in ti.static(range(spec.dim)):
+        state.sorted[to, axis], state.sorted[to, ti.static(spec.dim + 1 + axis)] = x[axis], v[axis]
+
+
+@ti.func
+def _change(spec: ti.template(), state: ti.template(), at, other):
+    """What a pair changes of the position and the velocity of the particle at `at`."""
+    n, gap, relative, u, overlaps, approaches = _between(spec, state, at, other)
+    w, other_w, dt = sorted_w(spec, state, at), sorted_w(spec, state, other), state.dt[None]
+    reach = sorted_radius(spec, state, at) + sorted_radius(spec, state, other)
+    dx, dv = 0.0 * n, 0.0 * n
+    if overlaps == 1:
+        split = state.touching[at, OVERLAP] * w + state.touching[other, OVERLAP] * other_w
+        dx += (gap * w / split) * n
+        _note_residual(state, OVERLAP, -1.0 * gap / reach)
+    if approaches == 1:
+        split = state.touching[at, APPROACH] * w + state.touching[other, APPROACH] * other_w
+        e = 0.0 * u
+        if state.iteration[None] == 0 and -1.0 * u > MEETS * state.least_scale[None] * dt:
+            a = slot_of(spec, state, state.sorted_index[at])
+            b = slot_of(spec, state, state.sorted_index[other])
+            e = slot_number(spec, state.restitution, a) * slot_number(spec, state.restitution, b)
+        lost = -(1.0 + e) * u
+        taken, _ = laws.friction(relative - u * n, lost, state.pair_friction[None])
+        part = -1.0 * w / split
+        dx += (part * ti.static(state.position_weight) * dt) * taken
+        dv += part * (lost * n + taken)
+        _note_residual(state, APPROACH, -1.0 * u * dt / reach)
+    found = ti.Vector.zero(state.real, ti.static(_sizes(spec)))
+    for axis in ti.static(range(spec.dim)):
+        found[axis], found[ti.static(spec.dim + axis)] = dx[axis], dv[axis]
+    return found
+
+
+@ti.func
+def _note_residual(state: ti.template(), kind: ti.template(), size):
+    """Note how far a pair is from rest: the largest is kept, whatever the order."""
+    k = state.iteration[None] % 2
+    if size > state.residual[k, kind]:
+        ti.atomic_max(state.residual[k, kind], size)
+
+
+@ti.func
+def _out_of_obstacles(spec: ti.template(), state: ti.template(), at, x, v):
+    """Position and velocity of a particle, put onto the obstacles that it was pushed into."""
+    radius = sorted_radius(spec, state, at)
+    for o in range(state.n_obstacles[None]):
+        d = x - centre_of(spec, state, o, END)
+        distance, local_n = signed_distance(spec, state, o, to_local(spec, state, o, END, d))
+        gap = distance - radius
+        if gap <= SLACK * radius:
+            n = to_world(spec, state, o, END, local_n)
+            surface_v = velocity_at(spec, state, o, d - distance * n)
+            relative = v - surface_v
+            u = relative.dot(n)
+            x -= ti.min(gap, 0.0) * n
+            if u < 0.0:
+                taken, _ = laws.friction(
+                    relative - u * n, -1.0 * u, state.obstacle_numbers[o, FRICTION]
+                )
+                v += taken - u * n
+                x += (ti.static(state.position_weight) * state.dt[None]) * taken
+    return x, v
+
+
+@ti.func
+def _store(spec: ti.template(), state: ti.template(), at):
+    """Give a particle what all iterations changed."""
+    end, slot = state.iteration[None] + 1, slot_of(spec, state, state.sorted_index[at])
+    x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)
+    dx, dv, moved = 0.0 * x, 0.0 * v, 0.0
+    row = at + end % 2 * ti.static(state.sorted_half)
+    for axis in ti.static(range(spec.dim)):
+        dx[axis] = state.sorted[row, axis] - x[axis]
+        dv[axis] = state.sorted[row, ti.static(spec.dim + 1 + axis)] - v[axis]
+        moved = ti.max(moved, ti.abs(dx[axis]), ti.abs(dv[axis]))
+    if moved > 0.0:
+        x_low, v_low = 0.0 * x, 0.0 * v
+        if ti.static(spec.compensated):
+            x_low, v_low = slot_value(spec, state.x_low, slot), slot_value(spec, state.v_low, slot)
+        x, x_low = joined(spec, state, x, x_low, dx)
+        v, v_low = joined(spec, state, v, v_low, dv)
+        set_slot_value(spec, state.x, slot, x)
+        set_slot_value(spec, state.v, slot, v)
+        if ti.static(spec.compensated):
+            set_slot_value(spec, state.x_low, slot, x_low)
+            set_slot_value(spec, state.v_low, slot, v_low)
+        note_fault(spec, state, slot)
