@@ -190,13 +190,16 @@ between = [385, 400]
 """
 
 
-def bits(precision, method, collisions, threads, **settings):
+def bits(precision, method, collisions, threads, contact=None, **settings):
     """What two cloths come to with so many threads, in lanes: a digest, and how many springs held.
 
     Starts Taichi anew: for a process of its own.
     """
     runtime.start("cpu", precision, threads=threads)
-    scene = scenefile.parse(TWO_CLOTHS.replace("COLLISIONS", str(collisions).lower()))
+    text = TWO_CLOTHS.replace("COLLISIONS", str(collisions).lower())
+    if contact:
+        text = text.replace("walls = true", f"walls = true\ncontact = '{contact}'\nfriction = 0.2")
+    scene = scenefile.parse(text)
     sim = Simulation(scene, method, topology="lanes", execution="parallel", lanes=2, **settings)
     sim.advance(90)
     state = sim.positions(), sim.velocities(), sim.springs_alive()

@@ -51,7 +51,7 @@ class Pool:
             links = tuple(stored.links)
         world = scene.world
         walls = frozenset(world.walls)
-        kind = (world.dim, walls, world.collisions, world.mouse == "spawn", links)
+        kind = (world.dim, walls, world.collisions, world.contact, world.mouse == "spawn", links)
         key = method, topology, execution, lanes, follows, another, kind
         sim = self._made.get(key)
         if sim is None or (sim.topology, sim.execution) != (topology, execution):

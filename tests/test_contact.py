@@ -66,6 +66,35 @@ def test_grid_finds_the_same_collisions_as_all_pairs(pool, dim, count, execution
     np.testing.assert_allclose(jump, expected, rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_collisions_of_random_clouds_in_random_boxes_are_those_of_all_pairs(pool, dim):
+    """Few and many, in flat and long boxes, of like and very different radii, far outside too."""
+    rng, hits = np.random.default_rng(dim), 0
+    for count in (1, 2, 47, 49, 130, 400):
+        for _ in range(3):
+            size = 100.0 * 10.0 ** rng.uniform(-1, 1, dim)
+            scene = crowd(dim, count, rng.integers(1000))
+            p, away = scene.particles, rng.choice([0.0, 1.0, 1e4]) * rng.normal(size=dim)
+            world = scene.with_world(size=tuple(size)).world
+            p.position[:] = world.low + rng.uniform(size=(count, dim)) * size
+            spread = np.prod(size) ** (1 / dim) / count ** (1 / dim)
+            p.radius[:] = spread * 10.0 ** rng.uniform(-1.5, rng.choice([-1.4, 0.0]), count)
+            moved = Particles.build(
+                p.position, p.velocity, mass=p.mass, radius=p.radius,
+                restitution=p.restitution, fixed=p.fixed,
+            )  # fmt: skip
+            scene = Scene("cloud", world, moved)
+            sim = pool(scene)
+            sim.load_as("graph", "serial", p.position + away * size, p.velocity)
+            moved.position[:] = sim.positions()
+            expected, found = brute_force_jump(scene)
+            sim.advance()
+            jump = sim.velocities() - p.velocity
+            np.testing.assert_allclose(jump, expected, rtol=0, atol=1e-9)
+            hits += found
+    assert hits > 300
+
+
 def test_particles_far_outside_the_world_still_collide(pool):
     """The grid wraps around, so leaving the world neither loses nor doubles a collision."""
     world = World(size=(100.0, 100.0), gravity=(0.0, 0.0), dt=1.0, collisions=True)

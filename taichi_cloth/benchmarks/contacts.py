@@ -1,7 +1,9 @@
 """Colliding spheres at constant density: a step, the grid's build, and its query.
 
 The radius falls with the cube root of the count, so that a sphere always has as many neighbours.
-Build: sorting all spheres into cells. Query: finding and resolving the collisions with them.
+Build: sorting all spheres into cells. Query: finding and resolving the collisions with them. C++,
+compiled here, does the same (`cpp/spheres.cpp`): with cells of a diameter, as one would take
+them first, and with those as wide across rows as measures best.
 """
 
 from __future__ import annotations
@@ -14,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.benchmarks import ours
-from taichi_cloth.benchmarks.contest import Bench
+from taichi_cloth.benchmarks.contest import Bench, compare, separation
 from taichi_cloth.benchmarks.report import Measurement
+from taichi_cloth.benchmarks.structural import enter_compiled
 from taichi_cloth.files.pending import PendingFile
 
 PART = "contacts"
@@ -26,6 +29,8 @@ SUBSTEPS = 2  # of a frame
 WORK = 100_000  # spheres times frames in a round, at least
 FITTED = 10_000  # from this count on, starting threads for the loops no longer shows
 WHOLE, SORT, QUERY = "whole step", "build", "query"
+CPP = {"C++, cells of a diameter": 1.0, "C++, cells of 3 diameters": 3.0}
+ALIKE = 2  # frames after which positions are compared: later a collision's rounding has grown
 SCENE = "taichi_cloth.scene.library:build"
 
 
@@ -73,19 +78,39 @@ def _measure_count(bench: Bench, count: int) -> list[Measurement]:
         kind="taichi_cloth.benchmarks.contestants:Collisions",
         **settings,
     )
-    if not frames or not bench.mark_after(PART, [frames], 1):
+    cpp = [
+        enter_compiled(
+            bench,
+            name,
+            "taichi_cloth.benchmarks.structural:CompiledSpheres",
+            {"count": count, "radius": radius, "width": width, "steps": SUBSTEPS},
+            steps=SUBSTEPS,
+            part=PART,
+            size=f"{count}",
+            particles=count,
+            units=max(1, WORK // count),
+        )
+        for name, width in CPP.items()
+    ]
+    if not frames or not bench.mark_after(PART, [frames, *cpp], 1):
         return []
+    bench.mark_after(PART, [frames, *cpp], ALIKE - 1)
     units = SUBSTEPS * frames.units
     build, query = (
         replace(frames, name=name, method=method, steps=1, units=units, seconds=[], marks={})
         for name, method in ((SORT, "build"), (QUERY, "build_and_query"))
     )
-    finished = bench.race(PART, [frames, build, query])
+    finished = bench.race(PART, [frames, *cpp, build, query])
     if query in finished and build in finished:  # what querying takes is the difference
         pairs = zip(query.seconds, build.seconds, strict=True)
         query.seconds = [both - sorting for both, sorting in pairs]
     against = f"{ours.AGAINST}, after the first frame"
     rows = bench.rows(PART, finished, reference, against)
+    for other in cpp:
+        rows += compare(
+            PART, f"{count}", f"{WHOLE} to {other.name}" if other else "", frames, other, ">= 0.7"
+        )
+        rows += separation(PART, frames, other, ALIKE, "px")
     frames.drop()
     return rows
 

@@ -21,6 +21,7 @@ from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
 from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.measuring import machine
+from taichi_cloth.scene.library import build
 from taichi_cloth.simulation import adjacency
 
 PART = "structural"
@@ -220,6 +221,34 @@ class CompiledGrid:
 
     def positions(self) -> np.ndarray:
         return np.stack([self.x, self.y], axis=1)
+
+
+class CompiledSpheres:
+    """Spheres of the scene `box` at random, sorted into cells `width` diameters wide."""
+
+    def __init__(self, folder: str, count: int, radius: float, width: float, steps: int):
+        self.step = compiled(folder).sphere_steps
+        scene = build("box", particles=count, radius=radius)
+        p, world = scene.particles, scene.world
+        self.x, self.v = (np.ascontiguousarray(a, np.float32) for a in (p.position, p.velocity))
+        corners = (np.ascontiguousarray(a, np.float32) for a in (world.low, world.high))
+        numbers = (
+            world.dt / steps,
+            world.gravity[1],
+            float(p.viscous[0]),
+            float(1 / p.mass[0]),
+            radius,
+            float(p.restitution[0]),
+            2 * radius * width,
+        )
+        self.steps = steps
+        self.arguments: tuple[Any, ...] = (count, *numbers, *corners, self.x, self.v)
+
+    def advance(self, units: int) -> None:
+        _call(self.step, units * self.steps, *self.arguments)
+
+    def positions(self) -> np.ndarray:
+        return self.x
 
 
 class CompiledStream:

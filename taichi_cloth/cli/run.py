@@ -181,6 +181,7 @@ def _simulate(
         if not options.quiet:
             _note_held_up(sim)
             _note_left_out(recordings)
+            _note_unsettled(sim)
     return 0
 
 
@@ -341,6 +342,16 @@ def _note_left_out(recordings: Recordings) -> None:
         print(
             f"{PROGRAM}: note: the export has the particles of its first frame; left out: "
             f"{counted(left_out, 'particle')} that came later",
+            file=sys.stderr,
+        )
+
+
+def _note_unsettled(sim: Simulation) -> None:
+    """Say on standard error in how many steps resting pairs were left overlapping."""
+    if sim.unsettled():
+        print(
+            f"{PROGRAM}: note: {sim.unsettled()} of {sim.steps} steps ended with pairs that "
+            "overlap by more than a hundredth of their reach; use more --substeps",
             file=sys.stderr,
         )
 

@@ -57,7 +57,7 @@ SETTLED = 2e-4  # of a pair's reach: overlap, and approach in a step, at which i
 UNSETTLED = 1e-2  # of a pair's reach: an overlap that is counted
 MEETS = 4.0  # gravity times dt: a pair that closes in faster bounces
 ROUNDINGS = 4.0  # of the coordinates, that an overlap may have
-OVERLAP, APPROACH = range(2)  # columns of state.touching and state.residual
+OVERLAP, APPROACH = range(2)  # columns of state.touching and state.pair_residual
 
 
 def needed(spec):
@@ -78,7 +78,9 @@ def settle(spec: ti.template(), state: ti.template(), t):
         done, going = 0, 1
         while going == 1:
             _iterate(spec, state, t, done)
-            worst = ti.max(state.residual[done % 2, OVERLAP], state.residual[done % 2, APPROACH])
+            worst = ti.max(
+                state.pair_residual[done % 2, OVERLAP], state.pair_residual[done % 2, APPROACH]
+            )
             done += 1
             if worst <= SETTLED or done == MOST_ITERATIONS:
                 going = 0
@@ -90,12 +92,13 @@ def settle(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def _iterate(spec: ti.template(), state: ti.template(), t, done):
-    """Do an iteration, after `done` of them; state.residual[done % 2] says what was left before."""
+    """Do an iteration, after `done` of them; state.pair_residual[done % 2] says what was
+    left before it."""
     if ti.static(spec.one_launch_per_step):
         for _ in range(1):
             _number(spec, state, done)
     else:  # every thread writes the same, and none is still in the iteration before
-        state.iteration[None] = done
+        state.pair_iteration[None] = done
     each(spec, state, t, state.n[None], _count_touching)
     each(spec, state, t, 1, _clear_residual)
     each(spec, state, t, state.n[None], _move)
@@ -103,19 +106,19 @@ def _iterate(spec: ti.template(), state: ti.template(), t, done):
 
 @ti.func
 def _number(spec: ti.template(), state: ti.template(), done):
-    state.iteration[None] = done
+    state.pair_iteration[None] = done
 
 
 @ti.func
 def _clear_residual(spec: ti.template(), state: ti.template(), i):
     for kind in ti.static((OVERLAP, APPROACH)):
-        state.residual[state.iteration[None] % 2, kind] = 0.0
+        state.pair_residual[state.pair_iteration[None] % 2, kind] = 0.0
 
 
 @ti.func
 def _judge(spec: ti.template(), state: ti.template(), i):
     """Count the step if some pair still overlaps much."""
-    if state.residual[state.iteration[None] % 2, OVERLAP] > UNSETTLED:
+    if state.pair_residual[state.pair_iteration[None] % 2, OVERLAP] > UNSETTLED:
         state.unsettled[None] = state.unsettled[None] + 1
 
 
@@ -128,7 +131,8 @@ def _begin(spec: ti.template(), state: ti.template(), at):
     for k in ti.static(range(2 * spec.dim + 2)):
         state.sorted[ti.static(state.sorted_half) + at, k] = state.sorted[at, k]
     state.near_count[at] = 0
-    _sum_over_grid(spec, state, at, _list_near)
+    if sorted_w(spec, state, at) > 0.0:  # what is fixed is asked by others, and asks none
+        _sum_over_grid(spec, state, at, _list_near)
 
 
 @ti.func
@@ -198,7 +202,7 @@ def _sum_over_listed(spec: ti.template(), state: ti.template(), at, term: ti.tem
 @ti.func
 def _value(spec: ti.template(), state: ti.template(), at, column: ti.template()):
     """The vector (dim,) that begins in a column, of the half from which this iteration reads."""
-    row = at + state.iteration[None] % 2 * ti.static(state.sorted_half)
+    row = at + state.pair_iteration[None] % 2 * ti.static(state.sorted_half)
     return ti.Vector([state.sorted[row, column + axis] for axis in range(spec.dim)])
 
 
@@ -255,7 +259,7 @@ def _move(spec: ti.template(), state: ti.template(), at):
                 v[axis] += change[ti.static(spec.dim + axis)]
         if ti.static(len(spec.obstacles) > 0):
             x, v = _out_of_obstacles(spec, state, at, x, v)
-    to = at + (state.iteration[None] + 1) % 2 * ti.static(state.sorted_half)
+    to = at + (state.pair_iteration[None] + 1) % 2 * ti.static(state.sorted_half)
     for axis in ti.static(range(spec.dim)):
         state.sorted[to, axis], state.sorted[to, ti.static(spec.dim + 1 + axis)] = x[axis], v[axis]
 
@@ -274,7 +278,7 @@ def _change(spec: ti.template(), state: ti.template(), at, other):
     if approaches == 1:
         split = state.touching[at, APPROACH] * w + state.touching[other, APPROACH] * other_w
         e = 0.0 * u
-        if state.iteration[None] == 0 and -1.0 * u > MEETS * state.least_scale[None] * dt:
+        if state.pair_iteration[None] == 0 and -1.0 * u > MEETS * state.least_scale[None] * dt:
             a = slot_of(spec, state, state.sorted_index[at])
             b = slot_of(spec, state, state.sorted_index[other])
             e = slot_number(spec, state.restitution, a) * slot_number(spec, state.restitution, b)
@@ -293,9 +297,9 @@ def _change(spec: ti.template(), state: ti.template(), at, other):
 @ti.func
 def _note_residual(state: ti.template(), kind: ti.template(), size):
     """Note how far a pair is from rest: the largest is kept, whatever the order."""
-    k = state.iteration[None] % 2
-    if size > state.residual[k, kind]:
-        ti.atomic_max(state.residual[k, kind], size)
+    k = state.pair_iteration[None] % 2
+    if size > state.pair_residual[k, kind]:
+        ti.atomic_max(state.pair_residual[k, kind], size)
 
 
 @ti.func
@@ -324,7 +328,7 @@ def _out_of_obstacles(spec: ti.template(), state: ti.template(), at, x, v):
 @ti.func
 def _store(spec: ti.template(), state: ti.template(), at):
     """Give a particle what all iterations changed."""
-    end, slot = state.iteration[None] + 1, slot_of(spec, state, state.sorted_index[at])
+    end, slot = state.pair_iteration[None] + 1, slot_of(spec, state, state.sorted_index[at])
     x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)
     dx, dv, moved = 0.0 * x, 0.0 * v, 0.0
     row = at + end % 2 * ti.static(state.sorted_half)

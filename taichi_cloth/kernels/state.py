@@ -148,7 +148,8 @@ class State:
         axis; per_cell: cells per length along each; largest_radius; cell_end, sorted_index, sorted:
         the particles by cell; cell_of, block_start, bins, bin_bits (binary logarithm of the cells
         in a bin), bin_fill, bin_start, bin_size, binned_cell, binned_index: the sort's.
-    Resting pairs (`resting_pairs.py`): near, near_count, touching, residual, pair_friction;
+    Resting pairs (`resting_pairs.py`): near, near_count, touching, pair_friction,
+        pair_residual, pair_iteration;
         unsettled: steps that ended before all pairs were apart.
 
     Obstacles (`poses.py`), a row each: obstacle_shape: its number in spec.obstacles;
@@ -395,11 +396,11 @@ class State:
         # In two halves: what is being sorted, or goes from iteration to iteration, changes sides.
         self.sorted_half, self.sorted = n, self._scalars(2 * n, 2 * spec.dim + 2)
         if spec.resting:
-            self.pair_friction, self.residual = self._scalars(), self._scalars(2, 2)
+            self.pair_friction, self.pair_residual = self._scalars(), self._scalars(2, 2)
             self.number_names.append("pair_friction")
             self.near, self.near_count = self._counts(n, MOST_NEAR), self._counts(n)
             self.touching = self._scalars(n, 2)
-            self.iteration, self.unsettled = self._counts(), self._counts()
+            self.pair_iteration, self.unsettled = self._counts(), self._counts()
         self.block_start = self._counts(cells // BLOCK + 1)
         self.bin_fill = self._counts(spec.threads * MOST_BINS)
         self.bin_start, self.bin_size = self._counts(MOST_BINS), self._counts(MOST_BINS)

@@ -56,6 +56,8 @@ def load_packs(
     """
     for _ in range(1):
         state.n_packs[None] = n_packs
+        if ti.static(spec.resting):
+            state.unsettled[None] = 0
         state.n_grids[None] = grid.shape[0]
         for g in range(grid.shape[0]):
             for i in ti.static(range(4)):

@@ -37,6 +37,8 @@ SOLVER_PASSES = {"tolerance": 26, "iterations": 18}
 HANDOVERS = 15  # launches of a step whose solver takes several kernels, typically
 COLLIDING = 90e-9  # seconds a particle to sort it into cells and find whom it meets
 COLLISION_LOOPS = 8  # loops that do it
+RESTING_ITERATIONS = 10  # of pairs that rest on each other, typically
+RESTING = 40e-9  # seconds a particle, in each
 
 
 @dataclass(frozen=True)
@@ -90,17 +92,19 @@ def predict(scene: Scene, method: Method, device: Device, topology: str, path: s
     collisions = scene.world.collisions
     if collisions:
         work += COLLIDING * len(scene.particles)
+    iterations = RESTING_ITERATIONS * scene.features().resting
+    work += iterations * RESTING * len(scene.particles)
     counts = COUNT if method.claims.forces == 0 else 0.0
     handovers = HANDOVERS * LAUNCH if topology == "lanes" and method.launches else 0.0
     if path == "serial":
         return Cost(LAUNCH + counts, work + handovers)
     shared = work * (SHARED if device.threads > 1 else 1.0) * 2 / max(device.threads, 2)
     if device.arch != "cpu":  # a launch for each step
-        loops = passes * 2 + COLLISION_LOOPS * collisions
+        loops = passes * 2 + COLLISION_LOOPS * collisions + 3 * iterations
         return Cost(counts, shared + loops * SPREAD_LOOP)
     # Where each step takes several launches, the threads are woken for each.
     woken = HANDOVERS * WAKE_AGAIN if handovers else 0.0
-    meetings = passes + COLLISION_LOOPS * collisions
+    meetings = passes + COLLISION_LOOPS * collisions + 3 * iterations
     return Cost(LAUNCH + counts + WAKE, shared + handovers + woken + meetings * MEETING)
 
 

@@ -135,6 +135,11 @@ class Readings(ABC):
         """
         return depths(self.storage.solids, self.positions(), self.radii(), self.time)
 
+    def unsettled(self) -> int:
+        """How many steps ended with resting pairs that overlap by more than a hundredth of their
+        reach: iterations were given up. They are counted since the scene was loaded."""
+        return self.storage.unsettled()
+
     def network(self) -> Network:
         """The particles where they are, and the springs that pull."""
         return self.storage.snapshot().network()

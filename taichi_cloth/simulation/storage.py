@@ -444,6 +444,10 @@ class Storage:
             self._launcher.launch(transfer.take_work, self.state, work)
         return work
 
+    def unsettled(self) -> int:
+        """How many steps ended with pairs that overlap, since the fields were made."""
+        return int(self.state.unsettled[None]) if self.specialization.resting else 0
+
     def solution(self) -> diagnostics.Solution:
         """How the last step was solved, by a method that solves to a tolerance."""
         names = "residual_max", "residual_rms", "scale", "directions", "sweeps"

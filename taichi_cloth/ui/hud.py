@@ -109,6 +109,8 @@ def status_lines(
     method, unconverged = sim.method, sim.work().unconverged
     if unconverged:
         method += f" ({unconverged} steps unconverged)"
+    if sim.unsettled():
+        method += f" ({sim.unsettled()} steps with overlaps)"
     counts = _row(
         f"{sim.particle_count} particles",
         f"{alive} springs, {broken} broken",
