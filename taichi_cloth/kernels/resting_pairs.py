@@ -50,7 +50,7 @@ from taichi_cloth.kernels.poses import (
 from taichi_cloth.kernels.watchdog import note_fault
 
 MOST_ITERATIONS = 96  # of a step; a column of ten needs about as many
-UNROLLED = 12  # on a GPU, where a launch cannot look at what came of an iteration
+LAUNCHED = 32  # on a GPU, which does not look at what came of an iteration
 MARGIN = 0.25  # of a pair's reach, within which particles may come to touch in a step
 SLACK = 1e-4  # of a pair's reach, within which they touch
 SETTLED = 2e-4  # of a pair's reach: overlap, and approach in a step, at which iterations end
@@ -67,31 +67,37 @@ def needed(spec):
 
 @ti.func
 def settle(spec: ti.template(), state: ti.template(), t):
-    """Take all pairs apart, with what contact and friction leave of their velocities."""
-    sort_into_cells(spec, state, t)
-    n = state.n[None]
-    each(spec, state, t, n, _begin)
-    if ti.static(spec.one_launch_per_step):
-        for k in ti.static(range(UNROLLED)):
-            _iterate(spec, state, t, k)
-    else:
+    """Take all pairs apart, with what contact and friction leave of their velocities.
+
+    With one launch per step it only ends what `begin` and `iterate` began, in launches of their
+    own: a launch cannot repeat loops that Taichi makes parallel.
+    """
+    if ti.static(not spec.one_launch_per_step):
+        begin(spec, state, t)
         done, going = 0, 1
         while going == 1:
-            _iterate(spec, state, t, done)
+            iterate(spec, state, t, done)
             worst = ti.max(
                 state.pair_residual[done % 2, OVERLAP], state.pair_residual[done % 2, APPROACH]
             )
             done += 1
             if worst <= SETTLED or done == MOST_ITERATIONS:
                 going = 0
-    each(spec, state, t, n, _store)
+    each(spec, state, t, state.n[None], _store)
     each(spec, state, t, 1, _judge)
     if ti.static(spec.halo > 0):
         each_pack_moving(spec, state, t, leave)
 
 
 @ti.func
-def _iterate(spec: ti.template(), state: ti.template(), t, done):
+def begin(spec: ti.template(), state: ti.template(), t):
+    """Find who is near whom."""
+    sort_into_cells(spec, state, t)
+    each(spec, state, t, state.n[None], _begin)
+
+
+@ti.func
+def iterate(spec: ti.template(), state: ti.template(), t, done):
     """Do an iteration, after `done` of them; state.pair_residual[done % 2] says what was
     left before it."""
     if ti.static(spec.one_launch_per_step):

@@ -34,9 +34,29 @@ def settles(spec):
 def _acts(spec, state):
     """What is run one after the other at the end of a step, as ti.funcs."""
     acts = [settle for needed, settle in PARTS if needed(spec)]
+    if in_launches(spec):
+        acts = acts[acts.index(resting_pairs.settle) :]
     if acts and spec.keeps_begun:
         acts.append(_keep_begun)
     return [*acts, state.begin] if acts and state.begin else acts
+
+
+def in_launches(spec):
+    """Whether what ends a step takes several launches, of which `begin_settling` is the first."""
+    return bool(spec.resting and spec.one_launch_per_step)
+
+
+def _acts_before_pairs(spec):
+    acts = [settle for needed, settle in PARTS if needed(spec)]
+    return acts[: acts.index(resting_pairs.settle)]
+
+
+@ti.func
+def begin_settling(spec: ti.template(), state: ti.template()):
+    """Do what comes before the iterations of resting pairs, where those are launches."""
+    for act in ti.static(_acts_before_pairs(spec)):
+        act(spec, state, 0)
+    resting_pairs.begin(spec, state, 0)
 
 
 @ti.func

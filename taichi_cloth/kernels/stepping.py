@@ -10,7 +10,8 @@ from taichi_cloth.kernels.forces import load
 from taichi_cloth.kernels.forces.contract import has
 from taichi_cloth.kernels.fracture import break_springs
 from taichi_cloth.kernels.loops import COUNTER, PIECE, barrier
-from taichi_cloth.kernels.settling import settle, settles
+from taichi_cloth.kernels.resting_pairs import iterate
+from taichi_cloth.kernels.settling import begin_settling, settle, settles
 from taichi_cloth.kernels.solvers.phases import run_one_of
 from taichi_cloth.kernels.watchdog import all_well, begin_step, checkpoint
 
@@ -146,6 +147,40 @@ def phases_in_one_launch(
 def end_step_launch(spec: ti.template(), state: ti.template()):
     """End a step after its phases."""
     end_step(spec, state, 0)
+
+
+@ti.kernel
+def end_step_in_one_launch(spec: ti.template(), state: ti.template()):
+    """End a step after its phases, on spec.threads threads."""
+    if ti.static(spec.threads == 1):
+        ti.loop_config(serialize=True)
+        for t in range(1):
+            end_step(spec, state, t)
+    else:
+        state.arrivals[COUNTER] = 0
+        ti.loop_config(parallelize=spec.threads)
+        for i in range(spec.threads * PIECE):
+            if i % PIECE == 0:
+                end_step(spec, state, i // PIECE)
+
+
+@ti.kernel
+def method_launch(method: ti.template(), spec: ti.template(), state: ti.template(), step: ti.i32):
+    """Run step number `step` up to its free end, with every loop run in parallel."""
+    begin_step(state, step)
+    method(spec, state, 0)
+
+
+@ti.kernel
+def settle_launch(spec: ti.template(), state: ti.template()):
+    """Do what comes before the iterations of resting pairs."""
+    begin_settling(spec, state)
+
+
+@ti.kernel
+def iterate_launch(spec: ti.template(), state: ti.template(), done: ti.i32):
+    """Do an iteration of resting pairs, after `done` of them."""
+    iterate(spec, state, 0, done)
 
 
 @ti.kernel

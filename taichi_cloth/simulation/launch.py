@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
-from taichi_cloth.kernels import stepping, watchdog
+from taichi_cloth.kernels import resting_pairs, settling, stepping, watchdog
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.solvers import phases
 from taichi_cloth.kernels.specialization import Specialization
@@ -130,9 +130,23 @@ class Launcher:
             if by_phases:
                 self._launch_phases(spec, state, step)
                 if stepping.has_end(spec):
-                    stepping.end_step_launch(beside, state)
+                    self._end_step(spec, state)
+            elif settling.in_launches(spec):
+                stepping.method_launch(self._step, spec, state, step)
+                self._end_step(spec, state)
             else:
                 stepping.substep_launch(self._step, spec, state, step)
+
+    def _end_step(self, spec: Specialization, state: Any) -> None:
+        """Launch what ends a step by itself."""
+        if settling.in_launches(spec):
+            stepping.settle_launch(spec, state)
+            for done in range(resting_pairs.LAUNCHED):
+                stepping.iterate_launch(spec, state, done)
+        if spec.resting and not spec.one_launch_per_step:
+            stepping.end_step_in_one_launch(spec, state)
+        else:
+            stepping.end_step_launch(replace(spec, one_launch_per_step=True), state)
 
     def _launch_phases(self, spec: Specialization, state: Any, step: int) -> None:
         """Launch the phases of a step; the device says after each launch which one is next."""
