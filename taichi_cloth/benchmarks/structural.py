@@ -245,7 +245,7 @@ class CompiledSpheres:
         self.arguments: tuple[Any, ...] = (count, *numbers, *corners, self.x, self.v)
 
     def advance(self, units: int) -> None:
-        _call(self.step, units * self.steps, *self.arguments)
+        call(self.step, units * self.steps, *self.arguments)
 
     def positions(self) -> np.ndarray:
         return self.x
