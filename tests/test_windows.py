@@ -94,6 +94,9 @@ class FakeSimulation:
     def drawn_springs(self):
         return np.array(self.pairs, np.int64).reshape(-1, 2)
 
+    def drawn_triangles(self):
+        return self.scene.triangles
+
 
 def world(mouse, dim=2, size=(600.0, 400.0, 500.0)):
     return World(size=size[:dim], gravity=(0.0,) * dim, mouse=mouse)

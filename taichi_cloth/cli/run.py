@@ -23,7 +23,13 @@ from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.options import HEADLESS_FRAMES, PROGRAM, RunOptions, check_run
+from taichi_cloth.settings.options import (
+    HEADLESS_FRAMES,
+    PROGRAM,
+    RunOptions,
+    check_run,
+    shown_parts,
+)
 
 if TYPE_CHECKING:
     from taichi_cloth.runtime import Device
@@ -131,6 +137,7 @@ def _simulate(
 ) -> int:
     """Run a checked scene on the device; return the exit status."""
     from taichi_cloth.ui import app
+    from taichi_cloth.ui.framing import camera_of
     from taichi_cloth.ui.opening import open_view
 
     # Numbers that overflow are the watchdog's to report, in one line.
@@ -145,6 +152,7 @@ def _simulate(
         size=options.size,
         title=f"{PROGRAM}: {scene.name}",
         pictures=bool(options.image or options.video),
+        camera=camera_of(scene),
     )
     with contextlib.closing(view):
         seed = _seed(options, log)
@@ -172,6 +180,7 @@ def _simulate(
                 paused=options.paused,
                 quiet=options.quiet,
                 status=options.status,
+                show=shown_parts(options.show) if options.show else None,
                 seed=seed,
                 device=device.describe(),
             )

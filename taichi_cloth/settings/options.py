@@ -218,6 +218,7 @@ TOPOLOGIES = ("lanes", "graph")
 # What some methods take to solve a step's equations: their defaults. See their `CLAIMS`.
 SOLVER_SETTINGS = {"tolerance": 1e-6, "iterations": 10}
 VIEWS = ("auto", "ggui", "gui", "none")
+SHOWN = ("surface", "springs", "particles")  # what may be drawn of a cloth
 HEADLESS_FRAMES = 600
 
 
@@ -322,6 +323,13 @@ class RunOptions(Options):
     every: int = setting(1, "save and export every Nth frame only", minimum=1, metavar="N")
     image: str | None = setting(None, "save the last frame as a picture", str, metavar="FILE.png")
     video: str | None = setting(None, "save all frames as a film", str, metavar="FILE.mp4|gif")
+    show: str | None = setting(
+        None,
+        "draw cloths as these: surface, springs, particles (default: in 3-D surface, else the "
+        "others)",
+        str,
+        metavar="A,B",
+    )
     status: bool = setting(True, "the status in the window, in pictures and films", bool)
     paused: bool = setting(False, "start paused")
     quiet: bool = setting(False, "print nothing but errors")
@@ -468,6 +476,15 @@ class ExplainOptions(Options):
     )
 
 
+def shown_parts(text: str) -> frozenset[str]:
+    """The words of `SHOWN` that `text` names, by commas. Raises InputError for any other."""
+    words = [word.strip() for word in text.split(",")]
+    for word in words:
+        if word not in SHOWN:
+            raise InputError(f"--show: unknown word '{clipped(word)}'; {nearest(word, SHOWN)}")
+    return frozenset(words)
+
+
 OneRun = TypeVar("OneRun", RunOptions, ExplainOptions)
 
 
@@ -482,6 +499,8 @@ def check_run(options: OneRun) -> OneRun:
         raise InputError(
             f"--method: unknown method '{options.method}'; {nearest(options.method, METHODS)}"
         )
+    if isinstance(options, RunOptions) and options.show is not None:
+        shown_parts(options.show)
     if options.threads is None:
         return options
     if options.arch != "cpu":

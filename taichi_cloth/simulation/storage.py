@@ -84,6 +84,7 @@ class Storage:
         self._altered = True  # from outside, so that what the method keeps must be computed anew
         self._drawn_positions = np.zeros((0, 0))
         self._drawn_springs: np.ndarray | None = None
+        self._drawn_triangles: np.ndarray | None = None
         self._drawn_broken = 0
         self._surfaces = Surfaces()
 
@@ -152,7 +153,7 @@ class Storage:
         specialization = self._launcher.specialize(container.spec, path)
         self._launcher.expect(specialization, container.state.capacity)
         self._loaded = _Loaded(container, placement, specialization, numbers)
-        self._drawn_springs = None
+        self._drawn_springs = self._drawn_triangles = None
         upload = self._upload()
         upload.numbers(numbers)
         upload.all()
@@ -476,9 +477,22 @@ class Storage:
         """
         broken = self.count_broken()
         if self._drawn_springs is None or broken != self._drawn_broken:
-            self._drawn_broken = broken
+            self._drawn_broken, self._drawn_triangles = broken, None
             self._drawn_springs = self.scene.springs.between[self.springs_alive()]
         return self._drawn_springs
+
+    def drawn_triangles(self) -> np.ndarray:
+        """The particles at the corners of each triangle that is whole, (whole, 3).
+
+        The same array as long as that of `drawn_springs`.
+        """
+        self.drawn_springs()
+        if self._drawn_triangles is None:
+            triangles = self.scene.triangles
+            if self._drawn_broken:
+                triangles = triangles[self.triangles_alive()]
+            self._drawn_triangles = triangles
+        return self._drawn_triangles
 
     def _read(self, name: str) -> np.ndarray:
         """The vectors of a field of packs, with their low parts where they have any."""

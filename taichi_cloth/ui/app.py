@@ -19,7 +19,7 @@ from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.ui import film as films
-from taichi_cloth.ui import hud, rescue
+from taichi_cloth.ui import hud, rescue, shown
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.inputs import COMMANDS, HELP_KEYS, KEYS, STEP_KEYS, Event
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
 
 # Keys that act on the window alone. They work while a log is replayed, too.
-WINDOW_KEYS = ("escape", "h", "p", *STEP_KEYS, *HELP_KEYS)
+WINDOW_KEYS = ("escape", "h", "v", "p", *STEP_KEYS, *HELP_KEYS)
 
 NOTICE_SECONDS = 4.0  # how long a word about the last click stays, or about threads that waited
 
@@ -84,6 +84,7 @@ def run(
     paused: bool = False,
     quiet: bool = False,
     status: bool = True,
+    show: frozenset[str] | None = None,
     seed: int = 0,
     device: str | None = None,
 ) -> Summary:
@@ -100,6 +101,8 @@ def run(
         draw pictures for them. Refused paths raise InputError before anything is run.
     paused: start paused (a window only). quiet: no progress bar.
     status: whether the status is shown from the start (`h` hides and shows it).
+    show: what is drawn of cloths from the start, words of `settings.options.SHOWN` (`v` goes on to
+        the next choice); None: what suits the scene.
     seed: of the tools' random numbers; a log's header overrides it.
     device: from `Device.describe()`, for the status; absent: of the device that was started.
 
@@ -116,7 +119,7 @@ def run(
             stack.callback(film_file.discard)
         loop = _Loop(
             sim, view, replay=replay, recorder=recorder, trajectory=trajectory,
-            film=film_file, paused=paused, status=status, seed=seed, device=device,
+            film=film_file, paused=paused, status=status, show=show, seed=seed, device=device,
         )  # fmt: skip
         bar = stack.enter_context(_progress(frames, not (quiet or view.visible)))
         stack.enter_context(rescue.saving(lambda: loop.finish(picture_file)))
@@ -152,6 +155,7 @@ class _Loop:
         film: films.Film | None,
         paused: bool,
         status: bool,
+        show: frozenset[str] | None,
         seed: int,
         device: str | None,
     ):
@@ -173,6 +177,8 @@ class _Loop:
         self._paused = paused and view.visible
         self._step = False
         self._show_status, self._show_help = status, False
+        self._show = show or shown.default_for(sim.scene)
+        self._chosen = Cached(shown.chosen)
         self.failure: SimulationFailure | None = None
         self._meter = hud.Meter()
         self._rates = ""
@@ -259,7 +265,7 @@ class _Loop:
             self._note(logged)
             # Pauses and steps only say when frames were made; a log says that itself.
             command = self._controls.apply(logged, replayed=True)
-            if command in ("reset", "status", "help", "quit"):
+            if command in ("reset", "status", "show", "help", "quit"):
                 self._obey(command)
         for event in self.view.poll():
             if self._replaying:
@@ -278,9 +284,9 @@ class _Loop:
         """`event` with its position converted from our window to the log's."""
         if event.pos is None or tuple(self.view.size) == self._log_window:
             return event
-        world = self.sim.scene.world.size[:2]
-        place = WindowMap(world, self.view.size).to_world(event.pos)
-        x, y = WindowMap(world, self._log_window).to_window(place)
+        world = self.sim.scene.world
+        place = WindowMap.of(world, self.view.size).to_world(event.pos)
+        x, y = WindowMap.of(world, self._log_window).to_window(place)
         return changed(event, pos=(float(x), float(y)))
 
     def _note(self, event: LogEvent) -> None:
@@ -303,6 +309,8 @@ class _Loop:
             self._meter.restart()
         elif command == "status":
             self._show_status = not self._show_status
+        elif command == "show":
+            self._show = shown.next_choice(self._show)
         elif command == "help":
             self._show_help = not self._show_help
         self._rates_due = 0.0
@@ -318,12 +326,17 @@ class _Loop:
         if self._show_help:
             saves = self._trajectory is not None
             keys = hud.help_lines(sim.scene, view.has_wheel, self._controls.tool, saves=saves)
+        triangles, segments, as_spheres = self._chosen(
+            self._show, sim.drawn_triangles(), sim.drawn_springs(), sim.particle_count
+        )
         picture = Picture(
             position=sim.drawn_positions(),
             radius=self._radius(sim.radii(), self._largest_disc),
             color=sim.colors(),
-            segments=sim.drawn_springs(),
+            segments=segments,
             spring_color=sim.scene.spring_color,
+            triangles=triangles,
+            as_spheres=as_spheres,
             text=self._status() if self._show_status else (),
             help=keys,
             banner=banner,
@@ -392,12 +405,16 @@ def _drawn_radius(radius: np.ndarray, largest: float) -> np.ndarray:
 def _with_marks(picture: Picture, marks: Marks) -> Picture:
     """`picture` with what a tool draws beside the scene."""
     count, real = len(picture.position), picture.position.dtype
+    as_spheres = picture.as_spheres
+    if as_spheres is not None:
+        as_spheres = np.concatenate([as_spheres, np.ones(len(marks.position), bool)])
     return changed(
         picture,
         position=np.concatenate([picture.position, marks.position.astype(real)]),
         radius=np.concatenate([picture.radius, marks.radius.astype(np.float32)]),
         color=np.concatenate([picture.color, marks.color]),
         segments=np.concatenate([picture.segments, count + marks.segments]),
+        as_spheres=as_spheres,
     )
 
 

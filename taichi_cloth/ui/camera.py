@@ -1,10 +1,11 @@
-"""The 3-D camera: a turntable around the world's centre with a perspective projection.
+"""The 3-D camera: a turntable around what it looks at, with a perspective projection.
 
-A point is moved so that the world's centre (w/2, h/2, 0) is the origin, turned about the y
-axis by `rot_y` and then about the x axis by `rot_x`, and projected with the scale
-``focal_length / (distance + z)``; the image of the world's centre is the pixel (w/2, h/2).
-Pixels here belong to a window of the world's own width and height (`window_map` scales
-other windows); y points down, z away from the viewer.
+A point is moved so that what the camera looks at, from the start the world's centre (w/2, h/2, 0),
+is the origin, turned about the y axis by `rot_y` and then about the x axis by `rot_x`, and
+projected with the scale ``focal_length / (distance + z)``; the image of the origin is the pixel
+(w/2, h/2). Pixels here belong to a window of the world's own width and height (`window_map`
+scales other windows); y points down, z away from the viewer. A world whose y points up is
+first turned half about the x axis, so that its z points to the viewer.
 """
 
 from __future__ import annotations
@@ -15,14 +16,21 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+FOCAL_LENGTH = 1.7  # in the picture's shorter side: an angle of 33 degrees, a portrait lens
+ELEVATION = (14.0, -24.0)  # degrees, rot_x and rot_y of a camera that frames: from above and aside
+FILLED = 0.92  # share of the picture that what is framed may fill
+
 
 class Camera:
     """Where a 3-D world is looked at from.
 
     world_size: (w, h) or (w, h, d), world units.
-    distance: from the eye to the world's centre, world units.
+    distance: from the eye to the centre, world units.
     focal_length: pixels per unit of x/z slope.
     rot_x, rot_y: degrees.
+    centre: what it looks at, shape (3,), world units; None: the world's centre.
+    radius: of the sphere around the centre that is to be seen, world units; None: the world's.
+    y_up: whether the world's y points up.
     """
 
     def __init__(
@@ -32,26 +40,62 @@ class Camera:
         focal_length: float = 1000.0,
         rot_x: float = 15.0,
         rot_y: float = 15.0,
+        *,
+        centre: ArrayLike | None = None,
+        radius: float | None = None,
+        y_up: bool = False,
     ):
         self.world_size = tuple(float(length) for length in world_size)
         self.distance = float(distance)
         self.focal_length = float(focal_length)
         self.rot_x = float(rot_x)
         self.rot_y = float(rot_y)
+        self.y_up = y_up
+        w, h = self.world_size[:2]
+        self.middle = np.array([w / 2, h / 2])  # the pixel of what it looks at
+        middle = [w / 2, h / 2, 0.0] if centre is None else centre
+        self.centre: np.ndarray = np.array(middle, np.float64)
         # The eye stays outside the sphere around the world (with 5% to spare), so that a corner
         # turned towards it never passes through it, and near enough that the world is visible.
-        radius = 0.5 * math.sqrt(sum(length**2 for length in self.world_size))
-        self.nearest, self.farthest = 1.05 * radius, 40.0 * radius
+        self.radius = _half_diagonal(self.world_size) if radius is None else float(radius)
+        self.nearest, self.farthest = 1.05 * self.radius, 40.0 * self.radius
+
+    @classmethod
+    def original(cls, world_size: Sequence[float]) -> Camera | None:
+        """The camera of the original program, whose box is some 500 units wide.
+
+        None where the world is so much larger or smaller that it shows little of it.
+        """
+        camera = cls(world_size)
+        return camera if 2 < camera.distance / camera.radius < 12 else None
+
+    @classmethod
+    def framing(
+        cls, world_size: Sequence[float], low: ArrayLike, high: ArrayLike, *, y_up: bool
+    ) -> Camera:
+        """A camera, a little above, that sees a box as large as fits into the picture.
+
+        low, high: the box's corners, shape (3,), world units.
+        """
+        low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
+        w, h = (float(length) for length in world_size[:2])
+        radius = max(float(np.linalg.norm(high - low)) / 2, 1e-6 * max(w, h))
+        focal = FOCAL_LENGTH * min(w, h)
+        camera = cls(
+            world_size, 1.0, focal, *ELEVATION, centre=(low + high) / 2, radius=radius, y_up=y_up
+        )
+        corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        seen = camera.rotate_points(low + corners * (high - low))
+        # A corner is inside the picture from the distance on at which its slope is half of it.
+        slope = FILLED * camera.middle / focal
+        fits = (np.abs(seen[:, :2]) / slope - seen[:, 2:]).max()
+        camera.distance = max(float(fits), camera.nearest)
+        return camera
 
     @property
     def nearest_drawn(self) -> float:
         """The depth from which on things are drawn, world units."""
         return self.distance / 50
-
-    @property
-    def centre(self) -> np.ndarray:
-        """The world's centre, which the camera looks at, shape (3,), world units."""
-        return np.array([self.world_size[0] / 2, self.world_size[1] / 2, 0.0])
 
     def rotation(self) -> np.ndarray:
         """The matrix (3, 3) that turns world axes into the camera's: about y, then about x."""
@@ -63,7 +107,7 @@ class Camera:
             [[math.cos(b), 0, math.sin(b)], [0, 1, 0], [-math.sin(b), 0, math.cos(b)]]
         )
         rotation: np.ndarray = about_x @ about_y
-        return rotation
+        return rotation @ np.diag([1.0, -1.0, -1.0]) if self.y_up else rotation
 
     def rotate_points(self, positions: ArrayLike) -> np.ndarray:
         """World `positions` (n, 3) relative to the centre, in the camera's axes, shape (n, 3)."""
@@ -84,15 +128,13 @@ class Camera:
         depths = self.distance + turned[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = self.focal_length / depths
-            pixels = turned[:, :2] * scale[:, None] + self.centre[:2]
+            pixels = turned[:, :2] * scale[:, None] + self.middle
             radii = np.broadcast_to(np.asarray(radius, np.float64), depths.shape) * scale
         return pixels, radii, depths
 
     def unproject(self, pixel: ArrayLike) -> np.ndarray:
         """The world point (3,) under `pixel` (2,) on the plane through the centre that faces us."""
-        offset = (np.asarray(pixel, np.float64) - self.centre[:2]) * (
-            self.distance / self.focal_length
-        )
+        offset = (np.asarray(pixel, np.float64) - self.middle) * (self.distance / self.focal_length)
         point: np.ndarray = np.array([*offset, 0.0]) @ self.rotation() + self.centre
         return point
 
@@ -100,7 +142,7 @@ class Camera:
         """The line of sight through `pixel` (2,): eye (3,) and unit direction (3,), world axes."""
         rotation = self.rotation()
         eye = np.array([0.0, 0.0, -self.distance]) @ rotation + self.centre
-        slope = (np.asarray(pixel, np.float64) - self.centre[:2]) / self.focal_length
+        slope = (np.asarray(pixel, np.float64) - self.middle) / self.focal_length
         direction = np.array([slope[0], slope[1], 1.0]) @ rotation
         return eye, direction / np.linalg.norm(direction)
 
@@ -120,3 +162,7 @@ class Camera:
         wanted = self.distance / factor
         low, high = min(self.nearest, self.distance), max(self.farthest, self.distance)
         self.distance = min(max(wanted, low), high)
+
+
+def _half_diagonal(lengths: Sequence[float]) -> float:
+    return 0.5 * math.sqrt(sum(length**2 for length in lengths))

@@ -44,7 +44,7 @@ class Controls:
     ):
         world = sim.scene.world
         self._seed, self._note = seed, note
-        self._hand = Hand(sim, camera, WindowMap(world.size[:2], window))
+        self._hand = Hand(sim, camera, WindowMap.of(world, window))
         self._before: np.ndarray | None = None  # [window pixels] when the last frame began
         self._memory: dict[str, Any] = {}  # what each tool remembers, by name
         self._first = self.tool = tools.for_mouse(world.mouse)
@@ -61,7 +61,7 @@ class Controls:
         replayed: whether it comes from a log, which also holds what tools made of it.
 
         What is not the simulation's or the camera's is returned for the app to do: "pause",
-        "step", "reset", "status", "help" or "quit".
+        "step", "reset", "status", "show", "help" or "quit".
         """
         if isinstance(event, ToolEvent):
             self._replay(event)

@@ -7,7 +7,12 @@ from typing import Generic, ParamSpec, TypeVar
 
 import numpy as np
 
+from taichi_cloth.scene.model import World
+from taichi_cloth.ui import style
+from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.views.contract import Picture
+
+AXES_LENGTH = 0.16  # in radii of what the camera frames
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -42,8 +47,22 @@ def are_numbers(points: np.ndarray) -> np.ndarray:
 
 
 def between_shown(segments: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """The segments whose two particles are shown; shown: (n,) bool."""
+    """The segments, or triangles, whose particles are all shown; shown: (n,) bool."""
     return segments if shown.all() else segments[shown[segments].all(axis=1)]
+
+
+def scenery(world: World, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """The lines of a 3-D world: ends (k, 2, 3) in world units, colours (k, 3), floats 0..1.
+
+    They are its edges and, where y points up, the axes at its origin; edges only of walls there.
+    """
+    edges = style.box_edges(world.size)
+    if not camera.y_up:
+        return edges, np.tile(style.unit(style.EDGE), (len(edges), 1))
+    edges = edges if world.walls else edges[:0]
+    axes = np.stack([np.zeros((3, 3)), AXES_LENGTH * camera.radius * np.eye(3)], axis=1)
+    color = [*np.tile(style.unit(style.EDGE), (len(edges), 1)), *map(style.unit, style.AXES)]
+    return np.concatenate([edges, axes]), np.array(color)
 
 
 def shown_particles(

@@ -152,6 +152,7 @@ def help_lines(
         ("p" if tool and "space" in tool.modifiers else "space, p") + "\tpause and go on",
         ".  or right arrow\tone frame, while paused",
         "r\tback to the start" + ("; --save begins anew" if saves else ""),
+        *(["v\tsurface, springs, particles"] if len(scene.triangles) else []),
         "h\thide or show the status",
         "f1 or tab\tthis list",
         "escape\tquit",

@@ -65,6 +65,7 @@ COMMANDS = {
     **dict.fromkeys(STEP_KEYS, "step"),
     "r": "reset",
     "h": "status",
+    "v": "show",
     **dict.fromkeys(HELP_KEYS, "help"),
     "escape": "quit",
 }

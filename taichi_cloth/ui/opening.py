@@ -8,8 +8,9 @@ from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene.model import World
 from taichi_cloth.settings.options import VIEWS
 from taichi_cloth.ui import views
+from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.framing import window_of
 from taichi_cloth.ui.views.contract import View, ViewKind
-from taichi_cloth.ui.window_map import default_window
 
 
 def usable_views() -> dict[str, str | None]:
@@ -33,6 +34,7 @@ def open_view(
     size: tuple[int, int] | None = None,
     title: str = "taichi-cloth",
     pictures: bool = False,
+    camera: Camera | None = None,
 ) -> View:
     """Open a view of `world`; `runtime.start` must have been called unless kind is "none".
 
@@ -41,6 +43,7 @@ def open_view(
     size: (width, height) in pixels; None: the world's own size where a screen allows it.
     pictures: whether a view without a window must still draw (for images and films); it uses
         GGUI where Vulkan is there, else ti.GUI, both off-screen.
+    camera: of a 3-D world; None: one that shows the whole of it.
 
     Raises InputError where the kind that was asked for cannot be had.
     """
@@ -55,10 +58,12 @@ def open_view(
     if pictures and not visible:
         chosen = next(other for other in kinds.values() if other.pictures())
     try:
-        return chosen.open(world, size or default_window(world.size), title, visible=visible)
+        view = chosen.open(world, size or window_of(world), title, visible=visible)
     except RuntimeError as error:  # of Taichi: a display or driver that fails after all
         reason = str(error).strip().partition("\n")[0]
         raise InputError(f"--view {kind}: the window could not open: {reason}") from None
+    view.camera = camera or view.camera
+    return view
 
 
 def _best(kinds: dict[str, ViewKind]) -> ViewKind:

@@ -22,6 +22,15 @@ BANNER_INK = (255, 240, 238)
 AMBIENT = 0.38  # share of a sphere's colour that needs no light
 LIGHT = np.array([-0.45, -0.65, -0.62])  # direction to the light: left, above, towards us
 LIGHT /= np.linalg.norm(LIGHT)
+FILL = np.array([0.8, -0.3, -0.35])  # to a second one, for surfaces: their folds have no dark side
+FILL /= np.linalg.norm(FILL)
+FILL_STRENGTH = 0.22
+LIGHTS = ((LIGHT, 1 - AMBIENT), (FILL, FILL_STRENGTH))  # of surfaces: direction, strength
+
+BACK, BACK_SHARE = (226, 214, 190), 0.42  # a surface's back: so much of the front's colour in this
+SOLID = (168, 176, 190)  # of obstacles
+TILES = ((52, 57, 71), (42, 46, 59))  # of the floor
+AXES = ((214, 92, 92), (104, 190, 110), (96, 140, 232))  # x, y, z
 
 
 def spring_colors(
@@ -39,6 +48,15 @@ def spring_colors(
     mean = (c[segments[:, 0]] + c[segments[:, 1]]) / 2
     mixed: np.ndarray = 0.5 * mean + 0.5 * np.array(NEUTRAL, np.float32) / 255
     return mixed
+
+
+def flat_colors(color: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """One colour a triangle of a 2-D surface, (m, 3) float 0..1: its corners' mean, darker.
+
+    color: of the particles, (n, 3) uint8; triangles: (m, 3) int.
+    """
+    mean: np.ndarray = color[triangles].mean(axis=1) / 255
+    return 0.62 * mean
 
 
 def unit(color: Sequence[int]) -> tuple[float, float, float]:

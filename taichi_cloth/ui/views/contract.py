@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -12,6 +12,7 @@ from taichi_cloth import runtime
 from taichi_cloth.scene.model import World
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.surfaces import Solid
 
 
 @dataclass(frozen=True)
@@ -22,12 +23,15 @@ class Picture:
     radius: (n,) [world]. color: (n, 3) uint8.
     segments: (s, 2) int, particle pairs of the springs that are alive.
     spring_color: that all springs have, 0..255; None: they resemble their ends.
+    triangles: (m, 3) int, particles at the corners of surfaces, of those that are to be drawn.
+    as_spheres: (n,) bool, which particles are drawn as spheres or discs; None: all.
+    solids: the surfaces of obstacles. ground: the height of a floor; None: there is none.
     text: lines of the status, bottom left, where the scenes leave most room (empty: hidden).
     help: lines of the key list (empty: hidden), "key<tab>action" for two columns.
     banner: a message across the top, wrapped as needed (None: no banner).
 
-    Radius, color and segments are the same objects as before while they are equal, so that a view
-    need not prepare them anew (`drawing.Cached`).
+    Radius, color, segments and triangles are the same objects as before while they are equal, so
+    that a view need not prepare them anew (`drawing.Cached`).
     """
 
     position: np.ndarray
@@ -35,9 +39,18 @@ class Picture:
     color: np.ndarray
     segments: np.ndarray
     spring_color: tuple[int, int, int] | None = None
+    triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    as_spheres: np.ndarray | None = None
+    solids: Solid | None = None
+    ground: float | None = None
     text: tuple[str, ...] = ()
     help: tuple[str, ...] = ()
     banner: str | None = None
+
+    @property
+    def has_surfaces(self) -> bool:
+        """Whether there is anything besides springs and particles."""
+        return len(self.triangles) > 0 or self.solids is not None or self.ground is not None
 
 
 class View(Protocol):

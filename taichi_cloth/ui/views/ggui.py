@@ -1,16 +1,12 @@
 """Drawing with GGUI, Taichi's Vulkan window: depth-buffered, fast, also off-screen.
 
-GGUI's Python layer copies Taichi fields into vertex buffers with one compiled kernel for every
-field. The buffers are NumPy arrays, so they are filled here directly: nothing is compiled, and
-the number of things drawn may change at every frame. They are kept: a frame fills in positions,
-and colours and sizes only where these changed. GGUI has copied them when a call returns.
+`vertices.py` has the buffers that are drawn. GGUI has copied them when a call returns.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -23,117 +19,30 @@ from taichi_cloth.scene.model import World
 from taichi_cloth.ui import drawing, rescue, style, text, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.drawing import Cached
+from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import BUTTON_NAMES, BUTTONS, Event, fewest_moves, key_name
+from taichi_cloth.ui.surfaces import Topology, floor
 from taichi_cloth.ui.text import Panel
+from taichi_cloth.ui.vertices import (
+    POSITION,
+    RADIUS,
+    STRIDE,
+    SphereMeshes,
+    SurfaceMesh,
+    disc_vertices,
+    floor_vertices,
+    spring_vertices,
+    vertices,
+)
 from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
 from taichi_cloth.ui.window_map import WindowMap
 
-# Columns of a GGUI vertex: position, normal (a circle's or particle's radius in its first),
-# texture, colour with its opacity.
-POSITION, NORMAL, RADIUS, COLOR, ALPHA, STRIDE = slice(0, 3), slice(3, 6), 3, slice(8, 11), 11, 12
 NO_VULKAN = "GGUI needs Vulkan, which is not there (install a Vulkan driver, such as Mesa's)"
 WHEEL = {4: 1.0, 5: -1.0}  # X's numbers of the wheel's buttons -> notches away from the user
 SETTINGS = Path("imgui.ini")  # of GGUI's text library, which we do not use
 MESH_VERTICES = 170_000  # spheres are meshes up to so many vertices (10-40 ms in software)
+LIFTED = 1e-3  # by this share of the way to the eye springs lie before their surface
 SPHERES = ((10.0, 1), (45.0, 2), (math.inf, 3))  # up to this radius in pixels: subdivisions
-
-
-def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
-    """The unit sphere as triangles: vertices (v, 3) float32 and corners (t, 3) int32."""
-    p = (1 + 5**0.5) / 2
-    start = [
-        (-1, p, 0), (1, p, 0), (-1, -p, 0), (1, -p, 0), (0, -1, p), (0, 1, p),
-        (0, -1, -p), (0, 1, -p), (p, 0, -1), (p, 0, 1), (-p, 0, -1), (-p, 0, 1),
-    ]  # fmt: skip
-    triangle = [
-        (0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4),
-        (11, 10, 2), (10, 7, 6), (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8),
-        (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1),
-    ]  # fmt: skip
-    vertex: list[np.ndarray] = [np.array(v) / np.linalg.norm(v) for v in start]
-    for _ in range(subdivisions):
-        middles: dict[tuple[int, int], int] = {}
-
-        def middle(a: int, b: int, middles: dict[tuple[int, int], int] = middles) -> int:
-            key = (min(a, b), max(a, b))
-            if key not in middles:
-                point = vertex[a] + vertex[b]
-                vertex.append(point / np.linalg.norm(point))
-                middles[key] = len(vertex) - 1
-            return middles[key]
-
-        finer = []
-        for a, b, c in triangle:
-            ab, bc, ca = middle(a, b), middle(b, c), middle(c, a)
-            finer += [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
-        triangle = finer
-    return np.array(vertex, np.float32), np.array(triangle, np.int32)
-
-
-def vertices(color: ArrayLike) -> np.ndarray:
-    """Vertices (k, STRIDE) float32 in the colours (k, 3), floats 0..1, nowhere yet."""
-    color = np.asarray(color)
-    vertex = np.zeros((len(color), STRIDE), np.float32)
-    vertex[:, COLOR], vertex[:, ALPHA] = color, 1
-    return vertex
-
-
-def spring_vertices(
-    segments: np.ndarray, color: np.ndarray, all_have: tuple[int, int, int] | None
-) -> np.ndarray:
-    """Vertices of the springs' ends (2s, STRIDE), nowhere yet; for the rest `spring_colors`."""
-    return vertices(np.repeat(style.spring_colors(color, segments, all_have), 2, axis=0))
-
-
-def disc_vertices(
-    radius: np.ndarray, color: np.ndarray, scale: float, height: int
-) -> list[np.ndarray]:
-    """Vertices of the particles' rims and, to be drawn over them, of their discs, nowhere yet.
-
-    radius: (n,) world units. color: (n, 3) uint8. scale: pixels per world unit.
-    height: of the window in pixels.
-    """
-    out = []
-    for pixels, rgb in drawing.disc_layers(radius, color, scale):
-        vertex = vertices(rgb)
-        vertex[:, RADIUS] = pixels / height
-        out.append(vertex)
-    return out
-
-
-@dataclass
-class SphereMeshes:
-    """Spheres as one mesh. From frame to frame only the positions are filled in anew.
-
-    count, level: of spheres; of their subdivisions.
-    unit: (v, 3), the unit sphere. vertex: (count, v, STRIDE). index: of the triangles' corners.
-    color: (count, 3) uint8, which the vertices have; None: none yet.
-    """
-
-    count: int
-    level: int
-    unit: np.ndarray
-    vertex: np.ndarray
-    index: np.ndarray
-    color: np.ndarray | None = None
-
-    @classmethod
-    def build(cls, count: int, level: int) -> SphereMeshes:
-        """Meshes without colours and positions."""
-        unit, corner = icosphere(level)
-        vertex = np.zeros((count, len(unit), STRIDE), np.float32)
-        vertex[:, :, NORMAL] = unit
-        vertex[:, :, ALPHA] = 1
-        index = corner.reshape(-1) + (len(unit) * np.arange(count, dtype=np.int32))[:, None]
-        return cls(count, level, unit, vertex, np.ascontiguousarray(index.reshape(-1), np.int32))
-
-    def fill(self, centre: np.ndarray, radius: np.ndarray, color: np.ndarray) -> None:
-        """Put the spheres at `centre` (count, 3); radius (count,); color (count, 3) uint8."""
-        if self.color is None or not np.array_equal(self.color, color):
-            self.vertex[:, :, COLOR] = (color / 255)[:, None, :]
-            self.color = color.copy()
-        centre, radius = centre.astype(np.float32), radius.astype(np.float32)
-        self.vertex[:, :, POSITION] = centre[:, None, :] + radius[:, None, None] * self.unit
 
 
 class GguiView:
@@ -148,7 +57,7 @@ class GguiView:
         self._ti: Any = ti
         self._info: Any = get_field_info
         self.world, self.visible = world, visible
-        self.camera = Camera(world.size) if world.dim == 3 else None
+        self.camera: Camera | None = camera_of_world(world)
         self._had_settings = SETTINGS.exists()
         # The app paces itself; GGUI's own limit would count as time spent drawing.
         with x11.opening() as displays:
@@ -167,6 +76,8 @@ class GguiView:
         self._fresh = False  # whether what was drawn last can still be taken from the window
         self._spheres: SphereMeshes | None = None
         self._springs, self._discs = Cached(spring_vertices), Cached(disc_vertices)
+        self._topologies = Cached(Topology.build), Cached(Topology.build)
+        self._surfaces: list[SurfaceMesh | None] = [None, None]  # of the picture; of its solids
         self._panel_vertices = lru_cache(maxsize=16)(self._panel_vertices_anew)
         self.has_wheel = self._listens
         self.closed = False
@@ -324,12 +235,12 @@ class GguiView:
 
     @property
     def _map(self) -> WindowMap:
-        return WindowMap(self.world.size[:2], self.size)
+        return WindowMap.of(self.world, self.size)
 
     def _compose_2d(self, picture: Picture) -> None:
         window, (_, height) = self._map, self.size
         self._canvas.set_background_color(style.unit(style.SURROUND))
-        low, high = window.to_window([0, 0]), window.to_window(self.world.size[:2])
+        low, high = window.box()
         world = np.array([[*low, *high]])
         self._triangles(self._rectangle_vertices(world, np.array([style.unit(style.WORLD)])))
         walls = window.walls(self.world.walls)
@@ -339,11 +250,18 @@ class GguiView:
             self._lines_2d(vertex, 1.5 / height)
         place = window.world_to_canvas(picture.position)
         shown = drawing.are_numbers(place)
+        faces = drawing.between_shown(picture.triangles, shown)
+        if len(faces):
+            vertex = vertices(style.flat_colors(picture.color, faces).repeat(3, axis=0))
+            vertex[:, :2] = place.take(faces.reshape(-1), axis=0)
+            self._triangles(vertex)
         segments = drawing.between_shown(picture.segments, shown)
         if len(segments):
             vertex = self._springs(segments, picture.color, picture.spring_color)
             vertex[:, :2] = place.take(segments.reshape(-1), axis=0)
             self._lines_2d(vertex, max(1.6, 1.4 * window.scale) / height)
+        if picture.as_spheres is not None:
+            shown &= picture.as_spheres
         if shown.any():
             place, radius, color = drawing.shown_particles(place, picture, shown)
             for vertex in self._discs(radius, color, window.scale, height):
@@ -390,13 +308,16 @@ class GguiView:
         eye.z_far(camera.distance + span)
         self._scene.set_camera(eye)
         self._scene.ambient_light((style.AMBIENT,) * 3)
-        light = style.LIGHT * (2 * camera.distance)
-        self._scene.point_light(light, (1 - style.AMBIENT,) * 3)
+        for light, strength in style.LIGHTS[: 2 if picture.has_surfaces else 1]:
+            self._scene.point_light(light * (2 * camera.distance), (strength,) * 3)
 
-        edges = camera.rotate_points(style.box_edges(self.world.size).reshape(-1, 3))
-        vertex = vertices(np.tile(style.unit(style.EDGE), (len(edges), 1)))
-        vertex[:, POSITION] = edges
-        self._lines_3d(vertex, 1.6)
+        if picture.ground is not None:
+            self._floor_3d(picture.ground, camera)
+        ends, color = drawing.scenery(self.world, camera)
+        if len(ends):
+            vertex = vertices(np.repeat(color, 2, axis=0))
+            vertex[:, POSITION] = camera.rotate_points(ends.reshape(-1, 3))
+            self._lines_3d(vertex, 1.6)
 
         position = camera.rotate_points(picture.position)
         shown = drawing.are_numbers(position)
@@ -405,15 +326,73 @@ class GguiView:
         if len(segments):
             vertex = self._springs(segments, picture.color, picture.spring_color)
             vertex[:, POSITION] = position.take(segments.reshape(-1), axis=0)
+            if len(picture.triangles):  # they lie in them: along the line of sight, a little nearer
+                vertex[:, POSITION] += [0, 0, camera.distance]
+                vertex[:, POSITION] *= 1 - LIFTED
+                vertex[:, POSITION] -= [0, 0, camera.distance]
             self._lines_3d(vertex, drawing.spring_width(h))
 
-        origin = camera.rotate_points(np.zeros((1, 3)))
-        centre = np.concatenate([position[shown], origin])
-        dot = drawing.origin_radius(h) * camera.distance / focal
-        radius = np.concatenate([picture.radius[shown], [dot]])
-        color = np.concatenate([picture.color[shown], [style.ORIGIN]])
-        self._spheres_3d(centre, radius, color, centre[:, 2] + camera.distance, focal)
+        self._surfaces_3d(picture, camera, position, shown)
+        if picture.as_spheres is not None:
+            shown &= picture.as_spheres
+        centre, radius, color = position[shown], picture.radius[shown], picture.color[shown]
+        if not camera.y_up:
+            origin = camera.rotate_points(np.zeros((1, 3)))
+            dot = drawing.origin_radius(h) * camera.distance / focal
+            centre = np.concatenate([centre, origin])
+            radius = np.concatenate([radius, [dot]])
+            color = np.concatenate([color, [style.ORIGIN]])
+        if len(centre):
+            self._spheres_3d(centre, radius, color, centre[:, 2] + camera.distance, focal)
         self._canvas.scene(self._scene)
+
+    def _surfaces_3d(
+        self, picture: Picture, camera: Camera, position: np.ndarray, shown: np.ndarray
+    ) -> None:
+        """Draw the surfaces of cloths, and those of obstacles.
+
+        position: (n, 3), of the picture's particles in camera axes. shown: (n,) bool.
+        """
+        if len(picture.triangles):
+            topology = self._topologies[0](picture.triangles).of_shown(shown)
+            self._surface_3d(0, topology, position, picture.color, camera.distance)
+        solids = picture.solids
+        if solids is not None:
+            vertex = camera.rotate_points(solids.vertex)
+            in_front = vertex[:, 2] + camera.distance > camera.nearest_drawn
+            topology = self._topologies[1](solids.triangles).of_shown(in_front)
+            self._surface_3d(1, topology, vertex, solids.color, camera.distance)
+
+    def _surface_3d(
+        self,
+        number: int,
+        topology: Topology,
+        position: np.ndarray,
+        color: np.ndarray,
+        distance: float,
+    ) -> None:
+        mesh = self._surfaces[number]
+        if mesh is None or len(mesh.vertex) != 2 * len(position):
+            mesh = self._surfaces[number] = SurfaceMesh.build(len(position))
+        corners = mesh.fill(
+            topology, position.astype(np.float32), color, distance, two_sided=number == 0
+        )
+        if len(corners):
+            self._mesh_3d(mesh.vertex, corners)
+
+    def _floor_3d(self, height: float, camera: Camera) -> None:
+        up = camera.rotation()[:, 1] * (1 if camera.y_up else -1)
+        corner, color, opacity = floor(height, camera.centre, camera.radius)
+        place = camera.rotate_points(corner.reshape(-1, 3)).reshape(-1, 4, 3)
+        front = (place[:, :, 2] + camera.distance > camera.nearest_drawn).all(axis=1)
+        self._mesh_3d(*floor_vertices(place[front], color[front], opacity[front], up))
+
+    def _mesh_3d(self, vertex: np.ndarray, index: np.ndarray) -> None:
+        """Triangles of the vertices (k, STRIDE) whose numbers are in index (3m,) int32."""
+        self._scene.scene.mesh(
+            self._info(vertex), True, self._info(index),
+            (1.0, 1.0, 1.0), False, len(index), 0, len(vertex), 0, False,
+        )  # fmt: skip
 
     def _lines_3d(self, vertex: np.ndarray, width: float) -> None:
         """Lines between consecutive pairs of vertices; width in pixels."""
@@ -446,11 +425,7 @@ class GguiView:
         if meshes is None or (meshes.count, meshes.level) != (len(centre), level):
             meshes = self._spheres = SphereMeshes.build(len(centre), level)
         meshes.fill(centre, radius, color)
-        vertex, index = meshes.vertex.reshape(-1, STRIDE), meshes.index
-        self._scene.scene.mesh(
-            self._info(vertex), True, self._info(index),
-            (1.0, 1.0, 1.0), False, len(index), 0, len(vertex), 0, False,
-        )  # fmt: skip
+        self._mesh_3d(meshes.vertex.reshape(-1, STRIDE), meshes.index)
 
     def _particles_3d(
         self, centre: np.ndarray, radius: np.ndarray, color: np.ndarray, depth: np.ndarray

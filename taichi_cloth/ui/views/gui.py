@@ -10,16 +10,18 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui import drawing, style, text, x11
+from taichi_cloth.ui import drawing, style, surfaces, text, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.drawing import Cached
+from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import BUTTON_NAMES, Event, fewest_moves, key_name
+from taichi_cloth.ui.surfaces import Topology
 from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
 from taichi_cloth.ui.window_map import WindowMap
 
 SETTLED = 0.2  # seconds a new size must last before the window follows it
 LAYERS = 12  # discs that a large sphere is painted with
-SLABS = 256  # springs and spheres are interleaved by depth in at most so many groups
+SLABS = 256  # springs, surfaces and spheres are interleaved by depth in at most so many groups
 
 
 class GuiView:
@@ -30,13 +32,15 @@ class GuiView:
 
     def __init__(self, world: World, size: tuple[int, int], title: str, *, visible: bool = True):
         self.world, self.visible, self._title = world, visible, title
-        self.camera = Camera(world.size) if world.dim == 3 else None
+        self.camera: Camera | None = camera_of_world(world)
         self.has_wheel = True
         self.closed = False
         self._gui: Any = None  # a ti.GUI
         self._tap: x11.Connection | None = None
         self._held: set[str] = set()
         self._springs, self._discs = Cached(_prepared_springs), Cached(_prepared_discs)
+        self._topologies = Cached(Topology.build), Cached(Topology.build)
+        self._back_of = Cached(surfaces.back_of)
         self._wanted: tuple[tuple[int, int], float] | None = None
         self._open(size)
 
@@ -50,7 +54,7 @@ class GuiView:
             self._gui = ti.GUI(name, size, style.packed_one(style.WORLD), show_gui=self.visible)
         self._gui.fps_limit = None  # the app paces itself
         self.size = size
-        self._map = WindowMap(self.world.size[:2], size)
+        self._map = WindowMap.of(self.world, size)
         self._pixels = np.zeros((*size, 4), np.float32)
         if self.visible:
             self._gui.show()  # only now does the window have its name
@@ -169,7 +173,7 @@ class GuiView:
 
     def _compose_2d(self, picture: Picture) -> None:
         window = self._map
-        low, high = window.to_window([0, 0]), window.to_window(self.world.size[:2])
+        low, high = window.box()
         self._surround(low, high)
         walls = window.walls(self.world.walls)
         if len(walls):
@@ -177,11 +181,17 @@ class GuiView:
             self._gui.lines(a, b, radius=0.75, color=style.packed_one(style.WALL))
         place = window.world_to_canvas(picture.position)
         shown = drawing.are_numbers(place)
+        faces = drawing.between_shown(picture.triangles, shown)
+        if len(faces):
+            codes = style.packed(style.flat_colors(picture.color, faces))
+            self._gui.triangles(*place.take(faces.T, axis=0), codes)
         segments = drawing.between_shown(picture.segments, shown)
         if len(segments):
             first, second, color = self._springs(segments, picture.color, picture.spring_color)
             a, b = place.take(first, axis=0), place.take(second, axis=0)
             self._gui.lines(a, b, radius=max(1.0, 0.75 * window.scale), color=color)
+        if picture.as_spheres is not None:
+            shown &= picture.as_spheres
         if shown.any():
             place, radius, color = drawing.shown_particles(place, picture, shown)
             for disc in self._discs(radius, color, window.scale):
@@ -203,29 +213,74 @@ class GuiView:
                 self._gui.triangle(a, c, d, color)
 
     def _compose_3d(self, picture: Picture, camera: Camera) -> None:
-        """Sort lines and spheres by depth and paint them from the far end."""
+        """Sort lines, triangles and spheres by depth and paint them from the far end."""
         position = np.asarray(picture.position, np.float64)
         pixels, radii, depths = camera.project(position, picture.radius)
         shown = np.isfinite(depths) & (depths > camera.nearest_drawn)
+        if picture.ground is not None:
+            self._draw_floor(picture.ground, camera)
         lines = self._lines(picture, camera, position, shown)
-        dot, _, dot_depth = camera.project(np.zeros((1, 3)))
-        centre = self._map.to_window(np.concatenate([pixels[shown], dot]))
-        dot_radius = drawing.origin_radius(self.size[1])
-        radius = np.concatenate([radii[shown] * self._map.scale, [dot_radius]])
-        depth = np.concatenate([depths[shown], dot_depth])
-        rgb = np.concatenate([picture.color[shown], [style.ORIGIN]]) / 255
+        faces = self._faces(picture, camera, shown)
+        if picture.as_spheres is not None:
+            shown &= picture.as_spheres
+        centre, depth = self._map.to_window(pixels[shown]), depths[shown]
+        radius, rgb = radii[shown] * self._map.scale, picture.color[shown] / 255
+        if not camera.y_up:
+            dot, _, dot_depth = camera.project(np.zeros((1, 3)))
+            centre = np.concatenate([centre, self._map.to_window(dot)])
+            radius = np.concatenate([radius, [drawing.origin_radius(self.size[1])]])
+            depth = np.concatenate([depth, dot_depth])
+            rgb = np.concatenate([rgb, [np.array(style.ORIGIN) / 255]])
         order = np.argsort(-depth, kind="stable")
         centre, radius, depth, rgb = centre[order], radius[order], depth[order], rgb[order]
 
-        step = max(1, len(depth) // SLABS)
-        bounds = [*range(0, len(depth), step), len(depth)]
-        first = 0
-        for a, b in zip(bounds, bounds[1:], strict=False):
-            last = int(np.searchsorted(-lines.depth, -depth[a], side="right"))
-            self._draw_lines(lines, first, last)
-            self._draw_spheres(centre[a:b], radius[a:b], rgb[a:b])
-            first = max(first, last)
-        self._draw_lines(lines, first, len(lines.depth))
+        cuts = depth[:: max(1, len(depth) // SLABS)]
+        if len(faces.depth):
+            cuts = np.sort(
+                np.concatenate([cuts, faces.depth[:: max(1, len(faces.depth) // SLABS)]])
+            )
+            cuts = cuts[::-1]
+        line = face = ball = 0
+        for cut, below in zip(cuts, [*cuts[1:], -np.inf], strict=True):
+            line = self._draw_lines(lines, line, _until(lines.depth, cut))
+            face = self._draw_faces(faces, face, _until(faces.depth, cut))
+            last = int(np.searchsorted(-depth, -below, side="left"))
+            self._draw_spheres(centre[ball:last], radius[ball:last], rgb[ball:last])
+            ball = max(ball, last)
+        self._draw_lines(lines, line, len(lines.depth))
+        self._draw_faces(faces, face, len(faces.depth))
+
+    def _draw_floor(self, height: float, camera: Camera) -> None:
+        """Paint the floor: below everything, as nothing is seen from under it."""
+        corner, color, opacity = surfaces.floor(height, camera.centre, camera.radius)
+        pixels, _, depths = camera.project(corner.reshape(-1, 3))
+        front = (depths > camera.nearest_drawn).reshape(-1, 4).all(axis=1)
+        up = camera.rotation()[:, 1] * (1 if camera.y_up else -1)
+        share = opacity.mean(axis=1)[:, None]
+        behind = np.array(style.unit(style.WORLD))
+        rgb = share * surfaces.brightness(up) * color[:, 0] + (1 - share) * behind
+        places = self._map.to_canvas(self._map.to_window(pixels)).reshape(-1, 4, 2)[front]
+        codes = style.packed(rgb)[front]
+        if len(codes):
+            a, b, c, d = places.transpose(1, 0, 2)
+            self._gui.triangles(a, b, c, codes)
+            self._gui.triangles(a, c, d, codes)
+
+    def _faces(self, picture: Picture, camera: Camera, shown: np.ndarray) -> _Faces:
+        """The triangles of all surfaces, the far ones first."""
+        parts, solids = [], picture.solids
+        if len(picture.triangles):
+            topology = self._topologies[0](picture.triangles).of_shown(shown)
+            back = self._back_of(picture.color)
+            parts.append(surfaces.painted(topology, camera, picture.position, picture.color, back))
+        if solids is not None:
+            topology = self._topologies[1](solids.triangles)
+            parts.append(surfaces.painted(topology, camera, solids.vertex, solids.color))
+        if not parts:
+            return _Faces(np.zeros((0, 3, 2)), np.zeros(0, np.uint32), np.zeros(0))
+        pixels, color, depth = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        order = np.argsort(-depth, kind="stable")
+        return _Faces(self._map.to_window(pixels[order]), style.packed(color[order]), depth[order])
 
     def _lines(
         self, picture: Picture, camera: Camera, position: np.ndarray, shown: np.ndarray
@@ -234,8 +289,9 @@ class GuiView:
 
         Long lines are cut, so that a part of one may lie behind a sphere and another before it.
         """
-        edges = _cut(style.box_edges(self.world.size), 8)
-        ends, color = [edges], [np.tile(style.unit(style.EDGE), (len(edges), 1))]
+        edges, edge_color = drawing.scenery(self.world, camera)
+        edges = _cut(edges, 8)
+        ends, color = [edges], [np.repeat(edge_color, 8, axis=0)]
         width = [np.full(len(edges), 2.2)]
         segments = drawing.between_shown(picture.segments, shown)
         if len(segments):
@@ -248,6 +304,8 @@ class GuiView:
         depths = depths.reshape(-1, 2)
         front = np.flatnonzero((depths > camera.nearest_drawn).all(axis=1))
         depth = depths.mean(axis=1)
+        if len(picture.triangles):  # springs lie in them: a little before them
+            depth -= np.linalg.norm(np.diff(np.concatenate(ends), axis=1), axis=2)[:, 0]
         order = front[np.argsort(-depth[front], kind="stable")]
         return _Lines(
             self._map.to_window(pixels).reshape(-1, 2, 2)[order],
@@ -256,19 +314,29 @@ class GuiView:
             depth[order],
         )
 
-    def _draw_lines(self, lines: _Lines, first: int, last: int) -> None:
-        """Draw the lines from `first` to before `last`."""
+    def _draw_faces(self, faces: _Faces, first: int, last: int) -> int:
+        """Draw the triangles from `first` to before `last`; where to go on."""
+        if last > first:
+            a, b, c = self._map.to_canvas(faces.pixels[first:last]).transpose(1, 0, 2)
+            self._gui.triangles(a, b, c, faces.color[first:last])
+        return max(first, last)
+
+    def _draw_lines(self, lines: _Lines, first: int, last: int) -> int:
+        """Draw the lines from `first` to before `last`; where to go on."""
         if last > first:
             ends = lines.pixels[first:last]
             a, b = self._map.to_canvas(ends[:, 0]), self._map.to_canvas(ends[:, 1])
             width, color = lines.width[first:last], lines.color[first:last]
             self._gui.lines(a, b, radius=width / 2, color=color)
+        return max(first, last)
 
     def _draw_spheres(self, centre: np.ndarray, radius: np.ndarray, rgb: np.ndarray) -> None:
         """Draw shaded discs in the order given (far to near).
 
         centre: (k, 2) window pixels. radius: (k,) window pixels. rgb: (k, 3) floats 0..1.
         """
+        if not len(centre):
+            return
         size, shift, bright = shading(int(np.clip(radius.max(initial=0.0), 1, LAYERS)))
         spots = centre[:, None, :] + (radius[:, None] * shift)[:, :, None] * style.LIGHT[:2]
         places = self._map.to_canvas(spots.reshape(-1, 2))
@@ -301,6 +369,24 @@ class _Lines:
     color: np.ndarray
     width: np.ndarray
     depth: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Faces:
+    """Triangles in 3-D as they are painted, the far ones first.
+
+    pixels: (m, 3, 2) window pixels of their corners. color: (m,) packed.
+    depth: (m,) by which they are ordered, world units.
+    """
+
+    pixels: np.ndarray
+    color: np.ndarray
+    depth: np.ndarray
+
+
+def _until(depth: np.ndarray, cut: float) -> int:
+    """How many of the depths, the far ones first, are at least `cut`."""
+    return int(np.searchsorted(-depth, -cut, side="right"))
 
 
 def _prepared_springs(

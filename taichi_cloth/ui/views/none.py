@@ -6,6 +6,7 @@ import numpy as np
 
 from taichi_cloth.scene.model import World
 from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.views.contract import Picture, ViewKind
 from taichi_cloth.ui.window_map import default_window
@@ -28,7 +29,7 @@ class NullView:
         visible: bool = False,
     ):
         self.size = size or default_window(world.size)
-        self.camera = Camera(world.size) if world.dim == 3 else None
+        self.camera: Camera | None = camera_of_world(world)
 
     def poll(self) -> list[Event]:
         """No events: there is nobody to make them."""

@@ -1,0 +1,50 @@
+"""Where a scene is looked at from when it opens."""
+
+from __future__ import annotations
+
+from taichi_cloth.scene.model import Scene, World
+from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.window_map import default_window
+
+SMALLEST_FRAMED = (960, 720)  # pixels of a window that frames what it shows, in whatever unit
+MARGIN = 0.08  # room around what there is at the start, in its largest extent
+
+
+def points_up(world: World) -> bool:
+    """Whether the world's y points up."""
+    return world.up == "y"
+
+
+def camera_of_world(world: World) -> Camera | None:
+    """The camera that shows the whole of a 3-D world; None: it is 2-D.
+
+    It is the original program's where that sees a world whose y points down.
+    """
+    if world.dim == 2:
+        return None
+    y_up = points_up(world)
+    original = None if y_up else Camera.original(world.size)
+    return original or Camera.framing(world.size, world.low, world.high, y_up=y_up)
+
+
+def camera_of(scene: Scene) -> Camera | None:
+    """The camera that shows what a 3-D scene has at its start; None: it is 2-D.
+
+    Where y points down, or there is nothing yet, it shows the whole world.
+    """
+    world, particles = scene.world, scene.particles
+    if world.dim == 2 or not points_up(world) or not len(particles):
+        return camera_of_world(world)
+    x, radius = particles.position, particles.radius[:, None]
+    low, high = (x - radius).min(axis=0), (x + radius).max(axis=0)
+    largest = float((high - low).max())
+    if particles.fixed.any() and world.gravity[1] < 0:  # what is held may come to hang from there
+        low[1] = min(low[1], x[particles.fixed, 1].max() - largest)
+    room = MARGIN * largest
+    return Camera.framing(world.size, low - room, high + room, y_up=True)
+
+
+def window_of(world: World) -> tuple[int, int]:
+    """The window (width, height) in pixels that a world is shown in unless a size is given."""
+    framed = world.dim == 3 and (points_up(world) or Camera.original(world.size) is None)
+    return default_window(world.size, *([SMALLEST_FRAMED] if framed else []))

@@ -1,0 +1,49 @@
+"""What is drawn of cloths: their surface, their springs, their particles, or several of these.
+
+What lies in no surface (balls, chains, torn threads) is drawn as ever beside surfaces.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taichi_cloth.scene.model import Scene
+
+# What the key goes through, in turn.
+CHOICES = (
+    frozenset({"surface"}),
+    frozenset({"surface", "springs"}),
+    frozenset({"springs", "particles"}),
+)
+NONE = np.zeros((0, 3), np.int64)
+
+
+def default_for(scene: Scene) -> frozenset[str]:
+    """What is drawn of a scene's cloths from the start."""
+    return CHOICES[0 if scene.world.dim == 3 and len(scene.triangles) else 2]
+
+
+def next_choice(parts: frozenset[str]) -> frozenset[str]:
+    """What the key takes after `parts`."""
+    return CHOICES[(CHOICES.index(parts) + 1) % len(CHOICES)] if parts in CHOICES else CHOICES[0]
+
+
+def chosen(
+    parts: frozenset[str], triangles: np.ndarray, segments: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """The triangles and springs that are drawn, and which particles are, as in a `Picture`.
+
+    parts: words of `SHOWN`. triangles: (m, 3) and segments: (s, 2), those that hold.
+    count: of the particles.
+    """
+    surface = "surface" in parts
+    seen = triangles if surface else NONE
+    if {"springs", "particles"} <= parts:
+        return seen, segments, None
+    in_surface = np.zeros(count, bool)
+    in_surface[triangles] = True
+    if "springs" not in parts:
+        loose = ~in_surface[segments].all(axis=1)
+        segments = segments[loose] if surface else segments[:0]
+    as_spheres = None if "particles" in parts else ~in_surface if surface else in_surface & False
+    return seen, segments, as_spheres

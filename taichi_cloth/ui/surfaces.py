@@ -1,0 +1,202 @@
+"""Surfaces as they are seen: normals, which side of a triangle faces us, and how bright it is.
+
+All is in the camera's axes (x right, y down, z away from us), so lights stay where we are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from taichi_cloth.ui import style
+from taichi_cloth.ui.camera import Camera
+
+BEHIND = 0.01  # by this share of what is seen, closed surfaces lie behind what touches them
+FINE_FACES = 16_000  # few triangles are painted in smaller ones, up to about so many
+
+
+@dataclass(frozen=True)
+class Solid:
+    """The surface of something that is no cloth: closed, of one colour on its only side.
+
+    vertex: (k, 3) world units. triangles: (m, 3) int, counterclockwise seen from outside.
+    color: (k, 3) uint8.
+    """
+
+    vertex: np.ndarray
+    triangles: np.ndarray
+    color: np.ndarray
+
+
+@dataclass(frozen=True)
+class Topology:
+    """Triangles, and in what order their normals are added up at their corners.
+
+    triangles: (m, 3) int32. corner: (3m,) the triangles in the order of the particles at their
+    corners. first: (c,) where each particle's triangles begin in it. particle: (c,) its number.
+    """
+
+    triangles: np.ndarray
+    corner: np.ndarray
+    first: np.ndarray
+    particle: np.ndarray
+
+    @classmethod
+    def build(cls, triangles: np.ndarray) -> Topology:
+        """The topology of `triangles` (m, 3) int."""
+        flat = triangles.reshape(-1)
+        order = np.argsort(flat, kind="stable")
+        particle, first = np.unique(flat[order], return_index=True)
+        return cls(np.ascontiguousarray(triangles, np.int32), order // 3, first, particle)
+
+    def of_shown(self, shown: np.ndarray) -> Topology:
+        """That of the triangles whose corners are all shown; shown: (n,) bool."""
+        whole = shown[self.triangles].all(axis=1)
+        return self if whole.all() else Topology.build(self.triangles[whole])
+
+    def normals(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Normals of the triangles (m, 3), as long as twice their area; unit ones of particles.
+
+        The latter, (n, 3), are the sum of their triangles' normals; zero where there are none.
+        """
+        first, second, third = position.take(self.triangles.T, axis=0)
+        a, b = second - first, third - first
+        face = np.empty_like(a)  # three times as fast as np.cross
+        for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            face[:, x] = a[:, y] * b[:, z] - a[:, z] * b[:, y]
+        normal = np.zeros_like(position)
+        if len(self.first):
+            total = np.add.reduceat(face.take(self.corner, axis=0), self.first, axis=0)
+            length = np.sqrt(np.einsum("ij,ij->i", total, total))[:, None]
+            normal[self.particle] = total / np.maximum(length, np.finfo(total.dtype).tiny)
+        return face, normal
+
+    def faces_us(self, position: np.ndarray, face: np.ndarray, distance: float) -> np.ndarray:
+        """Which triangles turn their front to the eye, at (0, 0, -distance); (m,) bool."""
+        corner = position.take(self.triangles[:, 0], axis=0)
+        towards = np.einsum("ij,ij->i", face, corner) + distance * face[:, 2]
+        front: np.ndarray = towards < 0
+        return front
+
+
+def brightness(normal: np.ndarray) -> np.ndarray:
+    """How bright a surface of the unit normals (..., 3) is under all lights, (...,) from 0 on."""
+    lit: np.ndarray = np.full(normal.shape[:-1], style.AMBIENT)
+    for light, strength in style.LIGHTS:
+        lit += strength * np.maximum(normal @ light, 0)
+    return lit
+
+
+def back_of(color: np.ndarray) -> np.ndarray:
+    """The colours (n, 3) uint8 that the back of a surface has whose front has these."""
+    mixed = style.BACK_SHARE * color + (1 - style.BACK_SHARE) * np.array(style.BACK)
+    return np.asarray(mixed, np.uint8)
+
+
+def finer(count: int) -> int:
+    """Into how many parts each side of `count` triangles is cut, so that facets are not seen."""
+    parts = 1
+    while count * (parts + 1) ** 2 <= FINE_FACES and parts < 4:
+        parts += 1
+    return parts
+
+
+def cut(values: np.ndarray, parts: int) -> np.ndarray:
+    """What the corners of triangles have, (m, 3, d), at those of their smaller ones.
+
+    Each triangle is cut into parts**2 equal ones; (m * parts**2, 3, d).
+    """
+    if parts == 1:
+        return values
+    small = []
+    for i in range(parts):
+        for j in range(parts - i):
+            small.append([(i, j), (i + 1, j), (i, j + 1)])
+            if i + j < parts - 1:
+                small.append([(i + 1, j), (i + 1, j + 1), (i, j + 1)])
+    along = np.array(small) / parts  # (parts**2, 3, 2)
+    weight = np.concatenate([1 - along.sum(axis=2, keepdims=True), along], axis=2)
+    finer_ones = np.einsum("pck,mkd->mpcd", weight.astype(values.dtype), values)
+    return finer_ones.reshape(-1, 3, values.shape[2])
+
+
+def painted(
+    topology: Topology,
+    camera: Camera,
+    vertex: np.ndarray,
+    color: np.ndarray,
+    back: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The triangles of a surface as a painter needs them, which may be smaller than its own.
+
+    vertex: (n, 3) world units. color, back: (n, 3) uint8, of its front and its back. A surface
+    without a back is closed: its far side is not seen, and what lies on it is before it.
+
+    Returns their corners (k, 3, 2) in the camera's pixels, their colours (k, 3), floats from 0 on,
+    and the depths (k,) by which they are to be ordered, world units.
+    """
+    position = camera.rotate_points(vertex).astype(np.float32)
+    face, normal = topology.normals(position)
+    front = topology.faces_us(position, face, camera.distance)
+    triangles = topology.triangles
+    if back is None:
+        in_front = position[:, 2] + camera.distance > camera.nearest_drawn
+        triangles = triangles[front & in_front[triangles].all(axis=1)]
+        rgb, side = _mean_color(color, triangles), np.ones(len(triangles), np.float32)
+    else:
+        rgb = _mean_color(color, triangles)
+        rgb[~front] = _mean_color(back, triangles[~front])
+        side = np.where(front, 1, -1).astype(np.float32)
+    parts = finer(len(triangles))
+    corner = cut(position.take(triangles, axis=0), parts)
+    towards = cut(normal.take(triangles, axis=0), parts).mean(axis=1)
+    lit = brightness(towards * np.repeat(side, parts**2)[:, None]).astype(np.float32)
+    depths = corner[:, :, 2] + camera.distance
+    pixels = corner[:, :, :2] * (camera.focal_length / depths)[:, :, None] + camera.middle
+    depth = depths.mean(axis=1)
+    if back is None:
+        depth = depth + np.ptp(depths, axis=1) / 2 + BEHIND * camera.radius
+    return pixels, lit[:, None] * np.repeat(rgb, parts**2, axis=0) / 255, depth
+
+
+def _mean_color(color: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The mean (m, 3) of the colours (n, 3) uint8 at the corners of triangles (m, 3)."""
+    first, second, third = color.take(triangles.T, axis=0).astype(np.float32)
+    mean: np.ndarray = (first + second + third) / 3
+    return mean
+
+
+def floor(
+    height: float, centre: ArrayLike, radius: float, tiles: int = 24
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A floor of tiles in two shades, which fades out around what is looked at.
+
+    height: its y. centre: (3,) world units, what is looked at. radius: of what is to be seen there.
+    tiles: at most so many along each side.
+
+    Returns corners (t, 4, 3) in world units, their colours (t, 4, 3), floats 0..1, and their
+    opacities (t, 4).
+    """
+    reach = 4.0 * radius
+    side = nice_length(2 * reach / tiles)
+    centre = np.asarray(centre, np.float64)
+    first = np.floor((centre[[0, 2]] - reach) / side).astype(int)
+    count = int(np.ceil(2 * reach / side)) + 1
+    i, j = np.divmod(np.arange(count * count), count)
+    corner = (np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) + np.stack([i, j], 1)[:, None]) + first
+    place = np.full((len(i), 4, 3), float(height))
+    place[:, :, [0, 2]] = corner * side
+    odd = (corner[:, 0].sum(axis=1) % 2)[:, None, None]
+    color = np.where(odd, style.unit(style.TILES[0]), style.unit(style.TILES[1]))
+    away = np.linalg.norm(place[:, :, [0, 2]] - centre[[0, 2]], axis=2) / reach
+    opacity = np.clip(1.25 * (1 - away**2), 0, 1)
+    seen = opacity.max(axis=1) > 0
+    return place[seen], np.broadcast_to(color, place.shape)[seen], opacity[seen]
+
+
+def nice_length(length: float) -> float:
+    """The next length of 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(next(power * n for n in (1, 2, 5, 10) if power * n >= 0.999 * length))

@@ -1,0 +1,178 @@
+"""What GGUI draws, as its vertex buffers: lines, discs, spheres, surfaces.
+
+GGUI's Python layer copies Taichi fields into vertex buffers with one compiled kernel for every
+field. The buffers are NumPy arrays, so they are filled here directly: nothing is compiled, and
+the number of things drawn may change at every frame. They are kept: a frame fills in positions,
+and colours and sizes only where these changed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from taichi_cloth.ui import drawing, style
+from taichi_cloth.ui.surfaces import Topology, back_of
+
+# Columns of a GGUI vertex: position, normal (a circle's or particle's radius in its first),
+# texture, colour with its opacity.
+POSITION, NORMAL, RADIUS, COLOR, ALPHA, STRIDE = slice(0, 3), slice(3, 6), 3, slice(8, 11), 11, 12
+
+
+def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
+    """The unit sphere as triangles: vertices (v, 3) float32 and corners (t, 3) int32."""
+    p = (1 + 5**0.5) / 2
+    start = [
+        (-1, p, 0), (1, p, 0), (-1, -p, 0), (1, -p, 0), (0, -1, p), (0, 1, p),
+        (0, -1, -p), (0, 1, -p), (p, 0, -1), (p, 0, 1), (-p, 0, -1), (-p, 0, 1),
+    ]  # fmt: skip
+    triangle = [
+        (0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4),
+        (11, 10, 2), (10, 7, 6), (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8),
+        (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1),
+    ]  # fmt: skip
+    vertex: list[np.ndarray] = [np.array(v) / np.linalg.norm(v) for v in start]
+    for _ in range(subdivisions):
+        middles: dict[tuple[int, int], int] = {}
+
+        def middle(a: int, b: int, middles: dict[tuple[int, int], int] = middles) -> int:
+            key = (min(a, b), max(a, b))
+            if key not in middles:
+                point = vertex[a] + vertex[b]
+                vertex.append(point / np.linalg.norm(point))
+                middles[key] = len(vertex) - 1
+            return middles[key]
+
+        finer = []
+        for a, b, c in triangle:
+            ab, bc, ca = middle(a, b), middle(b, c), middle(c, a)
+            finer += [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
+        triangle = finer
+    return np.array(vertex, np.float32), np.array(triangle, np.int32)
+
+
+def vertices(color: ArrayLike) -> np.ndarray:
+    """Vertices (k, STRIDE) float32 in the colours (k, 3), floats 0..1, nowhere yet."""
+    color = np.asarray(color)
+    vertex = np.zeros((len(color), STRIDE), np.float32)
+    vertex[:, COLOR], vertex[:, ALPHA] = color, 1
+    return vertex
+
+
+def spring_vertices(
+    segments: np.ndarray, color: np.ndarray, all_have: tuple[int, int, int] | None
+) -> np.ndarray:
+    """Vertices of the springs' ends (2s, STRIDE), nowhere yet; for the rest `spring_colors`."""
+    return vertices(np.repeat(style.spring_colors(color, segments, all_have), 2, axis=0))
+
+
+def disc_vertices(
+    radius: np.ndarray, color: np.ndarray, scale: float, height: int
+) -> list[np.ndarray]:
+    """Vertices of the particles' rims and, to be drawn over them, of their discs, nowhere yet.
+
+    radius: (n,) world units. color: (n, 3) uint8. scale: pixels per world unit.
+    height: of the window in pixels.
+    """
+    out = []
+    for pixels, rgb in drawing.disc_layers(radius, color, scale):
+        vertex = vertices(rgb)
+        vertex[:, RADIUS] = pixels / height
+        out.append(vertex)
+    return out
+
+
+@dataclass
+class SphereMeshes:
+    """Spheres as one mesh. From frame to frame only the positions are filled in anew.
+
+    count, level: of spheres; of their subdivisions.
+    unit: (v, 3), the unit sphere. vertex: (count, v, STRIDE). index: of the triangles' corners.
+    color: (count, 3) uint8, which the vertices have; None: none yet.
+    """
+
+    count: int
+    level: int
+    unit: np.ndarray
+    vertex: np.ndarray
+    index: np.ndarray
+    color: np.ndarray | None = None
+
+    @classmethod
+    def build(cls, count: int, level: int) -> SphereMeshes:
+        """Meshes without colours and positions."""
+        unit, corner = icosphere(level)
+        vertex = np.zeros((count, len(unit), STRIDE), np.float32)
+        vertex[:, :, NORMAL] = unit
+        vertex[:, :, ALPHA] = 1
+        index = corner.reshape(-1) + (len(unit) * np.arange(count, dtype=np.int32))[:, None]
+        return cls(count, level, unit, vertex, np.ascontiguousarray(index.reshape(-1), np.int32))
+
+    def fill(self, centre: np.ndarray, radius: np.ndarray, color: np.ndarray) -> None:
+        """Put the spheres at `centre` (count, 3); radius (count,); color (count, 3) uint8."""
+        if self.color is None or not np.array_equal(self.color, color):
+            self.vertex[:, :, COLOR] = (color / 255)[:, None, :]
+            self.color = color.copy()
+        centre, radius = centre.astype(np.float32), radius.astype(np.float32)
+        self.vertex[:, :, POSITION] = centre[:, None, :] + radius[:, None, None] * self.unit
+
+
+@dataclass
+class SurfaceMesh:
+    """A surface as one mesh, whose vertices are there twice: of the front, and of the back.
+
+    A triangle takes its corners from the side that faces us, so each side has its own colour, and
+    normals that point to us. vertex: (2n, STRIDE), the front's first.
+    color: (n, 3) uint8, which the vertices have; None: none yet.
+    """
+
+    vertex: np.ndarray
+    color: np.ndarray | None = None
+
+    @classmethod
+    def build(cls, count: int) -> SurfaceMesh:
+        """A mesh of `count` particles, without colours and positions."""
+        return cls(vertices(np.zeros((2 * count, 3))))
+
+    def fill(
+        self,
+        topology: Topology,
+        position: np.ndarray,
+        color: np.ndarray,
+        distance: float,
+        *,
+        two_sided: bool,
+    ) -> np.ndarray:
+        """Put the surface at `position`; the numbers of its triangles' corners, int32.
+
+        position: (n, 3) float32 camera axes. color: (n, 3) uint8, of the front; distance: from the
+        eye to the camera's centre. two_sided: whether the back has a colour of its own.
+        """
+        count = len(position)
+        front, back = self.vertex[:count], self.vertex[count:]
+        if self.color is not color:
+            front[:, COLOR] = color / 255
+            back[:, COLOR] = (back_of(color) if two_sided else color) / 255
+            self.color = color
+        face, normal = topology.normals(position)
+        front[:, POSITION] = back[:, POSITION] = position
+        front[:, NORMAL], back[:, NORMAL] = normal, -normal
+        side = np.where(topology.faces_us(position, face, distance), 0, count).astype(np.int32)
+        corners: np.ndarray = (topology.triangles + side[:, None]).reshape(-1)
+        return corners
+
+
+def floor_vertices(
+    corner: np.ndarray, color: np.ndarray, opacity: np.ndarray, normal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (4t, STRIDE) of a floor's tiles, and the numbers of their triangles' corners.
+
+    corner: (t, 4, 3) camera axes. color: (t, 4, 3) floats 0..1. opacity: (t, 4). normal: (3,).
+    """
+    vertex = vertices(color.reshape(-1, 3))
+    vertex[:, POSITION], vertex[:, NORMAL] = corner.reshape(-1, 3), normal
+    vertex[:, ALPHA] = opacity.reshape(-1)
+    index = 4 * np.arange(len(corner), dtype=np.int32)[:, None] + np.array([0, 1, 2, 0, 2, 3])
+    return vertex, index.astype(np.int32).reshape(-1)
