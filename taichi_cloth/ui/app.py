@@ -336,6 +336,7 @@ class _Loop:
             segments=segments,
             spring_color=sim.scene.spring_color,
             triangles=triangles,
+            normals=sim.drawn_normals() if len(triangles) and sim.scene.world.dim == 3 else None,
             as_spheres=as_spheres,
             text=self._status() if self._show_status else (),
             help=keys,
@@ -415,6 +416,7 @@ def _with_marks(picture: Picture, marks: Marks) -> Picture:
         color=np.concatenate([picture.color, marks.color]),
         segments=np.concatenate([picture.segments, count + marks.segments]),
         as_spheres=as_spheres,
+        normals=None,
     )
 
 

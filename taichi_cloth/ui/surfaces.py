@@ -56,22 +56,26 @@ class Topology:
         whole = shown[self.triangles].all(axis=1)
         return self if whole.all() else Topology.build(self.triangles[whole])
 
-    def normals(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Normals of the triangles (m, 3), as long as twice their area; unit ones of particles.
-
-        The latter, (n, 3), are the sum of their triangles' normals; zero where there are none.
-        """
+    def face_normals(self, position: np.ndarray) -> np.ndarray:
+        """Normals of the triangles, (m, 3), as long as twice their area."""
         first, second, third = position.take(self.triangles.T, axis=0)
         a, b = second - first, third - first
-        face = np.empty_like(a)  # three times as fast as np.cross
+        face: np.ndarray = np.empty_like(a)  # three times as fast as np.cross
         for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
             face[:, x] = a[:, y] * b[:, z] - a[:, z] * b[:, y]
+        return face
+
+    def normals(self, position: np.ndarray, face: np.ndarray) -> np.ndarray:
+        """Unit normals of the particles, (n, 3): of the sum of their triangles'; 0 without any.
+
+        face: (m, 3), the triangles' own.
+        """
         normal = np.zeros_like(position)
         if len(self.first):
             total = np.add.reduceat(face.take(self.corner, axis=0), self.first, axis=0)
             length = np.sqrt(np.einsum("ij,ij->i", total, total))[:, None]
             normal[self.particle] = total / np.maximum(length, np.finfo(total.dtype).tiny)
-        return face, normal
+        return normal
 
     def faces_us(self, position: np.ndarray, face: np.ndarray, distance: float) -> np.ndarray:
         """Which triangles turn their front to the eye, at (0, 0, -distance); (m,) bool."""
@@ -83,9 +87,9 @@ class Topology:
 
 def brightness(normal: np.ndarray) -> np.ndarray:
     """How bright a surface of the unit normals (..., 3) is under all lights, (...,) from 0 on."""
-    lit: np.ndarray = np.full(normal.shape[:-1], style.AMBIENT)
+    lit: np.ndarray = np.full(normal.shape[:-1], style.AMBIENT, normal.dtype)
     for light, strength in style.LIGHTS:
-        lit += strength * np.maximum(normal @ light, 0)
+        lit += strength * np.maximum(normal @ light.astype(normal.dtype), 0)
     return lit
 
 
@@ -118,7 +122,7 @@ def cut(values: np.ndarray, parts: int) -> np.ndarray:
                 small.append([(i + 1, j), (i + 1, j + 1), (i, j + 1)])
     along = np.array(small) / parts  # (parts**2, 3, 2)
     weight = np.concatenate([1 - along.sum(axis=2, keepdims=True), along], axis=2)
-    finer_ones = np.einsum("pck,mkd->mpcd", weight.astype(values.dtype), values)
+    finer_ones: np.ndarray = np.einsum("pck,mkd->mpcd", weight.astype(values.dtype), values)
     return finer_ones.reshape(-1, 3, values.shape[2])
 
 
@@ -128,17 +132,20 @@ def painted(
     vertex: np.ndarray,
     color: np.ndarray,
     back: np.ndarray | None = None,
+    normal: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The triangles of a surface as a painter needs them, which may be smaller than its own.
 
     vertex: (n, 3) world units. color, back: (n, 3) uint8, of its front and its back. A surface
     without a back is closed: its far side is not seen, and what lies on it is before it.
+    normal: (n, 3), unit normals in the world's axes, where they are known.
 
     Returns their corners (k, 3, 2) in the camera's pixels, their colours (k, 3), floats from 0 on,
     and the depths (k,) by which they are to be ordered, world units.
     """
     position = camera.rotate_points(vertex).astype(np.float32)
-    face, normal = topology.normals(position)
+    face = topology.face_normals(position)
+    normal = seen_normals(topology, camera, position, face, normal)
     front = topology.faces_us(position, face, camera.distance)
     triangles = topology.triangles
     if back is None:
@@ -151,14 +158,36 @@ def painted(
         side = np.where(front, 1, -1).astype(np.float32)
     parts = finer(len(triangles))
     corner = cut(position.take(triangles, axis=0), parts)
-    towards = cut(normal.take(triangles, axis=0), parts).mean(axis=1)
-    lit = brightness(towards * np.repeat(side, parts**2)[:, None]).astype(np.float32)
-    depths = corner[:, :, 2] + camera.distance
-    pixels = corner[:, :, :2] * (camera.focal_length / depths)[:, :, None] + camera.middle
-    depth = depths.mean(axis=1)
+    towards = cut(normal.take(triangles, axis=0), parts)
+    towards = (towards[:, 0] + towards[:, 1] + towards[:, 2]) / 3
+    lit = brightness(towards * np.repeat(side, parts**2)[:, None])
+    depths = corner[:, :, 2] + np.float32(camera.distance)
+    scale = np.float32(camera.focal_length) / depths
+    pixels = corner[:, :, :2] * scale[:, :, None] + camera.middle.astype(np.float32)
+    first, second, third = depths.T
+    depth = (first + second + third) / 3
     if back is None:
-        depth = depth + np.ptp(depths, axis=1) / 2 + BEHIND * camera.radius
-    return pixels, lit[:, None] * np.repeat(rgb, parts**2, axis=0) / 255, depth
+        nearest = np.minimum(np.minimum(first, second), third)
+        depth += (depth - nearest) + np.float32(BEHIND * camera.radius)
+    return pixels, lit[:, None] * np.repeat(rgb / 255, parts**2, axis=0), depth
+
+
+def seen_normals(
+    topology: Topology,
+    camera: Camera,
+    position: np.ndarray,
+    face: np.ndarray,
+    known: np.ndarray | None,
+) -> np.ndarray:
+    """Unit normals (n, 3) in the camera's axes.
+
+    position: (n, 3) and face: (m, 3) in these, too. known: (n, 3), the normals in the world's axes;
+    None: they are not known yet.
+    """
+    if known is None:
+        return topology.normals(position, face)
+    turned: np.ndarray = known.astype(np.float32) @ camera.rotation().T.astype(np.float32)
+    return turned
 
 
 def _mean_color(color: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from taichi_cloth.ui import drawing, style
-from taichi_cloth.ui.surfaces import Topology, back_of
+from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.surfaces import Topology, back_of, seen_normals
 
 # Columns of a GGUI vertex: position, normal (a circle's or particle's radius in its first),
 # texture, colour with its opacity.
@@ -139,16 +140,18 @@ class SurfaceMesh:
     def fill(
         self,
         topology: Topology,
+        camera: Camera,
         position: np.ndarray,
         color: np.ndarray,
-        distance: float,
+        normal: np.ndarray | None,
         *,
         two_sided: bool,
     ) -> np.ndarray:
         """Put the surface at `position`; the numbers of its triangles' corners, int32.
 
-        position: (n, 3) float32 camera axes. color: (n, 3) uint8, of the front; distance: from the
-        eye to the camera's centre. two_sided: whether the back has a colour of its own.
+        position: (n, 3) float32 camera axes. color: (n, 3) uint8, of the front. normal: (n, 3),
+        unit normals in the world's axes; None: they are computed here.
+        two_sided: whether the back has a colour of its own.
         """
         count = len(position)
         front, back = self.vertex[:count], self.vertex[count:]
@@ -156,10 +159,13 @@ class SurfaceMesh:
             front[:, COLOR] = color / 255
             back[:, COLOR] = (back_of(color) if two_sided else color) / 255
             self.color = color
-        face, normal = topology.normals(position)
+        face = topology.face_normals(position)
+        normal = seen_normals(topology, camera, position, face, normal)
         front[:, POSITION] = back[:, POSITION] = position
         front[:, NORMAL], back[:, NORMAL] = normal, -normal
-        side = np.where(topology.faces_us(position, face, distance), 0, count).astype(np.int32)
+        side = np.where(topology.faces_us(position, face, camera.distance), 0, count).astype(
+            np.int32
+        )
         corners: np.ndarray = (topology.triangles + side[:, None]).reshape(-1)
         return corners
 

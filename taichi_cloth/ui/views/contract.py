@@ -24,6 +24,7 @@ class Picture:
     segments: (s, 2) int, particle pairs of the springs that are alive.
     spring_color: that all springs have, 0..255; None: they resemble their ends.
     triangles: (m, 3) int, particles at the corners of surfaces, of those that are to be drawn.
+    normals: (n, 3) unit normals of these surfaces, as `position`; None: the view computes them.
     as_spheres: (n,) bool, which particles are drawn as spheres or discs; None: all.
     solids: the surfaces of obstacles. ground: the height of a floor; None: there is none.
     text: lines of the status, bottom left, where the scenes leave most room (empty: hidden).
@@ -40,6 +41,7 @@ class Picture:
     segments: np.ndarray
     spring_color: tuple[int, int, int] | None = None
     triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    normals: np.ndarray | None = None
     as_spheres: np.ndarray | None = None
     solids: Solid | None = None
     ground: float | None = None

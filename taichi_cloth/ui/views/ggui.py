@@ -355,27 +355,34 @@ class GguiView:
         """
         if len(picture.triangles):
             topology = self._topologies[0](picture.triangles).of_shown(shown)
-            self._surface_3d(0, topology, position, picture.color, camera.distance)
+            self._surface_3d(0, topology, camera, position, picture.color, picture.normals)
         solids = picture.solids
         if solids is not None:
             vertex = camera.rotate_points(solids.vertex)
             in_front = vertex[:, 2] + camera.distance > camera.nearest_drawn
             topology = self._topologies[1](solids.triangles).of_shown(in_front)
-            self._surface_3d(1, topology, vertex, solids.color, camera.distance)
+            self._surface_3d(1, topology, camera, vertex, solids.color, None)
 
     def _surface_3d(
         self,
         number: int,
         topology: Topology,
+        camera: Camera,
         position: np.ndarray,
         color: np.ndarray,
-        distance: float,
+        normal: np.ndarray | None,
     ) -> None:
+        """Draw the surface of the picture (number 0) or of its solids (1)."""
         mesh = self._surfaces[number]
         if mesh is None or len(mesh.vertex) != 2 * len(position):
             mesh = self._surfaces[number] = SurfaceMesh.build(len(position))
         corners = mesh.fill(
-            topology, position.astype(np.float32), color, distance, two_sided=number == 0
+            topology,
+            camera,
+            position.astype(np.float32),
+            color,
+            normal,
+            two_sided=number == 0,
         )
         if len(corners):
             self._mesh_3d(mesh.vertex, corners)

@@ -236,10 +236,8 @@ class GuiView:
 
         cuts = depth[:: max(1, len(depth) // SLABS)]
         if len(faces.depth):
-            cuts = np.sort(
-                np.concatenate([cuts, faces.depth[:: max(1, len(faces.depth) // SLABS)]])
-            )
-            cuts = cuts[::-1]
+            among = np.sort(np.concatenate([depth, lines.depth]))[::-1]
+            cuts = among[:: max(1, len(among) // SLABS)]
         line = face = ball = 0
         for cut, below in zip(cuts, [*cuts[1:], -np.inf], strict=True):
             line = self._draw_lines(lines, line, _until(lines.depth, cut))
@@ -272,7 +270,11 @@ class GuiView:
         if len(picture.triangles):
             topology = self._topologies[0](picture.triangles).of_shown(shown)
             back = self._back_of(picture.color)
-            parts.append(surfaces.painted(topology, camera, picture.position, picture.color, back))
+            parts.append(
+                surfaces.painted(
+                    topology, camera, picture.position, picture.color, back, picture.normals
+                )
+            )
         if solids is not None:
             topology = self._topologies[1](solids.triangles)
             parts.append(surfaces.painted(topology, camera, solids.vertex, solids.color))
@@ -280,7 +282,8 @@ class GuiView:
             return _Faces(np.zeros((0, 3, 2)), np.zeros(0, np.uint32), np.zeros(0))
         pixels, color, depth = (np.concatenate(columns) for columns in zip(*parts, strict=True))
         order = np.argsort(-depth, kind="stable")
-        return _Faces(self._map.to_window(pixels[order]), style.packed(color[order]), depth[order])
+        places = self._map.world_to_canvas(pixels[order].reshape(-1, 2))
+        return _Faces(places.reshape(-1, 3, 2), style.packed(color)[order], depth[order])
 
     def _lines(
         self, picture: Picture, camera: Camera, position: np.ndarray, shown: np.ndarray
@@ -317,7 +320,7 @@ class GuiView:
     def _draw_faces(self, faces: _Faces, first: int, last: int) -> int:
         """Draw the triangles from `first` to before `last`; where to go on."""
         if last > first:
-            a, b, c = self._map.to_canvas(faces.pixels[first:last]).transpose(1, 0, 2)
+            a, b, c = faces.place[first:last].transpose(1, 0, 2)
             self._gui.triangles(a, b, c, faces.color[first:last])
         return max(first, last)
 
@@ -375,11 +378,11 @@ class _Lines:
 class _Faces:
     """Triangles in 3-D as they are painted, the far ones first.
 
-    pixels: (m, 3, 2) window pixels of their corners. color: (m,) packed.
+    place: (m, 3, 2) of their corners on the canvas. color: (m,) packed.
     depth: (m,) by which they are ordered, world units.
     """
 
-    pixels: np.ndarray
+    place: np.ndarray
     color: np.ndarray
     depth: np.ndarray
 
