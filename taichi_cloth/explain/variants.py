@@ -60,8 +60,9 @@ def _walls(scene: Scene, features: Features) -> Variant:
         about = counted(len(features.walls), "wall") + ", one is the floor" * features.floor
         return Variant("walls", True, about, scene.with_world(walls=()))
     walls = tuple(name for name, (axis, _) in WALLS.items() if axis < scene.world.dim)
-    about = f"{len(walls)} walls, one is the floor"
-    return Variant("walls", False, about, scene.with_world(walls=walls))
+    walled = scene.with_world(walls=walls)
+    about = f"{len(walls)} walls" + ", one is the floor" * walled.features().floor
+    return Variant("walls", False, about, walled)
 
 
 def _obstacles(scene: Scene, features: Features) -> Variant:
