@@ -19,9 +19,9 @@ FINE_FACES = 16_000  # few triangles are painted in smaller ones, up to about so
 
 @dataclass(frozen=True)
 class Solid:
-    """The surface of something that is no cloth: closed, of one colour on its only side.
+    """The surface of something that is no cloth: closed, seen from outside.
 
-    vertex: (k, 3) world units. triangles: (m, 3) int, counterclockwise seen from outside.
+    vertex: (k, dim) world units. triangles: (m, 3) int, counterclockwise seen from outside.
     color: (k, 3) uint8.
     """
 

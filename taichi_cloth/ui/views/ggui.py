@@ -250,6 +250,11 @@ class GguiView:
             self._lines_2d(vertex, 1.5 / height)
         place = window.world_to_canvas(picture.position)
         shown = drawing.are_numbers(place)
+        if picture.solids is not None:
+            faces = picture.solids.triangles
+            vertex = vertices(style.flat_colors(picture.solids.color, faces).repeat(3, axis=0))
+            vertex[:, :2] = window.world_to_canvas(picture.solids.vertex)[faces.reshape(-1)]
+            self._triangles(vertex)
         faces = drawing.between_shown(picture.triangles, shown)
         if len(faces):
             vertex = vertices(style.flat_colors(picture.color, faces).repeat(3, axis=0))

@@ -181,6 +181,11 @@ class GuiView:
             self._gui.lines(a, b, radius=0.75, color=style.packed_one(style.WALL))
         place = window.world_to_canvas(picture.position)
         shown = drawing.are_numbers(place)
+        if picture.solids is not None:
+            corner = window.world_to_canvas(picture.solids.vertex)
+            flat = style.flat_colors(picture.solids.color, picture.solids.triangles)
+            corners = corner.take(picture.solids.triangles.T, axis=0)
+            self._gui.triangles(*corners, style.packed(flat))
         faces = drawing.between_shown(picture.triangles, shown)
         if len(faces):
             codes = style.packed(style.flat_colors(picture.color, faces))

@@ -1,0 +1,253 @@
+"""Surfaces in pictures: what is in front, which side one sees, how bright it is."""
+
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+from taichi_cloth import runtime
+from taichi_cloth.errors import InputError
+from taichi_cloth.scene.cloth import grid_triangles
+from taichi_cloth.scene.model import Particles, Scene, World
+from taichi_cloth.settings.options import shown_parts
+from taichi_cloth.ui import shown, style, surfaces
+from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.framing import camera_of, window_of
+from taichi_cloth.ui.surfaces import Solid, Topology
+from taichi_cloth.ui.vertices import icosphere
+from taichi_cloth.ui.views.contract import Picture
+from taichi_cloth.ui.views.gui import GuiView
+from taichi_cloth.ui.window_map import WindowMap
+
+WORLD = World(size=(2.0, 2.0, 2.0), gravity=(0.0, 0.0, 0.0), up="y")
+NO_SPRINGS = np.zeros((0, 2), np.int64)
+RED, BLUE = (200, 30, 30), (30, 30, 200)
+
+
+def sheet(z=0.0, n=5, size=1.0, color=RED):
+    """A square around the world's centre whose front looks along +z, to who looks from there."""
+    line = np.linspace(-size / 2, size / 2, n)
+    y, x = np.meshgrid(line[::-1], line, indexing="ij")
+    place = np.stack([x + 1, y + 1, np.full_like(x, z)], axis=-1).reshape(-1, 3)
+    triangles = grid_triangles(n, n)[:, ::-1]  # across x down points to -z
+    return place, triangles, np.tile(np.array(color, np.uint8), (n * n, 1))
+
+
+def picture_of(*sheets, balls=(), **more):
+    """A picture of sheets, and of balls (centre, radius, color)."""
+    place, faces, color, first = [], [], [], 0
+    for x, triangles, c in sheets:
+        place, faces, color = [*place, x], [*faces, triangles + first], [*color, c]
+        first += len(x)
+    as_spheres = np.arange(first + len(balls)) >= first
+    place += [np.array([b[0]], float) for b in balls]
+    color += [np.array([b[2]], np.uint8) for b in balls]
+    radius = np.array([0.01] * first + [b[1] for b in balls], np.float32)
+    return Picture(
+        np.concatenate(place), radius, np.concatenate(color), NO_SPRINGS,
+        triangles=np.concatenate(faces), as_spheres=as_spheres, **more,
+    )  # fmt: skip
+
+
+def camera(rot_x=0.0, rot_y=0.0):
+    """One that looks at the world's centre, from +z where nothing is turned."""
+    made = Camera.framing(WORLD.size, [0.4] * 2 + [-0.6], [1.6] * 2 + [0.6], y_up=True)
+    made.rot_x, made.rot_y = rot_x, rot_y
+    return made
+
+
+def pixels(picture, view_camera, size=(160, 160)):
+    """The picture as ti.GUI paints it, (h, w, 3) float."""
+    runtime.start()
+    view = GuiView(WORLD, size, "", visible=False)
+    view.camera = view_camera
+    view.draw(picture)
+    image = view.grab().astype(float)
+    view.close()
+    return image
+
+
+def middle(image):
+    h, w = image.shape[:2]
+    return image[h // 2, w // 2]
+
+
+def hue(rgb):
+    """A colour without its brightness."""
+    return rgb / max(rgb.max(), 1)
+
+
+def test_normals_of_a_sphere_point_out():
+    vertex, triangles = icosphere(3)
+    topology = Topology.build(triangles)
+    face = topology.face_normals(vertex)
+    normal = topology.normals(vertex, face)
+    assert np.abs(normal - vertex).max() < 0.02
+    # From far away one sees the half that is nearer: z points away from us.
+    front = topology.faces_us(vertex, face, 1e3)
+    assert (front == (vertex[triangles].mean(axis=1)[:, 2] < -1e-3)).mean() > 0.97
+    area = np.linalg.norm(face, axis=1).sum() / 2
+    assert area == pytest.approx(4 * np.pi, rel=0.01)
+
+
+def test_cut_triangles_cover_the_whole_ones():
+    corner = np.array([[[0.0, 0, 0], [3, 0, 0], [0, 3, 0]]])
+    small = surfaces.cut(corner, 3)
+    assert len(small) == 9
+    side_a, side_b = small[:, 1] - small[:, 0], small[:, 2] - small[:, 0]
+    area = np.cross(side_a, side_b)[:, 2] / 2
+    np.testing.assert_allclose(area, 0.5)  # equal, and all go round the same way
+    assert len({tuple(np.round(m, 6)) for m in small.mean(axis=1)}) == 9
+
+
+def test_each_side_of_a_sheet_has_its_own_colour():
+    picture = picture_of(sheet())
+    front, back = (middle(pixels(picture, camera(rot_y=turn))) for turn in (0, 180))
+    np.testing.assert_allclose(hue(front), hue(np.array(RED, float)), atol=0.02)
+    of_back = surfaces.back_of(np.array([RED], np.uint8))[0]
+    np.testing.assert_allclose(hue(back), hue(of_back.astype(float)), atol=0.02)
+
+
+def test_a_sheet_is_as_bright_as_the_light_says():
+    """Lambert's law, turned about the vertical axis: brightest towards the light."""
+    picture, brightness = picture_of(sheet()), {}
+    for turn in (-60, -30, 0, 30, 60):
+        view = camera(rot_y=turn)
+        brightness[turn] = middle(pixels(picture, view))[0] / RED[0]
+        normal = np.array([0.0, 0.0, 1.0]) @ view.rotation().T
+        expected = style.AMBIENT + sum(s * max(0, normal @ light) for light, s in style.LIGHTS)
+        assert brightness[turn] == pytest.approx(min(expected, 255 / RED[0]), abs=0.02)
+    assert max(brightness.values()) > 1.4 * min(brightness.values())
+
+
+def test_the_nearer_one_hides_the_farther_one():
+    near, far = sheet(0.3, color=RED), sheet(-0.3, color=BLUE)
+    for order in ((near, far), (far, near)):
+        seen = middle(pixels(picture_of(*order), camera()))
+        assert seen[0] > 2 * seen[2]
+        seen = middle(pixels(picture_of(*order), camera(rot_y=180)))
+        assert seen[2] > 1.2 * seen[0]
+    ball = ((1.0, 1.0, 0.0), 0.2, (20, 220, 20))
+    hidden = middle(pixels(picture_of(near, balls=[ball]), camera()))
+    assert hidden[0] > 2 * hidden[1]
+    before = middle(pixels(picture_of(far, balls=[ball]), camera()))
+    assert before[1] > 2 * before[2]
+
+
+def test_where_a_sheet_is_torn_one_sees_through_it():
+    place, triangles, color = sheet(n=4)
+    inside = (np.abs(place[triangles].mean(axis=1)[:, :2] - 1) < 0.17).all(axis=1)
+    assert inside.sum() == 2  # the cell in the middle
+    whole = middle(pixels(picture_of((place, triangles, color)), camera()))
+    torn = middle(pixels(picture_of((place, triangles[~inside], color)), camera()))
+    np.testing.assert_allclose(torn, style.WORLD, atol=1)
+    assert whole[0] > 100
+
+
+def test_what_lies_on_a_solid_is_seen_and_its_far_side_is_not():
+    vertex, triangles = icosphere(3)
+    vertex = 0.5 * vertex.astype(float) + [1, 1, 0]
+    # Seen from z > 0 the sphere's corners go round the other way in the world's axes.
+    solid = Solid(vertex, triangles, np.full((len(vertex), 3), 120, np.uint8))
+    before = pixels(picture_of(sheet(0.52, size=0.2), solids=solid), camera())
+    behind = pixels(picture_of(sheet(-0.52, size=0.2), solids=solid), camera())
+    assert middle(before)[0] > 2 * middle(before)[2]
+    assert np.ptp(hue(middle(behind))) < 0.05  # grey
+    covered = (np.abs(behind - np.array(style.WORLD)).max(axis=2) > 8).mean()
+    far = pixels(picture_of(sheet(9.0), solids=solid), camera())  # the sheet is behind the eye
+    assert covered == pytest.approx((np.abs(far - style.WORLD).max(axis=2) > 8).mean(), abs=0.01)
+
+
+def test_a_floor_is_below_what_stands_on_it():
+    view = camera(rot_x=20)
+    image = pixels(picture_of(sheet(size=0.2), ground=0.6), view)
+    pixel = WindowMap(WORLD.size[:2], (160, 160)).to_window(view.project([[1.0, 0.6, 0.0]])[0])[0]
+    x, y = np.round(pixel).astype(int)
+    lit = image[y - 3 : y + 3, x - 3 : x + 3].mean(axis=(0, 1))
+    assert (lit > np.array(style.WORLD) + 5).all()
+    np.testing.assert_allclose(image[2, 80], style.WORLD, atol=2)  # above the horizon
+
+
+@pytest.mark.parametrize("size", [(2.0, 1.0, 3.0), (40.0, 90.0, 10.0)])
+def test_a_camera_frames_what_there_is_with_y_up(size):
+    world = World(size=size, gravity=(0.0, -9.8, 0.0), up="y")
+    random = np.random.default_rng(1)
+    place = np.array(size) * (0.4 + 0.2 * random.random((50, 3)) - [0, 0, 0.5])
+    view = camera_of(Scene("s", world, Particles.build(place, radius=0.01 * min(size))))
+    shown_pixels, _, depth = view.project(place)
+    assert (depth > view.nearest_drawn).all()
+    assert (shown_pixels >= 0).all() and (shown_pixels <= size[:2]).all()
+    used = np.ptp(shown_pixels, axis=0) / size[:2]
+    assert used.max() > 0.35  # and they fill the picture
+    higher = view.project([view.centre, view.centre + [0, 0.1, 0]])[0]
+    assert higher[1, 1] < higher[0, 1]
+    nearer = view.project([view.centre, view.centre + [0, 0, 0.1]])[2]
+    assert nearer[1] < nearer[0]
+    assert max(window_of(world)) >= 720
+
+
+def test_an_upright_plane_has_y_up():
+    window = WindowMap.of(World(size=(4.0, 2.0), gravity=(0.0, -1.0), up="y"), (400, 300))
+    points = np.array([[0.0, 0.0], [1.0, 1.5]])
+    assert window.to_window(points).tolist() == [[0, 250], [100, 100]]
+    np.testing.assert_allclose(window.to_world(window.to_window(points)), points)
+    canvas = window.to_canvas(window.to_window(points))
+    np.testing.assert_allclose(window.world_to_canvas(points), canvas)
+
+
+def test_what_lies_in_no_surface_stays_seen():
+    """A cell, a ball, and a thread from the cell's corner to the ball."""
+    triangles = np.array([[0, 1, 2], [0, 2, 3]])
+    segments = np.array([[0, 1], [1, 2], [2, 4]])
+
+    def of(text):
+        return shown.chosen(shown_parts(text), triangles, segments, 5)
+
+    faces, springs, spheres = of("surface")
+    assert faces is triangles
+    assert springs.tolist() == [[2, 4]] and spheres.tolist() == [False] * 4 + [True]
+    faces, springs, spheres = of("surface, springs")
+    assert len(springs) == 3 and spheres.tolist() == [False] * 4 + [True]
+    faces, springs, spheres = of("springs,particles")
+    assert len(faces) == 0 and springs is segments and spheres is None
+    faces, springs, spheres = of("particles")
+    assert len(faces) == len(springs) == 0 and spheres is None
+    faces, springs, spheres = of("springs")
+    assert springs is segments and not spheres.any()
+    with pytest.raises(InputError, match="--show: unknown word 'spring'; did you mean 'springs'"):
+        shown_parts("spring")
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not runtime.vulkan_available(), reason="needs Vulkan")
+def test_both_views_draw_the_same_surfaces(tmp_path):
+    """In a process of its own, as a second GGUI window would end this one."""
+    program = textwrap.dedent(
+        """
+        import sys
+        sys.path.insert(0, sys.argv[1])
+        import numpy as np
+        from test_drawing import *
+        from taichi_cloth.ui.views.ggui import GguiView
+        runtime.start()
+        vertex, triangles = icosphere(3)
+        vertex = 0.3 * vertex.astype(float) + [1, 0.9, -0.1]
+        solid = Solid(vertex, triangles, np.full((len(vertex), 3), 120, np.uint8))
+        place, faces, color = sheet(0.3, n=20)
+        place[:, 2] += 0.1 * np.sin(9 * place[:, 0])
+        picture = picture_of((place, faces, color), solids=solid, ground=0.4)
+        ggui = GguiView(WORLD, (240, 240), "", visible=False)
+        for turn in (20, 160):
+            ggui.camera = camera(rot_x=20, rot_y=turn)
+            ggui.draw(picture)
+            one, other = ggui.grab().astype(float), pixels(picture, ggui.camera, (240, 240))
+            differ = np.abs(one - other).max(axis=2)
+            print("pixels", (differ > 24).mean(), "middle", np.median(differ))
+            assert (differ > 24).mean() < 0.04 and np.median(differ) < 6
+        """
+    )
+    command = [sys.executable, "-c", program, __file__.rpartition("/")[0]]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
