@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.window_map import default_window
 
 SMALLEST_FRAMED = (960, 720)  # pixels of a window that frames what it shows, in whatever unit
+SAMPLE = 500  # points among which the one farthest from what is held is sought
 MARGIN = 0.08  # room around what there is at the start, in its largest extent
 
 
@@ -39,9 +42,16 @@ def camera_of(scene: Scene) -> Camera | None:
     low, high = (x - radius).min(axis=0), (x + radius).max(axis=0)
     largest = float((high - low).max())
     if particles.fixed.any() and world.gravity[1] < 0:  # what is held may come to hang from there
-        low[1] = min(low[1], x[particles.fixed, 1].max() - largest)
+        held = x[particles.fixed]
+        low[1] = min(low[1], held[:, 1].max() - _farthest(x, held))
     room = MARGIN * largest
     return Camera.framing(world.size, low - room, high + room, y_up=True)
+
+
+def _farthest(points: np.ndarray, held: np.ndarray) -> float:
+    """About how far the point is that is farthest from all that is held, both (n, 3)."""
+    some, few = (a[:: max(1, len(a) // SAMPLE)] for a in (points, held))
+    return float(np.linalg.norm(some[:, None] - few, axis=2).min(axis=1).max())
 
 
 def window_of(world: World) -> tuple[int, int]:
