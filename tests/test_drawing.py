@@ -9,16 +9,20 @@ import pytest
 
 from taichi_cloth import runtime
 from taichi_cloth.errors import InputError
+from taichi_cloth.files.events import Recorder
+from taichi_cloth.scene import library
 from taichi_cloth.scene.cloth import grid_triangles
 from taichi_cloth.scene.model import Particles, Scene, World
 from taichi_cloth.settings.options import shown_parts
-from taichi_cloth.ui import shown, style, surfaces
+from taichi_cloth.ui import app, interaction, shown, style, surfaces
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.framing import camera_of, window_of
+from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.surfaces import Solid, Topology
 from taichi_cloth.ui.vertices import icosphere
 from taichi_cloth.ui.views.contract import Picture
 from taichi_cloth.ui.views.gui import GuiView
+from taichi_cloth.ui.views.none import NullView
 from taichi_cloth.ui.window_map import WindowMap
 
 WORLD = World(size=(2.0, 2.0, 2.0), gravity=(0.0, 0.0, 0.0), up="y")
@@ -251,3 +255,38 @@ def test_both_views_draw_the_same_surfaces(tmp_path):
     command = [sys.executable, "-c", program, __file__.rpartition("/")[0]]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_v_goes_through_what_is_drawn_also_in_a_replay(pool, tmp_path):
+    """Pressed at frames 1 and 2 in a window; its log shows the same in another one."""
+
+    class Watched(NullView):
+        visible = True
+
+        def __init__(self, world, keys):
+            super().__init__(world)
+            self.keys, self.seen = list(keys), []
+
+        def poll(self):
+            return [Event("press", key=key) for key in filter(None, [self.keys.pop(0)])]
+
+        def draw(self, picture):
+            balls = picture.as_spheres is None
+            self.seen.append((len(picture.triangles) > 0, len(picture.segments) > 0, balls))
+
+    scene = library.build("cloth", columns=4, rows=3)
+    pressed = Watched(scene.world, [None, "v", "v", None])
+    recorder = Recorder(tmp_path / "log.jsonl")
+    sim = pool(scene)
+    recorder.write_header(app.log_header(sim, pressed))
+    app.run(sim, pressed, frames=4, recorder=recorder, quiet=True, device="cpu")
+    recorder.close()
+    springs, surface, both = (False, True, True), (True, False, False), (True, True, False)
+    assert pressed.seen[:4] == [springs, surface, both, both]
+    replayed = Watched(scene.world, [None] * 4)
+    log = interaction.load(tmp_path / "log.jsonl")
+    app.run(pool(scene), replayed, frames=4, replay=log, quiet=True, device="cpu")
+    assert replayed.seen[:4] == pressed.seen[:4]
+    asked = Watched(scene.world, [None])
+    app.run(pool(scene), asked, frames=1, show=shown_parts("surface,springs"), device="cpu")
+    assert asked.seen[0] == both
