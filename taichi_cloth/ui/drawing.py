@@ -95,6 +95,18 @@ def spring_width(height: int) -> float:
     return max(2.0, height / 260)
 
 
+def spring_width_on(picture: Picture, segments: np.ndarray, pixels: float, height: int) -> float:
+    """How wide a picture's springs are drawn in 3-D, in pixels: so that one sees what is between.
+
+    segments: (s, 2), those that are drawn. pixels: that a world unit has where one looks.
+    """
+    if not len(picture.triangles):
+        return spring_width(height)
+    a, b = segments[:: max(1, len(segments) // 500)].T
+    length = np.linalg.norm(picture.position[a] - picture.position[b], axis=1)
+    return float(np.clip(0.15 * pixels * np.median(length), 1.0, spring_width(height)))
+
+
 def origin_radius(height: int) -> float:
     """The radius of the dot at (0, 0, 0), in pixels of a window of this height."""
     return 3.5 * max(1.0, height / 600)

@@ -335,7 +335,8 @@ class GguiView:
                 vertex[:, POSITION] += [0, 0, camera.distance]
                 vertex[:, POSITION] *= 1 - LIFTED
                 vertex[:, POSITION] -= [0, 0, camera.distance]
-            self._lines_3d(vertex, drawing.spring_width(h))
+            pixels = focal / camera.distance
+            self._lines_3d(vertex, drawing.spring_width_on(picture, segments, pixels, h))
 
         self._surfaces_3d(picture, camera, position, shown)
         if picture.as_spheres is not None:

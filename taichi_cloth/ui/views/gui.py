@@ -307,7 +307,9 @@ class GuiView:
             ends.append(_cut(_outside(position[segments], picture.radius[segments]), parts))
             rgb = style.spring_colors(picture.color, segments, picture.spring_color)
             color.append(np.repeat(rgb, parts, axis=0))
-            width.append(np.full(len(ends[-1]), drawing.spring_width(self.size[1])))
+            pixel = camera.focal_length * self._map.scale / camera.distance
+            wide = drawing.spring_width_on(picture, segments, pixel, self.size[1])
+            width.append(np.full(len(ends[-1]), wide))
         pixels, _, depths = camera.project(np.concatenate(ends).reshape(-1, 3))
         depths = depths.reshape(-1, 2)
         front = np.flatnonzero((depths > camera.nearest_drawn).all(axis=1))
