@@ -114,6 +114,13 @@ class Readings(ABC):
         """
         return self.storage.drawn_springs()
 
+    def drawn_triangles(self) -> np.ndarray:
+        """The particles at the corners of each triangle that is whole, (whole, 3).
+
+        The same array until a spring breaks, comes or is whole again.
+        """
+        return self.storage.drawn_triangles()
+
     def obstacles(self) -> list[Drawn]:
         """What is in the way, where it is now: obstacles in their order, then the ground.
 

@@ -25,6 +25,7 @@ from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.inputs import COMMANDS, HELP_KEYS, KEYS, STEP_KEYS, Event
 from taichi_cloth.ui.interaction import Log, LogEvent
 from taichi_cloth.ui.opening import offscreen
+from taichi_cloth.ui.solids import Solids
 from taichi_cloth.ui.tools.contract import Marks
 from taichi_cloth.ui.views.contract import Picture, View
 from taichi_cloth.ui.window_map import WindowMap
@@ -179,6 +180,7 @@ class _Loop:
         self._show_status, self._show_help = status, False
         self._show = show or shown.default_for(sim.scene)
         self._chosen = Cached(shown.chosen)
+        self._solids = Solids()
         self.failure: SimulationFailure | None = None
         self._meter = hud.Meter()
         self._rates = ""
@@ -338,6 +340,8 @@ class _Loop:
             triangles=triangles,
             normals=sim.drawn_normals() if len(triangles) and sim.scene.world.dim == 3 else None,
             as_spheres=as_spheres,
+            solids=self._solids.of(sim),
+            ground=sim.scene.world.ground if sim.scene.world.dim == 3 else None,
             text=self._status() if self._show_status else (),
             help=keys,
             banner=banner,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from taichi_cloth.scene.model import Scene, World
@@ -40,8 +42,13 @@ def camera_of(scene: Scene) -> Camera | None:
         return camera_of_world(world)
     x, radius = particles.position, particles.radius[:, None]
     low, high = (x - radius).min(axis=0), (x + radius).max(axis=0)
+    for points in _bounded(scene):
+        low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
+    if world.ground is not None:
+        low[1] = min(low[1], world.ground)
     largest = float((high - low).max())
-    if particles.fixed.any() and world.gravity[1] < 0:  # what is held may come to hang from there
+    if world.ground is None and particles.fixed.any() and world.gravity[1] < 0:
+        # What is held may come to hang from there.
         held = x[particles.fixed]
         low[1] = min(low[1], held[:, 1].max() - _farthest(x, held))
     room = MARGIN * largest
@@ -52,6 +59,17 @@ def _farthest(points: np.ndarray, held: np.ndarray) -> float:
     """About how far the point is that is farthest from all that is held, both (n, 3)."""
     some, few = (a[:: max(1, len(a) // SAMPLE)] for a in (points, held))
     return float(np.linalg.norm(some[:, None] - few, axis=2).min(axis=1).max())
+
+
+def _bounded(scene: Scene) -> Iterator[np.ndarray]:
+    """Points (k, 3) of each obstacle that has an end, where it is at time 0."""
+    if scene.obstacles:
+        from taichi_cloth.scene.obstacles import solids, surface
+
+        for solid in solids(scene):
+            if solid.shape != "plane":
+                centre, turn = solid.pose(0.0)
+                yield centre + surface(solid, 1.0)[0] @ turn.T
 
 
 def window_of(world: World) -> tuple[int, int]:

@@ -1,0 +1,87 @@
+"""Obstacles as they are drawn: one surface of all of them, where they are now."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.ui import style
+from taichi_cloth.ui.surfaces import Solid
+
+if TYPE_CHECKING:
+    from taichi_cloth.scene.obstacles import Drawn
+    from taichi_cloth.simulation.simulation import Simulation
+
+PLANE_CELLS = 16  # along each side of a plane: what is behind us is left out cell by cell
+STRIPES = 0.16  # by so much the stripes of what turns are darker or brighter
+
+
+class Solids:
+    """Keeps what obstacles look like from frame to frame; those at rest are made once."""
+
+    def __init__(self) -> None:
+        self._scene: Scene | None = None
+        self._moving = False
+        self._made: Solid | None = None
+
+    def of(self, sim: Simulation) -> Solid | None:
+        """The surface of the obstacles; None: there are none besides a floor."""
+        scene = sim.scene
+        if self._scene is scene and not self._moving:
+            return self._made
+        if not scene.obstacles and not (scene.world.dim == 2 and scene.world.ground is not None):
+            self._scene, self._made, self._moving = scene, None, False
+            return None
+        drawn = [d for d in sim.obstacles() if d.name != "ground" or scene.world.dim == 2]
+        now = joined([_part(d, scene) for d in drawn])
+        before = self._made
+        if before is not None and np.array_equal(before.triangles, now.triangles):
+            now = Solid(now.vertex, before.triangles, before.color)
+        self._scene, self._made = scene, now
+        self._moving = any(
+            np.any(o.values.get("velocity", 0.0)) or turns(scene, n)
+            for n, o in enumerate(scene.obstacles)
+        )
+        return now
+
+
+def turns(scene: Scene, number: int) -> bool:
+    """Whether an obstacle turns."""
+    return bool(np.any(scene.obstacles[number].values.get("spin", 0.0)))
+
+
+def joined(parts: list[Solid]) -> Solid:
+    """Several solids as one."""
+    first = np.cumsum([0, *(len(part.vertex) for part in parts)])
+    return Solid(
+        np.concatenate([part.vertex for part in parts]),
+        np.concatenate([part.triangles + n for part, n in zip(parts, first, strict=False)]),
+        np.concatenate([part.color for part in parts]),
+    )
+
+
+def _part(drawn: Drawn, scene: Scene) -> Solid:
+    """One obstacle; what turns has stripes, so that one sees it."""
+    vertex, faces = drawn.vertices, drawn.faces
+    if drawn.shape == "plane" and scene.world.dim == 3:
+        vertex, faces = _in_cells(vertex)
+    color = np.full((len(vertex), 3), style.SOLID, np.float64)
+    number = int(drawn.name.rpartition(" ")[2]) if drawn.name.startswith("obstacle") else None
+    if number is not None and scene.world.dim == 3 and turns(scene, number):
+        stripe = np.where(np.sin(3 * np.arctan2(vertex[:, 2], vertex[:, 1])) >= 0, 1, -1)
+        color *= 1 + STRIPES * (stripe * np.where(vertex[:, 0] >= 0, 1, -1))[:, None]
+    place = drawn.centre + vertex @ drawn.turn.T
+    return Solid(place, faces, np.clip(color, 0, 255).astype(np.uint8))
+
+
+def _in_cells(corner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A rectangle of four corners (4, 3), counterclockwise, as cells of two triangles each."""
+    n = PLANE_CELLS + 1
+    i, j = np.divmod(np.arange(n * n), n)
+    along, across = corner[1] - corner[0], corner[3] - corner[0]
+    vertex = corner[0] + np.outer(i / PLANE_CELLS, along) + np.outer(j / PLANE_CELLS, across)
+    a = np.arange(n * n).reshape(n, n)[:-1, :-1].ravel()
+    faces = np.concatenate([np.stack([a, a + n, a + n + 1], 1), np.stack([a, a + n + 1, a + 1], 1)])
+    return vertex, faces
