@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import small
 from selection import thorough
 
 from taichi_cloth.cli.main import main
@@ -33,7 +34,9 @@ SWITCHES = {
     "uniform particles": "uniform_particles",
 }
 FULL = {"columns": 6, "rows": 5, "shear": 0.1, "damping": 0.02}
-SCENES = [(name, explain.FILLED.get(name, {})) for name in library.names()] + [("cloth", FULL)]
+SCENES = [
+    (name, explain.FILLED.get(name, small.SIZES.get(name, {}))) for name in library.names()
+] + [("cloth", FULL)]
 
 
 def switches(scene):

@@ -4,6 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+import small
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -244,7 +245,7 @@ def test_walls(walls, count):
 
 @pytest.mark.parametrize("name", library.names())
 def test_built_in_scenes_survive_a_file(name, tmp_path):
-    scene = library.build(name, **({"particles": 30} if name in ("box", "sandbox") else {}))
+    scene = small.build(name)
     scenefile.save(scene, tmp_path / "scene.toml")
     assert_same_scene(scenefile.load(tmp_path / "scene.toml"), scene)
 

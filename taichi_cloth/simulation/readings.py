@@ -147,13 +147,6 @@ class Readings(ABC):
         reach: iterations were given up. They are counted since the scene was loaded."""
         return self.storage.unsettled()
 
-    def drawn_triangles(self) -> np.ndarray:
-        """The particles at the corners of each triangle that is whole, (whole, 3).
-
-        The same array until a spring breaks, comes or is whole again.
-        """
-        return self.storage.drawn_triangles()
-
     def network(self) -> Network:
         """The particles where they are, and the springs that pull."""
         return self.storage.snapshot().network()

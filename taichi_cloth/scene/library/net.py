@@ -1,0 +1,55 @@
+"""A circus net of 256 x 256 knots, held along its four edges, that bounces without end.
+
+It is here for its speed: nothing but springs, all alike, on one regular grid. Nothing takes energy
+from it, so what a method adds or takes shows in the status of `taichi-cloth trade net`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+
+from taichi_cloth.scene.cloth import grid, grid_triangles
+from taichi_cloth.scene.material import Material
+from taichi_cloth.scene.model import Scene, World
+from taichi_cloth.settings.options import Parameter
+
+FRAME = "auto"
+WIDTH, HEIGHT = 12.8, 5.0  # of the net; at which it hangs [m]
+COLOR = (236, 170, 72)
+
+
+def scene(
+    *,
+    size: Annotated[int, Parameter("knots along a side", minimum=3, maximum=2048)] = 256,
+    stretch: Annotated[
+        float, Parameter("stiffness of a width of net", unit="N/m", above=0)
+    ] = 400.0,
+    density: Annotated[float, Parameter("mass of an area", unit="kg/m2", above=0)] = 0.25,
+) -> Scene:
+    """A net of 256 x 256 knots bounces between its four edges: many particles, fast; SI units."""
+    edge = [(i, j) for i in range(size) for j in range(size) if {i, j} & {0, size - 1}]
+    particles, springs = grid(
+        (1.0, HEIGHT, -WIDTH / 2),
+        size,
+        size,
+        WIDTH / (size - 1),
+        pinned=edge,
+        across=(1.0, 0.0, 0.0),
+        down=(0.0, 0.0, 1.0),
+        material=Material(density=density, stretch=stretch, thickness=0.02),
+    )
+    return Scene(
+        name="net",
+        world=World(
+            size=(WIDTH + 2, 2 * HEIGHT, WIDTH + 2),
+            up="y",
+            gravity=(0.0, -9.81, 0.0),
+            dt=1 / 60,
+        ),
+        particles=replace(particles, color=np.tile(np.array(COLOR, np.uint8), (size * size, 1))),
+        springs=springs,
+        triangles=grid_triangles(size, size)[:, ::-1],  # its front is above
+    )

@@ -1,0 +1,18 @@
+"""Sizes of built-in scenes with which tests that go through all of them stay quick."""
+
+from taichi_cloth.scene import library
+
+SIZES = {
+    "box": {"particles": 30},
+    "curtain": {"columns": 17},
+    "drape": {"size": 9},
+    "flag": {"columns": 10},
+    "net": {"size": 12},
+    "sandbox": {"particles": 30},
+    "warp": {"size": 8},
+}
+
+
+def build(name):
+    """The scene called `name`, small."""
+    return library.build(name, **SIZES.get(name, {}))
