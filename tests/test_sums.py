@@ -8,6 +8,7 @@ from inside import add_sums, add_vectors, move_to, spec_of, state_of, take_step
 from selection import mostly_thorough
 
 from taichi_cloth.kernels import laws
+from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.graph import number
 from taichi_cloth.kernels.grids import link_index, link_offset, pitch_of
 from taichi_cloth.kernels.links import link_stiffness, link_value
@@ -65,7 +66,7 @@ def sum_springs(
             u_i[axis] = u[i, axis]
         set_slot_value(spec, state.u, state.slot[i], u_i)
     each_pack_moving(spec, state, 0, leave)
-    accumulate(spec, state, 0, between, keep_sum, add_to_sum)
+    accumulate(spec, state, 0, between, difference, keep_sum, add_to_sum)
     for i in range(u.shape[0]):
         sum_i = slot_value(spec, state.sum, state.slot[i])
         for axis in ti.static(range(spec.dim)):

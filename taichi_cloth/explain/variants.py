@@ -10,13 +10,15 @@ import numpy as np
 from taichi_cloth.errors import counted
 from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.forces.contract import PARTICLE_NUMBER, Variant, has
-from taichi_cloth.scene.cloth import LINKS
+from taichi_cloth.scene.cloth import LINKS, grid_stencils
 from taichi_cloth.scene.model import WALLS, Features, Particles, Scene, SpringDefaults, Springs
 from taichi_cloth.scene.obstacles import CONTACTS
+from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.simulation import adjacency
 
 # Of what is added where a scene has none. Light enough for the scene's own step to stay stable.
 LIGHT_SPRING = 0.2  # stiffness of a link, of the median spring's
+LIGHT_BENDING = 0.01  # rigidity of cloth, of stiffness * spacing^2
 FAR_TO_BREAK = 1e3  # break force, of stiffness * length: never reached
 ODD = 1.0 + 1e-6  # what one number is multiplied by, so that it has to be stored for each
 
@@ -29,6 +31,7 @@ def variants(scene: Scene, on_graph: bool) -> Iterator[Variant]:
     features = scene.features()
     yield from _forces(scene)
     yield from _links(scene)
+    yield from _bending(scene)
     if len(scene.springs):
         yield _fracture(scene, features.fracture)
     if features.obstacles:
@@ -138,6 +141,21 @@ def _links(scene: Scene) -> Iterator[Variant]:
             without = replace(scene, springs=scene.springs.select(kind != name))
             about = counted(int((kind == name).sum()), "spring")
             yield Variant(f"{name} links", True, about, without)
+
+
+def _bending(scene: Scene) -> Iterator[Variant]:
+    """Every grid bends, with a light rigidity, where nothing in the scene does."""
+    springs, parts = scene.springs, []
+    for of in adjacency.find_grids(springs.between, len(scene.particles)):
+        kind = (springs.between >= of.first) & (springs.between < of.first + of.rows * of.columns)
+        spacing = float(springs.rest_length[kind.all(axis=1)].min())
+        rigidity = LIGHT_BENDING * float(np.median(springs.stiffness)) * spacing**2
+        if spacing > 0 and rigidity > 0:
+            parts.append(grid_stencils(of.columns, of.rows, spacing, rigidity, first=of.first))
+    stencils = Stencils.concatenated(parts)
+    if len(stencils) and not (scene.stencils.bending > 0).any():
+        about = f"of {counted(len(stencils), 'stencil')}, light"
+        yield Variant("bending", False, about, replace(scene, stencils=stencils))
 
 
 def _more_links(scene: Scene, name: str, like: np.ndarray) -> Springs:

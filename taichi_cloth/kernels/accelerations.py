@@ -5,6 +5,7 @@ import functools
 import taichi as ti
 
 from taichi_cloth.kernels.clock import time_of_forces
+from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.forces import load
 from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, has
 from taichi_cloth.kernels.loops import each_pack_moving
@@ -36,7 +37,7 @@ def compute_acceleration(spec: ti.template(), state: ti.template(), t):
     and velocities are only read, so no loop has a race.
     """
     compute_tractions(spec, state, t, time_of_forces, False)
-    accumulate(spec, state, t, force_between, _store_acceleration, _accelerate_more)
+    accumulate(spec, state, t, force_between, difference, _store_acceleration, _accelerate_more)
 
 
 @ti.func
@@ -49,7 +50,9 @@ def accelerate_then(spec: ti.template(), state: ti.template(), t, move: ti.templ
     """
     if ti.static(spec.lanes > 1 and not spec.springs):
         compute_tractions(spec, state, t, time_of_forces, False)
-        accumulate(spec, state, t, force_between, ti.static(_moving(move)), _accelerate_more)
+        accumulate(
+            spec, state, t, force_between, difference, ti.static(_moving(move)), _accelerate_more
+        )
     else:
         compute_acceleration(spec, state, t)
         each_pack_moving(spec, state, t, ti.static(_moving_with_stored(move)))
@@ -94,10 +97,14 @@ def kick_after(
         each_pack_moving(spec, state, t, move)
         accelerate_then(spec, state, t, kick)
     elif ti.static(spec.lanes > 1):
-        move_and_accumulate(spec, state, t, move, force_between, ti.static(_moving(kick)))
+        move_and_accumulate(
+            spec, state, t, move, force_between, difference, ti.static(_moving(kick))
+        )
     else:
         each_pack_moving(spec, state, t, move)
-        accumulate(spec, state, t, force_between, ti.static(_moving(kick)), _accelerate_more)
+        accumulate(
+            spec, state, t, force_between, difference, ti.static(_moving(kick)), _accelerate_more
+        )
 
 
 @ti.func
@@ -108,7 +115,9 @@ def kick_then(
 
     Only where `kicks_at_once`, on packs of one lane: no acceleration is then stored and read.
     """
-    accumulate(spec, state, t, force_between, ti.static(_moving(kick)), _accelerate_more)
+    accumulate(
+        spec, state, t, force_between, difference, ti.static(_moving(kick)), _accelerate_more
+    )
     each_pack_moving(spec, state, t, move)
 
 

@@ -3,7 +3,7 @@
 The magnitude of the force k*(l - rest) exceeds the break force where the spring is longer than
 rest + break_force/k, or shorter than rest - break_force/k; a dashpot's force does not count.
 Lengths are compared squared, so that no root is taken, and once for each spring, so that its ends
-agree.
+agree. With a spring those stencils go (`stencils.py`) that need it.
 """
 
 import taichi as ti
@@ -22,6 +22,7 @@ from taichi_cloth.kernels.packs import (
     slot_value,
 )
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
+from taichi_cloth.kernels.stencils import line_step
 
 
 @ti.func
@@ -37,6 +38,8 @@ def break_springs(spec: ti.template(), state: ti.template(), t):
             each_row(spec, state, t, _break_links_of_row)
     if ti.static(spec.springs):
         each(spec, state, t, state.n_springs[None], _break_spring)
+    if ti.static(spec.stencils):
+        each(spec, state, t, state.n_stencils[None], _break_stencil)
 
 
 @ti.func
@@ -69,6 +72,25 @@ def _mark_spring(spec: ti.template(), state: ti.template(), s):
         if is_beyond(d.dot(d), number(spec, state.shortest2, s), number(spec, state.longest2, s)):
             state.status[s] = BREAKING
             state.break_step[s] = state.step[None]
+
+
+@ti.func
+def _break_stencil(spec: ti.template(), state: ti.template(), m):
+    """Remove the listed stencil m if a spring that it needs is gone."""
+    for e in range(state.side_start[m], state.side_start[m + 1]):
+        if _is_gone(spec, state, state.side[e]):
+            state.stencil_k[m] = 0.0
+
+
+@ti.func
+def _is_gone(spec: ti.template(), state: ti.template(), side):
+    """Whether a spring is gone: number `side` on the graph, or, if negative, link -1 - side."""
+    status = ALIVE
+    if side >= 0:
+        status = state.status[side]
+    elif ti.static(spec.kinds > 0):
+        status = slot_number(spec, state.link_status, -1 - side)
+    return status == GONE
 
 
 # --- on grids --------------------------------------------------------------------------------
@@ -130,8 +152,30 @@ def _break_links(spec: ti.template(), state: ti.template(), g, i):
                 set_slot_number(spec, state.link_status, link, GONE)
                 set_slot_number(spec, state.link_k, link, 0.0)
                 state.breaking[i] -= 1
+                if ti.static(spec.line_kinds > 0):
+                    _break_lines(spec, state, s, g, i, lane)
             else:
                 _mark_link(spec, state, s, g, i, lane)
+
+
+@ti.func
+def _break_lines(spec: ti.template(), state: ti.template(), s, g, i, lane):
+    """Remove the stencils along lines that have the link of kind s from one lane of pack i."""
+    slot, pitch = i * spec.lanes + lane, pitch_of(spec, state, g)
+    for h in range(spec.line_kinds):
+        if state.line[h, 0] == state.link[s, 0] and state.line[h, 1] == state.link[s, 1]:
+            before = slot - line_step(state, h, pitch) * spec.lanes
+            there = True
+            if ti.static(spec.lanes > 1):
+                width = state.grid[g, 2]
+                if state.line[h, 0] == 1 and (i - state.grid[g, 0]) % pitch == 0:
+                    # The column before a strip's first one is the last one of the strip before.
+                    before = slot + (width - 1) * spec.lanes - 1
+                    there = lane > 0
+            at = link_index(state, h, 0) * spec.lanes
+            set_slot_number(spec, state.line_k, at + slot, 0.0)
+            if there:
+                set_slot_number(spec, state.line_k, at + before, 0.0)
 
 
 @ti.func

@@ -18,6 +18,7 @@ from taichi_cloth.kernels.grids import (
 from taichi_cloth.kernels.loops import PIECE, barrier, leave, share
 from taichi_cloth.kernels.packs import read, write, zeros
 from taichi_cloth.kernels.spring_numbers import NUMBERS, fields_of, is_stored
+from taichi_cloth.kernels.stencils import compute_lines
 
 # --- numbers of links --------------------------------------------------------------------------
 
@@ -173,9 +174,12 @@ def pass_over_rows(
     phase,
     move: ti.template(),
     between: ti.template(),
+    apart: ti.template(),
     consume: ti.template(),
 ):
-    """Run consume(spec, state, i, sum over its links) for each pack in thread t's share of grids.
+    """Run consume(spec, state, i, sum) for each pack i in thread t's share of grids.
+
+    The sum is that over its links, and over the stencils along lines that it is in.
 
     Each link is computed once, row by row. The links that begin in a row are computed before its
     turn, into the ring of rows. In its turn each pack adds up what it gets from the links that
@@ -188,6 +192,10 @@ def pass_over_rows(
     move(spec, state, i), of `springs.move_and_accumulate`, is run for each pack of a row right
     before the first links that reach that row are computed, except for the first and last rows of a
     share, which have moved already; `loops.leave` moves nothing.
+
+    Stencils along lines are handled as links are: the pull of each is computed before its earliest
+    row's turn, and taken once by the particle it begins at, minus twice by the next, once by the
+    last.
     """
     for g in range(state.n_grids[None]):
         first, rows, width = state.grid[g, 0], state.grid[g, 1], state.grid[g, 2]
@@ -212,32 +220,58 @@ def pass_over_rows(
                 # The first row's stiffness stays in the processor's caches.
                 if r + 1 < rows - spec.depth:
                     stiffness = first
-            from_above = ti.Vector([0 for _ in range(spec.kinds)])
-            from_here = ti.Vector([0 for _ in range(spec.kinds)])
+            # Of links, then of lines: their middle particles, and their last ones.
+            from_above = ti.Vector([0 for _ in range(spec.kinds + 2 * spec.line_kinds)])
+            from_here = ti.Vector([0 for _ in range(spec.kinds + spec.line_kinds)])
             for s in ti.static(range(spec.kinds)):
                 giver = ring_row(spec, state, g, t, begin, end, r - spec.links[s][1])
                 from_above[s] = s * state.ring_size + giver - spec.links[s][0]
                 from_here[s] = spec.forward[s] * state.ring_size + here
                 if not linked:
                     from_above[s] = from_here[s] = carried_row(spec, state, g, -1)
+            for h in ti.static(range(spec.line_kinds)):
+                columns, down = ti.static(spec.lines[h])
+                in_ring, n = (spec.kinds + h) * state.ring_size, spec.kinds + h
+                one_back = ring_row(spec, state, g, t, begin, end, r - down)
+                two_back = ring_row(spec, state, g, t, begin, end, r - 2 * down)
+                from_here[n] = in_ring + here
+                from_above[n] = in_ring + one_back - columns
+                from_above[n + spec.line_kinds] = in_ring + two_back - 2 * columns
+                if not linked:
+                    from_here[n] = from_above[n] = carried_row(spec, state, g, -1)
+                    from_above[n + spec.line_kinds] = from_here[n]
             for i in range(width):
                 if computes:
                     next_pack = row + pitch + i
                     compute_links(
                         spec, state, between, g, next_pack, stiffness + i, pitch, ahead + i
                     )
+                    if ti.static(spec.line_kinds > 0):
+                        compute_lines(spec, state, apart, next_pack, pitch, ahead + i)
                 if consumes:
                     total = zeros(spec, state)
                     for s in range(spec.kinds):
                         total = total - read(spec, state.ring_forces, from_above[s] + i)
                     for s in range(spec.kinds):
                         total += read(spec, state.ring_forces, from_here[s] + i)
+                    if ti.static(spec.line_kinds > 0):
+                        for h in range(spec.kinds, spec.kinds + spec.line_kinds):
+                            twice = read(spec, state.ring_forces, from_above[h] + i)
+                            total += read(spec, state.ring_forces, from_here[h] + i)
+                            last = from_above[h + spec.line_kinds] + i
+                            total += read(spec, state.ring_forces, last)
+                            total = total - (twice + twice)
                     consume(spec, state, row + i, total)
             if computes:
                 for s in range(spec.kinds):
                     to, columns = s * state.ring_size + ahead, state.link[s, 0]
                     renew_left_halo(spec, state.ring_forces, to, width, columns)
                     renew_right_halo(spec, state.ring_forces, to, width, -columns)
+                if ti.static(spec.line_kinds > 0):
+                    for h in range(spec.line_kinds):
+                        to = (spec.kinds + h) * state.ring_size + ahead
+                        reach = 2 * state.line[h, 0]
+                        renew_left_halo(spec, state.ring_forces, to, width, reach)
             if consumes:
                 renew_halos(spec, state, row, width)
 
@@ -249,6 +283,7 @@ def pass_over_grids(
     t,
     move: ti.template(),
     between: ti.template(),
+    apart: ti.template(),
     consume: ti.template(),
 ):
     """Run `pass_over_rows` on all threads, phase by phase: its parameters are described there."""
@@ -256,12 +291,12 @@ def pass_over_grids(
         for phase in ti.static(range(2)):
             for i in range(spec.threads * PIECE):
                 if i % PIECE == 0:
-                    pass_over_rows(spec, state, i // PIECE, phase, move, between, consume)
+                    pass_over_rows(spec, state, i // PIECE, phase, move, between, apart, consume)
     elif ti.static(spec.threads == 1):
-        pass_over_rows(spec, state, t, 1, move, between, consume)
+        pass_over_rows(spec, state, t, 1, move, between, apart, consume)
     else:
         for phase in range(2):  # at run time: unrolled, it takes twice as long to compile
             if phase == 1:
                 barrier(spec, state)
-            pass_over_rows(spec, state, t, phase, move, between, consume)
+            pass_over_rows(spec, state, t, phase, move, between, apart, consume)
     barrier(spec, state)

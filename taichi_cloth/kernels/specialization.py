@@ -18,6 +18,9 @@ class Specialization:
     lanes: how many particles a pack has (`packs.py`); 1 on a graph and on GPUs.
     links: (columns, rows) from the earlier end to the later one, for each kind of link; empty on a
         graph.
+    lines: (columns, rows) from each particle to the next, for each kind of line along which grids
+        have stencils (`stencils.py`).
+    stencils: whether there are other stencils, which are listed on the graph.
     rows_share_stiffness: whether all rows of each grid, but the last ones, have the same links with
         the same stiffness, none of which breaks.
     compensated: whether positions and velocities have low parts (`compensated.py`).
@@ -40,6 +43,8 @@ class Specialization:
     faces: bool = False
     lanes: int = 1
     links: tuple[tuple[int, int], ...] = ()
+    lines: tuple[tuple[int, int], ...] = ()
+    stencils: bool = False
     rows_share_stiffness: bool = False
     compensated: bool = False
     together: bool = False
@@ -82,9 +87,19 @@ class Specialization:
         return len(self.links)
 
     @property
+    def line_kinds(self) -> int:
+        """How many kinds of line there are."""
+        return len(self.lines)
+
+    @property
+    def _reaches(self) -> tuple[tuple[int, int], ...]:
+        """(columns, rows) from the earliest to the last particle of every kind of link and line."""
+        return (*self.links, *((2 * c, 2 * r) for c, r in self.lines))
+
+    @property
     def reach(self) -> int:
-        """How many columns a link reaches at most, to either side."""
-        return max((abs(c) for c, _ in self.links), default=0)
+        """How many columns a link or line reaches at most, to either side."""
+        return max((abs(c) for c, _ in self._reaches), default=0)
 
     @property
     def halo(self) -> int:
@@ -94,17 +109,17 @@ class Specialization:
     @property
     def left_reach(self) -> int:
         """How many columns links reach at most to the left; 0 where there are no halos."""
-        return max((-c for c, _ in self.links), default=0) if self.halo else 0
+        return max((-c for c, _ in self._reaches), default=0) if self.halo else 0
 
     @property
     def right_reach(self) -> int:
         """How many columns links reach at most to the right; 0 where there are no halos."""
-        return max((c for c, _ in self.links), default=0) if self.halo else 0
+        return max((c for c, _ in self._reaches), default=0) if self.halo else 0
 
     @property
     def depth(self) -> int:
-        """How many rows a link reaches down at most."""
-        return max((r for _, r in self.links), default=0)
+        """How many rows a link or line reaches down at most."""
+        return max((r for _, r in self._reaches), default=0)
 
     @property
     def ring_depth(self) -> int:

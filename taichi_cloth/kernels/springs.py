@@ -24,6 +24,7 @@ from taichi_cloth.kernels.graph import sum_of_half_springs
 from taichi_cloth.kernels.links import grid_share, move_row, pass_over_grids, sum_of_links
 from taichi_cloth.kernels.loops import barrier, each, leave
 from taichi_cloth.kernels.packs import dot, read, scaled, slot_value, zeros
+from taichi_cloth.kernels.stencils import pull_listed, sum_of_lines, sum_of_listed
 
 # --- the terms along a spring --------------------------------------------------------------------
 
@@ -127,20 +128,23 @@ def accumulate(
     state: ti.template(),
     t,
     between: ti.template(),
+    apart: ti.template(),
     consume: ti.template(),
     consume_graph: ti.template(),
 ):
-    """Run consume(spec, state, i, sum over its springs) for every pack i.
+    """Run consume(spec, state, i, sum over its springs and stencils) for every pack i.
 
-    between: see the head of this file. With several lanes `consume` may already move its pack (see
-    `links.pass_over_rows`); else it must leave what others read.
-    consume_graph(spec, state, slot, sum): takes the sum over those springs of a particle that no
-    grid holds, in scenes with grids; it comes after all `consume`.
+    between: see the head of this file. apart: the vectors that stencils sum (`stencils.py`). With
+    several lanes `consume` may already move its pack (see `links.pass_over_rows`); else it must
+    leave what others read.
+    consume_graph(spec, state, slot, sum): takes the sum over what a particle has on the graph, in
+    scenes with grids; it comes after all `consume`.
     """
+    pull_listed(spec, state, t, apart)
     if ti.static(spec.lanes > 1):
-        pass_over_grids(spec, state, t, leave, between, consume)
+        pass_over_grids(spec, state, t, leave, between, apart, consume)
     else:
-        each(spec, state, t, state.n_packs[None], ti.static(_summing(between, consume)))
+        each(spec, state, t, state.n_packs[None], ti.static(_summing(between, apart, consume)))
     if ti.static(spec.springs and spec.kinds > 0):
         each(
             spec, state, t, state.n_csr_rows[None], ti.static(_summing_more(between, consume_graph))
@@ -154,6 +158,7 @@ def move_and_accumulate(
     t,
     move: ti.template(),
     between: ti.template(),
+    apart: ti.template(),
     consume: ti.template(),
 ):
     """Run move(spec, state, i) for every pack i, then consume(spec, state, i, sum over its links).
@@ -171,16 +176,16 @@ def move_and_accumulate(
         for r in range(ti.max(begin + spec.depth, end - spec.depth), end):
             move_row(spec, state, g, r, move)
     barrier(spec, state)
-    pass_over_grids(spec, state, t, move, between, consume)
+    pass_over_grids(spec, state, t, move, between, apart, consume)
 
 
 @functools.cache
-def _summing(between, consume):
+def _summing(between, apart, consume):
     """The body of a loop over packs that hands each pack's sum to `consume`."""
 
     @ti.func
     def body(spec: ti.template(), state: ti.template(), i):
-        consume(spec, state, i, sum_at_pack(spec, state, between, i))
+        consume(spec, state, i, sum_at_pack(spec, state, between, apart, i))
 
     return body
 
@@ -193,17 +198,25 @@ def _summing_more(between, consume_graph):
     def body(spec: ti.template(), state: ti.template(), p):
         slot = state.csr_slot[p]
         total = sum_of_half_springs(spec, state, slot_value, between, p, slot)
+        if ti.static(spec.stencils):
+            total += sum_of_listed(spec, state, p)
         consume_graph(spec, state, slot, total)
 
     return body
 
 
 @ti.func
-def sum_at_pack(spec: ti.template(), state: ti.template(), between: ti.template(), i):
-    """The sum over the springs of pack i, with each spring computed from both of its ends."""
+def sum_at_pack(
+    spec: ti.template(), state: ti.template(), between: ti.template(), apart: ti.template(), i
+):
+    """The sum over springs and stencils of pack i, with each computed from all of its particles."""
+    total = zeros(spec, state)
     if ti.static(spec.kinds > 0):
-        return sum_of_links(spec, state, between, i)
+        total = sum_of_links(spec, state, between, i)
+        if ti.static(spec.line_kinds > 0):
+            total += sum_of_lines(spec, state, apart, i)
     elif ti.static(spec.springs):
-        return sum_of_half_springs(spec, state, read, between, i, i)
-    else:
-        return zeros(spec, state)
+        total = sum_of_half_springs(spec, state, read, between, i, i)
+        if ti.static(spec.stencils):
+            total += sum_of_listed(spec, state, i)
+    return total

@@ -40,7 +40,8 @@ class Capacity:
 
     particles; springs: those on the graph; packs, the empty ones included; grids; row: packs in the
     widest row, with its halos; triangles: those of which the scene's forces and
-    thin obstacles know; obstacles; nodes: of their grids.
+    thin obstacles know; obstacles; nodes: of their grids; stencils, stencil_particles,
+    stencil_sides: those that are listed, all of their particles, and the springs they need.
     """
 
     particles: int
@@ -51,6 +52,9 @@ class Capacity:
     triangles: int = 0
     obstacles: int = 0
     nodes: int = 0
+    stencils: int = 0
+    stencil_particles: int = 0
+    stencil_sides: int = 0
 
     def holds(self, other: "Capacity") -> bool:
         """Whether what needs the capacity `other` fits into this one."""
@@ -113,6 +117,11 @@ class State:
     Springs on the graph, once each (fracture): ends: their slots; shortest2, longest2: squares of
         the lengths at which the force reaches the break force (`fracture.py`); status: ALIVE,
         BREAKING or GONE; break_step: when it began to break; half: its two half-springs.
+    Stencils on the graph (`stencils.py`): those of number m have the particles in the slots
+        stencil_slot[e], with stencil_weight[e], e from stencil_start[m] to stencil_start[m + 1],
+        and the numbers stencil_k and stencil_pull; a particle of row p has the parts row_stencil
+        and row_weight, from row_stencils[p] to row_stencils[p + 1]; side, side_start (fracture):
+        the springs that a stencil needs, negative for links (`fracture.py`).
     Grids (`grids.py`): grid: (grids, 4): first pack, rows, width in packs, whether it has links;
         grid_of: a pack's grid, -1 in empty rows; breaking (fracture): how many of the links that
         begin at a pack are BREAKING.
@@ -122,9 +131,11 @@ class State:
         for the numbers that links of a kind and grid share.
         By kind and pack (`grids.link_index`): link_<letter> for the other numbers, link_status and
         link_step (fracture), as status and break_step are for springs.
-        ring_forces: what links give their earlier ends: rows of zeros, a ring of rows for each
-        thread, then the last rows of each thread's share of each grid. row, ring_size: packs in a
-        row of it, and in all of it for one kind of link.
+        line, line_k: columns and rows along each kind of line, and, by kind and pack, what
+        multiplies the curvature vectors of the stencils that begin there (`stencils.py`).
+        ring_forces: what links and lines give their earlier ends: rows of zeros, a ring of rows
+        for each thread, then the last rows of each thread's share of each grid. row, ring_size:
+        packs in a row of it, and in all of it for one kind of link or line.
     Numbers that a run may change are 0-D fields: n, n_packs, n_grids, dt, ..., and those of the
         scene's forces; low, high: the world's ends; inner_low, inner_high: those of the inner box,
         in which no particle is past a wall (`contact.py`); step: the number of the step under way;
@@ -140,7 +151,8 @@ class State:
         one (compensated): 1, which compilers do not know (`compensated.py`).
     Colours of springs on the graph (needs "spring_colours"; `solvers/colours.py`): those of colour
         k are colour_start[k] .. colour_start[k+1], each with its ends and spring_<letter>.
-        impulse, link_impulse: a vector for each spring, for each link.
+        impulse, link_impulse, line_impulse, stencil_impulse: a vector for each spring, link, line
+        and stencil; the stencils of colour k are stencil_colour[k] .. stencil_colour[k + 1].
     Colours of particles with springs on the graph (needs "particle_colours"): those of colour k are
         in the slots csr_slot[coloured[n]], n from colour_start[k] to colour_start[k+1]; own: 0 for
         these particles, 1 for all others.
@@ -192,6 +204,8 @@ class State:
             self._place_links_of_kinds(spec)
         if spec.springs:
             self._place_graph(spec, method)
+        if spec.stencils:
+            self._place_stencils(spec, method)
         if spec.collisions:
             self._place_collision_grid(spec)
         if has_surface(spec):
@@ -297,7 +311,12 @@ class State:
         self.ring_size = 1
         if spec.lanes > 1:
             self.ring_size = (spec.threads * spec.ring_depth + carried) * row
-        self.ring_forces = self._pack_vectors(spec, kinds * self.ring_size)
+        self.ring_forces = self._pack_vectors(spec, (kinds + spec.line_kinds) * self.ring_size)
+        if spec.lines:
+            self.line = self._counts(spec.line_kinds, 2)
+            self.line_k = self._pack_numbers(spec, spec.line_kinds * self.packs)
+            if "spring_colours" in method.needs:
+                self.line_impulse = self._pack_vectors(spec, spec.line_kinds * self.packs)
         self.grid_of = self._counts(self.packs)
         if spec.fracture:
             self.link_status = self._pack_counts(spec, kinds * self.packs)
@@ -376,6 +395,21 @@ class State:
             lengths = [] if spec.uniform_springs else [s]
             self.shortest2, self.longest2 = self._scalars(*lengths), self._scalars(*lengths)
             self.status, self.break_step = self._counts(s), self._counts(s)
+
+    def _place_stencils(self, spec, method):
+        n, capacity = max(self.capacity.particles, 1), self.capacity
+        m, k = max(capacity.stencils, 1), max(capacity.stencil_particles, 1)
+        self.n_stencils, self.stencil_start = self._counts(), self._counts(m + 1)
+        self.stencil_slot, self.stencil_weight = self._counts(k), self._scalars(k)
+        self.stencil_k, self.stencil_pull = self._scalars(m), self._scalars(m, spec.dim)
+        self.row_stencils = self._counts(n + 1)
+        self.row_stencil, self.row_weight = self._counts(k), self._scalars(k)
+        if spec.fracture:
+            self.side_start = self._counts(m + 1)
+            self.side = self._counts(max(capacity.stencil_sides, 1))
+        if "spring_colours" in method.needs:
+            self.n_stencil_colours, self.stencil_colour = self._counts(), self._counts(m + 1)
+            self.stencil_impulse = self._scalars(m, spec.dim)
 
     def _place_spring_numbers(self, spec, place, count):
         for number in NUMBERS:

@@ -4,6 +4,7 @@ import taichi as ti
 
 from taichi_cloth.kernels.accelerations import terms_on_particles
 from taichi_cloth.kernels.clock import time_at_end
+from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, has
 from taichi_cloth.kernels.packs import read, set_slot_value, slot_value, write
 from taichi_cloth.kernels.springs import accumulate, force_between
@@ -23,7 +24,7 @@ def compute_forces(spec: ti.template(), state: ti.template(), step: ti.i32):
     for _ in range(1):
         state.step[None] = step
     compute_tractions(spec, state, 0, time_at_end, False)
-    accumulate(spec, state, 0, force_between, _store, _store_more)
+    accumulate(spec, state, 0, force_between, difference, _store, _store_more)
 
 
 @ti.func

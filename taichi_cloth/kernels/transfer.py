@@ -73,6 +73,10 @@ def load_packs(
                 for axis in ti.static(range(spec.dim)):
                     middle[axis] = 0.5 * (state.low[axis] + state.high[axis])
                 set_slot_value(spec, state.x, slot, middle)
+            if ti.static(spec.line_kinds > 0):
+                for h in range(spec.line_kinds):
+                    line = link_index(state, h, 0) * spec.lanes + slot
+                    set_slot_number(spec, state.line_k, line, 0.0)
             if ti.static(spec.links):
                 for s in range(spec.kinds):
                     link = link_index(state, s, 0) * spec.lanes + slot
@@ -318,6 +322,75 @@ def load_links(
             set_slot_number(spec, state.link_step, link, links[i, 3])
             if status == BREAKING:
                 ti.atomic_add(state.breaking[slot // spec.lanes], 1)
+
+
+@ti.kernel
+def load_lines(
+    spec: ti.template(),
+    state: ti.template(),
+    places: ti.types.ndarray(),
+    k: ti.types.ndarray(),
+):
+    """Load the stencils along the lines of grids, after `load_packs`.
+
+    places: (m, 2), each one's kind of line and the slot of its earliest particle; k: (m,).
+    """
+    for _ in range(1):
+        for h in ti.static(range(spec.line_kinds)):
+            state.line[h, 0], state.line[h, 1] = spec.lines[h][0], spec.lines[h][1]
+    for i in range(k.shape[0]):
+        line = link_index(state, places[i, 0], 0) * spec.lanes + places[i, 1]
+        set_slot_number(spec, state.line_k, line, k[i])
+
+
+@ti.kernel
+def load_stencils(
+    state: ti.template(),
+    start: ti.types.ndarray(),
+    slots: ti.types.ndarray(),
+    weights: ti.types.ndarray(),
+    k: ti.types.ndarray(),
+    rows: ti.types.ndarray(),
+    of: ti.types.ndarray(),
+    row_weights: ti.types.ndarray(),
+):
+    """Load the listed stencils, after `load_half_springs`.
+
+    start: (m + 1,); slots, weights: (q,), their particles; k: (m,). rows: (rows + 1,), where the
+    parts of each compressed row begin; of, row_weights: (q,), each part's stencil and weight.
+    """
+    for _ in range(1):
+        state.n_stencils[None] = k.shape[0]
+    for m in range(start.shape[0]):
+        state.stencil_start[m] = start[m]
+    for m in range(k.shape[0]):
+        state.stencil_k[m] = k[m]
+    for e in range(slots.shape[0]):
+        state.stencil_slot[e], state.stencil_weight[e] = slots[e], weights[e]
+        state.row_stencil[e], state.row_weight[e] = of[e], row_weights[e]
+    for p in range(rows.shape[0]):
+        state.row_stencils[p] = rows[p]
+
+
+@ti.kernel
+def load_stencil_sides(state: ti.template(), start: ti.types.ndarray(), side: ti.types.ndarray()):
+    """Load the springs that listed stencils need.
+
+    start: (m + 1,); side: (q,), a spring on the graph, or -1 less the index of a link's number.
+    """
+    for m in range(start.shape[0]):
+        state.side_start[m] = start[m]
+    for e in range(side.shape[0]):
+        state.side[e] = side[e]
+
+
+@ti.kernel
+def load_stencil_colours(state: ti.template(), start: ti.types.ndarray()):
+    """Load where the colours of listed stencils begin, (colours + 1,)."""
+    for _ in range(1):
+        state.n_stencil_colours[None] = start.shape[0] - 1
+    for k in range(start.shape[0]):
+        state.stencil_colour[k] = start[k]
 
 
 @ti.kernel

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_cloth.kernels.methods.contract import Method
-from taichi_cloth.limits.matrices import laplacian, largest_eigenvalue
+from taichi_cloth.limits.matrices import laplacian, largest_eigenvalue, stencil_matrix
 from taichi_cloth.limits.modes import ROUND_OFF, growth, largest_step
 from taichi_cloth.limits.network import Network
 
@@ -60,7 +60,8 @@ def _pairs(bounds: Bounds) -> list[tuple[float, float]]:
 def gershgorin(network: Network) -> Bounds:
     """Gershgorin's bounds: the largest row sums of |M^-1 K| and |M^-1 C|, in every geometry.
 
-    omega^2 <= max_i (1/m_i) (sum of k to all neighbours + sum of k to free neighbours).
+    omega^2 <= max_i (1/m_i) (sum of k to all neighbours + sum of k to free neighbours + sum over
+    stencils of k |weight_i| times the sum of |weight| over free particles).
     """
     stiffness, damping = network.along_springs
     return _row_sums(network, stiffness[:, None], damping[:, None])
@@ -96,7 +97,7 @@ def _row_sums(network: Network, stiff: np.ndarray, damped: np.ndarray) -> Bounds
         return np.where(free, sums, 0.0)
 
     with np.errstate(over="ignore", invalid="ignore"):  # an infinite bound is a true answer
-        omega2 = rows(stiff) + np.where(free, held, 0.0)
+        omega2 = rows(stiff) + np.where(free, held + _rows_of_stencils(network), 0.0)
         damping = rows(damped) + np.where(free, drag, 0.0)
     stiffest, damped_most = int(omega2.argmax()), int(damping.argmax())
     return Bounds(
@@ -108,11 +109,23 @@ def _row_sums(network: Network, stiff: np.ndarray, damped: np.ndarray) -> Bounds
     )
 
 
+def _rows_of_stencils(network: Network) -> np.ndarray:
+    """What stencils add to the row sums of |M^-1 K|, (n,)."""
+    stencils, particles = network.stencils, network.particles
+    weight, of = np.abs(stencils.weight), stencils.owner
+    free = weight * ~particles.fixed[stencils.particle]
+    total = np.bincount(of, free, len(stencils)) * network.on_curvature
+    row = np.bincount(stencils.particle, weight * total[of], len(particles))
+    rows: np.ndarray = row / particles.mass
+    return rows
+
+
 class AnyGeometry:
     """Bounds that hold however springs turn, followed from state to state.
 
     Since n n^T + t (I - n n^T) <= I, K is at most the Laplacian of the graph with weights k, one
-    number a particle, and C that with weights c plus drag. Their largest eigenvalues are found
+    number a particle, with what stencils add, which is the same in every direction; and C is that
+    with weights c plus drag. Their largest eigenvalues are found
     starting from the vectors of the last time.
     """
 
@@ -128,6 +141,9 @@ class AnyGeometry:
         values = []
         for i, (weights, diagonal) in enumerate(_weights_and_diagonal(network)):
             matrix = laplacian(network, weights, diagonal)
+            if i == 0 and len(network.stencils):
+                matrix = matrix + stencil_matrix(network)
+                weights = np.append(weights, network.on_curvature)
             uniform = not weights.any() and (matrix.diagonal() == matrix.diagonal()[0]).all()
             if uniform:
                 values.append(float(matrix.diagonal()[0]))
@@ -152,14 +168,18 @@ class AnyGeometry:
         quotients = []
         free, mass = ~network.particles.fixed, network.particles.mass
         a, b = network.springs.between.T
-        for u, (weights, diagonal) in zip(
-            self._vectors, _weights_and_diagonal(network), strict=True
+        for u, (weights, diagonal), bent in zip(
+            self._vectors,
+            _weights_and_diagonal(network),
+            (network.on_curvature, 0.0),
+            strict=True,
         ):
             if u is None:
                 quotients.append(0.0)
                 continue
             scaled = np.where(free, u / np.sqrt(mass), 0.0)
             energy = (weights * (scaled[b] - scaled[a]) ** 2).sum() + (diagonal * scaled**2).sum()
+            energy += (bent * network.stencils.curvature(scaled[:, None])[:, 0] ** 2).sum()
             quotients.append(float(energy / (u * u).sum()))
         least = gershgorin(network).least_damping
         return Bounds(quotients[0], -1, max(quotients[1], least), -1, least)

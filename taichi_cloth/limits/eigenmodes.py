@@ -31,6 +31,8 @@ class Limit:
         particles, and that share; -1 where drag alone sets the limit.
     particle: the one that moves most (-1: none does).
     held: whether it is a force on that particle, and not its drag, that sets the limit.
+    bent: the particle at whose curvature most of the mode's energy is, where bending sets the
+        limit; else -1.
     """
 
     dt: float
@@ -43,12 +45,15 @@ class Limit:
     share: float = 0.0
     particle: int = -1
     held: bool = False
+    bent: int = -1
 
     def describe(self) -> str:
         """What is responsible, in words."""
         if self.spring >= 0:
             a, b = self.ends
             return f"spring {self.spring}, between particles {a} and {b}"
+        if self.bent >= 0:
+            return f"the bending at particle {self.bent}"
         if self.particle < 0:
             return "nothing"
         return f"the {'force' if self.held else 'drag'} on particle {self.particle}"
@@ -177,8 +182,13 @@ def _limit(network: Network, found: _Mode) -> Limit:
     mode[free], velocity[free] = u.reshape(-1, dim) / mass, moving.reshape(-1, dim) / mass
     particle = int((network.particles.mass * (mode**2).sum(axis=1)).argmax())
     limit = Limit(h, omega2, rate, mode, velocity, particle=particle)
-    energy, drag, held = _energies(network, mode, h if 0 < h < math.inf else 1.0)
-    total = energy.sum() + drag + held
+    time = h if 0 < h < math.inf else 1.0
+    energy, drag, held = _energies(network, mode, time)
+    bent = time * time * network.on_curvature * (network.stencils.curvature(mode) ** 2).sum(axis=1)
+    total = energy.sum() + drag + held + bent.sum()
+    if bent.sum() > total / 2:
+        most = network.stencils.start[int(bent.argmax())]
+        return replace(limit, bent=int(network.stencils.particle[most]))
     if not energy.sum() > drag + held:
         return replace(limit, held=held > drag)
     spring = int(energy.argmax())

@@ -29,6 +29,18 @@ def laplacian(network: Network, weights: np.ndarray, diagonal: np.ndarray) -> cs
     return _free_block(network, *_edges(network.springs.between, weights), diagonal, 1)
 
 
+def stencil_matrix(network: Network) -> csr_matrix:
+    """M^-1/2 Q M^-1/2 of the free particles, (f, f): Q is what stencils add to K on each axis."""
+    from scipy import sparse
+
+    stencils, particles = network.stencils, network.particles
+    entries = stencils.weight, (stencils.owner, stencils.particle)
+    curvature = sparse.csr_matrix(entries, shape=(len(stencils), len(particles)))
+    free = ~particles.fixed
+    scaled = curvature[:, free] @ sparse.diags(1.0 / np.sqrt(particles.mass[free]))
+    return (scaled.T @ sparse.diags(network.on_curvature) @ scaled).tocsr()
+
+
 def _edges(between: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The Laplacian's entries: rows, columns, values."""
     a, b = between.T
@@ -101,8 +113,13 @@ def stiffness_and_damping(network: Network) -> tuple[csr_matrix, csr_matrix]:
     held, drag = network.on_particles
     nn = along[:, :, None] * along[:, None, :]
     stiff = k[:, None, None] * ((1 - t)[:, None, None] * nn + t[:, None, None] * np.eye(dim))
+    stiffness = _from_blocks(network, stiff, held)
+    if len(network.stencils):
+        from scipy import sparse
+
+        stiffness = stiffness + sparse.kron(stencil_matrix(network), sparse.identity(dim), "csr")
     return (
-        _from_blocks(network, stiff, held),
+        stiffness,
         _with_triangles(network, _from_blocks(network, c[:, None, None] * nn, drag)),
     )
 

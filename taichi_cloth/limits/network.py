@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from taichi_cloth.kernels import forces
-from taichi_cloth.kernels.forces.contract import TENSION, TRACTION, has
+from taichi_cloth.kernels.forces.contract import ACCELERATION, CURVATURE, FORCE, TENSION, has
 from taichi_cloth.limits import tractions
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.scene.triangles import corner_shares, springs_of_sides
 
 
@@ -20,7 +21,7 @@ class Network:
 
     position, velocity: (n, dim). world, particles, springs: those of the scene, the springs those
     that hold. number: (s,) int, what each of these is called. triangles: (m, 3), those that are
-    whole; shares: (m, 3), their corners' of them.
+    whole; shares: (m, 3), their corners' of them. stencils: those that hold.
     """
 
     position: np.ndarray
@@ -31,6 +32,7 @@ class Network:
     number: np.ndarray
     triangles: np.ndarray
     shares: np.ndarray
+    stencils: Stencils = field(default_factory=Stencils.none)
 
     @classmethod
     def from_scene(
@@ -67,6 +69,7 @@ class Network:
             number,
             triangles,
             shares,
+            scene.stencils if holds is None else scene.stencils_among(holds),
         )
 
     @functools.cached_property
@@ -88,12 +91,13 @@ class Network:
     @functools.cached_property
     def along_springs(self) -> tuple[np.ndarray, np.ndarray]:
         """What forces along springs add to K and C: stiffness and damping, (s,)."""
-        return self._shares(True, len(self.springs))
+        return self._shares(len(self.springs), self.springs, (TENSION,))
 
     @functools.cached_property
     def on_particles(self) -> tuple[np.ndarray, np.ndarray]:
         """What forces on single particles, such as drag, add to K and C, (n,)."""
-        return self._shares(False, len(self.particles))
+        kinds = (ACCELERATION, FORCE)
+        return self._shares(len(self.particles), self.springs, kinds)
 
     @functools.cached_property
     def by_triangles(self) -> tuple[np.ndarray, np.ndarray]:
@@ -113,12 +117,19 @@ class Network:
             self.position, self.velocity, self.world, self.triangles, self.shares
         )
 
-    def _shares(self, along: bool, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """The sum of the shares that the terms along springs, or on particles, declare."""
+    @functools.cached_property
+    def on_curvature(self) -> np.ndarray:
+        """What forces on stencils add to K: times the squares of curvature vectors, (m,)."""
+        return self._shares(len(self.stencils), self.stencils, (CURVATURE,))[0]
+
+    def _shares(
+        self, count: int, of: Springs | Stencils, kinds: tuple[str, ...]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The sum of the shares that the terms of some kinds declare; of: what these are given."""
         stiffness, damping = np.zeros(count), np.zeros(count)
         for name in forces.TERMS:
             term = forces.load(name)
-            if term.adds != TRACTION and has(term.bound) and (term.adds == TENSION) == along:
-                k, c = term.bound(self.world, self.particles, self.springs)
+            if has(term.bound) and term.adds in kinds:
+                k, c = term.bound(self.world, self.particles, of)
                 stiffness, damping = stiffness + k, damping + c
         return stiffness, damping

@@ -23,12 +23,14 @@ from taichi_cloth.scene.model import (
 from taichi_cloth.scene.obstacles import CONTACTS, fault
 from taichi_cloth.scene.properties import (
     NOT_NEGATIVE,
+    PART,
     PARTICLE_PROPERTIES,
     POSITIVE,
     SPRING_PROPERTIES,
     Rule,
     WorldKey,
 )
+from taichi_cloth.scene.stencils import IN_ROW, Stencils
 from taichi_cloth.scene.world_keys import world_keys
 from taichi_cloth.settings import accepted
 
@@ -47,9 +49,9 @@ def validate(scene: Scene, place: Place = _plain_place) -> Scene:
     """Return `scene` if it can be simulated, else raise InputError with one line that says why.
 
     place: names the place of a fault in the message: ``place(kind, index, field)`` with kind
-        "world", "particle", "spring", "triangle", "obstacle", "particle defaults" or "spring
-        defaults", the index of the particle, spring, triangle or obstacle (None for the rest) and
-        the field at fault (None: the whole of it).
+        "world", "particle", "spring", "triangle", "stencil", "obstacle", "particle defaults" or
+        "spring defaults", the index of the particle, spring and so on (None for the rest) and the
+        field at fault (None: the whole of it).
         A scene file names its line there.
 
     Raises InputError for: a NaN or infinite number (an infinite break force is allowed: it says
@@ -57,7 +59,8 @@ def validate(scene: Scene, place: Place = _plain_place) -> Scene:
     mouse mode or further key of the world; an obstacle of an unknown shape, or with a key or number
     that this cannot have; arrays whose shapes do not fit each other or the world's dimension; a
     particle outside the world; a spring between missing or equal particles, or a second spring
-    between the same two; a triangle with a missing corner or with two equal ones.
+    between the same two; a triangle with a missing corner or with two equal ones; a stencil
+    with a missing particle or one twice, or with weights that do not add up to 0.
     """
     if not isinstance(scene, Scene):
         raise InputError(f"scene must be a Scene, is {accepted.shown(scene)}; build or load one")
@@ -81,6 +84,7 @@ def validate(scene: Scene, place: Place = _plain_place) -> Scene:
     if scene.obstacles:
         _check_obstacles(scene, refusal)
     _check_triangles(scene.triangles, len(scene.particles), refusal)
+    _check_stencils(scene.stencils, len(scene.particles), refusal)
     if scene.spring_color is not None:
         color = np.asarray(scene.spring_color)
         if color.shape != (3,) or color.dtype.kind not in "iu" or not ((color >> 8) == 0).all():
@@ -171,6 +175,7 @@ def _check_types(scene: Scene, refusal: _Refusal) -> None:
         ("springs", Springs),
         ("particle_defaults", ParticleDefaults),
         ("spring_defaults", SpringDefaults),
+        ("stencils", Stencils),
     ):
         value = getattr(scene, part)
         if not isinstance(value, kind):
@@ -359,6 +364,37 @@ def _check_triangles(triangles: Any, particle_count: int, refusal: _Refusal) -> 
     if twice.any():
         at = int(np.argmax(twice))
         refuse(at, f"two of its corners {_show(triangles[at])} are one particle; give three")
+
+
+def _check_stencils(stencils: Stencils, particle_count: int, refusal: _Refusal) -> None:
+    m, k = len(stencils), len(stencils.particle)
+    for name, shape in (
+        *(("start", (m + 1,)), ("particle", (k,)), ("weight", (k,))),
+        *(("bending", (m,)), ("inside", (m,))),
+    ):
+        refusal.check_shape("stencil", name, getattr(stencils, name), shape)
+    sizes = stencils.sizes
+    if stencils.start[0] != 0 or stencils.start[-1] != k or (sizes < IN_ROW).any():
+        few = int(np.argmax(sizes < IN_ROW)) if m else None
+        refusal.refuse("stencil", few, "between", f"between must have at least {IN_ROW} particles")
+    refusal.check_rows("stencil", "bending", stencils.bending, NOT_NEGATIVE)
+    refusal.check_rows("stencil", "inside", stencils.inside, PART)
+    for mine, at in stencils.by_size():
+        ends, weight = stencils.particle[at], stencils.weight[at]
+        in_order = np.sort(ends, axis=1)
+        has = f"particles 0 to {particle_count - 1}" if particle_count else "none"
+        most = np.abs(weight).sum(axis=1)
+        for wrong, name, says in (
+            ((ends < 0) | (ends >= particle_count), "between", f"the scene has {has}, not all of"),
+            (in_order[:, 1:] == in_order[:, :-1], "between", "a particle is twice in"),
+            (~np.isfinite(weight), "weights", "weights must be finite numbers, are"),
+            (np.abs(weight.sum(axis=1)) > 1e-9 * most, "weights", "weights must add up to 0, are"),
+        ):
+            bad = wrong if wrong.ndim == 1 else wrong.any(axis=1)
+            if bad.any():
+                i = int(bad.argmax())
+                shown = _show((ends if name == "between" else weight)[i])
+                refusal.refuse("stencil", int(mine[i]), name, f"{says} {shown}")
 
 
 def _check_ends(between: np.ndarray, particle_count: int, refusal: _Refusal) -> None:

@@ -5,6 +5,7 @@ One builder for the built-in scene and for ``[[cloths]]`` in scene files.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -21,6 +22,7 @@ from taichi_cloth.scene.model import (
     Springs,
 )
 from taichi_cloth.scene.properties import SPRING_PROPERTIES
+from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.scene.triangles import masses
 from taichi_cloth.settings import accepted
 
@@ -143,6 +145,53 @@ def grid_triangles(columns: int, rows: int, first: int = 0) -> np.ndarray:
     across = at[1:, 1:]
     cells = np.stack([left, right, across, left, across, below], axis=-1)
     return cells.reshape(-1, 3)
+
+
+def grid_stencils(
+    columns: int,
+    rows: int,
+    spacing: float,
+    bending: float,
+    *,
+    across: Sequence[float] | None = None,
+    down: Sequence[float] | None = None,
+    first: int = 0,
+) -> Stencils:
+    """What resists bending in a `columns` x `rows` cloth, for `Scene`: second differences.
+
+    Those along rows come first, then those along columns, each row by row. An inner row stands for
+    a strip as wide as the rows are apart, an outer one for half of it, a single one for a whole
+    spacing; columns likewise. So the cloth is as stiff however finely it is divided.
+
+    spacing, across, down: as of `grid`. bending: rigidity B [force * length]. first: the number of
+    the cloth's first particle. Raises InputError as `grid` does, and for a negative rigidity.
+    """
+    what = "grid_stencils"
+    columns = accepted.whole_number(f"{what}: columns", columns, None)
+    rows = accepted.whole_number(f"{what}: rows", rows, None)
+    spacing = accepted.number(f"{what}: spacing", spacing)
+    first = accepted.whole_number(f"{what}: first", first)
+    _check_size(columns, rows, spacing)
+    stiff = accepted.as_float(bending)
+    if stiff is None or not (np.isfinite(stiff) and stiff >= 0):
+        raise InputError(f"bending must be at least 0, is {accepted.shown(bending)}")
+    dim = next((len(given) for given in (across, down) if given is not None), 2)
+    cosine = _direction("across", across, 0, dim) @ _direction("down", down, 1, dim)
+    apart = math.sqrt(max(1.0 - float(cosine) ** 2, 0.0))  # of rows, in spacings
+    at = first + np.arange(rows * columns, dtype=np.int64).reshape(rows, columns)
+    found = Stencils.none()
+    for lines in (at, at.T):
+        width = np.full(len(lines), apart)
+        width[[0, -1]] = apart / 2 if len(lines) > 1 else 1.0
+        before, middle, after = lines[:, :-2], lines[:, 1:-1], lines[:, 2:]
+        shape = middle.shape if lines.shape[1] > 2 else (len(lines), 0)
+        unit = np.broadcast_to(np.sqrt(width)[:, None] / spacing, shape)
+        triples = np.stack([of.reshape(shape) for of in (middle, before, after)], axis=2)
+        weights = np.stack([-2 * unit, unit, unit], axis=2)
+        if lines is not at:  # those of columns, too, in the order of the particles
+            triples, weights = triples.transpose(1, 0, 2), weights.transpose(1, 0, 2)
+        found = found.joined(Stencils.build(triples.reshape(-1, 3), weights.reshape(-1, 3), stiff))
+    return found
 
 
 def _ties(

@@ -11,6 +11,7 @@ world says so.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -27,6 +28,7 @@ from taichi_cloth.scene.properties import (
     SpringProperties,
     WorldValue,
 )
+from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.settings import accepted
 
 if TYPE_CHECKING:
@@ -376,6 +378,7 @@ class Scene:
     triangles: (m, 3) int64, the particles at the corners of the surfaces. Seen from the side that
         their normal points to, the corners of each go round counterclockwise.
     obstacles: what particles rest on, slide along and bounce off.
+    stencils: where they resist being bent.
     """
 
     name: str
@@ -387,12 +390,14 @@ class Scene:
     spring_color: tuple[int, int, int] | None = None
     triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     obstacles: tuple[Obstacle, ...] = ()
+    stencils: Stencils = field(default_factory=Stencils.none)
 
     def features(self) -> Features:
         """Which parts of the physics this scene can ever need (also after clicks)."""
         spawns = self.world.mouse == "spawn"
         springs = self.springs
-        has_springs = spawns or len(springs) > 0
+        # Stencils are summed with the springs on the graph, if there are any or not.
+        has_springs = spawns or len(springs) > 0 or len(self.stencils) > 0
         defaults = self.spring_defaults
         walls = self.world.walls if self.world.contact == CONTACTS[0] else ()
         planes = self.world.ground is not None or len(walls) < len(self.world.walls)
@@ -417,6 +422,19 @@ class Scene:
             ),
             resting=self.world.collisions and self.world.contact == "resting",
         )
+
+    @functools.cached_property
+    def stencil_sides(self) -> tuple[np.ndarray, np.ndarray]:
+        """The springs that stencils need: pairs of stencil and spring, (q,) each."""
+        return self.stencils.sides(self.springs.between)
+
+    def stencils_among(self, pulling: np.ndarray) -> Stencils:
+        """The stencils that hold while only some springs pull, (s,) bool: those with all theirs."""
+        if len(self.stencils) == 0:
+            return self.stencils
+        of, spring = self.stencil_sides
+        missing = np.bincount(of, ~pulling[spring], len(self.stencils))
+        return self.stencils.select(missing == 0)
 
     def _uniform_springs(self) -> bool:
         """Whether all springs, also those that clicks add, have the same numbers."""

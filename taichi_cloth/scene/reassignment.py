@@ -54,6 +54,7 @@ def reassigned(scene: Scene, assignments: Sequence[Assignment]) -> Scene:
         particles=replace(scene.particles, **columns),
         springs=replace(scene.springs, **tied),
         triangles=scene.triangles,
+        stencils=scene.stencils,
     )
     return validate(changed, place)
 

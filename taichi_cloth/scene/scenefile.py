@@ -220,6 +220,14 @@ def dump(scene: Scene) -> str:
     for obstacle in scene.obstacles:
         out += ["", "[[obstacles]]"]
         out += [f"{key} = {_toml(value)}" for key, value in _listed_obstacle(obstacle).items()]
+    stencils = scene.stencils
+    for i in range(len(stencils)):
+        mine = slice(stencils.start[i], stencils.start[i + 1])
+        out += ["", "[[stencils]]", f"between = {stencils.particle[mine].tolist()}"]
+        out.append(f"weights = {_listed(stencils.weight[mine])}")
+        out.append(f"bending = {float(stencils.bending[i])!r}")
+        if stencils.inside[i] != 1.0:
+            out.append(f"inside = {float(stencils.inside[i])!r}")
     return "\n".join(out) + "\n"
 
 

@@ -16,7 +16,7 @@ from taichi_cloth.errors import InputError, counted, nearest
 from taichi_cloth.scene import mesh_tables, toml
 from taichi_cloth.scene.assignments import Assignment
 from taichi_cloth.scene.checks import validate
-from taichi_cloth.scene.cloth import LINKS, grid, grid_triangles
+from taichi_cloth.scene.cloth import LINKS, grid, grid_stencils, grid_triangles
 from taichi_cloth.scene.material import KEYS as MATERIAL_KEYS
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import (
@@ -39,6 +39,7 @@ from taichi_cloth.scene.properties import (
     WorldNumber,
     WorldValue,
 )
+from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.scene.toml import Keys
 from taichi_cloth.scene.world_keys import world_keys
 
@@ -53,6 +54,7 @@ _TABLES = {
         "spring",
         "particles",
         "springs",
+        "stencils",
         "cloths",
         "meshes",
         "obstacles",
@@ -73,9 +75,10 @@ _TABLES = {
     "spring": (*SPRING_PROPERTIES, "color"),
     "particles": ("position", "velocity", "fixed", "color", *PARTICLE_PROPERTIES),
     "springs": ("between", *SPRING_PROPERTIES),
+    "stencils": ("between", "weights", "bending", "inside"),
     "obstacles": ("shape",),  # and what its shape declares (`kernels/obstacles/`)
     "cloths": (
-        *("origin", "columns", "rows", "spacing", "pinned", "links", "across", "down"),
+        *("origin", "columns", "rows", "spacing", "pinned", "links", "across", "down", "bending"),
         *MATERIAL_KEYS,
         *SPRING_PROPERTIES,
     ),
@@ -142,6 +145,8 @@ class TableReader:
             return self.place("obstacles", index, field_name)
         if kind == "triangle":
             return f"{self.place('triangles')}: triangle {index}"
+        if kind == "stencil":
+            return self.place("stencils", index, field_name)
         source = next(s for s in reversed(self.sources[kind]) if s.first <= index)
         if source.table in ("cloths", "meshes"):
             offset = f" particle {index - source.first}" if kind == "particle" else ""
@@ -266,6 +271,7 @@ class TableReader:
         cloths, links = [], []
         surfaces = [self.triangles(table)]
         count = len(particles)
+        stencils = self.stencils(self.entries(table, "stencils"))
         spring_entries = self.entries(table, "springs")
         link_count = len(spring_entries)
         defaults = world, particle_defaults, spring_defaults
@@ -277,6 +283,8 @@ class TableReader:
                 self.sources["spring"].append(_Source(link_count, kind, index, keys))
                 ties.between[:] += count
                 surfaces.append(count + triangles)
+                if kind == "cloths":
+                    stencils = stencils.joined(self.cloth_stencils(entry, index, world, count))
                 cloths.append(nodes)
                 links.append(ties)
                 count += len(nodes)
@@ -296,6 +304,7 @@ class TableReader:
             spring_color=spring_color,
             obstacles=self.obstacles(table),
             triangles=np.concatenate(surfaces),
+            stencils=stencils,
         )
         return validate(scene, self.place_of_fault)
 
@@ -491,6 +500,37 @@ class TableReader:
     ) -> tuple[Particles, Springs, np.ndarray]:
         """The particles, springs and triangles of a mesh, numbered from 0."""
         return mesh_tables.read(self, entry, index, world, particle_defaults, spring_defaults)
+
+    def cloth_stencils(self, entry: Table, index: int, world: World, first: int) -> Stencils:
+        """What resists bending in a cloth, whose first particle has the number `first`."""
+        path = ("cloths", index)
+        bending = self.value(entry, path, "bending", toml.number)
+        if bending is None:
+            return Stencils.none()
+        across, down = (self.vector(entry, path, key, world.dim) for key in ("across", "down"))
+        try:
+            size = entry["columns"], entry["rows"], entry["spacing"]
+            return grid_stencils(*size, bending, across=across, down=down, first=first)
+        except InputError as error:
+            raise InputError(f"{self.place(*path, 'bending')}: {error}") from None
+
+    def stencils(self, entries: list[Table]) -> Stencils:
+        """The stencils that are listed one by one."""
+        found = []
+        for index, entry in enumerate(entries):
+            path = ("stencils", index)
+            between = self.required(entry, path, "between", toml.integers)
+            weights = self.finite(
+                path, "weights", self.required(entry, path, "weights", toml.numbers)
+            )
+            if len(weights) != len(between):
+                has = f"has {len(weights)} for {counted(len(between), 'particle')}"
+                self.refuse((*path, "weights"), f"weights must be one for each particle, {has}")
+            bending = self.required(entry, path, "bending", toml.number)
+            inside = self.value(entry, path, "inside", toml.number, 1.0)
+            one = np.array([between], np.int64), np.array([weights], np.float64)
+            found.append(Stencils.build(*one, bending, inside))
+        return Stencils.concatenated(found)
 
     def of_kinds(
         self, entry: Table, path: Keys, key: str, links: list[str]

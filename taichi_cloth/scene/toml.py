@@ -139,6 +139,7 @@ def list_of(
 
 
 numbers = list_of(number, "a list of numbers")
+integers = list_of(integer, "a list of whole numbers")
 texts = list_of(text, "a list of texts")
 tables = list_of(table, "a list of tables, each under its own [[...]]")
 pair = list_of(integer, "a list of two whole numbers", 2)

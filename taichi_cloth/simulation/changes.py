@@ -51,6 +51,7 @@ class Changes(ABC):
             positions, velocities (m, dim), in world units; fixed particles keep velocity 0;
             stiffness, rest_length, break_force, damping (`SpringProperties`); None for a break
             force: unbreakable, for a rest length: the distance that the ends have now;
+            bending, the rigidity of cloths that have one, all or (m,) for each stencil;
             gravity (dim,) and the further keys of [world] that forces declare.
         particles: indices, or a mask (n,), of those that get the values; absent: all.
         springs: likewise for springs (s,); kind: instead, "structural", "shear" or "bend": those of

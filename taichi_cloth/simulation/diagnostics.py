@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_cloth.kernels import forces
-from taichi_cloth.kernels.forces.contract import TENSION, has
+from taichi_cloth.kernels.forces.contract import CURVATURE, TENSION, has
 from taichi_cloth.scene.model import Scene, Springs
+from taichi_cloth.scene.stencils import Stencils
 
 
 @dataclass(frozen=True)
@@ -83,12 +84,15 @@ def energy(scene: Scene, x: np.ndarray, v: np.ndarray, pulling: np.ndarray) -> E
     Of a force that the scene does not have it is zero.
     """
     particles, springs = scene.particles, scene.springs.select(pulling)
+    stencils = scene.stencils_among(pulling)
     free = ~particles.fixed
     terms = {name: forces.load(name) for name in forces.TERMS}
     return Energy(
         kinetic=float(0.5 * (particles.mass[free, None] * v[free] ** 2).sum()),
         potential={
-            name: term.energy(x, v, scene.world, particles, springs)
+            name: term.energy(
+                x, v, scene.world, particles, stencils if term.adds == CURVATURE else springs
+            )
             for name, term in terms.items()
             if has(term.energy)
         },
@@ -113,8 +117,21 @@ def spring_forces(x: np.ndarray, v: np.ndarray, springs: Springs) -> np.ndarray:
     return force
 
 
+def stencil_forces(x: np.ndarray, stencils: Stencils, fixed: np.ndarray) -> np.ndarray:
+    """What `stencils` do to the particles at x (n, dim), of which some are fixed, (n, dim)."""
+    curvature, k = stencils.curvature(x), stencils.stiffness(fixed)
+    pull = np.zeros_like(curvature)
+    for name in forces.TERMS:
+        term = forces.load(name)
+        if term.adds == CURVATURE and has(term.twin):
+            pull += term.twin(curvature, k)
+    force: np.ndarray = stencils.gathered(pull, len(x))
+    return force
+
+
 def acceleration_at_start(scene: Scene) -> np.ndarray:
-    """Acceleration of a scene's particles at its start (n, dim): gravity, springs, drag.
+    """Acceleration of a scene's particles at its start (n, dim): gravity, springs, bending,
+    drag.
 
     What springs in balance leave of their forces by rounding counts as nothing.
     """
@@ -125,6 +142,7 @@ def acceleration_at_start(scene: Scene) -> np.ndarray:
         each = springs.stiffness * np.maximum(reach, springs.rest_length)
         rounding = 1e-14 * np.bincount(springs.between.ravel(), np.repeat(each, 2), len(p))
         force = np.where(np.abs(force) > rounding[:, None], force, 0.0)
+        force += stencil_forces(p.position, scene.stencils, p.fixed)
         force -= p.viscous[:, None] * p.velocity
         a: np.ndarray = np.asarray(scene.world.gravity) + force / p.mass[:, None]
     return a

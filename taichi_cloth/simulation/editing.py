@@ -18,6 +18,7 @@ from taichi_cloth.kernels.state import ALIVE, GONE
 from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.scene.properties import (
+    NOT_NEGATIVE,
     PARTICLE_PROPERTIES,
     SPRING_PROPERTIES,
     Property,
@@ -26,17 +27,19 @@ from taichi_cloth.scene.properties import (
     WorldNumber,
     WorldValue,
 )
+from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.scene.world_keys import world_keys
 from taichi_cloth.settings import accepted
 from taichi_cloth.simulation import layouts
 from taichi_cloth.simulation.snapshot import Snapshot
 
 OF_PARTICLES = (*PARTICLE_PROPERTIES, "fixed", "color", "positions", "velocities")
+OF_STENCILS = "bending"
 
 
 def settable() -> list[str]:
     """The names of all that `with_values` takes."""
-    return [*OF_PARTICLES, *SPRING_PROPERTIES, "gravity", *world_keys()]
+    return [*OF_PARTICLES, *SPRING_PROPERTIES, OF_STENCILS, "gravity", *world_keys()]
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,8 @@ def with_values(now: Snapshot, given: Mapping[str, Any], selection: Selection) -
             raise InputError(f"set: unknown name '{name}'; {nearest(name, settable())}")
     of_particles = {name: given[name] for name in given if name in OF_PARTICLES}
     of_springs = {name: given[name] for name in given if name in SPRING_PROPERTIES}
-    of_world = {name: given[name] for name in given if name not in {*of_particles, *of_springs}}
+    others = {*of_particles, *of_springs, OF_STENCILS}
+    of_world = {name: given[name] for name in given if name not in others}
     chosen = _particles(now, selection, bool(of_particles))
     tied = _springs(now, selection, bool(of_springs))
     scene, x, v = now.scene, now.x, now.v
@@ -71,6 +75,8 @@ def with_values(now: Snapshot, given: Mapping[str, Any], selection: Selection) -
         scene = replace(scene, particles=_with_columns(scene.particles, of_particles, chosen))
     if of_springs:
         scene = replace(scene, springs=_with_numbers(scene.springs, of_springs, tied, x))
+    if OF_STENCILS in given:
+        scene = replace(scene, stencils=_with_bending(scene, given[OF_STENCILS]))
     return Snapshot(scene, x, v, now.marks)
 
 
@@ -126,9 +132,10 @@ def with_cut(now: Snapshot, springs: Any, steps: int) -> Snapshot:
 
 
 def without(now: Snapshot, particles: Any) -> tuple[Snapshot, np.ndarray]:
-    """The state without some particles, their springs and triangles, and which particles are left.
+    """The state without some particles and all that has one of them, and which particles are left.
 
-    The latter by their numbers, (m,). All that is left keeps its order.
+    The latter by their numbers, (m,). What is left, springs, triangles and stencils, keeps its
+    order.
     """
     count = len(now.x)
     gone = np.zeros(count, bool)
@@ -145,6 +152,7 @@ def without(now: Snapshot, particles: Any) -> tuple[Snapshot, np.ndarray]:
         particles=kept,
         springs=replace(springs, between=number[springs.between]),
         triangles=number[scene.triangles[whole]],
+        stencils=scene.stencils.without(gone).renumbered(number),
     )
     return Snapshot(scene, now.x[left], now.v[left], now.marks[holds]), left
 
@@ -162,6 +170,7 @@ def same(a: Snapshot, b: Snapshot) -> bool:
         and equal(vars(a.scene.particles), vars(b.scene.particles))
         and equal(vars(a.scene.springs), vars(b.scene.springs))
         and np.array_equal(a.scene.triangles, b.scene.triangles)
+        and equal(vars(a.scene.stencils), vars(b.scene.stencils))
         and all(np.array_equal(getattr(a, k), getattr(b, k)) for k in ("x", "v", "marks"))
     )
 
@@ -317,6 +326,17 @@ def _with_numbers(
         columns[name] = getattr(springs, name).copy()
         columns[name][chosen] = new
     return replace(springs, **columns)
+
+
+def _with_bending(scene: Scene, value: Any) -> Stencils:
+    """The scene's stencils with another rigidity, one for all or one for each."""
+    what, count = f"set: {OF_STENCILS}", len(scene.stencils)
+    if count == 0:
+        raise InputError(f"{what}: nothing in the scene has it; give its cloths bending")
+    given = accepted.numbers(what, value)
+    _hold(what, given, NOT_NEGATIVE)
+    bending = accepted.fitted(what, given, (count,), "stencils")
+    return replace(scene.stencils, bending=np.array(bending, np.float64))
 
 
 def _column(what: str, about: Property, value: Any, count: int, of: str) -> np.ndarray:

@@ -6,6 +6,7 @@ A pack holds several particles side by side, its width in number, each in a slot
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
@@ -14,7 +15,8 @@ import numpy as np
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.model import Springs
-from taichi_cloth.simulation import adjacency
+from taichi_cloth.scene.stencils import Stencils
+from taichi_cloth.simulation import adjacency, lines
 
 # Offsets (columns, rows) from a particle to those that come later and are tied to it.
 FORWARD = tuple((-column, -row) for kind in LINKS.values() for column, row in kind)
@@ -37,6 +39,9 @@ class Layout:
     grid_of: (n_packs,) int32, each pack's grid; -1: none with links.
     kind: (s,) int, each spring's kind of link, -1 for one on the graph.
     owner: (s,) int, the slot of a link's earlier particle.
+    lines: (columns, rows) along the kinds of line that have stencils; line: (m,) int, each
+        stencil's kind of line, -1 for one on the graph; line_owner: (m,) int, the slot of its
+        earliest particle.
     shared: by column of `Springs`, (kinds, g), what the links of a kind share in a grid.
     held: (kinds, g, 2), likewise (`squares_held`).
     row: packs in the widest row, halos included; beside: packs in a row of particles that are on no
@@ -53,11 +58,19 @@ class Layout:
     grid_of: np.ndarray
     kind: np.ndarray
     owner: np.ndarray
+    lines: tuple[tuple[int, int], ...]
+    line: np.ndarray
+    line_owner: np.ndarray
     shared: dict[str, np.ndarray]
     held: np.ndarray
     row: int
     beside: int
     rows_share_stiffness: bool
+
+    @property
+    def reaches(self) -> tuple[tuple[int, int], ...]:
+        """(columns, rows) from the earliest to the last particle of each kind of link and line."""
+        return (*self.links, *((2 * c, 2 * r) for c, r in self.lines))
 
 
 def squares_held(springs: Springs) -> np.ndarray:
@@ -67,7 +80,12 @@ def squares_held(springs: Springs) -> np.ndarray:
         return squares
 
 
-def on_graph(springs: Springs, particle_count: int, sort: bool) -> Layout:
+def on_graph(
+    springs: Springs,
+    particle_count: int,
+    sort: bool,
+    stencils: Stencils | None = None,
+) -> Layout:
     """The layout in which particles stand one by one, and all springs are on the graph.
 
     Particles are in the order of their numbers, or, where `sort` allows it and springs reach far
@@ -88,6 +106,9 @@ def on_graph(springs: Springs, particle_count: int, sort: bool) -> Layout:
         grid_of=np.zeros(1, np.int32),
         kind=np.full(len(springs), -1),
         owner=np.zeros(len(springs), np.int64),
+        lines=(),
+        line=np.full(0 if stencils is None else len(stencils), -1),
+        line_owner=np.zeros(0 if stencils is None else len(stencils), np.int64),
         shared={},
         held=np.zeros((0, 0, 2)),
         row=1,
@@ -147,11 +168,16 @@ def particle_period(halo: int) -> int:
     return halo + 1
 
 
-def particle_colours(springs: Springs, grids: Layout | None, particle_count: int) -> np.ndarray:
-    """Colours (n,) of all particles; no two of one colour are tied. Without springs: -1.
+def particle_colours(
+    springs: Springs,
+    grids: Layout | None,
+    particle_count: int,
+    stencils: Stencils | None = None,
+) -> np.ndarray:
+    """Colours (n,) of all particles; no two of one colour are tied, or in one stencil.
 
-    On grids rows and columns take turns, by one more than links reach. Particles that have springs
-    on the graph have colours that follow.
+    Without springs and stencils: -1. On grids rows and columns take turns, by one more than links
+    and lines reach. Particles that have something on the graph have colours that follow.
 
     grids: the layout on grids, if there is one, with packs of any width.
     """
@@ -159,16 +185,41 @@ def particle_colours(springs: Springs, grids: Layout | None, particle_count: int
     colour = np.full(particle_count, -1, np.int64)
     shared = np.zeros(particle_count, bool)
     shared[springs.between[~linked]] = True
+    tied = springs.between
+    if stencils is not None and len(stencils):
+        along = np.full(len(stencils), -1) if grids is None else grids.line
+        shared[stencils.select(along < 0).particle] = True
+        tied = np.concatenate([tied, lines.pairs(stencils)])
     turns = 0
     if grids is not None:
         g, row, column = _places(grids, grids.slot)
-        columns, down = np.abs(np.array(grids.links)).max(axis=0)
+        columns, down = np.abs(np.array(grids.reaches)).max(axis=0)
         turns = (columns + 1) * (down + 1)
         place = row % (down + 1) * (columns + 1) + column % (columns + 1)
         colour = np.where(g >= 0, place, -1)
-    between = springs.between[shared[springs.between].all(axis=1)]
+    between = tied[shared[tied].all(axis=1)]
     own = adjacency.vertex_colours(between, particle_count)
     colour[shared] = turns + own[shared]
+    return colour
+
+
+def stencil_colours(stencils: Stencils, grids: Layout | None, particle_count: int) -> np.ndarray:
+    """Colours (m,) of all stencils; those of one colour share no particle (`solvers/colours.py`).
+
+    Along lines they take turns by three: the colours of kind k are 3k to 3k + 2. All others have
+    those that follow.
+    """
+    colour, kinds = np.zeros(len(stencils), np.int64), 0
+    along = np.full(len(stencils), -1)
+    if grids is not None:
+        along, kinds = grids.line, len(grids.lines)
+        mine = np.flatnonzero(along >= 0)
+        _, row, column = _places(grids, grids.line_owner[mine])
+        if len(mine):
+            down = np.array(grids.lines)[along[mine], 1]
+            colour[mine] = 3 * along[mine] + np.where(down > 0, row, column) % 3
+    listed = along < 0
+    colour[listed] = 3 * kinds + lines.colours(stencils.select(listed), particle_count)
     return colour
 
 
@@ -177,7 +228,7 @@ def _places(grids: Layout, slot: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     cell, lane = np.divmod(slot, grids.lanes)
     g = grids.grid_of[cell]
     first, _, width, _ = grids.grid[g].T
-    halo = max(abs(c) for c, _ in grids.links) if grids.lanes > 1 else 0
+    halo = max(abs(c) for c, _ in grids.reaches) if grids.lanes > 1 else 0
     row, place = np.divmod(cell - first, width + 2 * halo)
     return g, row, lane * width + place
 
@@ -188,6 +239,7 @@ def on_grids(
     lanes: int,
     period: Callable[[int], int] = any_period,
     terms: Collection[str] = (),
+    stencils: Stencils | None = None,
 ) -> Layout | None:
     """The layout of regular grids in packs, and of what else there is; None without a grid.
 
@@ -198,6 +250,7 @@ def on_grids(
     period: strips are a multiple of this many columns wide, a function of the most columns that a
         link reaches.
     terms: names of the scene's forces; a number that one of them changes is each link's own.
+    stencils: those that are to be placed, too.
     """
     grids = adjacency.find_grids(springs.between, particle_count)
     if not grids:
@@ -215,9 +268,17 @@ def on_grids(
     kind = renumbered[kind]
     links = tuple(FORWARD[k] for k in used)
 
-    halo = max(abs(c) for c, _ in links) if lanes > 1 else 0
-    depth = max(r for _, r in links)
+    stencils = Stencils.none() if stencils is None else stencils
+    line, earliest = lines.find(stencils, springs.between, kind, grid, column, row)
+    along = tuple(of for k, of in enumerate(lines.LINES) if (line == k).any())
+    line = np.array([*(along.index(of) if of in along else -1 for of in lines.LINES), -1])[line]
+    reaches = (*links, *((2 * c, 2 * r) for c, r in along))
+
+    halo = max(abs(c) for c, _ in reaches) if lanes > 1 else 0
+    depth = max(r for _, r in reaches)
     multiple = period(halo) if lanes > 1 else 1
+    if along and multiple > 1:
+        multiple = math.lcm(multiple, 3)  # `stencil_colours`
     table, slot, n_packs = _packed(grids, grid, column, row, lanes, halo, depth, multiple)
     return Layout(
         lanes=lanes,
@@ -228,6 +289,9 @@ def on_grids(
         grid_of=_grid_of_packs(table, halo, n_packs),
         kind=kind,
         owner=slot[springs.between.min(axis=1)].astype(np.int64),
+        lines=along,
+        line=line,
+        line_owner=slot[earliest].astype(np.int64),
         shared={column: numbers[used] for column, numbers in shared.items()},
         held=held[used],
         row=int(table[:, 2].max()) + 2 * halo,

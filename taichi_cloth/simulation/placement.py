@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_cloth.kernels import forces
+from taichi_cloth.kernels.forces.contract import CURVATURE
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.settings.options import TOPOLOGIES
 from taichi_cloth.simulation import layouts
 from taichi_cloth.simulation.layouts import Layout
@@ -21,7 +23,8 @@ class Placement:
     graph_springs: numbers of the springs that are on the graph, in the order of memory: those of
     one colour together, where they have colours. colours: theirs, 0 where the method wants none.
     links: numbers of the springs that are links of grids; link_places: (links, 2) int32, each
-    one's kind and the slot of its earlier end.
+    one's kind and the slot of its earlier end. graph_stencils, stencil_colours, lines, line_places:
+    the same of stencils, those on the graph and those along lines of grids.
     """
 
     layout: Layout
@@ -29,6 +32,10 @@ class Placement:
     colours: np.ndarray
     links: np.ndarray
     link_places: np.ndarray
+    graph_stencils: np.ndarray
+    stencil_colours: np.ndarray
+    lines: np.ndarray
+    line_places: np.ndarray
 
 
 class Placements:
@@ -39,6 +46,9 @@ class Placements:
 
     def __init__(self, scene: Scene, needs: Collection[str], lanes: int) -> None:
         self._scene, self._needs, self._lanes = scene, needs, lanes
+        self._terms = forces.present_in(scene)
+        bends = any(forces.load(name).adds == CURVATURE for name in self._terms)
+        self._stencils = scene.stencils if bends else Stencils.none()
         self._layouts: dict[str, Layout | None] = {}
         self._placements: dict[str, Placement] = {}
 
@@ -58,17 +68,26 @@ class Placements:
     def particle_colours(self) -> np.ndarray:
         """The colour of each particle, (n,), whose springs tie none of the same colour."""
         scene = self._scene
-        return layouts.particle_colours(scene.springs, self._layout("lanes"), len(scene.particles))
+        count, grids = len(scene.particles), self._layout("lanes")
+        return layouts.particle_colours(scene.springs, grids, count, self._stencils)
 
     def _place(self, layout: Layout) -> Placement:
         links = np.flatnonzero(layout.kind >= 0)
         graph_springs, colours = self._sorted_springs(layout)
+        graph_stencils, stencil_colours = self._sorted_stencils(layout)
+        lines = np.flatnonzero(layout.line >= 0)
         return Placement(
             layout=layout,
             graph_springs=graph_springs,
             colours=colours,
             links=links,
             link_places=np.column_stack([layout.kind[links], layout.owner[links]]).astype(np.int32),
+            graph_stencils=graph_stencils,
+            stencil_colours=stencil_colours,
+            lines=lines,
+            line_places=np.column_stack([layout.line[lines], layout.line_owner[lines]]).astype(
+                np.int32
+            ),
         )
 
     def _layout(self, topology: str) -> Layout | None:
@@ -81,14 +100,17 @@ class Placements:
         count = len(scene.particles)
         if topology == "graph":
             # Collisions add up in the order of the particles, which is then that of memory too.
-            return layouts.on_graph(scene.springs, count, sort=not scene.world.collisions)
+            return layouts.on_graph(
+                scene.springs, count, not scene.world.collisions, self._stencils
+            )
         period = layouts.any_period
         if "spring_colours" in self._needs:
             period = layouts.spring_period
         elif "particle_colours" in self._needs:
             period = layouts.particle_period
-        terms = forces.present_in(scene)
-        return layouts.on_grids(scene.springs, count, self._lanes, period, terms)
+        return layouts.on_grids(
+            scene.springs, count, self._lanes, period, self._terms, self._stencils
+        )
 
     def _sorted_springs(self, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
         """The springs that no grid holds, in the order of memory, and their colours."""
@@ -101,3 +123,13 @@ class Placements:
         near = layout.slot[scene.springs.between[springs]].min(axis=1)
         order = np.lexsort((near, colour))
         return springs[order], colour[order]
+
+    def _sorted_stencils(self, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+        """The stencils that lie along no line of a grid, in the order of memory; their colours."""
+        stencils, count = self._stencils, len(self._scene.particles)
+        mine = np.flatnonzero(layout.line < 0)
+        if "spring_colours" not in self._needs:
+            return mine, np.zeros(len(mine), np.int64)
+        colour = layouts.stencil_colours(stencils, self._layout("lanes"), count)[mine]
+        order = np.argsort(colour, kind="stable")
+        return mine[order], colour[order]

@@ -20,6 +20,7 @@ from taichi_cloth.limits.precision import refuse_unholdable
 from taichi_cloth.runtime import current_device
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import Particles, Scene, Springs
+from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import PATHS, TOPOLOGIES
 from taichi_cloth.simulation import autotune, diagnosis, diagnostics
@@ -369,7 +370,8 @@ class Simulation(Readings, Changes):
             if tied_to >= self.particle_count:
                 raise InputError(f"spawn: tied to particle {tied_to}, which does not exist")
         none = np.zeros((0, 3), np.int64)
-        validate(replace(self.scene, particles=new, springs=Springs.none(), triangles=none))
+        alone = replace(self.scene, particles=new, springs=Springs.none(), triangles=none)
+        validate(replace(alone, stencils=Stencils.none()))
         grown = self.storage.snapshot().with_particle(new, tied_to)
         if self._auto:  # before anything changes: it may refuse
             chosen = self._auto.before_spawn(grown)

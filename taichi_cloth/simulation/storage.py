@@ -246,7 +246,8 @@ class Storage:
         """What the scene needs in a placement, with parallel loops in one launch per step."""
         features, layout = dict(vars(self.scene.features())), placement.layout
         spawns = self.scene.world.mouse == "spawn"
-        features["springs"] &= spawns or len(placement.graph_springs) > 0
+        listed = len(placement.graph_stencils) > 0
+        features["springs"] &= spawns or listed or len(placement.graph_springs) > 0
         # What was cut is gone where nothing else can break.
         features["fracture"] |= not self._taken.alive.all()
         terms = forces.present_in(self.scene)
@@ -257,6 +258,8 @@ class Storage:
             terms=terms,
             lanes=layout.lanes,
             links=layout.links,
+            lines=layout.lines,
+            stencils=listed,
             rows_share_stiffness=layout.rows_share_stiffness and not features["fracture"],
             compensated=self._launcher.device.compensated,
             together=self._is_mesh(),
@@ -285,6 +288,9 @@ class Storage:
             obstacles=len(self.solids),
             nodes=sum(solid.nodes for solid in self.solids),
             triangles=len(self.scene.triangles) if self._knows_triangles() else 0,
+            stencils=len(placement.graph_stencils),
+            stencil_particles=int(self.scene.stencils.sizes[placement.graph_stencils].sum()),
+            stencil_sides=len(self.scene.stencil_sides[0]),
         )
 
     def _knows_triangles(self) -> bool:
@@ -519,6 +525,7 @@ def _same_places(one: Scene, other: Scene) -> bool:
     """Whether the particles and springs of two scenes are placed alike, whatever else differs."""
     return (
         one.springs is other.springs
+        and one.stencils is other.stencils
         and one.particles.position is other.particles.position
         and one.triangles is other.triangles
         and one.world.collisions == other.world.collisions

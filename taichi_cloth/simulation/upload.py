@@ -112,6 +112,9 @@ class Upload:
             self._obstacles()
         if has_surface(self.spec):
             self.surface(self.state.surface)
+        if self.spec.lines:
+            places, k = self.placement.line_places, self._stencil_numbers(self.placement.lines)
+            self._launch(transfer.load_lines, places, k)
 
     def _launch(self, kernel: Any, *arguments: Any) -> None:
         self.launcher.launch(kernel, self.spec, self.state, *arguments)
@@ -141,14 +144,19 @@ class Upload:
 
     def _summed_springs(self) -> None:
         """Sums of the stiffness and damping of each particle's springs."""
-        springs = self.snapshot.scene.springs.select(self.snapshot.pulling)
-        count = len(self.snapshot.x)
+        scene, count = self.snapshot.scene, len(self.snapshot.x)
+        springs = scene.springs.select(self.snapshot.pulling)
         rows = np.column_stack(
             [
                 np.bincount(springs.between.ravel(), np.repeat(of, 2), count)
                 for of in (springs.stiffness, springs.damping)
             ]
         )
+        # Of a stencil, half of the row sums of its stiffness matrix, as springs give theirs.
+        stencils = scene.stencils_among(self.snapshot.pulling)
+        weight, of = np.abs(stencils.weight), stencils.owner
+        total = np.bincount(of, weight, len(stencils)) * stencils.stiffness(scene.particles.fixed)
+        rows[:, 0] += np.bincount(stencils.particle, weight * total[of] / 2, count)
         self._launch(
             transfer.load_summed_springs, self.placement.layout.slot, rows.astype(self.real)
         )
@@ -163,7 +171,7 @@ class Upload:
         half = adjacency.half_springs(ends, slots)
         near, row = np.arange(slots), half.row
         if self.spec.links:  # only those that have any
-            near = np.flatnonzero(np.diff(half.row))
+            near = np.flatnonzero(np.diff(half.row) + self._parts_at(slots))
             row = np.append(half.row[near], len(half.far))
         numbers = self._spring_numbers(springs)
         if self.spec.uniform_springs:
@@ -178,6 +186,8 @@ class Upload:
             self._launch(transfer.load_spring_numbers, rows)
         if self.spec.fracture:
             self._break_marks(springs, np.column_stack([ends, half.half, marks]))
+        if self.spec.stencils:
+            self._stencils(near)
 
     def _half_springs(self, near: np.ndarray, row: np.ndarray, far: np.ndarray) -> None:
         """Compressed rows: those of the slots `near` begin at `row`, with far ends `far`."""
@@ -245,6 +255,70 @@ class Upload:
             len(slots),
             len(rows),
         )
+
+    # --- stencils --------------------------------------------------------------------------
+
+    def _stencil_numbers(self, mine: np.ndarray) -> np.ndarray:
+        """What multiplies the curvature vectors of some stencils, (m,); 0 where one is gone.
+
+        Along lines the vector is the second difference itself.
+        """
+        scene = self.snapshot.scene
+        stencils, (of, spring) = scene.stencils, scene.stencil_sides
+        k = stencils.stiffness(scene.particles.fixed)
+        k[of[~self.snapshot.pulling[spring]]] = 0.0
+        if mine is self.placement.lines:
+            k = k * stencils.weight[stencils.start[:-1] + 1] ** 2
+        numbers: np.ndarray = as_real(self.real, "stencil", k[mine])[:, 0]
+        return numbers
+
+    def _parts_at(self, slots: int) -> np.ndarray:
+        """How many parts of listed stencils the particle in each slot has, (slots,)."""
+        listed = self.snapshot.scene.stencils.select(self.placement.graph_stencils)
+        return np.bincount(self.placement.layout.slot[listed.particle], minlength=slots)
+
+    def _stencils(self, near: np.ndarray) -> None:
+        """The listed stencils; near: the slots of the particles that have compressed rows."""
+        mine, layout = self.placement.graph_stencils, self.placement.layout
+        listed = self.snapshot.scene.stencils.select(mine)
+        slots = layout.slot[listed.particle]
+        order = np.argsort(slots, kind="stable")
+        rows = np.append(np.searchsorted(slots[order], near), len(order))
+        self.launcher.launch(
+            transfer.load_stencils,
+            self.state,
+            listed.start.astype(np.int32),
+            slots.astype(np.int32),
+            listed.weight.astype(self.real),
+            self._stencil_numbers(mine),
+            rows.astype(np.int32),
+            listed.owner[order].astype(np.int32),
+            listed.weight[order].astype(self.real),
+        )
+        if "spring_colours" in self.needs:
+            start = _starts(self.placement.stencil_colours)
+            self.launcher.launch(transfer.load_stencil_colours, self.state, start)
+        if self.spec.fracture:
+            self._stencil_sides(mine)
+
+    def _stencil_sides(self, mine: np.ndarray) -> None:
+        """The springs that listed stencils need, by their places."""
+        scene, placement = self.snapshot.scene, self.placement
+        of, spring = scene.stencil_sides
+        place = np.zeros(len(scene.springs), np.int64)
+        place[placement.graph_springs] = np.arange(len(placement.graph_springs))
+        if self.spec.links:
+            kind, slot = placement.link_places.T.astype(np.int64)
+            link = kind * self.state.packs * self.spec.lanes + slot
+            place[placement.links] = -1 - link
+        number = np.full(len(scene.stencils), -1)
+        number[mine] = np.arange(len(mine))
+        listed = number[of] >= 0
+        stencil, side = number[of][listed], place[spring[listed]]
+        order = np.argsort(stencil, kind="stable")
+        start = np.append(0, np.cumsum(np.bincount(stencil, minlength=len(mine))))
+        arrays = start.astype(np.int32), _not_empty(side[order].astype(np.int32))
+        self.launcher.launch(transfer.load_stencil_sides, self.state, *arrays)
 
     # --- links of grids --------------------------------------------------------------------
 

@@ -180,6 +180,9 @@ class Runs:
         self._stiffness = stiffness_and_damping(network)[0]
         v = np.zeros_like(particles.position)
         self._force = -diagnostics.spring_forces(particles.position, v, scene.springs)
+        self._force -= diagnostics.stencil_forces(
+            particles.position, scene.stencils, particles.fixed
+        )
         a, b = scene.springs.between.T
         lengths = np.linalg.norm(particles.position[b] - particles.position[a], axis=1)
         lengths = lengths[lengths > 0]

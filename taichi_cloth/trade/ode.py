@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.kernels import forces
-from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, TENSION, has
+from taichi_cloth.kernels.forces.contract import ACCELERATION, CURVATURE, FORCE, TENSION, has
 from taichi_cloth.limits import tractions
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.obstacles import solids
@@ -46,6 +46,11 @@ class Forces:
         self.difference = sparse.csr_matrix((signs, (rows, springs.between.ravel())), shape=(s, n))
         self.gather = self.difference.T.tocsr()
         self.reads_rate = any(t.adds == TENSION and has(t.damping) for t in terms)
+        # Row of a stencil: the weights of its particles.
+        stencils = scene.stencils
+        entries = stencils.weight, (stencils.owner, stencils.particle)
+        self.bent = sparse.csr_matrix(entries, shape=(len(stencils), n))
+        self.stencil_k = stencils.stiffness(particles.fixed)
         self.shortest, self.longest = springs.lengths_held()
         self.breaks = bool(np.isfinite(springs.break_force).any())
         self.shares = corner_shares(particles.position, scene.triangles)
@@ -55,6 +60,11 @@ class Forces:
         """Acceleration (n, dim) at positions x and velocities v (n, dim), at the time t."""
         world, particles = self.scene.world, self.scene.particles
         force = -self._pull(x, v)
+        if self.bent.shape[0]:
+            curvature = self.bent @ x
+            for adds, twin in self.twins:
+                if adds == CURVATURE:
+                    force += self.bent.T @ twin(curvature, self.stencil_k)
         a = np.zeros_like(x)
         for adds, twin in self.twins:
             if adds == ACCELERATION:

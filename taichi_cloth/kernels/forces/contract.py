@@ -3,7 +3,7 @@
 A term is one file in this folder with a `TERM = Term(...)`. No part has a default: one that a force
 does not have is `Absent("because ...")`, one that is forgotten is an error when the file is loaded.
 
-There are four kinds of term. They differ in what their law gives, and to what that is added:
+There are five kinds of term. They differ in what their law gives, and to what that is added:
 
 - "acceleration" and "force" act on single particles. law(spec, state, i) gives the vectors of
   pack i. stiffness(spec, state, number, i) and damping(spec, state, number, i) give -df/dx and
@@ -15,6 +15,10 @@ There are four kinds of term. They differ in what their law gives, and to what t
   `spring_numbers.NUMBERS` describes. stiffness(numbers) gives the law's derivative by length,
   damping(numbers) that by the rate at which a spring lengthens, and across(length, numbers, least)
   the stiffness across a spring, at least `least` times the one along it.
+- "curvature" acts on stencils (`stencils.py`). law(curvature, k) gives the force on a particle of
+  weight 1: curvature is the stencils' curvature vector, the weighted sum of positions, and k the
+  number that multiplies it. It is linear in the vector; stiffness(k) gives by how much it falls
+  with it. Such a term has no damping, no stiffness across, and always acts.
 
 - "traction" acts on triangles (`kernels/surfaces.py`), in 3-D. law(spec, state, area, v) gives the
   force on a whole one, of which each corner gets its share: area is the area vector, the area times
@@ -24,6 +28,7 @@ There are four kinds of term. They differ in what their law gives, and to what t
 
 All other functions run on the host, in NumPy, and use no kernel. Their x and v are (n, dim); world,
 particles and springs are those of a scene, without springs that are gone; scene is a whole one.
+Those on curvature get, where others get springs, the stencils (`scene.stencils`) that hold.
 """
 
 from collections.abc import Callable
@@ -32,8 +37,8 @@ from typing import Any, TypeGuard, TypeVar
 
 Part = TypeVar("Part")
 
-KINDS = ("acceleration", "force", "tension", "traction")
-ACCELERATION, FORCE, TENSION, TRACTION = KINDS
+KINDS = ("acceleration", "force", "tension", "traction", "curvature")
+ACCELERATION, FORCE, TENSION, TRACTION, CURVATURE = KINDS
 PARTICLE_NUMBER, PARTICLE_VECTOR, NUMBER, VECTOR, COUNT = SHAPES = (
     "particle number",  # one for each particle, or one for all where they share it
     "particle vector",
@@ -119,9 +124,11 @@ class Term:
     twin: the law in NumPy, for references. On particles twin(x, v, world, particles) gives
         (n, dim); along springs twin(length, rate, springs) gives (s,), from their lengths and the
         rates at which they lengthen, both (s,). On triangles twin(area, v, time, world) gives
-        (m, 3), from the same as the law, (m, 3) each, and the scene's time.
+        (m, 3), from the same as the law, (m, 3) each, and the scene's time. On curvature
+        twin(curvature, k), from (m, dim) and (m,), gives (m, dim).
     bound(world, particles, springs): its share of the stability limit: (stiffness, damping), each
-        (n,), or (s,) along springs, at least the magnitude of the law's derivatives. On triangles
+        (n,), (s,) along springs or (m,) on curvature, at least the magnitude of the law's
+        derivatives. On triangles
         bound(corners, v, world), from positions (m, 3, 3) and mean velocities (m, 3), gives (m,)
         each, whatever way a triangle is turned and at whatever time: of the derivative by v, and of
         that by the position of one corner.

@@ -30,8 +30,9 @@ def across(length, numbers: ti.template(), least):
 
 
 def present(scene):
-    """Whether the scene has springs, or clicks can make some."""
-    return scene.world.mouse == "spawn" or len(scene.springs) > 0
+    """Whether the scene has springs, clicks can make some, or stencils are summed as they are."""
+    bends = bool((scene.stencils.bending > 0).any())
+    return scene.world.mouse == "spawn" or len(scene.springs) > 0 or bends
 
 
 def energy(x, v, world, particles, springs):
@@ -51,7 +52,11 @@ def variant(scene):
     springs = scene.springs
     if len(springs) == 0 or scene.world.mouse == "spawn":
         return None
-    without = replace(scene, springs=springs.select(np.zeros(len(springs), bool)))
+    without = replace(
+        scene,
+        springs=springs.select(np.zeros(len(springs), bool)),
+        stencils=scene.stencils.select(np.zeros(len(scene.stencils), bool)),
+    )
     return Variant("springs", True, counted(len(springs), "spring"), without)
 
 

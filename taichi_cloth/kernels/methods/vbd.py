@@ -37,9 +37,15 @@ from taichi_cloth.kernels.solvers.colours import (
     each_particle,
     renew_both_halos,
 )
-from taichi_cloth.kernels.solvers.gauss_seidel import mobility, relative_velocity, short_of_goal
+from taichi_cloth.kernels.solvers.gauss_seidel import (
+    apart_at_end,
+    mobility,
+    relative_velocity,
+    short_of_goal,
+)
 from taichi_cloth.kernels.spring_numbers import fields_of
 from taichi_cloth.kernels.springs import pull, stiffness_across, stiffness_along
+from taichi_cloth.kernels.stencils import with_lines, with_listed
 
 
 @ti.func
@@ -54,6 +60,9 @@ def relaxed_pack(spec: ti.template(), state: ti.template(), g, i):
     v, none = read(spec, state.v, i), zeros(spec, state)
     w = mobility(spec, state, read, i)
     pulled, hx, hy, hz = with_links(spec, state, read, read, 1, g, i, w, none, none, none, none)
+    if ti.static(spec.line_kinds > 0):
+        bent, k = with_lines(spec, state, apart_at_end, read, read, 1, g, i, none, 0.0 * w)
+        pulled, hx, hy, hz = with_stencils(spec, state.dt[None], w, bent, k, pulled, hx, hy, hz)
     return v + solution(spec, hx, hy, hz, short_of_goal(spec, state, read, i) + pulled)
 
 
@@ -78,6 +87,17 @@ def relaxed_particle(spec: ti.template(), state: ti.template(), p):
             pulled, hx, hy, hz = with_spring(
                 spec, state.dt[None], w, d, dv, numbers, pulled, hx, hy, hz
             )
+    if ti.static(spec.line_kinds > 0 or spec.stencils):
+        bent, k = none, 0.0 * w
+        if ti.static(spec.line_kinds > 0):
+            g = state.grid_of[i // spec.lanes]
+            if g >= 0:
+                bent, k = with_lines(
+                    spec, state, apart_at_end, slot_value, slot_number, spec.lanes, g, i, bent, k
+                )
+        if ti.static(spec.stencils):
+            bent, k = with_listed(spec, state, apart_at_end, p, bent, k)
+        pulled, hx, hy, hz = with_stencils(spec, state.dt[None], w, bent, k, pulled, hx, hy, hz)
     b = short_of_goal(spec, state, slot_value, i) + pulled
     return slot_value(spec, state.v, i) + solution(spec, hx, hy, hz, b)
 
@@ -145,6 +165,21 @@ def with_spring(spec: ti.template(), dt, w, d, dv, numbers: ti.template(), pulle
         z += scaled(component(along, 2), more)
         z = with_component(z, 2, component(z, 2) + across)
     return new_pull, x, y, z
+
+
+@ti.func
+def with_stencils(spec: ti.template(), dt, w, bent, k, pulled, hx, hy, hz):
+    """The sums of `with_spring`, with what stencils add to them.
+
+    bent: the force of a particle's stencils; k: their stiffness, in every direction.
+    """
+    across = dt * dt * w * k
+    x, y, z = hx, hy, hz
+    x = with_component(x, 0, component(x, 0) + across)
+    y = with_component(y, 1, component(y, 1) + across)
+    if ti.static(spec.dim == 3):
+        z = with_component(z, 2, component(z, 2) + across)
+    return pulled + scaled(dt * w, bent), x, y, z
 
 
 @ti.func

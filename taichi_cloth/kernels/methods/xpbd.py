@@ -16,6 +16,9 @@ The paper keeps only the multiplier's size, as if it had always pointed along th
 now. Here p is a vector, and its part across the spring is replaced too, with the stiffness across
 the spring in the place of k. The first sweep is the paper's; many sweeps end at the solution of
 backward Euler.
+
+A stencil is a constraint whose curvature vector is to vanish. Its impulse, too, is a vector, which
+a visit changes, p += (dt*pull - p) / (1 + dt^2*k*sum(weight^2*w)), for all of its particles.
 """
 
 import math
@@ -38,17 +41,32 @@ from taichi_cloth.kernels.packs import (
     zeros,
 )
 from taichi_cloth.kernels.solvers import gauss_seidel
-from taichi_cloth.kernels.solvers.colours import colours_of_springs, each_spring
-from taichi_cloth.kernels.solvers.gauss_seidel import mobility, relative_velocity
+from taichi_cloth.kernels.solvers.colours import (
+    colours_of_springs,
+    colours_of_stencils,
+    each_spring,
+    each_stencil,
+)
+from taichi_cloth.kernels.solvers.gauss_seidel import apart_at_end, mobility, relative_velocity
 from taichi_cloth.kernels.spring_numbers import fields_of
 from taichi_cloth.kernels.springs import pull, stiffness_across, stiffness_along
 from taichi_cloth.kernels.state import GONE
+from taichi_cloth.kernels.stencils import curvature_of, line_curvature, pull_by, stiffness_by
 
 
 @ti.func
 def project(spec: ti.template(), state: ti.template(), t, colour):
-    """Visit all springs of one colour."""
+    """Visit all springs, or all stencils, of one colour."""
     each_spring(spec, state, t, colour, project_links, project_spring)
+    if ti.static(spec.line_kinds > 0 or spec.stencils):
+        after = colour - colours_of_springs(spec, state)
+        each_stencil(spec, state, t, after, project_lines, project_stencil)
+
+
+@ti.func
+def colours(spec: ti.template(), state: ti.template()):
+    """How many colours there are: those of springs, then those of stencils."""
+    return colours_of_springs(spec, state) + colours_of_stencils(spec, state)
 
 
 @ti.func
@@ -98,6 +116,50 @@ def project_spring(spec: ti.template(), state: ti.template(), s):
 
 
 @ti.func
+def project_lines(spec: ti.template(), state: ti.template(), h, i, step):
+    """Visit the stencils along lines of kind h that begin at pack i."""
+    at, p, middle, last = link_index(state, h, i), zeros(spec, state), i + step, i + 2 * step
+    if state.sweep[None] > 0:
+        p = read(spec, state.line_impulse, at)
+    k, dt = read(spec, state.line_k, at), state.dt[None]
+    curvature = line_curvature(spec, state, apart_at_end, read, i, step)
+    w, middle_w = mobility(spec, state, read, i), mobility(spec, state, read, middle)
+    last_w = mobility(spec, state, read, last)
+    resists = 1.0 + dt * dt * stiffness_by(spec, k) * (w + 4.0 * middle_w + last_w)
+    change = scaled(1.0 / resists, dt * pull_by(spec, curvature, k) - p)
+    if state.sweep[None] + 1 < state.iterations[None]:
+        write(spec, state.line_impulse, at, p + change)
+    write(spec, state.v, i, read(spec, state.v, i) + scaled(w, change))
+    moved = read(spec, state.v, middle) - scaled(2.0 * middle_w, change)
+    write(spec, state.v, middle, moved)
+    write(spec, state.v, last, read(spec, state.v, last) + scaled(last_w, change))
+
+
+@ti.func
+def project_stencil(spec: ti.template(), state: ti.template(), m):
+    """Visit the listed stencil m."""
+    p, dt, k = ti.Vector.zero(state.real, spec.dim), state.dt[None], state.stencil_k[m]
+    if state.sweep[None] > 0:
+        for axis in ti.static(range(spec.dim)):
+            p[axis] = state.stencil_impulse[m, axis]
+    curvature = curvature_of(spec, state, apart_at_end, m)
+    moved = 0.0 * k
+    for e in range(state.stencil_start[m], state.stencil_start[m + 1]):
+        w = mobility(spec, state, slot_number, state.stencil_slot[e])
+        moved += w * state.stencil_weight[e] * state.stencil_weight[e]
+    resists = 1.0 + dt * dt * stiffness_by(spec, k) * moved
+    change = (1.0 / resists) * (dt * pull_by(spec, curvature, k) - p)
+    if state.sweep[None] + 1 < state.iterations[None]:
+        for axis in ti.static(range(spec.dim)):
+            state.stencil_impulse[m, axis] = p[axis] + change[axis]
+    for e in range(state.stencil_start[m], state.stencil_start[m + 1]):
+        i = state.stencil_slot[e]
+        w = mobility(spec, state, slot_number, i)
+        v = slot_value(spec, state.v, i) + w * state.stencil_weight[e] * change
+        set_slot_value(spec, state.v, i, v)
+
+
+@ti.func
 def impulse_change(spec: ti.template(), dt, d, dv, w, numbers: ti.template(), p):
     """What a visit adds to the impulse p that pulls a spring's ends together.
 
@@ -131,7 +193,7 @@ METHOD = Method(
     ),
     position_weight=1.0,
     force_times=((0, 1.0),),
-    phases=gauss_seidel.phases(colours_of_springs, project),
+    phases=gauss_seidel.phases(colours, project),
     stability_function=backward_euler,  # once its sweeps have converged
     needs=("spring_colours",),
     **gauss_seidel.KEEPS,

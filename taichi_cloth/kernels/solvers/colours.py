@@ -39,6 +39,7 @@ from taichi_cloth.kernels.packs import (
     write,
 )
 from taichi_cloth.kernels.spring_numbers import own_numbers
+from taichi_cloth.kernels.stencils import line_step
 
 
 @ti.func
@@ -84,7 +85,10 @@ def each_spring(
             _visit_rows(spec, state, t, s, parity, on_links)
     if ti.static(spec.springs):
         first, end = 0, 0
-        if colour >= 2 * spec.kinds:
+        there = colour >= 2 * spec.kinds
+        if ti.static(spec.line_kinds > 0 or spec.stencils):  # whose colours come after these
+            there = there and colour < colours_of_springs(spec, state)
+        if there:
             first = state.colour_start[colour - 2 * spec.kinds]
             end = state.colour_start[colour - 2 * spec.kinds + 1]
         _each_from(spec, state, t, first, end, on_spring)
@@ -155,6 +159,104 @@ def _visit_rows(spec: ti.template(), state: ti.template(), t, s, parity, visit: 
                     visit(spec, state, s, g, row + p, far_row + p + columns, stiffness + p)
                 return_right_halo(spec, state.v, far_row, width, beyond)
                 return_left_halo(spec, state.v, far_row, width, -beyond)
+
+
+# --- stencils --------------------------------------------------------------------------------
+
+
+def colours_of_lines(spec):
+    """How many colours stencils along lines have: those of a kind take turns by three."""
+    return 3 * spec.line_kinds
+
+
+@ti.func
+def colours_of_stencils(spec: ti.template(), state: ti.template()):
+    """How many colours stencils have."""
+    if ti.static(spec.stencils):
+        return ti.static(colours_of_lines(spec)) + state.n_stencil_colours[None]
+    else:
+        return ti.static(colours_of_lines(spec))
+
+
+@ti.func
+def each_stencil(
+    spec: ti.template(),
+    state: ti.template(),
+    t,
+    colour,
+    on_lines: ti.template(),
+    on_stencil: ti.template(),
+):
+    """Visit the stencils of a colour, if it is one, each of which may change its particles' motion.
+
+    on_lines(spec, state, h, i, step): visits those of kind h that begin at pack i.
+    on_stencil(spec, state, m): visits the listed stencil m.
+    """
+    if ti.static(spec.line_kinds > 0):
+        h = ti.min(ti.max(colour, 0) // 3, spec.line_kinds - 1)
+        # Another colour gets a turn that no row has.
+        inside = colour >= 0 and colour < 3 * spec.line_kinds
+        turn = ti.select(inside, colour - 3 * h, 3)
+        if ti.static(spec.lanes == 1 and spec.one_launch_per_step):
+            for c in range(state.n_packs[None]):
+                _visit_line(spec, state, c, h, turn, on_lines)
+        elif ti.static(spec.lanes == 1):
+            count = state.n_packs[None]
+            for c in range(share(spec, count, t), share(spec, count, t + 1)):
+                _visit_line(spec, state, c, h, turn, on_lines)
+        elif ti.static(spec.one_launch_per_step):
+            for i in range(spec.threads * PIECE):
+                if i % PIECE == 0:
+                    _visit_rows_of_lines(spec, state, i // PIECE, h, turn, on_lines)
+        else:
+            _visit_rows_of_lines(spec, state, t, h, turn, on_lines)
+    if ti.static(spec.stencils):
+        first, end = 0, 0
+        lines = ti.static(colours_of_lines(spec))
+        if colour >= lines:
+            first = state.stencil_colour[colour - lines]
+            end = state.stencil_colour[colour - lines + 1]
+        _each_from(spec, state, t, first, end, on_stencil)
+    barrier(spec, state)
+
+
+@ti.func
+def _visit_line(spec: ti.template(), state: ti.template(), i, h, turn, visit: ti.template()):
+    """Visit the stencil of kind h that begins at pack i, if there is one and it has the turn."""
+    g = state.grid_of[i]
+    if g >= 0:
+        pitch, at = pitch_of(spec, state, g), i - state.grid[g, 0]
+        place = ti.select(state.line[h, 1] > 0, at // pitch, at % pitch)
+        k = slot_number(spec, state.line_k, link_index(state, h, i))
+        if place % 3 == turn and k > 0.0:
+            visit(spec, state, h, i, line_step(state, h, pitch))
+
+
+@ti.func
+def _visit_rows_of_lines(
+    spec: ti.template(), state: ti.template(), t, h, turn, visit: ti.template()
+):
+    """Visit the stencils of kind h and one turn that begin in thread t's share of rows.
+
+    Halos are copied as in `_visit_rows`: of a turn, the last stencil in a row of a strip reaches as
+    many packs beyond it as the turn's number.
+    """
+    down = state.line[h, 1]
+    for g in range(state.n_grids[None]):
+        first, rows, width = state.grid[g, 0], state.grid[g, 1], state.grid[g, 2]
+        pitch = pitch_of(spec, state, g)
+        linked = ti.select(state.grid[g, 3] == 1 and turn < 3, rows - 2 * down, 0)
+        begin, every, beyond = ti.select(down == 0, turn, 0), ti.select(down == 0, 3, 1), 0
+        if down == 0:
+            beyond = turn
+        for r in range(share(spec, rows, t), ti.min(share(spec, rows, t + 1), linked)):
+            if down == 0 or r % 3 == turn:
+                row = first + r * pitch
+                renew_right_halo(spec, state.v, row, width, beyond)
+                for i in range(width // every):
+                    at = row + begin + i * every
+                    visit(spec, state, h, at, line_step(state, h, pitch))
+                return_right_halo(spec, state.v, row, width, beyond)
 
 
 # --- particles -------------------------------------------------------------------------------
@@ -323,3 +425,13 @@ def _renew_both_halos(spec: ti.template(), state: ti.template(), begin, width):
                     set_slot_number(spec, field, to_right * spec.lanes + lane, value)
                     value = slot_number(spec, field, last * spec.lanes + lane)
                     set_slot_number(spec, field, to_left * spec.lanes + lane + 1, value)
+    if ti.static(spec.line_kinds > 0):
+        for h in range(spec.line_kinds):
+            row = link_index(state, h, begin)
+            for n in range(spec.halo):
+                for lane in range(spec.lanes - 1):
+                    value = slot_number(
+                        spec, state.line_k, (row + width - 1 - n) * spec.lanes + lane
+                    )
+                    left = (row - 1 - n) * spec.lanes + lane + 1
+                    set_slot_number(spec, state.line_k, left, value)

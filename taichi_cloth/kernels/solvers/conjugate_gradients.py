@@ -93,7 +93,7 @@ def _preconditioned(spec: ti.template(), state: ti.template(), i, residual):
 def iterate(spec: ti.template(), state: ti.template(), t):
     """Make one step of conjugate gradients."""
     compute_damping_product(spec, state, t)
-    accumulate(spec, state, t, _product_between, _store_product, _product_more)
+    accumulate(spec, state, t, _product_between, _moved_apart, _store_product, _product_more)
     add_up(spec, state, t, _curvature, 0)
     add_up(spec, state, t, _approach, 1)
     each_pack_moving(spec, state, t, _turn)
@@ -111,6 +111,12 @@ def _product_between(
     moved = value(spec, state.direction, j) - value(spec, state.direction, i)
     least = state.least[None]
     return stiffness_product(spec, moved, length, along, state.tau[None], numbers, least)
+
+
+@ti.func
+def _moved_apart(spec: ti.template(), state: ti.template(), value: ti.template(), i, j):
+    """By how much `direction` moves j more than i: a product's vectors for stencils."""
+    return value(spec, state.direction, j) - value(spec, state.direction, i)
 
 
 @ti.func

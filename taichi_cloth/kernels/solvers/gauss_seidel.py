@@ -1,10 +1,11 @@
 """Backward Euler by Gauss-Seidel sweeps, which the methods xpbd and vbd share.
 
 A step of backward Euler solves v = goal_v + mobility*(impulses of springs over dt, at x + dt*v).
-goal_v is the velocity after the step without springs; mobility is the inverse mass, made smaller by
-drag, which resists the impulses. Such a method sweeps over the springs, one by one or particle by
-particle, by colour (`colours.py`), as often as state.iterations says, and changes state.v; state.x
-stays where the step began until its end. Saad, Iterative Methods for Sparse Linear Systems, 2003,
+Stencils (`stencils.py`) are as springs. goal_v is the velocity after the step without them;
+mobility is the inverse mass, made smaller by drag, which resists the impulses. Such a method sweeps
+over the springs, one by one or particle by particle, by colour (`colours.py`), as often as
+state.iterations says, and changes state.v; state.x stays where the step began until its end. Saad,
+Iterative Methods for Sparse Linear Systems, 2003,
 chapters 4 (Gauss-Seidel) and 12 (multicolouring).
 
 The unknown is the velocity: if it were computed from positions, as in the papers, it would lose
@@ -31,7 +32,7 @@ from taichi_cloth.kernels.accelerations import (
     stiffness_of,
 )
 from taichi_cloth.kernels.clock import time_of_forces
-from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
+from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity, difference
 from taichi_cloth.kernels.contact import compute_contacts, store_held_by_walls, velocity_jump
 from taichi_cloth.kernels.grids import renew_number
 from taichi_cloth.kernels.loops import each, each_pack_moving, each_row
@@ -227,6 +228,13 @@ def relative_velocity(spec: ti.template(), state: ti.template(), value: ti.templ
     if ti.static(spec.compensated):
         dv += value(spec, state.goal_v, j) - value(spec, state.goal_v, i)
     return dv
+
+
+@ti.func
+def apart_at_end(spec: ti.template(), state: ti.template(), value: ti.template(), i, j):
+    """The vectors from i to j at the step's end, as the sweeps have it so far, for stencils."""
+    moved = state.dt[None] * relative_velocity(spec, state, value, i, j)
+    return difference(spec, state, value, i, j) + moved
 
 
 @ti.func

@@ -37,6 +37,7 @@ from taichi_cloth.kernels.accelerations import (
     acceleration,
 )
 from taichi_cloth.kernels.clock import time_of_forces
+from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.contact import compute_contacts
 from taichi_cloth.kernels.loops import add_up, each, each_pack_moving, find_largest
 from taichi_cloth.kernels.packs import (
@@ -200,7 +201,7 @@ def _ending(last):
 def evaluate(spec: ti.template(), state: ti.template(), t):
     """Compute the iterate's residual, and decide what comes next."""
     compute_tractions(spec, state, t, time_of_forces, False)
-    accumulate(spec, state, t, force_between, _store_residual, _residual_more)
+    accumulate(spec, state, t, force_between, difference, _store_residual, _residual_more)
     find_largest(spec, state, t, _rounding_of, 0)
     each(spec, state, t, 1, _keep_rounding)
     find_largest(spec, state, t, _gained, 0)
