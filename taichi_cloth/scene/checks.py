@@ -23,7 +23,6 @@ from taichi_cloth.scene.model import (
 from taichi_cloth.scene.obstacles import CONTACTS, fault
 from taichi_cloth.scene.properties import (
     NOT_NEGATIVE,
-    PART,
     PARTICLE_PROPERTIES,
     POSITIVE,
     SPRING_PROPERTIES,
@@ -378,7 +377,6 @@ def _check_stencils(stencils: Stencils, particle_count: int, refusal: _Refusal) 
         few = int(np.argmax(sizes < IN_ROW)) if m else None
         refusal.refuse("stencil", few, "between", f"between must have at least {IN_ROW} particles")
     refusal.check_rows("stencil", "bending", stencils.bending, NOT_NEGATIVE)
-    refusal.check_rows("stencil", "inside", stencils.inside, PART)
     for mine, at in stencils.by_size():
         ends, weight = stencils.particle[at], stencils.weight[at]
         in_order = np.sort(ends, axis=1)

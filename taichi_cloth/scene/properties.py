@@ -32,9 +32,6 @@ class Rule:
 
 POSITIVE = Rule("must be positive", "must be positive", lambda a: a > 0)
 NOT_NEGATIVE = Rule("must not be negative", "must be at least 0", lambda a: a >= 0)
-PART = Rule(
-    "must be above 0, at most 1", "must be above 0, at most 1", lambda a: (a > 0) & (a <= 1)
-)
 FRACTION = Rule("must be between 0 and 1", "must be between 0 and 1", lambda a: (a >= 0) & (a <= 1))
 
 

@@ -226,8 +226,6 @@ def dump(scene: Scene) -> str:
         out += ["", "[[stencils]]", f"between = {stencils.particle[mine].tolist()}"]
         out.append(f"weights = {_listed(stencils.weight[mine])}")
         out.append(f"bending = {float(stencils.bending[i])!r}")
-        if stencils.inside[i] != 1.0:
-            out.append(f"inside = {float(stencils.inside[i])!r}")
     return "\n".join(out) + "\n"
 
 

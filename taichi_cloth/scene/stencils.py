@@ -6,13 +6,14 @@ without being stretched. Its force is linear, and flat is its shape at rest.
 
 - In a row it is the second difference: with spacing s, for a strip of width b,
   B b/(2 s^3) |x_(i-1) - 2 x_i + x_(i+1)|^2.
-- Around a vertex inside a mesh it is the cotangent Laplacian, for the area of cloth around it:
-  Bergou, Wardetzky, Harmon, Zorin, Grinspun, "A quadratic bending model for inextensible surfaces",
-  2006, section 3, with the conforming operator of Wardetzky, Bergou, Harmon, Zorin, Grinspun,
-  "Discrete quadratic curvature energies", 2007. Its energy does not depend on how a mesh divides
-  a surface; that of the former paper's edges does, up to threefold between directions.
-- Where a mesh has no vertex inside, as in a strip one cell wide, it is the fold of two triangles
-  across an edge: the former paper's, by whose measure the two triangles' area is bent.
+- In a mesh, each triangle has up to three, over its corners and those of its neighbours: the second
+  derivatives of the quadratic through these six points, so that the energy is B/2 (kappa_1^2 +
+  kappa_2^2) a unit of area on any mesh: Onate, Zarate, "Rotation-free triangular plate and shell
+  elements", 2000. At a border, or where the six points lie so that no quadratic fits well, edges
+  stand for it, each with the vector that Bergou, Wardetzky, Harmon, Zorin, Grinspun, "A quadratic
+  bending model for inextensible surfaces", 2006, give it: l angle n n^T / (2 area). Their model
+  takes each edge by itself; what that stores depends on how edges lie, up to threefold between two
+  directions of one regular mesh.
 """
 
 from __future__ import annotations
@@ -29,7 +30,13 @@ from taichi_cloth.settings import accepted
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-IN_ROW, AT_EDGE = 3, 4  # particles of a stencil in a row, and at an edge; more: around a vertex
+IN_ROW = 3  # particles of a stencil in a row; those of meshes have more
+# Of an edge at which a mesh is clamped, both triangles hold half of the energy of a uniform bend;
+# where one of them is fixed the whole bend is in the other, which takes twice the energy of both.
+AT_CLAMP = 3.0
+# A quadratic through a triangle's corners and those of its neighbours is taken where edges alone
+# recover at least this part of its second derivatives: 0.5 to 1 on usual meshes.
+LEAST_RECOVERED = 0.3
 
 
 @dataclass(frozen=True)
@@ -37,19 +44,16 @@ class Stencils:
     """m stencils, of any number of particles each.
 
     start: (m + 1,) int64, where each stencil's particles begin.
-    particle: (k,) int64. Three: the middle of a row and the two beside it. Four: the ends of an
-        edge, then the opposite corners of its triangles. More: a vertex and its ring, in order.
+    particle: (k,) int64. Three: the middle of a row and the two beside it. More: the corners of a
+        triangle, then others of its neighbours.
     weight: (k,) float64, of these particles [1 / length]; those of a stencil add up to 0.
     bending: (m,) float64, the rigidity B [force * length].
-    inside: (m,) float64, the part of the area it stands for that lies around it; the rest is at
-        the border of a mesh, and counted to the nearest vertices inside.
     """
 
     start: np.ndarray
     particle: np.ndarray
     weight: np.ndarray
     bending: np.ndarray
-    inside: np.ndarray
 
     def __len__(self) -> int:
         return len(self.bending)
@@ -59,11 +63,9 @@ class Stencils:
         return cls.build(np.zeros((0, IN_ROW), np.int64), np.zeros((0, IN_ROW)), 0.0)
 
     @classmethod
-    def build(
-        cls, particle: np.ndarray, weight: np.ndarray, bending: ArrayLike, inside: ArrayLike = 1.0
-    ) -> Stencils:
-        """Stencils of equally many particles (m, size), with their weights; the others for all or
-        one each.
+    def build(cls, particle: np.ndarray, weight: np.ndarray, bending: ArrayLike) -> Stencils:
+        """Stencils of equally many particles, and their weights, both (m, size); bending: one for
+        all or one each.
         """
         m, size = particle.shape
         return cls(
@@ -71,7 +73,6 @@ class Stencils:
             particle.ravel().astype(np.int64),
             weight.ravel().astype(np.float64),
             np.array(np.broadcast_to(bending, (m,)), np.float64),
-            np.array(np.broadcast_to(inside, (m,)), np.float64),
         )
 
     @property
@@ -98,9 +99,7 @@ class Stencils:
         sizes = self.sizes[rows]
         start = np.append(0, np.cumsum(sizes))
         at = np.repeat(self.start[rows] - start[:-1], sizes) + np.arange(start[-1])
-        return Stencils(
-            start, self.particle[at], self.weight[at], self.bending[rows], self.inside[rows]
-        )
+        return Stencils(start, self.particle[at], self.weight[at], self.bending[rows])
 
     def joined(self, other: Stencils) -> Stencils:
         """These stencils followed by `other`."""
@@ -146,26 +145,21 @@ class Stencils:
     def stiffness(self, fixed: np.ndarray) -> np.ndarray:
         """What multiplies curvature vectors in forces [force * length], (m,); fixed: (n,) bool.
 
-        It is B, but where cloth is clamped: of such a stencil's cloth, the part between particles
-        that are fixed cannot bend, and the rest, which does, is so much stiffer.
+        It is B, but where cloth is clamped: what lies between fixed particles cannot bend, and the
+        rest of a stencil's cloth is so much stiffer. In a row whose middle and one other particle
+        are fixed that is its other half; where all corners of a triangle are, its neighbours.
         """
         factor, held = np.ones(len(self)), fixed[self.particle]
         for mine, at in self.by_size():
-            here, size = held[at], at.shape[1]
-            if size <= AT_EDGE:
-                one, other = here[:, -2], here[:, -1]
-                near, far = self.weight[at[:, -2]], self.weight[at[:, -1]]
-                clamped = here[:, :-2].all(axis=1) & (one ^ other) & (near * far > 0)
+            here, weight = held[at], self.weight[at]
+            if at.shape[1] == IN_ROW:
+                clamped = here[:, 0] & (here[:, 1] ^ here[:, 2]) & (weight[:, 1:] > 0).all(axis=1)
                 with np.errstate(all="ignore"):
-                    part = np.where(one, far / near, near / far)
+                    part = weight[:, 2] / weight[:, 1]
+                    part = np.where(here[:, 1], part, 1.0 / part)
                 factor[mine] = np.where(clamped, 1.0 + part, 1.0)
             else:
-                whole = here[:, 1:] & np.roll(here[:, 1:], 1, axis=1)
-                bends = 1.0 - whole.mean(axis=1)
-                clamped = here[:, 0] & (bends > 0) & (bends < 1)
-                with np.errstate(all="ignore"):
-                    part = self.inside[mine] / bends
-                factor[mine] = np.where(clamped, part, 1.0)
+                factor[mine] = np.where(here[:, :3].all(axis=1), AT_CLAMP, 1.0)
         k: np.ndarray = self.bending * factor
         return k
 
@@ -173,17 +167,14 @@ class Stencils:
         """The springs out of `springs` (s, 2) that stencils need: pairs of stencil and spring, both
         (q,), in the order of stencils.
 
-        They are those from the first particle to the others, and beyond rows those between the
-        others, one after the other around.
+        They are, in a row, those from the middle; in a mesh, all between its particles.
         """
         owner, pairs = [np.zeros(0, np.int64)], [np.zeros((0, 2), np.int64)]
         for mine, at in self.by_size():
-            ring = self.particle[at[:, 1:]]
-            first = np.broadcast_to(self.particle[at[:, :1]], ring.shape)
-            found = [np.stack([first, ring], axis=2)]
-            if at.shape[1] > IN_ROW:
-                found.append(np.stack([ring, np.roll(ring, 1, axis=1)], axis=2))
-            both = np.concatenate(found, axis=1)
+            one, other = np.triu_indices(at.shape[1], 1)
+            if at.shape[1] == IN_ROW:
+                one, other = np.array([0, 0]), np.array([1, 2])
+            both = np.stack([self.particle[at[:, one]], self.particle[at[:, other]]], axis=2)
             owner.append(np.repeat(mine, both.shape[1]))
             pairs.append(both.reshape(-1, 2))
         of, ends = np.concatenate(owner), np.concatenate(pairs)
@@ -204,10 +195,10 @@ class Stencils:
 
 
 def mesh_stencils(position: ArrayLike, triangles: ArrayLike, bending: float) -> Stencils:
-    """The stencils of a mesh: around its inner vertices, and where it has none across its edges.
+    """The stencils of a mesh, up to three for each triangle, as many as it has neighbours.
 
-    position: (n, 2) or (n, 3), where particles are at rest. triangles: (t, 3), their corners; the
-    mesh is taken as flat at rest. bending: rigidity B of the cloth [force * length].
+    position: (n, 2) or (n, 3), where particles are at rest; flat is the shape that they seek.
+    triangles: (t, 3), their corners. bending: rigidity B of the cloth [force * length].
 
     Raises InputError for a triangle that has no area or a missing corner, and a negative rigidity.
     """
@@ -222,107 +213,152 @@ def mesh_stencils(position: ArrayLike, triangles: ArrayLike, bending: float) -> 
     missing = ((corners < 0) | (corners >= len(x))).any(axis=1)
     if missing.any():
         raise InputError(f"{what}: triangle {int(missing.argmax())} has a corner that is missing")
-    if len(corners) == 0:
-        return Stencils.none()
-    mesh = _Mesh(x, corners)
-    flat = ~(mesh.area > 0)
-    if flat.any():
-        raise InputError(f"{what}: triangle {int(flat.argmax())} has no area")
-    return Stencils.concatenated([*mesh.at_vertices(stiff), mesh.at_edges(stiff)])
+    patches = _Patches(x, corners)
+    if patches.flat.any():
+        raise InputError(f"{what}: triangle {int(patches.flat.argmax())} has no area")
+    # Outside its limits a quadratic through six points has weights far larger than the edges'.
+    most = (patches.beyond >= 0).all(axis=1)
+    recovered = np.zeros(len(corners))
+    recovered[most] = np.linalg.svd(patches.recovered()[most], compute_uv=False)[:, -1]
+    fits = recovered > LEAST_RECOVERED
+    found = [*patches.fitted(np.flatnonzero(fits)), *patches.by_edges(np.flatnonzero(~fits))]
+    parts = [Stencils.build(particle, weight, stiff) for particle, weight in found]
+    return Stencils.concatenated([_distinct(part) for part in parts])
 
 
-class _Mesh:
-    """Triangles `corners` (t, 3) on points x (n, dim), seen edge by edge from either end.
+class _Patches:
+    """Triangles `corners` (t, 3) of points x (n, dim), with the corners of their neighbours.
 
-    area: (t,). Of each edge from v to j, sorted: v, j; of: how many triangles have it; next: (., 2)
-    the opposite corners in the first two; cot: the sum of the cotangents there, halved.
+    Edge i of a triangle is the one opposite to its corner i. flat: (t,), which have no area.
+    beyond: (t, 3), the neighbour's corner opposite to each edge, -1: there is no neighbour.
     """
 
     def __init__(self, x: np.ndarray, corners: np.ndarray) -> None:
-        self.x, n = x, len(x)
-        sides = [(0, 1, 2), (1, 2, 0), (2, 0, 1)]
-        turns = [corners[:, list(side)] for side in sides + [(i, k, j) for i, j, k in sides]]
-        v, j, k = np.concatenate(turns).T
-        one, other = x[v] - x[k], x[j] - x[k]
-        along = (one * other).sum(axis=1)
+        ends, self.corners = x[corners], corners
+        start = np.roll(ends, -1, axis=1)
+        self.edge = np.roll(ends, -2, axis=1) - start
+        self.length = np.linalg.norm(self.edge, axis=2)
+        self.height, self.foot = _seen_from(ends, start, self.edge)
+        self.flat = ~(self.height > 1e-12 * self.length).all(axis=1)
+        self.beyond = _beyond(corners, len(x))
+        far = _seen_from(x[self.beyond], start, self.edge)
+        there = self.beyond >= 0
         with np.errstate(all="ignore"):
-            squares = (one**2).sum(axis=1) * (other**2).sum(axis=1) - along**2
-            double = np.sqrt(np.maximum(squares, 0.0))  # twice the area
-            double[double <= 1e-12 * np.abs(along)] = 0.0
-            cot = along / double / 2
-        self.area = double[: len(corners)] / 2
-        order = np.lexsort((k, j, v))
-        key = v[order] * n + j[order]
-        _, first, count = np.unique(key, return_index=True, return_counts=True)
-        self.v, self.j, self.of = v[order][first], j[order][first], count
-        second = np.minimum(first + 1, len(order) - 1)
-        self.next = np.stack([k[order][first], k[order][second]], axis=1)
-        self.cot = np.add.reduceat(cot[order], first)
-        self.beside = np.add.reduceat(double[order] / 2, first)  # area of an edge's triangles
-        self.key = key[first]
-        self.around = np.bincount(corners.ravel(), np.repeat(self.area / 3, 3), n)
-        self.valence = np.bincount(self.v, minlength=n)
-        self.rings, self.inner = self._rings()
+            outer = np.where(there, self.length / far[0], 0.0)
+            inner = np.where(there, self.length / self.height, 0.0)
+        self.far_height, self.far_foot = (np.where(there, of, 0.0) for of in far)
+        self.area = (self.length * self.height)[:, 0] / 2
+        # The vectors of edges (t, 3, 6), each its length times the angle between its triangles, as
+        # weights of the corners and of the points beyond.
+        self.vector = np.zeros((len(corners), 3, 6))
+        for i in range(3):
+            near, over = inner[:, i], outer[:, i]
+            foot, far_foot = self.foot[:, i], self.far_foot[:, i]
+            self.vector[:, i, i], self.vector[:, i, 3 + i] = near, over
+            self.vector[:, i, (i + 1) % 3] = -(1 - foot) * near - (1 - far_foot) * over
+            self.vector[:, i, (i + 2) % 3] = -foot * near - far_foot * over
 
-    def _edge(self, v: np.ndarray, j: np.ndarray) -> np.ndarray:
-        """The numbers of the edges from v to j."""
-        found: np.ndarray = np.searchsorted(self.key, v * len(self.x) + j)
-        return found
+    def _unfolded(self) -> tuple[np.ndarray, np.ndarray]:
+        """The patches laid flat: their six points (t, 6, 2), and normals of the edges (t, 3, 2)."""
+        points = np.zeros((len(self.corners), 6, 2))
+        points[:, 2, 0] = self.length[:, 0]
+        points[:, 0, 0] = self.foot[:, 0] * self.length[:, 0]
+        points[:, 0, 1] = self.height[:, 0]
+        normals = np.zeros((len(self.corners), 3, 2))
+        for i in range(3):
+            start = points[:, (i + 1) % 3]
+            along = (points[:, (i + 2) % 3] - start) / self.length[:, i, None]
+            normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
+            inward = np.sign(((points[:, i] - start) * normal).sum(axis=1))
+            foot = start + (self.far_foot * self.length)[:, i, None] * along
+            points[:, 3 + i] = foot - (inward * self.far_height[:, i])[:, None] * normal
+            normals[:, i] = normal
+        return points, normals
 
-    def _rings(self) -> tuple[np.ndarray, np.ndarray]:
-        """The rings of vertices (n, longest), in order around them, and which are whole, (n,) bool.
+    def _forms(self) -> tuple[np.ndarray, np.ndarray]:
+        """Matrices between second derivatives (xx, sqrt 2 xy, yy) and edges' vectors, (t, 3, 3).
 
-        A whole one goes around its vertex once and has more than three corners.
+        First what edges make of the derivatives of a quadratic, then the derivatives that constant
+        curvature along edges, spread over the triangle, stands for.
         """
-        n, longest = len(self.x), int(self.valence.max())
-        rings = np.full((n, longest), -1, np.int64)
-        closed = np.bincount(self.v, self.of != 2, n) == 0
-        at = np.flatnonzero(closed & (self.valence >= AT_EDGE))
-        first = np.searchsorted(self.v, at)
-        here, before = self.j[first], np.full(len(at), -1)
-        length = np.zeros(n, np.int64)
-        for turn in range(longest):
-            rings[at, turn] = here
-            length[at] = turn + 1
-            one, other = self.next[self._edge(at, here)].T
-            here, before = np.where((one == before) & (turn > 0), other, one), here
-            on = here != rings[at, 0]
-            at, here, before = at[on], here[on], before[on]
-        inner = (length > 0) & (length == self.valence)
-        return rings, inner
+        points, normals = self._unfolded()
+        x, y = points[..., 0], points[..., 1]
+        quadratics = np.stack([x * x / 2, x * y / np.sqrt(2), y * y / 2], axis=2)
+        n, m = normals[..., 0], normals[..., 1]
+        squares = np.stack([n * n, np.sqrt(2) * n * m, m * m], axis=1)
+        return self.vector @ quadratics, squares / (2 * self.area)[:, None, None]
 
-    def at_vertices(self, bending: float) -> Iterator[Stencils]:
-        """The stencils around inner vertices, one group for each number of neighbours."""
-        # What lies around the others is counted to the inner vertices beside them.
-        reach = ~self.inner[self.v] & self.inner[self.j]
-        shares = np.bincount(self.v[reach], minlength=len(self.x))
-        v, j = self.v[reach], self.j[reach]
-        area = self.around + np.bincount(j, self.around[v] / shares[v], len(self.x))
-        for size in np.unique(self.valence[self.inner]):
-            at = np.flatnonzero(self.inner & (self.valence == size))
-            ring = self.rings[at, :size]
-            weight = self.cot[self._edge(np.repeat(at, size), ring.ravel())].reshape(ring.shape)
-            around = self.around[at]
-            weight = weight * (np.sqrt(area[at]) / around)[:, None]
-            weight = np.column_stack([-weight.sum(axis=1), weight])
-            particle = np.column_stack([at, ring])
-            yield Stencils.build(particle, weight, bending, around / area[at])
+    def recovered(self) -> np.ndarray:
+        """What edges alone make of a quadratic's second derivatives, (t, 3, 3); at best 1."""
+        of_edges, back = self._forms()
+        product: np.ndarray = back @ of_edges
+        return product
 
-    def at_edges(self, bending: float) -> Stencils:
-        """The stencils at edges between two triangles, both of whose ends are no inner vertices."""
-        mine = (self.v < self.j) & (self.of == 2) & ~self.inner[self.v] & ~self.inner[self.j]
-        mine &= self.next[:, 0] != self.next[:, 1]
-        particle = np.column_stack([self.v[mine], self.j[mine], self.next[mine]])
-        ends = self.x[particle]
-        edge = ends[:, 1] - ends[:, 0]
-        length2 = (edge**2).sum(axis=1)
-        weight = np.zeros((len(particle), AT_EDGE))
-        for k in (2, 3):
-            d = ends[:, k] - ends[:, 0]
-            foot = (d * edge).sum(axis=1) / length2
-            height = np.linalg.norm(d - foot[:, None] * edge, axis=1)
-            of_corner = np.sqrt(length2 / self.beside[mine]) / height
-            weight[:, k] = of_corner
-            weight[:, 0] -= of_corner * (1 - foot)
-            weight[:, 1] -= of_corner * foot
-        return Stencils.build(particle, weight, bending)
+    def fitted(self, mine: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Particles and weights of stencils of triangles that have three neighbours: the second
+        derivatives of the quadratic through the six points.
+        """
+        of_edges = self._forms()[0][mine]
+        weight = np.linalg.solve(of_edges, self.vector[mine])
+        weight *= np.sqrt(self.area[mine])[:, None, None]
+        particle = np.column_stack([self.corners[mine], self.beyond[mine]])
+        yield np.repeat(particle, 3, axis=0), weight.reshape(-1, 6)
+
+    def by_edges(self, mine: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Particles and weights of stencils by edges alone, as many as there are neighbours."""
+        unit = self.edge / self.length[:, :, None]
+        products = (unit @ unit.transpose(0, 2, 1)) ** 2 / (4 * self.area)[:, None, None]
+        for has in np.ndindex(2, 2, 2):
+            edges = np.flatnonzero(has)
+            like = mine[((self.beyond[mine] >= 0) == np.array(has, bool)).all(axis=1)]
+            if len(edges) == 0 or len(like) == 0:
+                continue
+            factor = np.linalg.cholesky(products[np.ix_(like, edges, edges)])
+            columns = np.append(np.arange(3), 3 + edges)
+            vector = self.vector[np.ix_(like, edges, columns)]
+            weight = factor.transpose(0, 2, 1) @ vector
+            particle = np.column_stack([self.corners[like], self.beyond[np.ix_(like, edges)]])
+            yield np.repeat(particle, len(edges), axis=0), weight.reshape(-1, len(columns))
+
+
+def _distinct(stencils: Stencils) -> Stencils:
+    """The stencils with each particle once: in a small closed mesh two neighbours may share one."""
+    parts, twice = [], np.zeros(len(stencils), bool)
+    for mine, at in stencils.by_size():
+        order = np.sort(stencils.particle[at], axis=1)
+        twice[mine] = (order[:, 1:] == order[:, :-1]).any(axis=1)
+    for m in np.flatnonzero(twice):
+        own = slice(stencils.start[m], stencils.start[m + 1])
+        particle, weight = stencils.particle[own], stencils.weight[own]
+        once = np.array(list(dict.fromkeys(particle.tolist())))
+        total = np.array([weight[particle == i].sum() for i in once])
+        parts.append(Stencils.build(once[None], total[None], stencils.bending[m]))
+    return Stencils.concatenated([stencils.select(~twice), *parts])
+
+
+def _seen_from(
+    corner: np.ndarray, start: np.ndarray, edge: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The distance of corners from lines along `edge` from `start`, all (t, 3, dim), and where on
+    the edge their foot is, 0 at its start and 1 at its end, both (t, 3).
+    """
+    away = corner - start
+    with np.errstate(all="ignore"):
+        foot = (away * edge).sum(axis=2) / (edge**2).sum(axis=2)
+        return np.linalg.norm(away - foot[:, :, None] * edge, axis=2), foot
+
+
+def _beyond(corners: np.ndarray, count: int) -> np.ndarray:
+    """Of each triangle, the corner of its neighbour beyond the edge opposite to each of its own,
+    (t, 3); -1 where the edge has not exactly two triangles.
+    """
+    ends = np.stack([np.roll(corners, -1, axis=1), np.roll(corners, -2, axis=1)], axis=2)
+    key = (ends.min(axis=2) * count + ends.max(axis=2)).ravel()
+    order = np.argsort(key, kind="stable")
+    _, first, times = np.unique(key[order], return_index=True, return_counts=True)
+    first = first[times == 2]
+    one, other = order[first], order[first + 1]
+    found, opposite = np.full(len(key), -1, np.int64), corners.ravel()
+    found[one], found[other] = opposite[other], opposite[one]
+    found[found == opposite] = -1  # the same triangle twice
+    return found.reshape(corners.shape)

@@ -75,7 +75,7 @@ _TABLES = {
     "spring": (*SPRING_PROPERTIES, "color"),
     "particles": ("position", "velocity", "fixed", "color", *PARTICLE_PROPERTIES),
     "springs": ("between", *SPRING_PROPERTIES),
-    "stencils": ("between", "weights", "bending", "inside"),
+    "stencils": ("between", "weights", "bending"),
     "obstacles": ("shape",),  # and what its shape declares (`kernels/obstacles/`)
     "cloths": (
         *("origin", "columns", "rows", "spacing", "pinned", "links", "across", "down", "bending"),
@@ -527,9 +527,8 @@ class TableReader:
                 has = f"has {len(weights)} for {counted(len(between), 'particle')}"
                 self.refuse((*path, "weights"), f"weights must be one for each particle, {has}")
             bending = self.required(entry, path, "bending", toml.number)
-            inside = self.value(entry, path, "inside", toml.number, 1.0)
             one = np.array([between], np.int64), np.array([weights], np.float64)
-            found.append(Stencils.build(*one, bending, inside))
+            found.append(Stencils.build(*one, bending))
         return Stencils.concatenated(found)
 
     def of_kinds(
