@@ -12,6 +12,7 @@ from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.accelerations import binds, damping_of, resists, stiffness_of
 from taichi_cloth.kernels.forces.contract import (
     ACCELERATION,
+    CURVATURE,
     FORCE,
     PARTS,
     TENSION,
@@ -21,9 +22,10 @@ from taichi_cloth.kernels.forces.contract import (
     has,
 )
 from taichi_cloth.kernels.packs import slot_number
-from taichi_cloth.scene.cloth import grid, grid_triangles
+from taichi_cloth.scene.cloth import grid, grid_stencils, grid_triangles
 from taichi_cloth.scene.model import Scene, World
-from taichi_cloth.simulation.diagnostics import spring_forces
+from taichi_cloth.scene.stencils import mesh_stencils
+from taichi_cloth.simulation.diagnostics import spring_forces, stencil_forces
 from taichi_cloth.simulation.simulation import Simulation
 
 NAMES = forces.TERMS
@@ -32,6 +34,9 @@ NAMES = forces.TERMS
 def everything():
     """A scene with every force that can be switched on, its particles moving; nothing breaks."""
     scene = mixed(walls=(), break_force=None)
+    x = scene.particles.position
+    lines, listed = grid_stencils(5, 9, 20.0, 3.0), mesh_stencils(x, grid_triangles(9, 6, 50), 2.0)
+    scene = replace(scene, stencils=lines.joined(listed))
     for name in NAMES:
         term = forces.load(name)
         if not term.present(scene):
@@ -89,6 +94,7 @@ def test_a_part_that_is_forgotten_is_named(part):
         ("fields", (), "fields"),
         ("present", Absent("never"), "present"),
         ("acts", lambda state: True, "acts"),
+        ("adds", "curvature", "curvature"),
     ],
 )
 def test_a_part_that_makes_no_sense_is_named(part, value, says):
@@ -105,7 +111,9 @@ def test_laws_are_their_twins(topology, device):
     sim.advance()
     free = ~scene.particles.fixed
     found = (sim.velocities() - v)[free] / scene.world.dt
-    pulled = spring_forces(x, v, scene.springs) / scene.particles.mass[:, None]
+    pulled = spring_forces(x, v, scene.springs)
+    pulled += stencil_forces(x, scene.stencils, scene.particles.fixed)
+    pulled /= scene.particles.mass[:, None]
     expected = (on_particles(scene, x, v) + pulled)[free]
     np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-12)
 
@@ -128,13 +136,19 @@ def test_energies_are_potentials_of_twins(name):
         (tension,) = term.twin(np.array([length]), np.zeros(1), springs)
         assert (slope[0] - slope[1]) / (2 * h) == pytest.approx(tension, rel=1e-6)
         return
-    force = term.twin(x, v, world, particles)
+    others = springs
+    if term.adds == CURVATURE:
+        others = scene.stencils
+        k = others.stiffness(particles.fixed)
+        force = others.gathered(term.twin(others.curvature(x), k), len(x))
+    else:
+        force = term.twin(x, v, world, particles)
     if term.adds == ACCELERATION:
         force = force * particles.mass[:, None]
     way = np.where(particles.fixed[:, None], 0.0, rng.normal(size=x.shape))
     h = 1e-4
-    work = term.energy(x + h * way, v, world, particles, springs)
-    work -= term.energy(x - h * way, v, world, particles, springs)
+    work = term.energy(x + h * way, v, world, particles, others)
+    work -= term.energy(x - h * way, v, world, particles, others)
     assert -work / (2 * h) == pytest.approx((force * way).sum(), rel=1e-6)
 
 
@@ -177,5 +191,5 @@ def test_variants_switch_their_force_alone(name):
     variant = term.variant(scene)
     assert variant.used and not term.present(variant.scene)
     before, after = forces.present_in(scene), forces.present_in(variant.scene)
-    lost = {name} if name != "springs" else {"springs", "dashpots"}
+    lost = {name} if name != "springs" else {"springs", "dashpots", "bending"}
     assert set(before) - set(after) == lost

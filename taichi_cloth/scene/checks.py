@@ -367,10 +367,8 @@ def _check_triangles(triangles: Any, particle_count: int, refusal: _Refusal) -> 
 
 def _check_stencils(stencils: Stencils, particle_count: int, refusal: _Refusal) -> None:
     m, k = len(stencils), len(stencils.particle)
-    for name, shape in (
-        *(("start", (m + 1,)), ("particle", (k,)), ("weight", (k,))),
-        *(("bending", (m,)), ("inside", (m,))),
-    ):
+    shapes = {"start": (m + 1,), "particle": (k,), "weight": (k,), "bending": (m,)}
+    for name, shape in shapes.items():
         refusal.check_shape("stencil", name, getattr(stencils, name), shape)
     sizes = stencils.sizes
     if stencils.start[0] != 0 or stencils.start[-1] != k or (sizes < IN_ROW).any():

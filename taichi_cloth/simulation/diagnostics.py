@@ -69,8 +69,8 @@ class Energy:
 
     @property
     def elastic(self) -> float:
-        """Energy of the stretched and compressed springs."""
-        return self.potential["springs"]
+        """Energy of the stretched and compressed springs, and of what is bent."""
+        return self.potential["springs"] + self.potential["bending"]
 
     @property
     def total(self) -> float:

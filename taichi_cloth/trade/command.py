@@ -177,6 +177,9 @@ def scene_hash(scene: Scene) -> str:
         for column in fields(part):
             if column.name != "color":
                 digest.update(np.ascontiguousarray(getattr(part, column.name)).tobytes())
+    if len(scene.stencils):
+        for values in vars(scene.stencils).values():
+            digest.update(np.ascontiguousarray(values).tobytes())
     return digest.hexdigest()[:16]
 
 

@@ -1,0 +1,421 @@
+"""Bending: rigidity of cloth in grids and meshes, against closed forms and on every topology."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+from scipy.sparse.linalg import eigsh
+from scipy.spatial import Delaunay
+from selection import thorough
+
+from taichi_cloth.errors import InputError, SimulationFailure
+from taichi_cloth.kernels import methods
+from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
+from taichi_cloth.limits.eigenmodes import stable_step
+from taichi_cloth.limits.matrices import stiffness_and_damping
+from taichi_cloth.limits.network import Network
+from taichi_cloth.scene import scenefile
+from taichi_cloth.scene.cloth import grid, grid_stencils, grid_triangles
+from taichi_cloth.scene.model import ParticleDefaults, Scene, SpringDefaults, World
+from taichi_cloth.scene.stencils import Stencils, mesh_stencils
+from taichi_cloth.simulation import diagnostics
+from taichi_cloth.simulation.simulation import Simulation
+
+RIGIDITY, LENGTH, DENSITY = 2e-3, 1.0, 0.2  # N m, m, kg/m2
+
+
+def strip(cells, rows=2, dim=3, load=0.0, stiffness=2e4, mesh=False):
+    """A strip of cloth along x, clamped at x = 1, whose free part is LENGTH long.
+
+    load: its weight per area, times LENGTH^3 over the rigidity. It acts along y, across the cloth.
+    """
+    spacing = LENGTH / cells
+    columns, down = cells + 2, (0.0, 0.0, 1.0) if dim == 3 else None
+    particles, springs = grid(
+        (1.0 - spacing, 2.0, 0.0)[:dim],
+        columns,
+        rows,
+        spacing,
+        pinned=[(column, row) for column in (0, 1) for row in range(rows)],
+        down=down,
+        spring_defaults=SpringDefaults(stiffness=stiffness),
+    )
+    area = np.full((rows, columns), spacing**2)
+    area[:, -1] /= 2
+    area[[0, -1]] /= 1 if rows == 1 else 2
+    particles.mass[:] = DENSITY * area.ravel()
+    if mesh:
+        stencils = mesh_stencils(particles.position, grid_triangles(columns, rows), RIGIDITY)
+    else:
+        stencils = grid_stencils(columns, rows, spacing, RIGIDITY, down=down)
+    gravity = (0.0, load * RIGIDITY / (DENSITY * LENGTH**3), 0.0)[:dim]
+    world = World((4.0, 4.0, 4.0)[:dim], gravity=gravity, dt=0.01)
+    return Scene("strip", world, particles, springs, stencils=stencils)
+
+
+def crumpled(columns=7, rows=6, mesh=False, bending=20.0, **options):
+    """A cloth of 20 spacing, thrown about in space."""
+    particles, springs = grid(
+        (100.0, 100.0, 0.0),
+        columns,
+        rows,
+        20.0,
+        links=("structural", "shear"),
+        pinned=[(0, 0), (1, 0)],
+        spring_defaults=SpringDefaults(stiffness=0.2, damping=0.01, **options),
+        particle_defaults=ParticleDefaults(mass=1.5),
+    )
+    stencils = grid_stencils(columns, rows, 20.0, bending)
+    if mesh:
+        triangles = grid_triangles(columns, rows)
+        stencils = mesh_stencils(particles.position, triangles, bending)
+    rng = np.random.default_rng(0)
+    particles.position[:] += rng.uniform(-4, 4, particles.position.shape)
+    particles.velocity[:] += rng.normal(0, 1, particles.position.shape)
+    world = World((400.0, 400.0, 400.0), gravity=(0.01, 0.05, 0.02), dt=0.5)
+    return Scene("crumpled", world, particles, springs, stencils=stencils)
+
+
+# --- closed forms ----------------------------------------------------------------------------
+
+
+def patch(kind, cells):
+    """Points (n, 2) in a unit square and triangles: of a regular grid, or of points at random."""
+    at = np.linspace(0, 1, cells + 1)
+    x, y = np.meshgrid(at, at)
+    points = np.stack([x.ravel(), y.ravel()], axis=1)
+    if kind == "regular":
+        return points, grid_triangles(cells + 1, cells + 1)
+    inside = ((points > 1e-9) & (points < 1 - 1e-9)).all(axis=1)
+    moved = np.random.default_rng(1).uniform(-0.3, 0.3, (inside.sum(), 2))
+    points[inside] += moved / cells
+    corners = Delaunay(points).simplices
+    one, other = (points[corners[:, k]] - points[corners[:, 0]] for k in (1, 2))
+    return points, corners[np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) > 1e-9]
+
+
+def on_cylinder(points, angle, radius):
+    """The points (n, 3) where the plane, turned by an angle, is rolled up without stretching."""
+    along = points @ [np.cos(angle), np.sin(angle)]
+    aside = points @ [-np.sin(angle), np.cos(angle)]
+    turn = along / radius
+    return np.stack([radius * np.sin(turn), aside, radius * np.cos(turn)], axis=1)
+
+
+@pytest.mark.parametrize("kind", ["regular", "random"])
+def test_a_mesh_on_a_cylinder_holds_b_over_two_r_squared_whichever_way_it_is_rolled(kind):
+    """To first order in the spacing, by what is missing at borders."""
+    errors = []
+    for cells in (16, 32, 64):
+        points, triangles = patch(kind, cells)
+        stencils = mesh_stencils(points, triangles, 3.0)
+        flat = np.column_stack([points, 0 * points[:, 0]])
+        assert np.abs(stencils.curvature(flat)).max() < 1e-12 * cells
+        energies = []
+        for angle in np.deg2rad([0, 25, 45, 70, 90, 135]):
+            vectors = stencils.curvature(on_cylinder(points, angle, 0.8))
+            energies.append(0.5 * (stencils.bending[:, None] * vectors**2).sum())
+        errors.append(np.abs(np.array(energies) / (3.0 / (2 * 0.8**2)) - 1).max())
+    assert errors[2] < 0.02
+    assert errors[0] > 1.7 * errors[1] > 1.7**2 * errors[2]
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(9, 5), (5, 9), (9, 1), (1, 9)])
+def test_a_grid_on_a_cylinder_holds_its_second_differences(columns, rows):
+    """Each is 4 R sin^2(s / 2R); strips are a spacing wide, at borders half of it."""
+    spacing, radius = 0.5, 3.0
+    along, aside = max(columns, rows), min(columns, rows)
+    particles, _ = grid((0.0, 0.0), columns, rows, spacing)
+    angle = 0.0 if columns > rows else np.pi / 2
+    stencils = grid_stencils(columns, rows, spacing, 3.0)
+    vectors = stencils.curvature(on_cylinder(particles.position, angle, radius))
+    energy = 0.5 * (stencils.bending[:, None] * vectors**2).sum()
+    second = 4 * radius * np.sin(spacing / (2 * radius)) ** 2
+    width = max(aside - 1, 1) * spacing
+    expected = 3.0 * width / (2 * spacing**3) * (along - 2) * second**2
+    assert energy == pytest.approx(expected, rel=1e-12)
+
+
+def test_momentum_and_angular_momentum_are_kept():
+    for mesh in (False, True):
+        scene = crumpled(mesh=mesh)
+        x, free = scene.particles.position, np.zeros(len(scene.particles), bool)
+        force = diagnostics.stencil_forces(x, scene.stencils, free)
+        largest = np.abs(force).max()
+        assert largest > 1.0
+        np.testing.assert_allclose(force.sum(axis=0), 0.0, atol=1e-12 * largest)
+        np.testing.assert_allclose(np.cross(x, force).sum(axis=0), 0.0, atol=1e-9 * largest)
+
+
+def elastica(load):
+    """The free end (along, down) of a cantilever under its own weight, its length 1: theta'' =
+    -load (1 - s) cos(theta), theta(0) = theta'(1) = 0.
+    """
+
+    def slope(s, y):
+        return np.stack([y[1], -load * (1 - s) * np.cos(y[0])])
+
+    def ends(a, b):
+        return np.array([a[0], b[1]])
+
+    s = np.linspace(0, 1, 201)
+    found = solve_bvp(slope, ends, s, np.zeros((2, len(s))), tol=1e-10, max_nodes=20_000)
+    s = np.linspace(0, 1, 20_001)
+    theta = found.sol(s)[0]
+    return np.array([np.trapezoid(np.cos(theta), s), np.trapezoid(np.sin(theta), s)])
+
+
+def at_equilibrium(scene):
+    """Where the free particles of a scene are in balance (n, dim): Newton's method on the twins."""
+    particles, springs, dim = scene.particles, scene.springs, scene.world.dim
+    x, free = particles.position.copy(), np.repeat(~particles.fixed, dim)
+    still, one = np.zeros_like(x), np.eye(dim)
+    n, (a, b) = len(x), springs.between.T
+    bent = np.zeros((len(scene.stencils), n))
+    bent[scene.stencils.owner, scene.stencils.particle] = scene.stencils.weight
+    k = scene.stencils.stiffness(particles.fixed)
+    bending = np.kron(bent.T @ (k[:, None] * bent), one)
+    for part in np.linspace(0.1, 1, 10):  # of the load
+        weight = part * particles.mass[:, None] * np.array(scene.world.gravity)
+        for _ in range(12):
+            force = weight + diagnostics.spring_forces(x, still, springs)
+            force += diagnostics.stencil_forces(x, scene.stencils, particles.fixed)
+            d = x[b] - x[a]
+            length = np.linalg.norm(d, axis=1)[:, None, None]
+            along = d[:, :, None] * d[:, None, :] / length**2
+            across = 1 - springs.rest_length[:, None, None] / length
+            blocks = springs.stiffness[:, None, None] * (along + across * (one - along))
+            whole = bending.reshape(n, dim, n, dim).transpose(0, 2, 1, 3).copy()
+            for i, j, sign in ((a, a, 1), (b, b, 1), (a, b, -1), (b, a, -1)):
+                np.add.at(whole, (i, j), sign * blocks)
+            matrix = whole.transpose(0, 2, 1, 3).reshape(n * dim, n * dim)[np.ix_(free, free)]
+            x.reshape(-1)[free] += np.linalg.solve(matrix, force.ravel()[free])
+    assert np.abs(force.ravel()[free]).max() < 1e-7 * np.abs(weight).sum()
+    return x
+
+
+def test_a_cantilever_is_an_elastica_with_an_error_of_second_order():
+    load, errors = 10.0, []
+    exact = elastica(load)
+    assert 0.6 < exact[1] < 0.8  # far from small angles
+    for cells in (16, 32, 64):
+        x = at_equilibrium(strip(cells, rows=1, dim=2, load=load))
+        errors.append(np.abs(x[-1] - [1.0, 2.0] - exact).max())
+    assert errors[2] < 1e-3
+    assert all(3.5 < a / b < 4.5 for a, b in zip(errors[:-1], errors[1:], strict=True)), errors
+
+
+def lowest(scene):
+    """The lowest frequency of a scene (radians a time), and its mode (n, dim)."""
+    stiffness, _ = stiffness_and_damping(Network.from_scene(scene))
+    values, vectors = eigsh(stiffness, 1, sigma=0.0)
+    mode, free = np.zeros_like(scene.particles.position), ~scene.particles.fixed
+    mode[free] = vectors[:, 0].reshape(-1, scene.world.dim)
+    mode[free] /= np.sqrt(scene.particles.mass[free, None])
+    return float(np.sqrt(values[0])), mode
+
+
+@pytest.mark.parametrize(("mesh", "within"), [(False, 2e-3), (True, 1e-2)])
+def test_a_strip_swings_as_euler_and_bernoulli_say_however_finely_it_is_divided(mesh, within):
+    exact = 1.8751040687**2 * np.sqrt(RIGIDITY / DENSITY) / LENGTH**2
+    found = [
+        lowest(strip(cells, rows, mesh=mesh))[0] for cells, rows in ((16, 2), (32, 3), (64, 5))
+    ]
+    assert abs(found[2] / exact - 1) < within
+    assert max(found) / min(found) < 1.03
+
+
+# --- stability -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mesh", [False, True])
+def test_the_stable_step_knows_of_bending(mesh):
+    """Against the eigenvalues of differences of the twins' forces, in their own geometry."""
+    scene = crumpled(5, 4, mesh, bending=400.0)
+    scene = replace(scene, springs=replace(scene.springs, damping=0 * scene.springs.damping))
+    particles, springs = scene.particles, scene.springs
+    x, free = particles.position, np.repeat(~particles.fixed, 3)
+    springs.rest_length[:] = np.linalg.norm(np.diff(x[springs.between], axis=1)[:, 0], axis=1)
+    h, columns = 1e-4, []
+    for unit in np.eye(x.size)[free]:
+        forces = []
+        for sign in (1, -1):
+            moved = x + sign * h * unit.reshape(x.shape)
+            total = diagnostics.spring_forces(moved, 0 * x, springs)
+            total += diagnostics.stencil_forces(moved, scene.stencils, particles.fixed)
+            forces.append(total.ravel()[free])
+        columns.append((forces[1] - forces[0]) / (2 * h))
+    largest = np.linalg.eigvalsh(np.array(columns)).max() / particles.mass[0]
+    network, method = Network.from_scene(scene), methods.load("symplectic_euler")
+    limit = stable_step(method, network)
+    assert limit.dt == pytest.approx(2 / np.sqrt(largest), rel=1e-3)
+    assert limit.bent >= 0 and "bending" in limit.describe()
+    in_any, rough = any_geometry(network).omega2, gershgorin(network).omega2
+    assert largest * (1 - 1e-6) < in_any <= rough < 1.6 * largest
+    assert step_within(method, gershgorin(network)) <= limit.dt
+
+
+# --- scenes ----------------------------------------------------------------------------------
+
+CLOTH = """
+[world]
+size = [9.0, 9.0, 9.0]
+[[cloths]]
+origin = [1.0, 1.0, 0.0]
+columns = 5
+rows = 4
+spacing = 0.5
+bending = 2e-3
+[[stencils]]
+between = [5, 0, 11]
+weights = [-2.0, 1.5, 0.5]
+bending = 1.0
+"""
+
+
+def test_stencils_of_files_come_back_as_they_were():
+    scene = scenefile.parse(CLOTH)
+    listed, cloth = scene.stencils.select(np.arange(1)), grid_stencils(5, 4, 0.5, 2e-3)
+    for name, column in vars(scene.stencils.select(np.arange(1, len(scene.stencils)))).items():
+        np.testing.assert_array_equal(column, getattr(cloth, name))
+    np.testing.assert_array_equal(listed.particle, [5, 0, 11])
+    again = scenefile.parse(scenefile.dump(scene))
+    for name, column in vars(scene.stencils).items():
+        np.testing.assert_array_equal(column, getattr(again.stencils, name))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        (("bending = 2e-3", "bending = -1.0"), "line 9: .*at least 0"),
+        (("bending = 2e-3", "bending = nan"), "line 9: .*at least 0"),
+        (("[5, 0, 11]", "[5, 0, 77]"), "line 11: .*particles 0 to 19"),
+        (("[5, 0, 11]", "[5, 0, 0]"), "line 11: .*twice"),
+        (("[5, 0, 11]", "[5, 0]"), "line 12: .*one for each"),
+        (("-2.0", "-2.5"), "line 12: .*add up to 0"),
+        (("bending = 1.0", "bending = -1.0"), "line 13: .*not be negative"),
+    ],
+)
+def test_what_is_no_stencil_is_refused_by_its_line(wrong, says):
+    with pytest.raises(InputError, match=says):
+        scenefile.parse(CLOTH.replace(*wrong))
+
+
+# --- on the device ---------------------------------------------------------------------------
+
+
+def forces_of(sim):
+    """The forces on all particles by the twins, with stencils found one by one: (n, dim)."""
+    now = sim.storage.snapshot()
+    scene, particles = now.scene, now.scene.particles
+    gone = {tuple(sorted(pair)) for pair in scene.springs.between[~now.pulling].tolist()}
+    kept, stencils = [], scene.stencils
+    for m in range(len(stencils)):
+        of = stencils.particle[stencils.start[m] : stencils.start[m + 1]].tolist()
+        first = of[:1] if len(of) == 3 else of
+        kept.append(not any(tuple(sorted((a, b))) in gone for a in first for b in of))
+    total = particles.mass[:, None] * np.array(scene.world.gravity)
+    total = total + diagnostics.spring_forces(now.x, now.v, scene.springs.select(now.pulling))
+    held = stencils.select(np.array(kept))
+    return total + diagnostics.stencil_forces(now.x, held, particles.fixed), np.array(kept)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "way"),
+    [
+        (False, {"topology": "graph", "execution": "serial"}),
+        pytest.param(False, {"topology": "lanes", "execution": "parallel"}, marks=thorough),
+        pytest.param(True, {"topology": "lanes", "execution": "serial"}, marks=thorough),
+        pytest.param(True, {"topology": "graph", "execution": "parallel"}, marks=thorough),
+    ],
+)
+def test_no_force_is_left_across_a_tear(mesh, way, device):
+    """While cloth tears, when it is cut, set, or a frame is undone; and however it is launched."""
+    scene = crumpled(mesh=mesh, break_force=1.2)
+    sim = Simulation(scene, "symplectic_euler", substeps=4, lanes=2, **way)
+
+    def check():
+        expected, kept = forces_of(sim)
+        np.testing.assert_allclose(sim.storage.forces(), expected, rtol=1e-12, atol=1e-10)
+        return kept
+
+    for _ in range(5):
+        sim.advance(4)
+        check()
+    torn = check()
+    assert torn.any() and not torn.all()
+    one = sim.positions()
+    sim.cut([int(np.flatnonzero(sim.springs_alive())[0])])
+    check()
+    sim.set(bending=35.0)
+    held = check()
+    sim.set(velocities=1e9 * np.eye(len(scene.particles), 3, -3))
+    with pytest.raises(SimulationFailure):
+        sim.advance()
+    np.testing.assert_array_equal(check(), held)
+    sim.load_scene(scene, None, 4)
+    for _ in range(20):
+        sim.advance()
+    np.testing.assert_array_equal(sim.positions(), one)
+
+
+@thorough
+@pytest.mark.parametrize("mesh", [False, True])
+def test_many_sweeps_over_stencils_end_at_the_solution_of_backward_euler(mesh, device):
+    scene = crumpled(5, 4, mesh, bending=150.0)
+    ways = ({"topology": "lanes", "execution": "parallel"}, {"topology": "graph"})
+    for way in ways[mesh:]:
+        exact = Simulation(scene, "implicit_euler", lanes=2, tolerance=1e-13, **way)
+        exact.advance()
+        assert exact.work().unconverged == 0
+        moved = np.abs(exact.positions() - scene.particles.position).max()
+        for method in ("xpbd", "vbd"):
+            sim = Simulation(scene, method, lanes=2, iterations=8, **way)
+            errors = []
+            for sweeps in (8, 64, 512):
+                sim.solver["iterations"] = sweeps
+                sim.load_scene(scene)
+                sim.advance()
+                errors.append(np.abs(sim.positions() - exact.positions()).max() / moved)
+            assert errors[0] > 1e-6 > 1e-9 > errors[2], (method, way, errors)
+
+
+@thorough
+@pytest.mark.parametrize("topology", ["lanes", "graph"])
+def test_a_strip_swings_in_its_lowest_mode(topology, device):
+    scene = strip(32)
+    omega, mode = lowest(scene)
+    start = 1e-6 * mode / np.abs(mode).max()
+    moved = replace(scene.particles, position=scene.particles.position + start)
+    period = 2 * np.pi / omega
+    scene = replace(scene.with_world(dt=period / 8), particles=moved)
+    steps = int(
+        np.ceil(
+            1.1 * period / 8 / stable_step(methods.load("verlet"), Network.from_scene(scene)).dt
+        )
+    )
+    sim = Simulation(scene, "verlet", substeps=steps, topology=topology, execution="serial")
+    for part in range(1, 9):
+        sim.advance()
+        expected = start * np.cos(part * np.pi / 4)
+        found = sim.positions() - scene.particles.position + start
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+@thorough
+@pytest.mark.parametrize("mesh", [False, True])
+def test_a_strip_that_comes_to_rest_is_an_elastica(mesh, device):
+    load, errors = 10.0, []
+    for cells in (8, 16):
+        scene = strip(cells, 2, load=load, mesh=mesh).with_world(dt=2.0)
+        sim = Simulation(scene, "implicit_euler", topology="graph", tolerance=1e-10)
+        sim.advance(60)
+        assert np.abs(sim.velocities()).max() < 1e-7
+        tip = sim.positions().reshape(2, -1, 3)[:, -1].mean(axis=0)
+        errors.append(np.abs(tip[:2] - [1.0, 2.0] - elastica(load)).max())
+    assert errors[0] < 0.02 and errors[1] < (0.35 if not mesh else 0.7) * errors[0]
+
+
+def test_stencils_that_are_not_there_cost_nothing():
+    assert len(grid_stencils(2, 2, 1.0, 1.0)) == len(Stencils.none()) == 0
