@@ -378,7 +378,7 @@ def test_many_sweeps_over_stencils_end_at_the_solution_of_backward_euler(mesh, d
                 sim.load_scene(scene)
                 sim.advance()
                 errors.append(np.abs(sim.positions() - exact.positions()).max() / moved)
-            assert errors[0] > 1e-6 > 1e-9 > errors[2], (method, way, errors)
+            assert errors[0] > 1e-8 > 1e-9 > errors[2], (method, way, errors)
 
 
 @thorough
@@ -395,7 +395,9 @@ def test_a_strip_swings_in_its_lowest_mode(topology, device):
             1.1 * period / 8 / stable_step(methods.load("verlet"), Network.from_scene(scene)).dt
         )
     )
-    sim = Simulation(scene, "verlet", substeps=steps, topology=topology, execution="serial")
+    sim = Simulation(
+        scene, "verlet", substeps=steps, topology=topology, execution="serial", lanes=2
+    )
     for part in range(1, 9):
         sim.advance()
         expected = start * np.cos(part * np.pi / 4)
@@ -408,7 +410,7 @@ def test_a_strip_swings_in_its_lowest_mode(topology, device):
 def test_a_strip_that_comes_to_rest_is_an_elastica(mesh, device):
     load, errors = 10.0, []
     for cells in (8, 16):
-        scene = strip(cells, 2, load=load, mesh=mesh).with_world(dt=2.0)
+        scene = strip(cells, 2, load=load, stiffness=2e3, mesh=mesh).with_world(dt=5.0)
         sim = Simulation(scene, "implicit_euler", topology="graph", tolerance=1e-10)
         sim.advance(60)
         assert np.abs(sim.velocities()).max() < 1e-7

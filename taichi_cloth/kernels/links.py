@@ -220,9 +220,9 @@ def pass_over_rows(
                 # The first row's stiffness stays in the processor's caches.
                 if r + 1 < rows - spec.depth:
                     stiffness = first
-            # Of links, then of lines: their middle particles, and their last ones.
+            # What a pack loses, then what it gets: of links, and of lines.
             from_above = ti.Vector([0 for _ in range(spec.kinds + 2 * spec.line_kinds)])
-            from_here = ti.Vector([0 for _ in range(spec.kinds + spec.line_kinds)])
+            from_here = ti.Vector([0 for _ in range(spec.kinds + 2 * spec.line_kinds)])
             for s in ti.static(range(spec.kinds)):
                 giver = ring_row(spec, state, g, t, begin, end, r - spec.links[s][1])
                 from_above[s] = s * state.ring_size + giver - spec.links[s][0]
@@ -231,15 +231,15 @@ def pass_over_rows(
                     from_above[s] = from_here[s] = carried_row(spec, state, g, -1)
             for h in ti.static(range(spec.line_kinds)):
                 columns, down = ti.static(spec.lines[h])
-                in_ring, n = (spec.kinds + h) * state.ring_size, spec.kinds + h
+                in_ring, n = (spec.kinds + h) * state.ring_size, spec.kinds + 2 * h
                 one_back = ring_row(spec, state, g, t, begin, end, r - down)
                 two_back = ring_row(spec, state, g, t, begin, end, r - 2 * down)
                 from_here[n] = in_ring + here
-                from_above[n] = in_ring + one_back - columns
-                from_above[n + spec.line_kinds] = in_ring + two_back - 2 * columns
+                from_here[n + 1] = in_ring + two_back - 2 * columns
+                from_above[n] = from_above[n + 1] = in_ring + one_back - columns
                 if not linked:
-                    from_here[n] = from_above[n] = carried_row(spec, state, g, -1)
-                    from_above[n + spec.line_kinds] = from_here[n]
+                    from_here[n] = from_here[n + 1] = carried_row(spec, state, g, -1)
+                    from_above[n] = from_above[n + 1] = from_here[n]
             for i in range(width):
                 if computes:
                     next_pack = row + pitch + i
@@ -250,28 +250,16 @@ def pass_over_rows(
                         compute_lines(spec, state, apart, next_pack, pitch, ahead + i)
                 if consumes:
                     total = zeros(spec, state)
-                    for s in range(spec.kinds):
+                    for s in range(spec.kinds + 2 * spec.line_kinds):
                         total = total - read(spec, state.ring_forces, from_above[s] + i)
-                    for s in range(spec.kinds):
+                    for s in range(spec.kinds + 2 * spec.line_kinds):
                         total += read(spec, state.ring_forces, from_here[s] + i)
-                    if ti.static(spec.line_kinds > 0):
-                        for h in range(spec.kinds, spec.kinds + spec.line_kinds):
-                            twice = read(spec, state.ring_forces, from_above[h] + i)
-                            total += read(spec, state.ring_forces, from_here[h] + i)
-                            last = from_above[h + spec.line_kinds] + i
-                            total += read(spec, state.ring_forces, last)
-                            total = total - (twice + twice)
                     consume(spec, state, row + i, total)
             if computes:
-                for s in range(spec.kinds):
+                for s in range(spec.kinds + spec.line_kinds):
                     to, columns = s * state.ring_size + ahead, state.link[s, 0]
                     renew_left_halo(spec, state.ring_forces, to, width, columns)
                     renew_right_halo(spec, state.ring_forces, to, width, -columns)
-                if ti.static(spec.line_kinds > 0):
-                    for h in range(spec.line_kinds):
-                        to = (spec.kinds + h) * state.ring_size + ahead
-                        reach = 2 * state.line[h, 0]
-                        renew_left_halo(spec, state.ring_forces, to, width, reach)
             if consumes:
                 renew_halos(spec, state, row, width)
 

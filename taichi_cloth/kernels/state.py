@@ -125,7 +125,8 @@ class State:
     Grids (`grids.py`): grid: (grids, 4): first pack, rows, width in packs, whether it has links;
         grid_of: a pack's grid, -1 in empty rows; breaking (fracture): how many of the links that
         begin at a pack are BREAKING.
-    Links (`links.py`): link: (kinds, 2): columns and rows to the later end; forward: the kinds in
+    Links (`links.py`): link: (kinds, 2): columns and rows to the later end, after which come those
+        to the last particle along lines; forward: the kinds in
         the order in which the later ends are numbered.
         By kind and grid: link_shortest2 and link_longest2, as those of springs, and link_<letter>
         for the numbers that links of a kind and grid share.
@@ -300,7 +301,8 @@ class State:
     def _place_links_of_packs(self, spec, method):
         kinds, row = spec.kinds, self.capacity.row
         self.row = row
-        self.link, self.forward = self._counts(kinds, 2), self._counts(kinds)
+        self.link = self._counts(kinds + spec.line_kinds, 2)
+        self.forward = self._counts(kinds)
         for number in NUMBERS:
             if number.stored(spec) and number.own(spec):
                 numbers = self._pack_numbers(spec, kinds * self.packs)

@@ -337,7 +337,9 @@ def load_lines(
     """
     for _ in range(1):
         for h in ti.static(range(spec.line_kinds)):
-            state.line[h, 0], state.line[h, 1] = spec.lines[h][0], spec.lines[h][1]
+            for axis in ti.static(range(2)):
+                state.line[h, axis] = spec.lines[h][axis]
+                state.link[spec.kinds + h, axis] = 2 * spec.lines[h][axis]
     for i in range(k.shape[0]):
         line = link_index(state, places[i, 0], 0) * spec.lanes + places[i, 1]
         set_slot_number(spec, state.line_k, line, k[i])

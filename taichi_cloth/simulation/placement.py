@@ -15,6 +15,9 @@ from taichi_cloth.settings.options import TOPOLOGIES
 from taichi_cloth.simulation import layouts
 from taichi_cloth.simulation.layouts import Layout
 
+# Packs of more lanes take minutes to compile where stencils are summed besides springs.
+BENT_LANES = 4
+
 
 @dataclass(frozen=True)
 class Placement:
@@ -108,9 +111,8 @@ class Placements:
             period = layouts.spring_period
         elif "particle_colours" in self._needs:
             period = layouts.particle_period
-        return layouts.on_grids(
-            scene.springs, count, self._lanes, period, self._terms, self._stencils
-        )
+        lanes = min(self._lanes, BENT_LANES) if len(self._stencils) else self._lanes
+        return layouts.on_grids(scene.springs, count, lanes, period, self._terms, self._stencils)
 
     def _sorted_springs(self, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
         """The springs that no grid holds, in the order of memory, and their colours."""
