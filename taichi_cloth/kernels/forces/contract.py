@@ -186,6 +186,11 @@ class Term:
             raise ValueError("acts is for forces on particles without damping")
         if has(self.prepare) and self.adds != TRACTION:
             raise ValueError("prepare is for forces on triangles")
+        if self.adds == CURVATURE:
+            if has(self.damping) or has(self.across) or has(self.acts):
+                raise ValueError("a term on curvature has no damping, across or acts")
+            if has(self.law) != has(self.stiffness):
+                raise ValueError("a law on curvature needs a stiffness")
         for field in () if isinstance(self.fields, Absent) else self.fields:
             if field.shape not in SHAPES:
                 raise ValueError(f"field {field.name}: shape {field.shape!r} is none of {SHAPES}")
