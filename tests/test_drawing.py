@@ -62,9 +62,13 @@ def camera(rot_x=0.0, rot_y=0.0):
     return made
 
 
+@pytest.fixture(autouse=True)
+def started(device):
+    """ti.GUI needs Taichi to have been started; anew, it would take the fields of other tests."""
+
+
 def pixels(picture, view_camera, size=(160, 160)):
     """The picture as ti.GUI paints it, (h, w, 3) float."""
-    runtime.start()
     view = GuiView(WORLD, size, "", visible=False)
     view.camera = view_camera
     view.draw(picture)

@@ -40,7 +40,10 @@ def frames(pool, scene, count, **step):
 
 def test_the_oscillator_is_a_cosine(pool):
     x = frames(
-        pool, library.build("oscillator", amplitude=40.0, stiffness=0.02, mass=2.0), 200, 200
+        pool,
+        library.build("oscillator", amplitude=40.0, stiffness=0.02, mass=2.0),
+        200,
+        substeps=200,
     )
     t = np.arange(201)
     np.testing.assert_allclose(x[:, 1, 0], 250 + 40 * np.cos(0.1 * t), atol=0.05)
