@@ -30,6 +30,9 @@ SWITCHES = {
     "walls": "walls",
     "collisions": "collisions",
     "mouse: blow": "blow",
+    "air": "air",
+    "bending": "bending",
+    "obstacles": "obstacles",
     "uniform springs": "uniform_springs",
     "uniform particles": "uniform_particles",
 }

@@ -296,7 +296,14 @@ def test_features_that_a_scene_lacks_have_no_fields():
         "radius",
         "csr_c",
         "jump",
-        "sorted_x",
+        "sorted",
+        "traction",
+        "wind",
+        "begun_x",
+        "obstacle_pose",
+        "face_hit",
+        "touching",
+        "stencil_k",
         *on_graph,
         *on_grid,
     }
@@ -304,7 +311,7 @@ def test_features_that_a_scene_lacks_have_no_fields():
     assert not optional & fields(bare)
     assert optional & fields(build("cloth")) == cloth | on_graph
     assert optional & fields(build("cloth"), "lanes") == cloth | on_grid
-    box = {"viscous", "low", "radius", "jump", "sorted_x"}
+    box = {"viscous", "low", "radius", "jump", "sorted"}
     assert optional & fields(build("box")) == box | on_graph
 
 

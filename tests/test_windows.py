@@ -62,6 +62,9 @@ class FakeSimulation:
     def work(self):
         return Work(steps=self.frame, force_evaluations=self.frame, sweeps=0, unconverged=0)
 
+    def unsettled(self):
+        return 0
+
     def advance(self, frames=1):
         self.calls.append(("advance", frames))
         self.frame += frames

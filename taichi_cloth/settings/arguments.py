@@ -17,6 +17,7 @@ from taichi_cloth.errors import InputError, clipped, nearest
 from taichi_cloth.settings.options import PROGRAM, Parameter, flag
 
 NARROWEST, WIDEST = 40, 120  # columns of help texts
+USAGE = "usage: "  # what argparse begins a help text with
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class CommandParser(argparse.ArgumentParser):
 
     def __init__(self, command: str, usage: str = "[flags]", description: str = "") -> None:
         super().__init__(
-            usage=f"{PROGRAM} {command} {usage}",
+            usage=laid_out(f"{USAGE}{PROGRAM} {command} {usage}").removeprefix(USAGE),
             description=laid_out(description),
             formatter_class=lambda prog: argparse.RawDescriptionHelpFormatter(
                 prog, max_help_position=28, width=_width()
