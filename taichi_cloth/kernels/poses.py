@@ -2,8 +2,9 @@
 
 A pose is a centre and a matrix, whose columns are the axes of the obstacle's own frame: a local
 point q is at centre + matrix q. Obstacles move with constant velocities along and about their
-centres, from where they are at time 0. Their poses are computed once a step, in f64 also where the
-state is in f32 (`clock.py`), so that they go smoothly and what lies on them does not tremble.
+centres, from where they are at time 0, for a span of time. Their poses are computed once a step, in
+f64 also where the state is in f32 (`clock.py`), so that they go smoothly and what lies on them does
+not tremble.
 """
 
 import taichi as ti
@@ -13,7 +14,7 @@ from taichi_cloth.kernels.loops import each
 from taichi_cloth.kernels.obstacles import load
 from taichi_cloth.kernels.obstacles.contract import NUMBERS, SIZES
 
-START, END = range(2)  # of a step
+START, END, NEXT = range(3)  # of a step; mean rates in the next one, where particles are held
 SIZES_AT = len(NUMBERS)  # columns of what `load_obstacles` takes
 LOW_AT = SIZES_AT + SIZES
 START_AT = LOW_AT + 3
@@ -30,8 +31,13 @@ def pose_size(dim):
 
 
 def start_size(dim):
-    """How many numbers state.obstacle_start has for each: pose at time 0, velocity, spin."""
-    return pose_size(dim) + dim + spins(dim)
+    """How many numbers state.obstacle_start has for each: pose at time 0, velocity, spin, span."""
+    return pose_size(dim) + dim + spins(dim) + 2
+
+
+def poses_size(spec):
+    """How many numbers state.obstacle_pose has for each: the poses at both ends, and rates."""
+    return (3 if spec.held else 2) * pose_size(spec.dim)
 
 
 @ti.kernel
@@ -80,20 +86,51 @@ def place_obstacles(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def _place(spec: ti.template(), state: ti.template(), o):
-    _place_at(spec, state, o, START, time_at_start(state))
-    _place_at(spec, state, o, END, time_at_end(state))
+    start = moved_for(spec, state, o, time_at_start(state))
+    end = moved_for(spec, state, o, time_at_end(state))
+    dt = wide(state, state.dt[None]) + wide(state, state.dt_low[None])
+    at_start, at_end = pose_after(spec, state, o, start), pose_after(spec, state, o, end)
+    size = ti.static(pose_size(spec.dim))
+    for k in ti.static(range(pose_size(spec.dim))):
+        state.obstacle_pose[o, k] = ti.cast(at_start[k], state.real)
+        state.obstacle_pose[o, size + k] = ti.cast(at_end[k], state.real)
+    span = ti.static(start_size(spec.dim) - 2)
+    part = 1.0 + 0.0 * dt
+    if time_at_start(state) < wide(state, state.obstacle_start[o, span]) or time_at_end(
+        state
+    ) > wide(state, state.obstacle_start[o, span + 1]):
+        part = (end - start) / dt
+    state.obstacle_part[o] = ti.cast(part, state.real)
 
 
 @ti.func
-def _place_at(spec: ti.template(), state: ti.template(), o, end: ti.template(), time):
-    """Compute the pose of obstacle o at one end of the step, which is at `time`."""
+def place_next(spec: ti.template(), state: ti.template(), o):
+    """Compute the mean rates at which the pose of obstacle o changes in the next step."""
+    dt = wide(state, state.dt[None]) + wide(state, state.dt_low[None])
+    now = pose_after(spec, state, o, moved_for(spec, state, o, time_at_end(state)))
+    then = pose_after(spec, state, o, moved_for(spec, state, o, time_at_end(state) + dt))
+    first = ti.static(NEXT * pose_size(spec.dim))
+    for k in ti.static(range(pose_size(spec.dim))):
+        state.obstacle_pose[o, first + k] = ti.cast((then[k] - now[k]) / dt, state.real)
+
+
+@ti.func
+def moved_for(spec: ti.template(), state: ti.template(), o, time):
+    """For how long obstacle o has moved at a time."""
+    span = ti.static(start_size(spec.dim) - 2)
+    begin = wide(state, state.obstacle_start[o, span])
+    return ti.min(ti.max(time, begin), wide(state, state.obstacle_start[o, span + 1])) - begin
+
+
+@ti.func
+def pose_after(spec: ti.template(), state: ti.template(), o, time):
+    """The pose of obstacle o after it has moved for a time, (pose_size,) in f64."""
     dim = ti.static(spec.dim)
     size = ti.static(pose_size(spec.dim))
-    first = ti.static(end * pose_size(spec.dim))
+    pose = ti.Vector.zero(state.wide, ti.static(pose_size(spec.dim)))
     for axis in ti.static(range(dim)):
         moved = wide(state, state.obstacle_start[o, size + axis]) * time
-        at = wide(state, state.obstacle_start[o, axis]) + moved
-        state.obstacle_pose[o, first + axis] = ti.cast(at, state.real)
+        pose[axis] = wide(state, state.obstacle_start[o, axis]) + moved
     spin = [state.obstacle_start[o, size + dim + k] for k in ti.static(range(spins(spec.dim)))]
     x, y, z = wide(state, 0.0), wide(state, 0.0), wide(state, spin[0])
     if ti.static(spec.dim == 3):
@@ -115,8 +152,8 @@ def _place_at(spec: ti.template(), state: ti.template(), o, end: ti.template(), 
             for k in ti.static(range(spec.dim)):
                 column = ti.static(spec.dim * (k + 1)) + b
                 total += turn[a][k] * wide(state, state.obstacle_start[o, column])
-            column = first + ti.static(spec.dim * (a + 1)) + b
-            state.obstacle_pose[o, column] = ti.cast(total, state.real)
+            pose[ti.static(spec.dim * (a + 1) + b)] = total
+    return pose
 
 
 @ti.func
@@ -184,6 +221,7 @@ def velocity_at(spec: ti.template(), state: ti.template(), o, r):
                 b, c = ti.static((axis + 1) % 3), ti.static((axis + 2) % 3)
                 v[axis] += state.obstacle_start[o, first + b] * r[c]
                 v[axis] += -1.0 * state.obstacle_start[o, first + c] * r[b]
+        v = state.obstacle_part[o] * v
     return v
 
 

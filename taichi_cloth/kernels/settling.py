@@ -14,12 +14,13 @@ in state.begun_x and begun_v, with begun_x_low, if spec.keeps_begun says so.
 
 import taichi as ti
 
-from taichi_cloth.kernels import faces, obstruction, resting_pairs
+from taichi_cloth.kernels import faces, grips, obstruction, resting_pairs
 from taichi_cloth.kernels.loops import each_pack
 from taichi_cloth.kernels.watchdog import keep_begun
 
 # (needed, settle), in the order in which they act
 PARTS = (
+    (grips.needed, grips.settle),
     (faces.needed, faces.settle),
     (obstruction.needed, obstruction.settle),
     (resting_pairs.needed, resting_pairs.settle),

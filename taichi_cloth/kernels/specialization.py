@@ -15,6 +15,7 @@ class Specialization:
     terms: the names of its forces (`forces/`), in the order in which they are added up.
     springs: whether there are springs on the graph: all of them, or those that no grid holds.
     resting: whether pairs that collide rest on each other (`resting_pairs.py`).
+    held: whether fixed particles may go with obstacles that move (`grips.py`).
     lanes: how many particles a pack has (`packs.py`); 1 on a graph and on GPUs.
     links: (columns, rows) from the earlier end to the later one, for each kind of link; empty on a
         graph.
@@ -40,6 +41,7 @@ class Specialization:
     obstacles: tuple[str, ...] = ()
     resting: bool = False
     moving: bool = False
+    held: bool = False
     faces: bool = False
     lanes: int = 1
     links: tuple[tuple[int, int], ...] = ()

@@ -167,7 +167,9 @@ class State:
 
     Obstacles (`poses.py`), a row each: obstacle_shape: its number in spec.obstacles;
         obstacle_numbers, obstacle_sizes: of contact and of its shape; obstacle_start: its pose at
-        time 0 and its velocities; obstacle_pose: its poses at both ends of the step.
+        time 0 and its velocities; obstacle_pose: its poses at both ends of the step,
+        and (held) its mean rates in the next one; obstacle_part (moving): of the step, in which it
+        moves. held_by, held_at: what each particle goes with, 1 + its row, and where (`grips.py`).
         face_hit, surface (faces): what each triangle wants of its corners, and a `Surface`.
         obstacle_low, obstacle_nodes, obstacle_grid: of its grid of distances, where it has one.
 
@@ -288,6 +290,10 @@ class State:
                 self._particle_numbers(spec),
             )
             self.particle_names += ["radius", "restitution"]
+        if spec.held:
+            self.held_by, self.held_at = self._pack_numbers(spec), self._pack_vectors(spec)
+            self.particle_names.append("held_by")
+            self.vector_names.append("held_at")
         if spec.collisions and not spec.resting:
             self.jump = self._pack_vectors(spec)
         if has_tractions(spec):
@@ -450,7 +456,9 @@ class State:
         self.obstacle_sizes = self._scalars(count, contract.SIZES)
         self.obstacle_low = self._scalars(count, 3)
         self.obstacle_start = self._scalars(count, poses.start_size(spec.dim))
-        self.obstacle_pose = self._scalars(count, 2 * poses.pose_size(spec.dim))
+        self.obstacle_pose = self._scalars(count, poses.poses_size(spec))
+        if spec.moving:
+            self.obstacle_part = self._scalars(count)
         self.has_nodes = nodes > 0
         if self.has_nodes:
             self.obstacle_grid = self._scalars(nodes, 4)

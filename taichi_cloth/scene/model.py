@@ -354,6 +354,7 @@ class Features:
     obstacles: tuple[str, ...] = ()  # shapes, those of the ground and of resting walls included
     moving: bool = False  # whether any of them moves
     resting: bool = False  # whether pairs that collide rest on each other
+    held: bool = False  # whether fixed particles may go with obstacles that move
 
     def describe(self) -> str:
         """In words, such as '2-D, uniform springs, fracture, drag, 4 walls, floor'."""
@@ -361,11 +362,13 @@ class Features:
         words["springs"] = self.springs and not self.uniform_springs
         words["uniform springs"] = self.springs and self.uniform_springs
         words["walls"] = words["obstacles"] = words["moving"] = None
+        words["held"] = None
         if self.walls:
             words[f"{len(self.walls)} walls"] = True
         if self.obstacles:
             moving = "moving " * self.moving
             words[f"{moving}obstacles ({', '.join(self.obstacles)})"] = True
+            words["moving pins"] = self.held
         return ", ".join([f"{self.dim}-D", *(word for word, has in words.items() if has is True)])
 
 
@@ -402,6 +405,11 @@ class Scene:
         walls = self.world.walls if self.world.contact == CONTACTS[0] else ()
         planes = self.world.ground is not None or len(walls) < len(self.world.walls)
         shapes = {obstacle.shape for obstacle in self.obstacles} | ({"plane"} if planes else set())
+        moving = [
+            obstacle
+            for obstacle in self.obstacles
+            if any(np.any(obstacle.values.get(name, 0.0)) for name in ("velocity", "spin"))
+        ]
         return Features(
             dim=self.world.dim,
             springs=has_springs,
@@ -415,12 +423,9 @@ class Scene:
             floor="bottom" in walls and not self.world.up,
             collisions=self.world.collisions,
             obstacles=tuple(sorted(shapes)),
-            moving=any(
-                np.any(obstacle.values.get(name, 0.0))
-                for obstacle in self.obstacles
-                for name in ("velocity", "spin")
-            ),
+            moving=bool(moving),
             resting=self.world.collisions and self.world.contact == "resting",
+            held=any("grip" in obstacle.values for obstacle in moving),
         )
 
     @functools.cached_property

@@ -112,7 +112,10 @@ def fault(obstacle: Any, dim: int) -> tuple[str | None, str] | None:
                 return name, f"{name} {words}"
         elif key.default == REQUIRED:
             return None, f"'{name}' is missing"
-    return shape.refusal({name: obstacle.value(name) for name in known})
+    values = {name: obstacle.value(name) for name in known}
+    if values["stops"] is not None and values["stops"] < values["starts"]:
+        return "stops", f"stops must not be before starts, {values['starts']:g}"
+    return shape.refusal(values)
 
 
 def _fault_of_value(key: Key, value: Any, dim: int) -> str | None:
@@ -167,6 +170,8 @@ class Solid:
 
     name: 'obstacle 0', 'ground', 'left wall'. placed: where it is at time 0. restitution: None:
     that of each particle. velocity: (dim,); spin: radians a unit of time, (1,) in 2-D, (3,) in 3-D.
+    starts, stops: between which times it moves. grip: distance from its surface at time 0 within
+    which fixed particles go with it; None: it holds none.
     """
 
     name: str
@@ -176,6 +181,9 @@ class Solid:
     restitution: float | None
     velocity: np.ndarray
     spin: np.ndarray
+    starts: float = 0.0
+    stops: float = np.inf
+    grip: float | None = None
 
     @property
     def moving(self) -> bool:
@@ -192,13 +200,15 @@ class Solid:
         from taichi_cloth.kernels.obstacles.contract import about
 
         dim = len(self.velocity)
-        rotation = np.zeros(3)
-        rotation[3 - len(self.spin) :] = time * self.spin
+        rotation, moved = np.zeros(3), min(max(time, self.starts), self.stops) - self.starts
+        rotation[3 - len(self.spin) :] = moved * self.spin
         turn = about(rotation)[:dim, :dim] @ self.placed.turn
-        return self.placed.centre + time * self.velocity, turn
+        return self.placed.centre + moved * self.velocity, turn
 
-    def velocities(self, r: np.ndarray) -> np.ndarray:
+    def velocities(self, r: np.ndarray, time: float) -> np.ndarray:
         """The velocities (n, dim) of its points that are at r (n, dim) from its centre."""
+        if not self.starts <= time < self.stops:
+            return np.zeros_like(r)
         if len(self.spin) == 1:
             turning = self.spin[0] * np.column_stack([-1.0 * r[:, 1], r[:, 0]])
         else:
@@ -236,12 +246,32 @@ def solids(scene: Scene) -> list[Solid]:
                 float(values["restitution"]),
                 still[0] if velocity is None else np.asarray(velocity, np.float64),
                 still[1] if spin is None else np.radians(np.atleast_1d(spin).astype(np.float64)),
+                float(values["starts"]),
+                np.inf if values["stops"] is None else float(values["stops"]),
+                None if values["grip"] is None else float(values["grip"]),
             )
         )
     for name, point, normal in _planes(scene.world):
         placed = _placed("plane", {"point": point, "normal": normal}, dim, margin)
         found.append(Solid(name, "plane", placed, scene.world.friction, None, *still))
     return found
+
+
+def held(scene: Scene, solids: Sequence[Solid]) -> tuple[np.ndarray, np.ndarray]:
+    """Which solid each particle goes with, (n,), -1: none, and where in its frame, (n, dim).
+
+    Fixed particles go with a moving obstacle within whose grip they begin, the nearest if several.
+    """
+    x, fixed = scene.particles.position, scene.particles.fixed
+    which, nearest_yet = np.full(len(x), -1), np.full(len(x), np.inf)
+    local = np.zeros_like(x)
+    for index, solid in enumerate(solids):
+        if solid.grip is not None and solid.moving and fixed.any():
+            (centre, turn), (distance, _) = solid.pose(0.0), solid.distances(x, 0.0)
+            mine = fixed & (distance <= solid.grip) & (distance < nearest_yet)
+            which[mine], nearest_yet[mine] = index, distance[mine]
+            local[mine] = (x[mine] - centre) @ turn
+    return which, local
 
 
 def thin_ones(scene: Scene) -> list[str]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from taichi_cloth.kernels import forces, fracture, total_forces, transfer, watchdog
+from taichi_cloth.kernels import forces, fracture, grips, total_forces, transfer, watchdog
 from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.solvers import stages
@@ -183,6 +183,8 @@ class Storage:
     def begin(self, done: int) -> None:
         """Before frames, after `done` steps: compute what the method keeps, if that is outdated."""
         if self._altered:
+            if self._now.container.spec.held:
+                self._launch(grips.begin_launch, done)
             self._launcher.begin(self._now.container.spec, self.state, done)
         self._altered = False
 

@@ -14,7 +14,7 @@ import numpy as np
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import clock, poses, surfaces, transfer
 from taichi_cloth.kernels.collision_grid import ALONE, MOST_BINS, most_cells
-from taichi_cloth.kernels.obstacles.contract import SIZES
+from taichi_cloth.kernels.obstacles.contract import FAR, SIZES
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import (
@@ -24,7 +24,7 @@ from taichi_cloth.kernels.state import (
     has_tractions,
 )
 from taichi_cloth.scene.model import Particles, Springs, World
-from taichi_cloth.scene.obstacles import Solid, thin_ones
+from taichi_cloth.scene.obstacles import Solid, held, thin_ones
 from taichi_cloth.scene.triangles import corner_shares, springs_of_sides
 from taichi_cloth.simulation import adjacency, layouts
 from taichi_cloth.simulation.launch import Launcher
@@ -129,8 +129,11 @@ class Upload:
         p, x = self.snapshot.scene.particles, self.snapshot.x
         with np.errstate(all="ignore"):
             w = np.where(p.fixed, 0.0, 1.0 / p.mass)
-        v = np.where(p.fixed[:, None], 0.0, self.snapshot.v)  # a fixed particle never moves
+        by, at = held(self.snapshot.scene, self.solids)
+        still = p.fixed & (by < 0)  # a fixed particle never moves, unless something holds it
+        v = np.where(still[:, None], 0.0, self.snapshot.v)
         values = {"x": x, "v": v, "w": w, "radius": p.radius, "restitution": p.restitution}
+        values |= {"held_by": by + 1.0, "held_at": at}
         if self.spec.compensated:
             values |= {"x_low": _low(x, self.real), "v_low": _low(v, self.real)}
         vectors, names = self.state.vector_names, self.state.particle_names
@@ -355,7 +358,8 @@ class Upload:
             sizes[: len(placed.sizes)] = placed.sizes
             low = np.zeros(3) if placed.low is None else placed.low
             pose = placed.centre, placed.turn.ravel(), solid.velocity, solid.spin
-            rows.append(np.concatenate([numbers, sizes, low, *pose]))
+            span = [solid.starts, min(solid.stops, FAR)]
+            rows.append(np.concatenate([numbers, sizes, low, *pose, span]))
         arrays = np.array(counts, np.int32), as_real(self.real, "obstacle", *np.transpose(rows))
         grids = np.concatenate(nodes[1:] or nodes).astype(self.real)
         self._launch(poses.load_obstacles, *arrays, grids)

@@ -17,7 +17,7 @@ from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.forces.contract import ACCELERATION, CURVATURE, FORCE, TENSION, has
 from taichi_cloth.limits import tractions
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.scene.obstacles import solids
+from taichi_cloth.scene.obstacles import held, solids
 from taichi_cloth.scene.triangles import corner_shares
 
 if TYPE_CHECKING:
@@ -55,6 +55,7 @@ class Forces:
         self.breaks = bool(np.isfinite(springs.break_force).any())
         self.shares = corner_shares(particles.position, scene.triangles)
         self.scene, self.solids = scene, solids(scene)
+        self.carried = bool((held(scene, self.solids)[0] >= 0).any())
 
     def acceleration(self, x: np.ndarray, v: np.ndarray, t: float = 0.0) -> np.ndarray:
         """Acceleration (n, dim) at positions x and velocities v (n, dim), at the time t."""
@@ -104,10 +105,12 @@ class Forces:
             hit = (side * (bound - x[:, axis]) < particles.radius) & (side * v[:, axis] > 0)
             if (hit & self.free).any():
                 return f"particle {int((hit & self.free).argmax())} hits the wall '{wall}'"
+        if self.carried:
+            return "an obstacle moves fixed particles"
         for solid in self.solids:
             distance, n = solid.distances(x, t)
             centre, _ = solid.pose(t)
-            u = ((v - solid.velocities(x - centre)) * n).sum(axis=1)
+            u = ((v - solid.velocities(x - centre, t)) * n).sum(axis=1)
             hit = (distance < particles.radius) & (u < 0) & self.free
             if hit.any():
                 return f"particle {int(hit.argmax())} touches {solid.name}"

@@ -33,7 +33,7 @@ def camera_of_world(world: World) -> Camera | None:
 
 
 def camera_of(scene: Scene) -> Camera | None:
-    """The camera that shows what a 3-D scene has at its start; None: it is 2-D.
+    """The camera that shows what a 3-D scene has at its start, and where obstacles go; None: 2-D.
 
     Where y points down, or there is nothing yet, it shows the whole world.
     """
@@ -62,14 +62,16 @@ def _farthest(points: np.ndarray, held: np.ndarray) -> float:
 
 
 def _bounded(scene: Scene) -> Iterator[np.ndarray]:
-    """Points (k, 3) of each obstacle that has an end, where it is at time 0."""
+    """Points (k, 3) of each obstacle that has an end, where it is at time 0 and where it stops."""
     if scene.obstacles:
         from taichi_cloth.scene.obstacles import solids, surface
 
         for solid in solids(scene):
             if solid.shape != "plane":
-                centre, turn = solid.pose(0.0)
-                yield centre + surface(solid, 1.0)[0] @ turn.T
+                points = surface(solid, 1.0)[0]
+                for time in (0.0, solid.stops if np.isfinite(solid.stops) else 0.0):
+                    centre, turn = solid.pose(time)
+                    yield centre + points @ turn.T
 
 
 def window_of(world: World) -> tuple[int, int]:

@@ -55,6 +55,9 @@ COMMON = (  # keys of every obstacle, beside `shape`
     Key("restitution", NUMBER, "part of the normal speed kept", "1", 0.0, minimum=0.0, maximum=1.0),
     Key("velocity", POINT, "of its centre", "length / time", None),
     Key("spin", SPIN, "about its centre", "degrees / time", None),
+    Key("starts", NUMBER, "when it begins to move", "time", 0.0, minimum=0.0),
+    Key("stops", NUMBER, "when it stops; absent: never", "time", None, minimum=0.0),
+    Key("grip", NUMBER, "fixed particles as near as this go with it", "length", None, minimum=0.0),
 )
 
 

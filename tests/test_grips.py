@@ -1,0 +1,100 @@
+"""Fixed particles that go with an obstacle that moves, under every method, in every way to run."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from selection import mostly_thorough
+
+from taichi_cloth.errors import InputError
+from taichi_cloth.kernels import methods
+from taichi_cloth.scene import scenefile
+from taichi_cloth.scene.checks import validate
+from taichi_cloth.scene.cloth import grid, grid_triangles
+from taichi_cloth.scene.model import Scene, World
+from taichi_cloth.scene.obstacles import Obstacle, solids
+
+WAYS = [f"{topology} {path}" for topology in ("lanes", "graph") for path in ("serial", "parallel")]
+ALONG = np.array([0.3, -0.2, 0.1])
+BAR = {"ends": [[0.9, 2.0, -0.5], [0.9, 2.0, 0.5]], "radius": 0.02, "grip": 0.1}
+
+
+def pulled(**bar):
+    """A cloth of 4 x 3 whose first column is held by a bar that moves; no gravity."""
+    pinned = [(0, row) for row in range(3)]
+    particles, springs = grid(
+        (1.0, 2.0, -0.2),
+        4,
+        3,
+        0.2,
+        pinned=pinned,
+        links=("structural", "shear"),
+        across=(1.0, 0.0, 0.0),
+        down=(0.0, 0.0, 1.0),
+        stiffness=30.0,
+        damping=0.1,
+    )
+    return Scene(
+        "pulled",
+        World(size=(4.0, 4.0, 4.0), up="y", gravity=(0.0, 0.0, 0.0), dt=0.01),
+        replace(particles, mass=np.full(12, 0.05), radius=np.full(12, 0.01)),
+        springs,
+        triangles=grid_triangles(4, 3),
+        obstacles=(Obstacle.build("capsule", **BAR, **bar),),
+    )
+
+
+@pytest.mark.parametrize("method", mostly_thorough(methods.METHODS, default=["verlet"]))
+def test_a_cloth_that_goes_with_its_bar_is_at_rest_for_it(pool, method):
+    scene = pulled(velocity=ALONG)
+    moving = np.tile(ALONG, (12, 1))
+    scene = replace(scene, particles=replace(scene.particles, velocity=moving))
+    sim = pool(scene, method, substeps=2)
+    sim.advance(30)
+    start = scene.particles.position
+    np.testing.assert_allclose(sim.positions(), start + 0.3 * ALONG, atol=1e-11)
+    np.testing.assert_allclose(sim.velocities(), moving, atol=1e-10)
+
+
+@pytest.mark.parametrize("way", mostly_thorough(WAYS, default=["graph serial"]))
+def test_what_is_held_turns_with_its_obstacle_for_a_span_of_time(pool, way):
+    topology, execution = way.split()
+    spans = {"starts": 0.103, "stops": 0.251}
+    scene = pulled(velocity=ALONG, spin=[0, 90, 200], **spans)
+    sim, (solid,) = (
+        pool(scene, "verlet", topology=topology, execution=execution, substeps=2),
+        solids(scene),
+    )
+    centre, turn = solid.pose(0.0)
+    first = scene.particles.position[scene.particles.fixed]
+    for _ in range(3):
+        sim.advance(10)
+        now, turned = solid.pose(sim.time)
+        expected = now + (first - centre) @ turn @ turned.T
+        np.testing.assert_allclose(sim.positions()[scene.particles.fixed], expected, atol=1e-12)
+    assert np.abs(expected - first).max() > 0.05
+    assert not sim.velocities()[scene.particles.fixed].any()  # it has stopped
+    # A run that is taken up from the middle has the same bits as one that goes on.
+    sim.reset()
+    sim.advance(15)
+    sim.set(viscous=0.0)
+    sim.advance(15)
+    again = sim.positions()
+    sim.reset()
+    sim.advance(30)
+    np.testing.assert_array_equal(sim.positions(), again)
+
+
+def test_grips_are_read_written_and_refused():
+    scene = pulled(velocity=ALONG, starts=1.0, stops=2.0)
+    again = scenefile.parse(scenefile.dump(scene))
+    assert again.obstacles == scene.obstacles and again.features().held
+    assert "moving pins" in scene.features().describe()
+    still = pulled().features()
+    assert not still.held and not still.moving
+    for wrong, words in (
+        ({"stops": 0.5, "starts": 1.0}, "stops must not be before starts"),
+        ({"starts": -1.0}, "starts must be at least 0"),
+    ):
+        with pytest.raises(InputError, match=words):
+            validate(pulled(velocity=ALONG, **wrong))
