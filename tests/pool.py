@@ -51,12 +51,16 @@ class Pool:
             links = tuple(stored.links)
         world = scene.world
         walls = frozenset(world.walls)
-        kind = (world.dim, walls, world.collisions, world.contact, world.mouse == "spawn", links)
+        thick = scene.features().thick
+        pairs = world.collisions, world.contact, thick
+        kind = (world.dim, walls, pairs, world.mouse == "spawn", links)
         key = method, topology, execution, lanes, follows, another, kind
         sim = self._made.get(key)
         if sim is None or (sim.topology, sim.execution) != (topology, execution):
             how = {"topology": topology, "execution": execution, "lanes": lanes}
-            sim = Simulation(_widest(scene, links), method, "auto" if follows else 1.0, **how)
+            sim = Simulation(
+                _widest(scene, links, thick), method, "auto" if follows else 1.0, **how
+            )
             self._made[key] = sim
         for name in methods.load(method).claims.settings:
             sim.solver[name] = solver.pop(name, SOLVER_SETTINGS[name])
@@ -65,7 +69,7 @@ class Pool:
         return sim
 
 
-def _widest(scene, links):
+def _widest(scene, links, thick):
     """A scene with all features there are in the world of `scene`, and room for many more.
 
     What is compiled for it runs every scene of such a world, and of such links in lanes.
@@ -85,7 +89,9 @@ def _widest(scene, links):
     x = middle + 0.001 * size * np.column_stack(
         [loose / len(loose), *[0 * loose] * (len(middle) - 1)]
     )
-    some = Particles.build(x, radius=1e-3 * (1 + loose), viscous=0.01 * (1 + loose))
+    some = Particles.build(
+        x, radius=1e-3 * (1 + loose), viscous=0.01 * (1 + loose), thickness=1e-6 * size * thick
+    )
     # Beside cloths a chain, which is no grid and stays on the graph.
     steps = (1,) if links else (1, 2)
     pairs = [[i, i + step] for step in steps for i in loose[:-step]]

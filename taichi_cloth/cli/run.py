@@ -39,6 +39,9 @@ if TYPE_CHECKING:
     from taichi_cloth.ui.views.contract import View
 
 
+MOST_NOTES = 4  # sentences of a kind before a run
+
+
 def main(source: SceneSource, options: RunOptions) -> int:
     """Run a scene; return the exit status.
 
@@ -289,6 +292,9 @@ def _announce(sim: Simulation, device: Device, view: View) -> None:
     ]
     for warning in filter(None, warnings):
         print(f"{PROGRAM}: warning: {warning}", file=sys.stderr, flush=True)
+    if sim.scene.features().thick:
+        for sentence in sim.scene.spheres.widened[:MOST_NOTES]:
+            print(f"{PROGRAM}: note: {sentence}", file=sys.stderr, flush=True)
 
 
 def _first_line(sim: Simulation, device: Device, view: View) -> str:

@@ -39,6 +39,8 @@ def variants(scene: Scene, on_graph: bool) -> Iterator[Variant]:
     if scene.world.contact == CONTACTS[0]:
         yield _walls(scene, features)
     yield _collisions(scene)
+    if features.thick:
+        yield _thickness(scene)
     if scene.world.mouse == "spawn":
         about = "clicks add particles and springs"
         yield Variant("mouse: spawn", True, about, scene.with_world(mouse="none"))
@@ -81,6 +83,16 @@ def _collisions(scene: Scene) -> Variant:
     radius = float(np.median(particles.radius)) if len(particles) else 0.0
     about = f"of {counted(len(particles), 'particle')}, radius {radius:g}"
     return Variant("collisions", collide, about, scene.with_world(collisions=not collide))
+
+
+def _thickness(scene: Scene) -> Variant:
+    """The scene whose cloths pass through themselves."""
+    particles = scene.particles
+    thin = replace(particles, thickness=np.zeros(len(particles)))
+    wide = 2 * scene.spheres.radius[scene.spheres.thick]
+    about = f"spheres of {counted(len(wide), 'particle')}, as wide as {wide.max():.4g}"
+    about = "; ".join([about, *scene.spheres.widened[:1]])
+    return Variant("self-collision", True, about, replace(scene, particles=thin))
 
 
 def _uniform_springs(scene: Scene, features: Features) -> Iterator[Variant]:

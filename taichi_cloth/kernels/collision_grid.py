@@ -27,6 +27,7 @@ BLOCK = 1024  # cells whose counts one iteration sums on a GPU
 # that what is written lies in the fastest caches. Each thread has a count for each bin.
 MOST_BINS = 512
 MOST_NEAR = 16  # particles that one keeps in a list, where pairs rest; others search the grid again
+MOST_KEPT = 64  # likewise, from step to step, where cloths have a thickness
 ALONE = 48  # so many particles share a single cell
 
 
@@ -180,7 +181,10 @@ def _copy_particle(spec: ti.template(), state: ti.template(), slot, at):
     x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)
     for axis in ti.static(range(spec.dim)):
         state.sorted[at, axis], state.sorted[at, ti.static(spec.dim + 1 + axis)] = x[axis], v[axis]
-    state.sorted[at, ti.static(spec.dim)] = slot_number(spec, state.radius, slot)
+    if ti.static(spec.thick):
+        state.sorted[at, ti.static(spec.dim)] = slot_number(spec, state.pair_radius, slot)
+    else:
+        state.sorted[at, ti.static(spec.dim)] = slot_number(spec, state.radius, slot)
     state.sorted[at, ti.static(2 * spec.dim + 1)] = slot_number(spec, state.w, slot)
 
 

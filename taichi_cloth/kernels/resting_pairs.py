@@ -17,21 +17,21 @@ the step is counted as unsettled, where more than a hundredth of a pair's reach 
 at, other in this file: places in the order by cells; side: the half of state.sorted that is read.
 """
 
-import functools
-
 import taichi as ti
 
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.collision_grid import (
-    MOST_NEAR,
-    slot_of,
-    sort_into_cells,
-    sorted_radius,
-    sorted_w,
-    sum_over_near,
-)
+from taichi_cloth.kernels.collision_grid import slot_of, sorted_radius, sorted_w
 from taichi_cloth.kernels.compensated import joined
 from taichi_cloth.kernels.loops import each, each_pack_moving, leave
+from taichi_cloth.kernels.near_pairs import (
+    PASSED,
+    before_of,
+    find_pairs,
+    place_of,
+    reach_of,
+    sizes,
+    sum_over_pairs,
+)
 from taichi_cloth.kernels.obstacles.contract import FRICTION
 from taichi_cloth.kernels.packs import (
     epsilon,
@@ -51,7 +51,6 @@ from taichi_cloth.kernels.watchdog import note_fault
 
 MOST_ITERATIONS = 96  # of a step; a column of ten needs about as many
 LAUNCHED = 32  # on a GPU, which does not look at what came of an iteration
-MARGIN = 0.25  # of a pair's reach, within which particles may come to touch in a step
 SLACK = 1e-4  # of a pair's reach, within which they touch
 SETTLED = 2e-4  # of a pair's reach: overlap, and approach in a step, at which iterations end
 UNSETTLED = 1e-2  # of a pair's reach: an overlap that is counted
@@ -92,8 +91,7 @@ def settle(spec: ti.template(), state: ti.template(), t):
 @ti.func
 def begin(spec: ti.template(), state: ti.template(), t):
     """Find who is near whom."""
-    sort_into_cells(spec, state, t)
-    each(spec, state, t, state.n[None], _begin)
+    find_pairs(spec, state, t)
 
 
 @ti.func
@@ -128,80 +126,6 @@ def _judge(spec: ti.template(), state: ti.template(), i):
         state.unsettled[None] = state.unsettled[None] + 1
 
 
-# --- who is near -----------------------------------------------------------------------------
-
-
-@ti.func
-def _begin(spec: ti.template(), state: ti.template(), at):
-    """List the particles near the one at a place, and what the other half's place keeps."""
-    for k in ti.static(range(2 * spec.dim + 2)):
-        state.sorted[ti.static(state.sorted_half) + at, k] = state.sorted[at, k]
-    state.near_count[at] = 0
-    if sorted_w(spec, state, at) > 0.0:  # what is fixed is asked by others, and asks none
-        _sum_over_grid(spec, state, at, _list_near)
-
-
-@ti.func
-def _sum_over_grid(spec: ti.template(), state: ti.template(), at, term: ti.template()):
-    """The sum of term(spec, state, at, other) over all that are near at the step's free end."""
-    x = slot_value(spec, state.x, slot_of(spec, state, state.sorted_index[at]))
-    reach = (1.0 + MARGIN) * (sorted_radius(spec, state, at) + state.largest_radius[None])
-    return sum_over_near(
-        spec, state, at, x, reach, ti.static(_sizes(spec)), ti.static(_if_near(term))
-    )
-
-
-def _sizes(spec):
-    """How many numbers the terms of this file have: changes of position and of velocity."""
-    return 2 * spec.dim
-
-
-@functools.cache
-def _if_near(term):
-    """The term for pairs that are near at the step's free end, and zeros for others."""
-
-    @ti.func
-    def near(spec: ti.template(), state: ti.template(), at, other):
-        x = slot_value(spec, state.x, slot_of(spec, state, state.sorted_index[at]))
-        other_x = slot_value(spec, state.x, slot_of(spec, state, state.sorted_index[other]))
-        d = other_x - x
-        reach = (1.0 + MARGIN) * (
-            sorted_radius(spec, state, at) + sorted_radius(spec, state, other)
-        )
-        found = ti.Vector.zero(state.real, ti.static(_sizes(spec)))
-        if (d.dot(d) <= reach * reach) & (other != at):
-            found = term(spec, state, at, other)
-        return found
-
-    return near
-
-
-@ti.func
-def _list_near(spec: ti.template(), state: ti.template(), at, other):
-    """Put `other` into the list of the particle at `at`, and count it, also where it is full."""
-    count = state.near_count[at]
-    if count < MOST_NEAR:
-        state.near[at, count] = other
-    state.near_count[at] = count + 1
-    return ti.Vector.zero(state.real, ti.static(_sizes(spec)))
-
-
-@ti.func
-def _sum_over_listed(spec: ti.template(), state: ti.template(), at, term: ti.template()):
-    """The sum of term(spec, state, at, other) over all that are near at the step's free end.
-
-    Who has more of them than its list holds looks for them in the grid again.
-    """
-    total = ti.Vector.zero(state.real, ti.static(_sizes(spec)))
-    count = state.near_count[at]
-    if count <= MOST_NEAR:
-        for k in range(count):
-            total += term(spec, state, at, state.near[at, k])
-    else:
-        total = _sum_over_grid(spec, state, at, term)
-    return total
-
-
 # --- an iteration ----------------------------------------------------------------------------
 
 
@@ -213,14 +137,20 @@ def _value(spec: ti.template(), state: ti.template(), at, column: ti.template())
 
 
 @ti.func
-def _between(spec: ti.template(), state: ti.template(), at, other):
-    """A pair: normal towards `other`, gap, relative velocity, its normal part, whether it overlaps
-    and whether it approaches, as 1 or 0."""
+def _between(spec: ti.template(), state: ti.template(), at, pair):
+    """A pair: normal towards the other one, gap, reach, relative velocity, its normal part, whether
+    it overlaps and whether it approaches, as 1 or 0."""
     x = _value(spec, state, at, 0)
+    other = place_of(spec, pair)
     d = _value(spec, state, other, 0) - x
-    reach = sorted_radius(spec, state, at) + sorted_radius(spec, state, other)
+    reach = reach_of(spec, state, at, pair)
     distance = laws.length(d)
     n = laws.unit(d, distance)
+    if ti.static(spec.thick):
+        if (pair & PASSED) != 0:
+            before = before_of(spec, state, at, pair)
+            n = laws.unit(before, laws.length(before))
+            distance = d.dot(n)
     if distance == 0.0:  # they have no normal: any will do, the other way for the other one
         n[0] = ti.select(state.sorted_index[at] < state.sorted_index[other], 1.0, -1.0)
     gap = distance - reach
@@ -234,32 +164,41 @@ def _between(spec: ti.template(), state: ti.template(), at, other):
     rounding = ti.static(ROUNDINGS * epsilon(state)) * size
     overlaps = ti.select(gap < -1.0 * rounding, 1, 0)
     approaches = ti.select((gap <= SLACK * reach + rounding) & (u < 0.0), 1, 0)
-    return n, gap, relative, u, overlaps, approaches
+    return n, gap, reach, relative, u, overlaps, approaches
 
 
 @ti.func
 def _count_touching(spec: ti.template(), state: ti.template(), at):
     """Count the pairs of a particle that overlap, and those that touch and approach."""
-    counts = _sum_over_listed(spec, state, at, _touching)
+    counts = sum_over_pairs(spec, state, at, _touching)
     for kind in ti.static((OVERLAP, APPROACH)):
         state.touching[at, kind] = counts[kind]
 
 
 @ti.func
-def _touching(spec: ti.template(), state: ti.template(), at, other):
-    _, _, _, _, overlaps, approaches = _between(spec, state, at, other)
-    counts = ti.Vector.zero(state.real, ti.static(_sizes(spec)))
+def _touching(spec: ti.template(), state: ti.template(), at, pair):
+    _, _, _, _, _, overlaps, approaches = _between(spec, state, at, pair)
+    counts = ti.Vector.zero(state.real, ti.static(sizes(spec)))
     counts[OVERLAP], counts[APPROACH] = float(overlaps), float(approaches)
     return counts
 
 
 @ti.func
 def _move(spec: ti.template(), state: ti.template(), at):
+    """Take a particle that others are near to the other half of state.sorted."""
+    if ti.static(not spec.thick):
+        _move_there(spec, state, at)
+    elif state.near_count[at] > 0:
+        _move_there(spec, state, at)
+
+
+@ti.func
+def _move_there(spec: ti.template(), state: ti.template(), at):
     """Take a particle to the other half, with the mean of what its pairs do to its parts."""
     x, v = _value(spec, state, at, 0), _value(spec, state, at, ti.static(spec.dim + 1))
     if sorted_w(spec, state, at) > 0.0:
         if state.touching[at, OVERLAP] + state.touching[at, APPROACH] > 0.0:
-            change = _sum_over_listed(spec, state, at, _change)
+            change = sum_over_pairs(spec, state, at, _change)
             for axis in ti.static(range(spec.dim)):
                 x[axis] += change[axis]
                 v[axis] += change[ti.static(spec.dim + axis)]
@@ -271,11 +210,11 @@ def _move(spec: ti.template(), state: ti.template(), at):
 
 
 @ti.func
-def _change(spec: ti.template(), state: ti.template(), at, other):
+def _change(spec: ti.template(), state: ti.template(), at, pair):
     """What a pair changes of the position and the velocity of the particle at `at`."""
-    n, gap, relative, u, overlaps, approaches = _between(spec, state, at, other)
+    n, gap, reach, relative, u, overlaps, approaches = _between(spec, state, at, pair)
+    other = place_of(spec, pair)
     w, other_w, dt = sorted_w(spec, state, at), sorted_w(spec, state, other), state.dt[None]
-    reach = sorted_radius(spec, state, at) + sorted_radius(spec, state, other)
     dx, dv = 0.0 * n, 0.0 * n
     if overlaps == 1:
         split = state.touching[at, OVERLAP] * w + state.touching[other, OVERLAP] * other_w
@@ -287,17 +226,26 @@ def _change(spec: ti.template(), state: ti.template(), at, other):
         if state.pair_iteration[None] == 0 and -1.0 * u > MEETS * state.least_scale[None] * dt:
             a = slot_of(spec, state, state.sorted_index[at])
             b = slot_of(spec, state, state.sorted_index[other])
-            e = slot_number(spec, state.restitution, a) * slot_number(spec, state.restitution, b)
+            e = _restitution(spec, state, a) * _restitution(spec, state, b)
         lost = -(1.0 + e) * u
         taken, _ = laws.friction(relative - u * n, lost, state.pair_friction[None])
         part = -1.0 * w / split
         dx += (part * ti.static(state.position_weight) * dt) * taken
         dv += part * (lost * n + taken)
         _note_residual(state, APPROACH, -1.0 * u * dt / reach)
-    found = ti.Vector.zero(state.real, ti.static(_sizes(spec)))
+    found = ti.Vector.zero(state.real, ti.static(sizes(spec)))
     for axis in ti.static(range(spec.dim)):
         found[axis], found[ti.static(spec.dim + axis)] = dx[axis], dv[axis]
     return found
+
+
+@ti.func
+def _restitution(spec: ti.template(), state: ti.template(), slot):
+    """The restitution of a particle against others: a cloth has none."""
+    if ti.static(spec.thick):
+        return slot_number(spec, state.pair_restitution, slot)
+    else:
+        return slot_number(spec, state.restitution, slot)
 
 
 @ti.func
@@ -312,6 +260,8 @@ def _note_residual(state: ti.template(), kind: ti.template(), size):
 def _out_of_obstacles(spec: ti.template(), state: ti.template(), at, x, v):
     """Position and velocity of a particle, put onto the obstacles that it was pushed into."""
     radius = sorted_radius(spec, state, at)
+    if ti.static(spec.thick):
+        radius = slot_number(spec, state.radius, slot_of(spec, state, state.sorted_index[at]))
     for o in range(state.n_obstacles[None]):
         d = x - centre_of(spec, state, o, END)
         distance, local_n = signed_distance(spec, state, o, to_local(spec, state, o, END, d))

@@ -14,8 +14,9 @@ class Specialization:
         tested against it (`faces.py`).
     terms: the names of its forces (`forces/`), in the order in which they are added up.
     springs: whether there are springs on the graph: all of them, or those that no grid holds.
-    resting: whether pairs that collide rest on each other (`resting_pairs.py`).
     held: whether fixed particles may go with obstacles that move (`grips.py`).
+    resting: whether pairs that collide rest on each other (`resting_pairs.py`). thick: whether some
+        are of cloths with a thickness, whose triangles must not intersect.
     lanes: how many particles a pack has (`packs.py`); 1 on a graph and on GPUs.
     links: (columns, rows) from the earlier end to the later one, for each kind of link; empty on a
         graph.
@@ -40,6 +41,7 @@ class Specialization:
     terms: tuple[str, ...]
     obstacles: tuple[str, ...] = ()
     resting: bool = False
+    thick: bool = False
     moving: bool = False
     held: bool = False
     faces: bool = False
@@ -76,7 +78,7 @@ class Specialization:
     @property
     def keeps_begun(self) -> bool:
         """Whether contacts that end a step look at where it began (`settling.py`)."""
-        return bool(self.obstacles)
+        return bool(self.obstacles or self.thick)
 
     @property
     def has_bodies(self) -> bool:

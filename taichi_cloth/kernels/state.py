@@ -9,7 +9,7 @@ from dataclasses import astuple, dataclass
 import taichi as ti
 
 from taichi_cloth.kernels import clock, poses
-from taichi_cloth.kernels.collision_grid import BLOCK, MOST_BINS, MOST_NEAR, most_cells
+from taichi_cloth.kernels.collision_grid import BLOCK, MOST_BINS, MOST_KEPT, MOST_NEAR, most_cells
 from taichi_cloth.kernels.forces import load
 from taichi_cloth.kernels.forces.contract import (
     COUNT,
@@ -41,7 +41,8 @@ class Capacity:
     particles; springs: those on the graph; packs, the empty ones included; grids; row: packs in the
     widest row, with its halos; triangles: those of which the scene's forces and
     thin obstacles know; obstacles; nodes: of their grids; stencils, stencil_particles,
-    stencil_sides: those that are listed, all of their particles, and the springs they need.
+    stencil_sides: those that are listed, all of their particles, and the springs they need; closer:
+    pairs that keep less than their radii, from both ends.
     """
 
     particles: int
@@ -55,6 +56,7 @@ class Capacity:
     stencils: int = 0
     stencil_particles: int = 0
     stencil_sides: int = 0
+    closer: int = 0
 
     def holds(self, other: "Capacity") -> bool:
         """Whether what needs the capacity `other` fits into this one."""
@@ -164,6 +166,10 @@ class State:
     Resting pairs (`resting_pairs.py`): near, near_count, touching, pair_friction,
         pair_residual, pair_iteration;
         unsettled: steps that ended before all pairs were apart.
+    With thickness (`near_pairs.py`): pair_radius, pair_restitution: of particles for each other;
+        skin, skin_now: how much farther pairs are kept; extremes: least and largest displacements;
+        listed_x, listed_begun: by place, where they were listed and where the step began; kept,
+        kept_count: codes of pairs; closer_start, closer_other, closer_reach: `scene.spheres`.
 
     Obstacles (`poses.py`), a row each: obstacle_shape: its number in spec.obstacles;
         obstacle_numbers, obstacle_sizes: of contact and of its shape; obstacle_start: its pose at
@@ -294,6 +300,10 @@ class State:
             self.held_by, self.held_at = self._pack_numbers(spec), self._pack_vectors(spec)
             self.particle_names.append("held_by")
             self.vector_names.append("held_at")
+        if spec.thick:
+            self.pair_radius = self._pack_numbers(spec)
+            self.pair_restitution = self._pack_numbers(spec)
+            self.particle_names += ["pair_radius", "pair_restitution"]
         if spec.collisions and not spec.resting:
             self.jump = self._pack_vectors(spec)
         if has_tractions(spec):
@@ -443,6 +453,15 @@ class State:
             self.near, self.near_count = self._counts(n, MOST_NEAR), self._counts(n)
             self.touching = self._scalars(n, 2)
             self.pair_iteration, self.unsettled = self._counts(), self._counts()
+        if spec.thick:
+            self.skin, self.skin_now = self._scalars(), self._scalars()
+            self.number_names.append("skin")
+            self.extremes = self._scalars(4 * spec.dim)
+            self.listed_x, self.listed_begun = (self._scalars(n, spec.dim) for _ in range(2))
+            self.kept, self.kept_count = self._counts(n, MOST_KEPT), self._counts(n)
+            closer = max(self.capacity.closer, 1)
+            self.closer_start, self.closer_other = self._counts(n + 1), self._counts(closer)
+            self.closer_reach = self._scalars(closer)
         self.block_start = self._counts(cells // BLOCK + 1)
         self.bin_fill = self._counts(spec.threads * MOST_BINS)
         self.bin_start, self.bin_size = self._counts(MOST_BINS), self._counts(MOST_BINS)

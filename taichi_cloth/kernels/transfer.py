@@ -58,6 +58,12 @@ def load_packs(
         state.n_packs[None] = n_packs
         if ti.static(spec.resting):
             state.unsettled[None] = 0
+        if ti.static(spec.thick):
+            state.skin_now[None] = -1.0  # nothing is listed
+            for i in range(state.n[None]):
+                state.sorted_index[i] = i
+            for k in ti.static(range(2 * spec.dim)):
+                state.extremes[2 * k], state.extremes[2 * k + 1] = 1e30, -1e30
         state.n_grids[None] = grid.shape[0]
         for g in range(grid.shape[0]):
             for i in ti.static(range(4)):
@@ -472,3 +478,19 @@ def count_broken(spec: ti.template(), state: ti.template()) -> ti.i32:
                     status = slot_number(spec, state.link_status, link)
                     count += ti.cast(status != ALIVE, ti.i32)
     return count
+
+
+@ti.kernel
+def load_closer_pairs(
+    state: ti.template(),
+    start: ti.types.ndarray(),
+    other: ti.types.ndarray(),
+    reach: ti.types.ndarray(),
+    rows: ti.i32,
+    count: ti.i32,
+):
+    """Load the pairs that keep less than the sum of their radii: `scene.spheres.Spheres`."""
+    for i in range(rows + 1):
+        state.closer_start[i] = start[i]
+    for k in range(count):
+        state.closer_other[k], state.closer_reach[k] = other[k], reach[k]

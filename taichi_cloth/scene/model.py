@@ -28,6 +28,7 @@ from taichi_cloth.scene.properties import (
     SpringProperties,
     WorldValue,
 )
+from taichi_cloth.scene.spheres import Spheres, spheres
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.settings import accepted
 
@@ -355,6 +356,7 @@ class Features:
     moving: bool = False  # whether any of them moves
     resting: bool = False  # whether pairs that collide rest on each other
     held: bool = False  # whether fixed particles may go with obstacles that move
+    thick: bool = False  # whether cloths have a thickness, and do not pass through themselves
 
     def describe(self) -> str:
         """In words, such as '2-D, uniform springs, fracture, drag, 4 walls, floor'."""
@@ -403,6 +405,7 @@ class Scene:
         has_springs = spawns or len(springs) > 0 or len(self.stencils) > 0
         defaults = self.spring_defaults
         walls = self.world.walls if self.world.contact == CONTACTS[0] else ()
+        thick = self.world.dim == 3 and bool((self.particles.thickness > 0).any())
         planes = self.world.ground is not None or len(walls) < len(self.world.walls)
         shapes = {obstacle.shape for obstacle in self.obstacles} | ({"plane"} if planes else set())
         moving = [
@@ -421,11 +424,25 @@ class Scene:
             ),
             walls=tuple(sorted(map(self.world.side, walls))),
             floor="bottom" in walls and not self.world.up,
-            collisions=self.world.collisions,
+            collisions=self.world.collisions or thick,
             obstacles=tuple(sorted(shapes)),
             moving=bool(moving),
-            resting=self.world.collisions and self.world.contact == "resting",
             held=any("grip" in obstacle.values for obstacle in moving),
+            resting=thick or (self.world.collisions and self.world.contact == "resting"),
+            thick=thick,
+        )
+
+    @functools.cached_property
+    def spheres(self) -> Spheres:
+        """By which particles keep apart, where a cloth has a thickness (`features().thick`)."""
+        return spheres(
+            self.particles.position,
+            self.particles.radius,
+            self.particles.thickness,
+            self.triangles,
+            self.springs.between,
+            self.springs.rest_length,
+            self.world.collisions,
         )
 
     @functools.cached_property

@@ -127,8 +127,9 @@ class ParticleProperties(Generic[Number]):
         1.0, FRACTION, "1", "part of the normal speed kept at walls; multiplied for two particles"
     )
     thickness: Number = declared(
-        0.0, NOT_NEGATIVE, "length", "of its cloth; 0: that passes through itself", shared=False
-    )
+        0.0, NOT_NEGATIVE, "length", "of its cloth; in 3-D that keeps off itself; 0: it does not",
+        shared=False,
+    )  # fmt: skip
 
 
 # What breaks a spring: a force along it, either way (as in the original), or a pull alone, as for

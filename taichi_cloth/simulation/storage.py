@@ -237,6 +237,7 @@ class Storage:
             particles=factor * needed.particles + room,
             springs=factor * needed.springs + room,
             packs=factor * needed.packs + room,
+            closer=max(needed.closer, 16 * factor * needed.particles) if spec.thick else 0,
         )
         device = self._launcher.device
         state: Any = State(spec, getattr(ti, device.real), capacity, self._method)
@@ -293,6 +294,7 @@ class Storage:
             stencils=len(placement.graph_stencils),
             stencil_particles=int(self.scene.stencils.sizes[placement.graph_stencils].sum()),
             stencil_sides=len(self.scene.stencil_sides[0]),
+            closer=len(self.scene.spheres.other) if self.scene.features().thick else 0,
         )
 
     def _knows_triangles(self) -> bool:

@@ -76,7 +76,11 @@ class Upload:
             "inner_low": inner_low,
             "inner_high": inner_high,
         } | self._of_forces([*self.state.count_names, *self.state.number_names])
-        values |= collision_grid(world, particles)
+        radius = particles.radius
+        if self.spec.thick:
+            spheres = self.snapshot.scene.spheres
+            radius, values["skin"] = spheres.radius, min(spheres.skin, np.finfo(self.real).max)
+        values |= collision_grid(world, radius)
         counts, reals = (
             np.concatenate([np.ravel(values[name]) for name in names])
             for names in (self.state.count_names, self.state.number_names)
@@ -112,6 +116,8 @@ class Upload:
             self._obstacles()
         if has_surface(self.spec):
             self.surface(self.state.surface)
+        if self.spec.thick:
+            self._closer_pairs()
         if self.spec.lines:
             places, k = self.placement.line_places, self._stencil_numbers(self.placement.lines)
             self._launch(transfer.load_lines, places, k)
@@ -136,6 +142,10 @@ class Upload:
         values |= {"held_by": by + 1.0, "held_at": at}
         if self.spec.compensated:
             values |= {"x_low": _low(x, self.real), "v_low": _low(v, self.real)}
+        if self.spec.thick:
+            spheres = self.snapshot.scene.spheres
+            restitution = np.where(spheres.thick, 0.0, p.restitution)
+            values |= {"pair_radius": spheres.radius, "pair_restitution": restitution}
         vectors, names = self.state.vector_names, self.state.particle_names
         values |= self._of_forces([*vectors, *names])
         rows = as_real(self.real, "particle", *(values[name] for name in (*vectors, *names)))
@@ -229,6 +239,21 @@ class Upload:
             held = held[:1]
         arrays = _not_empty(indices.astype(np.int32)), _not_empty(held)
         self._launch(transfer.load_springs, len(springs), *arrays)
+
+    # --- pairs -----------------------------------------------------------------------------
+
+    def _closer_pairs(self) -> None:
+        """The pairs that keep less than the sum of their radii."""
+        spheres = self.snapshot.scene.spheres
+        self.launcher.launch(
+            transfer.load_closer_pairs,
+            self.state,
+            spheres.start.astype(np.int32),
+            _not_empty(spheres.other.astype(np.int32)),
+            _not_empty(spheres.reach.astype(self.real)),
+            len(self.snapshot.x),
+            len(spheres.other),
+        )
 
     # --- surfaces --------------------------------------------------------------------------
 
@@ -396,7 +421,7 @@ def _low(values: np.ndarray, real: Real) -> np.ndarray:
     return np.where(np.isfinite(low), low, 0.0)  # `values` themselves are refused
 
 
-def collision_grid(world: World, particles: Particles) -> dict[str, Any]:
+def collision_grid(world: World, radii: np.ndarray) -> dict[str, Any]:
     """The numbers of the collision grid (`kernels.collision_grid`), by the names of their fields.
 
     Along rows a cell is at least as wide as the largest particle, across them twice that: then few
@@ -404,16 +429,14 @@ def collision_grid(world: World, particles: Particles) -> dict[str, Any]:
     container holds, it is made smaller: far particles then share a cell, at the cost of
     comparisons. Cells are wide enough that their coordinates are whole numbers of 32 bits.
     """
-    size, count = np.array(world.size), len(particles)
+    size, count = np.array(world.size), len(radii)
     largest = float(size.max())
-    radius = float(particles.radius.max(initial=0.0))
+    radius = float(radii.max(initial=0.0))
     width = max(2.0 * radius or largest, largest / 2**24)
     widths = np.full(world.dim, 2.01 * width)
     widths[0] = width
     # About as many cells as fit into the world.
-    bits = np.maximum(
-        np.round(np.log2(size / widths) + float(__import__("os").environ.get("SH", 0))), 0.0
-    ).astype(int)
+    bits = np.maximum(np.round(np.log2(size / widths)), 0.0).astype(int)
     widths = np.maximum(size / 2.0**bits, widths)
     while 2.0 ** bits.sum() > most_cells(count):
         bits[bits.argmax()] -= 1

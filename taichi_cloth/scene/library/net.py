@@ -13,7 +13,7 @@ import numpy as np
 
 from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.material import Material
-from taichi_cloth.scene.model import Scene, World
+from taichi_cloth.scene.model import ParticleDefaults, Scene, World
 from taichi_cloth.settings.options import Parameter
 
 FRAME = "auto"
@@ -39,7 +39,8 @@ def scene(
         pinned=edge,
         across=(1.0, 0.0, 0.0),
         down=(0.0, 0.0, 1.0),
-        material=Material(density=density, stretch=stretch, thickness=0.02),
+        particle_defaults=ParticleDefaults(radius=0.01),
+        material=Material(density=density, stretch=stretch),
     )
     return Scene(
         name="net",
