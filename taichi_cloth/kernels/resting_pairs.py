@@ -54,9 +54,26 @@ LAUNCHED = 32  # on a GPU, which does not look at what came of an iteration
 SLACK = 1e-4  # of a pair's reach, within which they touch
 SETTLED = 2e-4  # of a pair's reach: overlap, and approach in a step, at which iterations end
 UNSETTLED = 1e-2  # of a pair's reach: an overlap that is counted
+# The same where cloths have a thickness: their spheres are a quarter wider than they must be.
+CLOTH_ITERATIONS, CLOTH_SETTLED, CLOTH_UNSETTLED = 32, 5e-3, 0.1
 MEETS = 4.0  # gravity times dt: a pair that closes in faster bounces
 ROUNDINGS = 4.0  # of the coordinates, that an overlap may have
 OVERLAP, APPROACH = range(2)  # columns of state.touching and state.pair_residual
+
+
+def most_iterations(spec):
+    """How many iterations a step has at most."""
+    return CLOTH_ITERATIONS if spec.thick else MOST_ITERATIONS
+
+
+def settled(spec):
+    """The overlap, in parts of a pair's reach, and approach in a step, at which iterations end."""
+    return CLOTH_SETTLED if spec.thick else SETTLED
+
+
+def unsettled(spec):
+    """The overlap, in parts of a pair's reach, beyond which a step is counted."""
+    return CLOTH_UNSETTLED if spec.thick else UNSETTLED
 
 
 def needed(spec):
@@ -80,7 +97,7 @@ def settle(spec: ti.template(), state: ti.template(), t):
                 state.pair_residual[done % 2, OVERLAP], state.pair_residual[done % 2, APPROACH]
             )
             done += 1
-            if worst <= SETTLED or done == MOST_ITERATIONS:
+            if worst <= ti.static(settled(spec)) or done == ti.static(most_iterations(spec)):
                 going = 0
     each(spec, state, t, state.n[None], _store)
     each(spec, state, t, 1, _judge)
@@ -122,7 +139,8 @@ def _clear_residual(spec: ti.template(), state: ti.template(), i):
 @ti.func
 def _judge(spec: ti.template(), state: ti.template(), i):
     """Count the step if some pair still overlaps much."""
-    if state.pair_residual[state.pair_iteration[None] % 2, OVERLAP] > UNSETTLED:
+    overlap = state.pair_residual[state.pair_iteration[None] % 2, OVERLAP]
+    if overlap > ti.static(unsettled(spec)):
         state.unsettled[None] = state.unsettled[None] + 1
 
 
@@ -283,6 +301,15 @@ def _out_of_obstacles(spec: ti.template(), state: ti.template(), at, x, v):
 
 @ti.func
 def _store(spec: ti.template(), state: ti.template(), at):
+    """Give a particle that others are near what all iterations changed."""
+    if ti.static(not spec.thick):
+        _store_there(spec, state, at)
+    elif state.near_count[at] > 0:
+        _store_there(spec, state, at)
+
+
+@ti.func
+def _store_there(spec: ti.template(), state: ti.template(), at):
     """Give a particle what all iterations changed."""
     end, slot = state.pair_iteration[None] + 1, slot_of(spec, state, state.sorted_index[at])
     x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)
