@@ -2,6 +2,7 @@
 
 import struct
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,12 +11,16 @@ from shirt import shirt
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.files import meshes
-from taichi_cloth.scene import meshfile, scenefile
+from taichi_cloth.kernels import methods
+from taichi_cloth.limits.eigenmodes import stable_step
+from taichi_cloth.limits.network import Network
+from taichi_cloth.scene import assignments, meshfile, scenefile
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.library.shirt import FILE
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.mesh import mesh, placed
 from taichi_cloth.scene.source import SceneSource
+from taichi_cloth.scene.stencils import Stencils, mesh_stencils
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
@@ -77,6 +82,8 @@ MALFORMED = [
     ("zero.obj", SQUARE + "f 0 1 2\n", "line 5: face 0 has no vertex 0"),
     ("back.obj", SQUARE + "f -1 -2 -5\n", "line 5: face 0 has no vertex -5"),
     ("above.ply", ply(faces="4 0 1 2 9\n"), "line 14: face 0 has no vertex 9"),
+    ("half.ply", ply(faces="4 0 1 2.5 3\n"), "line 14: face 0 has no vertex 2.5; give whole"),
+    ("nan-corner.ply", ply(faces="4 0 1 nan 3\n"), "line 14: face 0 has no vertex nan"),
     ("two.obj", SQUARE + "f 1 2\n", "line 5: face 0 has 2 corners"),
     ("two.ply", ply(faces="2 0 1\n"), "line 14: face 0 has 2 corners"),
     ("twice.obj", SQUARE + "f 1 2 3\nf 3 1 2\nf 1 3 4\n", "line 6: face 1 is face 0 again"),
@@ -125,6 +132,16 @@ def test_what_is_no_sound_surface_is_refused_in_a_line(tmp_path, name, content, 
         meshfile.read(path)
     assert str(refused.value).startswith(str(path)) and says in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_a_surface_is_not_made_twice_while_it_is_held(tmp_path):
+    """Also where its file is another; one that changed is read anew."""
+    (tmp_path / "one.obj").write_text(SQUARE + "f 1 2 3 4\n")
+    (tmp_path / "two.obj").write_text(SQUARE + "f 1 2 3 4\n")
+    surface = meshes.read(tmp_path / "one.obj")
+    assert meshes.read(tmp_path / "two.obj") is surface
+    (tmp_path / "one.obj").write_text(SQUARE + "f 1 2 3\nf 1 3 4\n")
+    assert len(meshes.read(tmp_path / "one.obj").quads) == 0 != len(surface.quads)
 
 
 def test_files_that_are_none_or_too_large_are_refused_unread(tmp_path):
@@ -284,7 +301,8 @@ def test_meshes_in_a_scene_file(tmp_path):
     """Numbered after cloths; files are beside the scene; a dumped scene comes back as it was."""
     (tmp_path / "cloths").mkdir()
     (tmp_path / "cloths/square.obj").write_text(SQUARE + "f 1 2 3 4\n")
-    (tmp_path / "scene.toml").write_text(SCENE + "density = 0.3\nstretch = 8.0\nparts = 1\n")
+    more = "density = 0.3\nstretch = 8.0\nparts = 1\nbending = 2e-3\n"
+    (tmp_path / "scene.toml").write_text(SCENE + more)
     scene = scenefile.load(tmp_path / "scene.toml")
     np.testing.assert_array_equal(scene.particles.position[1:], CORNERS + [3, 4, 0])
     np.testing.assert_allclose(scene.particles.mass, [2.0, *[0.3 / 4] * 4])
@@ -294,6 +312,15 @@ def test_meshes_in_a_scene_file(tmp_path):
     again = scenefile.parse(scenefile.dump(scene))
     np.testing.assert_array_equal(again.springs.stiffness, scene.springs.stiffness)
     np.testing.assert_array_equal(again.triangles, scene.triangles)
+    bent = mesh_stencils(scene.particles.position, scene.triangles, 2e-3)
+    assert len(bent) == 2  # across the one edge of two triangles
+    for name, column in vars(bent).items():
+        np.testing.assert_array_equal(getattr(scene.stencils, name), column)
+        np.testing.assert_array_equal(getattr(again.stencils, name), column)
+    given = ["meshes[0].stretch=16", "meshes[0].bending=1e-3", "meshes[0].pinned=[0]"]
+    other = scenefile.load(tmp_path / "scene.toml", [assignments.read(text) for text in given])
+    np.testing.assert_allclose(np.unique(other.springs.stiffness), 6.0)
+    assert (other.stencils.bending == 1e-3).all() and np.flatnonzero(other.particles.fixed) == [1]
 
 
 @pytest.mark.parametrize(
@@ -309,6 +336,9 @@ def test_meshes_in_a_scene_file(tmp_path):
         ("parts = 2", "line 14: [[meshes]] 0: parts: "),
         ("parts = 0", "parts must be at least 1, is 0"),
         ("stretch = -1.0", "stretch must not be negative, is -1"),
+        ("bending = -1.0", "line 14: [[meshes]] 0: bending must not be negative, is -1"),
+        ("bending = inf", "line 14: [[meshes]] 0: bending must be finite, is inf"),
+        ("bending = 'soft'", "bending must be a number"),
         ("density = 0.0", "density must be positive, is 0"),
         ("thickness = -1.0", "thickness must not be negative"),
         ("strength = 1.0", "strength needs stretch"),
@@ -351,12 +381,21 @@ def test_a_mesh_hangs_from_its_highest_points(tmp_path):
     assert scene.particles.mass.sum() == pytest.approx(0.15 * ball.area)
     assert 0 < fixed.sum() < len(x) and x[fixed, 1].min() > x[~fixed, 1].max()
     assert (x > scene.world.low + 1).all() and (x < scene.world.high - 1).all()
+    assert (scene.stencils.bending == 1e-5).all() and len(scene.stencils) == 3 * len(ball.faces)
     (tmp_path / "lies.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 0 1\nv 0 0 1\nf 1 2 3 4\n")
     lying = SceneSource(str(tmp_path / "lies.obj")).build()
     assert (
         np.ptp(lying.particles.position[:, 1]) == pytest.approx(1)
         and lying.particles.fixed.sum() == 2
     )
+    thin = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0.5 0.5001 0\nf 1 2 3 5\nf 1 5 4\nf 5 3 4\n"
+    (tmp_path / "sliver.obj").write_text(thin.replace("f 1 2 3 5", "f 1 2 3\nf 1 3 5"))
+    sliver = SceneSource(str(tmp_path / "sliver.obj")).build()
+    method = methods.load("symplectic_euler")
+    limit = stable_step(method, Network.from_scene(sliver)).dt
+    none = replace(sliver, stencils=Stencils.none())
+    assert 0 < sliver.stencils.bending[0] < 1e-7
+    assert limit > 0.7 * stable_step(method, Network.from_scene(none)).dt
 
 
 def test_the_shirt_is_what_its_maker_makes():

@@ -29,7 +29,7 @@ from taichi_cloth.scene.properties import (
     Rule,
     WorldKey,
 )
-from taichi_cloth.scene.stencils import IN_ROW, Stencils
+from taichi_cloth.scene.stencils import AT_ONCE, IN_ROW, Stencils
 from taichi_cloth.scene.world_keys import world_keys
 from taichi_cloth.settings import accepted
 
@@ -376,21 +376,30 @@ def _check_stencils(stencils: Stencils, particle_count: int, refusal: _Refusal) 
         refusal.refuse("stencil", few, "between", f"between must have at least {IN_ROW} particles")
     refusal.check_rows("stencil", "bending", stencils.bending, NOT_NEGATIVE)
     for mine, at in stencils.by_size():
-        ends, weight = stencils.particle[at], stencils.weight[at]
-        in_order = np.sort(ends, axis=1)
-        has = f"particles 0 to {particle_count - 1}" if particle_count else "none"
-        most = np.abs(weight).sum(axis=1)
-        for wrong, name, says in (
-            ((ends < 0) | (ends >= particle_count), "between", f"the scene has {has}, not all of"),
-            (in_order[:, 1:] == in_order[:, :-1], "between", "a particle is twice in"),
-            (~np.isfinite(weight), "weights", "weights must be finite numbers, are"),
-            (np.abs(weight.sum(axis=1)) > 1e-9 * most, "weights", "weights must add up to 0, are"),
-        ):
-            bad = wrong if wrong.ndim == 1 else wrong.any(axis=1)
-            if bad.any():
-                i = int(bad.argmax())
-                shown = _show((ends if name == "between" else weight)[i])
-                refusal.refuse("stencil", int(mine[i]), name, f"{says} {shown}")
+        for first in range(0, len(mine), AT_ONCE):
+            chunk = slice(first, first + AT_ONCE)
+            _check_alike(stencils, mine[chunk], at[chunk], particle_count, refusal)
+
+
+def _check_alike(
+    stencils: Stencils, mine: np.ndarray, at: np.ndarray, particle_count: int, refusal: _Refusal
+) -> None:
+    """Check stencils of one size: their numbers (g,), and where their particles are (g, size)."""
+    ends, weight = stencils.particle[at], stencils.weight[at]
+    in_order = np.sort(ends, axis=1)
+    has = f"particles 0 to {particle_count - 1}" if particle_count else "none"
+    most = np.abs(weight).sum(axis=1)
+    for wrong, name, says in (
+        ((ends < 0) | (ends >= particle_count), "between", f"the scene has {has}, not all of"),
+        (in_order[:, 1:] == in_order[:, :-1], "between", "a particle is twice in"),
+        (~np.isfinite(weight), "weights", "weights must be finite numbers, are"),
+        (np.abs(weight.sum(axis=1)) > 1e-9 * most, "weights", "weights must add up to 0, are"),
+    ):
+        bad = wrong if wrong.ndim == 1 else wrong.any(axis=1)
+        if bad.any():
+            i = int(bad.argmax())
+            shown = _show((ends if name == "between" else weight)[i])
+            refusal.refuse("stencil", int(mine[i]), name, f"{says} {shown}")
 
 
 def _check_ends(between: np.ndarray, particle_count: int, refusal: _Refusal) -> None:

@@ -7,12 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from taichi_cloth.files import meshes
+from taichi_cloth.files.meshes.surface import Surface
+from taichi_cloth.scene.triangles import areas
 
 GRAVITY = 9.81  # [m/s^2]
 FRAME = 1 / 60  # [s]
 DENSITY = 0.15  # of a cotton shirt [kg/m^2]
 STRETCH = 80.0  # at least, of a soft knit [N/m]
+BENDING = 1e-5  # at most, of a cotton shirt [N m]
+# Stiffness against bending grows with the fourth power of a triangle's least height, that of
+# springs with the square: with stretch height^2 / 30 at most no sliver needs shorter steps than
+# springs do.
+SLIVER = 30.0
 SAG = 0.02  # part of its height by which cloth lengthens at most under its own weight
 DRAG = 0.5  # of the air, beside mass: swings die away within seconds [1/s]
 DAMPING_RATIO = 0.02  # of a spring between two particles of mean mass
@@ -21,14 +27,12 @@ RADIUS = 0.35  # of a particle, in mean edges
 FLAT = 1e-6  # a sheet that is less high than this part of its size lies, and is stood upright
 
 
-def table(path: Path) -> dict[str, Any]:
-    """What a scene file would say of the mesh at `path`, as a table of TOML.
+def table(path: Path, surface: Surface) -> dict[str, Any]:
+    """What a scene file would say of the mesh at `path`, as a table of TOML; surface: the mesh's.
 
     The mesh is in metres, hangs in the middle of a world three times its size, and is held by all
     vertices within the highest twentieth of its height. A sheet that lies is stood upright.
-    Raises InputError for a file without a sound surface.
     """
-    surface = meshes.read(path)
     x = surface.vertices
     size = np.ptp(x, axis=0)
     lies = bool(size[1] <= FLAT * size.max())
@@ -41,10 +45,9 @@ def table(path: Path) -> dict[str, Any]:
     top = reach + size[1]
     corners = x[surface.triangles]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    area = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    mass = DENSITY * float(area.sum()) / 2 / len(x)
+    area = areas(x, surface.triangles)
+    mass = DENSITY * float(area.sum()) / len(x)
+    least = float((2 * area / edges.max(axis=1)).min())  # height of a triangle
     stretch = max(STRETCH, DENSITY * GRAVITY * float(size[1]) / SAG)
     return {
         "world": {
@@ -63,6 +66,7 @@ def table(path: Path) -> dict[str, Any]:
                 "stretch": stretch,
                 "density": DENSITY,
                 "damping": 2 * DAMPING_RATIO * float(np.sqrt(stretch * mass)),
+                "bending": min(BENDING, stretch * least**2 / SLIVER),
             }
         ],
     }

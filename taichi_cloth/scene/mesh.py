@@ -82,7 +82,7 @@ def mesh(
     of = Material() if material is None else material.checked(("structural",), _given(numbers))
     position = placed(surface.vertices, scale, turn, move)
     fixed = _pinned(pinned, position, up, path)
-    mass = None if of.density is None else _masses(surface, position, of.density)
+    mass = None if of.density is None else of.density * masses_by_shape(surface, position)
     particles = Particles.build(
         position,
         defaults=particle_defaults,
@@ -160,13 +160,13 @@ def _pinned(
     return fixed
 
 
-def _masses(surface: Surface, position: np.ndarray, density: float) -> np.ndarray:
-    """The mass of each vertex: density times a third of the areas of the triangles at it, (n,).
+def masses_by_shape(surface: Surface, position: np.ndarray) -> np.ndarray:
+    """The mass of each vertex at a density of 1: a third of the areas of the triangles at it, (n,).
 
     A quad's is the mean over both ways to cut it.
     """
     triangles, weight = _both_cuts(surface)
-    third = density * weight * areas(position, triangles) / 3
+    third = weight * areas(position, triangles) / 3
     return np.bincount(triangles.ravel(), np.repeat(third, 3), minlength=len(position))
 
 

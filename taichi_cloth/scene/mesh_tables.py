@@ -18,7 +18,8 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
-from taichi_cloth.scene.properties import SPRING_PROPERTIES
+from taichi_cloth.scene.properties import NOT_NEGATIVE, SPRING_PROPERTIES
+from taichi_cloth.scene.stencils import Stencils, mesh_stencils
 
 if TYPE_CHECKING:
     from taichi_cloth.scene.tables import Table, TableReader
@@ -29,6 +30,7 @@ MATERIAL_KEYS = ("density", "thickness", "stretch", "damping_time", "strength")
 KEYS = (
     *("file", "scale", "turn", "move", "pinned", "parts"),
     *MATERIAL_KEYS,
+    "bending",
     *SPRING_KEYS,
 )
 
@@ -40,8 +42,8 @@ def read(
     world: World,
     particle_defaults: ParticleDefaults,
     spring_defaults: SpringDefaults,
-) -> tuple[Particles, Springs, np.ndarray]:
-    """The particles, springs and triangles of an entry, numbered from 0.
+) -> tuple[Particles, Springs, np.ndarray, Stencils]:
+    """The particles, springs, triangles and stencils of an entry, numbered from 0.
 
     Raises InputError, naming the entry's line, and the mesh file's where that is at fault.
     """
@@ -54,8 +56,11 @@ def read(
         reader.refuse((*path, "parts"), f"parts must be at least 1, is {parts}")
     numbers = {key: reader.spring_value(entry, path, key) for key in SPRING_KEYS}
     material = {key: reader.value(entry, path, key, toml.number) for key in MATERIAL_KEYS}
+    bending = reader.finite(path, "bending", reader.value(entry, path, "bending", toml.number))
+    if bending is not None and not NOT_NEGATIVE.holds(bending):
+        reader.refuse((*path, "bending"), f"bending {NOT_NEGATIVE.says}, is {bending:g}")
     try:
-        return mesh(
+        particles, springs, triangles = mesh(
             file,
             scale=reader.value(entry, path, "scale", toml.number, 1.0),
             turn=reader.vector(entry, path, "turn", 3) or (0.0, 0.0, 0.0),
@@ -68,6 +73,10 @@ def read(
             spring_defaults=spring_defaults,
             **{key: value for key, value in numbers.items() if value is not None},
         )
+        stencils = Stencils.none()
+        if bending is not None:
+            stencils = mesh_stencils(particles.position, triangles, bending)
+        return particles, springs, triangles, stencils
     except InputError as error:
         message = str(error)
         if message.startswith((reader.name, "--set")):

@@ -60,10 +60,12 @@ class SceneSource:
         return mark_checked(reassigned(built, self.assignments))
 
     def _hung(self) -> Scene:
+        from taichi_cloth.files import meshes
         from taichi_cloth.scene import hanging, scenefile
 
         path = Path(self.name)
-        table = hanging.table(path)
+        surface = meshes.read(path)  # held, so that the table and the scene's mesh are made of it
+        table = hanging.table(path, surface)
         return scenefile.parse_table(table, path.name, "", path.stem, self.assignments)
 
     def frame(self) -> str | None:

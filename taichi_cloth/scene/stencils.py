@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,9 +32,11 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 IN_ROW = 3  # particles of a stencil in a row; those of meshes have more
+AT_ONCE = 2**14  # triangles whose stencils are made together, inside a processor's cache
 # Of an edge at which a mesh is clamped, both triangles hold half of the energy of a uniform bend;
 # where one of them is fixed the whole bend is in the other, which takes twice the energy of both.
 AT_CLAMP = 3.0
+SMALLEST = 1e-300  # area of a triangle whose inverse is a number
 # A quadratic through a triangle's corners and those of its neighbours is taken where edges alone
 # recover at least this part of its second derivatives: 0.5 to 1 on usual meshes.
 LEAST_RECOVERED = 0.3
@@ -213,16 +216,15 @@ def mesh_stencils(position: ArrayLike, triangles: ArrayLike, bending: float) -> 
     missing = ((corners < 0) | (corners >= len(x))).any(axis=1)
     if missing.any():
         raise InputError(f"{what}: triangle {int(missing.argmax())} has a corner that is missing")
-    patches = _Patches(x, corners)
-    if patches.flat.any():
-        raise InputError(f"{what}: triangle {int(patches.flat.argmax())} has no area")
-    # Outside its limits a quadratic through six points has weights far larger than the edges'.
-    most = (patches.beyond >= 0).all(axis=1)
-    recovered = np.zeros(len(corners))
-    recovered[most] = np.linalg.svd(patches.recovered()[most], compute_uv=False)[:, -1]
-    fits = recovered > LEAST_RECOVERED
-    found = [*patches.fitted(np.flatnonzero(fits)), *patches.by_edges(np.flatnonzero(~fits))]
-    parts = [Stencils.build(particle, weight, stiff) for particle, weight in found]
+    beyond = _beyond(corners, len(x))
+    parts = []
+    for first in range(0, len(corners), AT_ONCE):
+        mine = slice(first, first + AT_ONCE)
+        patches = _Patches(x, corners[mine], beyond[mine])
+        if patches.flat.any():
+            at = first + int(patches.flat.argmax())
+            raise InputError(f"{what}: triangle {at} has no area")
+        parts += [Stencils.build(*found, stiff) for found in patches.stencils()]
     return Stencils.concatenated([_distinct(part) for part in parts])
 
 
@@ -233,14 +235,12 @@ class _Patches:
     beyond: (t, 3), the neighbour's corner opposite to each edge, -1: there is no neighbour.
     """
 
-    def __init__(self, x: np.ndarray, corners: np.ndarray) -> None:
-        ends, self.corners = x[corners], corners
+    def __init__(self, x: np.ndarray, corners: np.ndarray, beyond: np.ndarray) -> None:
+        ends, self.corners, self.beyond = x[corners], corners, beyond
         start = np.roll(ends, -1, axis=1)
         self.edge = np.roll(ends, -2, axis=1) - start
         self.length = np.linalg.norm(self.edge, axis=2)
         self.height, self.foot = _seen_from(ends, start, self.edge)
-        self.flat = ~(self.height > 1e-12 * self.length).all(axis=1)
-        self.beyond = _beyond(corners, len(x))
         far = _seen_from(x[self.beyond], start, self.edge)
         there = self.beyond >= 0
         with np.errstate(all="ignore"):
@@ -248,6 +248,7 @@ class _Patches:
             inner = np.where(there, self.length / self.height, 0.0)
         self.far_height, self.far_foot = (np.where(there, of, 0.0) for of in far)
         self.area = (self.length * self.height)[:, 0] / 2
+        self.flat = ~((self.height > 1e-12 * self.length).all(axis=1) & (self.area > SMALLEST))
         # The vectors of edges (t, 3, 6), each its length times the angle between its triangles, as
         # weights of the corners and of the points beyond.
         self.vector = np.zeros((len(corners), 3, 6))
@@ -275,6 +276,7 @@ class _Patches:
             normals[:, i] = normal
         return points, normals
 
+    @cached_property
     def _forms(self) -> tuple[np.ndarray, np.ndarray]:
         """Matrices between second derivatives (xx, sqrt 2 xy, yy) and edges' vectors, (t, 3, 3).
 
@@ -290,15 +292,25 @@ class _Patches:
 
     def recovered(self) -> np.ndarray:
         """What edges alone make of a quadratic's second derivatives, (t, 3, 3); at best 1."""
-        of_edges, back = self._forms()
+        of_edges, back = self._forms
         product: np.ndarray = back @ of_edges
         return product
+
+    def stencils(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Particles and weights, (m, size) each, of all stencils, by their size."""
+        # Outside its limits a quadratic through six points has weights far larger than the edges'.
+        most = (self.beyond >= 0).all(axis=1)
+        recovered = np.zeros(len(self.corners))
+        recovered[most] = np.linalg.svd(self.recovered()[most], compute_uv=False)[:, -1]
+        fits = recovered > LEAST_RECOVERED
+        yield from self.fitted(np.flatnonzero(fits))
+        yield from self.by_edges(np.flatnonzero(~fits))
 
     def fitted(self, mine: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Particles and weights of stencils of triangles that have three neighbours: the second
         derivatives of the quadratic through the six points.
         """
-        of_edges = self._forms()[0][mine]
+        of_edges = self._forms[0][mine]
         weight = np.linalg.solve(of_edges, self.vector[mine])
         weight *= np.sqrt(self.area[mine])[:, None, None]
         particle = np.column_stack([self.corners[mine], self.beyond[mine]])
@@ -307,7 +319,9 @@ class _Patches:
     def by_edges(self, mine: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Particles and weights of stencils by edges alone, as many as there are neighbours."""
         unit = self.edge / self.length[:, :, None]
-        products = (unit @ unit.transpose(0, 2, 1)) ** 2 / (4 * self.area)[:, None, None]
+        # A sliver's edges are parallel, to rounding; their products alone would have no factor.
+        products = (unit @ unit.transpose(0, 2, 1)) ** 2 + 1e-12 * np.eye(3)
+        products /= (4 * self.area)[:, None, None]
         for has in np.ndindex(2, 2, 2):
             edges = np.flatnonzero(has)
             like = mine[((self.beyond[mine] >= 0) == np.array(has, bool)).all(axis=1)]
@@ -325,8 +339,11 @@ def _distinct(stencils: Stencils) -> Stencils:
     """The stencils with each particle once: in a small closed mesh two neighbours may share one."""
     parts, twice = [], np.zeros(len(stencils), bool)
     for mine, at in stencils.by_size():
-        order = np.sort(stencils.particle[at], axis=1)
-        twice[mine] = (order[:, 1:] == order[:, :-1]).any(axis=1)
+        ends = stencils.particle[at]
+        for one, other in zip(*np.triu_indices(at.shape[1], 1), strict=True):
+            twice[mine] |= ends[:, one] == ends[:, other]
+    if not twice.any():
+        return stencils
     for m in np.flatnonzero(twice):
         own = slice(stencils.start[m], stencils.start[m + 1])
         particle, weight = stencils.particle[own], stencils.weight[own]

@@ -93,7 +93,7 @@ Finite = TypeVar("Finite", float, "float | None", list[float], "list[float] | No
 
 @dataclass(frozen=True)
 class _Source:
-    """Where a run of particles or springs comes from: `table` and its index, and its keys."""
+    """Where a run of particles, springs or stencils comes from: `table`, its index and its keys."""
 
     first: int
     table: str
@@ -112,7 +112,7 @@ class TableReader:
         self.lines = toml.lines_of(text)
         self.assigned: set[Keys] = set()
         self.default_scene_name = default_scene_name
-        self.sources: dict[str, list[_Source]] = {"particle": [], "spring": []}
+        self.sources: dict[str, list[_Source]] = {"particle": [], "spring": [], "stencil": []}
 
     # Places
 
@@ -146,6 +146,9 @@ class TableReader:
         if kind == "triangle":
             return f"{self.place('triangles')}: triangle {index}"
         if kind == "stencil":
+            made = [s for s in self.sources[kind] if s.first <= index]
+            if made:
+                return self.place(made[-1].table, made[-1].index, "bending")
             return self.place("stencils", index, field_name)
         source = next(s for s in reversed(self.sources[kind]) if s.first <= index)
         if source.table in ("cloths", "meshes"):
@@ -277,14 +280,14 @@ class TableReader:
         defaults = world, particle_defaults, spring_defaults
         for kind, read in (("cloths", self.cloth), ("meshes", self.mesh)):
             for index, entry in enumerate(self.entries(table, kind)):
-                nodes, ties, triangles = read(entry, index, *defaults)
+                nodes, ties, triangles, bent = read(entry, index, *defaults)
                 keys = frozenset(entry)
                 self.sources["particle"].append(_Source(count, kind, index, keys))
                 self.sources["spring"].append(_Source(link_count, kind, index, keys))
+                self.sources["stencil"].append(_Source(len(stencils), kind, index, keys))
                 ties.between[:] += count
                 surfaces.append(count + triangles)
-                if kind == "cloths":
-                    stencils = stencils.joined(self.cloth_stencils(entry, index, world, count))
+                stencils = stencils.joined(bent.renumbered(count + np.arange(len(nodes))))
                 cloths.append(nodes)
                 links.append(ties)
                 count += len(nodes)
@@ -457,8 +460,8 @@ class TableReader:
         world: World,
         particle_defaults: ParticleDefaults,
         spring_defaults: SpringDefaults,
-    ) -> tuple[Particles, Springs, np.ndarray]:
-        """The particles, springs and triangles of a cloth, numbered from 0."""
+    ) -> tuple[Particles, Springs, np.ndarray, Stencils]:
+        """The particles, springs, triangles and stencils of a cloth, numbered from 0."""
         path = ("cloths", index)
         if "origin" not in entry:
             self.refuse(path, "'origin' is missing")
@@ -482,10 +485,11 @@ class TableReader:
                 spring_defaults=spring_defaults,
                 **per_kind,
             )
-            return nodes, ties, grid_triangles(columns, rows)
+            bent = self.cloth_stencils(entry, path, world)
+            return nodes, ties, grid_triangles(columns, rows), bent
         except InputError as error:
             message = str(error)
-            if message.startswith(self.name):
+            if message.startswith((self.name, "--set")):
                 raise
             at_fault = next((key for key in entry if message.startswith(key)), None)
             raise InputError(f"{self.place(*path, at_fault)}: {message}") from None
@@ -497,22 +501,18 @@ class TableReader:
         world: World,
         particle_defaults: ParticleDefaults,
         spring_defaults: SpringDefaults,
-    ) -> tuple[Particles, Springs, np.ndarray]:
-        """The particles, springs and triangles of a mesh, numbered from 0."""
+    ) -> tuple[Particles, Springs, np.ndarray, Stencils]:
+        """The particles, springs, triangles and stencils of a mesh, numbered from 0."""
         return mesh_tables.read(self, entry, index, world, particle_defaults, spring_defaults)
 
-    def cloth_stencils(self, entry: Table, index: int, world: World, first: int) -> Stencils:
-        """What resists bending in a cloth, whose first particle has the number `first`."""
-        path = ("cloths", index)
+    def cloth_stencils(self, entry: Table, path: Keys, world: World) -> Stencils:
+        """What resists bending in a cloth, whose first particle has the number 0."""
         bending = self.value(entry, path, "bending", toml.number)
         if bending is None:
             return Stencils.none()
         across, down = (self.vector(entry, path, key, world.dim) for key in ("across", "down"))
-        try:
-            size = entry["columns"], entry["rows"], entry["spacing"]
-            return grid_stencils(*size, bending, across=across, down=down, first=first)
-        except InputError as error:
-            raise InputError(f"{self.place(*path, 'bending')}: {error}") from None
+        size = entry["columns"], entry["rows"], entry["spacing"]
+        return grid_stencils(*size, bending, across=across, down=down)
 
     def stencils(self, entries: list[Table]) -> Stencils:
         """The stencils that are listed one by one."""

@@ -6,9 +6,11 @@ the face, what is no sound surface (`surface.checked`).
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 from pathlib import Path
 from typing import TYPE_CHECKING
+from weakref import WeakValueDictionary
 
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.files.content import content
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
 
 # Each suffix is the module that reads it: `read(path, data)` gives `Polygons`.
 FORMATS = ("obj", "ply", "stl", "glb")
+# Surfaces that somebody still holds, by format and content: while it is, none is made twice.
+_HELD: WeakValueDictionary[tuple[str, bytes], Surface] = WeakValueDictionary()
 
 
 def format_of(path: Path) -> str:
@@ -47,6 +51,10 @@ def read(path: Path) -> Surface:
     data = content(path, "mesh")
     if not data.strip():
         raise InputError(f"{path}: is empty; a mesh has vertices and faces")
-    reader = importlib.import_module(f"{__name__}.{name}")
-    polygons: Polygons = reader.read(path, data)
-    return checked(path, polygons)
+    known = name, hashlib.sha256(data).digest()
+    surface = _HELD.get(known)
+    if surface is None:
+        reader = importlib.import_module(f"{__name__}.{name}")
+        polygons: Polygons = reader.read(path, data)
+        surface = _HELD[known] = checked(path, polygons)
+    return surface

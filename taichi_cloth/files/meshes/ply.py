@@ -268,6 +268,13 @@ def _of_elements(path: Path, values: Values, lines: dict[str, np.ndarray] | None
     if not isinstance(found, tuple):
         raise InputError(f"{path}: its faces have no list 'vertex_indices'")
     count, corners = found
+    broken = ~(np.abs(corners) < 2**62) | (corners != np.floor(corners))
+    if broken.any():
+        at = int(broken.argmax())
+        face_at = int(np.searchsorted(np.cumsum(count), at, side="right"))
+        line = "" if lines is None else f" line {lines['face'][face_at]}"
+        shown = f"{corners[at]:g}"
+        raise InputError(f"{path}{line}: face {face_at} has no vertex {shown}; give whole numbers")
     return Polygons(
         vertices=np.stack([a for a in axes if isinstance(a, np.ndarray)], axis=1),
         corners=corners.astype(np.int64),

@@ -160,10 +160,16 @@ def _check_corners(polygons: Polygons, owner: np.ndarray, refusal: _Refusal) -> 
 
 def _check_twice(polygons: Polygons, owner: np.ndarray, refusal: _Refusal) -> None:
     """That no two faces have the same corners."""
+    # Sums of numbers drawn for vertices are equal where corners are, and hardly ever elsewhere.
+    number = np.random.default_rng(0).integers(2**63, size=len(polygons.vertices), dtype=np.uint64)
     start = np.concatenate([[0], np.cumsum(polygons.count)])
     for corners in np.unique(polygons.count):
         faces = np.flatnonzero(polygons.count == corners)
-        rows = np.sort(polygons.corners[start[faces, None] + np.arange(corners)], axis=1)
+        rows = polygons.corners[start[faces, None] + np.arange(corners)]
+        sums = np.sort(number[rows].sum(axis=1))
+        if not (sums[1:] == sums[:-1]).any():
+            continue
+        rows = np.sort(rows, axis=1)
         order = np.lexsort((faces, *rows.T))
         same = (rows[order[1:]] == rows[order[:-1]]).all(axis=1)
         if same.any():
@@ -253,6 +259,12 @@ def _inside(p: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, normal: 
     return all(np.cross(v - u, p - u) @ normal >= 0 for u, v in ((a, b), (b, c), (c, a)))
 
 
+def _edge_keys(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """A number for each pair of vertices, (e,), the same whichever is first."""
+    keys: np.ndarray = np.minimum(begin, end) * LARGEST_COUNT + np.maximum(begin, end)
+    return keys
+
+
 def _components(ends: np.ndarray, count: int) -> tuple[int, np.ndarray]:
     """How many parts of `count` things the pairs `ends` (e, 2) leave, and the part of each."""
     from scipy.sparse import coo_array
@@ -271,12 +283,14 @@ def _wound_alike(triangles: np.ndarray) -> np.ndarray:
     """
     m = len(triangles)
     begin, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-    ends = np.sort(np.stack([begin, end], axis=1), axis=1)
-    order = np.lexsort((ends[:, 1], ends[:, 0]))
-    shared = np.flatnonzero((ends[order[1:]] == ends[order[:-1]]).all(axis=1))
+    edge = _edge_keys(begin, end)
+    order = np.argsort(edge, kind="stable")
+    shared = np.flatnonzero(edge[order[1:]] == edge[order[:-1]])
     one, other = order[shared], order[shared + 1]
     f, g = one // 3, other // 3
     against = (begin[one] == begin[other]) * m  # both go along the edge the same way
+    if not against.any():
+        return triangles
     pairs = np.concatenate(
         [np.stack([f, g + against], axis=1), np.stack([f + m, g + m - against], axis=1)]
     )

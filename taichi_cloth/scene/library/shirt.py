@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+from taichi_cloth.files import meshes
 from taichi_cloth.scene import hanging, scenefile
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import Parameter
@@ -25,9 +26,13 @@ def scene(
     density: Annotated[
         float, Parameter("mass of an area", unit="kg/m2", above=0)
     ] = hanging.DENSITY,
+    bending: Annotated[
+        float, Parameter("rigidity against bending", unit="N m", minimum=0)
+    ] = hanging.BENDING,
 ) -> Scene:
     """A shirt out of a mesh file, held at its collar; 3-D, in metres and seconds."""
-    table = hanging.table(FILE)
+    surface = meshes.read(FILE)
+    table = hanging.table(FILE, surface)
     table["name"] = "shirt"
-    table["meshes"][0] |= {"stretch": stretch, "density": density, "parts": 1}
+    table["meshes"][0] |= {"stretch": stretch, "density": density, "bending": bending, "parts": 1}
     return scenefile.parse_table(table, "shirt")
