@@ -6,10 +6,11 @@ are listed anew in each step; who has more of them than MOST_NEAR looks into the
 Where one has (`spec.thick`), pairs within their reach and a skin are kept from step to step, in
 the order by cells of the step that listed them, until particles have moved apart by the skin
 (Verlet, "Computer experiments on classical fluids", 1967). What all have in common does not
-count: the box around all displacements is compared. The skin is at least what the step's ways
-differ by, so a pair that has passed through each other within the step is among them. In each step
-the list is narrowed to the pairs that come near each other on the straight ways of the step. What
-has passed through is marked: its normal is that of the step's start.
+count: the box around all displacements is compared, those at both ends of the step. Where pairs are
+listed, those that came near each other on the straight ways of that step are listed, too, however
+far these went: so in each step the list has all that may touch, and is narrowed to those. What has
+passed through is marked: its normal is that of the step's start. Who has more than MOST_KEPT in its
+list keeps the first ones, and the step is counted as unsettled.
 
 at, other: places in the order by cells. A code: the place of the other one times 4, plus PASSED,
 plus CLOSER for pairs that keep less than the sum of their radii (`state.closer_...`).
@@ -29,12 +30,13 @@ from taichi_cloth.kernels.collision_grid import (
     sorted_x,
     sum_over_near,
 )
-from taichi_cloth.kernels.loops import each
+from taichi_cloth.kernels.loops import barrier, each, share
 from taichi_cloth.kernels.packs import slot_value
 
 MARGIN = 0.25  # of a pair's reach, within which particles may come to touch in a step
+CLOTH_MARGIN = 0.05  # the same where cloths have a thickness
+CLOSER_SKIN = 0.25  # of the skin: for neighbours in a cloth, whose springs keep them apart
 PASSED, CLOSER = 1, 2
-LONGEST = 4.0  # skins, at most, for what moves fast
 
 
 @ti.func
@@ -48,7 +50,7 @@ def find_pairs(spec: ti.template(), state: ti.template(), t):
             each(spec, state, t, state.n[None], _note_way)
             _keep_pairs(spec, state, t)
         else:
-            each(spec, state, t, state.n[None], _gather)
+            _gather(spec, state, t)
             if _outdated(spec, state):
                 _keep_pairs(spec, state, t)
         each(spec, state, t, state.n[None], _narrow)
@@ -76,18 +78,11 @@ def _begin(spec: ti.template(), state: ti.template(), at):
 @ti.func
 def _sum_over_grid(spec: ti.template(), state: ti.template(), at, term: ti.template()):
     """The sum of term(spec, state, at, other) over all that are near at the step's free end."""
-    if ti.static(spec.thick):
-        x = _vector(spec, state.listed_x, at)
-        reach = sorted_radius(spec, state, at) + state.largest_radius[None] + state.skin_now[None]
-        return sum_over_near(
-            spec, state, at, x, reach, ti.static(sizes(spec)), ti.static(_if_touching(term))
-        )
-    else:
-        x = slot_value(spec, state.x, slot_of(spec, state, state.sorted_index[at]))
-        reach = (1.0 + MARGIN) * (sorted_radius(spec, state, at) + state.largest_radius[None])
-        return sum_over_near(
-            spec, state, at, x, reach, ti.static(sizes(spec)), ti.static(_if_near(term))
-        )
+    x = slot_value(spec, state.x, slot_of(spec, state, state.sorted_index[at]))
+    reach = (1.0 + MARGIN) * (sorted_radius(spec, state, at) + state.largest_radius[None])
+    return sum_over_near(
+        spec, state, at, x, reach, ti.static(sizes(spec)), ti.static(_if_near(term))
+    )
 
 
 @functools.cache
@@ -128,7 +123,10 @@ def sum_over_pairs(spec: ti.template(), state: ti.template(), at, term: ti.templ
     """
     total = ti.Vector.zero(state.real, ti.static(sizes(spec)))
     count = state.near_count[at]
-    if count <= MOST_NEAR:
+    if ti.static(spec.thick):
+        for k in range(count):
+            total += term(spec, state, at, state.near[at, k])
+    elif count <= MOST_NEAR:
         for k in range(count):
             total += term(spec, state, at, state.near[at, k])
     else:
@@ -145,50 +143,48 @@ def _vector(spec: ti.template(), field: ti.template(), at):
 
 
 @ti.func
-def _gather(spec: ti.template(), state: ti.template(), at):
-    """Take a particle's state to its place, and note how far it is from where it was listed."""
-    slot = slot_of(spec, state, state.sorted_index[at])
-    x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)
-    begun = slot_value(spec, state.begun_x, slot)
-    for axis in ti.static(range(spec.dim)):
-        for half in ti.static(range(2)):
-            row = ti.static(half * state.sorted_half) + at
-            state.sorted[row, axis] = x[axis]
-            state.sorted[row, ti.static(spec.dim + 1 + axis)] = v[axis]
-        state.listed_begun[at, axis] = begun[axis]
-        listed = state.listed_x[at, axis]
-        _note_extremes(state, ti.static(2 * axis), x[axis] - listed, begun[axis] - listed)
-        way = x[axis] - begun[axis]
-        _note_extremes(state, ti.static(2 * (spec.dim + axis)), way, way)
+def _gather(spec: ti.template(), state: ti.template(), t):
+    """Take positions to their places, and note how far they are from where they were listed."""
+    low = ti.Vector([1e30] * (2 * spec.dim), state.real)
+    high = -1.0 * low
+    n = state.n[None]
+    for at in range(share(spec, n, t), share(spec, n, t + 1)):
+        slot = slot_of(spec, state, state.sorted_index[at])
+        x, begun = slot_value(spec, state.x, slot), slot_value(spec, state.begun_x, slot)
+        for axis in ti.static(range(spec.dim)):
+            state.sorted[at, axis] = x[axis]
+            state.listed_begun[at, axis] = begun[axis]
+            listed, way = state.listed_x[at, axis], ti.static(spec.dim + axis)
+            low[axis] = ti.min(low[axis], x[axis] - listed, begun[axis] - listed)
+            high[axis] = ti.max(high[axis], x[axis] - listed, begun[axis] - listed)
+            low[way] = ti.min(low[way], x[axis] - begun[axis])
+            high[way] = ti.max(high[way], x[axis] - begun[axis])
+    for k in ti.static(range(2 * spec.dim)):
+        ti.atomic_min(state.extremes[2 * k], low[k])
+        ti.atomic_max(state.extremes[2 * k + 1], high[k])
+    barrier(spec, state)
 
 
 @ti.func
 def _note_way(spec: ti.template(), state: ti.template(), i):
-    """Note how far a particle goes in this step."""
+    """Note how far a particle goes in this step: no order changes what is least and largest."""
     slot = slot_of(spec, state, i)
     x, begun = slot_value(spec, state.x, slot), slot_value(spec, state.begun_x, slot)
     for axis in ti.static(range(spec.dim)):
-        way = x[axis] - begun[axis]
-        _note_extremes(state, ti.static(2 * (spec.dim + axis)), way, way)
-
-
-@ti.func
-def _note_extremes(state: ti.template(), k: ti.template(), a, b):
-    """Note the smallest and the largest of all numbers: no order changes them."""
-    if ti.min(a, b) < state.extremes[k]:
-        ti.atomic_min(state.extremes[k], ti.min(a, b))
-    if ti.max(a, b) > state.extremes[k + 1]:
-        ti.atomic_max(state.extremes[k + 1], ti.max(a, b))
+        k, way = ti.static(2 * (spec.dim + axis)), x[axis] - begun[axis]
+        ti.atomic_min(state.extremes[k], way)
+        ti.atomic_max(state.extremes[k + 1], way)
 
 
 @ti.func
 def _forget_ways(spec: ti.template(), state: ti.template(), i):
+    state.listed[None] = 1
     for k in ti.static(range(2 * spec.dim)):
         state.extremes[2 * k], state.extremes[2 * k + 1] = 1e30, -1e30
 
 
 @ti.func
-def _across(spec: ti.template(), state: ti.template(), first: ti.template()):
+def _width(spec: ti.template(), state: ti.template(), first: ti.template()):
     """The diagonal of the box around the displacements whose extremes begin at `first`: two
     particles come no farther apart by them."""
     total = ti.cast(0.0, state.real)
@@ -202,50 +198,61 @@ def _across(spec: ti.template(), state: ti.template(), first: ti.template()):
 @ti.func
 def _outdated(spec: ti.template(), state: ti.template()):
     """Whether a pair that is not listed may have come to touch; a state that is not finite, too."""
-    return not (_across(spec, state, 0) <= state.skin_now[None])
+    return (state.listed[None] == 0) | (not (_width(spec, state, 0) <= state.skin[None]))
 
 
 @ti.func
 def _keep_pairs(spec: ti.template(), state: ti.template(), t):
-    """List all pairs within their reach and a skin, by where they are at the step's free end."""
+    """List all pairs within their reach and a skin at the step's free end, or near on its ways."""
     sort_into_cells(spec, state, t)
-    each(spec, state, t, 1, _choose_skin)
+    each(spec, state, t, state.n[None], _take_along)
     each(spec, state, t, state.n[None], _keep)
 
 
 @ti.func
-def _choose_skin(spec: ti.template(), state: ti.template(), i):
-    skin = state.skin[None]
-    way = _across(spec, state, ti.static(2 * spec.dim))
-    state.skin_now[None] = ti.min(ti.max(skin, way), LONGEST * skin)
+def _take_along(spec: ti.template(), state: ti.template(), at):
+    """Fill what a place has besides what is sorted."""
+    begun = slot_value(spec, state.begun_x, slot_of(spec, state, state.sorted_index[at]))
+    for axis in ti.static(range(spec.dim)):
+        state.listed_x[at, axis] = state.sorted[at, axis]
+        state.listed_begun[at, axis] = begun[axis]
 
 
 @ti.func
 def _keep(spec: ti.template(), state: ti.template(), at):
-    begun = slot_value(spec, state.begun_x, slot_of(spec, state, state.sorted_index[at]))
-    for k in ti.static(range(2 * spec.dim + 2)):
-        state.sorted[ti.static(state.sorted_half) + at, k] = state.sorted[at, k]
-    for axis in ti.static(range(spec.dim)):
-        state.listed_x[at, axis] = state.sorted[at, axis]
-        state.listed_begun[at, axis] = begun[axis]
+    """List the pairs of the particle at a place."""
     state.kept_count[at] = 0
     radius = sorted_radius(spec, state, at)
-    if sorted_w(spec, state, at) > 0.0 and radius >= 0.0:
-        reach = radius + state.largest_radius[None] + state.skin_now[None]
+    if (sorted_w(spec, state, at) > 0.0) & (radius >= 0.0):
         x = sorted_x(spec, state, at)
+        way = x - _vector(spec, state.listed_begun, at)
+        # No other way differs from this one by more.
+        most2 = ti.cast(0.0, state.real)
+        for axis in ti.static(range(spec.dim)):
+            k = ti.static(2 * (spec.dim + axis))
+            most = ti.max(way[axis] - state.extremes[k], state.extremes[k + 1] - way[axis])
+            most2 += most * most
+        beyond = ti.max(state.skin[None], ti.sqrt(most2) + 2.0 * CLOTH_MARGIN * radius)
+        state.far[at] = ti.cast(beyond > state.skin[None], ti.i32)
+        reach = radius + state.largest_radius[None] + beyond
         sum_over_near(spec, state, at, x, reach, ti.static(1), _keep_near)
 
 
 @ti.func
 def _keep_near(spec: ti.template(), state: ti.template(), at, other):
+    full = sorted_radius(spec, state, at) + sorted_radius(spec, state, other)
     d = sorted_x(spec, state, other) - sorted_x(spec, state, at)
-    other_radius = sorted_radius(spec, state, other)
-    reach = sorted_radius(spec, state, at) + other_radius + state.skin_now[None]
-    if (d.dot(d) <= reach * reach) & (other != at) & (other_radius >= 0.0):
-        full = sorted_radius(spec, state, at) + other_radius
+    d2 = d.dot(d)
+    there = _within(d2, full + state.skin[None])
+    if (not there) & (state.far[at] == 1):
+        there = _within(_nearest2(spec, state, at, other), (1.0 + CLOTH_MARGIN) * full)
+    if there & (other != at) & (sorted_radius(spec, state, other) >= 0.0):
         mine, closer = _own_reach(spec, state, at, other, full)
-        reach += mine - full
-        if d.dot(d) <= reach * reach:
+        if closer == 1:
+            there = _within(d2, mine + CLOSER_SKIN * state.skin[None])
+            if (not there) & (state.far[at] == 1):
+                there = _within(_nearest2(spec, state, at, other), (1.0 + CLOTH_MARGIN) * mine)
+        if there:
             count = state.kept_count[at]
             if count < MOST_KEPT:
                 state.kept[at, count] = other * 4 + closer * CLOSER
@@ -280,55 +287,43 @@ def reach_of(spec: ti.template(), state: ti.template(), at, pair):
 @ti.func
 def _narrow(spec: ti.template(), state: ti.template(), at):
     """List of the pairs that are kept those that may touch in this step."""
-    kept = state.kept_count[at]
-    count = 0
+    count, kept = 0, state.kept_count[at]
     if kept > MOST_KEPT:
-        count = MOST_NEAR + 1
-    else:
-        for k in range(kept):
-            pair, near = _on_the_way(spec, state, at, state.kept[at, k])
-            if near:
-                if count < MOST_NEAR:
-                    state.near[at, count] = pair
-                count += 1
+        state.overfull[None] = 1
+    for k in range(ti.min(kept, MOST_KEPT)):
+        pair = state.kept[at, k]
+        reach = (1.0 + CLOTH_MARGIN) * reach_of(spec, state, at, pair)
+        if _within(_nearest2(spec, state, at, pair >> 2), reach):
+            now = sorted_x(spec, state, pair >> 2) - sorted_x(spec, state, at)
+            if before_of(spec, state, at, pair).dot(now) < 0.0:
+                pair = pair | PASSED
+            state.near[at, count] = pair
+            count += 1
     state.near_count[at] = count
+    if (count > 0) | (sorted_w(spec, state, at) == 0.0):  # what iterations read besides
+        v = slot_value(spec, state.v, slot_of(spec, state, state.sorted_index[at]))
+        other_half = ti.static(state.sorted_half) + at
+        for axis in ti.static(range(spec.dim)):
+            state.sorted[other_half, axis] = state.sorted[at, axis]
+            state.sorted[at, ti.static(spec.dim + 1 + axis)] = v[axis]
+            state.sorted[other_half, ti.static(spec.dim + 1 + axis)] = v[axis]
 
 
 @ti.func
-def _on_the_way(spec: ti.template(), state: ti.template(), at, pair):
-    """The code of a pair, marked if it passed through, and whether it comes near in this step."""
-    other = pair >> 2
-    reach = (1.0 + MARGIN) * reach_of(spec, state, at, pair)
-    before = _vector(spec, state.listed_begun, other) - _vector(spec, state.listed_begun, at)
-    now = sorted_x(spec, state, other) - sorted_x(spec, state, at)
-    way = now - before
+def _within(distance2, reach):
+    return distance2 <= reach * reach
+
+
+@ti.func
+def _nearest2(spec: ti.template(), state: ti.template(), at, other):
+    """The square of the distance of two particles where they are nearest on the step's ways."""
+    before = before_of(spec, state, at, other * 4)
+    way = sorted_x(spec, state, other) - sorted_x(spec, state, at) - before
     way2, there = way.dot(way), ti.cast(1.0, state.real)
     if way2 > 0.0:
         there = ti.max(ti.min(-1.0 * before.dot(way) / way2, 1.0), 0.0)
     nearest = before + there * way
-    near = nearest.dot(nearest) <= reach * reach
-    marked = pair
-    if before.dot(now) < 0.0:
-        marked = pair | PASSED
-    return marked, near
-
-
-@functools.cache
-def _if_touching(term):
-    """The term for codes of pairs that come near in this step, and zeros for others."""
-
-    @ti.func
-    def touching(spec: ti.template(), state: ti.template(), at, other):
-        found = ti.Vector.zero(state.real, ti.static(sizes(spec)))
-        if (other != at) & (sorted_radius(spec, state, other) >= 0.0):
-            full = sorted_radius(spec, state, at) + sorted_radius(spec, state, other)
-            _, closer = _own_reach(spec, state, at, other, full)
-            pair, near = _on_the_way(spec, state, at, other * 4 + closer * CLOSER)
-            if near:
-                found = term(spec, state, at, pair)
-        return found
-
-    return touching
+    return nearest.dot(nearest)
 
 
 @ti.func

@@ -55,7 +55,7 @@ SLACK = 1e-4  # of a pair's reach, within which they touch
 SETTLED = 2e-4  # of a pair's reach: overlap, and approach in a step, at which iterations end
 UNSETTLED = 1e-2  # of a pair's reach: an overlap that is counted
 # The same where cloths have a thickness: their spheres are a quarter wider than they must be.
-CLOTH_ITERATIONS, CLOTH_SETTLED, CLOTH_UNSETTLED = 32, 5e-3, 0.1
+CLOTH_ITERATIONS, CLOTH_SETTLED, CLOTH_UNSETTLED = 12, 2e-2, 0.1
 MEETS = 4.0  # gravity times dt: a pair that closes in faster bounces
 ROUNDINGS = 4.0  # of the coordinates, that an overlap may have
 OVERLAP, APPROACH = range(2)  # columns of state.touching and state.pair_residual
@@ -139,8 +139,11 @@ def _clear_residual(spec: ti.template(), state: ti.template(), i):
 @ti.func
 def _judge(spec: ti.template(), state: ti.template(), i):
     """Count the step if some pair still overlaps much."""
-    overlap = state.pair_residual[state.pair_iteration[None] % 2, OVERLAP]
-    if overlap > ti.static(unsettled(spec)):
+    overlap, full = state.pair_residual[state.pair_iteration[None] % 2, OVERLAP], 0
+    if ti.static(spec.thick):
+        full = state.overfull[None]
+        state.overfull[None] = 0
+    if (overlap > ti.static(unsettled(spec))) | (full == 1):
         state.unsettled[None] = state.unsettled[None] + 1
 
 

@@ -167,9 +167,11 @@ class State:
         pair_residual, pair_iteration;
         unsettled: steps that ended before all pairs were apart.
     With thickness (`near_pairs.py`): pair_radius, pair_restitution: of particles for each other;
-        skin, skin_now: how much farther pairs are kept; extremes: least and largest displacements;
+        skin: how much farther pairs are kept; extremes: least and largest displacements; listed,
+        overfull: whether any are, and whether some list was full in this step;
         listed_x, listed_begun: by place, where they were listed and where the step began; kept,
-        kept_count: codes of pairs; closer_start, closer_other, closer_reach: `scene.spheres`.
+        kept_count: codes of pairs; far: whose step went far; closer_start, closer_other,
+        closer_reach: `scene.spheres`.
 
     Obstacles (`poses.py`), a row each: obstacle_shape: its number in spec.obstacles;
         obstacle_numbers, obstacle_sizes: of contact and of its shape; obstacle_start: its pose at
@@ -450,15 +452,20 @@ class State:
         if spec.resting:
             self.pair_friction, self.pair_residual = self._scalars(), self._scalars(2, 2)
             self.number_names.append("pair_friction")
-            self.near, self.near_count = self._counts(n, MOST_NEAR), self._counts(n)
+            self.near, self.near_count = (
+                self._counts(n, MOST_KEPT if spec.thick else MOST_NEAR),
+                self._counts(n),
+            )
             self.touching = self._scalars(n, 2)
             self.pair_iteration, self.unsettled = self._counts(), self._counts()
         if spec.thick:
-            self.skin, self.skin_now = self._scalars(), self._scalars()
+            self.skin = self._scalars()
+            self.listed, self.overfull = self._counts(), self._counts()
             self.number_names.append("skin")
             self.extremes = self._scalars(4 * spec.dim)
             self.listed_x, self.listed_begun = (self._scalars(n, spec.dim) for _ in range(2))
             self.kept, self.kept_count = self._counts(n, MOST_KEPT), self._counts(n)
+            self.far = self._counts(n)
             closer = max(self.capacity.closer, 1)
             self.closer_start, self.closer_other = self._counts(n + 1), self._counts(closer)
             self.closer_reach = self._scalars(closer)

@@ -59,7 +59,7 @@ def load_packs(
         if ti.static(spec.resting):
             state.unsettled[None] = 0
         if ti.static(spec.thick):
-            state.skin_now[None] = -1.0  # nothing is listed
+            state.listed[None] = state.overfull[None] = 0
             for i in range(state.n[None]):
                 state.sorted_index[i] = i
             for k in ti.static(range(2 * spec.dim)):
