@@ -14,7 +14,7 @@ in state.begun_x and begun_v, with begun_x_low, if spec.keeps_begun says so.
 
 import taichi as ti
 
-from taichi_cloth.kernels import faces, grips, obstruction, resting_pairs
+from taichi_cloth.kernels import contact_account, faces, grips, obstruction, resting_pairs
 from taichi_cloth.kernels.loops import each_pack
 from taichi_cloth.kernels.watchdog import keep_begun
 
@@ -32,14 +32,22 @@ def settles(spec):
     return any(needed(spec) for needed, _ in PARTS)
 
 
+def ends_step(spec):
+    """Whether anything is done here: a contact ends the step, or an account of them is kept."""
+    return settles(spec) or spec.accounts_contacts
+
+
 def _acts(spec, state):
     """What is run one after the other at the end of a step, as ti.funcs."""
     acts = [settle for needed, settle in PARTS if needed(spec)]
+    begins = [state.begin] if acts and state.begin else []
+    if spec.accounts_contacts:
+        acts = [contact_account.open_step, *acts, contact_account.close_step]
     if in_launches(spec):
         acts = acts[acts.index(resting_pairs.settle) :]
-    if acts and spec.keeps_begun:
+    if spec.keeps_begun:
         acts.append(_keep_begun)
-    return [*acts, state.begin] if acts and state.begin else acts
+    return acts + begins
 
 
 def in_launches(spec):
@@ -49,7 +57,8 @@ def in_launches(spec):
 
 def _acts_before_pairs(spec):
     acts = [settle for needed, settle in PARTS if needed(spec)]
-    return acts[: acts.index(resting_pairs.settle)]
+    opened = [contact_account.open_step] * spec.accounts_contacts
+    return opened + acts[: acts.index(resting_pairs.settle)]
 
 
 @ti.func

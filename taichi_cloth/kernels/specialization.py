@@ -27,6 +27,7 @@ class Specialization:
         the same stiffness, none of which breaks.
     compensated: whether positions and velocities have low parts (`compensated.py`).
     together: whether several springs of a particle on the graph are computed at once (`graph.py`).
+    accounts_contacts: whether an account of what contacts do can be kept (`contact_account.py`).
     threads, one_launch_per_step: how loops are run (`loops.py`).
     """
 
@@ -52,6 +53,7 @@ class Specialization:
     rows_share_stiffness: bool = False
     compensated: bool = False
     together: bool = False
+    accounts_contacts: bool = False
     threads: int = 1
     one_launch_per_step: bool = False
 

@@ -180,6 +180,10 @@ class State:
         moves. held_by, held_at: what each particle goes with, 1 + its row, and where (`grips.py`).
         face_hit, surface (faces): what each triangle wants of its corners, and a `Surface`.
         obstacle_low, obstacle_nodes, obstacle_grid: of its grid of distances, where it has one.
+    The account of contacts (`contact_account.py`): accounting: whether it is kept; start_x,
+        start_v, free_x, free_v, ended_x: the step's start, free end and end; contact_work: of each
+        particle; touched: whether anything was, in the step; account_part; first_touch: the number
+        of the first such step; contact_energy: what contacts gave.
 
     What the host loads is listed by name, so that it comes in the order in which kernels take it:
     number_names, count_names, vector_names and particle_names; number_places and count_places:
@@ -224,11 +228,15 @@ class State:
             self.surface = Surface(real, *room, self._reals, self._integers)
         if spec.obstacles:
             self._place_obstacles(spec)
+        if spec.accounts_contacts:
+            self._place_account(spec)
         if spec.faces:
             self.face_hit = self._scalars(max(capacity.triangles, 1), 9)
         self.trees = [self._reals.finalize(), self._integers.finalize()]
-        if method.sums:
-            self.add_sums(method.sums)
+        if spec.accounts_contacts:
+            self.trees.append(self.wide_tree)
+        if method.sums + spec.accounts_contacts:
+            self.add_sums(method.sums + spec.accounts_contacts)
         self._list_what_is_loaded(spec)
 
     # --- allocation ------------------------------------------------------------------------------
@@ -488,6 +496,15 @@ class State:
         self.has_nodes = nodes > 0
         if self.has_nodes:
             self.obstacle_grid = self._scalars(nodes, 4)
+
+    def _place_account(self, spec):
+        for name in ("free_x", "free_v", "ended_x", "start_x", "start_v"):
+            setattr(self, name, self._pack_vectors(spec))
+        self.contact_work = self._pack_numbers(spec)
+        self.accounting, self.touched = self._counts(), self._counts()
+        self.first_touch, self.account_part = self._counts(), self._counts()
+        self.contact_energy = _placed(tree := ti.FieldsBuilder(), ti.field(self.wide))
+        self.wide_tree = tree.finalize()
 
     def _add(self, name, field):
         """Take up a field by the name that a method or a force gave it.

@@ -11,7 +11,7 @@ from taichi_cloth.kernels.forces.contract import has
 from taichi_cloth.kernels.fracture import break_springs
 from taichi_cloth.kernels.loops import COUNTER, PIECE, barrier
 from taichi_cloth.kernels.resting_pairs import iterate
-from taichi_cloth.kernels.settling import begin_settling, settle, settles
+from taichi_cloth.kernels.settling import begin_settling, ends_step, settle
 from taichi_cloth.kernels.solvers.phases import run_one_of
 from taichi_cloth.kernels.watchdog import all_well, begin_step, checkpoint
 
@@ -32,7 +32,7 @@ def after_steps(spec):
 
 def has_end(spec):
     """Whether anything comes at the end of a step, so that `end_step` is not empty."""
-    return bool(spec.fracture or after_steps(spec) or settles(spec))
+    return bool(spec.fracture or after_steps(spec) or ends_step(spec))
 
 
 @ti.func

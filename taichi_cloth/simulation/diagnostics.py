@@ -53,6 +53,19 @@ class Solution:
 
 
 @dataclass(frozen=True)
+class ContactAccount:
+    """What contacts did in a run.
+
+    gained: the energy that they gave, summed over the steps in which all of them together gave any
+    (`kernels.contact_account`), in the scene's units. first_touch: the time at the end of the step
+    with the first contact; None: there was none.
+    """
+
+    gained: float
+    first_touch: float | None
+
+
+@dataclass(frozen=True)
 class Energy:
     """The energy of a state, in the scene's units.
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.obstacles import Drawn, depths, surface
+from taichi_cloth.scene.penetration import deepest, touches
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.prediction import describe_size
 from taichi_cloth.simulation.storage import Storage
@@ -141,6 +142,16 @@ class Readings(ABC):
         in a scene without obstacles, ground and resting walls.
         """
         return depths(self.storage.solids, self.positions(), self.radii(), self.time)
+
+    def can_touch(self) -> bool:
+        """Whether there is anything that particles can touch."""
+        return touches(self.storage.scene, self.storage.solids)
+
+    def penetration(self) -> float:
+        """The deepest penetration of a free particle into what is in its way, or past a wall, or of
+        a pair that collides into each other [length]; 0 where there is none."""
+        storage = self.storage
+        return deepest(storage.scene, storage.solids, self.positions(), self.time)
 
     def unsettled(self) -> int:
         """How many steps ended with resting pairs that overlap by more than a hundredth of their

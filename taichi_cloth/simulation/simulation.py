@@ -62,6 +62,7 @@ class Simulation(Readings, Changes):
     sweeps a step, of methods that iterate (`options.SOLVER_SETTINGS` where absent). InputError for
     a method that does not take it.
     compiling: called before kernels are compiled that no earlier run has left, once.
+    accounts_contacts: whether `account_contacts` may be called, which takes more to compile.
 
     held_up: seconds a frame on one thread, as estimated, and on all of them, where the execution
     "parallel" was asked for and threads only wait, because other programs want the cores.
@@ -81,6 +82,7 @@ class Simulation(Readings, Changes):
         tolerance: float | None = None,
         iterations: int | None = None,
         compiling: Callable[[], None] | None = None,
+        accounts_contacts: bool = False,
     ) -> None:
         accepted.word("--method", method, methods.METHODS)
         follows = isinstance(dt, str) and dt == "auto"
@@ -100,7 +102,8 @@ class Simulation(Readings, Changes):
         most = min(LANES, self._module.lanes or LANES)
         self._launcher = Launcher(self._module, device, compiling)
         lanes = lanes or (most if device.arch == "cpu" else 1)
-        self.storage = Storage(self._module, lanes, self._launcher, Snapshot.at_start(self.scene))
+        start = Snapshot.at_start(self.scene)
+        self.storage = Storage(self._module, lanes, self._launcher, start, accounts_contacts)
         self._auto = AutoSubsteps(method, self._module, self.dt) if follows else None
         self._requested = (
             accepted.word("--topology", topology, (*TOPOLOGIES, "auto")),
@@ -438,6 +441,23 @@ class Simulation(Readings, Changes):
         forces, sweeps, unconverged = (int(count) for count in self._work)
         forces = self.steps * self.claims.forces or forces
         return diagnostics.Work(self.steps, forces, sweeps, unconverged)
+
+    def account_contacts(self) -> None:
+        """Begin an account of what contacts do, which lasts until the next reset or change.
+
+        It stays empty unless the simulation was made with `accounts_contacts`.
+        """
+        self.storage.account_contacts()
+
+    def contact_account(self) -> diagnostics.ContactAccount | None:
+        """What contacts have done since `account_contacts`; None: no account is kept."""
+        account = self.storage.contact_account()
+        if account is None:
+            return None
+        gained, step = account
+        _, time, steps = self._since
+        first = None if step is None else time + (step - steps) * self.dt / self.substeps
+        return diagnostics.ContactAccount(gained, first)
 
     def check_converged(self) -> None:
         """Raise RunFailure where most steps since the start missed the tolerance of their solution.

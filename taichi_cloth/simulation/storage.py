@@ -12,7 +12,15 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from taichi_cloth.kernels import forces, fracture, grips, total_forces, transfer, watchdog
+from taichi_cloth.kernels import (
+    contact_account,
+    forces,
+    fracture,
+    grips,
+    total_forces,
+    transfer,
+    watchdog,
+)
 from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.solvers import stages
@@ -21,6 +29,7 @@ from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE, WORK, Capacity, State
 from taichi_cloth.scene import obstacles
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.penetration import touches
 from taichi_cloth.simulation import adjacency, diagnostics
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.layouts import WORTH_SORTING, Layout
@@ -68,12 +77,20 @@ class Storage:
     solids: what is in the way of the scene that was taken last (`scene.obstacles`).
     method: the one that runs on it. lanes: particles in a pack of the grids.
     real: type of the device's numbers. topology, path: how it was loaded. pushed: whether a push
-    lasts until the frame's end.
+    lasts until the frame's end. accounts_contacts: whether `account_contacts` may be called.
     """
 
-    def __init__(self, method: Method, lanes: int, launcher: Launcher, snapshot: Snapshot) -> None:
+    def __init__(
+        self,
+        method: Method,
+        lanes: int,
+        launcher: Launcher,
+        snapshot: Snapshot,
+        accounts_contacts: bool = False,
+    ) -> None:
         self._method, self._lanes, self._launcher = method, lanes, launcher
         self._needs = method.needs
+        self._accounts_contacts = accounts_contacts
         self.real: Real = np.float64 if launcher.device.real == "f64" else np.float32
         self._taken = snapshot
         self.solids = obstacles.solids(snapshot.scene)
@@ -157,6 +174,8 @@ class Storage:
         upload = self._upload()
         upload.numbers(numbers)
         upload.all()
+        if container.spec.accounts_contacts:
+            container.state.accounting[None] = 0
         if "blow" in container.spec.terms and not self.pushed:
             self._launcher.launch(blow.clear_push, container.state)
             self._held = False
@@ -266,6 +285,7 @@ class Storage:
             rows_share_stiffness=layout.rows_share_stiffness and not features["fracture"],
             compensated=self._launcher.device.compensated,
             together=self._is_mesh(),
+            accounts_contacts=self._accounts_contacts and touches(self.scene, self.solids),
             threads=self._launcher.device.threads,
             one_launch_per_step=True,
         )
@@ -458,6 +478,21 @@ class Storage:
     def unsettled(self) -> int:
         """How many steps ended with pairs that overlap, since the fields were made."""
         return int(self.state.unsettled[None]) if self.specialization.resting else 0
+
+    def account_contacts(self) -> None:
+        """Begin an account of what contacts do, which the next load ends."""
+        if self.specialization.accounts_contacts:
+            self._launch(contact_account.begin_account)
+
+    def contact_account(self) -> tuple[float, int | None] | None:
+        """The energy that contacts gave, and the number of the first step with one, if any.
+
+        None where no account is kept.
+        """
+        if not self.specialization.accounts_contacts or self.state.accounting[None] == 0:
+            return None
+        energy, first = float(self.state.contact_energy[None]), int(self.state.first_touch[None])
+        return energy, None if first == contact_account.NEVER else first
 
     def solution(self) -> diagnostics.Solution:
         """How the last step was solved, by a method that solves to a tolerance."""
