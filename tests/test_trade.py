@@ -33,7 +33,7 @@ from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.settings.options import TradeOptions
 from taichi_cloth.trade import ode, reference, rows, settings, tune
-from taichi_cloth.trade.errors import Breaks, Invariants, Samples, distance
+from taichi_cloth.trade.errors import Breaks, Contacts, Invariants, Samples, distance
 from taichi_cloth.trade.runner import Outcome, Result, Study, StudyFailure, _failed
 from taichi_cloth.trade.settings import Setting
 
@@ -41,6 +41,8 @@ CONTRACT = (
     "method,dt,substeps,iterations,precision,fast_math,arch,error_final_rms,error_final_max,"
     "error_trajectory,energy_drift,max_strain,wall_seconds,force_evaluations,sweeps,status,pareto"
 )
+
+OF_CONTACTS = "penetration_max", "contact_energy", "first_touch_later"
 
 
 def read(folder):
@@ -252,6 +254,63 @@ def test_measures_are_what_they_say():
     assert (none.count, none.agreeing, none.first, none.later) == (0, 0, None, None)
 
 
+def test_what_contacts_did_is_that_of_the_run_and_of_the_reference_within_the_horizon():
+    x, alive = np.zeros((4, 2, 2)), np.ones((4, 0), bool)
+
+    def samples(*contacts):
+        return Samples(x, x, alive, np.array(contacts, float))
+
+    nan = math.nan
+    run = samples([0, 0, nan], [0.1, 0.5, nan], [0.3, 0.5, 1.75], [0.3, 0.7, 1.75])
+    true = samples([0, 0, nan], [0, 0, 1.5], [0, 0, 1.5], [0, 0, 1.5])
+    assert Contacts.of(run, true) == Contacts(0.3, 0.7, 0.25)
+    assert Contacts.of(run.first(1), true.first(1)) == Contacts(0.1, 0.5, None)
+    smooth = Samples(x, x, alive)  # of the differential equation: nobody looks at contacts there
+    assert Contacts.of(run, smooth) == Contacts(0.3, 0.7, None)
+    assert Contacts.of(samples(*[[nan] * 3] * 4), true) == Contacts(None, None, None)
+    assert Contacts.of(samples(*[[0.2, nan, nan]] * 4), true) == Contacts(0.2, None, None)  # a GPU
+
+
+LANDING = """
+name = "landing"
+[world]
+size = [20.0, 20.0]
+up = "y"
+gravity = [0.0, -10.0]
+dt = 0.05
+ground = 1.0
+friction = 0.3
+[[particles]]
+position = [5.0, 2.35]
+velocity = [1.0, 0.0]
+radius = 0.1
+[[particles]]
+position = [7.0, 1.1]
+radius = 0.1
+"""
+
+
+@thorough
+def test_contacts_have_their_columns(cli, tmp_path):
+    """A body that lands after 0.5 s and slides on, and one that lies."""
+    (tmp_path / "landing.toml").write_text(
+        LANDING.replace("position = [7.0, 1.1]", "position = [7.0, 9.0]")
+    )
+    chosen = ["--methods", "verlet,symplectic_euler", "--substeps", "1,8", "--precisions", "f64"]
+    arguments = ["trade", "landing.toml", *chosen, "--frames", 20, "--quick", "--output", "out"]
+    out, _ = cli(*arguments, cwd=tmp_path)
+    whole = json.loads((tmp_path / "out" / "trade.json").read_text())
+    assert "touches ground" in whole["environment"]["event"]
+    assert "first touch" in out and "penetration" in out
+    for row in read(tmp_path / "out"):
+        assert 0 <= row["penetration_max"] < 1e-12 and 0 <= row["contact_energy"] < 1e-9
+        assert abs(row["first_touch_later"]) <= row["step"]
+    (tmp_path / "landing.toml").write_text(LANDING)
+    cli(*arguments, cwd=tmp_path)
+    for row in read(tmp_path / "out"):  # the second one lies from the start
+        assert row["first_touch_later"] == pytest.approx(row["step"], rel=0.3)
+
+
 # ------------------------------------------------------------------------------------------
 # The front, files, the terminal
 
@@ -277,7 +336,9 @@ def test_files_keep_the_contract_and_say_the_same(oscillator):
     folder, printed, told = oscillator
     header = (folder / "trade.csv").read_text().splitlines()[0]
     assert header.startswith(CONTRACT + ",")
+    assert header.endswith(",command," + ",".join(OF_CONTACTS))
     table = read(folder)
+    assert all(row[name] is None for row in table for name in OF_CONTACTS)  # nothing can touch
     assert len(table) == 12 and {row["precision"] for row in table} == {"f32", "f64"}
     whole = json.loads((folder / "trade.json").read_text())
     assert len(whole["rows"]) == len(table)
@@ -553,6 +614,15 @@ def test_no_method_is_named_where_methods_are_compared():
         (["tune", "cloth"], "either --error"),
         (["tune", "cloth", "--error", "1%", "--frame-time", "1ms"], "either --error"),
         (["tune", "cloth", "--error", "-1%"], "--error must be"),
+        (["tune", "drape", "--penetration", "-1mm"], "--penetration must be a length"),
+        (["tune", "drape", "--penetration", "mm"], "--penetration must be a length"),
+        (["tune", "drape", "--penetration", "1 inch"], "--penetration must be a length"),
+        (["tune", "box", "--particles", "3", "--penetration", "1mm"], "has a unit"),
+        (["tune", "oscillator", "--penetration", "0.1"], "can touch"),
+        (
+            ["tune", "drape", "--error", "1%", "--frame-time", "1ms", "--penetration", "1mm"],
+            "either --error",
+        ),
         (["tune", "cloth", "--error", "nan"], "--error must be"),
         (["tune", "cloth", "--frame-time", "8"], "--frame-time must be a time with its unit"),
     ],
@@ -666,6 +736,51 @@ def test_tune_does_not_promise_what_the_reference_cannot_tell():
     assert tune.Figures.of(row).error_relative == 0.01
     with pytest.raises(InputError, match="none of 1 settings meets it"):
         tune.meeting([row], tune.Target(error=0.009))
+
+
+def test_tune_keeps_to_a_penetration_alone_and_beside_the_rest():
+    """Against a search through all rows."""
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        made = [
+            replace(row, penetration_max=10 ** rng.uniform(-5, -1)) if row.ok else row
+            for row in made_up(rng, 12)
+        ]
+        error, deep, seconds = 10 ** rng.uniform(-6, 0), 10 ** rng.uniform(-5, -1), 10**-2.5
+        within = [row for row in made if row.ok and row.penetration_max <= deep]
+        for target, fitting, cost in (
+            (tune.Target(penetration=deep), within, "wall_seconds"),
+            (
+                tune.Target(error=error, penetration=deep),
+                [row for row in within if row.error_trajectory_relative <= error],
+                "wall_seconds",
+            ),
+            (
+                tune.Target(frame_seconds=seconds, penetration=deep),
+                [row for row in within if row.wall_upper / 10 <= seconds],
+                "error_trajectory",
+            ),
+        ):
+            assert "--penetration" in target.describe()
+            if fitting:
+                best = tune.meeting(made, target)[0]
+                assert getattr(best, cost) == min(getattr(row, cost) for row in fitting)
+                assert best in fitting
+            else:
+                with pytest.raises(InputError, match="the best is"):
+                    tune.meeting(made, target)
+
+
+@pytest.mark.parametrize(
+    ("text", "length"),
+    [("1mm", 1e-3), ("0.5 cm", 5e-3), ("2m", 2.0), ("0.25", 0.25), ("1e-3m", 1e-3)],
+)
+def test_a_penetration_may_have_a_unit_where_lengths_are_metres(text, length):
+    read = tune.read_target(None, None, text, in_metres=True)
+    assert read.penetration == pytest.approx(length) and read.error is read.frame_seconds is None
+    if text != "0.25":
+        with pytest.raises(InputError, match="has a unit"):
+            tune.read_target(None, None, text, in_metres=False)
 
 
 @pytest.mark.parametrize(

@@ -440,6 +440,13 @@ class TuneOptions(ComparisonOptions):
     frame_time: str | None = setting(
         None, "find the most accurate setting whose frames take at most this", str, metavar="8ms"
     )
+    penetration: str | None = setting(
+        None,
+        "find the cheapest setting whose deepest penetration is at most this, also beside --error "
+        "or --frame-time: a length of the scene, or with m, cm or mm where y points up",
+        str,
+        metavar="1mm",
+    )
     seed: int = setting(
         7, "seed of the disturbance of the run that confirms", minimum=0, maximum=2**32 - 1
     )

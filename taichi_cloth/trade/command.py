@@ -173,6 +173,9 @@ def scene_hash(scene: Scene) -> str:
     if scene.features().obstacles:
         given = world.up, world.ground, world.friction, world.contact
         digest.update(repr((given, scene.obstacles)).encode())
+    if world.more:
+        digest.update(repr(sorted(world.more.items())).encode())
+        digest.update(np.ascontiguousarray(scene.triangles).tobytes())
     for part in (scene.particles, scene.springs):
         for column in fields(part):
             if column.name != "color":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -10,17 +10,24 @@ import numpy as np
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation import diagnostics
 
+# Of a run: the deepest penetration at the end of a frame, the energy that contacts gave, the time
+# of the first touch.
+CONTACTS = ("penetration", "gained", "first_touch")
+
 
 @dataclass(frozen=True)
 class Samples:
     """States of a run at the start and at the end of each frame.
 
     x, v: (frames + 1, n, dim); alive: (frames + 1, s), or (frames + 1, 0) where no spring breaks.
+    contacts: (frames + 1, 3): what `CONTACTS` names, since the start; NaN where nothing can touch
+    or, of the time of the first touch, until it comes; no rows where nobody looked.
     """
 
     x: np.ndarray
     v: np.ndarray
     alive: np.ndarray
+    contacts: np.ndarray = field(default_factory=lambda: np.zeros((0, len(CONTACTS))))
 
     def __len__(self) -> int:
         return len(self.x)
@@ -29,11 +36,12 @@ class Samples:
     def read(cls, path: Path | str) -> Samples:
         with np.load(path) as file:
             x, v = (file[name].astype(np.float64) for name in "xv")
-            return cls(x, v, file["alive"])
+            return cls(x, v, file["alive"], file["contacts"])
 
     def first(self, frames: int) -> Samples:
         """Those up to the end of frame number `frames`."""
-        return Samples(self.x[: frames + 1], self.v[: frames + 1], self.alive[: frames + 1])
+        end = frames + 1
+        return Samples(self.x[:end], self.v[:end], self.alive[:end], self.contacts[:end])
 
 
 @dataclass(frozen=True)
@@ -165,3 +173,31 @@ def _break_frames(samples: Samples) -> np.ndarray:
 def _first(frames: np.ndarray) -> int | None:
     broken = frames[frames >= 0]
     return int(broken.min()) if len(broken) else None
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """What contacts did in a run, None where that is not known.
+
+    penetration: the deepest one at the end of a frame [length]; energy: what they gave, summed over
+    the steps in which they gave any (`kernels.contact_account`); later: by how much the first touch
+    came after the reference's [time], None where either has none.
+    """
+
+    penetration: float | None
+    energy: float | None
+    later: float | None
+
+    @classmethod
+    def of(cls, samples: Samples, reference: Samples) -> Contacts:
+        penetration, energy, first = _at_end(samples)
+        *_, true_first = _at_end(reference)
+        later = None if first is None or true_first is None else first - true_first
+        return cls(penetration, energy, later)
+
+
+def _at_end(samples: Samples) -> list[float | None]:
+    """What `CONTACTS` names, at the end of a run."""
+    if len(samples.contacts) == 0:
+        return [None] * len(CONTACTS)
+    return [None if np.isnan(number) else float(number) for number in samples.contacts[-1]]

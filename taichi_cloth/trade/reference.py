@@ -4,7 +4,7 @@ Where a scene has a closed form, that; else the solution of the differential equ
 DOP853 on forces of its own (`ode`) and, independently, by our method of the highest order in
 f64 at a fine step: what they differ by is what they are worth. A contact or a break within the
 horizon is an event, past which there is no smooth solution: then it is our method at a fine step,
-and what it differs by from one four times as long.
+and what it differs by from one four times as long. The time of its first touch is that of its step.
 """
 
 from __future__ import annotations

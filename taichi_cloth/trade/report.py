@@ -22,8 +22,10 @@ GOOD = 0.01  # parts of the largest displacement: an error that nobody sees
 # Columns that a narrow terminal goes without, the first ones first; trade.csv has them all.
 SPARED = (
     *("sweeps", "forces", "quartiles", "worst at end", "strain", "energy drift"),
-    *("order", "by solver", "breaks (as in ref.)"),
+    *("order", "energy by contacts", "by solver", "breaks (as in ref.)", "first touch"),
+    "penetration",
 )
+OF_CONTACTS = ("penetration", "energy by contacts", "first touch")
 LEFT = ("", "method", "numbers", "solver")  # columns of text
 OF_FRONT = ("method", "numbers", "substeps", "solver", "error", "time a frame")
 
@@ -109,6 +111,9 @@ def _columns(result: Result, rows: Sequence[Row]) -> dict[str, list[str]]:
         "breaks (as in ref.)": column(
             lambda row: f"{row.breaks} ({row.breaks_agreeing})" if row.breaks is not None else ""
         ),
+        "penetration": column(lambda row: _plain(row.penetration_max)),
+        "energy by contacts": column(lambda row: _plain(row.contact_energy)),
+        "first touch": column(lambda row: _signed(row.first_touch_later)),
         "time a frame": column(lambda row: a_frame(row, row.wall_seconds)),
         "quartiles": column(
             lambda row: f"{a_frame(row, row.wall_lower)} .. {a_frame(row, row.wall_upper)}"
@@ -118,7 +123,7 @@ def _columns(result: Result, rows: Sequence[Row]) -> dict[str, list[str]]:
     }
     if not any(row.breaks for row in rows):
         del columns["breaks (as in ref.)"]
-    for name in ("solver", "by solver"):
+    for name in ("solver", "by solver", *OF_CONTACTS):
         if not any(columns[name]):
             del columns[name]
     return columns
@@ -145,6 +150,12 @@ def notes(result: Result, rows: Sequence[Row]) -> list[str]:
     if result.horizon:
         said += result.reference.describe(result.horizon)
     said += _orders(result.reference, rows)
+    if any(row.penetration_max is not None for row in rows):
+        said.append(
+            "penetration: the deepest at the end of a frame; energy by contacts: what they gave, "
+            "summed over the steps in which they gave any; first touch: by how much it is later "
+            "than the reference's; all in the scene's units"
+        )
     unknown = [row for row in rows if row.ok and row.error_discretisation is None]
     if unknown:
         said.append(
@@ -213,6 +224,15 @@ def _percent(part: float | None) -> str:
     if part >= 1:
         return f"{100 * part:.0f} %" if part < 1e4 else f"{100 * part:.0e} %"
     return f"{100 * part:.3g} %" if part >= 1e-5 else f"{100 * part:.1e} %"
+
+
+def _plain(number: float | None) -> str:
+    return "" if number is None else f"{number:.3g}"
+
+
+def _signed(number: float | None) -> str:
+    """By how much, with a sign."""
+    return "" if number is None else "0" if number == 0 else f"{number:+.3g}"
 
 
 def _number(error: float | None, scale: float) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 
 from taichi_cloth.measuring.timing import quartiles
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.trade.errors import Breaks, Invariants, Samples, distance
+from taichi_cloth.trade.errors import Breaks, Contacts, Invariants, Samples, distance
 from taichi_cloth.trade.reference import Horizon, Reference
 from taichi_cloth.trade.runner import Outcome, Result
 from taichi_cloth.trade.settings import Setting, converged
@@ -34,6 +34,8 @@ class Row:
     floor: the least trajectory error that the reference can tell from none, in world units;
     below_floor: that it cannot tell this one. pareto: no other is both as cheap
     and as good. command: runs it again.
+    penetration_max, contact_energy, first_touch_later: of contacts (`errors.Contacts`), in the
+    scene's units.
     """
 
     setting: Setting
@@ -74,6 +76,9 @@ class Row:
     scene_hash: str = ""
     versions: str = ""
     command: str = ""
+    penetration_max: float | None = None
+    contact_energy: float | None = None
+    first_touch_later: float | None = None
 
     @property
     def ok(self) -> bool:
@@ -107,6 +112,7 @@ COLUMNS = (
     *("scale", "order", "momentum_drift", "unconverged", "breaks", "breaks_agreeing"),
     *("first_break", "first_break_later", "wall_lower", "wall_upper", "repeats", "frames"),
     *("topology", "execution", "threads", "device", "scene_hash", "versions", "command"),
+    *("penetration_max", "contact_energy", "first_touch_later"),
 )
 ABOUT = ("device", "threads", "topology", "execution")  # what the process of a setting tells
 
@@ -199,6 +205,12 @@ class _Judge:
                 "first_break": breaks.first,
                 "first_break_later": breaks.later,
             }
+        contacts = Contacts.of(samples, true)
+        found |= {
+            "penetration_max": contacts.penetration,
+            "contact_energy": contacts.energy,
+            "first_touch_later": contacts.later,
+        }
         return found
 
     def _errors_by_source(

@@ -16,6 +16,7 @@ from taichi_cloth import runtime
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.trade.errors import CONTACTS
 from taichi_cloth.trade.settings import Process
 
 MOST_REPEATS = 101
@@ -41,7 +42,19 @@ class Trial:
         execution: str,
     ):
         device = _start(arch, precision, fast_math, threads)
-        self._sim = Simulation(_load(scene), method, topology=topology, execution=execution)
+        made, account = _load(scene), arch == "cpu"  # on a GPU it takes too many launches
+        self._sim = self._watched = Simulation(
+            made,
+            method,
+            topology=topology,
+            execution=execution,
+            accounts_contacts=account and topology == "graph",
+        )
+        # In lanes the account of contacts takes minutes to compile: the same on the graph has it.
+        if account and topology == "lanes" and self._sim.can_touch():
+            self._watched = Simulation(
+                made, method, topology="graph", execution=execution, accounts_contacts=True
+            )
         self.about = {
             "device": device.describe(),
             "threads": device.threads if self._sim.execution == "parallel" else 1,
@@ -51,21 +64,25 @@ class Trial:
 
     def load(self, scene: str) -> None:
         """Another scene with the same features and springs; nothing is compiled anew."""
-        self._sim.load_scene(_load(scene))
+        for sim in {self._sim, self._watched}:
+            sim.load_scene(_load(scene))
 
     def sample(
         self, dt: float, substeps: int, solver: dict[str, Any], frames: int, file: str
     ) -> dict[str, Any]:
         """Run `frames` frames; the state at the start and after each goes to `file` (npz).
 
-        Arrays x, v: (frames + 1, n, dim), alive: (frames + 1, s), rows of a run that fails end with
-        its last good frame. Returns its work, and `failed`, how it ended: also one most of whose
+        Arrays are those of `errors.Samples`; rows of a run that fails end with its last good frame.
+        Returns its work, and `failed`, how it ended: also one most of whose
         steps did not converge has failed.
         """
-        sim = self._begin(dt, substeps, solver)
+        sim, watched = self._begin(dt, substeps, solver), self._watched
         breaks = sim.scene.features().fracture
         shape = (frames + 1, sim.particle_count, sim.scene.world.dim)
         x, v = np.zeros(shape), np.zeros(shape)
+        contacts = np.zeros((frames + 1, len(CONTACTS)))
+        deepest = 0.0
+        watched.account_contacts()
         alive = np.ones((frames + 1, sim.spring_count if breaks else 0), bool)
         failed = ""
         done = 0
@@ -73,6 +90,8 @@ class Trial:
             if frame:
                 try:
                     sim.advance()
+                    if watched is not sim:
+                        watched.advance()
                 except SimulationFailure as failure:
                     failed = f"failed: frame {failure.frame}, particle {failure.particle} " + (
                         f"{failure.what}; {failure.cause}"
@@ -81,12 +100,16 @@ class Trial:
             x[frame], v[frame] = sim.positions(), sim.velocities()
             if breaks:
                 alive[frame] = sim.springs_alive()
+            if frame and sim.can_touch():
+                deepest = max(deepest, sim.penetration())
+            contacts[frame] = self._contacts(deepest)
             done = frame + 1
         if not failed and sim.work().mostly_unconverged:
             failed = f"failed: {sim.describe_convergence()}"
         # As the device has them: in f32 half as large, and the same numbers.
         real = np.float32 if runtime.current_device().precision == "f32" else np.float64
-        np.savez(file, x=x[:done].astype(real), v=v[:done].astype(real), alive=alive[:done])
+        x, v = x[:done].astype(real), v[:done].astype(real)
+        np.savez(file, x=x, v=v, alive=alive[:done], contacts=contacts[:done])
         work = sim.work()
         return {
             "failed": failed,
@@ -94,6 +117,16 @@ class Trial:
             "sweeps": work.sweeps,
             "unconverged": work.unconverged,
         }
+
+    def _contacts(self, deepest: float) -> list[float]:
+        """What `errors.CONTACTS` names, until now; deepest: the first of it."""
+        account = self._watched.contact_account()
+        if not self._sim.can_touch():
+            return [np.nan] * len(CONTACTS)
+        if account is None:
+            return [deepest, np.nan, np.nan]
+        first = account.first_touch
+        return [deepest, account.gained, np.nan if first is None else first]
 
     def time(
         self, dt: float, substeps: int, solver: dict[str, Any], frames: int, budget: float
@@ -103,7 +136,7 @@ class Trial:
 
         The first run warmed up in `sample`, which compiled everything.
         """
-        sim = self._begin(dt, substeps, solver)
+        sim = self._begin(dt, substeps, solver, alone=True)
         seconds: list[float] = []
         while len(seconds) < MOST_REPEATS:
             if seconds:
@@ -116,13 +149,17 @@ class Trial:
                 break
         return seconds
 
-    def _begin(self, dt: float, substeps: int, solver: dict[str, Any]) -> Simulation:
-        """The simulation at its start, with a step and its solver's settings."""
-        sim = self._sim
-        sim.set_step(dt, substeps)
-        sim.solver.update(solver)
-        sim.reset()
-        return sim
+    def _begin(
+        self, dt: float, substeps: int, solver: dict[str, Any], alone: bool = False
+    ) -> Simulation:
+        """The simulation at its start, with a step and its solver's settings; alone: not the one
+        beside it that accounts for contacts.
+        """
+        for sim in {self._sim} if alone else {self._sim, self._watched}:
+            sim.set_step(dt, substeps)
+            sim.solver.update(solver)
+            sim.reset()
+        return self._sim
 
 
 def _start(arch: str, precision: str, fast_math: bool, threads: int | None) -> runtime.Device:

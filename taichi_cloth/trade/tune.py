@@ -19,6 +19,8 @@ from taichi_cloth import console
 from taichi_cloth.console import duration
 from taichi_cloth.errors import InputError, RunFailure, clipped
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.obstacles import solids
+from taichi_cloth.scene.penetration import touches
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import PROGRAM, TuneOptions, number_of
 from taichi_cloth.trade import command, rows
@@ -31,48 +33,62 @@ KICK = 0.1
 BATCH = 3  # times as many as were tried before are confirmed beside each other
 MOST_TOLD = 8  # of those that did not hold
 TIME_UNITS = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0}
+LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}  # where a scene is in metres
 
 
 @dataclass(frozen=True)
 class Target:
-    """What is wanted: a trajectory error or, where `error` is None, a frame's time in seconds.
+    """What is wanted: a trajectory error, a frame's time in seconds, or neither; a penetration,
+    alone or besides.
 
-    error: in world units, or in parts of the largest displacement where `relative`.
+    error: in world units, or in parts of the largest displacement where `relative`. penetration:
+    the deepest one that is allowed, in world units.
     """
 
     error: float | None = None
     relative: bool = True
     frame_seconds: float | None = None
+    penetration: float | None = None
 
     def describe(self) -> str:
+        words = []
         if self.frame_seconds is not None:
-            return f"--frame-time {duration(self.frame_seconds)}"
-        assert self.error is not None
-        shown = f"{100 * self.error:g} %" if self.relative else f"{self.error:g}"
-        return f"--error {shown}"
+            words.append(f"--frame-time {duration(self.frame_seconds)}")
+        if self.error is not None:
+            shown = f"{100 * self.error:g} %" if self.relative else f"{self.error:g}"
+            words.append(f"--error {shown}")
+        if self.penetration is not None:
+            words.append(f"--penetration {self.penetration:g}")
+        return " ".join(words)
 
     def remedy(self) -> str:
         """What to ask for where nothing holds."""
         if self.frame_seconds is not None:
             return "ask for a longer --frame-time, or measure while the machine does nothing else"
-        return "compare more --substeps or other --methods, or ask for a larger --error"
+        larger = "--error" if self.error is not None else "--penetration"
+        return f"compare more --substeps or other --methods, or ask for a larger {larger}"
 
     def met_by(self, found: Figures) -> bool:
-        if self.frame_seconds is not None:
-            return found.frame_seconds <= self.frame_seconds
-        assert self.error is not None
-        return (found.error_relative if self.relative else found.error) <= self.error
+        if self.frame_seconds is not None and found.frame_seconds > self.frame_seconds:
+            return False
+        if self.error is not None:
+            error = found.error_relative if self.relative else found.error
+            if error > self.error:
+                return False
+        return self.penetration is None or found.is_within(self.penetration)
 
 
 @dataclass(frozen=True)
 class Figures:
     """What a setting showed: its trajectory error (world units, and in parts of the largest
-    displacement), or the least that the reference can tell from none; a frame's time in seconds.
+    displacement), or the least that the reference can tell from none; a frame's time in seconds;
+    its deepest penetration (world units), None where nothing can touch.
     """
 
     error: float
     error_relative: float
     frame_seconds: float
+    penetration: float | None = None
 
     @classmethod
     def of(cls, row: Row) -> Figures:
@@ -82,12 +98,17 @@ class Figures:
             error, relative = row.floor, row.floor / row.scale
         frame_seconds = row.a_frame(row.wall_seconds)
         assert error is not None and relative is not None and frame_seconds is not None
-        return cls(error, relative, frame_seconds)
+        return cls(error, relative, frame_seconds, row.penetration_max)
+
+    def is_within(self, penetration: float) -> bool:
+        """Whether its deepest penetration is at most this."""
+        return self.penetration is not None and self.penetration <= penetration
 
     def describe(self) -> str:
         percent = 100 * self.error_relative
         a_frame = duration(self.frame_seconds)
-        return f"error {percent:.3g} % ({self.error:.3g}), {a_frame} a frame"
+        deep = "" if self.penetration is None else f", penetration {self.penetration:.3g}"
+        return f"error {percent:.3g} % ({self.error:.3g}), {a_frame} a frame{deep}"
 
 
 @dataclass(frozen=True)
@@ -110,8 +131,15 @@ class Attempt:
 
 def main(source: SceneSource, options: TuneOptions) -> int:
     """Choose, confirm, print; the exit status."""
-    target = read_target(options.error, options.frame_time)
+    asked = options.error, options.frame_time, options.penetration
+    target = read_target(*asked, in_metres=None)
     scene, chosen, how = command.prepare(source, options)
+    if target.penetration is not None:
+        target = read_target(*asked, in_metres=bool(scene.world.up))
+        if not touches(scene, solids(scene)):
+            raise InputError(
+                f"--penetration: there is nothing that particles of scene '{scene.name}' can touch"
+            )
     how = replace(how, solver_errors=False)
     quiet = options.json
     with command.measured(source, options, scene, chosen, how, quiet=quiet) as result:
@@ -191,23 +219,55 @@ def _show(scene: str, target: Target, tried: Sequence[Attempt]) -> None:
         console.say_command(to, last.row.command)
 
 
-def read_target(error: str | None, frame_time: str | None) -> Target:
-    """The target that the command line gives; raises InputError unless it is one."""
-    if (error is None) == (frame_time is None):
-        raise InputError("tune: give either --error, such as 1%, or --frame-time, such as 8ms")
+def read_target(
+    error: str | None,
+    frame_time: str | None,
+    penetration: str | None = None,
+    in_metres: bool | None = True,
+) -> Target:
+    """The target that the command line gives; raises InputError unless it is one.
+
+    in_metres: whether lengths of the scene are metres, so that one may have a unit; None: that is
+    not known yet.
+    """
+    if (error is None) == (frame_time is None) and (error is not None or penetration is None):
+        raise InputError(
+            "tune: give either --error, such as 1%, or --frame-time, such as 8ms, or --penetration"
+        )
+    deepest = None if penetration is None else _read_length(penetration, in_metres)
     if error is not None:
         number = error.strip().removesuffix("%")
         relative = number != error.strip()
         value = _positive("--error", number, "a number, or one with %, such as 1%", error)
-        return Target(error=value / 100 if relative else value, relative=relative)
-    assert frame_time is not None
+        value = value / 100 if relative else value
+        return Target(error=value, relative=relative, penetration=deepest)
+    if frame_time is not None:
+        return Target(frame_seconds=_read_time(frame_time), penetration=deepest)
+    return Target(penetration=deepest)
+
+
+def _read_length(given: str, in_metres: bool | None) -> float:
+    text = given.strip()
+    unit = next((unit for unit in LENGTH_UNITS if text.endswith(unit)), None)
+    says = "a length of the scene, or one with m, cm or mm, such as 1mm"
+    if unit is None:
+        return _positive("--penetration", text, says, given)
+    length = _positive("--penetration", text.removesuffix(unit), says, given)
+    if in_metres is False:
+        raise InputError(
+            f"--penetration: '{clipped(given)}' has a unit, and this scene's lengths have none, "
+            'as its [world] has no up = "y"; give a number'
+        )
+    return length * LENGTH_UNITS[unit]
+
+
+def _read_time(frame_time: str) -> float:
     text = frame_time.strip()
     unit = next((unit for unit in TIME_UNITS if text.endswith(unit)), None)
     says = "a time with its unit, s, ms or us, such as 8ms"
     if unit is None:
         raise InputError(f"--frame-time must be {says}; is '{clipped(frame_time)}'")
-    seconds = _positive("--frame-time", text.removesuffix(unit), says, frame_time)
-    return Target(frame_seconds=seconds * TIME_UNITS[unit])
+    return _positive("--frame-time", text.removesuffix(unit), says, frame_time) * TIME_UNITS[unit]
 
 
 def _positive(flag: str, text: str, says: str, given: str) -> float:
@@ -226,7 +286,8 @@ def is_measured(row: Row) -> bool:
 
 
 def meeting(made: Sequence[Row], target: Target) -> list[Row]:
-    """The rows that meet an error, the cheapest first; those that fit a time, the best first.
+    """The rows that meet an error or a penetration, the cheapest first; those that fit a time, the
+    best first.
 
     A row fits a time by the upper quartile of its own. Raises InputError, with the best there is,
     where none does.
@@ -234,20 +295,28 @@ def meeting(made: Sequence[Row], target: Target) -> list[Row]:
     usable = [row for row in made if is_measured(row)]
     if not usable:
         raise InputError(f"{target.describe()}: no setting could be measured")
-    if target.frame_seconds is not None:
-        found = [row for row in usable if _slow_frame(row) <= target.frame_seconds]
-        best = min(usable, key=_slow_frame)
-        order = _error_then_time
-    else:
-        found = [row for row in usable if target.met_by(Figures.of(row))]
-        best = min(usable, key=_error_then_time)
-        order = _time_then_error
+    found = [row for row in usable if target.met_by(Figures.of(row))]
+    by_time = target.frame_seconds is not None
+    if by_time:
+        found = [row for row in found if _slow_frame(row) <= (target.frame_seconds or 0.0)]
+    order = _error_then_time if by_time else _time_then_error
     if not found:
+        best = _best(usable, target)
         raise InputError(
             f"{target.describe()}: none of {len(usable)} settings meets it; the best is "
             f"{best.setting.describe()}: {Figures.of(best).describe()}"
         )
     return sorted(found, key=order)
+
+
+def _best(usable: Sequence[Row], target: Target) -> Row:
+    """The row that comes nearest to a target that none meets."""
+    within = usable
+    if target.penetration is not None:
+        least = min(Figures.of(row).penetration or 0.0 for row in usable)
+        most = max(least, target.penetration)
+        within = [row for row in usable if Figures.of(row).is_within(most)]
+    return min(within, key=_slow_frame if target.frame_seconds is not None else _error_then_time)
 
 
 def _slow_frame(row: Row) -> float:
