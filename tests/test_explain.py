@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,11 @@ from taichi_cloth.explain import costs
 from taichi_cloth.explain.variants import kinds_of_links, variants
 from taichi_cloth.kernels import forces
 from taichi_cloth.scene import library
+from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.library import build
+from taichi_cloth.scene.model import Particles, Scene, World
+from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.simulation.simulation import Simulation
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "features.md"
@@ -33,6 +37,9 @@ SWITCHES = {
     "air": "air",
     "bending": "bending",
     "obstacles": "obstacles",
+    "moving obstacles": "moving",
+    "resting pairs": "resting",
+    "self-collision": "thick",
     "uniform springs": "uniform_springs",
     "uniform particles": "uniform_particles",
 }
@@ -55,7 +62,8 @@ def test_a_variant_differs_in_one_feature(name, parameters):
     switched = {variant.feature: variant for variant in variants(scene, on_graph=True)}
     for feature in ("fracture", "dashpots") if len(scene.springs) else ():
         assert feature in switched
-    assert {"drag", "walls", "collisions"} <= switched.keys()
+    assert {"drag", "walls"} <= switched.keys()
+    assert switched.keys() & {"collisions", "self-collision"}
     for feature, variant in switched.items():
         its = switches(variant.scene)
         changed = {switch for switch in own if bool(own[switch]) != bool(its[switch])}
@@ -63,8 +71,13 @@ def test_a_variant_differs_in_one_feature(name, parameters):
         changed -= {"floor", "uniform_springs", "uniform_particles"} - {SWITCHES.get(feature)}
         if feature in SWITCHES:
             assert SWITCHES[feature] in changed and bool(own[SWITCHES[feature]]) == variant.used
+            with_it = {
+                "self-collision": {"collisions", "resting"},
+                "obstacles": {"moving", "held"},
+                "moving obstacles": {"held"},
+            }
             if feature != "springs":
-                assert changed == {SWITCHES[feature]}
+                assert changed - with_it.get(feature, set()) == {SWITCHES[feature]}
         elif feature == "third dimension":
             assert (own["dim"], its["dim"], variant.used) == (2, 3, False) and not changed
         elif feature.endswith(" links"):
@@ -76,6 +89,24 @@ def test_a_variant_differs_in_one_feature(name, parameters):
             ]
         else:
             assert feature == "mouse: spawn" and variant.scene.world.mouse == "none"
+
+
+def test_what_touches_is_switched_part_by_part():
+    """Obstacles, their motion, and pairs that rest: each without the others."""
+    world = World(size=(9.0,) * 3, gravity=(0.0,) * 3, up="y", contact="resting", collisions=True)
+    ball = Obstacle.build("sphere", centre=[4.0, 4.0, 0.0], radius=1.0, spin=[0.0, 9.0, 0.0])
+    bodies = Particles.build([[1.0, 1.0, 0.0], [3.0, 1.0, 0.0]], radius=0.1)
+    scene = validate(Scene("touch", replace(world, friction=0.2), bodies, obstacles=(ball,)))
+    found = {variant.feature: variant.scene for variant in variants(scene, on_graph=True)}
+    own = vars(scene.features())
+    for feature, gone in (
+        ("obstacles", {"obstacles", "moving"}),
+        ("moving obstacles", {"moving"}),
+        ("resting pairs", {"resting"}),
+        ("collisions", {"collisions", "resting"}),
+    ):
+        its = vars(validate(found[feature]).features())
+        assert {name for name in own if bool(own[name]) != bool(its[name])} == gone
 
 
 def test_links_are_told_apart():

@@ -20,6 +20,7 @@ from taichi_cloth.simulation import adjacency
 LIGHT_SPRING = 0.2  # stiffness of a link, of the median spring's
 LIGHT_BENDING = 0.01  # rigidity of cloth, of stiffness * spacing^2
 FAR_TO_BREAK = 1e3  # break force, of stiffness * length: never reached
+OF_MOTION = ("velocity", "spin", "starts", "stops", "grip")  # keys of obstacles that move
 ODD = 1.0 + 1e-6  # what one number is multiplied by, so that it has to be stored for each
 
 
@@ -36,9 +37,14 @@ def variants(scene: Scene, on_graph: bool) -> Iterator[Variant]:
         yield _fracture(scene, features.fracture)
     if features.obstacles:
         yield _obstacles(scene, features)
+    if features.moving:
+        yield _at_rest(scene)
+    if features.resting and not features.thick:
+        yield _original_pairs(scene)
     if scene.world.contact == CONTACTS[0]:
         yield _walls(scene, features)
-    yield _collisions(scene)
+    if scene.world.collisions or not features.thick:  # whose pairs collide in any case
+        yield _collisions(scene)
     if features.thick:
         yield _thickness(scene)
     if scene.world.mouse == "spawn":
@@ -72,10 +78,37 @@ def _walls(scene: Scene, features: Features) -> Variant:
 
 def _obstacles(scene: Scene, features: Features) -> Variant:
     """The scene without obstacles, ground and resting walls."""
-    walls = scene.world.walls if scene.world.contact == CONTACTS[0] else ()
-    bare = scene.with_world(ground=None, friction=0.0, contact=CONTACTS[0], walls=walls)
+    world = scene.world
+    walls = world.walls if world.contact == CONTACTS[0] else ()
+    contact = world.contact if world.collisions else CONTACTS[0]
+    friction = 0.0 if contact == CONTACTS[0] else world.friction
+    bare = scene.with_world(ground=None, friction=friction, contact=contact, walls=walls)
     about = ", ".join(features.obstacles)
     return Variant("obstacles", True, about, replace(bare, obstacles=()))
+
+
+def _at_rest(scene: Scene) -> Variant:
+    """The scene with its obstacles at rest where they start."""
+    still = tuple(
+        replace(
+            obstacle,
+            values={k: v for k, v in obstacle.values.items() if k not in OF_MOTION},
+        )
+        for obstacle in scene.obstacles
+    )
+    about = "obstacles have velocities or spins"
+    return Variant("moving obstacles", True, about, replace(scene, obstacles=still))
+
+
+def _original_pairs(scene: Scene) -> Variant:
+    """The scene whose pairs bounce and do not rest; walls are left as they are, or out."""
+    world = scene.world
+    kept = world.ground is not None
+    bounces = scene.with_world(
+        contact=CONTACTS[0], walls=(), friction=world.friction if kept else 0.0
+    )
+    about = "pairs rest on each other"
+    return Variant("resting pairs", True, about + " (and walls)" * bool(world.walls), bounces)
 
 
 def _collisions(scene: Scene) -> Variant:
