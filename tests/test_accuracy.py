@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from selection import mostly_thorough, thorough
 
-from taichi_cloth.benchmarks.accuracy import command, experiments, pictures, tables
+from taichi_cloth.benchmarks.accuracy import command, experiments, friction, pictures, tables
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits import modes
@@ -56,6 +56,47 @@ def test_a_second_order_method_is_measured_as_one(device):
     assert found["chain"] == pytest.approx(2, abs=0.05) and found["cloth"] == pytest.approx(
         2, abs=0.1
     )
+
+
+@thorough
+def test_a_contact_with_friction_leaves_the_orders_that_the_document_has(device):
+    """Two of a body that lands, slides or stays, to the bit; one of a cloth."""
+    for name, order in (("verlet", 2), ("symplectic_euler", 1)):
+        found = friction.orders_with_friction([name])[name]
+        for kind in ("before", "at", "past", "stuck"):
+            assert found[kind] == pytest.approx(order, abs=0.15), kind
+        assert found["cloth_before"] == pytest.approx(order, abs=0.1)
+        assert found["cloth"] == pytest.approx(1, abs=0.35) and found["creep"] == 0.0
+
+
+def test_the_landing_on_a_slope_solves_its_equation():
+    """The closed form against steps so short that their order does not matter."""
+    for mu in (friction.SLIDES, friction.STICKS):
+        scene = friction.bodies(mu)
+        times = friction.DT * np.arange(1, friction.FRAMES + 1)
+        ways, landed = friction.exact(scene, mu, times)
+        assert landed.min() > friction.BEFORE * friction.DT and landed.max() < times[-8]
+        start = scene.particles.position - friction.FOOT
+        height, s = start @ friction.NORMAL - friction.RADIUS, start @ friction.DOWN
+        u, w, lies = 0.0 * height, 1.5 + 0.0 * s, height < 0
+        pull, along = (friction.G * f(friction.SLOPE) for f in (np.cos, np.sin))
+        steps = 6000
+        h = times[-1] / steps
+        for _ in range(steps):
+            new_u = np.where(lies, 0.0, u - h * (pull + friction.DRAG * u))
+            new_w = w + h * (along - friction.DRAG * w - lies * mu * pull)
+            new_w = np.where(lies, np.maximum(new_w, 0.0), new_w)
+            height, s = height + h * (u + new_u) / 2, s + h * (w + new_w) / 2
+            hit = (height < 0) & ~lies
+            w = np.where(hit, np.maximum(new_w + mu * new_u, 0.0), new_w)
+            u, height, lies = (
+                np.where(hit, 0.0, new_u),
+                np.where(hit | lies, 0.0, height),
+                lies | hit,
+            )
+        x = friction.FOOT + np.outer(height + friction.RADIUS, friction.NORMAL)
+        x += np.outer(s, friction.DOWN)
+        np.testing.assert_allclose(x, ways[-1], rtol=0, atol=2e-3)
 
 
 def results():

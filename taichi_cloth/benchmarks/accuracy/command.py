@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import datetime
+import importlib
 import json
 import sys
 from collections.abc import Callable, Sequence
@@ -60,13 +61,14 @@ TRADES: dict[str, tuple[SceneSource, dict[str, Any]]] = {
         },
     ),
 }
-# Parts of `experiments`, which run in this process, in f64, or in workers of their own.
+# Functions by module, which run in this process, in f64, or in workers of their own.
 MEASURED = {
-    "orders": "orders",
-    "damping": "damping",
-    "long": "long_runs",
-    "events": "orders_with_events",
-    "costs": "costs",
+    "orders": "experiments.orders",
+    "damping": "experiments.damping",
+    "long": "experiments.long_runs",
+    "events": "experiments.orders_with_events",
+    "friction": "friction.orders_with_friction",
+    "costs": "experiments.costs",
 }
 PARTS = (*MEASURED, *TRADES)
 KEPT = (
@@ -132,11 +134,12 @@ def measure(part: str) -> dict[str, Any]:
 
 def _experiment(part: str) -> tuple[str, Any]:
     from taichi_cloth import runtime
-    from taichi_cloth.benchmarks.accuracy import experiments
 
+    module, name = MEASURED[part].split(".")
     if part != "costs":
         runtime.start("cpu", "f64", threads=1, fast_math=False)
-    function: Callable[[], Any] = getattr(experiments, MEASURED[part])
+    found = importlib.import_module(f"taichi_cloth.benchmarks.accuracy.{module}")
+    function: Callable[[], Any] = getattr(found, name)
     return f"{COMMAND} {part}", function()
 
 

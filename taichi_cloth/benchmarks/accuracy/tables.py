@@ -27,6 +27,7 @@ def _content(name: str, part: str | None, results: Mapping[str, Any]) -> str:
         "machine": _machine,
         "methods": _methods,
         "events": _events,
+        "friction": _friction,
         "contacts": _contacts,
         "sweeps": _sweeps,
         "precisions": _precisions,
@@ -134,6 +135,25 @@ def _events(results: Mapping[str, Any]) -> str:
     }
     lines = [[f"`{n}`", *(f"{data[n][event]:.2f}" for event in said)] for n in in_order(list(data))]
     return markdown_table(["method", *said.values()], lines)
+
+
+def _friction(results: Mapping[str, Any]) -> str:
+    """Orders before, at and past a contact with friction, and how far what sticks has crept."""
+    data = results["friction"]["data"]
+    said = {
+        "before": "in the air",
+        "at": "as they land",
+        "past": "as they slide",
+        "stuck": "where they come to rest",
+        "cloth_before": "a cloth in the air",
+        "cloth": "as it slides",
+    }
+    lines = []
+    for name in in_order(list(data)):
+        orders = [data[name][kind] for kind in said]
+        cells = ["exact" if order is None else f"{order:.2f}" for order in orders]
+        lines.append([f"`{name}`", *cells, f"{data[name]['creep']:.0e}".replace("0e+00", "0")])
+    return markdown_table(["method", *said.values(), "creep at rest"], lines)
 
 
 def _contacts(results: Mapping[str, Any]) -> str:
