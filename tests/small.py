@@ -5,11 +5,11 @@ from taichi_cloth.scene import library
 SIZES = {
     "box": {"particles": 30},
     "curtain": {"columns": 17},
-    "drape": {"size": 9},
+    "drape": {"side": 9},
     "flag": {"columns": 10},
-    "net": {"size": 12},
+    "net": {"side": 12},
     "sandbox": {"particles": 30},
-    "warp": {"size": 8},
+    "warp": {"side": 8},
 }
 
 

@@ -17,10 +17,10 @@ from taichi_cloth.benchmarks import cloths, contest, newton, objects, objects_in
 from taichi_cloth.benchmarks import meshes as meshes_part
 from taichi_cloth.benchmarks import structural as structural_part
 from taichi_cloth.benchmarks import warp as warp_part
-from taichi_cloth.benchmarks.cloths import warp_cloth
 from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
 from taichi_cloth.measuring import machine
+from taichi_cloth.scene import library
 
 ROOT = Path(__file__).parent.parent
 SPEED = ROOT / "docs" / "speed.md"
@@ -105,7 +105,7 @@ def test_the_compiled_mesh_agrees_with_ours_in_every_order(bench, pool):
 def test_cloth_of_warp_is_ours(tmp_path):
     """The same particles in the same order, the same springs with the same numbers."""
     pytest.importorskip("warp")
-    theirs, scene = warp_part.their_cloth(9, tmp_path), warp_cloth(9)
+    theirs, scene = warp_part.their_cloth(9, tmp_path), library.build("warp", side=9)
     np.testing.assert_allclose(scene.particles.position, theirs.positions, atol=1e-6)
     np.testing.assert_array_equal(scene.particles.fixed, theirs.inv_masses == 0)
     ends = theirs.spring_indices.reshape(-1, 2)

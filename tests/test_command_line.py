@@ -24,8 +24,11 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.scene import checks, library
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import (
+    ExplainOptions,
     RunOptions,
+    StabilityOptions,
     TradeOptions,
+    TuneOptions,
     parameters_of,
 )
 from taichi_cloth.simulation import autotune
@@ -72,6 +75,18 @@ def test_help_shows_every_flag_of_a_scene(name, capsys):
     for parameters in (parameters_of(RunOptions), library.parameters(name)):
         for flag in parameters:
             assert "--" + flag.replace("_", "-") in shown
+
+
+def test_a_flag_that_scene_and_command_share_takes_one_value_for_both():
+    """As --seed does; no scene's parameter hides a flag of a command, as a --size in particles."""
+    shared = set()
+    for options in (RunOptions, StabilityOptions, TradeOptions, TuneOptions, ExplainOptions):
+        of_command = parameters_of(options)
+        for name in library.names():
+            for flag in of_command.keys() & library.parameters(name).keys():
+                assert of_command[flag].type is library.parameters(name)[flag].type, (name, flag)
+                shared.add(flag)
+    assert "seed" in shared
 
 
 def test_help_and_version(capsys):

@@ -36,7 +36,7 @@ def after(pool, name, seconds, **parameters):
 
 
 def test_the_net_bounces_evenly_and_keeps_its_energy(pool):
-    sim, x, start = after(pool, "net", 2, size=13)
+    sim, x, start = after(pool, "net", 2, side=13)
     height = x[:, 1].reshape(13, 13)
     np.testing.assert_allclose(height, height[::-1], atol=1e-9)
     np.testing.assert_allclose(height, height.T, atol=1e-9)
@@ -47,7 +47,7 @@ def test_the_net_bounces_evenly_and_keeps_its_energy(pool):
 
 @pytest.mark.thorough
 def test_warps_cloth_hangs_from_two_corners(pool):
-    sim, x, start = after(pool, "warp", 8, size=12)
+    sim, x, start = after(pool, "warp", 8, side=12)
     assert x[:, 1].max() == 0.0 and (x[1:11, 1] < 0).all()
     assert -1.3 * np.hypot(1.1, 1.1) < x[:, 1].min() < -0.7
     assert strain(sim).min() > -0.2 and strain(sim).max() < 0.25
@@ -79,7 +79,7 @@ def test_the_curtain_hangs_in_a_breeze_and_tears_in_a_storm(pool):
 
 @pytest.mark.thorough
 def test_the_drape_lies_on_the_sphere_and_the_floor(pool):
-    sim, x, start = after(pool, "drape", 4, size=17)
+    sim, x, start = after(pool, "drape", 4, side=17)
     away = np.linalg.norm(x - [1.0, 0.3, 0.0], axis=1)
     assert away.min() >= 0.3 and (away < 0.32).sum() >= 5  # it rests on the sphere's top
     assert x[:, 1].min() >= 0.0 and (x[:, 1] < 0.02).sum() >= 4

@@ -7,21 +7,14 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.files.meshes.surface import Surface
-from taichi_cloth.scene.cloth import grid, grid_triangles
+from taichi_cloth.scene.cloth import grid_triangles
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.mesh import stiffness_by_shape
-from taichi_cloth.scene.model import (
-    ParticleDefaults,
-    Particles,
-    Scene,
-    SpringDefaults,
-    Springs,
-    World,
-)
+from taichi_cloth.scene.model import Particles, Scene, Springs, World
 
-# Warp's benchmark (warp/examples/benchmarks/benchmark_cloth.py), in metres, kilograms and seconds.
-WARP_SPACING, WARP_MASS, WARP_STIFFNESS, WARP_DAMPING = 0.1, 0.1, 1000.0, 10.0
-WARP_FRAME, WARP_SUBSTEPS, WARP_GRAVITY = 1 / 60, 16, 9.81
+# The scene `warp` as Warp's benchmark takes it (warp/examples/benchmarks/benchmark_cloth.py).
+WARP = "taichi_cloth.scene.library.warp:scene"
+WARP_FRAME, WARP_SUBSTEPS = 1 / 60, 16
 
 # The structural cloth is advanced in frames of this many steps of 1, its scene's unit of time.
 STRUCTURAL_SUBSTEPS = 16
@@ -56,29 +49,6 @@ def structural(columns: int, rows: int) -> Scene:
             stiffness=springs.stiffness,
             rest_length=springs.rest_length,
         ),
-    )
-
-
-def warp_cloth(size: int, gravity: float = WARP_GRAVITY) -> Scene:
-    """Warp's cloth: flat in x and z, two corners pinned; all three kinds of link, y points up."""
-    particles, springs = grid(
-        (0.0, 0.0, 0.0),
-        size,
-        size,
-        WARP_SPACING,
-        pinned=[(0, 0), (size - 1, 0)],
-        links=("structural", "shear", "bend"),
-        across=(1.0, 0.0, 0.0),
-        down=(0.0, 0.0, 1.0),
-        particle_defaults=ParticleDefaults(mass=WARP_MASS, radius=0.0),
-        spring_defaults=SpringDefaults(stiffness=WARP_STIFFNESS, damping=WARP_DAMPING),
-    )
-    reach = 4 * WARP_SPACING * size
-    return Scene(
-        name="warp",
-        world=World(size=(reach,) * 3, gravity=(0.0, -gravity, 0.0), dt=WARP_FRAME),
-        particles=particles,
-        springs=springs,
     )
 
 

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from taichi_cloth.benchmarks import ours
-from taichi_cloth.benchmarks.cloths import WARP_FRAME, WARP_SUBSTEPS
+from taichi_cloth.benchmarks.cloths import WARP, WARP_FRAME, WARP_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
 from taichi_cloth.benchmarks.report import Measurement
-from taichi_cloth.benchmarks.warp import SCENE, SECOND, enter_ours, their_cloth
+from taichi_cloth.benchmarks.warp import SECOND, enter_ours, their_cloth
 from taichi_cloth.measuring import machine
 
 PART = "newton"
@@ -39,7 +39,7 @@ def measure(bench: Bench) -> Iterator[Measurement]:
 
 def _measure_size(bench: Bench, side: int, frames: int) -> Iterator[Measurement]:
     size = f"{side} x {side}"
-    scene = (SCENE, {"size": side})
+    scene = (WARP, {"side": side})
     lanes = enter_ours(bench, PART, "ours, lanes", side, frames, "lanes", "f32")
     peers = [_enter(bench, name, side, size, frames) for name in SOLVERS]
     checked = 2 * frames

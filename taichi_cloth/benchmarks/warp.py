@@ -19,13 +19,12 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.benchmarks import ours
-from taichi_cloth.benchmarks.cloths import WARP_FRAME, WARP_SUBSTEPS
+from taichi_cloth.benchmarks.cloths import WARP, WARP_FRAME, WARP_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
 from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.measuring import machine
 
 PART = "warp"
-SCENE = "taichi_cloth.benchmarks.cloths:warp_cloth"
 SECOND = 60  # frames: when trajectories are compared
 # Side of the cloth: frames in a round, and the frame at which the error is measured.
 SIZES = {32: (30, 60), 128: (12, 60), 512: (6, 12)}
@@ -51,7 +50,7 @@ def measure(bench: Bench) -> Iterator[Measurement]:
 
 def _measure_size(bench: Bench, side: int, frames: int, checked: int) -> Iterator[Measurement]:
     size = f"{side} x {side}"
-    scene = (SCENE, {"size": side})
+    scene = (WARP, {"side": side})
     entered = {
         (layout, precision): enter_ours(
             bench, PART, f"ours, {layout}", side, frames, layout, precision
@@ -70,7 +69,7 @@ def _measure_size(bench: Bench, side: int, frames: int, checked: int) -> Iterato
     numpy_version = peers["Warp's NumPy version"]
     rows = bench.rows(PART, finished, reference, against)
     if numpy_version in finished:
-        lighter = (SCENE, {"size": side, "gravity": NUMPY_GRAVITY})
+        lighter = (WARP, {"side": side, "gravity": NUMPY_GRAVITY})
         reference = ours.reference(bench, PART, lighter, side * side, WARP_SUBSTEPS, [checked])
         (row,) = bench.rows(PART, [numpy_version], reference, against)
         row.note = f"its gravity is {NUMPY_GRAVITY}, and so is that of what it is compared to"
@@ -109,7 +108,7 @@ def enter_ours(
         bench,
         part,
         name,
-        (SCENE, {"size": side}),
+        (WARP, {"side": side}),
         precision=precision,
         substeps=WARP_SUBSTEPS,
         topology=topology,

@@ -20,18 +20,18 @@ COLOR = (188, 62, 84)
 
 def scene(
     *,
-    size: Annotated[int, Parameter("particles along a side", minimum=3, maximum=512)] = 49,
+    side: Annotated[int, Parameter("particles along a side", minimum=3, maximum=512)] = 49,
     friction: Annotated[
         float, Parameter("Coulomb coefficient of the sphere and the floor", minimum=0)
     ] = 0.4,
     spin: Annotated[float, Parameter("of the sphere", unit="degrees/s")] = 0.0,
 ) -> Scene:
     """A cloth falls over a sphere and onto the floor; SI units."""
-    spacing = WIDTH / (size - 1)
+    spacing = WIDTH / (side - 1)
     particles, springs = grid(
         (1.0 - WIDTH / 2, 2.2 * RADIUS, -WIDTH / 2 + 0.05),
-        size,
-        size,
+        side,
+        side,
         spacing,
         links=("structural", "shear"),
         across=(1.0, 0.0, 0.0),
@@ -46,14 +46,15 @@ def scene(
         world=World(
             size=(2.0, 1.5, 2.0),
             up="y",
+            mouse="blow",
             gravity=(0.0, -9.81, 0.0),
             dt=1 / 60,
             ground=0.0,
             friction=friction,
             more={"air": {"density": 1.2, "drag": 1.0, "lift": 0.2}},
         ),
-        particles=replace(particles, color=np.tile(np.array(COLOR, np.uint8), (size * size, 1))),
+        particles=replace(particles, color=np.tile(np.array(COLOR, np.uint8), (side * side, 1))),
         springs=springs,
-        triangles=grid_triangles(size, size)[:, ::-1],  # its front is above
+        triangles=grid_triangles(side, side)[:, ::-1],  # its front is above
         obstacles=(sphere,),
     )

@@ -23,19 +23,19 @@ COLOR = (236, 170, 72)
 
 def scene(
     *,
-    size: Annotated[int, Parameter("knots along a side", minimum=3, maximum=2048)] = 256,
+    side: Annotated[int, Parameter("knots along a side", minimum=3, maximum=2048)] = 256,
     stretch: Annotated[
         float, Parameter("stiffness of a width of net", unit="N/m", above=0)
     ] = 400.0,
     density: Annotated[float, Parameter("mass of an area", unit="kg/m2", above=0)] = 0.25,
 ) -> Scene:
     """A net of 256 x 256 knots bounces between its four edges: many particles, fast; SI units."""
-    edge = [(i, j) for i in range(size) for j in range(size) if {i, j} & {0, size - 1}]
+    edge = [(i, j) for i in range(side) for j in range(side) if {i, j} & {0, side - 1}]
     particles, springs = grid(
         (1.0, HEIGHT, -WIDTH / 2),
-        size,
-        size,
-        WIDTH / (size - 1),
+        side,
+        side,
+        WIDTH / (side - 1),
         pinned=edge,
         across=(1.0, 0.0, 0.0),
         down=(0.0, 0.0, 1.0),
@@ -47,10 +47,11 @@ def scene(
         world=World(
             size=(WIDTH + 2, 2 * HEIGHT, WIDTH + 2),
             up="y",
+            mouse="blow",
             gravity=(0.0, -9.81, 0.0),
             dt=1 / 60,
         ),
-        particles=replace(particles, color=np.tile(np.array(COLOR, np.uint8), (size * size, 1))),
+        particles=replace(particles, color=np.tile(np.array(COLOR, np.uint8), (side * side, 1))),
         springs=springs,
-        triangles=grid_triangles(size, size)[:, ::-1],  # its front is above
+        triangles=grid_triangles(side, side)[:, ::-1],  # its front is above
     )

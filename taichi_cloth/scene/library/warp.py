@@ -23,27 +23,27 @@ COLOR = (118, 185, 0)
 
 def scene(
     *,
-    size: Annotated[int, Parameter("particles along a side", minimum=2, maximum=2048)] = 32,
+    side: Annotated[int, Parameter("particles along a side", minimum=2, maximum=2048)] = 32,
     gravity: Annotated[float, Parameter("acceleration downwards", unit="m/s2")] = 9.81,
 ) -> Scene:
     """The cloth of Warp's benchmark: flat at first, it swings down from two corners; SI units."""
     particles, springs = grid(
         (0.0, 0.0, 0.0),
-        size,
-        size,
+        side,
+        side,
         SPACING,
-        pinned=[(0, 0), (size - 1, 0)],
+        pinned=[(0, 0), (side - 1, 0)],
         links=("structural", "shear", "bend"),
         across=(1.0, 0.0, 0.0),
         down=(0.0, 0.0, 1.0),
         particle_defaults=ParticleDefaults(mass=MASS, radius=0.0),
         spring_defaults=SpringDefaults(stiffness=STIFFNESS, damping=DAMPING),
     )
-    reach = 4 * SPACING * size
+    reach = 4 * SPACING * side
     return Scene(
         name="warp",
         world=World(size=(reach,) * 3, up="y", gravity=(0.0, -gravity, 0.0), dt=1 / 60),
-        particles=replace(particles, color=np.tile(np.array(COLOR, np.uint8), (size * size, 1))),
+        particles=replace(particles, color=np.tile(np.array(COLOR, np.uint8), (side * side, 1))),
         springs=springs,
-        triangles=grid_triangles(size, size)[:, ::-1],  # its front is above
+        triangles=grid_triangles(side, side)[:, ::-1],  # its front is above
     )
