@@ -212,6 +212,20 @@ def test_blow_in_space_reaches_along_the_ray(pool, topology):
     np.testing.assert_allclose(sim.velocities()[:, 0], [0.1, 0.08, 0.0, 0.06], atol=1e-12)
 
 
+def test_a_blow_of_some_reach_moves_what_has_a_mass_as_the_original_moves_one(pool, topology):
+    """A tenth of the pointer's velocity in a frame right under it, none where its reach ends."""
+    world = World(size=(4.0,) * 3, gravity=(0.0,) * 3, mouse="blow", up="y", walls=(), dt=1 / 60)
+    x = [[2.0, 2.0, -1.0], [2.0, 2.25, 1.0], [2.0, 3.0, 0.0], [1.5, 2.0, 0.0]]
+    scene = Scene("blow", world, Particles.build(x, mass=0.003), slack_grid(x))
+    sim = pool(scene, topology=topology, execution="parallel")
+    sim.blow_ray((2.0, 2.0, 9.0), (0.0, 0.0, -2.0), (0.3, 0.0, 0.0), reach=0.5)
+    sim.advance()
+    gained = np.array([0.1, 0.05, 0.0, 0.0]) * 0.3 * 60
+    np.testing.assert_allclose(sim.velocities()[:, 0], gained, atol=1e-12)
+    with pytest.raises(InputError, match="reach must be positive"):
+        sim.blow_ray((2.0, 2.0, 9.0), (0.0, 0.0, -2.0), (0.3, 0.0, 0.0), reach=0.0)
+
+
 def test_a_scene_without_blowing_refuses_the_pointer(pool):
     with pytest.raises(InputError, match="does not blow"):
         pool(build("oscillator")).blow((0, 0), (1, 1))

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from dataclasses import replace as changed
 
 import numpy as np
 import pytest
@@ -25,8 +26,9 @@ from taichi_cloth.scene.model import COLOR_CYCLE, Particles, Scene, World
 from taichi_cloth.simulation.diagnostics import Work
 from taichi_cloth.ui import app, hud, text
 from taichi_cloth.ui.camera import Camera
-from taichi_cloth.ui.controls import Controls
+from taichi_cloth.ui.controls import ZOOM_STEP, Controls
 from taichi_cloth.ui.drawing import Cached
+from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import Event, fewest_moves
 from taichi_cloth.ui.views.contract import Picture
 from taichi_cloth.ui.views.none import NullView
@@ -76,11 +78,15 @@ class FakeSimulation:
             self.pairs.append((tied_to, len(self.x) - 1))
         return len(self.x) - 1
 
-    def blow(self, pointer, displacement):
-        self.calls.append(("blow", tuple(pointer), tuple(displacement)))
+    def blow(self, pointer, displacement, reach):
+        reach = () if reach is None else (reach,)
+        self.calls.append(("blow", tuple(pointer), tuple(displacement), *reach))
 
-    def blow_ray(self, origin, direction, displacement):
-        self.calls.append(("blow_ray", tuple(origin), tuple(direction), tuple(displacement)))
+    def blow_ray(self, origin, direction, displacement, reach):
+        reach = () if reach is None else (reach,)
+        self.calls.append(
+            ("blow_ray", tuple(origin), tuple(direction), tuple(displacement), *reach)
+        )
 
     def reset(self):
         self.frame, self.x, self.pairs = 0, list(self.scene.particles.position), []
@@ -100,9 +106,17 @@ class FakeSimulation:
     def drawn_triangles(self):
         return self.scene.triangles
 
+    triangles = drawn_triangles
+
+    def fixed(self):
+        return np.zeros(len(self.x), bool)
+
 
 def world(mouse, dim=2, size=(600.0, 400.0, 500.0)):
     return World(size=size[:dim], gravity=(0.0,) * dim, mouse=mouse)
+
+
+NO_ONE = {dim: Particles.none(dim) for dim in (2, 3)}
 
 
 def simulation(mouse, dim=2):
@@ -153,6 +167,33 @@ def test_in_3d_the_pointers_ray_blows():
     assert origin == pytest.approx((300, 200, -2000))
     assert displacement == pytest.approx((20, 0, 0))  # 10 pixels at twice the focal length
     assert direction == pytest.approx(np.array([0.01, 0, 1]) / np.hypot(0.01, 1))
+
+
+def test_in_metres_the_pointer_reaches_an_eighth_of_the_picture():
+    """Where a unit is no pixel: y points up, or there are few of them; nearer, less far."""
+    for size, up in (((6.0, 4.0), "y"), ((6.0, 4.0), ""), ((600.0, 400.0), "y")):
+        sim = FakeSimulation(Scene("fake", changed(world("blow", size=size), up=up), NO_ONE[2]))
+        tools = Controls(sim, None, (600, 400))
+        for pos in [(300, 200), (330, 200)]:
+            tools.apply(Event("move", pos=pos))
+            tools.before_frame()
+        ((_, _, moved, reach),) = calls(sim, "blow")
+        assert moved == pytest.approx((size[0] / 20, 0))
+        assert reach == pytest.approx(size[1] / 8)
+    space = changed(world("blow", 3, (6.0, 4.0, 5.0)), up="y")
+    sim = FakeSimulation(Scene("fake", space, NO_ONE[3]))
+    camera = camera_of_world(space)
+    tools = Controls(sim, camera, (600, 400))
+    for pos in [(300, 200), (330, 200), (360, 200)]:
+        tools.apply(Event("move", pos=pos))
+        tools.before_frame()
+        tools.apply(Event("wheel", pos=pos, delta=1.0))
+    first, then = (call[-1] for call in calls(sim, "blow_ray"))
+    # What lies at the camera's centre an eighth of the picture's height away is at the reach's end.
+    up = camera.rotation()[1]
+    pixels, _, _ = camera.project(np.stack([camera.centre, camera.centre + then / ZOOM_STEP * up]))
+    assert np.ptp(pixels[:, 1]) == pytest.approx(4.0 / 8)
+    assert first == pytest.approx(then * ZOOM_STEP)
 
 
 def test_clicks_spawn_what_they_say():

@@ -55,6 +55,7 @@ def table(path: Path, surface: Surface) -> dict[str, Any]:
             "up": "y",
             "gravity": [0.0, -GRAVITY, 0.0],
             "dt": FRAME,
+            "mouse": "blow",
         },
         "particle": {"radius": RADIUS * float(edges.mean()), "viscous": DRAG * mass},
         "meshes": [

@@ -70,6 +70,10 @@ class Readings(ABC):
         """Colours, (n, 3) uint8."""
         return self.storage.scene.particles.color
 
+    def fixed(self) -> np.ndarray:
+        """Which particles are held, (n,) bool."""
+        return self.storage.scene.particles.fixed
+
     def springs(self) -> np.ndarray:
         """The particles each spring ties, (s, 2), broken springs included."""
         return self.storage.scene.springs.between

@@ -311,21 +311,30 @@ class Simulation(Readings, Changes):
 
     # --- interaction -----------------------------------------------------------------------
 
-    def blow(self, pointer: ArrayLike, displacement: ArrayLike) -> None:
+    def blow(self, pointer: ArrayLike, displacement: ArrayLike, reach: float | None = None) -> None:
         """Blow on particles near `pointer` (2-D, world units) through the next frame.
 
-        displacement: how far the pointer moved since the last frame. InputError in a scene whose
-        mouse does not blow, and in a 3-D one, which takes `blow_ray`.
+        displacement: how far the pointer moved since the last frame. reach: how far it blows, world
+        units; right under it a particle of mean mass gains a tenth of the pointer's velocity in a
+        frame. None: 50 units, with the original's force, whatever particles weigh. InputError in a
+        scene whose mouse does not blow, and in a 3-D one, which takes `blow_ray`.
         """
         if self.scene.world.dim != 2:
             raise InputError("blow: the scene is 3-D; use blow_ray")
         pointer = accepted.array("blow: pointer", pointer, (2,))
         displacement = accepted.array("blow: displacement", displacement, (2,))
-        self._push(pointer, np.zeros(2), displacement)
+        self._push(pointer, np.zeros(2), displacement, reach)
 
-    def blow_ray(self, origin: ArrayLike, direction: ArrayLike, displacement: ArrayLike) -> None:
+    def blow_ray(
+        self,
+        origin: ArrayLike,
+        direction: ArrayLike,
+        displacement: ArrayLike,
+        reach: float | None = None,
+    ) -> None:
         """Blow in 3-D on particles near the line through `origin` along `direction`, all (3,).
 
+        displacement, reach: as for `blow`.
         InputError in a scene whose mouse does not blow, and in a 2-D one, which takes `blow`.
         """
         if self.scene.world.dim != 3:
@@ -337,7 +346,7 @@ class Simulation(Readings, Changes):
         if largest == 0:
             raise InputError("blow_ray: direction must not be zero")
         along = along / largest  # so that no square overflows
-        self._push(origin, along / np.linalg.norm(along), displacement)
+        self._push(origin, along / np.linalg.norm(along), displacement, reach)
 
     def hold(self, force: ArrayLike) -> None:
         """Push every particle with a constant force of its own, (n, dim), until the next push.
@@ -383,10 +392,22 @@ class Simulation(Readings, Changes):
         self._store(grown)
         return self.particle_count - 1
 
-    def _push(self, origin: np.ndarray, direction: np.ndarray, displacement: np.ndarray) -> None:
+    def _push(
+        self,
+        origin: np.ndarray,
+        direction: np.ndarray,
+        displacement: np.ndarray,
+        reach: float | None,
+    ) -> None:
         self._check_blows()
-        reach = [blow.REACH, blow.STRENGTH]
-        self.storage.push(np.concatenate([origin, direction, displacement, reach]))
+        numbers = [blow.REACH, blow.STRENGTH]
+        if reach is not None:
+            reach = accepted.number("blow: reach", reach, above=0)
+            particles = self.storage.scene.particles
+            mass = particles.mass[~particles.fixed]
+            mean = float(mass.mean()) if len(mass) else 1.0
+            numbers = [reach, blow.strength_of(reach, mean, self.dt)]
+        self.storage.push(np.concatenate([origin, direction, displacement, numbers]))
 
     def _check_blows(self) -> None:
         mouse = self.scene.world.mouse

@@ -3,6 +3,10 @@
 A particle at distance r from the pointer, which moved by d, gets f = STRENGTH max(REACH - r, 0) d,
 the law of the original program. In 3-D the pointer is a line, the ray of sight. A program may put a
 force for each particle in the pointer's place (`hold_push`).
+
+In the original's units (a mass of 1, a frame that takes 1) this says that what is under the pointer
+gains GAIN of its velocity in a frame. In other units that is what makes the strength, see
+`strength_of`.
 """
 
 import taichi as ti
@@ -32,6 +36,15 @@ from taichi_cloth.kernels.packs import (
 
 REACH = 50.0  # world units from the pointer at which its force ends
 STRENGTH = 0.002  # force per unit of displacement and of distance short of the reach
+GAIN = REACH * STRENGTH  # part of the pointer's velocity that is gained in a frame right under it
+
+
+def strength_of(reach, mass, frame):
+    """The strength [force / length^2] with which particles of this mass gain GAIN.
+
+    reach [length]; mass [mass]; frame: what one takes [time].
+    """
+    return GAIN * mass / (reach * frame**2)
 
 
 @ti.func

@@ -50,6 +50,7 @@ def scene(
         world=World(
             size=(2.6, 3.0, 2.0),
             up="y",
+            mouse="blow",
             gravity=(0.0, -9.81, 0.0),
             dt=1 / 60,
             ground=0.0,

@@ -22,9 +22,9 @@ def _motion(hand: Hand, memory: None, before: np.ndarray, now: np.ndarray) -> No
     there = hand.window.to_world(now)
     if hand.camera:
         origin, direction = hand.camera.ray(there)
-        hand.sim.blow_ray(origin, direction, displacement)
+        hand.sim.blow_ray(origin, direction, displacement, hand.reach())
     else:
-        hand.sim.blow(there, displacement)
+        hand.sim.blow(there, displacement, hand.reach())
 
 
 TOOL = Tool(

@@ -96,6 +96,23 @@ class Hand:
         point = self.window.to_world(pixel)
         return self.camera.unproject(point) if self.camera else point
 
+    def reach(self) -> float | None:
+        """How far from the pointer a tool acts, world units: an eighth of what is seen.
+
+        That is of the shorter side of the picture, in 3-D at what the camera looks at. None: the
+        world is measured in pixels, as the original's, and so is what its pointer reaches.
+        """
+        world = self.sim.scene.world
+        side = min(world.size[:2])
+        if world.up != "y" and side >= FEWEST_PIXELS:
+            return None
+        if self.camera:
+            side *= self.camera.distance / self.camera.focal_length
+        return REACH * side
+
+
+REACH = 1 / 8  # of the picture's shorter side
+FEWEST_PIXELS = 100.0  # a shorter side, where y points down, is not in pixels
 
 M = TypeVar("M")  # what a tool remembers
 
