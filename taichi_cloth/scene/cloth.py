@@ -15,6 +15,7 @@ from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import (
     CLOTH_COLOR,
+    FABRIC_COLOR,
     FIXED_COLOR,
     ParticleDefaults,
     Particles,
@@ -103,7 +104,9 @@ def grid(
         radius=None if of.thickness is None else of.thickness / 2,
         thickness=of.thickness,
         fixed=fixed.ravel(),
-        color=np.where(fixed.reshape(-1, 1), FIXED_COLOR, CLOTH_COLOR),
+        color=np.where(
+            fixed.reshape(-1, 1), FIXED_COLOR, CLOTH_COLOR if len(start) == 2 else FABRIC_COLOR
+        ),
     )
 
     # One slot per particle and possible link; those whose neighbour exists are the springs.

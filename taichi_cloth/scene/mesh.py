@@ -16,7 +16,7 @@ from taichi_cloth.files import meshes
 from taichi_cloth.files.meshes.surface import LARGEST_COORDINATE, Surface
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import (
-    CLOTH_COLOR,
+    FABRIC_COLOR,
     FIXED_COLOR,
     ParticleDefaults,
     Particles,
@@ -90,7 +90,7 @@ def mesh(
         mass=mass,
         radius=None if of.thickness is None else of.thickness / 2,
         thickness=of.thickness,
-        color=np.where(fixed[:, None], FIXED_COLOR, CLOTH_COLOR),
+        color=np.where(fixed[:, None], FIXED_COLOR, FABRIC_COLOR),
     )
     between, shape = stiffness_by_shape(surface, position)
     rest = np.linalg.norm(position[between[:, 0]] - position[between[:, 1]], axis=1)

@@ -48,6 +48,7 @@ MOUSE_MODES = ("none", "blow", "spawn")
 UPWARD = ("", "y")
 PARTICLE_COLOR = (220, 60, 60)
 CLOTH_COLOR = (0, 255, 0)  # of a cloth's particles, as in the first program
+FABRIC_COLOR = (88, 136, 196)  # of cloths in space, which are drawn as surfaces
 FIXED_COLOR = (128, 128, 128)
 COLOR_CYCLE = (  # colours of spawned particles, in turn
     (232, 66, 66),  # red

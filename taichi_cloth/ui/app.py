@@ -180,6 +180,7 @@ class _Loop:
         self._show_status, self._show_help = status, False
         self._show = show or shown.default_for(sim.scene)
         self._chosen = Cached(shown.chosen)
+        self._surface_colors = Cached(shown.surface_colors)
         self._solids = Solids()
         self.failure: SimulationFailure | None = None
         self._meter = hud.Meter()
@@ -337,6 +338,7 @@ class _Loop:
             color=sim.colors(),
             segments=segments,
             spring_color=sim.scene.spring_color,
+            surface_color=self._surface_colors(sim.colors(), sim.fixed(), sim.triangles()),
             triangles=triangles,
             normals=sim.drawn_normals() if len(triangles) and sim.scene.world.dim == 3 else None,
             as_spheres=as_spheres,
@@ -418,6 +420,7 @@ def _with_marks(picture: Picture, marks: Marks) -> Picture:
         position=np.concatenate([picture.position, marks.position.astype(real)]),
         radius=np.concatenate([picture.radius, marks.radius.astype(np.float32)]),
         color=np.concatenate([picture.color, marks.color]),
+        surface_color=np.concatenate([picture.color_in_surfaces, marks.color]),
         segments=np.concatenate([picture.segments, count + marks.segments]),
         as_spheres=as_spheres,
         normals=None,

@@ -12,6 +12,7 @@ from taichi_cloth.ui.window_map import default_window
 
 SMALLEST_FRAMED = (960, 720)  # pixels of a window that frames what it shows, in whatever unit
 SAMPLE = 500  # points among which the one farthest from what is held is sought
+SAG = 0.35  # in lengths to what is held, at most: how deep hangs what is held all around
 MARGIN = 0.08  # room around what there is at the start, in its largest extent
 
 
@@ -50,15 +51,22 @@ def camera_of(scene: Scene) -> Camera | None:
     if world.ground is None and particles.fixed.any() and world.gravity[1] < 0:
         # What is held may come to hang from there.
         held = x[particles.fixed]
-        low[1] = min(low[1], held[:, 1].max() - _farthest(x, held))
+        low[1] = min(low[1], held[:, 1].max() - _deepest(x, held))
     room = MARGIN * largest
     return Camera.framing(world.size, low - room, high + room, y_up=True)
 
 
-def _farthest(points: np.ndarray, held: np.ndarray) -> float:
-    """About how far the point is that is farthest from all that is held, both (n, 3)."""
+def _deepest(points: np.ndarray, held: np.ndarray) -> float:
+    """About how far below what is held the points, both (n, 3), may come to hang.
+
+    What lies beside what is held swings down by all of its distance; what lies between sags.
+    """
     some, few = (a[:: max(1, len(a) // SAMPLE)] for a in (points, held))
-    return float(np.linalg.norm(some[:, None] - few, axis=2).min(axis=1).max())
+    away = np.linalg.norm(some[:, None] - few, axis=2).min(axis=1)
+    across = some[:, [0, 2]]
+    low, high = held[:, [0, 2]].min(axis=0), held[:, [0, 2]].max(axis=0)
+    between = ((across > low) & (across < high)).all(axis=1)
+    return float(np.where(between, SAG * away, away).max())
 
 
 def _bounded(scene: Scene) -> Iterator[np.ndarray]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.model import FIXED_COLOR, Scene
 
 # What the key goes through, in turn.
 CHOICES = (
@@ -26,6 +26,27 @@ def default_for(scene: Scene) -> frozenset[str]:
 def next_choice(parts: frozenset[str]) -> frozenset[str]:
     """What the key takes after `parts`."""
     return CHOICES[(CHOICES.index(parts) + 1) % len(CHOICES)] if parts in CHOICES else CHOICES[0]
+
+
+def surface_colors(color: np.ndarray, fixed: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The colours (n, 3) uint8 that particles have in surfaces: those that are held, too.
+
+    By themselves these are grey; in a surface they have the colour of what they hold.
+
+    color: (n, 3) uint8. fixed: (n,) bool. triangles: (m, 3) int.
+    """
+    grey = fixed & (color == FIXED_COLOR).all(axis=1)
+    if not grey.any():
+        return color
+    color = color.copy()
+    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges = np.concatenate([edges, edges[:, ::-1]])
+    while True:  # it spreads from corner to corner
+        to, of = edges[grey[edges[:, 0]] & ~grey[edges[:, 1]]].T
+        if not len(to):
+            return color
+        color[to] = color[of]
+        grey[to] = False
 
 
 def chosen(

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
 
 PLANE_CELLS = 16  # along each side of a plane: what is behind us is left out cell by cell
+CREASE = 30.0  # degrees between a face and the mean of those around a corner that make an edge
+ROUND = ("sphere", "capsule")  # shapes whose turning would not be seen
 STRIPES = 0.16  # by so much the stripes of what turns are darker or brighter
 
 
@@ -63,17 +65,42 @@ def joined(parts: list[Solid]) -> Solid:
 
 
 def _part(drawn: Drawn, scene: Scene) -> Solid:
-    """One obstacle; what turns has stripes, so that one sees it."""
+    """One obstacle; what is round and turns has stripes, so that one sees it."""
     vertex, faces = drawn.vertices, drawn.faces
     if drawn.shape == "plane" and scene.world.dim == 3:
         vertex, faces = _in_cells(vertex)
-    color = np.full((len(vertex), 3), style.SOLID, np.float64)
+    if scene.world.dim == 3:
+        vertex, faces = creased(vertex, faces)
+    flat = drawn.shape == "plane" and scene.world.dim == 3
+    color = np.full((len(vertex), 3), style.PLANE if flat else style.SOLID, np.float64)
     number = int(drawn.name.rpartition(" ")[2]) if drawn.name.startswith("obstacle") else None
-    if number is not None and scene.world.dim == 3 and turns(scene, number):
+    if (
+        drawn.shape in ROUND
+        and scene.world.dim == 3
+        and number is not None
+        and turns(scene, number)
+    ):
         stripe = np.where(np.sin(3 * np.arctan2(vertex[:, 2], vertex[:, 1])) >= 0, 1, -1)
         color *= 1 + STRIPES * (stripe * np.where(vertex[:, 0] >= 0, 1, -1))[:, None]
     place = drawn.centre + vertex @ drawn.turn.T
     return Solid(place, faces, np.clip(color, 0, 255).astype(np.uint8))
+
+
+def creased(vertex: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A surface whose corners at sharp edges are there once a face: each face then looks flat.
+
+    vertex: (k, 3). faces: (m, 3) int. What is round keeps its common corners, and looks round.
+    """
+    corner = vertex[faces]
+    area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    mean = np.zeros_like(vertex)
+    for k in range(3):
+        np.add.at(mean, faces[:, k], area)
+    length = np.linalg.norm(area, axis=1)[:, None] * np.linalg.norm(mean, axis=1)[faces]
+    sharp = np.einsum("mi,mki->mk", area, mean[faces]) < np.cos(np.radians(CREASE)) * length
+    new = faces.copy()
+    new[sharp] = len(vertex) + np.arange(sharp.sum())
+    return np.concatenate([vertex, vertex[faces[sharp]]]), new
 
 
 def _in_cells(corner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -29,6 +29,7 @@ LIGHTS = ((LIGHT, 1 - AMBIENT), (FILL, FILL_STRENGTH))  # of surfaces: direction
 
 BACK, BACK_SHARE = (226, 214, 190), 0.42  # a surface's back: so much of the front's colour in this
 SOLID = (168, 176, 190)  # of obstacles
+PLANE = (104, 112, 130)  # of endless ones
 TILES = ((52, 57, 71), (42, 46, 59))  # of the floor
 AXES = ((214, 92, 92), (104, 190, 110), (96, 140, 232))  # x, y, z
 

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from taichi_cloth.ui import style
 from taichi_cloth.ui.camera import Camera
 
-BEHIND = 0.01  # by this share of what is seen, closed surfaces lie behind what touches them
-FINE_FACES = 16_000  # few triangles are painted in smaller ones, up to about so many
+TILES = 24  # of a floor, at most so many along each side
 
 
 @dataclass(frozen=True)
@@ -99,79 +98,6 @@ def back_of(color: np.ndarray) -> np.ndarray:
     return np.asarray(mixed, np.uint8)
 
 
-def finer(count: int) -> int:
-    """Into how many parts each side of `count` triangles is cut, so that facets are not seen."""
-    parts = 1
-    while count * (parts + 1) ** 2 <= FINE_FACES and parts < 4:
-        parts += 1
-    return parts
-
-
-def cut(values: np.ndarray, parts: int) -> np.ndarray:
-    """What the corners of triangles have, (m, 3, d), at those of their smaller ones.
-
-    Each triangle is cut into parts**2 equal ones; (m * parts**2, 3, d).
-    """
-    if parts == 1:
-        return values
-    small = []
-    for i in range(parts):
-        for j in range(parts - i):
-            small.append([(i, j), (i + 1, j), (i, j + 1)])
-            if i + j < parts - 1:
-                small.append([(i + 1, j), (i + 1, j + 1), (i, j + 1)])
-    along = np.array(small) / parts  # (parts**2, 3, 2)
-    weight = np.concatenate([1 - along.sum(axis=2, keepdims=True), along], axis=2)
-    finer_ones: np.ndarray = np.einsum("pck,mkd->mpcd", weight.astype(values.dtype), values)
-    return finer_ones.reshape(-1, 3, values.shape[2])
-
-
-def painted(
-    topology: Topology,
-    camera: Camera,
-    vertex: np.ndarray,
-    color: np.ndarray,
-    back: np.ndarray | None = None,
-    normal: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The triangles of a surface as a painter needs them, which may be smaller than its own.
-
-    vertex: (n, 3) world units. color, back: (n, 3) uint8, of its front and its back. A surface
-    without a back is closed: its far side is not seen, and what lies on it is before it.
-    normal: (n, 3), unit normals in the world's axes, where they are known.
-
-    Returns their corners (k, 3, 2) in the camera's pixels, their colours (k, 3), floats from 0 on,
-    and the depths (k,) by which they are to be ordered, world units.
-    """
-    position = camera.rotate_points(vertex).astype(np.float32)
-    face = topology.face_normals(position)
-    normal = seen_normals(topology, camera, position, face, normal)
-    front = topology.faces_us(position, face, camera.distance)
-    triangles = topology.triangles
-    if back is None:
-        in_front = position[:, 2] + camera.distance > camera.nearest_drawn
-        triangles = triangles[front & in_front[triangles].all(axis=1)]
-        rgb, side = _mean_color(color, triangles), np.ones(len(triangles), np.float32)
-    else:
-        rgb = _mean_color(color, triangles)
-        rgb[~front] = _mean_color(back, triangles[~front])
-        side = np.where(front, 1, -1).astype(np.float32)
-    parts = finer(len(triangles))
-    corner = cut(position.take(triangles, axis=0), parts)
-    towards = cut(normal.take(triangles, axis=0), parts)
-    towards = (towards[:, 0] + towards[:, 1] + towards[:, 2]) / 3
-    lit = brightness(towards * np.repeat(side, parts**2)[:, None])
-    depths = corner[:, :, 2] + np.float32(camera.distance)
-    scale = np.float32(camera.focal_length) / depths
-    pixels = corner[:, :, :2] * scale[:, :, None] + camera.middle.astype(np.float32)
-    first, second, third = depths.T
-    depth = (first + second + third) / 3
-    if back is None:
-        nearest = np.minimum(np.minimum(first, second), third)
-        depth += (depth - nearest) + np.float32(BEHIND * camera.radius)
-    return pixels, lit[:, None] * np.repeat(rgb / 255, parts**2, axis=0), depth
-
-
 def seen_normals(
     topology: Topology,
     camera: Camera,
@@ -190,26 +116,17 @@ def seen_normals(
     return turned
 
 
-def _mean_color(color: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """The mean (m, 3) of the colours (n, 3) uint8 at the corners of triangles (m, 3)."""
-    first, second, third = color.take(triangles.T, axis=0).astype(np.float32)
-    mean: np.ndarray = (first + second + third) / 3
-    return mean
-
-
 def floor(
-    height: float, centre: ArrayLike, radius: float, tiles: int = 24
+    height: float, centre: ArrayLike, radius: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A floor of tiles in two shades, which fades out around what is looked at.
 
     height: its y. centre: (3,) world units, what is looked at. radius: of what is to be seen there.
-    tiles: at most so many along each side.
 
     Returns corners (t, 4, 3) in world units, their colours (t, 4, 3), floats 0..1, and their
     opacities (t, 4).
     """
-    reach = 4.0 * radius
-    side = nice_length(2 * reach / tiles)
+    side, reach = floor_tiles(radius)
     centre = np.asarray(centre, np.float64)
     first = np.floor((centre[[0, 2]] - reach) / side).astype(int)
     count = int(np.ceil(2 * reach / side)) + 1
@@ -223,6 +140,12 @@ def floor(
     opacity = np.clip(1.25 * (1 - away**2), 0, 1)
     seen = opacity.max(axis=1) > 0
     return place[seen], np.broadcast_to(color, place.shape)[seen], opacity[seen]
+
+
+def floor_tiles(radius: float) -> tuple[float, float]:
+    """The side of a floor's tiles, and how far it reaches, where so much is to be seen on it."""
+    reach = 4.0 * radius
+    return nice_length(2 * reach / TILES), reach
 
 
 def nice_length(length: float) -> float:

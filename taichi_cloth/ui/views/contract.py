@@ -20,7 +20,7 @@ class Picture:
     """One frame's contents, as NumPy arrays.
 
     position: (n, dim) particle positions [world], an array that the next frame may overwrite.
-    radius: (n,) [world]. color: (n, 3) uint8.
+    radius: (n,) [world]. color: (n, 3) uint8. surface_color: the same in surfaces; None: as color.
     segments: (s, 2) int, particle pairs of the springs that are alive.
     spring_color: that all springs have, 0..255; None: they resemble their ends.
     triangles: (m, 3) int, particles at the corners of surfaces, of those that are to be drawn.
@@ -40,6 +40,7 @@ class Picture:
     color: np.ndarray
     segments: np.ndarray
     spring_color: tuple[int, int, int] | None = None
+    surface_color: np.ndarray | None = None
     triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     normals: np.ndarray | None = None
     as_spheres: np.ndarray | None = None
@@ -48,6 +49,11 @@ class Picture:
     text: tuple[str, ...] = ()
     help: tuple[str, ...] = ()
     banner: str | None = None
+
+    @property
+    def color_in_surfaces(self) -> np.ndarray:
+        """The particles' colours in surfaces, (n, 3) uint8."""
+        return self.color if self.surface_color is None else self.surface_color
 
     @property
     def has_surfaces(self) -> bool:

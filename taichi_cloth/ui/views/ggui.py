@@ -41,7 +41,7 @@ NO_VULKAN = "GGUI needs Vulkan, which is not there (install a Vulkan driver, suc
 WHEEL = {4: 1.0, 5: -1.0}  # X's numbers of the wheel's buttons -> notches away from the user
 SETTINGS = Path("imgui.ini")  # of GGUI's text library, which we do not use
 MESH_VERTICES = 170_000  # spheres are meshes up to so many vertices (10-40 ms in software)
-LIFTED = 1e-3  # by this share of the way to the eye springs lie before their surface
+FAR_AWAY = 100.0  # lights of surfaces, in distances of the eye: their rays are parallel
 SPHERES = ((10.0, 1), (45.0, 2), (math.inf, 3))  # up to this radius in pixels: subdivisions
 
 
@@ -257,14 +257,14 @@ class GguiView:
             self._triangles(vertex)
         faces = drawing.between_shown(picture.triangles, shown)
         if len(faces):
-            vertex = vertices(style.flat_colors(picture.color, faces).repeat(3, axis=0))
+            vertex = vertices(style.flat_colors(picture.color_in_surfaces, faces).repeat(3, axis=0))
             vertex[:, :2] = place.take(faces.reshape(-1), axis=0)
             self._triangles(vertex)
         segments = drawing.between_shown(picture.segments, shown)
         if len(segments):
             vertex = self._springs(segments, picture.color, picture.spring_color)
             vertex[:, :2] = place.take(segments.reshape(-1), axis=0)
-            self._lines_2d(vertex, max(1.6, 1.4 * window.scale) / height)
+            self._lines_2d(vertex, max(1.6, 1.4 * drawing.enlarged(self.world, window)) / height)
         if picture.as_spheres is not None:
             shown &= picture.as_spheres
         if shown.any():
@@ -313,8 +313,9 @@ class GguiView:
         eye.z_far(camera.distance + span)
         self._scene.set_camera(eye)
         self._scene.ambient_light((style.AMBIENT,) * 3)
-        for light, strength in style.LIGHTS[: 2 if picture.has_surfaces else 1]:
-            self._scene.point_light(light * (2 * camera.distance), (strength,) * 3)
+        lights, away = (style.LIGHTS, FAR_AWAY) if picture.has_surfaces else (style.LIGHTS[:1], 2.0)
+        for light, strength in lights:
+            self._scene.point_light(light * (away * camera.distance), (strength,) * 3)
 
         if picture.ground is not None:
             self._floor_3d(picture.ground, camera)
@@ -333,7 +334,7 @@ class GguiView:
             vertex[:, POSITION] = position.take(segments.reshape(-1), axis=0)
             if len(picture.triangles):  # they lie in them: along the line of sight, a little nearer
                 vertex[:, POSITION] += [0, 0, camera.distance]
-                vertex[:, POSITION] *= 1 - LIFTED
+                vertex[:, POSITION] *= 1 - drawing.LIFTED
                 vertex[:, POSITION] -= [0, 0, camera.distance]
             pixels = focal / camera.distance
             self._lines_3d(vertex, drawing.spring_width_on(picture, segments, pixels, h))
@@ -361,7 +362,9 @@ class GguiView:
         """
         if len(picture.triangles):
             topology = self._topologies[0](picture.triangles).of_shown(shown)
-            self._surface_3d(0, topology, camera, position, picture.color, picture.normals)
+            self._surface_3d(
+                0, topology, camera, position, picture.color_in_surfaces, picture.normals
+            )
         solids = picture.solids
         if solids is not None:
             vertex = camera.rotate_points(solids.vertex)

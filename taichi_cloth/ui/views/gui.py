@@ -1,14 +1,14 @@
-"""Drawing with ti.GUI, Taichi's plain window: no Vulkan needed, painter's order for depth."""
+"""Drawing with ti.GUI, Taichi's plain window: no Vulkan needed, depth by `rasterizer.py`."""
 
 from __future__ import annotations
 
 import os
 import time
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from taichi_cloth.rasterizer import Balls, Floor, Lines, Mesh, Rasterizer
 from taichi_cloth.scene.model import World
 from taichi_cloth.ui import drawing, style, surfaces, text, x11
 from taichi_cloth.ui.camera import Camera
@@ -20,8 +20,9 @@ from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
 from taichi_cloth.ui.window_map import WindowMap
 
 SETTLED = 0.2  # seconds a new size must last before the window follows it
-LAYERS = 12  # discs that a large sphere is painted with
-SLABS = 256  # springs, surfaces and spheres are interleaved by depth in at most so many groups
+SAMPLES = 2  # a pixel of a 3-D scene is the mean of the square of so many: smooth edges
+LOOKED_AT, ENOUGH = 30, 0.012  # frames of a window in which a scene takes longer [s] to draw: 1
+EDGE_PARTS, EDGE_WIDTH = 16, 1.6  # of the world's edges; pixels
 
 
 class GuiView:
@@ -40,7 +41,10 @@ class GuiView:
         self._held: set[str] = set()
         self._springs, self._discs = Cached(_prepared_springs), Cached(_prepared_discs)
         self._topologies = Cached(Topology.build), Cached(Topology.build)
-        self._back_of = Cached(surfaces.back_of)
+        self._sides_of, self._solids_color = Cached(_sides), Cached(_floats)
+        self._spring_colors = Cached(style.spring_colors)
+        self._rasterizer: Rasterizer | None = None
+        self._samples, self._drawn, self._quickest = SAMPLES, 0, np.inf
         self._wanted: tuple[tuple[int, int], float] | None = None
         self._open(size)
 
@@ -56,6 +60,7 @@ class GuiView:
         self.size = size
         self._map = WindowMap.of(self.world, size)
         self._pixels = np.zeros((*size, 4), np.float32)
+        self._rasterizer = None  # of the size before
         if self.visible:
             self._gui.show()  # only now does the window have its name
             self._tap = x11.connect(name, displays)
@@ -150,10 +155,12 @@ class GuiView:
         """Draw and present one frame."""
         if self.closed:
             return
-        self._gui.clear(style.packed_one(style.WORLD))
         if self.camera:
+            begin = time.perf_counter()
             self._compose_3d(picture, self.camera)
+            self._look_at(time.perf_counter() - begin)
         else:
+            self._gui.clear(style.packed_one(style.WORLD))
             self._compose_2d(picture)
         self._compose_overlay(picture)
         if self.visible:
@@ -184,17 +191,18 @@ class GuiView:
         if picture.solids is not None:
             corner = window.world_to_canvas(picture.solids.vertex)
             flat = style.flat_colors(picture.solids.color, picture.solids.triangles)
-            corners = corner.take(picture.solids.triangles.T, axis=0)
-            self._gui.triangles(*corners, style.packed(flat))
+            corners, of = drawing.clipped(corner.take(picture.solids.triangles, axis=0))
+            self._gui.triangles(*corners.transpose(1, 0, 2), style.packed(flat[of]))
         faces = drawing.between_shown(picture.triangles, shown)
         if len(faces):
-            codes = style.packed(style.flat_colors(picture.color, faces))
+            codes = style.packed(style.flat_colors(picture.color_in_surfaces, faces))
             self._gui.triangles(*place.take(faces.T, axis=0), codes)
         segments = drawing.between_shown(picture.segments, shown)
         if len(segments):
             first, second, color = self._springs(segments, picture.color, picture.spring_color)
             a, b = place.take(first, axis=0), place.take(second, axis=0)
-            self._gui.lines(a, b, radius=max(1.0, 0.75 * window.scale), color=color)
+            wide = max(1.0, 0.75 * drawing.enlarged(self.world, window))
+            self._gui.lines(a, b, radius=wide, color=color)
         if picture.as_spheres is not None:
             shown &= picture.as_spheres
         if shown.any():
@@ -218,185 +226,121 @@ class GuiView:
                 self._gui.triangle(a, c, d, color)
 
     def _compose_3d(self, picture: Picture, camera: Camera) -> None:
-        """Sort lines, triangles and spheres by depth and paint them from the far end."""
-        position = np.asarray(picture.position, np.float64)
-        pixels, radii, depths = camera.project(position, picture.radius)
-        shown = np.isfinite(depths) & (depths > camera.nearest_drawn)
-        if picture.ground is not None:
-            self._draw_floor(picture.ground, camera)
-        lines = self._lines(picture, camera, position, shown)
-        faces = self._faces(picture, camera, shown)
-        if picture.as_spheres is not None:
-            shown &= picture.as_spheres
-        centre, depth = self._map.to_window(pixels[shown]), depths[shown]
-        radius, rgb = radii[shown] * self._map.scale, picture.color[shown] / 255
-        if not camera.y_up:
-            dot, _, dot_depth = camera.project(np.zeros((1, 3)))
-            centre = np.concatenate([centre, self._map.to_window(dot)])
-            radius = np.concatenate([radius, [drawing.origin_radius(self.size[1])]])
-            depth = np.concatenate([depth, dot_depth])
-            rgb = np.concatenate([rgb, [np.array(style.ORIGIN) / 255]])
-        order = np.argsort(-depth, kind="stable")
-        centre, radius, depth, rgb = centre[order], radius[order], depth[order], rgb[order]
-
-        cuts = depth[:: max(1, len(depth) // SLABS)]
-        if len(faces.depth):
-            among = np.sort(np.concatenate([depth, lines.depth]))[::-1]
-            cuts = among[:: max(1, len(among) // SLABS)]
-        line = face = ball = 0
-        for cut, below in zip(cuts, [*cuts[1:], -np.inf], strict=True):
-            line = self._draw_lines(lines, line, _until(lines.depth, cut))
-            face = self._draw_faces(faces, face, _until(faces.depth, cut))
-            last = int(np.searchsorted(-depth, -below, side="left"))
-            self._draw_spheres(centre[ball:last], radius[ball:last], rgb[ball:last])
-            ball = max(ball, last)
-        self._draw_lines(lines, line, len(lines.depth))
-        self._draw_faces(faces, face, len(faces.depth))
-
-    def _draw_floor(self, height: float, camera: Camera) -> None:
-        """Paint the floor: below everything, as nothing is seen from under it."""
-        corner, color, opacity = surfaces.floor(height, camera.centre, camera.radius)
-        pixels, _, depths = camera.project(corner.reshape(-1, 3))
-        front = (depths > camera.nearest_drawn).reshape(-1, 4).all(axis=1)
-        up = camera.rotation()[:, 1] * (1 if camera.y_up else -1)
-        share = opacity.mean(axis=1)[:, None]
-        behind = np.array(style.unit(style.WORLD))
-        rgb = share * surfaces.brightness(up) * color[:, 0] + (1 - share) * behind
-        places = self._map.to_canvas(self._map.to_window(pixels)).reshape(-1, 4, 2)[front]
-        codes = style.packed(rgb)[front]
-        if len(codes):
-            a, b, c, d = places.transpose(1, 0, 2)
-            self._gui.triangles(a, b, c, codes)
-            self._gui.triangles(a, c, d, codes)
-
-    def _faces(self, picture: Picture, camera: Camera, shown: np.ndarray) -> _Faces:
-        """The triangles of all surfaces, the far ones first."""
-        parts, solids = [], picture.solids
-        if len(picture.triangles):
-            topology = self._topologies[0](picture.triangles).of_shown(shown)
-            back = self._back_of(picture.color)
-            parts.append(
-                surfaces.painted(
-                    topology, camera, picture.position, picture.color, back, picture.normals
-                )
-            )
-        if solids is not None:
-            topology = self._topologies[1](solids.triangles)
-            parts.append(surfaces.painted(topology, camera, solids.vertex, solids.color))
-        if not parts:
-            return _Faces(np.zeros((0, 3, 2)), np.zeros(0, np.uint32), np.zeros(0))
-        pixels, color, depth = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-        order = np.argsort(-depth, kind="stable")
-        places = self._map.world_to_canvas(pixels[order].reshape(-1, 2))
-        return _Faces(places.reshape(-1, 3, 2), style.packed(color)[order], depth[order])
-
-    def _lines(
-        self, picture: Picture, camera: Camera, position: np.ndarray, shown: np.ndarray
-    ) -> _Lines:
-        """The world's edges and the springs between particles that are shown, the far ones first.
-
-        Long lines are cut, so that a part of one may lie behind a sphere and another before it.
-        """
-        edges, edge_color = drawing.scenery(self.world, camera)
-        edges = _cut(edges, 8)
-        ends, color = [edges], [np.repeat(edge_color, 8, axis=0)]
-        width = [np.full(len(edges), 2.2)]
+        """Draw what there is with a depth buffer into `self._pixels`."""
+        if self._rasterizer is None:
+            self._rasterizer = Rasterizer(self.size, self._samples)
+        eye = np.array([0.0, 0.0, camera.distance])
+        position = camera.rotate_points(picture.position) + eye
+        shown = drawing.are_numbers(position)
         segments = drawing.between_shown(picture.segments, shown)
+        lines = [self._scenery(camera, eye)]
+        focal = camera.focal_length * self._map.scale
         if len(segments):
-            parts = 4 if len(segments) < 4000 else 1
-            ends.append(_cut(_outside(position[segments], picture.radius[segments]), parts))
-            rgb = style.spring_colors(picture.color, segments, picture.spring_color)
-            color.append(np.repeat(rgb, parts, axis=0))
-            pixel = camera.focal_length * self._map.scale / camera.distance
-            wide = drawing.spring_width_on(picture, segments, pixel, self.size[1])
-            width.append(np.full(len(ends[-1]), wide))
-        pixels, _, depths = camera.project(np.concatenate(ends).reshape(-1, 3))
-        depths = depths.reshape(-1, 2)
-        front = np.flatnonzero((depths > camera.nearest_drawn).all(axis=1))
-        depth = depths.mean(axis=1)
-        if len(picture.triangles):  # springs lie in them: a little before them
-            depth -= np.linalg.norm(np.diff(np.concatenate(ends), axis=1), axis=2)[:, 0]
-        order = front[np.argsort(-depth[front], kind="stable")]
-        return _Lines(
-            self._map.to_window(pixels).reshape(-1, 2, 2)[order],
-            style.packed(np.concatenate(color)[order]),
-            np.concatenate(width)[order],
-            depth[order],
+            lines.append(self._spring_lines(picture, segments, position, focal / camera.distance))
+        x, y = self._map.to_window(camera.middle)
+        self._pixels = self._rasterizer.draw(
+            focal,
+            (x, self.size[1] - y),
+            camera.nearest_drawn,
+            _lights(2 if picture.has_surfaces else 1),
+            style.unit(style.WORLD),
+            meshes=self._meshes(picture, camera, position, shown, eye),
+            balls=self._balls(picture, camera, position, shown, eye),
+            lines=lines,
+            floor=None if picture.ground is None else _floor(picture.ground, camera),
         )
 
-    def _draw_faces(self, faces: _Faces, first: int, last: int) -> int:
-        """Draw the triangles from `first` to before `last`; where to go on."""
-        if last > first:
-            a, b, c = faces.place[first:last].transpose(1, 0, 2)
-            self._gui.triangles(a, b, c, faces.color[first:last])
-        return max(first, last)
-
-    def _draw_lines(self, lines: _Lines, first: int, last: int) -> int:
-        """Draw the lines from `first` to before `last`; where to go on."""
-        if last > first:
-            ends = lines.pixels[first:last]
-            a, b = self._map.to_canvas(ends[:, 0]), self._map.to_canvas(ends[:, 1])
-            width, color = lines.width[first:last], lines.color[first:last]
-            self._gui.lines(a, b, radius=width / 2, color=color)
-        return max(first, last)
-
-    def _draw_spheres(self, centre: np.ndarray, radius: np.ndarray, rgb: np.ndarray) -> None:
-        """Draw shaded discs in the order given (far to near).
-
-        centre: (k, 2) window pixels. radius: (k,) window pixels. rgb: (k, 3) floats 0..1.
-        """
-        if not len(centre):
+    def _look_at(self, seconds: float) -> None:
+        """Draw with fewer samples in a window whose scene takes too long with more."""
+        if not self.visible or self._samples == 1:
             return
-        size, shift, bright = shading(int(np.clip(radius.max(initial=0.0), 1, LAYERS)))
-        spots = centre[:, None, :] + (radius[:, None] * shift)[:, :, None] * style.LIGHT[:2]
-        places = self._map.to_canvas(spots.reshape(-1, 2))
-        colors = style.packed((rgb[:, None, :] * bright[:, None]).reshape(-1, 3))
-        self._gui.circles(places, radius=(radius[:, None] * size).reshape(-1), color=colors)
+        self._drawn, self._quickest = self._drawn + 1, min(self._quickest, seconds)
+        if self._drawn == LOOKED_AT:
+            if self._quickest > ENOUGH:
+                self._samples, self._rasterizer = 1, None
+            self._drawn, self._quickest = 0, np.inf
+
+    def _meshes(
+        self,
+        picture: Picture,
+        camera: Camera,
+        position: np.ndarray,
+        shown: np.ndarray,
+        eye: np.ndarray,
+    ) -> list[Mesh]:
+        """The surfaces of cloths, and those of obstacles.
+
+        position: (n, 3), of the picture's particles, from the eye in camera axes. shown: (n,) bool.
+        """
+        meshes, solids = [], picture.solids
+        if len(picture.triangles):
+            topology = self._topologies[0](picture.triangles).of_shown(shown)
+            front, back = self._sides_of(picture.color_in_surfaces)
+            meshes.append(_mesh(topology, camera, position, front, back, picture.normals))
+        if solids is not None:
+            topology = self._topologies[1](solids.triangles)
+            color = self._solids_color(solids.color)
+            place = camera.rotate_points(solids.vertex) + eye
+            meshes.append(_mesh(topology, camera, place, color, color, None))
+        return meshes
+
+    def _balls(
+        self,
+        picture: Picture,
+        camera: Camera,
+        position: np.ndarray,
+        shown: np.ndarray,
+        eye: np.ndarray,
+    ) -> Balls:
+        """The particles that are drawn, and the dot at the origin of a world without axes."""
+        if picture.as_spheres is not None:
+            shown = shown & picture.as_spheres
+        centre, radius = position[shown], picture.radius[shown]
+        color = picture.color[shown] / 255
+        if not camera.y_up:
+            origin = camera.rotate_points(np.zeros((1, 3))) + eye
+            dot = drawing.origin_radius(self.size[1]) / (camera.focal_length * self._map.scale)
+            centre = np.concatenate([centre, origin])
+            radius = np.concatenate([radius, dot * origin[:, 2]])
+            color = np.concatenate([color, [np.array(style.ORIGIN) / 255]])
+        return Balls(*(np.ascontiguousarray(a, np.float32) for a in (centre, radius, color)))
+
+    def _scenery(self, camera: Camera, eye: np.ndarray) -> Lines:
+        """The world's edges and axes, cut, so that a line stays one where its end is behind us."""
+        edges, color = drawing.scenery(self.world, camera)
+        end = camera.rotate_points(_cut(edges, EDGE_PARTS).reshape(-1, 3)) + eye
+        color = np.repeat(color, EDGE_PARTS, axis=0).astype(np.float32)
+        return Lines(end.astype(np.float32), color, np.full(len(color), EDGE_WIDTH, np.float32))
+
+    def _spring_lines(
+        self, picture: Picture, segments: np.ndarray, position: np.ndarray, pixels: float
+    ) -> Lines:
+        """The springs; those of a surface lie in it, and are seen before it.
+
+        segments: (s, 2), those that are drawn. pixels: that a world unit has where one looks.
+        """
+        color = self._spring_colors(picture.color, segments, picture.spring_color)
+        wide = drawing.spring_width_on(picture, segments, pixels, self.size[1])
+        return Lines(
+            position.take(segments.reshape(-1), axis=0).astype(np.float32),
+            np.ascontiguousarray(color, np.float32),
+            np.full(len(segments), wide, np.float32),
+            drawing.LIFTED if len(picture.triangles) else 0.0,
+        )
 
     def _compose_overlay(self, picture: Picture) -> None:
         """Copy the text's pixels over the frame (and keep the frame for `grab`)."""
         panels = text.panels(picture, self.size)
-        self._gui.core.get_img(self._pixels.ctypes.data)
+        if self.camera is None:
+            self._gui.core.get_img(self._pixels.ctypes.data)
         height = self.size[1]
         for panel in panels:
             h, w = panel.pixels.shape[:2]
             top = height - panel.y
             block = panel.pixels[::-1].transpose(1, 0, 2).astype(np.float32) / 255
             self._pixels[panel.x : panel.x + w, top - h : top, :3] = block
-        if panels:
+        if panels or self.camera is not None:
             self._gui.core.set_img(self._pixels.ctypes.data)
-
-
-@dataclass(frozen=True)
-class _Lines:
-    """Lines in 3-D as they are painted, the far ones first.
-
-    pixels: (k, 2, 2) window pixels of their ends. color: (k,) packed.
-    width: (k,) pixels. depth: (k,) of their middles, world units.
-    """
-
-    pixels: np.ndarray
-    color: np.ndarray
-    width: np.ndarray
-    depth: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Faces:
-    """Triangles in 3-D as they are painted, the far ones first.
-
-    place: (m, 3, 2) of their corners on the canvas. color: (m,) packed.
-    depth: (m,) by which they are ordered, world units.
-    """
-
-    place: np.ndarray
-    color: np.ndarray
-    depth: np.ndarray
-
-
-def _until(depth: np.ndarray, cut: float) -> int:
-    """How many of the depths, the far ones first, are at least `cut`."""
-    return int(np.searchsorted(-depth, -cut, side="right"))
 
 
 def _prepared_springs(
@@ -415,30 +359,60 @@ def _prepared_discs(
     return [(pixels, style.packed(rgb)) for pixels, rgb in layers]
 
 
-def shading(layers: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Discs that paint a lit sphere: radius, shift along the light, brightness; (layers,) each.
+def _sides(color: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The colours (n, 3), floats 0..1, of a surface's front and back whose front has `color`."""
+    return _floats(color), _floats(surfaces.back_of(color))
 
-    Where a sphere's brightness is at least b, its normal is within an angle a = acos(b) of the
-    light. That cap is seen as an ellipse around cos(a) times the light's direction; a disc of
-    the radius sin(a) stands in for it, shrunk so that it stays inside the sphere's rim.
+
+def _floats(color: np.ndarray) -> np.ndarray:
+    return np.asarray(color / 255, np.float32)
+
+
+def _mesh(
+    topology: Topology,
+    camera: Camera,
+    place: np.ndarray,
+    front: np.ndarray,
+    back: np.ndarray,
+    normal: np.ndarray | None,
+) -> Mesh:
+    """A surface as it is drawn.
+
+    place: (n, 3), from the eye in camera axes. front, back: (n, 3) floats 0..1. normal: (n, 3),
+    unit normals in the world's axes; None: they are computed here.
     """
-    if layers < 3:
-        return np.ones(1), np.zeros(1), np.full(1, 0.85)
-    angle = np.linspace(0.5 * np.pi, 0, layers, endpoint=False)
-    tilt = float(np.hypot(*style.LIGHT[:2]))  # how far the brightest point is from the centre
-    shift = np.cos(angle)
-    size = np.minimum(np.sin(angle), 1 - tilt * shift)
-    bright = style.AMBIENT + (1 - style.AMBIENT) * np.cos(angle - angle[-1] / 2)
-    return size, shift, bright
+    place = place.astype(np.float32)
+    if normal is None:
+        normal = topology.normals(place, topology.face_normals(place))
+    else:
+        normal = normal.astype(np.float32) @ camera.rotation().T.astype(np.float32)
+    return Mesh(place, np.ascontiguousarray(normal), topology.triangles, front, back)
 
 
-def _outside(ends: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Lines (k, 2, 3) without the parts inside the spheres, of `radius` (k, 2), at their ends."""
-    along = ends[:, 1] - ends[:, 0]
-    length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
-    # Half of the line at most from each side: overlapping spheres leave nothing to draw.
-    first, last = np.minimum(radius / length, 0.5).T[:, :, None]
-    return np.stack([ends[:, 0] + first * along, ends[:, 1] - last * along], axis=1)
+def _lights(count: int) -> np.ndarray:
+    """The first lights as they are drawn with, (count + 1, 4)."""
+    lights = [[*light, strength] for light, strength in style.LIGHTS[:count]]
+    return np.array([*lights, [0.0, 0.0, 0.0, style.AMBIENT]], np.float32)
+
+
+def _floor(height: float, camera: Camera) -> Floor:
+    """The floor at this height, as it is drawn."""
+    side, reach = surfaces.floor_tiles(camera.radius)
+    up, along, across = camera.rotation()[:, [1, 0, 2]].T
+    eye = np.array([0.0, 0.0, -camera.distance]) @ camera.rotation() + camera.centre
+    bright = surfaces.brightness(up)
+    return Floor(
+        above=float(eye[1] - height),
+        axes=(up, along, across),
+        eye=(eye[0], eye[2]),
+        middle=(camera.centre[0], camera.centre[2]),
+        side=side,
+        reach=reach,
+        colors=(
+            bright * np.array(style.unit(style.TILES[0])),
+            bright * np.array(style.unit(style.TILES[1])),
+        ),
+    )
 
 
 def _cut(ends: np.ndarray, parts: int) -> np.ndarray:

@@ -1,0 +1,283 @@
+"""Triangles, balls and lines as pixels: a rasterizer with a depth buffer.
+
+Each is drawn twice. `stage` 0 keeps the least depth of each pixel, `stage` 1 the colour of what has
+that depth, of several the largest. Both are minima and maxima over all that cover a pixel, which
+have no order: the picture has the same bits however many threads draw it (integers of 32 bits,
+which all backends can compare atomically; positive floats are ordered as their bits are).
+
+Places are in the camera's axes: x right, y down, z away from the eye, which is their origin. A lens
+(4,) is pixels per unit of slope, the pixel (x right, y up) at which the camera looks, the least
+depth that is drawn. Colours are floats 0..1; in the picture they are 0xRRGGBB, and c of what lies
+behind everything is -1 - c, so that whatever is drawn is larger. Lights (k + 1, 4): unit direction
+to each light and its strength; in the last row the ambient one's.
+"""
+
+import taichi as ti
+
+FARTHEST = 0x7F000000  # the bits of a depth that nothing has
+SAME_DEPTH = 1.0 + 4e-6  # both stages compute a depth, which compilers may round in two ways
+EDGE = -1e-5  # so far outside a triangle, in its own heights, pixels still belong to it
+
+image = ti.types.ndarray(dtype=ti.i32, ndim=2)
+rows = ti.types.ndarray(dtype=ti.f32, ndim=2)
+numbers = ti.types.ndarray(dtype=ti.f32, ndim=1)
+indices = ti.types.ndarray(dtype=ti.i32, ndim=2)
+
+
+@ti.kernel
+def clear(depth: image, color: image, behind: image, colored: image):
+    """Empty the picture: what is seen is what lies behind everything, of these depths, colours."""
+    for i in range(depth.shape[0]):
+        for j in range(depth.shape[1]):
+            depth[i, j] = behind[i, j]
+            color[i, j] = colored[i, j]
+
+
+@ti.func
+def _vector(a: ti.template(), i):
+    return ti.Vector([a[i, 0], a[i, 1], a[i, 2]])
+
+
+@ti.func
+def _pixel(lens: ti.template(), place):
+    """The pixel (x right, y up) of a place, and one over its depth."""
+    slope = lens[0] / place[2]
+    return ti.Vector([lens[1] + slope * place[0], lens[2] - slope * place[1], 1.0 / place[2]])
+
+
+@ti.func
+def _first(pixel, count):
+    """The first of `count` pixels whose middle lies at `pixel` or after it."""
+    return ti.cast(ti.ceil(ti.min(ti.max(pixel - 0.5, 0.0), count + 0.0)), ti.i32)
+
+
+@ti.func
+def _beyond(pixel, count):
+    """The first of `count` pixels whose middle lies after `pixel`."""
+    return ti.cast(ti.floor(ti.min(ti.max(pixel + 0.5, 0.0), count + 0.0)), ti.i32)
+
+
+@ti.func
+def _packed(rgb):
+    code = ti.cast(0, ti.i32)
+    for k in ti.static(range(3)):
+        code = code * 256 + ti.cast(ti.min(ti.max(rgb[k], 0.0), 1.0) * 255.0 + 0.5, ti.i32)
+    return code
+
+
+@ti.func
+def _lit(rgb, normal, lights: ti.template()):
+    """A colour under all lights, by Lambert's law; normal: of any length."""
+    last = lights.shape[0] - 1
+    bright = lights[last, 3]
+    n = normal / ti.max(normal.norm(), 1e-20)
+    for k in range(last):
+        light = _vector(lights, k)
+        bright += lights[k, 3] * ti.max(n.dot(light), 0.0)
+    return bright * rgb
+
+
+@ti.func
+def _depth_bits(z):
+    return ti.bit_cast(ti.cast(z, ti.f32), ti.i32)
+
+
+@ti.func
+def _is_seen(depth: ti.template(), i, j, z):
+    return z <= ti.bit_cast(depth[i, j], ti.f32) * SAME_DEPTH
+
+
+@ti.kernel
+def triangles(
+    stage: ti.template(),
+    depth: image,
+    color: image,
+    place: rows,
+    normal: rows,
+    corner: indices,
+    front: rows,
+    back: rows,
+    lens: numbers,
+    lights: rows,
+):
+    """Draw triangles (m, 3) of the vertices (n, 3), which have normals (n, 3).
+
+    front, back: (n, 3) colours of the vertices, seen from the side that their normals look to
+    (counterclockwise), and from the other one.
+    """
+    for t in range(corner.shape[0]):
+        p, q, r = corner[t, 0], corner[t, 1], corner[t, 2]
+        a, b, c = _vector(place, p), _vector(place, q), _vector(place, r)
+        if ti.min(a[2], b[2], c[2]) > lens[3]:
+            u, v, w = _pixel(lens, a), _pixel(lens, b), _pixel(lens, c)
+            area = (v[0] - u[0]) * (w[1] - u[1]) - (v[1] - u[1]) * (w[0] - u[0])
+            if area != 0.0:
+                i0 = _first(ti.min(u[0], v[0], w[0]), depth.shape[0])
+                i1 = _beyond(ti.max(u[0], v[0], w[0]), depth.shape[0])
+                j0 = _first(ti.min(u[1], v[1], w[1]), depth.shape[1])
+                j1 = _beyond(ti.max(u[1], v[1], w[1]), depth.shape[1])
+                for i in range(i0, i1):
+                    for j in range(j0, j1):
+                        x, y = i + 0.5 - u[0], j + 0.5 - u[1]
+                        second = (x * (w[1] - u[1]) - y * (w[0] - u[0])) / area
+                        third = (y * (v[0] - u[0]) - x * (v[1] - u[1])) / area
+                        first = 1.0 - second - third
+                        if ti.min(first, second, third) >= EDGE:
+                            # One over the depth is linear on the screen.
+                            z = 1.0 / (first * u[2] + second * v[2] + third * w[2])
+                            if ti.static(stage == 0):
+                                ti.atomic_min(depth[i, j], _depth_bits(z))
+                            elif _is_seen(depth, i, j, z):
+                                f, s, t3 = first * u[2], second * v[2], third * w[2]
+                                n = (
+                                    f * _vector(normal, p)
+                                    + s * _vector(normal, q)
+                                    + t3 * _vector(normal, r)
+                                )
+                                rgb = ti.Vector([0.0, 0.0, 0.0])
+                                if area > 0.0:
+                                    rgb = (
+                                        f * _vector(front, p)
+                                        + s * _vector(front, q)
+                                        + t3 * _vector(front, r)
+                                    )
+                                else:
+                                    n = -1.0 * n
+                                    rgb = (
+                                        f * _vector(back, p)
+                                        + s * _vector(back, q)
+                                        + t3 * _vector(back, r)
+                                    )
+                                code = _packed(_lit(z * rgb, n, lights))
+                                ti.atomic_max(color[i, j], code)
+
+
+@ti.kernel
+def balls(
+    stage: ti.template(),
+    depth: image,
+    color: image,
+    centre: rows,
+    radius: numbers,
+    rgb: rows,
+    lens: numbers,
+    lights: rows,
+):
+    """Draw spheres: centre (k, 3), radius (k,), colour (k, 3)."""
+    for s in range(centre.shape[0]):
+        c = _vector(centre, s)
+        if c[2] > lens[3]:
+            least = 0.8 * c[2] / lens[0]  # of which one sees something
+            r = ti.max(radius[s], least)
+            u = _pixel(lens, c)
+            slope = (c[0] * c[0] + c[1] * c[1]) / (c[2] * c[2])
+            reach = lens[0] * r / ti.max(c[2] - r, lens[3]) * (1.0 + slope) + 1.0
+            i0, i1 = _first(u[0] - reach, depth.shape[0]), _beyond(u[0] + reach, depth.shape[0])
+            j0, j1 = _first(u[1] - reach, depth.shape[1]), _beyond(u[1] + reach, depth.shape[1])
+            for i in range(i0, i1):
+                for j in range(j0, j1):
+                    d = ti.Vector(
+                        [(i + 0.5 - lens[1]) / lens[0], (lens[2] - j - 0.5) / lens[0], 1.0]
+                    )
+                    size2 = d.dot(d)
+                    nearest = d.dot(c) / size2  # where the line of sight is nearest to the middle
+                    away = nearest * d - c
+                    inside = r * r - away.dot(away)
+                    if inside >= 0.0:
+                        z = nearest - ti.sqrt(inside / size2)
+                        if z > lens[3]:
+                            if ti.static(stage == 0):
+                                ti.atomic_min(depth[i, j], _depth_bits(z))
+                            elif _is_seen(depth, i, j, z):
+                                own = _lit(_vector(rgb, s), z * d - c, lights)
+                                ti.atomic_max(color[i, j], _packed(own))
+
+
+@ti.kernel
+def lines(
+    stage: ti.template(),
+    depth: image,
+    color: image,
+    end: rows,
+    rgb: rows,
+    width: numbers,
+    lens: numbers,
+    lift: ti.f32,
+):
+    """Draw lines from place 2 k of `end` (2 l, 3) to the next, of colour (l, 3) and width [pixels].
+
+    lift: by this share of the way to the eye they are seen before where they are.
+    """
+    for s in range(rgb.shape[0]):
+        a, b = _vector(end, 2 * s), _vector(end, 2 * s + 1)
+        if ti.min(a[2], b[2]) > lens[3]:
+            u, v = _pixel(lens, a), _pixel(lens, b)
+            half = 0.5 * width[s]
+            x, y = v[0] - u[0], v[1] - u[1]
+            size2 = ti.max(x * x + y * y, 1e-12)
+            i0 = _first(ti.min(u[0], v[0]) - half, depth.shape[0])
+            i1 = _beyond(ti.max(u[0], v[0]) + half, depth.shape[0])
+            j0 = _first(ti.min(u[1], v[1]) - half, depth.shape[1])
+            j1 = _beyond(ti.max(u[1], v[1]) + half, depth.shape[1])
+            for i in range(i0, i1):
+                for j in range(j0, j1):
+                    from_x, from_y = i + 0.5 - u[0], j + 0.5 - u[1]
+                    part = ti.min(ti.max((from_x * x + from_y * y) / size2, 0.0), 1.0)
+                    off_x, off_y = from_x - part * x, from_y - part * y
+                    if off_x * off_x + off_y * off_y <= half * half:
+                        z = (1.0 - lift) / (u[2] + part * (v[2] - u[2]))
+                        if ti.static(stage == 0):
+                            ti.atomic_min(depth[i, j], _depth_bits(z))
+                        elif _is_seen(depth, i, j, z):
+                            ti.atomic_max(color[i, j], _packed(_vector(rgb, s)))
+
+
+@ti.kernel
+def lay_floor(behind: image, colored: image, lens: numbers, background: numbers, floor: numbers):
+    """Compute what lies behind everything: a floor of tiles that fades out, or none.
+
+    background: (3,). floor: () for none, else (22,): how far the eye is above the floor; the unit
+    normal of the floor and its two axes; where the eye is along these, and where the middle of what
+    is looked at; the side of a tile, and the distance from the middle at which the floor ends; then
+    the colours of both kinds of tile.
+    """
+    for i, j in behind:
+        rgb = ti.Vector([background[0], background[1], background[2]])
+        behind[i, j] = FARTHEST
+        if floor.shape[0] > 0:
+            d = ti.Vector([(i + 0.5 - lens[1]) / lens[0], (lens[2] - j - 0.5) / lens[0], 1.0])
+            down = -1.0 * d.dot(ti.Vector([floor[1], floor[2], floor[3]]))
+            if down * floor[0] > 0.0:
+                z = floor[0] / down
+                x = z * d.dot(ti.Vector([floor[4], floor[5], floor[6]])) + floor[10]
+                y = z * d.dot(ti.Vector([floor[7], floor[8], floor[9]])) + floor[11]
+                away = ti.Vector([x - floor[12], y - floor[13]]).norm() / floor[15]
+                share = ti.min(ti.max(1.25 * (1.0 - away * away), 0.0), 1.0)
+                if share > 0.0:
+                    odd = ti.floor(x / floor[14]) + ti.floor(y / floor[14])
+                    kind = 16 + 3 * (ti.abs(ti.cast(odd, ti.i32)) % 2)
+                    tile = ti.Vector([floor[kind], floor[kind + 1], floor[kind + 2]])
+                    rgb += share * (tile - rgb)
+                if share > 0.5:
+                    behind[i, j] = _depth_bits(z)
+        colored[i, j] = -1 - _packed(rgb)
+
+
+@ti.kernel
+def resolve(samples: ti.template(), color: image, out: ti.types.ndarray(dtype=ti.f32, ndim=3)):
+    """Compute the picture `out` (w, h, 4), each pixel the mean of samples x samples."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            red, green, blue = 0, 0, 0
+            for p in ti.static(range(samples)):
+                for q in ti.static(range(samples)):
+                    code = color[i * samples + p, j * samples + q]
+                    code = ti.max(code, -1 - code)
+                    red += code >> 16
+                    green += (code >> 8) & 255
+                    blue += code & 255
+            share = 1.0 / ti.static(255.0 * samples * samples)
+            out[i, j, 0] = red * share
+            out[i, j, 1] = green * share
+            out[i, j, 2] = blue * share
+            out[i, j, 3] = 1.0
