@@ -12,15 +12,25 @@ from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import ParticleDefaults, Particles, Scene, SpringDefaults, World
 
 
-def cloud(dim, count, seed, *, gravity=0.0, fixed=0.0, **world):
-    """Random particles that overlap, of several masses, radii and restitutions."""
+def cloud(dim, count, seed, *, size=1000.0, gravity=0.0, fixed=0.0):
+    """Random particles that overlap, of several masses, radii and restitutions.
+
+    In a plane there are walls, so that it is compiled as piles are; they are `size` apart.
+    """
     rng = np.random.default_rng(seed)
     down = np.eye(dim)[1] * gravity
-    world = {"contact": "resting", "friction": 0.3} | world
-    world = World(size=(100.0,) * dim, gravity=tuple(down), dt=0.1, collisions=True, **world)
+    world = World(
+        size=(size,) * dim,
+        gravity=tuple(down),
+        dt=0.1,
+        collisions=True,
+        contact="resting",
+        friction=0.3,
+        walls=("left", "right", "top", "bottom") if dim == 2 else (),
+    )
     held = rng.uniform(size=count) < fixed
     particles = Particles.build(
-        world.low + rng.uniform(20, 80, (count, dim)),
+        (world.low + world.high) / 2 + rng.uniform(-30, 30, (count, dim)),
         np.where(held[:, None], 0.0, rng.normal(0, 5, (count, dim))),
         mass=10.0 ** rng.uniform(-1, 1, count),
         radius=rng.uniform(1, 6, count),
@@ -39,7 +49,7 @@ def overlap(sim):
     return float((1.0 - distance / reach).max())
 
 
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [2, as_thorough(3)])
 def test_free_pairs_keep_momentum_and_their_centre_and_never_gain_energy(pool, dim):
     scene = cloud(dim, 60, seed=dim)
     sim, mass = pool(scene), scene.particles.mass
@@ -64,7 +74,7 @@ def test_a_pair_bounces_by_its_restitution_and_slides_by_its_friction(pool):
     """Both by their laws: normal parts by Newton's, along the surface by Coulomb's."""
     world = World(
         size=(100.0, 100.0), gravity=(0.0, 0.0), dt=0.1, collisions=True,
-        contact="resting", friction=0.2,
+        contact="resting", friction=0.2, walls=("left", "right", "top", "bottom"),
     )  # fmt: skip
     x, v = [[40.0, 50.0], [50.5, 49.5]], [[3.0, 0.0], [-4.0, 5.0]]
     pair = Particles.build(x, v, mass=[2.0, 3.0], radius=5.0, restitution=[0.5, 0.8])
@@ -79,7 +89,7 @@ def test_a_pair_bounces_by_its_restitution_and_slides_by_its_friction(pool):
 
 
 def test_fixed_particles_stay_and_hold_what_falls_on_them(pool):
-    scene = cloud(2, 40, seed=1, gravity=0.5, fixed=0.4, walls=("bottom", "left", "right"))
+    scene = cloud(2, 40, seed=1, size=100.0, gravity=0.5, fixed=0.4)
     sim, fixed = pool(scene), scene.particles.fixed
     sim.advance(300)
     np.testing.assert_array_equal(sim.positions()[fixed], scene.particles.position[fixed])
@@ -95,7 +105,8 @@ PILES = [("symplectic_euler", 0), *(as_thorough((m, 1)) for m in methods.METHODS
 
 @pytest.mark.parametrize(("method", "seed"), PILES)
 def test_a_pile_rests_with_overlaps_below_a_percent(pool, method, seed):
-    scene = build("sandbox", particles=40, radius=20, seed=seed).with_world(contact="resting")
+    scene = build("sandbox", particles=40, radius=20, seed=seed)
+    scene = scene.with_world(contact="resting", mouse="none")
     sim = pool(scene, method)
     energies, worst = [], 0.0
     for _ in range(40):
@@ -135,11 +146,14 @@ def draped(method_links=("structural",)):
     ("method", "topology"),
     [
         ("symplectic_euler", "graph"),
-        *(as_thorough((m, where)) for m in methods.METHODS for where in ("graph", "lanes")),
+        *(as_thorough((m, "graph")) for m in methods.METHODS if m != "symplectic_euler"),
+        *(as_thorough((m, "lanes")) for m in ("symplectic_euler", "implicit_midpoint")),
     ],
 )
 def test_a_cloth_does_not_sink_through_a_fixed_sphere(pool, method, topology):
-    sim = pool(draped(), method, substeps=4, topology=topology)
+    # In longer steps explicit Euler is unstable on these dashpots.
+    substeps = 32 if method == "explicit_euler" else 4
+    sim = pool(draped(), method, substeps=substeps, topology=topology)
     for _ in range(8):
         sim.advance(20)
         distance = np.linalg.norm(sim.positions()[:-1] - [200.0, 200.0, 0.0], axis=1)

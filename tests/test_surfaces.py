@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from selection import mostly_thorough
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels.state import GONE
@@ -50,6 +51,7 @@ def sides_of(triangle):
     return {frozenset((triangle[k], triangle[(k + 1) % 3])) for k in range(3)}
 
 
+@pytest.mark.parametrize("topology", mostly_thorough(["lanes", "graph"], default=["graph"]))
 def test_triangles_are_torn_with_their_springs_and_normals_are_those_of_the_rest(topology, device):
     scene = scenefile.parse(TORN)
     sim = Simulation(scene, substeps=4, topology=topology, execution="serial", lanes=2)
