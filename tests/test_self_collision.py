@@ -11,6 +11,7 @@ from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
+from taichi_cloth.scene.spheres import needed_diameters, too_near
 
 WIDTH = 1.0
 
@@ -103,3 +104,51 @@ def test_contacts_keep_momentum_and_give_no_energy(pool):
         touched += before - sim.energy().total > 1e-2 * energy
         assert len(intersecting_pairs(sim.positions(), scene.triangles)) == 0
     assert touched > 2
+
+
+def test_triangles_whose_corners_keep_apart_do_not_meet():
+    """The proof's bound, on random pairs of triangles: it is held, and it is sharp."""
+    rng, count = np.random.default_rng(1), 2000
+    none = np.zeros((0, 2), np.int64), np.zeros(0)
+    x = rng.normal(size=(count, 6, 3)) * rng.uniform(0.2, 1.0, (count, 6, 3))
+    x[:, :, 0] += 20 * np.arange(count)[:, None]  # each pair far from all others
+    pairs = np.arange(6 * count).reshape(-1, 3)
+    needed = needed_diameters(x.reshape(-1, 3), pairs, *none).reshape(count, 2, 3)
+    apart2 = ((x[:, :3, None] - x[:, None, 3:]) ** 2).sum(axis=3)
+    bound2 = (needed[:, 0, :, None] ** 2 + needed[:, 1, None] ** 2) / 2
+    certified = (apart2 >= bound2).all(axis=(1, 2))
+    meet = np.zeros(count, bool)
+    meet[intersecting_pairs(x.reshape(-1, 3), pairs)[:, 0] // 2] = True
+    assert meet.sum() > 300 and certified.sum() > 10 and not (meet & certified).any()
+    pair = pairs[:2]
+    # Two diagonals of cells that cross at their middles: corners are a spacing apart.
+    for lift, meets in ((-1e-6, 1), (1e-6, 0)):
+        half = 0.5**0.5
+        x = [[-half, 0, 0], [half, 0, 0], [0, 0, -half]]
+        x += [[0, -half, lift], [0, half, lift], [0, 0, half + lift]]
+        x = np.array(x)
+        np.testing.assert_allclose(needed_diameters(x, pair, *none), 1.0, rtol=1e-5)
+        assert len(intersecting_pairs(x, pair)) == meets
+
+
+def test_spheres_are_as_wide_as_spacing_asks_and_say_so():
+    scene = sheets(11, [0.5, 0.56], seed=0)
+    of = scene.spheres
+    np.testing.assert_allclose(2 * of.radius, 0.125, rtol=0.01)
+    assert len(of.widened) == 2 and "0.01 of particles 0 to 120 is taken as 0.125" in of.widened[0]
+    assert len(too_near(scene.particles.position, scene.triangles, of)) == 0
+    pressed = scene.particles.position * [1.0, 0.1, 1.0]
+    free = replace(of, start=0 * of.start, other=of.other[:0])
+    assert len(too_near(pressed, scene.triangles, free)) > 100
+    # Neighbours keep 0.7 of their distance, sheets that start nearer what they start with.
+    row = slice(of.start[60], of.start[61])
+    within, across = of.other[row] < 121, of.other[row] >= 121
+    assert within.sum() == 8 and across.sum() > 0
+    apart = np.linalg.norm(
+        scene.particles.position[of.other[row]] - scene.particles.position[60], axis=1
+    )
+    np.testing.assert_allclose(of.reach[row], np.where(within, 0.7, 1.0) * apart, rtol=1e-12)
+    thick = scene.with_world(gravity=(0.0, 0.0, 0.0))
+    assert thick.features().thick and thick.features().resting
+    thin = sheets(11, [0.5], thickness=0.0)
+    assert not thin.features().thick and not thin.features().collisions

@@ -362,11 +362,21 @@ def _note_left_out(recordings: Recordings) -> None:
 
 
 def _note_unsettled(sim: Simulation) -> None:
-    """Say on standard error in how many steps resting pairs were left overlapping."""
+    """Say on standard error in how many steps resting pairs were left overlapping, and whether
+    triangles might intersect at the end.
+    """
+    thick = sim.scene.features().thick
+    part, near = "a tenth" if thick else "a hundredth", sim.uncertified()
     if sim.unsettled():
         print(
             f"{PROGRAM}: note: {sim.unsettled()} of {sim.steps} steps ended with pairs that "
-            "overlap by more than a hundredth of their reach; use more --substeps",
+            f"overlap by more than {part} of their reach; use more --substeps",
+            file=sys.stderr,
+        )
+    if near:
+        print(
+            f"{PROGRAM}: note: {counted(near, 'pair')} of particles ended so near that triangles "
+            "of cloth might intersect: they are stretched, or the steps are too long",
             file=sys.stderr,
         )
 

@@ -9,6 +9,7 @@ import numpy as np
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.obstacles import Drawn, depths, surface
 from taichi_cloth.scene.penetration import deepest, touches
+from taichi_cloth.scene.spheres import too_near
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.prediction import describe_size
 from taichi_cloth.simulation.storage import Storage
@@ -161,6 +162,17 @@ class Readings(ABC):
         """How many steps ended with resting pairs that overlap by more than a hundredth of their
         reach: iterations were given up. They are counted since the scene was loaded."""
         return self.storage.unsettled()
+
+    def uncertified(self) -> int:
+        """How many pairs of particles of cloths with a thickness are so near now that triangles at
+        them might intersect (`scene.spheres.too_near`). 0 proves that none do but those that share
+        or join a corner, or began nearer to each other than their spheres are wide.
+        """
+        scene = self.storage.scene
+        if not scene.features().thick:
+            return 0
+        whole = scene.triangles[self.storage.triangles_alive()]
+        return len(too_near(self.positions(), whole, scene.spheres))
 
     def network(self) -> Network:
         """The particles where they are, and the springs that pull."""
