@@ -140,15 +140,16 @@ def too_near(position: np.ndarray, triangles: np.ndarray, of: Spheres) -> np.nda
     needed = needed_diameters(position, triangles, np.zeros((0, 2), np.int64), np.zeros(0))
     mine = np.flatnonzero(of.thick & (needed > 0))
     widest = float(needed[mine].max(initial=0.0))
-    found = cKDTree(position[mine]).query_pairs(widest, output_type="ndarray")
-    pairs = mine[np.sort(found, axis=1)].reshape(-1, 2)
+    listed = cKDTree(position[mine]).query_pairs(widest, output_type="ndarray")
+    pairs = mine[np.sort(listed, axis=1)].reshape(-1, 2)
     i, j = pairs.T
     # Both ends of sqrt((L^2 / 4) + q): L^2 / 4 is at most the q of the edge's own triangle.
     reach2 = (needed[i] ** 2 + needed[j] ** 2) / 2
     pairs = pairs[((position[i] - position[j]) ** 2).sum(axis=1) < reach2]
     count = len(position)
     closer = np.repeat(np.arange(count), np.diff(of.start)) * count + of.other
-    return pairs[~np.isin(pairs @ (count, 1), closer)]
+    found: np.ndarray = pairs[~np.isin(pairs @ (count, 1), closer)]
+    return found
 
 
 def _nearer(
