@@ -3,7 +3,9 @@
 import math
 from dataclasses import replace
 
+import extreme_contacts
 import numpy as np
+from extreme_contacts import ONE_BY_ONE
 from extreme_runs import (
     FRAME,
     Ask,
@@ -61,9 +63,6 @@ def _momentum(run):
     return off / scale if scale > 0 else off, 10 * run.walk + 100 * run.solver + missed
 
 
-ONE_BY_ONE = (
-    "moves one particle at a time, so what two do to each other differs until sweeps converge"
-)
 MOMENTUM = Ask(
     "momentum",
     _momentum,
@@ -284,7 +283,7 @@ def _most_contact():
     )
 
 
-KINDS = {"springs": _most_springs, "contact": _most_contact}
+KINDS = {"springs": _most_springs, "contact": _most_contact} | extreme_contacts.KINDS
 
 
 # --- cases: the stability limit --------------------------------------------------------------
@@ -1235,5 +1234,6 @@ CASES = {
         *DRIVEN,
         *DAMPING,
         *CONTACTS,
+        *extreme_contacts.CASES,
     ]
 }

@@ -6,6 +6,7 @@ python tests/extreme_document.py [--runs 10]
 import argparse
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -97,11 +98,14 @@ NOTES = """
 """
 
 
-def run_once(lines):
-    """Run all cases in both precisions; the results, as JSON, are appended to the file `lines`."""
+def run_once(lines, what=()):
+    """Run cases in both precisions; the results, as JSON, are appended to the file `lines`.
+
+    what: of which cases, as `extreme_worker.py` takes it; none: all.
+    """
     workers = [
         subprocess.Popen(
-            [sys.executable, HERE / "extreme_worker.py", precision],
+            [sys.executable, HERE / "extreme_worker.py", precision, *what],
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             text=True,
@@ -184,16 +188,41 @@ def _wrong_rows(name, of, reasons):
             yield f"| `{name}` | {ask} | {method} | {' | '.join(cells)} | {number} |\n"
 
 
+def _counts(results):
+    """How many runs there are, how many broke a bound, and how many differ from the one before."""
+    return (
+        sum(len(all_of) for all_of in results.values()),
+        sum(r["status"] == "broken" for all_of in results.values() for r in all_of),
+        sum(
+            a["asks"] != b["asks"] or a["status"] != b["status"]
+            for all_of in results.values()
+            for a, b in zip(all_of, all_of[1:], strict=False)
+        ),
+    )
+
+
+def _rows(results, names, reasons):
+    """Rows of the cases of these names, and those on what goes wrong; reasons: numbers by text."""
+    last = {key: all_of[-1] for key, all_of in results.items()}
+    lines, wrong = [], []
+    for name in names:
+        case = CASES[name]
+        of = {p: {m: r for (q, c, m), r in last.items() if (q, c) == (p, name)} for p in PRECISIONS}
+        asks = "; ".join(ask.words for ask in case.asks)
+        if case.fails == "may":
+            asks += "; or it fails by name"
+        cells = " | ".join(_cell(of[p]) for p in PRECISIONS)
+        lines.append(f"| `{name}` | {asks} | {_listed(of['f64'])} | {cells} |\n")
+        wrong += _wrong_rows(name, of, reasons)
+    return lines, wrong
+
+
 def page(results, machine):
     last = {key: all_of[-1] for key, all_of in results.items()}
     runs = max(len(all_of) for all_of in results.values())
-    count = sum(len(all_of) for all_of in results.values())
-    broken = sum(r["status"] == "broken" for all_of in results.values() for r in all_of)
-    different = sum(
-        a["asks"] != b["asks"] or a["status"] != b["status"]
-        for all_of in results.values()
-        for a, b in zip(all_of, all_of[1:], strict=False)
-    )
+    count, broken, different = _counts(results)
+    reasons = {}
+    rows, wrong = _rows(results, CASES, reasons)
     lines = [
         HEAD.format(
             cases=len(CASES),
@@ -204,16 +233,8 @@ def page(results, machine):
             different=different,
         ),
         "| case | what is asked | methods | f32 | f64 |\n|---|---|---|---|---|\n",
+        *rows,
     ]
-    wrong, reasons = [], {}
-    for name, case in CASES.items():
-        of = {p: {m: r for (q, c, m), r in last.items() if (q, c) == (p, name)} for p in PRECISIONS}
-        asks = "; ".join(ask.words for ask in case.asks)
-        if case.fails == "may":
-            asks += "; or it fails by name"
-        cells = " | ".join(_cell(of[p]) for p in PRECISIONS)
-        lines.append(f"| `{name}` | {asks} | {_listed(of['f64'])} | {cells} |\n")
-        wrong += _wrong_rows(name, of, reasons)
     wrong += ["\n", *(f"{number}. {why}.\n" for why, number in reasons.items())]
     heavy = last["f64", "mass_ratio_1e5", "xpbd"]["asks"][0]["value"]
     y = np.array([1, 5]) * 2 * np.pi / 60
@@ -229,14 +250,52 @@ def page(results, machine):
     return "".join([*lines, WRONG, *wrong, notes])
 
 
+ADDED = """Those from `{first}` on were added by
+`python tests/extreme_document.py --add --runs {runs}`: {count} runs, of which {broken} broke a
+bound, and {different} gave another result than the run before. Their rows name the methods that
+were run.
+"""
+
+
+def lacking(text):
+    """The names of the cases that a page lacks."""
+    return [name for name in CASES if f"\n| `{name}` |" not in text]
+
+
+def with_added(text, results, runs):
+    """The page with rows for the cases that it lacks; those of all others stay as they are."""
+    names = lacking(text)
+    count, broken, different = _counts(results)
+    said = ADDED.format(first=names[0], runs=runs, count=count, broken=broken, different=different)
+    known = re.findall(r"^(\d+)\. (.*)\.$", text, re.M)
+    reasons = {why: int(number) for number, why in known}
+    rows, wrong = _rows(results, names, reasons)
+    text = re.sub(r"\b\d+ cases below", f"{len(CASES)} cases below", text)
+    text = text.replace("\nAll run on the graph", f"\n{said}\nAll run on the graph", 1)
+    text = text.replace(
+        "|\n\n## What goes wrong", "|\n" + "".join(rows) + "\n## What goes wrong", 1
+    )
+    last = f"{known[-1][0]}. {known[-1][1]}.\n"
+    more = "".join(f"{number}. {why}.\n" for why, number in list(reasons.items())[len(known) :])
+    head, first, rest = text.partition("|\n\n1. ")
+    return head + "|\n" + "".join(wrong) + "\n1. " + rest.replace(last, last + more, 1)
+
+
 def main(arguments):
     parser = argparse.ArgumentParser()
     parser.add_argument("--runs", type=int, default=1)
+    parser.add_argument("--add", action="store_true", help="only cases that the page lacks")
     parser.add_argument("--machine", default="2 cores of a shared machine")
     parser.add_argument("--results", type=Path, help="a file that runs are added to")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         results = options.results or Path(folder) / "results.jsonl"
+        if options.add:
+            before = DOCUMENT.read_text()
+            for _ in range(options.runs):
+                run_once(results, [f"/{name}" for name in lacking(before)])
+            DOCUMENT.write_text(with_added(before, results_of(results), options.runs))
+            return
         for number in range(1, options.runs + 1):
             print(f"run {number} of {options.runs}", file=sys.stderr, flush=True)
             run_once(results)
