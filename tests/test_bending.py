@@ -8,6 +8,7 @@ from scipy.integrate import solve_bvp
 from scipy.sparse.linalg import eigsh
 from scipy.spatial import Delaunay
 from selection import thorough
+from strips import DENSITY, LENGTH, RIGIDITY, strip
 
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.kernels import methods
@@ -21,37 +22,6 @@ from taichi_cloth.scene.model import ParticleDefaults, Scene, SpringDefaults, Wo
 from taichi_cloth.scene.stencils import Stencils, mesh_stencils
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
-
-RIGIDITY, LENGTH, DENSITY = 2e-3, 1.0, 0.2  # N m, m, kg/m2
-
-
-def strip(cells, rows=2, dim=3, load=0.0, stiffness=2e4, mesh=False):
-    """A strip of cloth along x, clamped at x = 1, whose free part is LENGTH long.
-
-    load: its weight per area, times LENGTH^3 over the rigidity. It acts along y, across the cloth.
-    """
-    spacing = LENGTH / cells
-    columns, down = cells + 2, (0.0, 0.0, 1.0) if dim == 3 else None
-    particles, springs = grid(
-        (1.0 - spacing, 2.0, 0.0)[:dim],
-        columns,
-        rows,
-        spacing,
-        pinned=[(column, row) for column in (0, 1) for row in range(rows)],
-        down=down,
-        spring_defaults=SpringDefaults(stiffness=stiffness),
-    )
-    area = np.full((rows, columns), spacing**2)
-    area[:, -1] /= 2
-    area[[0, -1]] /= 1 if rows == 1 else 2
-    particles.mass[:] = DENSITY * area.ravel()
-    if mesh:
-        stencils = mesh_stencils(particles.position, grid_triangles(columns, rows), RIGIDITY)
-    else:
-        stencils = grid_stencils(columns, rows, spacing, RIGIDITY, down=down)
-    gravity = (0.0, load * RIGIDITY / (DENSITY * LENGTH**3), 0.0)[:dim]
-    world = World((4.0, 4.0, 4.0)[:dim], gravity=gravity, dt=0.01)
-    return Scene("strip", world, particles, springs, stencils=stencils)
 
 
 def crumpled(columns=7, rows=6, mesh=False, bending=20.0, **options):

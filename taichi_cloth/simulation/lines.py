@@ -52,13 +52,18 @@ def find(
 
 
 def pairs(stencils: Stencils) -> np.ndarray:
-    """All pairs of particles that are in one stencil, (q, 2); a pair may occur repeatedly."""
-    found = [np.zeros((0, 2), np.int64)]
+    """All pairs of particles that are in one stencil, (q, 2), in order; the smaller is first."""
+    count = int(stencils.particle.max(initial=0)) + 1
+    keys = np.zeros(0, np.int64)
     for _, at in stencils.by_size():
+        members = np.sort(stencils.particle[at], axis=1)
+        # The up to three stencils of a triangle, one after the other, have the same pairs.
+        new = np.append(True, (members[1:] != members[:-1]).any(axis=1))[: len(members)]
         one, other = np.triu_indices(at.shape[1], 1)
-        members = stencils.particle[at]
-        found.append(np.stack([members[:, one], members[:, other]], axis=2).reshape(-1, 2))
-    return np.concatenate(found)
+        keys = np.append(keys, (members[new][:, one] * count + members[new][:, other]).ravel())
+    keys = np.sort(keys)
+    keys = keys[np.append(True, keys[1:] != keys[:-1])[: len(keys)]]
+    return np.stack(np.divmod(keys, count), axis=1)
 
 
 def colours(stencils: Stencils, particle_count: int) -> np.ndarray:
