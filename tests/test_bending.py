@@ -8,7 +8,7 @@ from scipy.integrate import solve_bvp
 from scipy.sparse.linalg import eigsh
 from scipy.spatial import Delaunay
 from selection import thorough
-from strips import DENSITY, LENGTH, RIGIDITY, strip
+from strips import DENSITY, LENGTH, RIGIDITY, strip, tips
 
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.kernels import methods
@@ -20,7 +20,7 @@ from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.cloth import grid, grid_stencils, grid_triangles
 from taichi_cloth.scene.model import ParticleDefaults, Scene, SpringDefaults, World
 from taichi_cloth.scene.stencils import Stencils, mesh_stencils
-from taichi_cloth.simulation import diagnostics
+from taichi_cloth.simulation import diagnostics, lines
 from taichi_cloth.simulation.simulation import Simulation
 
 
@@ -387,6 +387,33 @@ def test_a_strip_that_comes_to_rest_is_an_elastica(mesh, device):
         tip = sim.positions().reshape(2, -1, 3)[:, -1].mean(axis=0)
         errors.append(np.abs(tip[:2] - [1.0, 2.0] - elastica(load)).max())
     assert errors[0] < 0.02 and errors[1] < (0.35 if not mesh else 0.7) * errors[0]
+
+
+@thorough
+def test_a_strip_hangs_alike_in_every_precision(device, cli):
+    """The free end, in lengths of the strip: f32 to 2e-4, compensated to 1e-5."""
+    cases = [
+        (mesh, how) for mesh in (False, True) for how in ("implicit_euler", "symplectic_euler")
+    ]
+    exact = np.array(tips(cases, 10.0))
+    assert np.abs(exact - [1.0, 2.0] - elastica(10.0)).max() < 0.02
+    for precision, within in (("f32", 2e-4), ("compensated", 1e-5)):
+        found = cli.call("strips:tips_in", precision=precision, cases=cases, load=10.0)
+        errors = np.abs(np.array(found) - exact).max(axis=1)
+        assert errors.max() < within, (precision, errors)
+        assert precision == "f32" or errors[1::2].max() < 1e-6  # which adds small changes up
+
+
+def test_pairs_of_particles_in_stencils_are_found_once_and_colours_keep_them_apart():
+    stencils = crumpled(mesh=True).stencils.joined(crumpled().stencils)
+    expected = set()
+    for m in range(len(stencils)):
+        of = stencils.particle[stencils.start[m] : stencils.start[m + 1]].tolist()
+        expected |= {(min(a, b), max(a, b)) for a in of for b in of if a != b}
+    assert lines.pairs(stencils).tolist() == sorted(map(list, expected))
+    assert lines.pairs(Stencils.none()).shape == (0, 2)
+    colour = lines.colours(stencils, 7 * 6)[stencils.owner]
+    assert len(np.unique(np.stack([colour, stencils.particle]), axis=1).T) == len(colour)
 
 
 def test_stencils_that_are_not_there_cost_nothing():
