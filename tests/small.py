@@ -8,7 +8,11 @@ SIZES = {
     "drape": {"side": 9},
     "flag": {"columns": 10},
     "net": {"side": 12},
+    "pull": {"columns": 18},
     "sandbox": {"particles": 30},
+    "stack": {"side": 7, "sheets": 2},
+    "trampoline": {"side": 13},
+    "twist": {"columns": 21},
     "warp": {"side": 8},
 }
 

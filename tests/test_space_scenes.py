@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from taichi_cloth.scene import library
+from taichi_cloth.scene.library import pull, trampoline, twist
+from taichi_cloth.scene.obstacles import held, solids
 
 
 def strain(sim):
@@ -19,6 +21,23 @@ def energy(sim):
     return now.kinetic + sum(now.potential.values())
 
 
+def turns(a, b):
+    """How often two lines (n, 3) that lead to larger x, and straight on there, go round each other.
+
+    Gauss's integral, side by side (Klenin, Langowski, "Computation of writhe in modeling of
+    supercoiled DNA", 2000). It changes by a whole number where one passes through the other.
+    """
+    far = np.array([1e3, 0.0, 0.0])
+    p, q = (np.vstack([line[0] - far, line, line[-1] + far]) for line in (a, b))
+    r = q - p[:, None]
+    r13, r14, r23, r24 = r[:-1, :-1], r[:-1, 1:], r[1:, :-1], r[1:, 1:]
+    sides = [np.cross(u, v) for u, v in ((r13, r14), (r14, r24), (r24, r23), (r23, r13))]
+    sides = [n / np.maximum(np.linalg.norm(n, axis=2, keepdims=True), 1e-300) for n in sides]
+    cosines = [np.clip((sides[k] * sides[k - 3]).sum(axis=2), -1, 1) for k in range(4)]
+    side = np.sign((np.cross(q[1:] - q[:-1], (p[1:] - p[:-1])[:, None]) * r13).sum(axis=2))
+    return float((side * np.arcsin(cosines).sum(axis=0)).sum() / (4 * np.pi))
+
+
 def after(pool, name, seconds, **parameters):
     """A simulation of a scene so many seconds after its start; its largest depth is checked."""
     scene = library.build(name, **parameters)
@@ -30,8 +49,12 @@ def after(pool, name, seconds, **parameters):
         assert sim.depths().max(initial=-1) < 1e-6  # nothing is inside an obstacle or the floor
     x = sim.positions()
     assert np.isfinite(x).all()
-    fixed = scene.particles.fixed
-    assert (x[fixed] == scene.particles.position[fixed]).all()
+    which, local = held(scene, solids(scene))
+    still = scene.particles.fixed & (which < 0)
+    assert (x[still] == scene.particles.position[still]).all()
+    for index, solid in enumerate(solids(scene)):
+        (centre, turn), mine = solid.pose(sim.time), which == index
+        np.testing.assert_allclose(x[mine], centre + local[mine] @ turn.T, atol=1e-9)
     return sim, x, start
 
 
@@ -85,4 +108,56 @@ def test_the_drape_lies_on_the_sphere_and_the_floor(pool):
     assert x[:, 1].min() >= 0.0 and (x[:, 1] < 0.02).sum() >= 4
     assert np.hypot(x[:, 0] - 1, x[:, 2]).max() < 0.8 * np.sqrt(2)
     assert energy(sim) < start and sim.energy().kinetic < 0.02 * start
+    assert strain(sim).max() < 0.3
+
+
+@pytest.mark.thorough
+def test_the_trampoline_holds_the_light_spheres_and_the_heavy_one_tears_it(pool):
+    sim, x, start = after(pool, "trampoline", 6, side=21)
+    *light, heavy = x[-3:]
+    assert heavy[1] == pytest.approx(trampoline.RADIUS, abs=1e-3)  # on the floor
+    off = np.abs(np.array(light)[:, [0, 2]] - [2.5, 0.0]).max(axis=1)
+    assert (off < trampoline.WIDTH / 2).all()
+    assert all(0.8 < sphere[1] - trampoline.RADIUS < trampoline.HEIGHT for sphere in light)
+    broken = ~sim.springs_alive()
+    assert 4 <= broken.sum() < 0.05 * len(broken)
+    ends = sim.scene.springs.between[broken].ravel()  # all of them where the heavy one came down
+    assert np.linalg.norm((sim.scene.particles.position[ends] - heavy)[:, [0, 2]], axis=1).max() < 1
+    assert energy(sim) < start and sim.energy().kinetic < 0.01 * start
+
+
+@pytest.mark.thorough
+def test_the_stack_lies_in_order(pool):
+    sim, x, start = after(pool, "stack", 3, side=9)
+    sheets = x.reshape(5, 81, 3)
+    assert x[:, 1].min() >= 0.0
+    middle = sheets[:, 40, 1]
+    assert (np.diff(middle) > 0.005).all()  # each middle above the one below
+    assert x[:, 1].max() < 0.9 and np.hypot(x[:, 0] - 0.8, x[:, 2]).max() < 0.9
+    assert strain(sim).max() < 0.3
+    assert energy(sim) < start and sim.energy().kinetic < 0.02 * start
+
+
+@pytest.mark.thorough
+def test_the_twisted_strip_keeps_its_turns(pool):
+    sim, x, _ = after(pool, "twist", 9, columns=41)
+    rows = x.reshape(-1, 41, 3)
+    assert turns(rows[0], rows[-1]) == pytest.approx(4.0, abs=0.05)
+    apart = np.linalg.norm(rows[:, -1] - rows[:, 0], axis=1)
+    np.testing.assert_allclose(apart, 0.9 * twist.LENGTH, rtol=1e-9)
+    assert strain(sim).max() < 0.6
+    thick = np.linalg.norm(rows[:, 20] - rows[:, 20].mean(axis=0), axis=1).max()
+    assert thick < twist.WIDTH / 2 + 0.02
+    assert sim.energy().kinetic < 1e-3
+
+
+@pytest.mark.thorough
+def test_the_plates_stay_on_the_table(pool):
+    sim, x, _ = after(pool, "pull", 3, columns=26)
+    first, free = sim.scene.particles.position, sim.scene.particles.radius > pull.THICKNESS
+    balls, began = x[free], first[free]
+    assert (np.linalg.norm((balls - began)[:, [0, 2]], axis=1) < 0.2).all()
+    low = balls[:, 1] - sim.scene.particles.radius[free] - pull.TOP
+    assert (low > -1e-6).all() and np.median(low) < 0.01
+    assert x[~free, 0].min() > pull.TABLE[1] - 0.05  # the cloth is off the table
     assert strain(sim).max() < 0.3

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from taichi_cloth.errors import InputError
@@ -57,3 +59,16 @@ def _widest_cell(size: np.ndarray, count: int) -> float:
         else:
             high = middle
     return low
+
+
+def jittered(particles: Particles, most: float, seed: int) -> Particles:
+    """The free ones of `particles` moved at random, by at most `most` along each axis [length].
+
+    Same seed, same particles; 0: none is moved. It makes runs of one scene differ.
+    """
+    if seed == 0:
+        return particles
+    rng = np.random.default_rng(seed)
+    by = rng.uniform(-most, most, particles.position.shape)
+    by[particles.fixed] = 0.0
+    return replace(particles, position=particles.position + by)

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
-from taichi_cloth.scene.cloth import grid, grid_triangles
+from taichi_cloth.scene.cloth import grid, grid_stencils, grid_triangles
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
@@ -20,6 +20,7 @@ from taichi_cloth.settings.options import Parameter
 FRAME = "auto"
 WIDTH, TOP, FULLNESS = 1.8, 2.4, 1.5  # of the rail; its height [m]; cloth a width of rail
 SEWN, HEM = 0.55, 3  # from this part of its width on the hem holds; rows of the hem
+BENDING = 1e-5  # N m, of cotton
 COLOR = (70, 128, 168)
 
 
@@ -39,6 +40,7 @@ def scene(
     rows = 1 + round(2.1 / spacing)
     folds = max(2, (columns - 1) // 8)
     rings = [(round(i * (columns - 1) / folds), 0) for i in range(folds + 1)]
+    across, down = (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)
     particles, springs = grid(
         (0.4, TOP, 0.0),
         columns,
@@ -46,8 +48,8 @@ def scene(
         spacing,
         pinned=rings,
         links=("structural", "shear"),
-        across=(1.0, 0.0, 0.0),
-        down=(0.0, -1.0, 0.0),
+        across=across,
+        down=down,
         break_in="tension",
         material=Material(
             density=0.15,
@@ -96,6 +98,7 @@ def scene(
         springs=springs,
         triangles=grid_triangles(columns, rows)[:, ::-1],  # its front is on our side
         obstacles=(rail,),
+        stencils=grid_stencils(columns, rows, spacing, BENDING, across=across, down=down),
     )
 
 

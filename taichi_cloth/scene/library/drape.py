@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
-from taichi_cloth.scene.cloth import grid, grid_triangles
+from taichi_cloth.scene.cloth import grid, grid_stencils, grid_triangles
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
@@ -15,6 +15,7 @@ from taichi_cloth.settings.options import Parameter
 
 FRAME = "auto"
 WIDTH, RADIUS = 1.6, 0.3  # of the cloth; of the sphere [m]
+BENDING = 2e-5  # N m, of a light woollen fabric
 COLOR = (188, 62, 84)
 
 
@@ -28,14 +29,15 @@ def scene(
 ) -> Scene:
     """A cloth falls over a sphere and onto the floor; SI units."""
     spacing = WIDTH / (side - 1)
+    across, down = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
     particles, springs = grid(
         (1.0 - WIDTH / 2, 2.2 * RADIUS, -WIDTH / 2 + 0.05),
         side,
         side,
         spacing,
         links=("structural", "shear"),
-        across=(1.0, 0.0, 0.0),
-        down=(0.0, 0.0, 1.0),
+        across=across,
+        down=down,
         material=Material(density=0.2, thickness=0.01, stretch=80.0, shear=10.0, damping_time=4e-4),
     )
     sphere = Obstacle.build(
@@ -57,4 +59,5 @@ def scene(
         springs=springs,
         triangles=grid_triangles(side, side)[:, ::-1],  # its front is above
         obstacles=(sphere,),
+        stencils=grid_stencils(side, side, spacing, BENDING, across=across, down=down),
     )
