@@ -79,6 +79,23 @@ def test_sheets_that_fall_on_each_other_never_intersect(pool, method, topology):
     assert np.abs(sim.positions()[:, 1]).min() < 0.01  # they lie on the ground
 
 
+def crossing(**more):
+    """A slanting sheet that flies at another one at 1.5 m/s, without gravity."""
+
+    def downward(x):
+        return np.where(x[:, [1]] > 1.15, [0.0, -1.5, 0.0], 0.0)
+
+    scene = sheets(9, [1.0, 1.3], gravity=(0.0, 0.0, 0.0), velocity=downward, **more)
+    x = scene.particles.position.copy()
+    x[81:, 1] += 0.1 * (x[81:, 0] - 1.5)
+    return replace(scene, particles=replace(scene.particles, position=x))
+
+
+def test_only_sheets_without_a_thickness_pass_through_each_other(pool):
+    assert most_intersections(pool(crossing(thickness=0.0), substeps=8), 21) > 0
+    assert most_intersections(pool(crossing(), substeps=8), 21) == 0
+
+
 def folding(x):
     """Both halves of a sheet thrown at each other: speeds up to 3 m/s."""
     v, away = np.zeros_like(x), x[:, 0] - x[:, 0].mean()
