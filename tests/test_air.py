@@ -11,15 +11,21 @@ from selection import mostly_thorough
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.kernels import forces, methods
 from taichi_cloth.kernels.forces import air
-from taichi_cloth.kernels.packs import slot_number
-from taichi_cloth.kernels.surfaces import compute_traction_damping
+from taichi_cloth.kernels.packs import set_slot_value, slot_number, slot_value
+from taichi_cloth.kernels.solvers import newton_cg
+from taichi_cloth.kernels.surfaces import (
+    clear_tractions,
+    compute_traction_damping,
+    compute_traction_product,
+)
 from taichi_cloth.limits import tractions
 from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
 from taichi_cloth.limits.eigenmodes import stable_step
 from taichi_cloth.limits.network import Network
-from taichi_cloth.scene import assignments, scenefile
+from taichi_cloth.scene import assignments, library, scenefile
 from taichi_cloth.scene.triangles import area_vectors, at_corners, corner_shares
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.stability import experiment
 from taichi_cloth.trade import ode
 
 FLAG = """
@@ -74,6 +80,42 @@ def damping_of_triangles(spec: ti.template(), state: ti.template(), out: ti.type
     compute_traction_damping(spec, state, 0)
     for i in range(out.shape[0]):
         out[i] = slot_number(spec, state.traction_damping, state.slot[i])
+
+
+@ti.kernel
+def product_of_triangles(
+    spec: ti.template(), state: ti.template(), along: ti.types.ndarray(), out: ti.types.ndarray()
+):
+    for i in range(out.shape[0]):
+        direction = ti.Vector([along[i, 0], along[i, 1], along[i, 2]])
+        set_slot_value(spec, state.direction, state.slot[i], direction)
+    compute_traction_product(spec, state, 0)
+    for i in range(out.shape[0]):
+        product = slot_value(spec, state.traction, state.slot[i])
+        for axis in ti.static(range(3)):
+            out[i, axis] = product[axis]
+
+
+def test_newtons_method_has_the_exact_derivative_of_the_air(device):
+    """Against central differences of the forces, where velocities change positions by tau, too."""
+    scene, tau, h = flag(), 0.02, 1e-6
+    sim = Simulation(scene, "implicit_euler", topology="graph", execution="serial")
+    sim.forces()  # which sets the wind
+    state_of(sim).tau[None] = tau
+    along = np.random.default_rng(2).normal(size=scene.particles.position.shape)
+    clear_tractions(spec_of(sim), state_of(sim))
+    found = np.zeros_like(along)
+    product_of_triangles(spec_of(sim), state_of(sim), along, found)
+    x, v, world = scene.particles.position, scene.particles.velocity, scene.world
+    shares = corner_shares(x, scene.triangles)
+    ends = [
+        tractions.forces_on_particles(
+            x + s * h * tau * along, v + s * h * along, 0.0, world, scene.triangles, shares
+        )
+        for s in (-1, 1)
+    ]
+    expected = (ends[0] - ends[1]) / (2 * h)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
 
 
 def expected_forces(sim):
@@ -223,6 +265,35 @@ def test_the_limit_counts_the_air(falling, method):
             assert (change < 1e-6) == holds, (stretch, part, change)
 
 
+def test_a_light_sheet_in_a_storm_has_the_limit_of_its_drag(falling):
+    """It hovers on a wind of 100 m/s that carries its weight, and is disturbed as a whole.
+
+    So it stays flat, and its flutter, which is physics and grows faster, begins with rounding.
+    """
+    scene, speed, density, small = sheet(), 100.0, 0.02, 1e-6
+    particles = scene.particles
+    weight = 1.2 * 1.1 * speed**2 / (2 * density)
+    wind = {"wind": {"velocity": (0.0, speed, 0.0)}}
+    scene = replace(
+        scene.with_world(gravity=(0.0, -weight, 0.0), more=scene.world.more | wind),
+        particles=replace(
+            particles,
+            mass=particles.mass * density / 0.15,
+            velocity=np.tile([0.0, small, 0.0], (len(particles), 1)),
+        ),
+    )
+    module, network = methods.load("symplectic_euler"), Network.from_scene(scene)
+    limit, rate = stable_step(module, network), 1.2 * 1.1 * speed / density
+    assert limit.dt == pytest.approx(2 / rate, rel=1e-6) and "drag" in limit.describe()
+    assert experiment.drag_of_wind(scene) / scene.particles.mass == pytest.approx(
+        rate * (1.1 + 0.3) / 1.1, rel=1e-9
+    )
+    for part, factor in ((0.98, 0.96**40), (1.05, 1.1**40)):
+        falling.load_scene(scene, dt=part * limit.dt * 40, substeps=40)
+        falling.advance()
+        assert falling.velocities()[:, 1].mean() / small == pytest.approx(factor, rel=0.02)
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("method", methods.METHODS)
 def test_every_method_keeps_its_order_in_gusts(method, device):
@@ -240,6 +311,44 @@ def test_every_method_keeps_its_order_in_gusts(method, device):
         errors.append(np.abs(sim.positions() - exact.x[-1]).max())
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
     assert np.abs(orders - claims.order).max() < 0.1 and sim.work().unconverged == 0
+
+
+def streaming(columns=16):
+    """A flag in wind of 10 m/s with gusts, in frames of a sixtieth of a second."""
+    scene = library.build("flag", columns=columns, wind=10.0)
+    return replace(scene, obstacles=())
+
+
+IMPLICIT = ("implicit_euler", "implicit_midpoint", "tr_bdf2")
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_every_implicit_step_converges_in_strong_wind(method, device):
+    scene = streaming()
+    sim = Simulation(scene, method, topology="graph", execution="serial")
+    sim.advance(30)
+    work = sim.work()
+    assert work.unconverged == 0 and work.force_evaluations < 20 * work.steps
+    assert np.abs(sim.velocities()).max() < 100.0
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_a_step_that_is_cut_is_the_methods_own_shorter_steps(method, device, monkeypatch):
+    """At the times of these, in gusts; with one count of steps."""
+    scene = flag()
+    sim = Simulation(scene, method, topology="graph", execution="serial", tolerance=1e-12)
+    sim.load_scene(scene, substeps=4)
+    sim.advance(3)
+    monkeypatch.setattr(newton_cg, "MOST_BEFORE_CUT", 0)
+    monkeypatch.setattr(newton_cg, "MOST_HALVINGS", 2)
+    cut = Simulation(scene, method, topology="graph", execution="serial", tolerance=1e-12)
+    cut.advance(3)
+    moved = np.abs(sim.positions() - scene.particles.position).max()
+    np.testing.assert_allclose(cut.positions(), sim.positions(), rtol=0, atol=1e-9 * moved)
+    assert cut.work().steps == 3 and cut.work().unconverged == 0
+    assert cut.work().force_evaluations > sim.work().force_evaluations
 
 
 @pytest.mark.thorough

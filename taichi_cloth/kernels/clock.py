@@ -19,6 +19,11 @@ def timed(spec):
     return spec.moving or any(load(name).timed for name in spec.terms)
 
 
+def may_be_cut(state):
+    """Whether the method keeps count of parts into which it cuts a step (`newton_cg.py`)."""
+    return hasattr(state, "halvings")
+
+
 def split(value, real):
     """A number as the device holds it, and what that leaves over, for `NUMBERS`: (high, low)."""
     high = float(real(value))
@@ -44,6 +49,8 @@ def time_of_forces(state: ti.template()):
     for stage, other in ti.static(state.force_times[1:]):
         if state.stage[None] == stage:
             part = ti.cast(other, state.wide)
+    if ti.static(may_be_cut(state)):
+        part = (wide(state, state.parts_done[None]) + part) / wide(state, 1 << state.halvings[None])
     dt = wide(state, state.dt[None]) + wide(state, state.dt_low[None])
     return time_at_start(state) + part * dt
 

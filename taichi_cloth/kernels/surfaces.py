@@ -233,31 +233,31 @@ def _gather_damping(spec: ti.template(), state: ti.template(), p):
 
 
 @ti.func
-def compute_damping_product(spec: ti.template(), state: ti.template(), t):
-    """Compute into state.traction the product of the triangles' damping with state.direction."""
+def compute_traction_product(spec: ti.template(), state: ti.template(), t):
+    """Compute into state.traction by how much it falls along state.direction.
+
+    That is a change of the velocities, which moves particles by state.tau times it.
+    """
     if ti.static(has_tractions(spec)):
-        each(spec, state, t, state.surface.n_triangles[None], _damp_direction)
+        each(spec, state, t, state.surface.n_triangles[None], _change)
         each(spec, state, t, state.surface.n_rows[None], _gather)
 
 
 @ti.func
-def _damp_direction(spec: ti.template(), state: ti.template(), m):
-    product = ti.Vector.zero(state.real, 3)
+def _change(spec: ti.template(), state: ti.template(), m):
+    change = ti.Vector.zero(state.real, 3)
     if is_whole(spec, state, state.surface, m):
         area, v = _area_and_velocity(spec, state, m, False)
         i, j, k = state.surface.corner[m, 0], state.surface.corner[m, 1], state.surface.corner[m, 2]
-        moved = _mean(
-            state,
-            m,
-            slot_value(spec, state.direction, i),
-            slot_value(spec, state.direction, j),
-            slot_value(spec, state.direction, k),
-        )
-        size2 = area[0] * area[0] + area[1] * area[1] + area[2] * area[2]
-        along = area[0] * moved[0] + area[1] * moved[1] + area[2] * moved[2]
-        part = ti.select(size2 > 0.0, along / size2, 0.0 * along)
-        product = (_damping(spec, state, area, v) * part) * area
-    _set_vector(state, m, product)
+        a, b = edge(spec, state, i, j), edge(spec, state, i, k)
+        moved = slot_value(spec, state.direction, i)
+        moved_j = slot_value(spec, state.direction, j)
+        moved_k = slot_value(spec, state.direction, k)
+        d_area = area_vector(moved_j - moved, b) + area_vector(a, moved_k - moved)
+        mean = _mean(state, m, moved, moved_j, moved_k)
+        for product in ti.static(_parts(spec, "product")):
+            change += product(spec, state, area, v, state.tau[None] * d_area, mean)
+    _set_vector(state, m, -1.0 * change)
 
 
 @ti.kernel

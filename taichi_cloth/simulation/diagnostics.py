@@ -12,8 +12,10 @@ import numpy as np
 
 from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.forces.contract import CURVATURE, TENSION, has
+from taichi_cloth.limits import tractions
 from taichi_cloth.scene.model import Scene, Springs
 from taichi_cloth.scene.stencils import Stencils
+from taichi_cloth.scene.triangles import corner_shares
 
 
 @dataclass(frozen=True)
@@ -144,7 +146,7 @@ def stencil_forces(x: np.ndarray, stencils: Stencils, fixed: np.ndarray) -> np.n
 
 def acceleration_at_start(scene: Scene) -> np.ndarray:
     """Acceleration of a scene's particles at its start (n, dim): gravity, springs, bending,
-    drag.
+    drag, air.
 
     What springs in balance leave of their forces by rounding counts as nothing.
     """
@@ -157,6 +159,10 @@ def acceleration_at_start(scene: Scene) -> np.ndarray:
         force = np.where(np.abs(force) > rounding[:, None], force, 0.0)
         force += stencil_forces(p.position, scene.stencils, p.fixed)
         force -= p.viscous[:, None] * p.velocity
+        shares = corner_shares(p.position, scene.triangles)
+        force += tractions.forces_on_particles(
+            p.position, p.velocity, 0.0, scene.world, scene.triangles, shares
+        )
         a: np.ndarray = np.asarray(scene.world.gravity) + force / p.mass[:, None]
     return a
 

@@ -47,6 +47,7 @@ def main(source: SceneSource, options: StabilityOptions) -> int:
         written = report.write(folder, scene, limits, maps, stall)
     if not options.quiet:
         report.show(scene, limits, stall, all_methods=options.method is None)
+        report.say_of_wind(experiment.drag_of_wind(scene) / scene.particles.mass)
         console.say(console.output(), f"\nwritten: {', '.join(map(str, written))}")
     if interrupted:
         raise interrupted

@@ -5,7 +5,8 @@ start, at rest. Gravity, walls, obstacles, collisions and the mouse are left out
 and each particle is pushed by the force that balances its springs, so that the start is an
 equilibrium whatever the springs' lengths. A spring that starts compressed gets its length as its
 rest length: that it would buckle is physics. So is what wind makes flutter, which grows at every
-step: air and wind are left out, too, and at rest in still air nothing is damped by it.
+step. Of air and wind therefore only the damping is kept: as a drag on each particle, that of its
+triangles if they stood across the wind at its strongest (`tractions.bounds`).
 
 A run starts from that state disturbed by a millionth of a spring's length, along the mode that is
 expected to grow first, and by a thousandth of that in every direction at random, so that no other
@@ -121,6 +122,8 @@ def claimed(method: str) -> float:
 def at_rest(scene: Scene) -> Scene:
     """The scene of which stability is measured: its start as an equilibrium, free of events."""
     particles, springs = scene.particles, scene.springs
+    particles = replace(particles, velocity=np.zeros_like(particles.velocity))
+    particles = replace(particles, viscous=particles.viscous + drag_of_wind(scene))
     a, b = springs.between.T
     length = np.linalg.norm(particles.position[b] - particles.position[a], axis=1)
     compressed = length < springs.rest_length * (1 - 1e-9)
@@ -134,13 +137,19 @@ def at_rest(scene: Scene) -> Scene:
             friction=0.0,
         ),
         obstacles=(),
-        particles=replace(particles, velocity=np.zeros_like(particles.velocity)),
+        particles=particles,
         springs=replace(
             springs,
             rest_length=np.where(compressed, length, springs.rest_length),
             break_force=np.full(len(springs), np.inf),
         ),
     )
+
+
+def drag_of_wind(scene: Scene) -> np.ndarray:
+    """The damping of each particle by its triangles, across the wind at its strongest, (n,)."""
+    still = np.zeros_like(scene.particles.velocity)
+    return Network.from_scene(scene, velocity=still).by_triangles[1]
 
 
 def computed(name: str, network: Network) -> StepLimits:

@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from taichi_cloth import console
 from taichi_cloth.files.pending import write_all
 from taichi_cloth.kernels import methods
@@ -130,6 +132,16 @@ def show(scene: Scene, limits: Sequence[StepLimits], stall: Stall, all_methods: 
     console.say(to, f"{says}{where}.")
     if left_out:
         console.say(to, f"Left out, for the terminal is narrow: {', '.join(left_out)}.")
+
+
+def say_of_wind(rates: np.ndarray) -> None:
+    """Say what is counted of the wind, where there is any; rates: damping of each particle (n,)."""
+    if rates.max(initial=0.0) > 0:
+        console.say(
+            console.output(),
+            f"Of the wind its damping is counted, at its strongest: a rate of {rates.max():.4g}. "
+            "What flutters in it grows at every step: that is physics, and not measured here.",
+        )
 
 
 def _line(found: StepLimits) -> list[str]:

@@ -1,4 +1,4 @@
-"""Implicit stages: Newton's method, each direction by preconditioned conjugate gradients.
+"""Implicit stages: Newton's method, each direction by a preconditioned Krylov method.
 
 A stage of every implicit method here is backward Euler over a time tau from (start_x, start_v). It
 looks for the gain of the velocity for which
@@ -9,15 +9,17 @@ The residual is an acceleration for each particle. The iterate's v and x are kep
 state.x, so that forces are computed as for all methods (`accelerations.py`). A *direction* p, by
 which the gain is changed, solves A p = tau*M*residual with the masses M and
 
-    A = M + tau*(drag + dashpots + air's damping along normals) + tau^2*K.
+    A = M + tau*(drag + dashpots) + tau^2*K + the exact derivative of the forces on triangles.
 
 K is the springs' stiffness matrix with its negative eigenvalues clamped to 0
-(`laws.spring_stiffness_across`), so that A is positive definite. A is never stored, only multiplied
-with vectors (`springs.accumulate`). Where springs are compressed the clamped K is not their
-stiffness, and directions only halve the residual; so near the solution, from NEAR on, K is taken as
-it is. If A then turns out to be indefinite, the direction is what conjugate gradients have found so
-far, and for the next one K is clamped again. A step along p that leaves more than half of the
-directional derivative, of either sign, is made longer or shorter by the secant rule.
+(`laws.spring_stiffness_across`), so that A is positive definite, and conjugate gradients solve it
+(`conjugate_gradients.py`); in air it is not symmetric, and BiCGSTAB does (`bicgstab.py`). A is
+never stored, only multiplied with vectors (`newton_matrix.py`). Where springs are compressed the
+clamped K is not their stiffness, and directions only halve the residual; so near the solution, from
+NEAR on, K is taken as it is. If A then turns out to be indefinite, the direction is what the
+iterations have found so far, and for the next one K is clamped again. A step along p that leaves
+more than half of the directional derivative, of either sign, is made longer or shorter by the
+secant rule.
 
 Baraff, Witkin, "Large steps in cloth simulation", 1998; Choi, Ko, "Stable but responsive cloth",
 2002; Nocedal, Wright, Numerical Optimization, 3.5 and 7.1 (line search Newton-CG).
@@ -27,6 +29,11 @@ residual that it began with (gravity at least), or is as small as rounding leave
 must be small beside gravity, too (`stages.SOLVED`). Otherwise it ends after MOST_DIRECTIONS, after
 MOST_STALLS directions that brought little, or where numbers are no longer finite, and state.work
 counts its step as unconverged.
+
+Wind that would move a cloth by more than its spacing in a step leaves no minimum to go to: Newton's
+method may then wander for ever. So in air a step is cut in two where a stage has not converged
+after MOST_BEFORE_CUT directions, and its halves again, up to MOST_HALVINGS times: the method's own
+steps, each solved to its tolerance, with one end for contacts and tears.
 """
 
 import functools
@@ -50,17 +57,19 @@ from taichi_cloth.kernels.packs import (
     where_positive,
     write,
 )
-from taichi_cloth.kernels.solvers.conjugate_gradients import direct, iterate
+from taichi_cloth.kernels.solvers import bicgstab, conjugate_gradients
 from taichi_cloth.kernels.solvers.phases import DONE, set_alone
 from taichi_cloth.kernels.solvers.stages import (
     BEGIN,
     CLAMPED,
     CONVERGED,
+    CUT,
     DIRECT,
     EVALUATE,
     EXACT,
     EXHAUSTED,
     FINISH,
+    HIDDEN,
     ITERATE,
     NOT_FINITE,
     ONLY_EVALUATE,
@@ -72,15 +81,17 @@ from taichi_cloth.kernels.solvers.stages import (
     largest_component,
     momentum_of,
     outcome_of_rounding,
+    return_to_start,
     rounding_accepted,
     set_tau,
+    time_of_part,
     wanted_residual,
 )
 from taichi_cloth.kernels.springs import (
     accumulate,
     force_between,
 )
-from taichi_cloth.kernels.state import FORCES, UNCONVERGED
+from taichi_cloth.kernels.state import FORCES, UNCONVERGED, has_tractions
 from taichi_cloth.kernels.surfaces import compute_tractions
 from taichi_cloth.kernels.watchdog import is_finite
 
@@ -102,8 +113,11 @@ SCALARS = (
     "energy",  # residual times preconditioned residual, of conjugate gradients
     "goal",  # energy at which these end
     "least",  # stiffness across a spring is at least this times the one along: CLAMPED or EXACT
+    *bicgstab.SCALARS,
 )
 MOST_DIRECTIONS = 60
+MOST_BEFORE_CUT = 16  # directions after which a step that may be cut in two is
+MOST_HALVINGS = 6
 MOST_TRIALS = 12  # lengths of one direction
 MOST_STALLS = 6  # directions one after the other that bring little progress
 # Rounding of a spring's force, in epsilons: several add up in a residual, with either sign.
@@ -127,12 +141,16 @@ def keeps(*vectors):
         "haloed": ("direction",),
         "needs": ("summed_springs",),
         "scalars": SCALARS,
+        "traction_vectors": bicgstab.VECTORS,
         "counts": (
             *("indefinite", "directions", "trials", "stalls", "sweeps"),
             *("outcome", "step_outcome"),
+            # How often the step was cut in two, parts that are done, whether one of them failed.
+            *("halvings", "parts_done", "failed"),
+            *bicgstab.COUNTS,
         ),
-        "sums": 3,
-        "launches": ((BEGIN,), (EVALUATE, SHIFT), (DIRECT, ITERATE), (FINISH,)),
+        "sums": bicgstab.SUMS,
+        "launches": ((BEGIN, CUT), (EVALUATE, SHIFT), (DIRECT, ITERATE), (FINISH,)),
         "lanes": 4,  # with 8 it is a tenth faster, and takes twice as long to compile
     }
 
@@ -149,7 +167,7 @@ def phases(fraction, start, move, first=0, last=0):
 
     @ti.func
     def begin(spec: ti.template(), state: ti.template(), t):
-        set_tau(spec, state, t, fraction * state.dt[None])
+        set_tau(spec, state, t, fraction * time_of_part(spec, state))
         compute_contacts(spec, state, t)
         each_pack_moving(spec, state, t, start)
         begin_stage(spec, state, t, first)
@@ -159,7 +177,7 @@ def phases(fraction, start, move, first=0, last=0):
         each_pack_moving(spec, state, t, move)
         each(spec, state, t, 1, ti.static(_ending(last)))
 
-    return begin, evaluate, direct, iterate, shift, finish
+    return begin, evaluate, direct, iterate, shift, finish, cut
 
 
 @ti.func
@@ -189,12 +207,60 @@ def _ending(last):
         if state.stage[None] < last:
             state.stage[None] += 1
             _begin_stage(spec, state, i)
+        elif ti.static(has_tractions(spec)):
+            _end_part(state)
         else:
             if state.step_outcome[None] > ROUNDED:
                 state.work[UNCONVERGED] += 1
             state.phase[None] = DONE
 
     return body
+
+
+@ti.func
+def _end_part(state: ti.template()):
+    """Go on to the next part of a step that was cut, or end the step."""
+    if state.step_outcome[None] > ROUNDED:
+        state.failed[None] = 1
+    state.parts_done[None] += 1
+    state.phase[None] = BEGIN
+    if state.parts_done[None] == 1 << state.halvings[None]:
+        state.work[UNCONVERGED] += state.failed[None]
+        state.halvings[None], state.parts_done[None], state.failed[None] = 0, 0, 0
+        state.phase[None] = DONE
+
+
+@ti.func
+def cut(spec: ti.template(), state: ti.template(), t):
+    """Cut the present part of a step in two, and go back to its start."""
+    if ti.static(has_tractions(spec)):
+        each_pack_moving(spec, state, t, return_to_start)
+    each(spec, state, t, 1, _halve)
+
+
+@ti.func
+def _halve(spec: ti.template(), state: ti.template(), i):
+    state.halvings[None] += 1
+    state.parts_done[None] *= 2
+    state.phase[None] = BEGIN
+
+
+@ti.func
+def direct(spec: ti.template(), state: ti.template(), t):
+    """Begin to look for a direction."""
+    if ti.static(has_tractions(spec)):
+        bicgstab.direct(spec, state, t)
+    else:
+        conjugate_gradients.direct(spec, state, t)
+
+
+@ti.func
+def iterate(spec: ti.template(), state: ti.template(), t):
+    """Make one step towards a direction."""
+    if ti.static(has_tractions(spec)):
+        bicgstab.iterate(spec, state, t)
+    else:
+        conjugate_gradients.iterate(spec, state, t)
 
 
 @ti.func
@@ -282,15 +348,32 @@ def _judge(spec: ti.template(), state: ti.template(), i):
             rounded = most <= MOST_ROUNDINGS * state.rounding[None]
             state.outcome[None] = ti.select(rounded, outcome_of_rounding(state), STALLED)
             next_phase = FINISH
-        elif state.directions[None] >= MOST_DIRECTIONS:
+        elif state.directions[None] >= _most_directions(spec, state):
             state.outcome[None], next_phase = EXHAUSTED, FINISH
     state.best[None] = ti.min(state.best[None], most)
     near = state.indefinite[None] == 0 and most < NEAR * state.scale[None]
     state.indefinite[None] = 0
     state.least[None] = ti.select(near, EXACT, CLAMPED)
+    if next_phase == FINISH and state.outcome[None] > HIDDEN and _may_be_cut(spec, state):
+        next_phase = CUT
     if next_phase == FINISH:
         state.step_outcome[None] = ti.max(state.step_outcome[None], state.outcome[None])
     state.phase[None] = next_phase
+
+
+@ti.func
+def _may_be_cut(spec: ti.template(), state: ti.template()):
+    """Whether a step may be cut in two where a stage does not converge: in air, so often."""
+    if ti.static(has_tractions(spec)):
+        return state.halvings[None] < MOST_HALVINGS
+    else:
+        return False
+
+
+@ti.func
+def _most_directions(spec: ti.template(), state: ti.template()):
+    """After how many directions a stage ends."""
+    return ti.select(_may_be_cut(spec, state), MOST_BEFORE_CUT, MOST_DIRECTIONS)
 
 
 @ti.func

@@ -17,9 +17,10 @@ from taichi_cloth.kernels.packs import (
     write,
 )
 from taichi_cloth.kernels.solvers.phases import set_alone
+from taichi_cloth.kernels.state import has_tractions
 from taichi_cloth.kernels.watchdog import commit
 
-BEGIN, EVALUATE, DIRECT, ITERATE, SHIFT, FINISH = range(6)  # phases
+BEGIN, EVALUATE, DIRECT, ITERATE, SHIFT, FINISH, CUT = range(7)  # phases
 # What came of a stage. ROUNDED: its residual is as small as rounding lets it be; HIDDEN: so it is,
 # but what rounding leaves hides what moves the particles. From HIDDEN on a stage is not solved.
 CONVERGED, ROUNDED, HIDDEN, EXHAUSTED, STALLED, SINGULAR, NOT_FINITE = range(7)
@@ -48,6 +49,24 @@ def set_tau(spec: ti.template(), state: ti.template(), t, tau):
     set_alone(spec, state.tau, t, tau)
     set_alone(spec, state.step_outcome, t, CONVERGED)
     barrier(spec, state)
+
+
+@ti.func
+def time_of_part(spec: ti.template(), state: ti.template()):
+    """The time of the present part of a step: dt, but in air, where steps may be cut in two."""
+    dt = state.dt[None]
+    if ti.static(has_tractions(spec)):
+        dt = dt / ti.cast(1 << state.halvings[None], state.real)
+    return dt
+
+
+@ti.func
+def return_to_start(spec: ti.template(), state: ti.template(), i):
+    """Put pack i back to where the present part of the step began."""
+    write(spec, state.x, i, read(spec, state.old_x, i))
+    write(spec, state.v, i, read(spec, state.old_v, i))
+    if ti.static(spec.compensated):
+        write(spec, state.x_low, i, read(spec, state.old_x_low, i))
 
 
 @ti.func
