@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from selection import mostly_thorough
 
+from taichi_cloth.cli import run
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.obstacles import SHAPES
@@ -15,9 +16,10 @@ from taichi_cloth.scene.model import (
     Particles,
     Scene,
     SpringDefaults,
+    Springs,
     World,
 )
-from taichi_cloth.scene.obstacles import Obstacle, solids, surface
+from taichi_cloth.scene.obstacles import Obstacle, depths, inside_at_start, solids, surface
 from taichi_cloth.simulation.simulation import Simulation
 
 G, RADIUS = 9.81, 0.1
@@ -240,8 +242,19 @@ def test_nothing_passes_through_in_one_step(device):
     assert sim.depths().max() < 1e-12
 
 
-@pytest.mark.thorough
-def test_a_cloth_hangs_on_a_rod_that_would_pass_between_its_particles(device):
+SHARES = np.array([(i, j, 16 - i - j) for i in range(17) for j in range(17 - i)]) / 16
+
+
+def deepest_face(sim):
+    """How deep the faces of a scene's triangles are in its obstacles, sampled [length]."""
+    points = np.einsum("sk,mkd->msd", SHARES, sim.positions()[sim.scene.triangles])
+    radii = np.full(points.size // 3, sim.radii().max())
+    sharp = [solid for solid in solids(sim.scene) if solid.shape != "plane"]
+    return depths(sharp, points.reshape(-1, 3), radii, sim.time).max()
+
+
+def sheet(obstacle, **world):
+    """A loose cloth of cells of 50 mm, and what is in its way."""
     cloth, ties = grid(
         [4.8, 1.0, -0.2],
         9,
@@ -253,12 +266,108 @@ def test_a_cloth_hangs_on_a_rod_that_would_pass_between_its_particles(device):
         particle_defaults=ParticleDefaults(mass=0.001, radius=0.002, viscous=1e-3),
         spring_defaults=SpringDefaults(stiffness=20.0, damping=0.005),
     )
-    world = World(size=(10.0, 10.0, 10.0), gravity=(0.0, -G, 0.0), dt=1 / 60, up="y")
-    rod = Obstacle.build(
+    given = {"size": (10.0, 10.0, 10.0), "gravity": (0.0, -G, 0.0), "dt": 1 / 60, "up": "y"}
+    world = World(**(given | world))
+    triangles = grid_triangles(9, 9)
+    return Scene("sheet", world, cloth, ties, triangles=triangles, obstacles=(obstacle,))
+
+
+SHARP = {
+    "rod": Obstacle.build(
         "capsule", ends=[[4.0, 0.95, 0.013], [6.0, 0.95, 0.017]], radius=0.006, friction=0.6
+    ),
+    "corner": Obstacle.build(
+        "box", centre=[5.0, 0.8, 0.0], half=[0.05] * 3, turn=[45.0, 0.0, 35.26], friction=0.6
+    ),
+}
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", SHARP)
+def test_a_cloth_lies_on_what_would_pass_between_its_particles(device, name):
+    """Its faces too are outside: of a rod to a thousandth, of a corner to a 50th of a cell."""
+    sim = Simulation(
+        sheet(SHARP[name]), "symplectic_euler", substeps=8, topology="graph", execution="serial"
     )
-    scene = Scene("rod", world, cloth, ties, triangles=grid_triangles(9, 9), obstacles=(rod,))
-    how = {"topology": "graph", "execution": "serial"}
-    sim = Simulation(scene, "symplectic_euler", substeps=8, **how)
-    sim.advance(120)
-    assert sim.positions()[:, 1].max() > 0.955  # without faces all of it is below by now
+    for _ in range(12):
+        sim.advance(8)
+        assert deepest_face(sim) < (2e-5 if name == "rod" else 1e-3)
+        assert sim.depths().max() < 1e-12
+    assert sim.positions()[:, 1].max() > (0.955 if name == "rod" else 0.88)
+    assert sim.unsettled_faces() == 0
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("speed", [5.0, 20.0, 100.0])
+def test_a_small_fast_sphere_takes_the_cloth_along(device, speed):
+    ball = Obstacle.build(
+        "sphere", centre=[5.013, 0.9, 0.011], radius=0.015, velocity=[0.0, speed, 0.0]
+    )
+    sim = Simulation(
+        sheet(ball, gravity=(0.0, 0.0, 0.0), dt=0.01),
+        "symplectic_euler",
+        substeps=4,
+        topology="graph",
+        execution="serial",
+    )
+    frames = 2 + int(0.3 / (0.01 * speed))
+    for _ in range(frames):
+        sim.advance()
+        assert deepest_face(sim) < 2e-3  # of 17 mm, in cells that are torn wide
+    x, ahead = sim.positions(), 0.9 + speed * sim.time + 0.015
+    assert x[:, 1].max() > ahead > 1.05  # the face that was hit is before it
+
+
+@pytest.mark.thorough
+def test_faces_have_the_same_bits_in_all_ways(device):
+    ends = []
+    for topology, execution in (("graph", "serial"), ("lanes", "parallel")):
+        how = {"topology": topology, "execution": execution, "lanes": 2}
+        sim = Simulation(sheet(SHARP["rod"]), "symplectic_euler", substeps=8, **how)
+        sim.advance(30)
+        ends.append((sim.positions(), sim.velocities()))
+    np.testing.assert_array_equal(ends[1], ends[0])
+    assert deepest_face(sim) > -1e-3  # it lies on the rod
+
+
+@pytest.mark.thorough
+def test_a_small_fast_disc_takes_a_rope_along_in_the_plane(device):
+    """The rope's particles are farther apart than the disc is wide; edges meet it to rounding."""
+    x = np.column_stack([np.linspace(4.55, 5.55, 11), np.full(11, 1.0)])
+    ties = Springs.build([[k, k + 1] for k in range(10)], x, stiffness=50.0, damping=0.05)
+    disc = Obstacle.build("sphere", centre=[5.0, 0.9], radius=0.02, velocity=[0.0, 10.0])
+    world = World(size=(10.0, 10.0), gravity=(0.0, 0.0), dt=0.01)
+    particles = Particles.build(x, mass=0.01, radius=0.005)
+    scene = Scene("rope", world, particles, ties, obstacles=(disc,))
+    sim = Simulation(scene, execution="serial", topology="graph")
+    along = np.linspace(0.0, 1.0, 41)[:, None, None]
+    for _ in range(8):
+        sim.advance()
+        here, middle = sim.positions(), [5.0, 0.9 + 10.0 * sim.time]
+        edges = (1.0 - along) * here[:-1] + along * here[1:]
+        assert np.linalg.norm(edges - middle, axis=2).min() > 0.025 * (1 - 2e-3)
+    assert here[:, 1].max() > middle[1]
+
+
+def test_who_begins_inside_is_named_and_who_has_no_room_is_refused(device, capsys):
+    ball = Obstacle.build("sphere", centre=[5.0, 5.0], radius=1.0)
+    world = World(size=(10.0, 10.0), gravity=(0.0, 0.0))
+    particles = Particles.build(
+        [[3.0, 5.0], [5.5, 5.0], [4.2, 5.0], [5.0, 5.0]],
+        radius=0.1,
+        fixed=[False, False, False, True],
+    )
+    scene = Scene("inside", world, particles, obstacles=(ball,))
+    found = inside_at_start(scene, solids(scene))
+    assert found.particles.tolist() == [1, 2] and len(found.stuck) == 0
+    sim = Simulation(scene, execution="serial")
+    run._note_inside(sim, run.RunOptions())
+    said = capsys.readouterr().err
+    assert "2 particles begin inside" in said and "particle 1, in obstacle 0" in said
+    walls = [
+        Obstacle.build("plane", point=[5.0, 5.0], normal=[1.0, 0.0]),
+        Obstacle.build("plane", point=[5.1, 5.0], normal=[-1.0, 0.0]),
+    ]
+    sim = Simulation(Scene("stuck", world, particles, obstacles=tuple(walls)), execution="serial")
+    with pytest.raises(InputError, match="particle 0 begins inside obstacle 0, and .* no room"):
+        run._note_inside(sim, run.RunOptions())

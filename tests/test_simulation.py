@@ -315,7 +315,7 @@ def test_features_that_a_scene_lacks_have_no_fields():
         "wind",
         "begun_x",
         "obstacle_pose",
-        "face_hit",
+        "face",
         "touching",
         "stencil_k",
         *on_graph,

@@ -164,6 +164,7 @@ def _simulate(
             _note_differences(log.header, _header(source, app.log_header(sim, view, seed)))
         if recorder:
             recorder.write_header(_header(source, app.log_header(sim, view, seed, replay=log)))
+        _note_inside(sim, options)
         if not options.quiet:
             _announce(sim, device, view)
             if recordings and view.visible:
@@ -361,12 +362,41 @@ def _note_left_out(recordings: Recordings) -> None:
         )
 
 
+def _note_inside(sim: Simulation, options: RunOptions) -> None:
+    """Say on standard error which particles begin inside an obstacle, from which they are pushed.
+
+    Raises InputError where one has no place outside.
+    """
+    inside = sim.inside_at_start()
+    if len(inside.stuck):
+        first = int(inside.stuck[0])
+        name = inside.solid[int(numpy.searchsorted(inside.particles, first))]
+        raise InputError(
+            f"particle {first} begins inside {name}, and what is around leaves it no room; "
+            "move it, or make it fixed"
+        )
+    if len(inside.particles) and not options.quiet:
+        count = len(inside.particles)
+        print(
+            f"{PROGRAM}: note: {counted(count, 'particle')} begin{'s' * (count == 1)} inside an "
+            f"obstacle and {'is' if count == 1 else 'are'} pushed out in the first step; the first "
+            f"is particle {inside.particles[0]}, in {inside.solid[0]}",
+            file=sys.stderr,
+        )
+
+
 def _note_unsettled(sim: Simulation) -> None:
     """Say on standard error in how many steps resting pairs were left overlapping, and whether
     triangles might intersect at the end.
     """
     thick = sim.scene.features().thick
     part, near = "a tenth" if thick else "a hundredth", sim.uncertified()
+    if sim.unsettled_faces():
+        print(
+            f"{PROGRAM}: note: {sim.unsettled_faces()} of {sim.steps} steps ended with faces or "
+            "edges of a cloth inside an obstacle; use more --substeps",
+            file=sys.stderr,
+        )
     if sim.unsettled():
         print(
             f"{PROGRAM}: note: {sim.unsettled()} of {sim.steps} steps ended with pairs that "

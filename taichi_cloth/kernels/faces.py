@@ -1,15 +1,19 @@
 """Faces and edges of a cloth against obstacles that would pass between its particles.
 
-Where an obstacle is thinner than the sides of a scene's triangles are long, the point of each
-triangle that is deepest in it is put onto its surface, with what contact and friction leave of that
-point's velocity (`obstruction.py`): its corners move by their shares of it and their inverse masses
-(Bridson, Fedkiw, Anderson, 2002, 6.2). All triangles are looked at in the same state and the
-corners take the mean of what their triangles want, weighted by their shares; this is repeated
-`ROUNDS` times, so it ends near the surface, not on it. Where a step is longer than the obstacle is
-thick, the path is looked at in pieces.
+Where an obstacle's edges and corners are sharper than the sides of a scene's triangles are long,
+each triangle (in 2-D each of its sides, and everywhere the springs of ropes) is tested against it:
+the point of the triangle with the least distance is put onto the obstacle's surface, with what
+contact, restitution and friction leave of that point's velocity (`obstruction.py`). Its corners
+move by their shares of that point and their inverse masses (Bridson, Fedkiw, Anderson, "Robust
+treatment of collisions, contact and friction for cloth animation", 2002, 6.2). All triangles act at
+once, by mass splitting, as resting pairs do: a corner in m contacts takes part in each with 1/m of
+its mass and goes on with the mean, so energy never grows. This is repeated until all are outside.
 
-The deepest point is found by turns: from a point of the triangle to the middle of the obstacle, and
-back to the point of the triangle nearest to that. Faces do not bounce.
+The point is looked for along the sides by bisection, then inwards: by turns to the nearest point of
+the obstacle and back, and by projected gradients, with steps that grow while they lead nearer and
+shrink where they do not (Macklin, Erleben, Mueller, Chentanez, Jeschke, Corse, "Local optimization
+for robust signed distance field collision", 2020). Where a step is longer than the obstacle is
+sharp, its whole path is looked at, by steps of the distance, as the obstacle sees it.
 """
 
 import taichi as ti
@@ -17,8 +21,16 @@ import taichi as ti
 from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.compensated import joined
 from taichi_cloth.kernels.loops import each, each_pack_moving, leave
-from taichi_cloth.kernels.obstacles.contract import BOUND, FACES_TOO, FRICTION, THIN
-from taichi_cloth.kernels.packs import set_slot_value, slot_number, slot_value
+from taichi_cloth.kernels.obstacles.contract import (
+    BOUND,
+    FACES_TOO,
+    FRICTION,
+    RESTITUTION,
+    ROUND,
+    SCALE,
+)
+from taichi_cloth.kernels.obstruction import ROUNDINGS, bounce, size_of
+from taichi_cloth.kernels.packs import epsilon, set_slot_value, slot_number, slot_value
 from taichi_cloth.kernels.poses import (
     END,
     START,
@@ -29,62 +41,160 @@ from taichi_cloth.kernels.poses import (
     to_world,
     velocity_at,
 )
+from taichi_cloth.kernels.state import FACE_COLUMNS, FACE_CONTACTS
 from taichi_cloth.kernels.surfaces import is_whole
+from taichi_cloth.kernels.watchdog import note_fault
 
-ROUNDS = 4
-TURNS = 5  # between triangle and obstacle, in search of the deepest point
-MOST_PIECES = 64  # of a step's path
-PIECE = 0.5  # length of one, in parts of how thin the obstacle is
+FINDS = 8  # searches for contacts in a step, at most
+SWEEPS = 32  # at most, after each: what corners share is spread
+LAUNCHED_FINDS, LAUNCHED_SWEEPS = 2, 6  # on a GPU, which does not look at what is left
+SETTLED = 1e-3  # of the room that a contact has: depth, and approach in a step, at which sweeps end
+UNSETTLED = 0.5  # of that room: a depth that is counted
+LEAST_ROOM = 0.02  # of the longest side: the room of what has no radius
+ALONG = 4  # looks in search of the nearest point that come before those along sides
+SIDE_TURNS = 4  # looks along each side
+INWARDS = ALONG + 3 * SIDE_TURNS
+TURNS = INWARDS + 16  # looks in all
+MOST_LOOKS = 64  # along the path of a step
+LEAST_STEP = 0.25  # of a look, in parts of the room
+NEAR = 0.01  # distance, in the same parts, at which a path has met the obstacle
+
+# Columns of state.face: what was found for a triangle, then what it does to its corners.
+# HIT: 1, or 0: nothing; OFFSET: where along the normal its point is to be; TARGET: velocity there;
+# WEIGHT: of what friction changes, in the position [time]; ROOM: radius and roundness [length].
+HIT, OFFSET, TARGET, MU, WEIGHT, ROOM = range(6)
+SHARE, NORMAL, SURFACE_V, DX, DV = range(6, FACE_COLUMNS, 3)
 
 
 def needed(spec):
-    """Whether a specialization has triangles with thin obstacles in their way."""
+    """Whether a specialization has triangles or edges with sharp obstacles in their way."""
     return bool(spec.obstacles) and spec.faces
 
 
 @ti.func
 def settle(spec: ti.template(), state: ti.template(), t):
-    """Take the faces of the scene's triangles out of thin obstacles."""
+    """Take the faces of the scene's triangles out of obstacles."""
     if ti.static(spec.moving):
         place_obstacles(spec, state, t)
+    each(spec, state, t, 1, _begin)
     if ti.static(spec.one_launch_per_step):  # whose loops must be top-level ones
-        for _ in ti.static(range(ROUNDS)):
-            _round(spec, state, t)
+        each(spec, state, t, state.elements.n_triangles[None], _forget)
+        for _ in ti.static(range(LAUNCHED_FINDS)):
+            _find(spec, state, t)
+            each(spec, state, t, state.elements.n_rows[None], _count)
+            for _ in ti.static(range(LAUNCHED_SWEEPS)):
+                _sweep(spec, state, t)
+                each(spec, state, t, state.elements.n_rows[None], _give)
     else:
-        for _ in range(ROUNDS):
-            _round(spec, state, t)
+        each(spec, state, t, state.elements.n_triangles[None], _forget)
+        finds, any_left = 0, 1
+        while any_left == 1 and finds < FINDS:
+            _find(spec, state, t)
+            # All threads ask before the barrier after which one of them may clear it.
+            any_left = ti.select(state.face_left[None] > 0.0, 1, 0)
+            each(spec, state, t, state.elements.n_rows[None], _count)
+            sweeps, left = 0, any_left
+            while left == 1 and sweeps < SWEEPS:
+                _sweep(spec, state, t)
+                left = ti.select(state.face_left[None] > SETTLED, 1, 0)
+                each(spec, state, t, state.elements.n_rows[None], _give)
+                sweeps += 1
+            finds += 1
+    each(spec, state, t, 1, _judge)
     each_pack_moving(spec, state, t, leave)
 
 
 @ti.func
-def _round(spec: ti.template(), state: ti.template(), t):
-    each(spec, state, t, state.surface.n_triangles[None], _look)
-    each(spec, state, t, state.surface.n_rows[None], _give)
+def _begin(spec: ti.template(), state: ti.template(), i):
+    state.face_finds[None] = 0
+    state.face_left[None] = 0.0
+
+
+@ti.func
+def _find(spec: ti.template(), state: ti.template(), t):
+    """Find all contacts; state.face_left says whether there is any."""
+    each(spec, state, t, 1, _begin_find)
+    each(spec, state, t, state.elements.n_triangles[None], _look)
+
+
+@ti.func
+def _sweep(spec: ti.template(), state: ti.template(), t):
+    """Compute what all contacts do to their corners; state.face_left: the worst of them."""
+    each(spec, state, t, 1, _clear_left)
+    each(spec, state, t, FACE_CONTACTS * state.elements.n_triangles[None], _want)
+
+
+@ti.func
+def _begin_find(spec: ti.template(), state: ti.template(), i):
+    state.face_finds[None] += 1
+    state.face_left[None] = 0.0
+
+
+@ti.func
+def _clear_left(spec: ti.template(), state: ti.template(), i):
+    state.face_left[None] = 0.0
+
+
+@ti.func
+def _forget(spec: ti.template(), state: ti.template(), m):
+    for c in range(m * FACE_CONTACTS, (m + 1) * FACE_CONTACTS):
+        state.face[c, HIT] = 0.0
+
+
+@ti.func
+def _note_left(state: ti.template(), size):
+    """Note how far a contact is from rest: the largest is kept, whatever the order."""
+    if size > state.face_left[None]:
+        ti.atomic_max(state.face_left[None], size)
+
+
+@ti.func
+def _judge(spec: ti.template(), state: ti.template(), i):
+    """Count the step if some triangle is still deep in an obstacle."""
+    if state.face_left[None] > UNSETTLED:
+        state.faces_unsettled[None] = state.faces_unsettled[None] + 1
+
+
+# --- what meets what ---------------------------------------------------------------------------
 
 
 @ti.func
 def _look(spec: ti.template(), state: ti.template(), m):
-    """Find what triangle m wants of its corners, for all obstacles that are thin: the deepest."""
-    for k in ti.static(range(9)):
-        state.face_hit[m, k] = 0.0
-    if is_whole(spec, state, state.surface, m):
+    """Find where triangle m has entered an obstacle: the deepest place of all.
+
+    What earlier searches of the step have found stays: so a face that lies on an edge does not
+    turn about one point of it.
+    """
+    if is_whole(spec, state, state.elements, m):
         deepest = 0.0 * state.dt[None]
         for o in range(state.n_obstacles[None]):
             if state.obstacle_numbers[o, FACES_TOO] > 0.0 and _is_near(spec, state, o, m):
-                depth, share, n, p = _meet(spec, state, o, m)
-                if depth > deepest:
-                    deepest = depth
-                    _want(spec, state, o, m, depth, share, n, p)
+                gap, gap_before, part, share, n, room, slack = _meet(spec, state, o, m)
+                least = ti.select(state.face_finds[None] == 1, slack, slack + SETTLED * room)
+                if -1.0 * gap > ti.max(deepest, least):
+                    deepest = -1.0 * gap
+                    state.face[_now(state, m), ROOM] = room
+                    _note_contact(spec, state, o, m, gap, gap_before > slack, part, share, n)
+
+
+@ti.func
+def _now(state: ti.template(), m):
+    """The number of the contact that triangle m finds in the present search."""
+    return m * FACE_CONTACTS + (state.face_finds[None] - 1) % FACE_CONTACTS
+
+
+@ti.func
+def _corner(state: ti.template(), m, k: ti.template()):
+    return state.elements.corner[m, k]
 
 
 @ti.func
 def _is_near(spec: ti.template(), state: ti.template(), o, m):
     """Whether triangle m may have touched obstacle o in this step."""
-    first = state.surface.corner[m, 0]
-    x = slot_value(spec, state.x, first)
+    x = slot_value(spec, state.x, _corner(state, m, 0))
     reach, way = 0.0 * x[0], 0.0 * x[0]
     for k in ti.static(range(3)):
-        slot = state.surface.corner[m, k]
+        slot = _corner(state, m, k)
         at = slot_value(spec, state.x, slot)
         d, moved = at - x, at - slot_value(spec, state.begun_x, slot)
         if ti.static(spec.moving):
@@ -93,50 +203,6 @@ def _is_near(spec: ti.template(), state: ti.template(), o, m):
         way = ti.max(way, laws.length(moved))
     away = laws.length(x - centre_of(spec, state, o, END))
     return away <= 1.001 * (state.obstacle_numbers[o, BOUND] + reach) + way
-
-
-@ti.func
-def _meet(spec: ti.template(), state: ti.template(), o, m):
-    """How deep triangle m ends in obstacle o, its corners' shares, the normal, and the point.
-
-    The normal and the point are of the world, at the step's end; the depth is 0 where it is not in
-    it.
-    """
-    a, b, c = state.surface.corner[m, 0], state.surface.corner[m, 1], state.surface.corner[m, 2]
-    a0, a1 = _ends(spec, state, o, a)
-    b0, b1 = _ends(spec, state, o, b)
-    c0, c1 = _ends(spec, state, o, c)
-    thin = state.obstacle_numbers[o, THIN]
-    longest = ti.max(laws.length(a1 - a0), laws.length(b1 - b0), laws.length(c1 - c0))
-    pieces = ti.min(ti.cast(longest / (PIECE * thin), ti.i32) + 1, MOST_PIECES)
-    depth, found = 0.0 * thin, 0
-    share, n = 0.0 * a1 + 1.0 / 3.0, 0.0 * a1
-    for piece in range(pieces):
-        if found == 0:
-            part = ti.cast(piece + 1, state.real) / pieces
-            p, q, r = a0 + part * (a1 - a0), b0 + part * (b1 - b0), c0 + part * (c1 - c0)
-            share = 0.0 * a1 + 1.0 / 3.0
-            gap, point = 0.0 * thin, p
-            for _ in range(TURNS):
-                point = share[0] * p + share[1] * q + share[2] * r
-                d, normal = signed_distance(spec, state, o, point)
-                gap, n = d, normal
-                share = shares_of_nearest(point - (d + thin) * normal, p, q, r)
-            point = share[0] * p + share[1] * q + share[2] * r
-            d, normal = signed_distance(spec, state, o, point)
-            gap, n = d, normal
-            gap -= (
-                share[0] * slot_number(spec, state.radius, a)
-                + share[1] * slot_number(spec, state.radius, b)
-                + share[2] * slot_number(spec, state.radius, c)
-            )
-            if gap < 0.0:
-                end = share[0] * a1 + share[1] * b1 + share[2] * c1
-                depth = ti.max(-1.0 * gap - n.dot(end - point), 0.0)
-                found = 1
-    end = share[0] * a1 + share[1] * b1 + share[2] * c1
-    place = centre_of(spec, state, o, END) + to_world(spec, state, o, END, end)
-    return depth, share, to_world(spec, state, o, END, n), place
 
 
 @ti.func
@@ -151,17 +217,192 @@ def _ends(spec: ti.template(), state: ti.template(), o, slot):
 
 
 @ti.func
-def shares_of_nearest(p, a, b, c):
+def _point(share, a, b, c):
+    """The point of a triangle that has these shares (3,) of its corners."""
+    return share[0] * a + share[1] * b + share[2] * c
+
+
+@ti.func
+def _meet(spec: ti.template(), state: ti.template(), o, m):
+    """How the step of triangle m meets obstacle o, as `obstruction.meet` has it of a particle.
+
+    Returns gap, gap_before, part, the shares (3,) of the corners in its nearest point, the normal
+    there, of the world, and what `_room` says.
+    """
+    i, j, k = _corner(state, m, 0), _corner(state, m, 1), _corner(state, m, 2)
+    a0, a1 = _ends(spec, state, o, i)
+    b0, b1 = _ends(spec, state, o, j)
+    c0, c1 = _ends(spec, state, o, k)
+    radii = ti.Vector([slot_number(spec, state.radius, slot) for slot in ti.static((i, j, k))])
+    way = ti.max(laws.length(a1 - a0), laws.length(b1 - b0), laws.length(c1 - c0))
+    side = ti.max(laws.length(b1 - a1), laws.length(c1 - b1), laws.length(a1 - c1))
+    room, slack = _room(spec, state, o, i, radii, side)
+    fast = way > room
+    best_share, best_n = 0.0 * radii, 0.0 * a1
+    gap, gap_before, met = 0.0 * way, 0.0 * way, -1.0 + 0.0 * way
+    # The first look is at the end, the second at the start: one loop, so that the laws of all
+    # shapes are compiled once.
+    w = ti.Vector([slot_number(spec, state.w, slot) for slot in ti.static((i, j, k))])
+    looks, at, going = 0, 1.0 + 0.0 * way, True
+    while going:
+        p, q, r = a0 + at * (a1 - a0), b0 + at * (b1 - b0), c0 + at * (c1 - c0)
+        least, share, n, held = _nearest(spec, state, o, p, q, r, radii - slack, w, side)
+        here = least - share.dot(radii)
+        inward = n.dot(_point(share, a1 - a0, b1 - b0, c1 - c0))
+        if held == 1:
+            gap, going = 0.0 * gap, False
+        elif looks == 0:
+            gap, gap_before, best_share, best_n = here, here, share, n
+            at, going = 0.0 * at, here <= slack or fast
+        else:
+            if looks == 1:
+                gap_before = here
+            if not fast or (looks == 1 and here < -0.5 * room):
+                going = False
+            elif here <= NEAR * room + slack and inward < 0.0:
+                past = here + (1.0 - at) * inward
+                if past < 0.0:
+                    gap, best_share, best_n, met, going = past, share, n, at - here / inward, False
+            at += ti.max(here, LEAST_STEP * room, way / MOST_LOOKS) / way
+            if at >= 1.0 or looks > MOST_LOOKS:
+                going = False
+        looks += 1
+    part = 1.0 + 0.0 * way
+    if met >= 0.0:
+        part = ti.min(met, 1.0)
+    elif gap < 0.0 and gap_before > 0.0:
+        part = gap_before / (gap_before - gap)
+    return gap, gap_before, part, best_share, to_world(spec, state, o, END, best_n), room, slack
+
+
+@ti.func
+def _nearest(spec: ti.template(), state: ti.template(), o, p, q, r, radii, w, side):
+    """The least distance of the triangle p, q, r from obstacle o, the shares of that point, and n.
+
+    It is looked for at the corners, along the sides, then from the best of these inwards: distances
+    from convex obstacles have no other minimum. The last number returned is 1 if a fixed corner is
+    inside by more than its radius allows, as what is clamped may be: then the triangle is not
+    tested. radii, w: of its corners; side: the longest of its sides.
+    """
+    zero = 0.0 * side
+    least, stride, held, share, n = 1e30 + zero, 0.3 * side, 0, 0.0 * radii, 0.0 * p
+    corner_d, n_p, n_q, n_r, middle = 0.0 * radii, n, n, n, zero
+    # A side's bracket: where along it, the distance and its slope, on either side of the minimum.
+    low, low_d, low_slope, high, high_d, high_slope = zero, zero, zero, zero, zero, zero
+    turns, trial = 0, 0.0 * radii + 1.0 / 3.0
+    if ti.static(spec.dim == 2):
+        trial[0], trial[1], trial[2] = 0.5, 0.5, 0.0
+    while turns < TURNS:
+        e = ti.min((turns - ALONG) // SIDE_TURNS, 2)
+        here, there = _corner_shares(radii, e), _corner_shares(radii, (e + 1) % 3)
+        edge = _point(there - here, p, q, r)
+        if turns >= ALONG and turns < INWARDS:
+            if (turns - ALONG) % SIDE_TURNS == 0:
+                low, low_d, low_slope = (
+                    zero,
+                    corner_d.dot(here),
+                    _point(here, n_p, n_q, n_r).dot(edge),
+                )
+                high, high_d = zero + 1.0, corner_d.dot(there)
+                high_slope = _point(there, n_p, n_q, n_r).dot(edge)
+            if not (low_slope < 0.0 and high_slope > 0.0):
+                turns = ALONG + (e + 1) * SIDE_TURNS  # the least is at one of its ends
+                continue
+            at = low - low_slope * (high - low) / (high_slope - low_slope)
+            if turns % 2 == 0:  # where the tangents meet: exact where the side crosses an edge
+                at = (high_d - high_slope * high - low_d + low_slope * low) / (
+                    low_slope - high_slope
+                )
+            margin = 0.02 * (high - low)
+            at = ti.min(ti.max(at, low + margin), high - margin)
+            trial = here + at * (there - here)
+        elif turns >= INWARDS:
+            step = stride
+            if turns % 2 == 0:  # to the nearest point of the obstacle, and from there back
+                step = ti.max(least, 0.0) + state.obstacle_numbers[o, ROUND] + 1e-4 * side
+            trial = shares_of_nearest(spec, _point(share, p, q, r) - step * n, p, q, r)
+            moved = trial - share
+            if turns % 2 == 1 and moved.dot(moved) < 1e-12:
+                break
+        elif turns > 0:
+            trial = _corner_shares(radii, turns - 1)
+        d, new_n = signed_distance(spec, state, o, _point(trial, p, q, r))
+        nearer = d < least
+        if turns == 0:
+            middle = d
+            if d > 2.0 * side + radii[0] + radii[1] + radii[2]:
+                least, share, turns = d - side, trial, TURNS  # it is this far at least
+        elif turns < ALONG:
+            if w.dot(trial) == 0.0 and d < trial.dot(radii):
+                held, turns = 1, TURNS
+            corner_d += d * trial
+            n_p, n_q, n_r = n_p + trial[0] * new_n, n_q + trial[1] * new_n, n_r + trial[2] * new_n
+        elif turns < INWARDS:
+            at = trial.dot(there)
+            if new_n.dot(edge) < 0.0:
+                low, low_d, low_slope = at, d, new_n.dot(edge)
+            else:
+                high, high_d, high_slope = at, d, new_n.dot(edge)
+        if turns >= INWARDS and turns % 2 == 1:
+            stride *= ti.select(nearer, 1.2, 0.4)
+        if nearer and turns < TURNS:
+            least, share, n = d, trial, new_n
+        if turns == ALONG - 1:
+            rounding = ti.static(ROUNDINGS * epsilon(state))
+            same = ti.min(n_p.dot(n_q), n_p.dot(n_r)) >= 1.0 - rounding
+            flat = 3.0 * middle - corner_d.dot(0.0 * radii + 1.0)
+            if ti.static(spec.dim == 2):
+                flat = 2.0 * middle - corner_d[0] - corner_d[1]
+            if same and ti.max(flat, -1.0 * flat) <= 1e-3 * ti.max(least, -1.0 * least):
+                turns = TURNS  # over a plane face: the least is at a corner
+        turns += 1
+    return least, share, n, held
+
+
+@ti.func
+def _corner_shares(like, k):
+    """The shares (3,) of corner k."""
+    share = 0.0 * like
+    for corner in ti.static(range(3)):
+        share[corner] = ti.select(k == corner, 1.0, 0.0)
+    return share
+
+
+@ti.func
+def _room(spec: ti.template(), state: ti.template(), o, slot, radii, side):
+    """How far a triangle of such a side may go into obstacle o before it may be through; and how
+    large a gap is rounding."""
+    radius = ti.max(radii[0], radii[1], radii[2])
+    room = ti.max(radius + state.obstacle_numbers[o, ROUND], LEAST_ROOM * side)
+    slack = (
+        ROUNDINGS
+        * ti.static(epsilon(state))
+        * (
+            size_of(slot_value(spec, state.x, slot))
+            + size_of(centre_of(spec, state, o, END))
+            + side
+            + radius
+            + state.obstacle_numbers[o, SCALE]
+        )
+    )
+    return room, slack
+
+
+@ti.func
+def shares_of_nearest(spec: ti.template(), p, a, b, c):
     """The shares (3,) of the corners a, b, c in the point of their triangle that is nearest to p.
 
-    Ericson, Real-Time Collision Detection, 5.1.5.
+    In 2-D, and where b and c are one, it is the edge from a to b. Ericson, Real-Time Collision
+    Detection, 5.1.5.
     """
     ab, ac, bc = b - a, c - a, c - b
     d1, d2 = ab.dot(p - a), ac.dot(p - a)
     d3, d4 = ab.dot(p - b), ac.dot(p - b)
     d5, d6 = ab.dot(p - c), ac.dot(p - c)
     vc, vb, va = d1 * d4 - d3 * d2, d5 * d2 - d1 * d6, d3 * d6 - d5 * d4
-    share = 0.0 * p
+    edge = bc.dot(bc) == 0.0
+    zero = 0.0 * d1
+    share = ti.Vector([zero, zero, zero])
     total = va + vb + vc
     if d1 <= 0.0 and d2 <= 0.0:
         share[0] = 1.0
@@ -169,7 +410,7 @@ def shares_of_nearest(p, a, b, c):
         share[1] = 1.0
     elif d6 >= 0.0 and d5 <= d6:
         share[2] = 1.0
-    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0 and d1 - d3 > 0.0:
+    elif (vc <= 0.0 or edge) and d1 >= 0.0 and d3 <= 0.0 and d1 - d3 > 0.0:
         share[1] = d1 / (d1 - d3)
         share[0] = 1.0 - share[1]
     elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0 and d2 - d6 > 0.0:
@@ -186,58 +427,148 @@ def shares_of_nearest(p, a, b, c):
     return share
 
 
+# --- what comes of it --------------------------------------------------------------------------
+
+
 @ti.func
-def _want(spec: ti.template(), state: ti.template(), o, m, depth, share, n, p):
-    """Note what triangle m wants of its corners, whose point p is `depth` deep in obstacle o."""
-    v, mobility = 0.0 * n, 0.0 * depth
+def _velocity(spec: ti.template(), state: ti.template(), slot):
+    v = slot_value(spec, state.v, slot)
+    if ti.static(spec.compensated):
+        v += slot_value(spec, state.v_low, slot)
+    return v
+
+
+@ti.func
+def _position(spec: ti.template(), state: ti.template(), slot):
+    x = slot_value(spec, state.x, slot)
+    if ti.static(spec.compensated):
+        x += slot_value(spec, state.x_low, slot)
+    return x
+
+
+@ti.func
+def _note_contact(spec: ti.template(), state: ti.template(), o, m, gap, meets, part, share, n):
+    """Note where the point of triangle m is to be, and how fast, by obstacle o.
+
+    meets: whether it came to the obstacle in this step, after `part` of it.
+    """
+    p, v, begun_v, mobility, radius = 0.0 * n, 0.0 * n, 0.0 * n, 0.0 * gap, 0.0 * gap
     for k in ti.static(range(3)):
-        slot = state.surface.corner[m, k]
-        own = slot_value(spec, state.v, slot)
-        if ti.static(spec.compensated):
-            own += slot_value(spec, state.v_low, slot)
-        v += share[k] * own
+        slot = _corner(state, m, k)
+        p += share[k] * _position(spec, state, slot)
+        v += share[k] * _velocity(spec, state, slot)
+        begun_v += share[k] * slot_value(spec, state.begun_v, slot)
         mobility += slot_number(spec, state.w, slot) * share[k] * share[k]
+        radius += share[k] * slot_number(spec, state.radius, slot)
     if mobility > 0.0:
-        surface_v = velocity_at(spec, state, o, p - centre_of(spec, state, o, END) + depth * n)
-        u = (v - surface_v).dot(n)
-        lost = ti.max(-1.0 * u, 0.0)
-        slide = v - surface_v - u * n
-        taken, _ = laws.friction(slide, lost, state.obstacle_numbers[o, FRICTION])
-        dv = lost * n + taken
-        dx = depth * n + (ti.static(state.position_weight) * state.dt[None]) * taken
+        r = p - centre_of(spec, state, o, END) - (gap + radius) * n
+        surface_v = velocity_at(spec, state, o, r)
+        dt, u = state.dt[None], (v - surface_v).dot(n)
+        push, target, weight = -1.0 * gap, 0.0 * gap, ti.static(state.position_weight) * dt
+        if meets and state.face_finds[None] == 1 and u < 0.0:  # as in `obstruction.obstructed`
+            u_before = (begun_v - surface_v).dot(n)
+            came = ti.min(ti.max(u_before / u, 0.0), 1.0)
+            weight += came * ((1.0 - part) * dt - weight)
+            e = state.obstacle_numbers[o, RESTITUTION]
+            if e > 0.0:
+                new_u, lift = bounce(u_before, u, part, e, state.position_weight, dt)
+                target = new_u
+                push += lift
+        c = _now(state, m)
+        state.face[c, HIT], state.face[c, OFFSET] = 1.0, n.dot(p) + push
+        state.face[c, TARGET], state.face[c, WEIGHT] = target, weight
+        state.face[c, MU] = state.obstacle_numbers[o, FRICTION]
         for k in ti.static(range(3)):
-            w = slot_number(spec, state.w, state.surface.corner[m, k])
-            state.face_hit[m, k] = w * share[k] / mobility
-            state.face_hit[m, 3 + k] = dx[k]
-            state.face_hit[m, 6 + k] = dv[k]
+            state.face[c, SHARE + k] = share[k]
+        for axis in ti.static(range(spec.dim)):
+            state.face[c, NORMAL + axis] = n[axis]
+            state.face[c, SURFACE_V + axis] = surface_v[axis]
+        _note_left(state, 1.0)
+
+
+@ti.func
+def _count(spec: ti.template(), state: ti.template(), p):
+    """Count the contacts of the particle of row p."""
+    count = 0
+    for h in range(state.elements.row_start[p], state.elements.row_start[p + 1]):
+        m = state.elements.row_triangle[h]
+        for c in range(m * FACE_CONTACTS, (m + 1) * FACE_CONTACTS):
+            if state.face[c, HIT] > 0.0:
+                count += 1
+    state.face_count[p] = count
+
+
+@ti.func
+def _of(spec: ti.template(), state: ti.template(), c, column: ti.template()):
+    """The vector (dim,) that begins in a column of state.face."""
+    return ti.Vector([state.face[c, column + axis] for axis in range(spec.dim)])
+
+
+@ti.func
+def _want(spec: ti.template(), state: ti.template(), c):
+    """Compute what contact c does to its triangle's corners, for shares and inverse masses of 1."""
+    if state.face[c, HIT] > 0.0:
+        m = c // FACE_CONTACTS
+        n, surface_v = _of(spec, state, c, NORMAL), _of(spec, state, c, SURFACE_V)
+        p, v, mobility = 0.0 * n, 0.0 * n, 0.0 * state.dt[None]
+        for k in ti.static(range(3)):
+            slot, share = _corner(state, m, k), state.face[c, SHARE + k]
+            p += share * _position(spec, state, slot)
+            v += share * _velocity(spec, state, slot)
+            count = ti.cast(state.face_count[state.face_row[m, k]], state.real)
+            mobility += count * slot_number(spec, state.w, slot) * share * share
+        depth, relative = state.face[c, OFFSET] - n.dot(p), v - surface_v
+        u = relative.dot(n)
+        lost = 0.0 * u
+        if depth >= -1.0 * SETTLED * state.face[c, ROOM]:  # it touches
+            lost = ti.max(state.face[c, TARGET] - u, 0.0)
+        taken, _ = laws.friction(relative - u * n, lost, state.face[c, MU])
+        push = ti.max(depth, 0.0)
+        dx, dv = push * n + state.face[c, WEIGHT] * taken, lost * n + taken
+        for axis in ti.static(range(spec.dim)):
+            state.face[c, DX + axis] = dx[axis] / mobility
+            state.face[c, DV + axis] = dv[axis] / mobility
+        _note_left(state, ti.max(push, lost * state.dt[None]) / state.face[c, ROOM])
 
 
 @ti.func
 def _give(spec: ti.template(), state: ti.template(), p):
-    """Give the particle of row p the mean of what its triangles want of it."""
-    slot = state.surface.row_slot[p]
-    dx, dv = ti.Vector.zero(state.real, 3), ti.Vector.zero(state.real, 3)
-    total = 0.0 * state.dt[None]
-    for h in range(state.surface.row_start[p], state.surface.row_start[p + 1]):
-        m = state.surface.row_triangle[h]
-        part = 0.0 * total
-        for k in ti.static(range(3)):
-            if state.surface.corner[m, k] == slot:
-                part = state.face_hit[m, k]
-        if part > 0.0:
-            total += part
-            for axis in ti.static(range(3)):
-                dx[axis] += part * part * state.face_hit[m, 3 + axis]
-                dv[axis] += part * part * state.face_hit[m, 6 + axis]
-    if total > 0.0:
+    """Give the particle of row p what its triangles do to it."""
+    if state.face_count[p] > 0:
+        slot = state.elements.row_slot[p]
         x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)
+        dx, dv, w = 0.0 * x, 0.0 * v, slot_number(spec, state.w, slot)
+        for h in range(state.elements.row_start[p], state.elements.row_start[p + 1]):
+            m = state.elements.row_triangle[h]
+            for c in range(m * FACE_CONTACTS, (m + 1) * FACE_CONTACTS):
+                if state.face[c, HIT] > 0.0:
+                    share = 0.0 * w
+                    for k in ti.static(range(3)):
+                        if _corner(state, m, k) == slot:
+                            share += state.face[c, SHARE + k]
+                    dx += (w * share) * _of(spec, state, c, DX)
+                    dv += (w * share) * _of(spec, state, c, DV)
         x_low, v_low = 0.0 * x, 0.0 * v
         if ti.static(spec.compensated):
             x_low, v_low = slot_value(spec, state.x_low, slot), slot_value(spec, state.v_low, slot)
-        new_x, new_x_low = joined(spec, state, x, x_low, (1.0 / total) * dx)
-        new_v, new_v_low = joined(spec, state, v, v_low, (1.0 / total) * dv)
+        new_x, new_x_low = joined(spec, state, x, x_low, dx)
+        new_v, new_v_low = joined(spec, state, v, v_low, dv)
         set_slot_value(spec, state.x, slot, new_x)
         set_slot_value(spec, state.v, slot, new_v)
         if ti.static(spec.compensated):
             set_slot_value(spec, state.x_low, slot, new_x_low)
             set_slot_value(spec, state.v_low, slot, new_v_low)
+        note_fault(spec, state, slot)
+
+
+@ti.kernel
+def load_rows(state: ti.template()):
+    """Note the row of each corner of each triangle, and forget what was given up."""
+    for _ in range(1):
+        state.faces_unsettled[None] = 0
+    for p in range(state.elements.n_rows[None]):
+        for h in range(state.elements.row_start[p], state.elements.row_start[p + 1]):
+            m = state.elements.row_triangle[h]
+            for k in ti.static(range(3)):
+                if state.elements.corner[m, k] == state.elements.row_slot[p]:
+                    state.face_row[m, k] = p

@@ -122,7 +122,7 @@ def obstructed(
     slack = (
         ROUNDINGS
         * ti.static(epsilon(state))
-        * (_size(x) + _size(centre) + radius + state.obstacle_numbers[o, SCALE])
+        * (size_of(x) + size_of(centre) + radius + state.obstacle_numbers[o, SCALE])
     )
     gap, n, gap_before, part = meet(spec, state, o, slot, d, radius, slack)
     surface_v = velocity_at(spec, state, o, d - (gap + radius) * n)
@@ -165,7 +165,7 @@ def obstructed(
 
 
 @ti.func
-def _size(a):
+def size_of(a):
     """The sum of the sizes of a vector's components."""
     total = a[0] - a[0]
     for axis in ti.static(range(a.n)):

@@ -31,6 +31,9 @@ ALIVE, BREAKING, GONE = 0, 1, 2  # of a spring; BREAKING: over its limit, pulls 
 # Gauss-Seidel or for a product with the stiffness matrix), steps that did not converge.
 WORK = FORCES, SWEEPS, UNCONVERGED = range(3)
 
+FACE_COLUMNS = 21  # of state.face (`faces.py`)
+FACE_CONTACTS = 4  # that a triangle may have at once
+
 CACHE_LINE = 32  # whole numbers in two lines of 64 bytes, which processors fetch in pairs
 
 
@@ -39,10 +42,10 @@ class Capacity:
     """How much fits into a `State`.
 
     particles; springs: those on the graph; packs, the empty ones included; grids; row: packs in the
-    widest row, with its halos; triangles: those of which the scene's forces and
-    thin obstacles know; obstacles; nodes: of their grids; stencils, stencil_particles,
-    stencil_sides: those that are listed, all of their particles, and the springs they need; closer:
-    pairs that keep less than their radii, from both ends.
+    widest row, with its halos; triangles: those of which the scene's forces know; elements: what is
+    tested against sharp obstacles (`faces.py`); obstacles; nodes: of their grids; stencils,
+    stencil_particles, stencil_sides: those that are listed, all of their particles, and the
+    springs they need; closer: pairs that keep less than their radii, from both ends.
     """
 
     particles: int
@@ -51,6 +54,7 @@ class Capacity:
     grids: int
     row: int
     triangles: int = 0
+    elements: int = 0
     obstacles: int = 0
     nodes: int = 0
     stencils: int = 0
@@ -178,7 +182,8 @@ class State:
         time 0 and its velocities; obstacle_pose: its poses at both ends of the step,
         and (held) its mean rates in the next one; obstacle_part (moving): of the step, in which it
         moves. held_by, held_at: what each particle goes with, 1 + its row, and where (`grips.py`).
-        face_hit, surface (faces): what each triangle wants of its corners, and a `Surface`.
+        elements, face, face_left, face_row, face_count, face_finds, faces_unsettled (faces): a
+        `Surface` of what is tested against sharp obstacles, and what comes of that (`faces.py`).
         obstacle_low, obstacle_nodes, obstacle_grid: of its grid of distances, where it has one.
     The account of contacts (`contact_account.py`): accounting: whether it is kept; start_x,
         start_v, free_x, free_v, ended_x: the step's start, free end and end; contact_work: of each
@@ -223,7 +228,7 @@ class State:
             self._place_stencils(spec, method)
         if spec.collisions:
             self._place_collision_grid(spec)
-        if has_surface(spec):
+        if has_tractions(spec):
             room = capacity.triangles, capacity.particles
             self.surface = Surface(real, *room, self._reals, self._integers)
         if spec.obstacles:
@@ -231,7 +236,7 @@ class State:
         if spec.accounts_contacts:
             self._place_account(spec)
         if spec.faces:
-            self.face_hit = self._scalars(max(capacity.triangles, 1), 9)
+            self._place_faces()
         self.trees = [self._reals.finalize(), self._integers.finalize()]
         if spec.accounts_contacts:
             self.trees.append(self.wide_tree)
@@ -506,6 +511,14 @@ class State:
         self.contact_energy = _placed(tree := ti.FieldsBuilder(), ti.field(self.wide))
         self.wide_tree = tree.finalize()
 
+    def _place_faces(self):
+        m, n = max(self.capacity.elements, 1), self.capacity.particles
+        self.elements = Surface(self.real, m, n, self._reals, self._integers)
+        self.face = self._scalars(FACE_CONTACTS * m, FACE_COLUMNS)
+        self.face_left = self._scalars()
+        self.face_row, self.face_count = self._counts(m, 3), self._counts(max(min(n, 3 * m), 1))
+        self.face_finds, self.faces_unsettled = self._counts(), self._counts()
+
     def _add(self, name, field):
         """Take up a field by the name that a method or a force gave it.
 
@@ -566,11 +579,6 @@ class State:
 def has_tractions(spec):
     """Whether any force of a specialization acts on triangles."""
     return any(load(name).adds == TRACTION for name in spec.terms)
-
-
-def has_surface(spec):
-    """Whether a specialization has triangles: forces act on them, or obstacles are thin."""
-    return has_tractions(spec) or spec.faces
 
 
 def device_fields(spec):

@@ -306,7 +306,7 @@ def load_surface(
         surface.row_slot[p] = rows[p]
     for p in range(start.shape[0]):
         surface.row_start[p] = start[p]
-    for h in range(3 * triangle_count):
+    for h in range(start[row_count]):
         surface.row_triangle[h] = at[h] // 3
         surface.row_share[h] = shares[at[h] // 3, at[h] % 3]
 

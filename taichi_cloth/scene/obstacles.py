@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taichi_cloth.errors import nearest
+from taichi_cloth.scene.triangles import springs_of_sides
 from taichi_cloth.settings import accepted
 
 if TYPE_CHECKING:
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
     from taichi_cloth.scene.model import Scene, World
 
 CONTACTS = ("original", "resting")  # how walls and pairs of particles treat positions
+FAR = 1e15  # as in `kernels.obstacles.contract`, which is not imported where there is none
+ROUNDING = 1e-6  # of a particle's coordinates: a depth at the start that f32 may make of none
+PUSHES = 64  # by which a particle that begins inside finds a place outside of all obstacles
+STUCK = 0.01  # of its radius or depth: what it may then be inside, where pushes converge slowly
 MOST_ROWS = 4_000_000  # of a list of points or faces
 
 
@@ -274,16 +279,35 @@ def held(scene: Scene, solids: Sequence[Solid]) -> tuple[np.ndarray, np.ndarray]
     return which, local
 
 
-def thin_ones(scene: Scene) -> list[str]:
-    """The names of those obstacles that are thinner than the sides of triangles are long.
+def elements(scene: Scene) -> np.ndarray:
+    """What of a scene's cloths is tested against sharp obstacles, as triangles (m, 3).
 
-    They would pass between a cloth's particles. There is none in 2-D.
+    In 3-D the triangles, in 2-D the springs along their sides; in both the springs between
+    particles that are in no triangle, such as those of ropes. Springs are triangles whose last
+    corners are one. Links to the next but one are left out: they are in no cloth's surface.
     """
-    if scene.world.dim == 2 or len(scene.triangles) == 0 or not scene.obstacles:
+    between = scene.springs.between
+    in_triangle = np.zeros(len(scene.particles), bool)
+    in_triangle[scene.triangles.ravel()] = True
+    as_edge = ~in_triangle[between].any(axis=1)
+    if scene.world.dim == 2:
+        sides = springs_of_sides(scene.triangles, between)
+        as_edge[sides[sides >= 0]] = True
+    edges = between[as_edge][:, [0, 1, 1]]
+    found = edges if scene.world.dim == 2 else np.concatenate([scene.triangles, edges])
+    return found.astype(np.int64)
+
+
+def met_by_faces(scene: Scene, solids: Sequence[Solid]) -> list[str]:
+    """The names of those solids that are sharper than a scene's `elements` are long.
+
+    They could pass between a cloth's particles.
+    """
+    if all(solid.placed.round >= FAR for solid in solids):
         return []
-    x = scene.particles.position[scene.triangles]
-    longest = float(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max())
-    return [solid.name for solid in solids(scene) if solid.placed.thin < longest]
+    x = scene.particles.position[elements(scene)]
+    longest = float(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(initial=0.0))
+    return [solid.name for solid in solids if solid.placed.round < longest]
 
 
 def _placed(shape: str, values: Mapping[str, Any], dim: int, margin: float) -> Placed:
@@ -331,6 +355,42 @@ def surface(solid: Solid, extent: float) -> tuple[np.ndarray, np.ndarray]:
     from taichi_cloth.kernels import obstacles
 
     return obstacles.load(solid.shape).surface(solid.placed, extent)
+
+
+@dataclass(frozen=True)
+class Inside:
+    """Which free particles begin inside a solid: all of them, (k,), in ascending order.
+
+    solid: (k,) the name of the one in which each is deepest. stuck: those of them that are inside
+    of some solid wherever they are pushed.
+    """
+
+    particles: np.ndarray
+    solid: list[str]
+    stuck: np.ndarray
+
+
+def inside_at_start(scene: Scene, solids: Sequence[Solid]) -> Inside:
+    """Which of a scene's free particles have to be pushed out of what is in their way at time 0."""
+    particles = scene.particles
+    x, radius = particles.position.copy(), particles.radius
+    allowed = ROUNDING * (radius + np.abs(x).max(axis=1, initial=0.0))
+
+    def deep(x: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        gaps = [radius - solid.distances(x, 0.0)[0] for solid in solids]
+        return np.array(gaps).reshape(len(solids), len(x))
+
+    depth = deep(x, radius)
+    found = np.flatnonzero((depth > allowed).any(axis=0) & ~particles.fixed)
+    deepest = depth[:, found].argmax(axis=0) if len(found) else np.zeros(0, np.int64)
+    x, radius = x[found], radius[found]
+    for _ in range(PUSHES if len(found) else 0):
+        for solid in solids:
+            distance, normal = solid.distances(x, 0.0)
+            x -= np.minimum(distance - radius, 0.0)[:, None] * normal
+    left = deep(x, radius).max(axis=0, initial=0.0)
+    stuck = found[left > allowed[found] + STUCK * np.maximum(depth[:, found].max(axis=0), radius)]
+    return Inside(found, [solids[s].name for s in deepest], stuck)
 
 
 def depths(solids: Sequence[Solid], x: np.ndarray, radius: np.ndarray, time: float) -> np.ndarray:

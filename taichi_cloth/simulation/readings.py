@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from taichi_cloth.limits.network import Network
-from taichi_cloth.scene.obstacles import Drawn, depths, surface
+from taichi_cloth.scene.obstacles import Drawn, Inside, depths, inside_at_start, surface
 from taichi_cloth.scene.penetration import deepest, touches
 from taichi_cloth.scene.spheres import too_near
 from taichi_cloth.simulation import diagnostics
@@ -158,6 +158,11 @@ class Readings(ABC):
         storage = self.storage
         return deepest(storage.scene, storage.solids, self.positions(), self.time)
 
+    def inside_at_start(self) -> Inside:
+        """Which free particles begin inside an obstacle, out of which the first step puts them."""
+        scene = self.storage.scene
+        return inside_at_start(scene, self.storage.solids)
+
     def unsettled(self) -> int:
         """How many steps ended with resting pairs that overlap by more than a hundredth of their
         reach: iterations were given up. They are counted since the scene was loaded."""
@@ -173,6 +178,11 @@ class Readings(ABC):
             return 0
         whole = scene.triangles[self.storage.triangles_alive()]
         return len(too_near(self.positions(), whole, scene.spheres))
+
+    def unsettled_faces(self) -> int:
+        """How many steps ended with a face or an edge in an obstacle, by half its radius and that
+        of the particles or more. They are counted since the scene was loaded."""
+        return self.storage.unsettled_faces()
 
     def network(self) -> Network:
         """The particles where they are, and the springs that pull."""

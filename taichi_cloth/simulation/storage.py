@@ -276,7 +276,7 @@ class Storage:
         features["uniform_springs"] &= not any(number.changes(terms) for number in NUMBERS)
         return Specialization(
             **features,
-            faces=bool(obstacles.thin_ones(self.scene)),
+            faces=self._tests_faces(),
             terms=terms,
             lanes=layout.lanes,
             links=layout.links,
@@ -310,16 +310,17 @@ class Storage:
             row=max(layout.row, clicked),
             obstacles=len(self.solids),
             nodes=sum(solid.nodes for solid in self.solids),
-            triangles=len(self.scene.triangles) if self._knows_triangles() else 0,
+            triangles=len(self.scene.triangles) if forces.act_on_triangles(self.scene) else 0,
+            elements=len(obstacles.elements(self.scene)) if self._tests_faces() else 0,
             stencils=len(placement.graph_stencils),
             stencil_particles=int(self.scene.stencils.sizes[placement.graph_stencils].sum()),
             stencil_sides=len(self.scene.stencil_sides[0]),
             closer=len(self.scene.spheres.other) if self.scene.features().thick else 0,
         )
 
-    def _knows_triangles(self) -> bool:
-        """Whether forces act on the scene's triangles, or thin obstacles meet them."""
-        return forces.act_on_triangles(self.scene) or bool(obstacles.thin_ones(self.scene))
+    def _tests_faces(self) -> bool:
+        """Whether faces and edges of the scene's cloths are tested against any obstacle."""
+        return bool(obstacles.met_by_faces(self.scene, self.solids))
 
     def unprepared(self) -> list[Callable[[], None]]:
         """What compiles the kernels that only a first click needs, in a scene where clicks spawn.
@@ -493,6 +494,10 @@ class Storage:
             return None
         energy, first = float(self.state.contact_energy[None]), int(self.state.first_touch[None])
         return energy, None if first == contact_account.NEVER else first
+
+    def unsettled_faces(self) -> int:
+        """How many steps ended with faces inside obstacles, since the fields were made."""
+        return int(self.state.faces_unsettled[None]) if self.specialization.faces else 0
 
     def solution(self) -> diagnostics.Solution:
         """How the last step was solved, by a method that solves to a tolerance."""

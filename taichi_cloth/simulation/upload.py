@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.kernels import clock, poses, surfaces, transfer
+from taichi_cloth.kernels import clock, faces, poses, surfaces, transfer
 from taichi_cloth.kernels.collision_grid import ALONE, MOST_BINS, most_cells
 from taichi_cloth.kernels.obstacles.contract import FAR, SIZES
 from taichi_cloth.kernels.specialization import Specialization
@@ -20,11 +20,10 @@ from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import (
     GONE,
     device_fields,
-    has_surface,
     has_tractions,
 )
 from taichi_cloth.scene.model import Particles, Springs, World
-from taichi_cloth.scene.obstacles import Solid, held, thin_ones
+from taichi_cloth.scene.obstacles import Solid, elements, held, met_by_faces
 from taichi_cloth.scene.triangles import corner_shares, springs_of_sides
 from taichi_cloth.simulation import adjacency, layouts
 from taichi_cloth.simulation.launch import Launcher
@@ -114,8 +113,11 @@ class Upload:
             self._launch(surfaces.clear_tractions)
         if self.spec.obstacles:
             self._obstacles()
-        if has_surface(self.spec):
-            self.surface(self.state.surface)
+        if has_tractions(self.spec):
+            self.surface(self.state.surface, self.snapshot.scene.triangles)
+        if self.spec.faces:
+            self.surface(self.state.elements, elements(self.snapshot.scene))
+            self.launcher.launch(faces.load_rows, self.state)
         if self.spec.thick:
             self._closer_pairs()
         if self.spec.lines:
@@ -257,20 +259,24 @@ class Upload:
 
     # --- surfaces --------------------------------------------------------------------------
 
-    def surface(self, surface: Any) -> None:
-        """The scene's triangles, into a `kernels.state.Surface`."""
+    def surface(self, surface: Any, triangles: np.ndarray) -> None:
+        """Triangles (m, 3) of particles, into a `kernels.state.Surface`.
+
+        Where the last two corners are one it is an edge, which that particle has once.
+        """
         layout, scene = self.placement.layout, self.snapshot.scene
-        slots = layout.slot[scene.triangles].astype(np.int32)
+        slots = layout.slot[triangles].astype(np.int32)
         # Where the device has the status of each spring, and at the end that of none.
         place = np.full(len(scene.springs) + 1, -1, np.int64)
         place[self.placement.graph_springs] = np.arange(len(self.placement.graph_springs))
         kind, slot = self.placement.link_places.astype(np.int64).T
         link = kind * self.state.packs * layout.lanes + slot
         place[self.placement.links] = -2 - link
-        sides = place[springs_of_sides(scene.triangles, scene.springs.between)]
+        sides = place[springs_of_sides(triangles, scene.springs.between)]
         corners = np.column_stack([slots, sides]).astype(np.int32)
-        shares = corner_shares(scene.particles.position, scene.triangles).astype(self.real)
+        shares = corner_shares(scene.particles.position, triangles).astype(self.real)
         order = np.argsort(slots.ravel(), kind="stable")
+        order = order[(order % 3 < 2) | (slots[order // 3, 1] != slots[order // 3, 2])]
         rows, start = np.unique(slots.ravel()[order], return_index=True)
         self.launcher.launch(
             surfaces.load_surface,
@@ -278,7 +284,7 @@ class Upload:
             _not_empty(corners),
             _not_empty(shares),
             _not_empty(rows.astype(np.int32)),
-            np.append(start, slots.size).astype(np.int32),
+            np.append(start, order.size).astype(np.int32),
             _not_empty(order.astype(np.int32)),
             len(slots),
             len(rows),
@@ -366,7 +372,7 @@ class Upload:
     def _obstacles(self) -> None:
         """What is in the way, a row each, and the nodes of their grids one after the other."""
         counts, rows, nodes = [], [], [np.zeros((1, 4))]
-        thin = thin_ones(self.snapshot.scene)
+        sharp = met_by_faces(self.snapshot.scene, self.solids)
         first = 0
         for solid in self.solids:
             placed, count = solid.placed, [0, 0, 0]
@@ -378,7 +384,7 @@ class Upload:
             scale = max((abs(size) for size in placed.sizes), default=0.0)
             restitution = -1.0 if solid.restitution is None else solid.restitution
             numbers = [solid.friction, restitution, placed.thin, placed.bound, scale, placed.cell]
-            numbers.append(float(solid.name in thin))
+            numbers += [float(solid.name in sharp), placed.round]
             sizes = np.zeros(SIZES)
             sizes[: len(placed.sizes)] = placed.sizes
             low = np.zeros(3) if placed.low is None else placed.low

@@ -52,7 +52,7 @@ def place(values, dim, margin):
     bound = float(np.linalg.norm(half / half.max()) * half.max())
     turn = turned(values["turn"], dim)
     centre = np.asarray(values["centre"], np.float64)
-    return Placed(centre, turn, tuple(half.tolist()), float(half.min()), bound)
+    return Placed(centre, turn, tuple(half.tolist()), float(half.min()), 0.0, bound)
 
 
 def twin(placed, q):

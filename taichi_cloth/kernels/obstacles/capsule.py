@@ -44,7 +44,7 @@ def place(values, dim, margin):
     largest = np.abs(half).max()
     reach = largest * float(np.linalg.norm(half / largest))
     centre = first + half
-    return Placed(centre, along(half / reach), (radius, reach), radius, radius + reach)
+    return Placed(centre, along(half / reach), (radius, reach), radius, radius, radius + reach)
 
 
 def twin(placed, q):

@@ -25,8 +25,8 @@ REQUIRED = "required"  # the default of a key that must be given
 FAR = 1e15  # a length beyond all scenes whose square f32 holds
 # Columns of state.obstacle_numbers. THIN and BOUND: as in `Placed`; SCALE: size of the numbers that
 # the law takes differences of; RESTITUTION: negative: that of the particle; CELL: of its grid;
-# FACES_TOO: 1: the faces of triangles are tested against it, not only particles.
-FRICTION, RESTITUTION, THIN, BOUND, SCALE, CELL, FACES_TOO = NUMBERS = range(7)
+# FACES_TOO: 1: the faces of triangles are tested against it, not only particles; ROUND: `Placed`'s.
+FRICTION, RESTITUTION, THIN, BOUND, SCALE, CELL, FACES_TOO, ROUND = NUMBERS = range(8)
 SIZES = 4  # numbers of a shape that its law reads on the device
 
 
@@ -66,16 +66,18 @@ class Placed:
     """An obstacle as its values have it at time 0.
 
     centre: (dim,), about which it turns; turn: (dim, dim). sizes: at most `SIZES` numbers for the
-    law. thin: the length below which particles could pass through it between two looks, or it
-    through a cloth's cells; `FAR`: it has none. bound: radius of a ball about the centre that holds
-    it. low: (3,), cell, nodes: (nx, ny, nz, 4), of a grid of distances and normals, where it has
-    one; vertices, faces: of what that was made from, to draw it by.
+    law. thin: the length below which particles could pass through it between two looks; `FAR`: it
+    has none. round: the radius of its sharpest edge or corner, which could pass between a cloth's
+    particles where it is smaller than the cells. bound: radius of a ball about the centre that
+    holds it. low: (3,), cell, nodes: (nx, ny, nz, 4), of a grid of distances and normals, where it
+    has one; vertices, faces: of what that was made from, to draw it by.
     """
 
     centre: np.ndarray
     turn: np.ndarray
     sizes: tuple[float, ...]
     thin: float
+    round: float
     bound: float
     low: np.ndarray | None = None
     cell: float = 0.0

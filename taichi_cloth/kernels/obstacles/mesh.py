@@ -127,6 +127,7 @@ def place(values, dim, margin):
         turned(values["turn"], dim),
         (clear,),
         thin=cell,
+        round=0.5 * cell,
         bound=bound,
         low=low,
         cell=cell,
