@@ -392,16 +392,14 @@ def test_a_strip_that_comes_to_rest_is_an_elastica(mesh, device):
 @thorough
 def test_a_strip_hangs_alike_in_every_precision(device, cli):
     """The free end, in lengths of the strip: f32 to 2e-4, compensated to 1e-5."""
-    cases = [
-        (mesh, how) for mesh in (False, True) for how in ("implicit_euler", "symplectic_euler")
-    ]
+    cases = [(False, "symplectic_euler"), (True, "implicit_euler")]
     exact = np.array(tips(cases, 10.0))
     assert np.abs(exact - [1.0, 2.0] - elastica(10.0)).max() < 0.02
     for precision, within in (("f32", 2e-4), ("compensated", 1e-5)):
         found = cli.call("strips:tips_in", precision=precision, cases=cases, load=10.0)
         errors = np.abs(np.array(found) - exact).max(axis=1)
         assert errors.max() < within, (precision, errors)
-        assert precision == "f32" or errors[1::2].max() < 1e-6  # which adds small changes up
+        assert precision == "f32" or errors[0] < 1e-6  # which adds small changes up
 
 
 def test_pairs_of_particles_in_stencils_are_found_once_and_colours_keep_them_apart():
