@@ -1,6 +1,7 @@
 """The architecture, read from the source: who may import whom, and what start-up may load."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -86,6 +87,14 @@ def test_the_ui_is_imported_by_the_command_line_alone_and_late():
         if room == "ui" and room_of(path) != "ui" and "TYPE_CHECKING" not in path.read_text()
     }
     assert users <= {("cli", False)}
+
+
+def test_a_wheel_has_every_package():
+    listed = re.findall(
+        r'^  "(taichi_cloth[.\w]*)",$', (ROOT.parent / "pyproject.toml").read_text(), re.M
+    )
+    there = [".".join(path.parent.relative_to(ROOT.parent).parts) for path in FILES]
+    assert sorted(listed) == sorted(set(there))
 
 
 def test_only_the_runtime_starts_taichi():
