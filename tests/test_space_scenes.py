@@ -153,10 +153,11 @@ def test_the_twisted_strip_keeps_its_turns(pool):
 
 @pytest.mark.thorough
 def test_the_plates_stay_on_the_table(pool):
-    sim, x, _ = after(pool, "pull", 3, columns=26)
+    sim, x, _ = after(pool, "pull", 2)  # a coarser cloth drags them along
     first, free = sim.scene.particles.position, sim.scene.particles.radius > pull.THICKNESS
     balls, began = x[free], first[free]
-    assert (np.linalg.norm((balls - began)[:, [0, 2]], axis=1) < 0.2).all()
+    assert (np.linalg.norm((balls - began)[:, [0, 2]], axis=1) < 0.3).all()
+    assert balls[:, 0].max() < pull.TABLE[1]
     low = balls[:, 1] - sim.scene.particles.radius[free] - pull.TOP
     assert (low > -1e-6).all() and np.median(low) < 0.01
     assert x[~free, 0].min() > pull.TABLE[1] - 0.05  # the cloth is off the table
