@@ -389,7 +389,9 @@ def inside_at_start(scene: Scene, solids: Sequence[Solid]) -> Inside:
             distance, normal = solid.distances(x, 0.0)
             x -= np.minimum(distance - radius, 0.0)[:, None] * normal
     left = deep(x, radius).max(axis=0, initial=0.0)
-    stuck = found[left > allowed[found] + STUCK * np.maximum(depth[:, found].max(axis=0), radius)]
+    stuck = found[
+        left > allowed[found] + STUCK * np.maximum(depth[:, found].max(axis=0, initial=0.0), radius)
+    ]
     return Inside(found, [solids[s].name for s in deepest], stuck)
 
 
