@@ -292,7 +292,7 @@ def _out_of_obstacles(spec: ti.template(), state: ti.template(), at, x, v):
             surface_v = velocity_at(spec, state, o, d - distance * n)
             relative = v - surface_v
             u = relative.dot(n)
-            x -= ti.min(gap, 0.0) * n
+            x += (-1.0 * ti.min(gap, 0.0)) * n  # `-=` of vectors crashes in lanes
             if u < 0.0:
                 taken, _ = laws.friction(
                     relative - u * n, -1.0 * u, state.obstacle_numbers[o, FRICTION]
