@@ -59,6 +59,7 @@ def made_row(method=LONG, precision="compensated", substeps=4096, error=0.0123, 
         for name in (
             *("error_final_max_relative", "error_trajectory", "error_trajectory_relative"),
             *("energy_drift", "max_strain", "error_discretisation", "error_solver"),
+            *("penetration_max", "contact_energy", "first_touch_later"),
         )
     }
     times = {"wall_seconds": seconds, "wall_lower": seconds, "wall_upper": 1.5 * seconds}
@@ -167,7 +168,7 @@ def test_the_trade_fits_and_ends_with_its_front_and_advice(width, capsys):
 
 
 def test_a_wide_terminal_is_shown_all_columns(monkeypatch, capsys):
-    monkeypatch.setenv("COLUMNS", "240")
+    monkeypatch.setenv("COLUMNS", "300")
     show_trade(made_rows(), console.output())
     shown = capsys.readouterr().out
     assert "left out" not in shown

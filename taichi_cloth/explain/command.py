@@ -32,6 +32,8 @@ FILLED: dict[str, dict[str, Any]] = {
     "box": {"particles": 200, "radius": 12.0},
     "sandbox": {"particles": 200, "radius": 5.0},
 }
+# The scenes of `--all` whose features are switched one by one; of others it measures the whole.
+SWITCHED = ("box", "chain", "cloth", "drape", "oscillator", "sandbox", "slinky")
 SIDES = (16, 128, 512)  # particles in a row and a column of the cloths whose links are compared
 LINKS: dict[str, dict[str, float]] = {  # parameters of the scene `cloth`
     "structural": {},
@@ -70,7 +72,8 @@ def main(source: SceneSource, options: ExplainOptions) -> int:
         for name, scene in scenes.items():
             of = SceneSource(name.partition(" ")[0]) if options.all else source
             step = {} if options.given & {"dt", "substeps"} else {"dt": of.frame()}
-            explanation = costs.explain(scene, how | step, options.quick, tell(name))
+            switch = not options.all or scene.name in SWITCHED
+            explanation = costs.explain(scene, how | step, options.quick, tell(name), switch=switch)
             found.append(replace(explanation, scene=name))
         if options.all:
             for side in SIDES[: 2 if options.quick else None]:
@@ -350,8 +353,9 @@ def _table_of_scenes(found: Sequence[Explanation]) -> tuple[list[str], list[list
 
 def _table_of_all_costs(found: Sequence[Explanation]) -> tuple[list[str], list[list[str]]]:
     """Features down, scenes across: a step's time and the time to compile; what a scene lacks is
-    in brackets, with what it would add.
+    in brackets, with what it would add. Scenes whose features were not switched are left out.
     """
+    found = [e for e in found if e.costs]
     features = dict.fromkeys(cost.feature for e in found for cost in e.costs)
     lines = []
     for feature in features:

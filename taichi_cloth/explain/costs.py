@@ -217,9 +217,11 @@ def race(candidates: Sequence[Candidate], rounds: int, compiles: int, tell: Tell
             candidate.seconds.append(seconds)
 
 
-def explain(scene: Scene, how: dict[str, Any], quick: bool, tell: Tell) -> Explanation:
-    """Measure a checked scene. how: arguments of `Simulation`. Raises SimulationFailure where the
-    scene itself fails.
+def explain(
+    scene: Scene, how: dict[str, Any], quick: bool, tell: Tell, *, switch: bool = True
+) -> Explanation:
+    """Measure a checked scene. how: arguments of `Simulation`; switch: whether its features are
+    switched one by one, too. Raises SimulationFailure where the scene itself fails.
     """
     tell("finding the fastest way to run it", 0, 1)
     sim = Simulation(scene, **how)  # the first kernels of a process take longer
@@ -230,7 +232,7 @@ def explain(scene: Scene, how: dict[str, Any], quick: bool, tell: Tell) -> Expla
     dt, substeps, method = sim.dt, sim.substeps, sim.method
     del sim
 
-    switched = list(variants(scene, on_graph=compiled.topology == "graph"))
+    switched = list(variants(scene, on_graph=compiled.topology == "graph")) if switch else []
     own = Candidate(scene, how)
     others = [Candidate(variant.scene, how) for variant in switched]
     race([own, *others], 7 if quick else 21, 1 if quick else 2, tell)
