@@ -13,7 +13,7 @@ import numpy as np
 
 from taichi_cloth.scene.cloth import grid, grid_stencils, grid_triangles
 from taichi_cloth.scene.material import Material
-from taichi_cloth.scene.model import Scene, World
+from taichi_cloth.scene.model import ParticleDefaults, Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.settings.options import Parameter
 
@@ -51,9 +51,9 @@ def scene(
         across=across,
         down=down,
         break_in="tension",
+        particle_defaults=ParticleDefaults(radius=0.002),
         material=Material(
             density=0.15,
-            thickness=0.004,
             stretch=300.0,
             shear=15.0,
             damping_time=4e-4,

@@ -9,7 +9,7 @@ import numpy as np
 
 from taichi_cloth.scene.cloth import grid, grid_stencils, grid_triangles
 from taichi_cloth.scene.material import Material
-from taichi_cloth.scene.model import Scene, World
+from taichi_cloth.scene.model import ParticleDefaults, Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.settings.options import Parameter
 
@@ -40,9 +40,8 @@ def scene(
         links=("structural", "shear"),
         across=across,
         down=down,
-        material=Material(
-            density=0.12, thickness=0.004, stretch=80.0, shear=10.0, damping_time=4e-4
-        ),
+        particle_defaults=ParticleDefaults(radius=0.002),
+        material=Material(density=0.12, stretch=80.0, shear=10.0, damping_time=4e-4),
     )
     stripe = np.minimum(np.arange(rows) * 3 // rows, 2).repeat(columns)
     pole = Obstacle.build(
