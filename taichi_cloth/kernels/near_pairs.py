@@ -4,11 +4,13 @@ Where no cloth has a thickness, all pairs within 1 + MARGIN of their reach at th
 are listed anew in each step; who has more of them than MOST_NEAR looks into the grid again.
 
 Where one has (`spec.thick`), pairs within their reach and a skin are kept from step to step, in
-the order by cells of the step that listed them, until particles have moved apart by the skin
-(Verlet, "Computer experiments on classical fluids", 1967). What all have in common does not
-count: the box around all displacements is compared, those at both ends of the step. Where pairs are
-listed, those that came near each other on the straight ways of that step are listed, too, however
-far these went: so in each step the list has all that may touch, and is narrowed to those. What has
+the order by cells of the step that listed them, until some have come nearer by the skin (Verlet,
+"Computer experiments on classical fluids", 1967). That is asked of patches of particles that began
+side by side, two by two: of the boxes around their displacements, at both ends of the step, unless
+they were listed farther apart than that. Where pairs are listed, those that came near each other on
+the straight ways of that step are listed, too, however far these went; the boxes around the ways of
+patches say how far to look. So in each step the list has all that may touch, and is narrowed to
+those. What has
 passed through is marked: its normal is that of the step's start. Who has more than MOST_KEPT in its
 list keeps the first ones, and the step is counted as unsettled.
 
@@ -30,13 +32,14 @@ from taichi_cloth.kernels.collision_grid import (
     sorted_x,
     sum_over_near,
 )
-from taichi_cloth.kernels.loops import barrier, each, share
+from taichi_cloth.kernels.loops import each
 from taichi_cloth.kernels.packs import slot_value
 
 MARGIN = 0.25  # of a pair's reach, within which particles may come to touch in a step
 CLOTH_MARGIN = 0.05  # the same where cloths have a thickness
 CLOSER_SKIN = 0.25  # of the skin: for neighbours in a cloth, whose springs keep them apart
 PASSED, CLOSER = 1, 2
+LISTED, COME, NOW, WAY = range(4)  # boxes of a patch: of positions and of displacements
 
 
 @ti.func
@@ -47,14 +50,17 @@ def find_pairs(spec: ti.template(), state: ti.template(), t):
         each(spec, state, t, state.n[None], _begin)
     else:
         if ti.static(spec.one_launch_per_step):
-            each(spec, state, t, state.n[None], _note_way)
+            each(spec, state, t, state.n_patches[None], _bound_patch)
             _keep_pairs(spec, state, t)
         else:
-            _gather(spec, state, t)
-            if _outdated(spec, state):
+            each(spec, state, t, state.n_patches[None], _bound_patch)
+            each(spec, state, t, state.n_patches[None], _compare_patch)
+            if state.outdated[None] == 1:
                 _keep_pairs(spec, state, t)
+            else:
+                each(spec, state, t, state.n[None], _refresh)
+        each(spec, state, t, 1, _begin_lists)
         each(spec, state, t, state.n[None], _narrow)
-        each(spec, state, t, 1, _forget_ways)
 
 
 def sizes(spec):
@@ -143,67 +149,107 @@ def _vector(spec: ti.template(), field: ti.template(), at):
 
 
 @ti.func
-def _gather(spec: ti.template(), state: ti.template(), t):
-    """Take positions to their places, and note how far they are from where they were listed."""
-    low = ti.Vector([1e30] * (2 * spec.dim), state.real)
-    high = -1.0 * low
-    n = state.n[None]
-    for at in range(share(spec, n, t), share(spec, n, t + 1)):
-        slot = slot_of(spec, state, state.sorted_index[at])
+def _bound_patch(spec: ti.template(), state: ti.template(), patch):
+    """The boxes around a patch of particles: where they were listed, how far they have come since
+    at both ends of this step, where they are, and how far they go in this step."""
+    big = ti.Vector([1e30, 1e30, 1e30], state.real)
+    listed_low, come_low, x_low, way_low = big, big, big, big
+    listed_high, come_high, x_high, way_high = -1.0 * big, -1.0 * big, -1.0 * big, -1.0 * big
+    for k in range(state.patch_start[patch], state.patch_start[patch + 1]):
+        i = state.in_patches[k]
+        slot = slot_of(spec, state, i)
         x, begun = slot_value(spec, state.x, slot), slot_value(spec, state.begun_x, slot)
-        for axis in ti.static(range(spec.dim)):
-            state.sorted[at, axis] = x[axis]
-            state.listed_begun[at, axis] = begun[axis]
-            listed, way = state.listed_x[at, axis], ti.static(spec.dim + axis)
-            low[axis] = ti.min(low[axis], x[axis] - listed, begun[axis] - listed)
-            high[axis] = ti.max(high[axis], x[axis] - listed, begun[axis] - listed)
-            low[way] = ti.min(low[way], x[axis] - begun[axis])
-            high[way] = ti.max(high[way], x[axis] - begun[axis])
-    for k in ti.static(range(2 * spec.dim)):
-        ti.atomic_min(state.extremes[2 * k], low[k])
-        ti.atomic_max(state.extremes[2 * k + 1], high[k])
-    barrier(spec, state)
+        listed = _vector(spec, state.listed_x, i)
+        come, came, way = x - listed, begun - listed, x - begun
+        listed_low, listed_high = ti.min(listed_low, listed), ti.max(listed_high, listed)
+        come_low, come_high = ti.min(come_low, come, came), ti.max(come_high, come, came)
+        x_low, x_high = ti.min(x_low, x), ti.max(x_high, x)
+        way_low, way_high = ti.min(way_low, way), ti.max(way_high, way)
+    for axis in ti.static(range(3)):
+        for box, low, high in ti.static(
+            (
+                (LISTED, listed_low, listed_high),
+                (COME, come_low, come_high),
+                (NOW, x_low, x_high),
+                (WAY, way_low, way_high),
+            )
+        ):
+            state.box[patch, 6 * box + axis] = low[axis]
+            state.box[patch, 6 * box + 3 + axis] = high[axis]
 
 
 @ti.func
-def _note_way(spec: ti.template(), state: ti.template(), i):
-    """Note how far a particle goes in this step: no order changes what is least and largest."""
-    slot = slot_of(spec, state, i)
+def _apart2(state: ti.template(), a, b, box: ti.template()):
+    """The square of the distance between the boxes of two patches."""
+    total = ti.cast(0.0, state.real)
+    for axis in ti.static(range(3)):
+        low, high = ti.static(6 * box + axis), ti.static(6 * box + 3 + axis)
+        gap = ti.max(state.box[b, low] - state.box[a, high], state.box[a, low] - state.box[b, high])
+        gap = ti.max(gap, 0.0)
+        total += gap * gap
+    return total
+
+
+@ti.func
+def _differ2(state: ti.template(), a, b, box: ti.template()):
+    """The square of the longest difference between a vector in the box of one patch and one in
+    that of another."""
+    total = ti.cast(0.0, state.real)
+    for axis in ti.static(range(3)):
+        low, high = ti.static(6 * box + axis), ti.static(6 * box + 3 + axis)
+        most = ti.max(
+            state.box[b, high] - state.box[a, low], state.box[a, high] - state.box[b, low]
+        )
+        total += most * most
+    return total
+
+
+@ti.func
+def _compare_patch(spec: ti.template(), state: ti.template(), patch):
+    """Note if a particle of this patch may touch one that is not in its list."""
+    skin2 = state.skin[None] * state.skin[None]
+    reach = ti.static(2.0 * (1.0 + CLOTH_MARGIN)) * state.largest_radius[None]
+    for other in range(patch, state.n_patches[None]):
+        differ2 = _differ2(state, patch, other, ti.static(COME))
+        if differ2 > skin2:
+            far = reach + ti.sqrt(differ2)
+            if not (_apart2(state, patch, other, ti.static(LISTED)) >= far * far):
+                state.outdated[None] = 1
+
+
+@ti.func
+def _look_ahead(spec: ti.template(), state: ti.template(), patch):
+    """How far from the places of a patch at a step's end those are that it may meet on its way."""
+    reach = ti.static(2.0 * (1.0 + CLOTH_MARGIN)) * state.largest_radius[None]
+    most = ti.cast(0.0, state.real)
+    for other in range(state.n_patches[None]):
+        differ2 = _differ2(state, patch, other, ti.static(WAY))
+        if differ2 > most * most:
+            differ = ti.sqrt(differ2)
+            if _apart2(state, patch, other, ti.static(NOW)) <= (reach + differ) * (reach + differ):
+                most = differ
+    state.ahead[patch] = most
+
+
+@ti.func
+def _refresh(spec: ti.template(), state: ti.template(), at):
+    """Take a particle to its place in the order that is kept."""
+    slot = slot_of(spec, state, state.sorted_index[at])
     x, begun = slot_value(spec, state.x, slot), slot_value(spec, state.begun_x, slot)
     for axis in ti.static(range(spec.dim)):
-        k, way = ti.static(2 * (spec.dim + axis)), x[axis] - begun[axis]
-        ti.atomic_min(state.extremes[k], way)
-        ti.atomic_max(state.extremes[k + 1], way)
+        state.sorted[at, axis], state.listed_begun[at, axis] = x[axis], begun[axis]
 
 
 @ti.func
-def _forget_ways(spec: ti.template(), state: ti.template(), i):
-    state.listed[None] = 1
-    for k in ti.static(range(2 * spec.dim)):
-        state.extremes[2 * k], state.extremes[2 * k + 1] = 1e30, -1e30
-
-
-@ti.func
-def _width(spec: ti.template(), state: ti.template(), first: ti.template()):
-    """The diagonal of the box around the displacements whose extremes begin at `first`: two
-    particles come no farther apart by them."""
-    total = ti.cast(0.0, state.real)
-    for axis in ti.static(range(spec.dim)):
-        k = ti.static(first + 2 * axis)
-        width = ti.max(state.extremes[k + 1] - state.extremes[k], 0.0)
-        total += width * width
-    return ti.sqrt(total)
-
-
-@ti.func
-def _outdated(spec: ti.template(), state: ti.template()):
-    """Whether a pair that is not listed may have come to touch; a state that is not finite, too."""
-    return (state.listed[None] == 0) | (not (_width(spec, state, 0) <= state.skin[None]))
+def _begin_lists(spec: ti.template(), state: ti.template(), i):
+    """The lists of the next step are those of this one, as far as is known; and none is active."""
+    state.outdated[None] = state.n_active[None] = 0
 
 
 @ti.func
 def _keep_pairs(spec: ti.template(), state: ti.template(), t):
     """List all pairs within their reach and a skin at the step's free end, or near on its ways."""
+    each(spec, state, t, state.n_patches[None], _look_ahead)
     sort_into_cells(spec, state, t)
     each(spec, state, t, state.n[None], _take_along)
     each(spec, state, t, state.n[None], _keep)
@@ -212,9 +258,10 @@ def _keep_pairs(spec: ti.template(), state: ti.template(), t):
 @ti.func
 def _take_along(spec: ti.template(), state: ti.template(), at):
     """Fill what a place has besides what is sorted."""
-    begun = slot_value(spec, state.begun_x, slot_of(spec, state, state.sorted_index[at]))
+    i = state.sorted_index[at]
+    begun = slot_value(spec, state.begun_x, slot_of(spec, state, i))
     for axis in ti.static(range(spec.dim)):
-        state.listed_x[at, axis] = state.sorted[at, axis]
+        state.listed_x[i, axis] = state.sorted[at, axis]
         state.listed_begun[at, axis] = begun[axis]
 
 
@@ -224,17 +271,13 @@ def _keep(spec: ti.template(), state: ti.template(), at):
     state.kept_count[at] = 0
     radius = sorted_radius(spec, state, at)
     if (sorted_w(spec, state, at) > 0.0) & (radius >= 0.0):
-        x = sorted_x(spec, state, at)
-        way = x - _vector(spec, state.listed_begun, at)
-        # No other way differs from this one by more.
-        most2 = ti.cast(0.0, state.real)
-        for axis in ti.static(range(spec.dim)):
-            k = ti.static(2 * (spec.dim + axis))
-            most = ti.max(way[axis] - state.extremes[k], state.extremes[k + 1] - way[axis])
-            most2 += most * most
-        beyond = ti.max(state.skin[None], ti.sqrt(most2) + 2.0 * CLOTH_MARGIN * radius)
+        ahead = state.ahead[state.patch_of[state.sorted_index[at]]]
+        beyond = ti.max(
+            state.skin[None], ahead + ti.static(2.0 * CLOTH_MARGIN) * state.largest_radius[None]
+        )
         state.far[at] = ti.cast(beyond > state.skin[None], ti.i32)
         reach = radius + state.largest_radius[None] + beyond
+        x = sorted_x(spec, state, at)
         sum_over_near(spec, state, at, x, reach, ti.static(1), _keep_near)
 
 
@@ -265,9 +308,12 @@ def _own_reach(spec: ti.template(), state: ti.template(), at, other, full):
     """How near a pair may come, and whether that is less than the sum of its radii."""
     i, j = state.sorted_index[at], state.sorted_index[other]
     reach, closer = full, 0
-    for k in range(state.closer_start[i], state.closer_start[i + 1]):
+    k, end = state.closer_start[i], state.closer_start[i + 1]
+    while k < end:
         if state.closer_other[k] == j:
             reach, closer = state.closer_reach[k], 1
+            k = end
+        k += 1
     return reach, closer
 
 
@@ -300,6 +346,10 @@ def _narrow(spec: ti.template(), state: ti.template(), at):
             state.near[at, count] = pair
             count += 1
     state.near_count[at] = count
+    if count > 0:
+        state.active[ti.atomic_add(state.n_active[None], 1)] = at
+    else:
+        state.touching[at, 0], state.touching[at, 1] = 0.0, 0.0
     if (count > 0) | (sorted_w(spec, state, at) == 0.0):  # what iterations read besides
         v = slot_value(spec, state.v, slot_of(spec, state, state.sorted_index[at]))
         other_half = ti.static(state.sorted_half) + at

@@ -17,6 +17,8 @@ the step is counted as unsettled, where more than a hundredth of a pair's reach 
 at, other in this file: places in the order by cells; side: the half of state.sorted that is read.
 """
 
+import functools
+
 import taichi as ti
 
 from taichi_cloth.kernels import laws
@@ -91,6 +93,10 @@ def settle(spec: ti.template(), state: ti.template(), t):
     if ti.static(not spec.one_launch_per_step):
         begin(spec, state, t)
         done, going = 0, 1
+        if ti.static(spec.thick):
+            going = ti.min(state.n_active[None], 1)
+        if going == 0:
+            each(spec, state, t, 1, _leave_as_it_is)
         while going == 1:
             iterate(spec, state, t, done)
             worst = ti.max(
@@ -99,7 +105,7 @@ def settle(spec: ti.template(), state: ti.template(), t):
             done += 1
             if worst <= ti.static(settled(spec)) or done == ti.static(most_iterations(spec)):
                 going = 0
-    each(spec, state, t, state.n[None], _store)
+    _each_active(spec, state, t, _store)
     each(spec, state, t, 1, _judge)
     if ti.static(spec.halo > 0):
         each_pack_moving(spec, state, t, leave)
@@ -120,9 +126,34 @@ def iterate(spec: ti.template(), state: ti.template(), t, done):
             _number(spec, state, done)
     else:  # every thread writes the same, and none is still in the iteration before
         state.pair_iteration[None] = done
-    each(spec, state, t, state.n[None], _count_touching)
+    _each_active(spec, state, t, _count_touching)
     each(spec, state, t, 1, _clear_residual)
-    each(spec, state, t, state.n[None], _move)
+    _each_active(spec, state, t, _move)
+
+
+@ti.func
+def _each_active(spec: ti.template(), state: ti.template(), t, body: ti.template()):
+    """Run body(spec, state, at) for every place, or for those that others are near."""
+    if ti.static(spec.thick):
+        each(spec, state, t, state.n_active[None], ti.static(_at_active(body)))
+    else:
+        each(spec, state, t, state.n[None], body)
+
+
+@functools.cache
+def _at_active(body):
+    @ti.func
+    def active(spec: ti.template(), state: ti.template(), k):
+        body(spec, state, state.active[k])
+
+    return active
+
+
+@ti.func
+def _leave_as_it_is(spec: ti.template(), state: ti.template(), i):
+    """What a step without near pairs has instead of iterations."""
+    state.pair_iteration[None] = 0
+    state.pair_residual[0, OVERLAP] = 0.0
 
 
 @ti.func
@@ -206,15 +237,6 @@ def _touching(spec: ti.template(), state: ti.template(), at, pair):
 
 @ti.func
 def _move(spec: ti.template(), state: ti.template(), at):
-    """Take a particle that others are near to the other half of state.sorted."""
-    if ti.static(not spec.thick):
-        _move_there(spec, state, at)
-    elif state.near_count[at] > 0:
-        _move_there(spec, state, at)
-
-
-@ti.func
-def _move_there(spec: ti.template(), state: ti.template(), at):
     """Take a particle to the other half, with the mean of what its pairs do to its parts."""
     x, v = _value(spec, state, at, 0), _value(spec, state, at, ti.static(spec.dim + 1))
     if sorted_w(spec, state, at) > 0.0:
@@ -304,15 +326,6 @@ def _out_of_obstacles(spec: ti.template(), state: ti.template(), at, x, v):
 
 @ti.func
 def _store(spec: ti.template(), state: ti.template(), at):
-    """Give a particle that others are near what all iterations changed."""
-    if ti.static(not spec.thick):
-        _store_there(spec, state, at)
-    elif state.near_count[at] > 0:
-        _store_there(spec, state, at)
-
-
-@ti.func
-def _store_there(spec: ti.template(), state: ti.template(), at):
     """Give a particle what all iterations changed."""
     end, slot = state.pair_iteration[None] + 1, slot_of(spec, state, state.sorted_index[at])
     x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)

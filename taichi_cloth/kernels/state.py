@@ -45,7 +45,8 @@ class Capacity:
     widest row, with its halos; triangles: those of which the scene's forces know; elements: what is
     tested against sharp obstacles (`faces.py`); obstacles; nodes: of their grids; stencils,
     stencil_particles, stencil_sides: those that are listed, all of their particles, and the
-    springs they need; closer: pairs that keep less than their radii, from both ends.
+    springs they need; closer: pairs that keep less than their radii, from both ends;
+    patches: of particles that are compared as one (`scene.spheres`).
     """
 
     particles: int
@@ -61,6 +62,7 @@ class Capacity:
     stencil_particles: int = 0
     stencil_sides: int = 0
     closer: int = 0
+    patches: int = 0
 
     def holds(self, other: "Capacity") -> bool:
         """Whether what needs the capacity `other` fits into this one."""
@@ -171,9 +173,12 @@ class State:
         pair_residual, pair_iteration;
         unsettled: steps that ended before all pairs were apart.
     With thickness (`near_pairs.py`): pair_radius, pair_restitution: of particles for each other;
-        skin: how much farther pairs are kept; extremes: least and largest displacements; listed,
-        overfull: whether any are, and whether some list was full in this step;
-        listed_x, listed_begun: by place, where they were listed and where the step began; kept,
+        skin: how much farther pairs are kept; outdated, overfull: whether they are to be listed
+        anew, and whether some list was full in this step; n_patches, patch_start, in_patches,
+        patch_of: the particles of each patch, and the patch of each; box: low and high corners of
+        the boxes around it; ahead: how far it looks along its way; active, n_active: the places
+        that have near pairs; listed_x: by index, where they were listed; listed_begun: by place,
+        where the step began; kept,
         kept_count: codes of pairs; far: whose step went far; closer_start, closer_other,
         closer_reach: `scene.spheres`.
 
@@ -473,9 +478,13 @@ class State:
             self.pair_iteration, self.unsettled = self._counts(), self._counts()
         if spec.thick:
             self.skin = self._scalars()
-            self.listed, self.overfull = self._counts(), self._counts()
+            self.outdated, self.overfull = self._counts(), self._counts()
             self.number_names.append("skin")
-            self.extremes = self._scalars(4 * spec.dim)
+            patches = max(self.capacity.patches, 1)
+            self.n_patches, self.patch_start = self._counts(), self._counts(patches + 1)
+            self.in_patches, self.patch_of = self._counts(n), self._counts(n)
+            self.box, self.ahead = self._scalars(patches, 24), self._scalars(patches)
+            self.active, self.n_active = self._counts(n), self._counts()
             self.listed_x, self.listed_begun = (self._scalars(n, spec.dim) for _ in range(2))
             self.kept, self.kept_count = self._counts(n, MOST_KEPT), self._counts(n)
             self.far = self._counts(n)

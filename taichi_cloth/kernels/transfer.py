@@ -59,11 +59,9 @@ def load_packs(
         if ti.static(spec.resting):
             state.unsettled[None] = 0
         if ti.static(spec.thick):
-            state.listed[None] = state.overfull[None] = 0
+            state.outdated[None], state.overfull[None] = 1, 0
             for i in range(state.n[None]):
                 state.sorted_index[i] = i
-            for k in ti.static(range(2 * spec.dim)):
-                state.extremes[2 * k], state.extremes[2 * k + 1] = 1e30, -1e30
         state.n_grids[None] = grid.shape[0]
         for g in range(grid.shape[0]):
             for i in ti.static(range(4)):
@@ -494,3 +492,16 @@ def load_closer_pairs(
         state.closer_start[i] = start[i]
     for k in range(count):
         state.closer_other[k], state.closer_reach[k] = other[k], reach[k]
+
+
+@ti.kernel
+def load_patches(
+    state: ti.template(), start: ti.types.ndarray(), particles: ti.types.ndarray(), patches: ti.i32
+):
+    """Load the patches of particles that are compared as one: `scene.spheres.Spheres`."""
+    state.n_patches[None] = patches
+    state.patch_start[patches] = start[patches]
+    for b in range(patches):
+        state.patch_start[b] = start[b]
+        for k in range(start[b], start[b + 1]):
+            state.in_patches[k], state.patch_of[particles[k]] = particles[k], b

@@ -26,6 +26,7 @@ from taichi_cloth.scene.triangles import springs_of_sides
 STRETCH = 1.25  # of what triangles need at the start
 COMPRESSED = 0.7  # of its distance at the start, to which a pair of neighbours may come
 SKIN = 0.4  # of the smallest sphere's diameter, that is listed beyond the reach of pairs
+PATCH, MOST_PATCHES = 16, 256  # particles of a patch; about as many patches, of more particles
 MOST_PAIRS = 20_000_000  # that start nearer than their spheres are wide
 
 
@@ -36,7 +37,9 @@ class Spheres:
     radius: (n,), of each particle; -1: it passes through all others. thick: (n,) bool, whether it
     is of a cloth with a thickness. start, other, reach: compressed rows of the pairs that keep
     less than the sum of their radii: those of particle i are `other` and `reach` from start[i] to
-    start[i + 1]. skin: how much farther pairs are listed [length].
+    start[i + 1]. skin: how much farther pairs are listed [length]. patch_start, in_patches: patches
+    of particles that start near each other, each of one cloth; those of patch b are in_patches
+    from patch_start[b] to patch_start[b + 1].
     """
 
     radius: np.ndarray
@@ -45,6 +48,8 @@ class Spheres:
     other: np.ndarray
     reach: np.ndarray
     skin: float
+    patch_start: np.ndarray
+    in_patches: np.ndarray
     widened: tuple[str, ...]
 
 
@@ -101,8 +106,25 @@ def spheres(
         other=both[order, 1],
         reach=np.concatenate([reach, reach])[order],
         skin=SKIN * float(diameter[thick].min(initial=np.inf)),
+        **_patches(position, size, part),
         widened=tuple(_widened(thickness, diameter, part)),
     )
+
+
+def _patches(position: np.ndarray, size: np.ndarray, part: np.ndarray) -> dict[str, np.ndarray]:
+    """Patches of consecutive particles along a curve through each cloth (Morton, 1966)."""
+    extent = np.ptp(position, axis=0).max(initial=0.0) or 1.0
+    cell = (1023 * ((position - position.min(axis=0)) / extent)).astype(np.int64)
+    code = np.zeros(len(position), np.int64)
+    for bit in range(10):
+        for axis in range(cell.shape[1]):
+            code |= (cell[:, axis] >> bit & 1) << (3 * bit + axis)
+    order = np.lexsort((code, part))
+    order = order[size[order] >= 0]
+    length = max(PATCH, -(-len(order) // MOST_PATCHES))
+    cloth = np.flatnonzero(np.diff(part[order], prepend=-2))
+    ends = [np.arange(a, b, length) for a, b in zip(cloth, [*cloth[1:], len(order)], strict=True)]
+    return {"patch_start": np.append(np.concatenate(ends), len(order)), "in_patches": order}
 
 
 def _widened(thickness: np.ndarray, diameter: np.ndarray, part: np.ndarray) -> Iterator[str]:

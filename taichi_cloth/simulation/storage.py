@@ -257,6 +257,7 @@ class Storage:
             springs=factor * needed.springs + room,
             packs=factor * needed.packs + room,
             closer=max(needed.closer, 16 * factor * needed.particles) if spec.thick else 0,
+            patches=factor * needed.patches,
         )
         device = self._launcher.device
         state: Any = State(spec, getattr(ti, device.real), capacity, self._method)
@@ -316,6 +317,7 @@ class Storage:
             stencil_particles=int(self.scene.stencils.sizes[placement.graph_stencils].sum()),
             stencil_sides=len(self.scene.stencil_sides[0]),
             closer=len(self.scene.spheres.other) if self.scene.features().thick else 0,
+            patches=len(self.scene.spheres.patch_start) if self.scene.features().thick else 0,
         )
 
     def _tests_faces(self) -> bool:

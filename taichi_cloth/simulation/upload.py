@@ -245,7 +245,7 @@ class Upload:
     # --- pairs -----------------------------------------------------------------------------
 
     def _closer_pairs(self) -> None:
-        """The pairs that keep less than the sum of their radii."""
+        """The pairs that keep less than the sum of their radii, and the patches of particles."""
         spheres = self.snapshot.scene.spheres
         self.launcher.launch(
             transfer.load_closer_pairs,
@@ -255,6 +255,13 @@ class Upload:
             _not_empty(spheres.reach.astype(self.real)),
             len(self.snapshot.x),
             len(spheres.other),
+        )
+        self.launcher.launch(
+            transfer.load_patches,
+            self.state,
+            spheres.patch_start.astype(np.int32),
+            _not_empty(spheres.in_patches.astype(np.int32)),
+            len(spheres.patch_start) - 1,
         )
 
     # --- surfaces --------------------------------------------------------------------------
