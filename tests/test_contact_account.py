@@ -10,8 +10,9 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.scene.cloth import grid, grid_stencils, grid_triangles
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import ParticleDefaults, Particles, Scene, SpringDefaults, World
-from taichi_cloth.scene.obstacles import Obstacle, solids
+from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.penetration import deepest, touches
+from taichi_cloth.scene.solids import solids
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
 

@@ -12,7 +12,8 @@ from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.model import Scene, World
-from taichi_cloth.scene.obstacles import Obstacle, solids
+from taichi_cloth.scene.obstacles import Obstacle
+from taichi_cloth.scene.solids import solids
 
 WAYS = [f"{topology} {path}" for topology in ("lanes", "graph") for path in ("serial", "parallel")]
 ALONG = np.array([0.3, -0.2, 0.1])

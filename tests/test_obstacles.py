@@ -19,7 +19,8 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
-from taichi_cloth.scene.obstacles import Obstacle, depths, inside_at_start, solids, surface
+from taichi_cloth.scene.obstacles import Obstacle
+from taichi_cloth.scene.solids import depths, inside_at_start, solids, surface
 from taichi_cloth.simulation.simulation import Simulation
 
 G, RADIUS = 9.81, 0.1

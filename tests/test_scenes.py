@@ -10,7 +10,7 @@ from selection import as_thorough
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.scene.obstacles import held, solids
+from taichi_cloth.scene.solids import held, solids
 
 LONG = ("pull", "twist")  # to compile, with all that moves, touches and bends
 

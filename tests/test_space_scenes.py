@@ -5,7 +5,7 @@ import pytest
 
 from taichi_cloth.scene import library
 from taichi_cloth.scene.library import pull, trampoline, twist
-from taichi_cloth.scene.obstacles import held, solids
+from taichi_cloth.scene.solids import held, solids
 
 
 def strain(sim):

@@ -1,6 +1,7 @@
 """The architecture, read from the source: who may import whom, and what start-up may load."""
 
 import ast
+import functools
 import re
 import subprocess
 import sys
@@ -14,18 +15,20 @@ ROOT = Path(taichi_cloth.__file__).parent
 FILES = sorted(ROOT.rglob("*.py"))
 
 
+@functools.cache
 def imports(path):
     """(module, whether at the file's top level) for everything a file imports."""
     tree = ast.parse(path.read_text())
     top = {id(node) for node in tree.body}
+    found = []
     for node in ast.walk(tree):
         names = []
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             names = [node.module] + [f"{node.module}.{alias.name}" for alias in node.names]
-        for name in names:
-            yield name, id(node) in top
+        found += [(name, id(node) in top) for name in names]
+    return found
 
 
 # Which rooms (folders and files of the package's top level) a room may import, beside errors and
@@ -77,6 +80,33 @@ def test_rooms_import_only_what_they_may():
     order = list(ROOMS)
     upwards = [(a, b) for a in ROOMS for b in ROOMS[a] if order.index(b) >= order.index(a)]
     assert not upwards
+
+
+def module_of(path):
+    """The dotted name by which a file is imported; a package's is that of its `__init__`."""
+    parts = path.relative_to(ROOT.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def circles(needs):
+    """The files that are on circles, or between two: neither the first nor the last of a way."""
+    while True:
+        used = set().union(*needs.values())
+        left = {name for name, of in needs.items() if of & needs.keys() and name in used}
+        if len(left) == len(needs):
+            return sorted(left)
+        needs = {name: needs[name] & left for name in left}
+
+
+def test_no_files_import_each_other_in_a_circle():
+    """Those inside functions and under TYPE_CHECKING count too: a reader has to follow them."""
+    modules = {module_of(path) for path in FILES}
+    needs = {
+        module_of(path): {name for name, _ in imports(path)} & modules - {module_of(path)}
+        for path in FILES
+    }
+    assert not circles(needs)
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b", "d"}, "d": set()}) == ["b", "c"]
 
 
 def test_the_ui_is_imported_by_the_command_line_alone_and_late():

@@ -3,26 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
-from taichi_cloth.errors import InputError
 from taichi_cloth.scene import toml
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.mesh import OF_THE_MESH, mesh
-from taichi_cloth.scene.model import (
-    ParticleDefaults,
-    Particles,
-    SpringDefaults,
-    Springs,
-    World,
-)
 from taichi_cloth.scene.properties import NOT_NEGATIVE, SPRING_PROPERTIES
+from taichi_cloth.scene.reading import Common, Sheet, Table, TableReader
 from taichi_cloth.scene.stencils import Stencils, mesh_stencils
-
-if TYPE_CHECKING:
-    from taichi_cloth.scene.tables import Table, TableReader
 
 # Numbers and words of springs that are given for a mesh's springs alone.
 SPRING_KEYS = tuple(name for name in SPRING_PROPERTIES if name not in OF_THE_MESH)
@@ -35,20 +23,13 @@ KEYS = (
 )
 
 
-def read(
-    reader: TableReader,
-    entry: Table,
-    index: int,
-    world: World,
-    particle_defaults: ParticleDefaults,
-    spring_defaults: SpringDefaults,
-) -> tuple[Particles, Springs, np.ndarray, Stencils]:
-    """The particles, springs, triangles and stencils of an entry, numbered from 0.
+def read(reader: TableReader, entry: Table, index: int, common: Common) -> Sheet:
+    """The cloth of an entry.
 
     Raises InputError, naming the entry's line, and the mesh file's where that is at fault.
     """
     path = ("meshes", index)
-    if world.dim != 3:
+    if common.world.dim != 3:
         reader.refuse(path, "a mesh needs a 3-D world: size = [width, height, depth]")
     file = reader.folder / reader.required(entry, path, "file", toml.text)
     parts = reader.value(entry, path, "parts", toml.integer)
@@ -59,7 +40,7 @@ def read(
     bending = reader.finite(path, "bending", reader.value(entry, path, "bending", toml.number))
     if bending is not None and not NOT_NEGATIVE.holds(bending):
         reader.refuse((*path, "bending"), f"bending {NOT_NEGATIVE.says}, is {bending:g}")
-    try:
+    with reader.blaming(path, entry, file):
         particles, springs, triangles = mesh(
             file,
             scale=reader.value(entry, path, "scale", toml.number, 1.0),
@@ -68,23 +49,15 @@ def read(
             pinned=reader.value(entry, path, "pinned", _pins, []),
             parts=parts,
             material=Material(**material),
-            up=1 if world.up else -1,
-            particle_defaults=particle_defaults,
-            spring_defaults=spring_defaults,
+            up=1 if common.world.up else -1,
+            particle_defaults=common.particle,
+            spring_defaults=common.spring,
             **{key: value for key, value in numbers.items() if value is not None},
         )
         stencils = Stencils.none()
         if bending is not None:
             stencils = mesh_stencils(particles.position, triangles, bending)
-        return particles, springs, triangles, stencils
-    except InputError as error:
-        message = str(error)
-        if message.startswith((reader.name, "--set")):
-            raise
-        at_fault = next((key for key in entry if message.startswith(key)), None)
-        if at_fault is None and message.startswith(str(file)):
-            at_fault = "file"
-        raise InputError(f"{reader.place(*path, at_fault)}: {message}") from None
+        return Sheet(particles, springs, triangles, stencils)
 
 
 def _pins(value: Any) -> list[int] | Mapping[str, float]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.scene.obstacles import Solid, depths
+from taichi_cloth.scene.solids import Solid, depths
 
 
 def touches(scene: Scene, solids: Sequence[Solid]) -> bool:

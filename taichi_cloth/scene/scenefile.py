@@ -25,7 +25,8 @@ from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import FIXED_COLOR, PARTICLE_COLOR, Scene, World
 from taichi_cloth.scene.obstacles import CONTACTS, Obstacle
 from taichi_cloth.scene.properties import PARTICLE_PROPERTIES, SPRING_PROPERTIES, WorldValue
-from taichi_cloth.scene.tables import Table, TableReader
+from taichi_cloth.scene.reading import Table
+from taichi_cloth.scene.tables import SceneReader
 from taichi_cloth.settings import accepted
 
 if sys.version_info >= (3, 11):
@@ -85,7 +86,7 @@ def parse_table(
     folder: Path = Path(),
 ) -> Scene:
     """The scene that a file's table describes, checked; text: what it was read from."""
-    reader = TableReader(name, text, default_scene_name, folder)
+    reader = SceneReader(name, text, default_scene_name, folder)
     for assignment in assignments:
         reader.assign(table, assignment)
     with np.errstate(all="ignore"):  # numbers that overflow are refused by name

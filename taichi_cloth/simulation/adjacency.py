@@ -98,24 +98,6 @@ def banded_order(between: np.ndarray, particle_count: int) -> np.ndarray:
     return order
 
 
-def springs_of_sides(triangles: np.ndarray, between: np.ndarray) -> np.ndarray:
-    """The springs along the sides of triangles, (m, 3): their numbers, -1 where there is none.
-
-    Side k leads from corner k to the next one. triangles: (m, 3); between: (s, 2).
-    """
-    found = np.full(triangles.shape, -1, np.int64)
-    if len(between) == 0 or len(triangles) == 0:
-        return found
-    ends = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1)
-    count = 1 + max(int(between.max()), int(triangles.max()))
-    keys = between.min(axis=1) * count + between.max(axis=1)
-    wanted = ends.min(axis=-1) * count + ends.max(axis=-1)
-    order = np.argsort(keys)
-    place = np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)
-    spring: np.ndarray = order[place]
-    return np.where(keys[spring] == wanted, spring, found)
-
-
 @dataclass(frozen=True)
 class Grid:
     """A regular grid: particles first .. first + rows * columns, numbered row by row.

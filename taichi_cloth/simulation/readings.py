@@ -7,8 +7,8 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from taichi_cloth.limits.network import Network
-from taichi_cloth.scene.obstacles import Drawn, Inside, depths, inside_at_start, surface
 from taichi_cloth.scene.penetration import deepest, touches
+from taichi_cloth.scene.solids import Drawn, Inside, depths, inside_at_start, surface
 from taichi_cloth.scene.spheres import too_near
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.prediction import describe_size

@@ -27,9 +27,9 @@ from taichi_cloth.kernels.solvers import stages
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE, WORK, Capacity, State
-from taichi_cloth.scene import obstacles
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.penetration import touches
+from taichi_cloth.scene.solids import elements, met_by_faces, solids
 from taichi_cloth.simulation import adjacency, diagnostics
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.layouts import WORTH_SORTING, Layout
@@ -74,7 +74,7 @@ class _Loaded:
 class Storage:
     """A state on the device. `take` says which, and `load` puts it there; all else comes after.
 
-    solids: what is in the way of the scene that was taken last (`scene.obstacles`).
+    solids: what is in the way of the scene that was taken last (`scene.solids`).
     method: the one that runs on it. lanes: particles in a pack of the grids.
     real: type of the device's numbers. topology, path: how it was loaded. pushed: whether a push
     lasts until the frame's end. accounts_contacts: whether `account_contacts` may be called.
@@ -93,7 +93,7 @@ class Storage:
         self._accounts_contacts = accounts_contacts
         self.real: Real = np.float64 if launcher.device.real == "f64" else np.float32
         self._taken = snapshot
-        self.solids = obstacles.solids(snapshot.scene)
+        self.solids = solids(snapshot.scene)
         self._placements = Placements(snapshot.scene, self._needs, lanes)
         self.topology = self.path = ""
         self.pushed = self._held = False
@@ -140,7 +140,7 @@ class Storage:
     def take(self, snapshot: Snapshot) -> None:
         """Hold another state from the next load on, without a push."""
         if not _same_solids(self._taken.scene, snapshot.scene):
-            self.solids = obstacles.solids(snapshot.scene)
+            self.solids = solids(snapshot.scene)
         if not _same_places(self._taken.scene, snapshot.scene):
             self._placements = Placements(snapshot.scene, self._needs, self._lanes)
         self._taken = snapshot
@@ -312,7 +312,7 @@ class Storage:
             obstacles=len(self.solids),
             nodes=sum(solid.nodes for solid in self.solids),
             triangles=len(self.scene.triangles) if forces.act_on_triangles(self.scene) else 0,
-            elements=len(obstacles.elements(self.scene)) if self._tests_faces() else 0,
+            elements=len(elements(self.scene)) if self._tests_faces() else 0,
             stencils=len(placement.graph_stencils),
             stencil_particles=int(self.scene.stencils.sizes[placement.graph_stencils].sum()),
             stencil_sides=len(self.scene.stencil_sides[0]),
@@ -322,7 +322,7 @@ class Storage:
 
     def _tests_faces(self) -> bool:
         """Whether faces and edges of the scene's cloths are tested against any obstacle."""
-        return bool(obstacles.met_by_faces(self.scene, self.solids))
+        return bool(met_by_faces(self.scene, self.solids))
 
     def unprepared(self) -> list[Callable[[], None]]:
         """What compiles the kernels that only a first click needs, in a scene where clicks spawn.

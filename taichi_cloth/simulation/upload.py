@@ -23,7 +23,7 @@ from taichi_cloth.kernels.state import (
     has_tractions,
 )
 from taichi_cloth.scene.model import Particles, Springs, World
-from taichi_cloth.scene.obstacles import Solid, elements, held, met_by_faces
+from taichi_cloth.scene.solids import Solid, elements, held, met_by_faces
 from taichi_cloth.scene.triangles import corner_shares, springs_of_sides
 from taichi_cloth.simulation import adjacency, layouts
 from taichi_cloth.simulation.launch import Launcher

@@ -17,7 +17,7 @@ from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.forces.contract import ACCELERATION, CURVATURE, FORCE, TENSION, has
 from taichi_cloth.limits import tractions
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.scene.obstacles import held, solids
+from taichi_cloth.scene.solids import held, solids
 from taichi_cloth.scene.triangles import corner_shares
 
 if TYPE_CHECKING:

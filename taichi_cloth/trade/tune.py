@@ -19,8 +19,8 @@ from taichi_cloth import console
 from taichi_cloth.console import duration
 from taichi_cloth.errors import InputError, RunFailure, clipped
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.scene.obstacles import solids
 from taichi_cloth.scene.penetration import touches
+from taichi_cloth.scene.solids import solids
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import PROGRAM, TuneOptions, number_of
 from taichi_cloth.trade import command, rows

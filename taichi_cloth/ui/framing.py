@@ -72,7 +72,7 @@ def _deepest(points: np.ndarray, held: np.ndarray) -> float:
 def _bounded(scene: Scene) -> Iterator[np.ndarray]:
     """Points (k, 3) of each obstacle that has an end, where it is at time 0 and where it stops."""
     if scene.obstacles:
-        from taichi_cloth.scene.obstacles import solids, surface
+        from taichi_cloth.scene.solids import solids, surface
 
         for solid in solids(scene):
             if solid.shape != "plane":

@@ -11,7 +11,7 @@ from taichi_cloth.ui import style
 from taichi_cloth.ui.surfaces import Solid
 
 if TYPE_CHECKING:
-    from taichi_cloth.scene.obstacles import Drawn
+    from taichi_cloth.scene.solids import Drawn
     from taichi_cloth.simulation.simulation import Simulation
 
 PLANE_CELLS = 16  # along each side of a plane: what is behind us is left out cell by cell
