@@ -105,8 +105,7 @@ def _note_fault(spec: ti.template(), state: ti.template(), slot, limit2):
     x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)
     speed2 = v.dot(v)
     if not (is_finite(speed2) and is_finite(x.sum())) or speed2 > limit2:
-        if state.watching[None] == 1:
-            ti.atomic_min(state.fault[None], slot_number(spec, state.particle, slot))
+        note_lost(spec, state, slot)
 
 
 @ti.func
@@ -117,7 +116,7 @@ def note_fault(spec: ti.template(), state: ti.template(), slot):
 
 @ti.func
 def note_lost(spec: ti.template(), state: ti.template(), slot):
-    """Note the particle at a slot, which a wall has lost."""
+    """Note the particle at a slot as one at fault, such as one that a wall has lost."""
     if state.watching[None] == 1:
         ti.atomic_min(state.fault[None], slot_number(spec, state.particle, slot))
 
