@@ -170,6 +170,15 @@ def test_a_file_with_obstacles_reads_back_as_it_was():
         ("shape = 'plane'\npoint = [0, 0, 0]\nnormal = [0, 0, 0]", "normal must not be zero"),
         ("shape = 'capsule'\nradius = 1\nends = [[0, 0, 0], [0, 0, 0]]", "two different points"),
         ("shape = 'mesh'\nvertices = [[0, 0, 0]]\nfaces = [[0, 0, 1]]", "there is no vertex 1"),
+        ("shape = 'mesh'\nfile = 'no.obj'", "line 5: [[obstacles]] 0: no.obj: there is no such"),
+        (
+            "shape = 'mesh'\nfile = 'no.obj'\nfaces = [[0, 1, 2]]",
+            "line 6: [[obstacles]] 0: faces and",
+        ),
+        (
+            "shape = 'sphere'\ncentre = [0, 0, 0]\nradius = 1\nstarts = 2\nstops = 1",
+            "line 8: [[obstacles]] 0: stops must not be before starts, 2, is 1",
+        ),
     ],
 )
 def test_a_wrong_obstacle_is_refused_by_its_line(given, says):

@@ -179,7 +179,9 @@ def test_documented_scene_file_and_log_are_accepted(tmp_path, pool):
     from taichi_cloth.ui import interaction
 
     text = (ROOT / "docs" / "scenes.md").read_text()
-    scene = scenefile.parse(re.search(r"^```toml\n(.*?)^```", text, re.M | re.S)[1])
+    shutil.copy(ROOT / "taichi_cloth" / "scene" / "library" / "shirt.obj", tmp_path)
+    block = re.search(r"^```toml\n(.*?)^```", text, re.M | re.S)[1]
+    scene = scenefile.parse(block, folder=tmp_path)
     pool(scene).advance(3)
     log = tmp_path / "log.jsonl"
     log.write_text(re.search(r"^```json\n(.*?)^```", text, re.M | re.S)[1])

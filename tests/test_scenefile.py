@@ -1,6 +1,8 @@
 """Scene files: what they mean, and that a scene survives being written and read back."""
 
+import re
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.scene import library, scenefile
+from taichi_cloth.kernels import obstacles as kinds
+from taichi_cloth.kernels.obstacles.contract import COMMON
+from taichi_cloth.scene import library, obstacles, scenefile, tables
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import grid
 from taichi_cloth.scene.model import (
@@ -22,10 +26,12 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
-from taichi_cloth.scene.properties import BREAK_IN
+from taichi_cloth.scene.properties import BREAK_IN, PARTICLE_PROPERTIES, SPRING_PROPERTIES
+from taichi_cloth.scene.world_keys import world_keys
 from taichi_cloth.simulation import editing
 from taichi_cloth.simulation.snapshot import Snapshot
 
+DOCUMENT = Path(__file__).parent.parent / "docs/scenes.md"
 EXAMPLE = """
 name = "box"
 [world]
@@ -61,6 +67,76 @@ links = ["structural"]
 across = [1.0, 0.0, 0.0]
 down = [0.0, 0.0, 1.0]
 stiffness = { structural = 0.5 }
+"""
+# In space: air, contacts that end a step, materials, obstacles of each kind of key.
+IN_SPACE = """
+triangles = [[0, 1, 2]]
+[world]
+size = [4.0, 4.0, 4.0]
+up = "y"
+gravity = [0.0, -9.81, 0.0]
+walls = ["bottom"]
+ground = 0.1
+friction = 0.4
+contact = "resting"
+air = { density = 1.2, drag = 1.0, lift = 0.6 }
+[world.wind]
+velocity = [3.0, 0.0, 1.0]
+gust = 0.4
+period = 2.0
+seed = 1
+[particle]
+thickness = 0.01
+[spring]
+break_in = "tension"
+[[stencils]]
+between = [1, 0, 2]
+weights = [-2.0, 1.0, 1.0]
+bending = 2e-5
+[[cloths]]
+origin = [1.0, 2.0, 0.0]
+columns = 4
+rows = 3
+spacing = 0.1
+links = ["structural", "shear"]
+density = 0.15
+thickness = 0.004
+stretch = 80.0
+shear = 20.0
+damping_time = 0.001
+strength = 30.0
+bending = 2e-5
+[[obstacles]]
+shape = "sphere"
+centre = [1.0, 0.5, 0.0]
+radius = 0.3
+friction = 0.4
+restitution = 0.5
+velocity = [0.1, 0.0, 0.0]
+spin = [0.0, 180.0, 0.0]
+starts = 0.5
+stops = 2.0
+grip = 0.02
+[[obstacles]]
+shape = "box"
+centre = [1.0, 0.5, 0.0]
+half = [0.1, 0.2, 0.3]
+turn = [0.0, 90.0, 0.0]
+[[obstacles]]
+shape = "capsule"
+ends = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
+radius = 0.1
+[[obstacles]]
+shape = "plane"
+point = [0.0, 0.0, 0.0]
+normal = [0.0, 1.0, 0.0]
+[[obstacles]]
+shape = "mesh"
+vertices = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+faces = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
+centre = [1.0, 1.0, 0.0]
+scale = 0.5
+cell = 0.1
 """
 
 
@@ -334,8 +410,8 @@ def test_no_text_does_worse_than_being_refused(text):
 @settings(max_examples=200, deadline=None)
 @given(st.data())
 def test_no_edit_of_a_scene_does_worse_than_being_refused(data):
-    """Any value in the example may be replaced by any other kind of value."""
-    lines = EXAMPLE.strip().splitlines()
+    """Any value in the examples may be replaced by any other kind of value."""
+    lines = data.draw(st.sampled_from([EXAMPLE, IN_SPACE])).strip().splitlines()
     at = data.draw(st.sampled_from([i for i, line in enumerate(lines) if "=" in line]))
     value = data.draw(
         st.sampled_from(
@@ -343,6 +419,7 @@ def test_no_edit_of_a_scene_does_worse_than_being_refused(data):
                 *("0", "-1", "nan", "inf", "1e999", "true", '"x"', "[]", "[1]", "[1, 2]", "{}"),
                 *("[1, 2, 3]", '["x"]', "[[0, 0]]", "[[0]]", "1979-05-27", "9" * 30, "9" * 400),
                 *("{ x = 1 }", "{ structural = nan }", "{ structural = [] }", "[nan, 0, 0]"),
+                *("[[0, 1, 2], [3]]", "2.5", "false"),
             ]
         )
     )
@@ -368,6 +445,10 @@ _CHANGES_OTHERS = (
     "down",
     "links",
     "stiffness",
+    "stretch",
+    "shear",
+    "starts",
+    "vertices",
 )
 
 
@@ -439,3 +520,41 @@ def test_triangles_of_cloths_and_of_a_list_come_back_as_they_were():
     for listed, says in (("[0, 1, 13]", "there is no particle 13"), ("[2, 1, 2]", "one particle")):
         with pytest.raises(InputError, match=rf"line 2: triangle 0: .*{says}"):
             scenefile.parse(text.replace("[0, 1, 2]", listed))
+
+
+def test_the_document_has_every_key_with_the_unit_and_the_limits_that_are_declared():
+    """And no key that there is not. Keys of [particle] and [spring] stand there alone."""
+    rows = re.findall(
+        r"^\| `(\[+\w+\]+)(?: (\w+))?` \| `([\w.]+)` \| (.*?) ?\| (.+?) \| (.+?) \|$",
+        DOCUMENT.read_text(),
+        re.M,
+    )
+    documented = {(table, shape, key): says for table, shape, key, *says in rows}
+    assert len(documented) == len(rows)
+    inherited = dict.fromkeys(("springs", "cloths", "meshes"), SPRING_PROPERTIES)
+    inherited["particles"] = PARTICLE_PROPERTIES
+    known = {}
+    for table, keys in tables.TABLES.items():
+        name = f"[{table}]" if table in ("world", "particle", "spring") else f"[[{table}]]"
+        own = [key for key in keys if table and key not in inherited.get(table, ())]
+        known |= {(name, "", key): None for key in own}
+    for key in world_keys().values():
+        inner = {f"{key.name}.{part.name}": part for part in key.table.values()}
+        known |= {("[world]", "", name): part for name, part in (inner or {key.name: key}).items()}
+    known |= {("[particle]", "", name): about for name, about in PARTICLE_PROPERTIES.items()}
+    known |= {("[spring]", "", name): about for name, about in SPRING_PROPERTIES.items()}
+    known |= {("[[obstacles]]", "", key.name): key for key in COMMON}
+    for shape in obstacles.shapes():
+        known |= {("[[obstacles]]", shape, key.name): key for key in kinds.load(shape).keys}
+    assert documented.keys() == known.keys()
+    for place, about in known.items():
+        if about is not None:
+            unit, says, absent = documented[place]
+            assert unit == about.unit, place
+            for words, limit in (("at least", "minimum"), ("more than", "above")):
+                if getattr(about, limit, None) is not None:
+                    assert f"{words} {getattr(about, limit):g}" in says, place
+            if getattr(about, "rule", None) and not getattr(about, "words", ()):
+                assert re.sub("must (be )?", "", about.rule.of_links) in says, place
+            if isinstance(default := getattr(about, "default", None), float):
+                assert absent == f"{default:g}", place

@@ -280,7 +280,7 @@ def _check_key(world: World, name: str, key: WorldKey, value: Any, refusal: _Ref
     else:
         refusal.check_number("world", name, value, key.rule)
         if key.whole and float(value) != int(value):
-            refusal.refuse("world", None, place, f"{name} must be a whole number, is {value:g}")
+            refusal.refuse("world", None, name, f"{name} must be a whole number, is {value:g}")
 
 
 def _check_vector(

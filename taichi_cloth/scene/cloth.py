@@ -109,10 +109,30 @@ def grid(
         ),
     )
 
+    springs = _links(columns, rows, links, step_across, step_down, of_kinds, defaults, of)
+    return particles, springs
+
+
+def _links(
+    columns: int,
+    rows: int,
+    links: Sequence[str],
+    step_across: np.ndarray,
+    step_down: np.ndarray,
+    of_kinds: Mapping[str, Mapping[str, Any]],
+    defaults: SpringDefaults,
+    material: Material,
+) -> Springs:
+    """The springs of a grid, in the order of their numbers.
+
+    step_across, step_down: from a particle to the next in its row and its column, (dim,). of_kinds:
+    values of springs by kind, by name; material: has some of them in their place.
+    """
     # One slot per particle and possible link; those whose neighbour exists are the springs.
     slots = [(kind, offset) for kind in LINKS if kind in links for offset in LINKS[kind]]
     if not slots:
-        return particles, Springs.none()
+        return Springs.none()
+    row, column = np.divmod(np.arange(rows * columns), columns)
     between, slot = _ties(row, column, columns, [offset for _, offset in slots])
     # The distance at the start depends on the slot alone, as all other numbers do.
     at_start = [float(np.linalg.norm(c * step_across + r * step_down)) for _, (c, r) in slots]
@@ -121,15 +141,15 @@ def grid(
         default = getattr(defaults, name)
         values = about.filled([of_kinds[name].get(kind, default) for kind, _ in slots], at_start)
         spring_columns[name] = about.column(values, len(slots))[slot]
-    if of.stretch is not None:
+    if material.stretch is not None:
         for n, (kind, (columns_away, _)) in enumerate(slots):
             mine = slot == n
             at, last = (row, rows - 1) if columns_away else (column, columns - 1)
             beside = at[between[mine, 0]]  # the row of a link in a row, else the column
             width = np.where((beside == 0) | (beside == last), 0.5, 1.0)
-            for name, numbers in of.of_links(kind, width, at_start[n]).items():
+            for name, numbers in material.of_links(kind, width, at_start[n]).items():
                 spring_columns[name][mine] = numbers
-    return particles, Springs(between=between, **spring_columns)
+    return Springs(between=between, **spring_columns)
 
 
 def grid_triangles(columns: int, rows: int, first: int = 0) -> np.ndarray:

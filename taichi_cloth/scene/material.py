@@ -75,12 +75,14 @@ class Material:
             raise InputError("stretch: shear links need shear, the material's, beside it")
         if self.strength is not None and not self.stretch > 0:
             raise InputError("strength needs a stretch above 0")
+        if self.strength is not None and self.shear == 0:
+            raise InputError("strength needs a shear above 0, or no shear links")
         for name, instead in OF_MATERIAL.items():
             if numbers[instead] is None:
                 continue
             twice = sorted({"structural", "shear"} & set(given.get(name, {})))
             if twice:
-                raise InputError(f"{name} of {twice[0]} links is given by {instead} too; leave one")
+                raise InputError(f"{name} is given by {instead} too; leave one of them")
         return Material(**numbers)
 
     def of_links(

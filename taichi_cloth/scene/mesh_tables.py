@@ -11,6 +11,7 @@ from taichi_cloth.scene.mesh import OF_THE_MESH, mesh
 from taichi_cloth.scene.properties import NOT_NEGATIVE, SPRING_PROPERTIES
 from taichi_cloth.scene.reading import Common, Sheet, Table, TableReader
 from taichi_cloth.scene.stencils import Stencils, mesh_stencils
+from taichi_cloth.scene.toml import Keys
 
 # Numbers and words of springs that are given for a mesh's springs alone.
 SPRING_KEYS = tuple(name for name in SPRING_PROPERTIES if name not in OF_THE_MESH)
@@ -46,7 +47,7 @@ def read(reader: TableReader, entry: Table, index: int, common: Common) -> Sheet
             scale=reader.value(entry, path, "scale", toml.number, 1.0),
             turn=reader.vector(entry, path, "turn", 3) or (0.0, 0.0, 0.0),
             move=reader.vector(entry, path, "move", 3) or (0.0, 0.0, 0.0),
-            pinned=reader.value(entry, path, "pinned", _pins, []),
+            pinned=_pins(reader, entry, path),
             parts=parts,
             material=Material(**material),
             up=1 if common.world.up else -1,
@@ -60,10 +61,16 @@ def read(reader: TableReader, entry: Table, index: int, common: Common) -> Sheet
         return Sheet(particles, springs, triangles, stencils)
 
 
-def _pins(value: Any) -> list[int] | Mapping[str, float]:
+def _pins(reader: TableReader, entry: Table, path: Keys) -> list[int] | Mapping[str, float]:
+    """The vertices that never move: by number, or all from a height on."""
     words = "a list of vertices, by number, or { above = height }"
-    if isinstance(value, dict):
-        if set(value) != {"above"}:
-            raise toml.WrongType(words)
-        return {"above": toml.number(value["above"])}
-    return toml.list_of(toml.integer, words)(value)
+
+    def read(value: Any) -> list[int] | Table:
+        if isinstance(value, dict) and set(value) == {"above"}:
+            return value
+        return toml.list_of(toml.integer, words)(value)
+
+    found = reader.value(entry, path, "pinned", read, [])
+    if isinstance(found, dict):
+        return {"above": reader.required(found, (*path, "pinned"), "above", toml.number)}
+    return found

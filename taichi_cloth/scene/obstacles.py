@@ -48,8 +48,9 @@ class Obstacle:
         from taichi_cloth.scene import meshfile
 
         name = self.values.get("file")
-        if not isinstance(name, str) or self.shape != "mesh":
-            return self  # `fault` says so
+        twice = not {"vertices", "faces"}.isdisjoint(self.values)
+        if not isinstance(name, str) or self.shape != "mesh" or twice:
+            return self  # `fault` says what is wrong
         vertices, faces = meshfile.read(folder / name)
         values = {key: value for key, value in self.values.items() if key != "file"}
         return Obstacle.build(self.shape, vertices=vertices, faces=faces, **values)
@@ -97,7 +98,8 @@ def fault(obstacle: Any, dim: int) -> tuple[str | None, str] | None:
         )
     shape, known = obstacles.load(obstacle.shape), keys_of(obstacle.shape)
     if dim not in shape.dims:
-        return "shape", f"a {dim}-D world has no {obstacle.shape}"
+        lengths = "three" if dim == 2 else "two"
+        return "shape", f"a {dim}-D world has no {obstacle.shape}; give size {lengths} lengths"
     for name in obstacle.values:
         if name not in known:
             return name, f"unknown key '{name}' of a {obstacle.shape}; {nearest(name, known)}"
@@ -110,7 +112,8 @@ def fault(obstacle: Any, dim: int) -> tuple[str | None, str] | None:
             return None, f"'{name}' is missing"
     values = {name: obstacle.value(name) for name in known}
     if values["stops"] is not None and values["stops"] < values["starts"]:
-        return "stops", f"stops must not be before starts, {values['starts']:g}"
+        starts, stops = values["starts"], values["stops"]
+        return "stops", f"stops must not be before starts, {starts:g}, is {stops:g}"
     return shape.refusal(values)
 
 
@@ -128,7 +131,7 @@ def _fault_of_value(key: Key, value: Any, dim: int) -> str | None:
     elif key.kind in (contract.POINT, contract.DIRECTION):
         shape, must = (dim,), f"{dim} numbers in a {dim}-D world"
     else:
-        count = np.shape(value)[:1] or (0,)
+        count = (len(value),) if isinstance(value, tuple) else (0,)
         shape = (*((key.count,) if key.count else count), 3 if key.kind == contract.FACES else dim)
         must = f"a list of {key.count or ''}{' ' * bool(key.count)}points of {dim} numbers"
         if key.kind == contract.FACES:
@@ -137,7 +140,7 @@ def _fault_of_value(key: Key, value: Any, dim: int) -> str | None:
         numbers = np.asarray(value, np.float64)
     except (TypeError, ValueError, OverflowError):
         return f"must be {must}, is {accepted.shown(value)}"
-    if isinstance(value, (bool, str)) or numbers.shape != shape:
+    if _has_truth(value) or isinstance(value, str) or numbers.shape != shape:
         return f"must be {must}, is {accepted.shown(value)}"
     if not np.isfinite(numbers).all():
         return f"must be finite, is {accepted.shown(value)}"
@@ -155,3 +158,10 @@ def _fault_of_value(key: Key, value: Any, dim: int) -> str | None:
         if not holds:
             return f"must be {words} {limit:g}, is {accepted.shown(value)}"
     return None
+
+
+def _has_truth(value: Any) -> bool:
+    """Whether a value, or one of those in a list or a list of lists, is True or False."""
+    if isinstance(value, tuple):
+        return any(_has_truth(inner) for inner in value)
+    return isinstance(value, (bool, np.bool_))

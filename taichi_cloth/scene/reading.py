@@ -83,6 +83,7 @@ class TableReader:
         return where
 
     def refuse(self, path: Keys, text: str) -> NoReturn:
+        """Raise InputError: `text`, after the place of what is at fault."""
         raise InputError(f"{self.place(*path)}: {text}")
 
     @contextmanager
@@ -132,6 +133,7 @@ class TableReader:
     # Values
 
     def known_keys(self, table: Table, kind: str, path: Keys) -> None:
+        """Refuse a key that a table of a kind ("cloths", "": the whole file) does not have."""
         for key in table:
             known = self.keys[kind]
             if key not in known and kind == "world":
@@ -169,9 +171,11 @@ class TableReader:
         try:
             return read(table[key])
         except toml.WrongType as wrong:
-            self.refuse((*path, key), f"{key} must be {wrong}, is {toml.describe(table[key])}")
+            shown = toml.describe(table[key])
+            self.refuse((*path, key), f"{_named(path, key)} must be {wrong}, is {shown}")
 
     def required(self, table: Table, path: Keys, key: str, read: Callable[[Any], Value]) -> Value:
+        """``read`` of the value at `key`, which may not be absent."""
         value = self.value(table, path, key, read)
         if value is None:  # what TOML reads is never None
             self.refuse(path, f"'{key}' is missing")
@@ -181,23 +185,25 @@ class TableReader:
         """`value` if all of it is finite."""
         if value is not None and not np.isfinite(value).all():
             shown = str(value) if isinstance(value, list) else f"{value:g}"
-            self.refuse((*path, key), f"{key} must be finite, is {shown}")
+            self.refuse((*path, key), f"{_named(path, key)} must be finite, is {shown}")
         return value
 
     def vector(self, table: Table, path: Keys, key: str, dim: int) -> list[float] | None:
+        """The `dim` finite numbers at `key`, None where it is absent."""
         vector = self.finite(path, key, self.value(table, path, key, toml.numbers))
         if vector is not None and len(vector) != dim:
-            self.refuse(
-                (*path, key), f"{key} must have {dim} numbers in a {dim}-D world, has {len(vector)}"
-            )
+            must = f"must have {dim} numbers in a {dim}-D world, has {len(vector)}"
+            self.refuse((*path, key), f"{_named(path, key)} {must}")
         return vector
 
     def subtable(self, table: Table, key: str) -> Table:
+        """The table under [key], with known keys alone; empty where it is absent."""
         inner = self.value(table, (), key, toml.table) or {}
         self.known_keys(inner, key, (key,))
         return inner
 
     def entries(self, table: Table, key: str) -> list[Table]:
+        """The tables under [[key]], with known keys alone."""
         entries = self.value(table, (), key, toml.tables) or []
         for index, entry in enumerate(entries):
             self.known_keys(entry, key, (key, index))
@@ -213,3 +219,8 @@ class TableReader:
         if about.words:
             return self.value(table, path, key, toml.text)
         return self.finite(path, key, self.value(table, path, key, read))
+
+
+def _named(path: Keys, key: str) -> str:
+    """A key as a message names it: of a table within a table or an entry, both, 'wind.gust'."""
+    return toml.dotted((*(part for part in path[1:] if isinstance(part, str)), key))

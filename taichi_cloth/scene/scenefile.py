@@ -10,7 +10,7 @@ import difflib
 import os
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -171,7 +171,7 @@ def dump(scene: Scene) -> str:
     Cloths and meshes come out as single particles, springs and triangles; what equals the defaults
     is left out.
     """
-    world, springs, particles = scene.world, scene.springs, scene.particles
+    world = scene.world
     out = [
         f"name = {_quoted(scene.name)}",
         *_triangles(scene.triangles),
@@ -197,37 +197,53 @@ def dump(scene: Scene) -> str:
         out += [f"{key} = {_written(value)}" for key, value in given if value is not None]
     if scene.spring_color is not None:
         out.append(f"color = {list(map(int, scene.spring_color))}")
-    for i in range(len(particles)):
-        out += ["", "[[particles]]", f"position = {_listed(particles.position[i])}"]
-        if particles.velocity[i].any() or np.signbit(particles.velocity[i]).any():
-            out.append(f"velocity = {_listed(particles.velocity[i])}")
-        if particles.fixed[i]:
-            out.append("fixed = true")
-        color = tuple(map(int, particles.color[i]))
-        if color != (FIXED_COLOR if particles.fixed[i] else PARTICLE_COLOR):
-            out.append(f"color = {list(color)}")
-        for key in PARTICLE_PROPERTIES:
-            value = float(getattr(particles, key)[i])
-            if value != getattr(scene.particle_defaults, key):
-                out.append(f"{key} = {value!r}")
-    for i in range(len(springs)):
-        out += ["", "[[springs]]", f"between = {list(map(int, springs.between[i]))}"]
-        for key, about in SPRING_PROPERTIES.items():
-            value, default = getattr(springs, key)[i], getattr(scene.spring_defaults, key)
-            if about.off is not None and value == about.off:
-                out += [f"{key} = false"] if default is not None else []
-            elif value != default:
-                out.append(f"{key} = {_written(value)}")
+    out += [*_particle_lines(scene), *_spring_lines(scene)]
     for obstacle in scene.obstacles:
         out += ["", "[[obstacles]]"]
         out += [f"{key} = {_toml(value)}" for key, value in _listed_obstacle(obstacle).items()]
+    return "\n".join([*out, *_stencil_lines(scene)]) + "\n"
+
+
+def _particle_lines(scene: Scene) -> Iterator[str]:
+    """The lines of all particles, each with what is not as by default."""
+    particles = scene.particles
+    for i in range(len(particles)):
+        yield from ("", "[[particles]]", f"position = {_listed(particles.position[i])}")
+        if particles.velocity[i].any() or np.signbit(particles.velocity[i]).any():
+            yield f"velocity = {_listed(particles.velocity[i])}"
+        if particles.fixed[i]:
+            yield "fixed = true"
+        color = tuple(map(int, particles.color[i]))
+        if color != (FIXED_COLOR if particles.fixed[i] else PARTICLE_COLOR):
+            yield f"color = {list(color)}"
+        for key in PARTICLE_PROPERTIES:
+            value = float(getattr(particles, key)[i])
+            if value != getattr(scene.particle_defaults, key):
+                yield f"{key} = {value!r}"
+
+
+def _spring_lines(scene: Scene) -> Iterator[str]:
+    """The lines of all springs, each with what is not as by default."""
+    springs = scene.springs
+    for i in range(len(springs)):
+        yield from ("", "[[springs]]", f"between = {list(map(int, springs.between[i]))}")
+        for key, about in SPRING_PROPERTIES.items():
+            value, default = getattr(springs, key)[i], getattr(scene.spring_defaults, key)
+            if about.off is not None and value == about.off:
+                if default is not None:
+                    yield f"{key} = false"
+            elif value != default:
+                yield f"{key} = {_written(value)}"
+
+
+def _stencil_lines(scene: Scene) -> Iterator[str]:
+    """The lines of all stencils."""
     stencils = scene.stencils
     for i in range(len(stencils)):
         mine = slice(stencils.start[i], stencils.start[i + 1])
-        out += ["", "[[stencils]]", f"between = {stencils.particle[mine].tolist()}"]
-        out.append(f"weights = {_listed(stencils.weight[mine])}")
-        out.append(f"bending = {float(stencils.bending[i])!r}")
-    return "\n".join(out) + "\n"
+        yield from ("", "[[stencils]]", f"between = {stencils.particle[mine].tolist()}")
+        yield f"weights = {_listed(stencils.weight[mine])}"
+        yield f"bending = {float(stencils.bending[i])!r}"
 
 
 def _toml(value: Any) -> str:

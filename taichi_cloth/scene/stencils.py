@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.errors import InputError
+from taichi_cloth.scene.triangles import springs_tying
 from taichi_cloth.settings import accepted
 
 if TYPE_CHECKING:
@@ -181,15 +182,8 @@ class Stencils:
             owner.append(np.repeat(mine, both.shape[1]))
             pairs.append(both.reshape(-1, 2))
         of, ends = np.concatenate(owner), np.concatenate(pairs)
-        if len(springs) == 0 or len(of) == 0:
-            return np.zeros(0, np.int64), np.zeros(0, np.int64)
-        count = int(max(springs.max(), ends.max())) + 1
-        keys = springs.min(axis=1) * count + springs.max(axis=1)
-        order = np.argsort(keys, kind="stable")
-        keys, wanted = keys[order], ends.min(axis=1) * count + ends.max(axis=1)
-        at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        there = keys[at] == wanted
-        of, spring = of[there], order[at[there]]
+        spring = springs_tying(ends, springs)
+        of, spring = of[spring >= 0], spring[spring >= 0]
         order = np.argsort(of, kind="stable")
         return of[order], spring[order]
 

@@ -1,6 +1,6 @@
 """What the tables of a scene file say: a `Scene`, or a refusal that names the place at fault.
 
-`scenefile` reads a file's text; the keys of its tables are those of `_TABLES` below.
+`scenefile` reads a file's text; the keys of its tables are those of `TABLES` below.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from taichi_cloth.scene.world_keys import world_keys
 
 # Each table's keys, besides further ones of [world] (`world_keys`). `break_force = false` says
 # unbreakable where [spring] gives a force.
-_TABLES = {
+TABLES = {
     "": (
         "name",
         "triangles",
@@ -95,11 +95,12 @@ class SceneReader(TableReader):
     """
 
     def __init__(self, name: str, text: str, default_scene_name: str, folder: Path):
-        super().__init__(name, text, folder, _TABLES)
+        super().__init__(name, text, folder, TABLES)
         self.default_scene_name = default_scene_name
         self.sources: dict[str, list[_Source]] = {"particle": [], "spring": [], "stencil": []}
 
     def scene(self, table: Table) -> Scene:
+        """The scene that a whole file describes, checked."""
         self.known_keys(table, "", ())
         if "world" not in table:
             self.refuse((), "[world] is missing; it needs at least size = [width, height]")
@@ -149,6 +150,7 @@ class SceneReader(TableReader):
         return validate(scene, self.place_of_fault)
 
     def world(self, table: Table) -> World:
+        """What [world] says."""
         path = ("world",)
         size = self.finite(path, "size", self.required(table, path, "size", toml.numbers))
         if len(size) not in (2, 3):
@@ -174,7 +176,7 @@ class SceneReader(TableReader):
         """The values of those keys of [world] that not every scene has."""
         more: dict[str, WorldValue] = {}
         for name in table:
-            if name in _TABLES["world"]:
+            if name in TABLES["world"]:
                 continue
             key, path = world_keys()[name], ("world", name)
             if key.table:
@@ -206,19 +208,23 @@ class SceneReader(TableReader):
         """The obstacles; `checks.validate` says what is wrong with the values of their keys."""
         found = []
         for index, entry in enumerate(self.value(table, (), "obstacles", toml.tables) or []):
-            shape = self.required(entry, ("obstacles", index), "shape", toml.text)
+            path = ("obstacles", index)
+            shape = self.required(entry, path, "shape", toml.text)
             values = {key: value for key, value in entry.items() if key != "shape"}
             obstacle = Obstacle.build(shape, **values)
-            if "file" in values:
-                obstacle = obstacle.with_file(self.folder)
+            if isinstance(file := values.get("file"), str):
+                with self.blaming(path, entry, self.folder / file):
+                    obstacle = obstacle.with_file(self.folder)
             found.append(obstacle)
         return tuple(found)
 
     def particle_defaults(self, table: Table) -> ParticleDefaults:
+        """What [particle] says."""
         given = {key: self.required(table, ("particle",), key, toml.number) for key in table}
         return ParticleDefaults(**given)
 
     def spring_defaults(self, table: Table) -> SpringDefaults:
+        """What [spring] says, but for the colour."""
         given: dict[str, Any] = {}
         for key in table.keys() & SPRING_PROPERTIES.keys():
             value = self.spring_value(table, ("spring",), key)
@@ -228,8 +234,9 @@ class SceneReader(TableReader):
     def particles(
         self, entries: list[Table], world: World, defaults: ParticleDefaults
     ) -> Particles:
+        """The particles that are listed one by one."""
         dim = world.dim
-        rows: dict[str, list] = {key: [] for key in _TABLES["particles"]}
+        rows: dict[str, list] = {key: [] for key in TABLES["particles"]}
         for index, entry in enumerate(entries):
             path = ("particles", index)
             self.sources["particle"].append(_Source(index, "particles", index, frozenset(entry)))
@@ -251,6 +258,7 @@ class SceneReader(TableReader):
     def springs(
         self, entries: list[Table], particles: Particles, defaults: SpringDefaults
     ) -> Springs:
+        """The springs that are listed one by one, between any of the scene's particles."""
         if not entries:
             return Springs.none()
         pairs = []

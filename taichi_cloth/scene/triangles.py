@@ -54,13 +54,20 @@ def springs_of_sides(triangles: np.ndarray, between: np.ndarray) -> np.ndarray:
 
     Side k leads from corner k to the next one. triangles: (m, 3); between: (s, 2).
     """
-    found = np.full(triangles.shape, -1, np.int64)
-    if len(between) == 0 or len(triangles) == 0:
+    return springs_tying(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), between)
+
+
+def springs_tying(pairs: np.ndarray, between: np.ndarray) -> np.ndarray:
+    """The springs that tie pairs of particles, (...): their numbers, -1 where there is none.
+
+    pairs: (..., 2), either way round; between: (s, 2), what each spring ties.
+    """
+    found = np.full(pairs.shape[:-1], -1, np.int64)
+    if len(between) == 0 or pairs.size == 0:
         return found
-    ends = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1)
-    count = 1 + max(int(between.max()), int(triangles.max()))
+    count = 1 + max(int(between.max()), int(pairs.max()))
     keys = between.min(axis=1) * count + between.max(axis=1)
-    wanted = ends.min(axis=-1) * count + ends.max(axis=-1)
+    wanted = pairs.min(axis=-1) * count + pairs.max(axis=-1)
     order = np.argsort(keys)
     place = np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)
     spring: np.ndarray = order[place]

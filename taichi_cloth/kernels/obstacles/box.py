@@ -52,7 +52,8 @@ def place(values, dim, margin):
     bound = float(np.linalg.norm(half / half.max()) * half.max())
     turn = turned(values["turn"], dim)
     centre = np.asarray(values["centre"], np.float64)
-    return Placed(centre, turn, tuple(half.tolist()), float(half.min()), 0.0, bound)
+    sizes = tuple(half.tolist())
+    return Placed(centre, turn, sizes, thin=float(half.min()), round=0.0, bound=bound)
 
 
 def twin(placed, q):

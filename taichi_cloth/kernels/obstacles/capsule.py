@@ -44,7 +44,8 @@ def place(values, dim, margin):
     largest = np.abs(half).max()
     reach = largest * float(np.linalg.norm(half / largest))
     centre = first + half
-    return Placed(centre, along(half / reach), (radius, reach), radius, radius, radius + reach)
+    turn, sizes = along(half / reach), (radius, reach)
+    return Placed(centre, turn, sizes, thin=radius, round=radius, bound=radius + reach)
 
 
 def twin(placed, q):

@@ -81,7 +81,7 @@ def refusal(values):
     vertices = np.asarray(values["vertices"], np.float64)
     faces = np.asarray(values["faces"], np.int64)
     if len(faces) == 0:
-        return "faces", "faces has none"
+        return "faces", "faces is empty; give three vertices for each"
     if faces.min() < 0 or faces.max() >= len(vertices):
         wrong = faces[(faces < 0) | (faces >= len(vertices))][0]
         return "faces", f"there is no vertex {wrong}; they are 0 to {len(vertices) - 1}"
@@ -93,9 +93,7 @@ def refusal(values):
         a, b = kinds[(count != 2).argmax()]
         has = int(count[(count != 2).argmax()])
         words = f"{has} face{'s' * (has != 1)} at the edge from vertex {a} to {b}, a closed one 2"
-        return "faces" if values[
-            "file"
-        ] is None else "file", f"the mesh is not closed: it has {words}"
+        return "faces", f"the mesh is not closed: it has {words}"
     size = np.ptp(vertices[np.unique(faces)], axis=0) * values["scale"]
     if values["cell"] is not None:
         nodes = np.prod(np.ceil(size / values["cell"]) + 2 * BAND + 3)

@@ -28,7 +28,8 @@ def place(values, dim, margin):
     largest = np.abs(normal).max()  # so that no square overflows
     normal = normal / largest
     turn = along(normal / np.linalg.norm(normal))
-    return Placed(np.asarray(values["point"], np.float64), turn, (), FAR, FAR, FAR)
+    point = np.asarray(values["point"], np.float64)
+    return Placed(point, turn, (), thin=FAR, round=FAR, bound=FAR)
 
 
 def twin(placed, q):

@@ -29,7 +29,7 @@ def place(values, dim, margin):
     """The ball at time 0."""
     radius = float(values["radius"])
     centre = np.asarray(values["centre"], np.float64)
-    return Placed(centre, np.eye(dim), (radius,), radius, radius, radius)
+    return Placed(centre, np.eye(dim), (radius,), thin=radius, round=radius, bound=radius)
 
 
 def twin(placed, q):
