@@ -38,8 +38,7 @@ if TYPE_CHECKING:
     from taichi_cloth.ui.interaction import Log
     from taichi_cloth.ui.views.contract import View
 
-
-MOST_NOTES = 4  # sentences of a kind before a run
+MOST_NOTES = 4  # sentences on spheres wider than the thickness, before a run
 
 
 def main(source: SceneSource, options: RunOptions) -> int:
@@ -175,18 +174,12 @@ def _simulate(
             summary = app.run(
                 sim,
                 view,
-                frames=_frames(options, view),
                 replay=log,
                 recorder=recorder,
                 trajectory=recordings if recordings else None,
-                film=options.video,
-                image=options.image,
-                paused=options.paused,
-                quiet=options.quiet,
-                status=options.status,
-                show=shown_parts(options.show) if options.show else None,
                 seed=seed,
                 device=device.describe(),
+                **_of_frames(options, view),
             )
         if not options.quiet:
             print(_last_line(sim, summary, time.perf_counter() - begin))
@@ -214,13 +207,14 @@ def _simulation(scene: Scene, options: RunOptions) -> Simulation:
     )
 
 
+def _say(text: str) -> None:
+    """Say something on standard error, in a line."""
+    print(f"{PROGRAM}: {text}", file=sys.stderr, flush=True)
+
+
 def _note_compiling() -> None:
     """Say on standard error why nothing happens for some seconds."""
-    print(
-        f"{PROGRAM}: compiling kernels for this run: some seconds, once; later runs find them",
-        file=sys.stderr,
-        flush=True,
-    )
+    _say("compiling kernels for this run: some seconds, once; later runs find them")
 
 
 @contextlib.contextmanager
@@ -269,11 +263,23 @@ def _seed(options: RunOptions, log: Log | None) -> int:
     return seed
 
 
-def _frames(options: RunOptions, view: View) -> int | None:
-    """After how many frames the run ends; None: when the user quits."""
-    if options.frames is None and not view.visible:
-        return HEADLESS_FRAMES
-    return options.frames
+def _of_frames(options: RunOptions, view: View) -> dict[str, Any]:
+    """What the options say of the run's frames, as `app.run` takes it.
+
+    Without a number of frames a run in a window ends when the user quits (None).
+    """
+    frames = options.frames
+    if frames is None and not view.visible:
+        frames = HEADLESS_FRAMES
+    return {
+        "frames": frames,
+        "film": options.video,
+        "image": options.image,
+        "paused": options.paused,
+        "quiet": options.quiet,
+        "status": options.status,
+        "show": shown_parts(options.show) if options.show else None,
+    }
 
 
 def _announce(sim: Simulation, device: Device, view: View) -> None:
@@ -292,10 +298,10 @@ def _announce(sim: Simulation, device: Device, view: View) -> None:
         ),
     ]
     for warning in filter(None, warnings):
-        print(f"{PROGRAM}: warning: {warning}", file=sys.stderr, flush=True)
+        _say(f"warning: {warning}")
     if sim.scene.features().thick:
         for sentence in sim.scene.spheres.widened[:MOST_NOTES]:
-            print(f"{PROGRAM}: note: {sentence}", file=sys.stderr, flush=True)
+            _say(f"note: {sentence}")
 
 
 def _first_line(sim: Simulation, device: Device, view: View) -> str:
@@ -336,18 +342,17 @@ def _check_converged(sim: Simulation, options: RunOptions) -> None:
         except RunFailure as failure:
             raise RunFailure(f"{failure}, or accept it: --unconverged accept") from None
     if sim.work().unconverged and not options.quiet:
-        print(f"{PROGRAM}: note: {sim.describe_convergence()}", file=sys.stderr)
+        _say(f"note: {sim.describe_convergence()}")
 
 
 def _note_held_up(sim: Simulation) -> None:
     """Say on standard error that several threads were asked for, and only waited."""
     if sim.held_up:
         alone, together = (1e3 * seconds for seconds in sim.held_up)
-        print(
-            f"{PROGRAM}: note: another program wants the cores: a frame took {together:.3g} ms on "
-            f"all threads, where one would take about {alone:.3g} ms; --execution parallel keeps "
-            "them, without it the run gives way",
-            file=sys.stderr,
+        _say(
+            f"note: another program wants the cores: a frame took {together:.3g} ms on all "
+            f"threads, where one would take about {alone:.3g} ms; --execution parallel keeps "
+            "them, without it the run gives way"
         )
 
 
@@ -355,10 +360,9 @@ def _note_left_out(recordings: Recordings) -> None:
     """Say on standard error that an export lacks particles, which came after its first frame."""
     left_out = recordings.export.left_out if recordings.export else 0
     if left_out:
-        print(
-            f"{PROGRAM}: note: the export has the particles of its first frame; left out: "
-            f"{counted(left_out, 'particle')} that came later",
-            file=sys.stderr,
+        _say(
+            "note: the export has the particles of its first frame; left out: "
+            f"{counted(left_out, 'particle')} that came later"
         )
 
 
@@ -377,37 +381,33 @@ def _note_inside(sim: Simulation, options: RunOptions) -> None:
         )
     if len(inside.particles) and not options.quiet:
         count = len(inside.particles)
-        print(
-            f"{PROGRAM}: note: {counted(count, 'particle')} begin{'s' * (count == 1)} inside an "
-            f"obstacle and {'is' if count == 1 else 'are'} pushed out in the first step; the first "
-            f"is particle {inside.particles[0]}, in {inside.solid[0]}",
-            file=sys.stderr,
+        _say(
+            f"note: {counted(count, 'particle')} begin{'s' * (count == 1)} inside an obstacle and "
+            f"{'is' if count == 1 else 'are'} pushed out in the first step; the first is particle "
+            f"{inside.particles[0]}, in {inside.solid[0]}"
         )
 
 
 def _note_unsettled(sim: Simulation) -> None:
-    """Say on standard error in how many steps resting pairs were left overlapping, and whether
-    triangles might intersect at the end.
+    """Say on standard error in how many steps faces were left in obstacles and resting pairs
+    overlapping, and whether triangles might intersect at the end.
     """
     thick = sim.scene.features().thick
     part, near = "a tenth" if thick else "a hundredth", sim.uncertified()
     if sim.unsettled_faces():
-        print(
-            f"{PROGRAM}: note: {sim.unsettled_faces()} of {sim.steps} steps ended with faces or "
-            "edges of a cloth inside an obstacle; use more --substeps",
-            file=sys.stderr,
+        _say(
+            f"note: {sim.unsettled_faces()} of {sim.steps} steps ended with faces or edges of a "
+            "cloth inside an obstacle; use more --substeps"
         )
     if sim.unsettled():
-        print(
-            f"{PROGRAM}: note: {sim.unsettled()} of {sim.steps} steps ended with pairs that "
-            f"overlap by more than {part} of their reach; use more --substeps",
-            file=sys.stderr,
+        _say(
+            f"note: {sim.unsettled()} of {sim.steps} steps ended with pairs that overlap by more "
+            f"than {part} of their reach; use more --substeps"
         )
     if near:
-        print(
-            f"{PROGRAM}: note: {counted(near, 'pair')} of particles ended so near that triangles "
-            "of cloth might intersect: they are stretched, or the steps are too long",
-            file=sys.stderr,
+        _say(
+            f"note: {counted(near, 'pair')} of particles ended so near that triangles of cloth "
+            "might intersect: they are stretched, or the steps are too long"
         )
 
 
@@ -422,7 +422,7 @@ def _note_differences(recorded: Mapping[str, Any], present: Mapping[str, Any]) -
     if words[0] != words[1] and present.get("scene") == recorded.get("scene"):
         notes.append(f"{words[0] or 'no parameters'} (recorded: {words[1] or 'none'})")
     if notes:
-        print(f"{PROGRAM}: note: replaying with {', '.join(notes)}", file=sys.stderr)
+        _say(f"note: replaying with {', '.join(notes)}")
 
 
 def _header(source: SceneSource, header: dict[str, Any]) -> dict[str, Any]:
