@@ -36,7 +36,8 @@ def imports(path):
 BASE = {"files", "kernels", "scene", "settings"}
 ROOMS = {
     "errors": set(),
-    "kernels": set(),  # device code: knows no scene, file or window
+    "declarations": set(),
+    "kernels": {"declarations"},  # device code: knows no scene, file or window
     "files": set(),
     "measuring": set(),
     "settings": {"kernels"},
@@ -47,7 +48,7 @@ ROOMS = {
     "limits": {"kernels", "scene"},
     "simulation": {*BASE, "limits", "runtime"},
     "rasterizer": {"kernels"},
-    "ui": {*BASE, "console", "rasterizer", "runtime", "simulation"} - {"kernels"},
+    "ui": {*BASE, "console", "declarations", "rasterizer", "runtime", "simulation"} - {"kernels"},
     "explain": {*BASE, "console", "measuring", "runtime", "simulation"},
     "stability": {*BASE, "console", "limits", "runtime", "simulation"},
     "trade": {*BASE, "console", "limits", "measuring", "runtime", "simulation"},

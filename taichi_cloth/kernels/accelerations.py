@@ -6,7 +6,7 @@ import taichi as ti
 
 from taichi_cloth.kernels.clock import time_of_forces
 from taichi_cloth.kernels.compensated import difference
-from taichi_cloth.kernels.forces import load
+from taichi_cloth.kernels.forces import has_tractions, load
 from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, has
 from taichi_cloth.kernels.loops import each_pack_moving
 from taichi_cloth.kernels.packs import (
@@ -25,7 +25,6 @@ from taichi_cloth.kernels.springs import (
     reads_velocity,
     sum_of,
 )
-from taichi_cloth.kernels.state import has_tractions
 from taichi_cloth.kernels.surfaces import compute_tractions
 
 

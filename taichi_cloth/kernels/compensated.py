@@ -89,3 +89,23 @@ def forget_low(spec: ti.template(), state: ti.template(), low: ti.template(), sl
     part = slot_value(spec, low, slot)
     part[axis] = 0.0
     set_slot_value(spec, low, slot, part)
+
+
+@ti.func
+def owed_at(spec: ti.template(), state: ti.template(), slot):
+    """What is to be added to position and velocity at a slot: x_low, v_low; 0 where nothing is."""
+    x_low = 0.0 * slot_value(spec, state.x, slot)
+    v_low = x_low
+    if ti.static(spec.compensated):
+        x_low, v_low = slot_value(spec, state.x_low, slot), slot_value(spec, state.v_low, slot)
+    return x_low, v_low
+
+
+@ti.func
+def put_at(spec: ti.template(), state: ti.template(), slot, x, x_low, v, v_low):
+    """Store position and velocity at a slot, with what is to be added to them."""
+    set_slot_value(spec, state.x, slot, x)
+    set_slot_value(spec, state.v, slot, v)
+    if ti.static(spec.compensated):
+        set_slot_value(spec, state.x_low, slot, x_low)
+        set_slot_value(spec, state.v_low, slot, v_low)

@@ -9,17 +9,15 @@ treatment of collisions, contact and friction for cloth animation", 2002, 6.2). 
 once, by mass splitting, as resting pairs do: a corner in m contacts takes part in each with 1/m of
 its mass and goes on with the mean, so energy never grows. This is repeated until all are outside.
 
-The point is looked for along the sides by bisection, then inwards: by turns to the nearest point of
-the obstacle and back, and by projected gradients, with steps that grow while they lead nearer and
-shrink where they do not (Macklin, Erleben, Mueller, Chentanez, Jeschke, Corse, "Local optimization
-for robust signed distance field collision", 2020). Where a step is longer than the obstacle is
-sharp, its whole path is looked at, by steps of the distance, as the obstacle sees it.
+`face_distance.py` finds that point. Where a step is longer than the obstacle is sharp, its whole
+path is looked at, by steps of the distance, as the obstacle sees it.
 """
 
 import taichi as ti
 
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.compensated import joined
+from taichi_cloth.kernels.compensated import joined, owed_at, put_at
+from taichi_cloth.kernels.face_distance import nearest, point_of
 from taichi_cloth.kernels.loops import each, each_pack_moving, leave
 from taichi_cloth.kernels.obstacles.contract import (
     BOUND,
@@ -29,14 +27,13 @@ from taichi_cloth.kernels.obstacles.contract import (
     ROUND,
     SCALE,
 )
-from taichi_cloth.kernels.obstruction import ROUNDINGS, bounce, size_of
-from taichi_cloth.kernels.packs import epsilon, set_slot_value, slot_number, slot_value
+from taichi_cloth.kernels.obstruction import ROUNDINGS, bounce, part_before, size_of
+from taichi_cloth.kernels.packs import epsilon, slot_number, slot_value
 from taichi_cloth.kernels.poses import (
     END,
     START,
     centre_of,
     place_obstacles,
-    signed_distance,
     to_local,
     to_world,
     velocity_at,
@@ -51,10 +48,6 @@ LAUNCHED_FINDS, LAUNCHED_SWEEPS = 2, 6  # on a GPU, which does not look at what 
 SETTLED = 1e-3  # of the room that a contact has: depth, and approach in a step, at which sweeps end
 UNSETTLED = 0.5  # of that room: a depth that is counted
 LEAST_ROOM = 0.02  # of the longest side: the room of what has no radius
-ALONG = 4  # looks in search of the nearest point that come before those along sides
-SIDE_TURNS = 4  # looks along each side
-INWARDS = ALONG + 3 * SIDE_TURNS
-TURNS = INWARDS + 16  # looks in all
 MOST_LOOKS = 64  # along the path of a step
 LEAST_STEP = 0.25  # of a look, in parts of the room
 NEAR = 0.01  # distance, in the same parts, at which a path has met the obstacle
@@ -217,12 +210,6 @@ def _ends(spec: ti.template(), state: ti.template(), o, slot):
 
 
 @ti.func
-def _point(share, a, b, c):
-    """The point of a triangle that has these shares (3,) of its corners."""
-    return share[0] * a + share[1] * b + share[2] * c
-
-
-@ti.func
 def _meet(spec: ti.template(), state: ti.template(), o, m):
     """How the step of triangle m meets obstacle o, as `obstruction.meet` has it of a particle.
 
@@ -246,9 +233,9 @@ def _meet(spec: ti.template(), state: ti.template(), o, m):
     looks, at, going = 0, 1.0 + 0.0 * way, True
     while going:
         p, q, r = a0 + at * (a1 - a0), b0 + at * (b1 - b0), c0 + at * (c1 - c0)
-        least, share, n, held = _nearest(spec, state, o, p, q, r, radii - slack, w, side)
+        least, share, n, held = nearest(spec, state, o, p, q, r, radii - slack, w, side)
         here = least - share.dot(radii)
-        inward = n.dot(_point(share, a1 - a0, b1 - b0, c1 - c0))
+        inward = n.dot(point_of(share, a1 - a0, b1 - b0, c1 - c0))
         if held == 1:
             gap, going = 0.0 * gap, False
         elif looks == 0:
@@ -267,105 +254,8 @@ def _meet(spec: ti.template(), state: ti.template(), o, m):
             if at >= 1.0 or looks > MOST_LOOKS:
                 going = False
         looks += 1
-    part = 1.0 + 0.0 * way
-    if met >= 0.0:
-        part = ti.min(met, 1.0)
-    elif gap < 0.0 and gap_before > 0.0:
-        part = gap_before / (gap_before - gap)
+    part = part_before(met, gap, gap_before)
     return gap, gap_before, part, best_share, to_world(spec, state, o, END, best_n), room, slack
-
-
-@ti.func
-def _nearest(spec: ti.template(), state: ti.template(), o, p, q, r, radii, w, side):
-    """The least distance of the triangle p, q, r from obstacle o, the shares of that point, and n.
-
-    It is looked for at the corners, along the sides, then from the best of these inwards: distances
-    from convex obstacles have no other minimum. The last number returned is 1 if a fixed corner is
-    inside by more than its radius allows, as what is clamped may be: then the triangle is not
-    tested. radii, w: of its corners; side: the longest of its sides.
-    """
-    zero = 0.0 * side
-    least, stride, held, share, n = 1e30 + zero, 0.3 * side, 0, 0.0 * radii, 0.0 * p
-    corner_d, n_p, n_q, n_r, middle = 0.0 * radii, n, n, n, zero
-    # A side's bracket: where along it, the distance and its slope, on either side of the minimum.
-    low, low_d, low_slope, high, high_d, high_slope = zero, zero, zero, zero, zero, zero
-    turns, trial = 0, 0.0 * radii + 1.0 / 3.0
-    if ti.static(spec.dim == 2):
-        trial[0], trial[1], trial[2] = 0.5, 0.5, 0.0
-    while turns < TURNS:
-        e = ti.min((turns - ALONG) // SIDE_TURNS, 2)
-        here, there = _corner_shares(radii, e), _corner_shares(radii, (e + 1) % 3)
-        edge = _point(there - here, p, q, r)
-        if turns >= ALONG and turns < INWARDS:
-            if (turns - ALONG) % SIDE_TURNS == 0:
-                low, low_d, low_slope = (
-                    zero,
-                    corner_d.dot(here),
-                    _point(here, n_p, n_q, n_r).dot(edge),
-                )
-                high, high_d = zero + 1.0, corner_d.dot(there)
-                high_slope = _point(there, n_p, n_q, n_r).dot(edge)
-            if not (low_slope < 0.0 and high_slope > 0.0):
-                turns = ALONG + (e + 1) * SIDE_TURNS  # the least is at one of its ends
-                continue
-            at = low - low_slope * (high - low) / (high_slope - low_slope)
-            if turns % 2 == 0:  # where the tangents meet: exact where the side crosses an edge
-                at = (high_d - high_slope * high - low_d + low_slope * low) / (
-                    low_slope - high_slope
-                )
-            margin = 0.02 * (high - low)
-            at = ti.min(ti.max(at, low + margin), high - margin)
-            trial = here + at * (there - here)
-        elif turns >= INWARDS:
-            step = stride
-            if turns % 2 == 0:  # to the nearest point of the obstacle, and from there back
-                step = ti.max(least, 0.0) + state.obstacle_numbers[o, ROUND] + 1e-4 * side
-            trial = shares_of_nearest(spec, _point(share, p, q, r) - step * n, p, q, r)
-            moved = trial - share
-            if turns % 2 == 1 and moved.dot(moved) < 1e-12:
-                break
-        elif turns > 0:
-            trial = _corner_shares(radii, turns - 1)
-        d, new_n = signed_distance(spec, state, o, _point(trial, p, q, r))
-        nearer = d < least
-        if turns == 0:
-            middle = d
-            if d > 2.0 * side + radii[0] + radii[1] + radii[2]:
-                least, share, turns = d - side, trial, TURNS  # it is this far at least
-        elif turns < ALONG:
-            if w.dot(trial) == 0.0 and d < trial.dot(radii):
-                held, turns = 1, TURNS
-            corner_d += d * trial
-            n_p, n_q, n_r = n_p + trial[0] * new_n, n_q + trial[1] * new_n, n_r + trial[2] * new_n
-        elif turns < INWARDS:
-            at = trial.dot(there)
-            if new_n.dot(edge) < 0.0:
-                low, low_d, low_slope = at, d, new_n.dot(edge)
-            else:
-                high, high_d, high_slope = at, d, new_n.dot(edge)
-        if turns >= INWARDS and turns % 2 == 1:
-            stride *= ti.select(nearer, 1.2, 0.4)
-        if nearer and turns < TURNS:
-            least, share, n = d, trial, new_n
-        if turns == ALONG - 1:
-            rounding = ti.static(ROUNDINGS * epsilon(state))
-            same = ti.min(n_p.dot(n_q), n_p.dot(n_r)) >= 1.0 - rounding
-            flat = 3.0 * middle - corner_d.dot(0.0 * radii + 1.0)
-            if ti.static(spec.dim == 2):
-                flat = 2.0 * middle - corner_d[0] - corner_d[1]
-            if same and ti.max(flat, -1.0 * flat) <= 1e-3 * ti.max(least, -1.0 * least):
-                turns = TURNS  # over a plane face: the least is at a corner
-        turns += 1
-    return least, share, n, held
-
-
-@ti.func
-def _corner_shares(like, k):
-    """The shares (3,) of corner k."""
-    share = 0.0 * like
-    for corner in ti.static(range(3)):
-        share[corner] = ti.select(k == corner, 1.0, 0.0)
-    return share
 
 
 @ti.func
@@ -386,45 +276,6 @@ def _room(spec: ti.template(), state: ti.template(), o, slot, radii, side):
         )
     )
     return room, slack
-
-
-@ti.func
-def shares_of_nearest(spec: ti.template(), p, a, b, c):
-    """The shares (3,) of the corners a, b, c in the point of their triangle that is nearest to p.
-
-    In 2-D, and where b and c are one, it is the edge from a to b. Ericson, Real-Time Collision
-    Detection, 5.1.5.
-    """
-    ab, ac, bc = b - a, c - a, c - b
-    d1, d2 = ab.dot(p - a), ac.dot(p - a)
-    d3, d4 = ab.dot(p - b), ac.dot(p - b)
-    d5, d6 = ab.dot(p - c), ac.dot(p - c)
-    vc, vb, va = d1 * d4 - d3 * d2, d5 * d2 - d1 * d6, d3 * d6 - d5 * d4
-    edge = bc.dot(bc) == 0.0
-    zero = 0.0 * d1
-    share = ti.Vector([zero, zero, zero])
-    total = va + vb + vc
-    if d1 <= 0.0 and d2 <= 0.0:
-        share[0] = 1.0
-    elif d3 >= 0.0 and d4 <= d3:
-        share[1] = 1.0
-    elif d6 >= 0.0 and d5 <= d6:
-        share[2] = 1.0
-    elif (vc <= 0.0 or edge) and d1 >= 0.0 and d3 <= 0.0 and d1 - d3 > 0.0:
-        share[1] = d1 / (d1 - d3)
-        share[0] = 1.0 - share[1]
-    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0 and d2 - d6 > 0.0:
-        share[2] = d2 / (d2 - d6)
-        share[0] = 1.0 - share[2]
-    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0 and bc.dot(bc) > 0.0:
-        share[2] = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        share[1] = 1.0 - share[2]
-    elif total > 0.0:
-        share[1], share[2] = vb / total, vc / total
-        share[0] = 1.0 - share[1] - share[2]
-    else:
-        share[0] = 1.0
-    return share
 
 
 # --- what comes of it --------------------------------------------------------------------------
@@ -548,16 +399,10 @@ def _give(spec: ti.template(), state: ti.template(), p):
                             share += state.face[c, SHARE + k]
                     dx += (w * share) * _of(spec, state, c, DX)
                     dv += (w * share) * _of(spec, state, c, DV)
-        x_low, v_low = 0.0 * x, 0.0 * v
-        if ti.static(spec.compensated):
-            x_low, v_low = slot_value(spec, state.x_low, slot), slot_value(spec, state.v_low, slot)
+        x_low, v_low = owed_at(spec, state, slot)
         new_x, new_x_low = joined(spec, state, x, x_low, dx)
         new_v, new_v_low = joined(spec, state, v, v_low, dv)
-        set_slot_value(spec, state.x, slot, new_x)
-        set_slot_value(spec, state.v, slot, new_v)
-        if ti.static(spec.compensated):
-            set_slot_value(spec, state.x_low, slot, new_x_low)
-            set_slot_value(spec, state.v_low, slot, new_v_low)
+        put_at(spec, state, slot, new_x, new_x_low, new_v, new_v_low)
         note_fault(spec, state, slot)
 
 

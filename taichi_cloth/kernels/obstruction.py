@@ -17,12 +17,11 @@ Distances count from the surface of the particle. Walls are obstacles too where 
 import taichi as ti
 
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.compensated import joined
+from taichi_cloth.kernels.compensated import joined, owed_at, put_at
 from taichi_cloth.kernels.loops import each_pack_moving
 from taichi_cloth.kernels.obstacles.contract import BOUND, FRICTION, RESTITUTION, SCALE, THIN
 from taichi_cloth.kernels.packs import (
     epsilon,
-    set_slot_value,
     slot_number,
     slot_value,
 )
@@ -70,9 +69,7 @@ def _settle_pack(spec: ti.template(), state: ti.template(), i):
 def _settle_particle(spec: ti.template(), state: ti.template(), slot):
     """Run all obstacles on the particle at a slot, until none changes it."""
     x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)
-    x_low, v_low = 0.0 * x, 0.0 * v
-    if ti.static(spec.compensated):
-        x_low, v_low = slot_value(spec, state.x_low, slot), slot_value(spec, state.v_low, slot)
+    x_low, v_low = owed_at(spec, state, slot)
     radius = slot_number(spec, state.radius, slot)
     touched, changing, steady = 0, 1, 1
     for _ in range(ROUNDS):
@@ -87,11 +84,7 @@ def _settle_particle(spec: ti.template(), state: ti.template(), slot):
                         x, x_low, v, v_low = new_x, new_x_low, new_v, new_v_low
                         changing, touched = 1, 1
     if touched == 1:
-        set_slot_value(spec, state.x, slot, x)
-        set_slot_value(spec, state.v, slot, v)
-        if ti.static(spec.compensated):
-            set_slot_value(spec, state.x_low, slot, x_low)
-            set_slot_value(spec, state.v_low, slot, v_low)
+        put_at(spec, state, slot, x, x_low, v, v_low)
         note_fault(spec, state, slot)
 
 
@@ -234,9 +227,19 @@ def meet(spec: ti.template(), state: ti.template(), o, slot, d, radius, slack):
             if at >= 1.0 or looks > MOST_LOOKS:
                 going = False
         looks += 1
-    part = 1.0 + 0.0 * radius
+    part = part_before(met, gap, gap_before)
+    return gap, to_world(spec, state, o, END, n), gap_before, part
+
+
+@ti.func
+def part_before(met, gap, gap_before):
+    """The part of a step after which a surface is met, from the gaps at its end and its start.
+
+    met: that part as its path has it, where this was looked at; else negative.
+    """
+    part = 1.0 + 0.0 * met
     if met >= 0.0:
         part = ti.min(met, 1.0)
     elif gap < 0.0 and gap_before > 0.0:
         part = gap_before / (gap_before - gap)
-    return gap, to_world(spec, state, o, END, n), gap_before, part
+    return part

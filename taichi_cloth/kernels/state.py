@@ -4,21 +4,18 @@ They are allocated once with a capacity and refilled in place, because for every
 kernel is compiled again. Fields of features that a scene lacks are not allocated at all.
 """
 
-from dataclasses import astuple, dataclass
-
 import taichi as ti
 
 from taichi_cloth.kernels import clock, poses
 from taichi_cloth.kernels.collision_grid import BLOCK, MOST_BINS, MOST_KEPT, MOST_NEAR, most_cells
-from taichi_cloth.kernels.forces import load
+from taichi_cloth.kernels.fields import Surface, placed
+from taichi_cloth.kernels.forces import device_fields, has_tractions
 from taichi_cloth.kernels.forces.contract import (
     COUNT,
     NUMBER,
     PARTICLE_NUMBER,
     PARTICLE_VECTOR,
-    TRACTION,
     VECTOR,
-    has,
 )
 from taichi_cloth.kernels.loops import COUNTER_SIZE
 from taichi_cloth.kernels.obstacles import contract
@@ -35,74 +32,6 @@ FACE_COLUMNS = 21  # of state.face (`faces.py`)
 FACE_CONTACTS = 4  # that a triangle may have at once
 
 CACHE_LINE = 32  # whole numbers in two lines of 64 bytes, which processors fetch in pairs
-
-
-@dataclass(frozen=True)
-class Capacity:
-    """How much fits into a `State`.
-
-    particles; springs: those on the graph; packs, the empty ones included; grids; row: packs in the
-    widest row, with its halos; triangles: those of which the scene's forces know; elements: what is
-    tested against sharp obstacles (`faces.py`); obstacles; nodes: of their grids; stencils,
-    stencil_particles, stencil_sides: those that are listed, all of their particles, and the
-    springs they need; closer: pairs that keep less than their radii, from both ends;
-    patches: of particles that are compared as one (`scene.spheres`).
-    """
-
-    particles: int
-    springs: int
-    packs: int
-    grids: int
-    row: int
-    triangles: int = 0
-    elements: int = 0
-    obstacles: int = 0
-    nodes: int = 0
-    stencils: int = 0
-    stencil_particles: int = 0
-    stencil_sides: int = 0
-    closer: int = 0
-    patches: int = 0
-
-    def holds(self, other: "Capacity") -> bool:
-        """Whether what needs the capacity `other` fits into this one."""
-        return all(a >= b for a, b in zip(astuple(self), astuple(other), strict=True))
-
-
-@ti.data_oriented
-class Surface:
-    """The triangles of a scene on the device: m of them, by slots of particles (`surfaces.py`).
-
-    corner: (m, 3): slots; side: (m, 3): the spring between the corners k and k + 1: its number on
-    the graph, -1 where there is none, or -2 - i for link i (`grids.link_index`, of slots); vector:
-    (m, 3), a vector for each, whatever is summed; share: (m, 3), what each corner gets of it.
-    In compressed rows the triangles at each particle: row_slot, row_start, row_triangle, row_share.
-    """
-
-    def __init__(self, real, triangles, particles, reals, integers):
-        """Place the fields in two trees, `reals` and `integers` (`ti.FieldsBuilder`)."""
-        m, self.capacity = max(triangles, 1), (triangles, particles)
-        rows = max(min(particles, 3 * m), 1)
-        self.vector, self.share = (_placed(reals, ti.field(real), m, 3) for _ in range(2))
-        self.row_share = _placed(reals, ti.field(real), 3 * m)
-        self.corner, self.side = (_placed(integers, ti.field(ti.i32), m, 3) for _ in range(2))
-        self.n_triangles, self.n_rows = (_placed(integers, ti.field(ti.i32)) for _ in range(2))
-        self.row_slot = _placed(integers, ti.field(ti.i32), rows)
-        self.row_start = _placed(integers, ti.field(ti.i32), rows + 1)
-        self.row_triangle = _placed(integers, ti.field(ti.i32), 3 * m)
-
-    @classmethod
-    def alone(cls, real, triangles, particles):
-        """One with trees of its own, which `free` gives back."""
-        reals, integers = ti.FieldsBuilder(), ti.FieldsBuilder()
-        surface = cls(real, triangles, particles, reals, integers)
-        surface.trees = [reals.finalize(), integers.finalize()]
-        return surface
-
-    def free(self):
-        """Give the device memory of one that is alone back."""
-        for tree in self.trees:
-            tree.destroy()
 
 
 @ti.data_oriented
@@ -252,16 +181,16 @@ class State:
     # --- allocation ------------------------------------------------------------------------------
 
     def _scalars(self, *shape):
-        return _placed(self._reals, ti.field(self.real), *shape)
+        return placed(self._reals, ti.field(self.real), *shape)
 
     def _counts(self, *shape):
-        return _placed(self._integers, ti.field(ti.i32), *shape)
+        return placed(self._integers, ti.field(ti.i32), *shape)
 
     def _pack_vectors(self, spec, packs=None, tree=None):
         tree, packs = tree or self._reals, packs or self.packs
         if spec.lanes == 1:
-            return _placed(tree, ti.Vector.field(spec.dim, self.real), packs)
-        return _placed(tree, ti.field(self.real), packs, spec.dim * spec.lanes)
+            return placed(tree, ti.Vector.field(spec.dim, self.real), packs)
+        return placed(tree, ti.field(self.real), packs, spec.dim * spec.lanes)
 
     def _pack_numbers(self, spec, packs=None):
         packs = packs or self.packs
@@ -517,7 +446,7 @@ class State:
         self.contact_work = self._pack_numbers(spec)
         self.accounting, self.touched = self._counts(), self._counts()
         self.first_touch, self.account_part = self._counts(), self._counts()
-        self.contact_energy = _placed(tree := ti.FieldsBuilder(), ti.field(self.wide))
+        self.contact_energy = placed(tree := ti.FieldsBuilder(), ti.field(self.wide))
         self.wide_tree = tree.finalize()
 
     def _place_faces(self):
@@ -576,29 +505,10 @@ class State:
 
     def add_sums(self, count):
         """Allocate state.sums for `count` sums by `loops.add_up`: sums[k, 0], then its parts."""
-        self.sums = _placed(tree := ti.FieldsBuilder(), ti.field(self.real), count, self.packs + 1)
+        self.sums = placed(tree := ti.FieldsBuilder(), ti.field(self.real), count, self.packs + 1)
         self.trees.append(tree.finalize())
 
     def free(self):
         """Give the device memory back; no field of this state may be used afterwards."""
         for tree in self.trees:
             tree.destroy()
-
-
-def has_tractions(spec):
-    """Whether any force of a specialization acts on triangles."""
-    return any(load(name).adds == TRACTION for name in spec.terms)
-
-
-def device_fields(spec):
-    """The fields that the forces of a specialization declare (`forces.contract.DeviceField`)."""
-    terms = [load(name) for name in spec.terms]
-    return [field for term in terms if has(term.fields) for field in term.fields]
-
-
-def _placed(tree, field, *shape):
-    """The field, after it was placed in a tree with one axis inside the other."""
-    for axis, size in zip((ti.i, ti.j), shape, strict=False):
-        tree = tree.dense(axis, size)
-    tree.place(field)
-    return field

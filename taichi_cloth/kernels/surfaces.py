@@ -16,7 +16,7 @@ import functools
 import taichi as ti
 
 from taichi_cloth.kernels.compensated import difference
-from taichi_cloth.kernels.forces import load
+from taichi_cloth.kernels.forces import has_tractions, load
 from taichi_cloth.kernels.forces.contract import TRACTION, has
 from taichi_cloth.kernels.loops import each, each_pack
 from taichi_cloth.kernels.packs import (
@@ -28,7 +28,7 @@ from taichi_cloth.kernels.packs import (
     write,
     zeros,
 )
-from taichi_cloth.kernels.state import GONE, has_tractions
+from taichi_cloth.kernels.state import GONE
 
 
 def tractions(spec):

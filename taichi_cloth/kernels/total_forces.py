@@ -5,10 +5,10 @@ import taichi as ti
 from taichi_cloth.kernels.accelerations import terms_on_particles
 from taichi_cloth.kernels.clock import time_at_end
 from taichi_cloth.kernels.compensated import difference
+from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, has
 from taichi_cloth.kernels.packs import read, set_slot_value, slot_value, write
 from taichi_cloth.kernels.springs import accumulate, force_between
-from taichi_cloth.kernels.state import has_tractions
 from taichi_cloth.kernels.surfaces import compute_tractions
 
 

@@ -12,10 +12,10 @@ from dataclasses import replace
 from typing import Any
 
 from taichi_cloth.kernels import resting_pairs, settling, stepping, watchdog
+from taichi_cloth.kernels.fields import Capacity
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.solvers import phases
 from taichi_cloth.kernels.specialization import Specialization
-from taichi_cloth.kernels.state import Capacity
 from taichi_cloth.runtime import Device, compilation_time, sums_in_order, whole_vectors
 from taichi_cloth.simulation import compiled
 

@@ -26,13 +26,12 @@ from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.solvers import stages
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
-from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE, WORK, Capacity, State
+from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE, WORK, State
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.scene.penetration import touches
-from taichi_cloth.scene.solids import elements, met_by_faces, solids
-from taichi_cloth.simulation import adjacency, diagnostics
+from taichi_cloth.scene.solids import solids
+from taichi_cloth.simulation import adjacency, diagnostics, requirements
 from taichi_cloth.simulation.launch import Launcher
-from taichi_cloth.simulation.layouts import WORTH_SORTING, Layout
+from taichi_cloth.simulation.layouts import Layout
 from taichi_cloth.simulation.numbers import Numbers
 from taichi_cloth.simulation.placement import Placement, Placements
 from taichi_cloth.simulation.snapshot import Snapshot
@@ -241,7 +240,16 @@ class Storage:
 
         A new container compiles every kernel again, so it is made with room to spare.
         """
-        spec, needed = self._specialize(placement), self._needed(placement)
+        scene, device = self.scene, self._launcher.device
+        needed = requirements.capacity(scene, self.solids, placement)
+        spec = requirements.specialization(
+            self._taken,
+            self.solids,
+            placement,
+            device,
+            topologies=self.topologies,
+            accounts_contacts=self._accounts_contacts,
+        )
         factor = 1
         if self._loaded is not None:
             old = self._loaded.container
@@ -250,7 +258,7 @@ class Storage:
                 return old
             factor = 2 if fits else 1
             old.free()
-        room = SPAWN_CAPACITY if self.scene.world.mouse == "spawn" else 0
+        room = SPAWN_CAPACITY if scene.world.mouse == "spawn" else 0
         capacity = replace(
             needed,
             particles=factor * needed.particles + room,
@@ -259,70 +267,10 @@ class Storage:
             closer=max(needed.closer, 16 * factor * needed.particles) if spec.thick else 0,
             patches=factor * needed.patches,
         )
-        device = self._launcher.device
         state: Any = State(spec, getattr(ti, device.real), capacity, self._method)
         # Taichi has room for 512 trees of fields, of which each state takes two.
         free = free_with(self, state, device)
         return _Container(state, spec, topology, free)
-
-    def _specialize(self, placement: Placement) -> Specialization:
-        """What the scene needs in a placement, with parallel loops in one launch per step."""
-        features, layout = dict(vars(self.scene.features())), placement.layout
-        spawns = self.scene.world.mouse == "spawn"
-        listed = len(placement.graph_stencils) > 0
-        features["springs"] &= spawns or listed or len(placement.graph_springs) > 0
-        # What was cut is gone where nothing else can break.
-        features["fracture"] |= not self._taken.alive.all()
-        terms = forces.present_in(self.scene)
-        features["uniform_springs"] &= not any(number.changes(terms) for number in NUMBERS)
-        return Specialization(
-            **features,
-            faces=self._tests_faces(),
-            terms=terms,
-            lanes=layout.lanes,
-            links=layout.links,
-            lines=layout.lines,
-            stencils=listed,
-            rows_share_stiffness=layout.rows_share_stiffness and not features["fracture"],
-            compensated=self._launcher.device.compensated,
-            together=self._is_mesh(),
-            accounts_contacts=self._accounts_contacts and touches(self.scene, self.solids),
-            threads=self._launcher.device.threads,
-            one_launch_per_step=True,
-        )
-
-    def _is_mesh(self) -> bool:
-        """Whether the scene is a large net without a grid, whose springs are computed several at
-        once on the CPU.
-        """
-        particles, springs = len(self.scene.particles), len(self.scene.springs)
-        large = particles >= WORTH_SORTING and springs >= 2 * particles
-        return large and self._launcher.device.arch == "cpu" and "lanes" not in self.topologies()
-
-    def _needed(self, placement: Placement) -> Capacity:
-        layout = placement.layout
-        # What clicks put beside grids is in a block of rows of its own.
-        clicked = layout.beside if self.scene.world.mouse == "spawn" else 0
-        return Capacity(
-            particles=len(self.scene.particles),
-            springs=len(placement.graph_springs),
-            packs=layout.n_packs,
-            grids=len(layout.grid) + (clicked > 0),
-            row=max(layout.row, clicked),
-            obstacles=len(self.solids),
-            nodes=sum(solid.nodes for solid in self.solids),
-            triangles=len(self.scene.triangles) if forces.act_on_triangles(self.scene) else 0,
-            elements=len(elements(self.scene)) if self._tests_faces() else 0,
-            stencils=len(placement.graph_stencils),
-            stencil_particles=int(self.scene.stencils.sizes[placement.graph_stencils].sum()),
-            stencil_sides=len(self.scene.stencil_sides[0]),
-            closer=len(self.scene.spheres.other) if self.scene.features().thick else 0,
-            patches=len(self.scene.spheres.patch_start) if self.scene.features().thick else 0,
-        )
-
-    def _tests_faces(self) -> bool:
-        """Whether faces and edges of the scene's cloths are tested against any obstacle."""
-        return bool(met_by_faces(self.scene, self.solids))
 
     def unprepared(self) -> list[Callable[[], None]]:
         """What compiles the kernels that only a first click needs, in a scene where clicks spawn.

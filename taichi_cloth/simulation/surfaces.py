@@ -10,7 +10,7 @@ import numpy as np
 import taichi as ti
 
 from taichi_cloth.kernels import surfaces
-from taichi_cloth.kernels.state import Surface
+from taichi_cloth.kernels.fields import Surface
 from taichi_cloth.runtime import Device, still_runs
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.triangles import springs_of_sides

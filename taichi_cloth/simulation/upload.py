@@ -14,14 +14,11 @@ import numpy as np
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import clock, faces, poses, surfaces, transfer
 from taichi_cloth.kernels.collision_grid import ALONE, MOST_BINS, most_cells
+from taichi_cloth.kernels.forces import device_fields, has_tractions
 from taichi_cloth.kernels.obstacles.contract import FAR, SIZES
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
-from taichi_cloth.kernels.state import (
-    GONE,
-    device_fields,
-    has_tractions,
-)
+from taichi_cloth.kernels.state import GONE
 from taichi_cloth.scene.model import Particles, Springs, World
 from taichi_cloth.scene.solids import Solid, elements, held, met_by_faces
 from taichi_cloth.scene.triangles import corner_shares, springs_of_sides
@@ -88,13 +85,20 @@ class Upload:
         self.launcher.launch(transfer.load_numbers, self.state, *arrays)
 
     def _of_forces(self, names: Collection[str]) -> dict[str, Any]:
-        """What the forces put into those of their fields that have these names."""
+        """What the forces put into those of their fields that have these names.
+
+        InputError where one does not fit the device's precision.
+        """
         scene = self.snapshot.scene
-        return {
+        found = {
             field.name: field.value(scene.world, scene.particles)
             for field in device_fields(self.spec)
             if field.value and field.name in names
         }
+        for name, value in found.items():
+            if np.abs(value).max() > np.finfo(self.real).max:
+                raise _wrong_size(self.real, [name.replace("_", " ")], 0)
+        return found
 
     def all(self) -> None:
         """Fill everything but `numbers`, which come first."""
@@ -398,7 +402,8 @@ class Upload:
             pose = placed.centre, placed.turn.ravel(), solid.velocity, solid.spin
             span = [solid.starts, min(solid.stops, FAR)]
             rows.append(np.concatenate([numbers, sizes, low, *pose, span]))
-        arrays = np.array(counts, np.int32), as_real(self.real, "obstacle", *np.transpose(rows))
+        names = [solid.name for solid in self.solids]
+        arrays = np.array(counts, np.int32), as_real(self.real, names, *np.transpose(rows))
         grids = np.concatenate(nodes[1:] or nodes).astype(self.real)
         self._launch(poses.load_obstacles, *arrays, grids)
 
@@ -407,10 +412,10 @@ class Upload:
         return as_real(self.real, "spring", *(getattr(springs, n.column) for n in NUMBERS))
 
 
-def as_real(real: Real, what: str, *columns: np.ndarray) -> np.ndarray:
+def as_real(real: Real, what: str | Sequence[str], *columns: np.ndarray) -> np.ndarray:
     """Columns side by side in the device's precision; InputError where one does not fit.
 
-    what: "particle" or "spring", for the message.
+    what: for the message, "particle" or "spring", or what each of the rows is.
     """
     with np.errstate(all="ignore"):
         rows = np.column_stack(columns).astype(real)
@@ -419,11 +424,11 @@ def as_real(real: Real, what: str, *columns: np.ndarray) -> np.ndarray:
     return rows
 
 
-def _wrong_size(real: Real, what: str, index: int) -> InputError:
+def _wrong_size(real: Real, what: str | Sequence[str], index: int) -> InputError:
+    place = f"{what} {index}" if isinstance(what, str) else what[index]
     wider = "; use --precision f64" if real is np.float32 else ""
     return InputError(
-        f"{what} {index} has a number too large or too small for {real.__name__}{wider} "
-        "or other units"
+        f"{place} has a number too large or too small for {real.__name__}{wider} or other units"
     )
 
 

@@ -4,13 +4,13 @@
 """
 
 import functools
-import importlib
-import pkgutil
+from collections.abc import Iterable
 from typing import Any
 
-from taichi_cloth.kernels.forces.contract import TRACTION, Term
+from taichi_cloth import declarations
+from taichi_cloth.kernels.forces.contract import TRACTION, DeviceField, Term, has
 
-TERMS = tuple(sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name != "contract"))
+TERMS = declarations.names(__path__)
 
 
 @functools.cache
@@ -19,13 +19,7 @@ def load(name: str) -> Term:
 
     Raises TypeError, which names the file and the part, where its declaration is not whole.
     """
-    try:
-        term = getattr(importlib.import_module(f"{__name__}.{name}"), "TERM", None)
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"kernels/forces/{name}.py: {error}") from error
-    if not isinstance(term, Term):
-        raise TypeError(f"kernels/forces/{name}.py: declares no TERM = Term(...)")
-    return term
+    return declarations.load(__name__, name, "TERM", Term)
 
 
 def present_in(scene: Any) -> tuple[str, ...]:
@@ -35,7 +29,22 @@ def present_in(scene: Any) -> tuple[str, ...]:
 
 def act_on_triangles(scene: Any) -> bool:
     """Whether any force that a scene needs acts on triangles."""
-    return any(load(name).adds == TRACTION for name in present_in(scene))
+    return _any_on_triangles(present_in(scene))
+
+
+def has_tractions(spec: Any) -> bool:
+    """Whether any force of a specialization acts on triangles."""
+    return _any_on_triangles(spec.terms)
+
+
+def _any_on_triangles(terms: Iterable[str]) -> bool:
+    return any(load(name).adds == TRACTION for name in terms)
+
+
+def device_fields(spec: Any) -> list[DeviceField]:
+    """The fields that the forces of a specialization declare."""
+    terms = [load(name) for name in spec.terms]
+    return [field for term in terms if has(term.fields) for field in term.fields]
 
 
 def describe(scene: Any) -> str:

@@ -7,12 +7,11 @@ adding a file.
 """
 
 import functools
-import importlib
-import pkgutil
 
+from taichi_cloth import declarations
 from taichi_cloth.kernels.methods.contract import Method
 
-METHODS = tuple(sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name != "contract"))
+METHODS = declarations.names(__path__)
 
 
 @functools.cache
@@ -21,10 +20,4 @@ def load(name: str) -> Method:
 
     Raises TypeError, which names the file, where it declares something unknown or not everything.
     """
-    try:
-        method = getattr(importlib.import_module(f"{__name__}.{name}"), "METHOD", None)
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"kernels/methods/{name}.py: {error}") from error
-    if not isinstance(method, Method):
-        raise TypeError(f"kernels/methods/{name}.py: declares no METHOD = Method(...)")
-    return method
+    return declarations.load(__name__, name, "METHOD", Method)

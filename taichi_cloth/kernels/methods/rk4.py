@@ -7,7 +7,7 @@ dt*omega < 2*sqrt(2). Contacts are changes of velocity at the step's start, and 
 
 import taichi as ti
 
-from taichi_cloth.kernels.accelerations import accelerate_then
+from taichi_cloth.kernels.accelerations import accelerate_then, set_stage
 from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
 from taichi_cloth.kernels.contact import compute_contacts, store_held_by_walls, velocity_jump
 from taichi_cloth.kernels.methods.contract import Claims, Method
@@ -66,13 +66,11 @@ def step(spec: ti.template(), state: ti.template(), t):
     compute_contacts(spec, state, t)
     if ti.static(spec.one_launch_per_step):
         for stage in ti.static(range(4)):
-            for _ in range(1):
-                state.stage[None] = stage
+            set_stage(spec, state, stage)
             accelerate_then(spec, state, t, move)
     else:
         for stage in range(4):  # at run time: unrolled, it takes long to compile
-            # Every thread writes the same number, and none is still in the stage before.
-            state.stage[None] = stage
+            set_stage(spec, state, stage)
             accelerate_then(spec, state, t, move)
 
 

@@ -4,12 +4,11 @@
 """
 
 import functools
-import importlib
-import pkgutil
 
+from taichi_cloth import declarations
 from taichi_cloth.kernels.obstacles.contract import Shape
 
-SHAPES = tuple(sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name != "contract"))
+SHAPES = declarations.names(__path__)
 
 
 @functools.cache
@@ -18,10 +17,4 @@ def load(name: str) -> Shape:
 
     Raises TypeError, which names the file and the part, where its declaration is not whole.
     """
-    try:
-        shape = getattr(importlib.import_module(f"{__name__}.{name}"), "SHAPE", None)
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"kernels/obstacles/{name}.py: {error}") from error
-    if not isinstance(shape, Shape):
-        raise TypeError(f"kernels/obstacles/{name}.py: declares no SHAPE = Shape(...)")
-    return shape
+    return declarations.load(__name__, name, "SHAPE", Shape)

@@ -16,8 +16,10 @@ from taichi_cloth.kernels.loops import add_up, each, each_pack_moving
 from taichi_cloth.kernels.packs import dot, read, write
 from taichi_cloth.kernels.solvers.newton_matrix import (
     begin_iterating,
+    curvature,
     downhill,
     first_energy,
+    go_along,
     multiply,
     preconditioned,
     take_change,
@@ -61,22 +63,13 @@ def _begin(spec: ti.template(), state: ti.template(), i):
 def iterate(spec: ti.template(), state: ti.template(), t):
     """Make one half of an iteration."""
     multiply(spec, state, t)
-    add_up(spec, state, t, _curvature, 0)
+    add_up(spec, state, t, curvature, 0)  # in the second half: the residual's with A and itself
     add_up(spec, state, t, _tested, 1)
     add_up(spec, state, t, _approach, 2)
     add_up(spec, state, t, _shadowed, 3)
     add_up(spec, state, t, _slope, 4)
     each_pack_moving(spec, state, t, _turn)
     each(spec, state, t, 1, _count_half)
-
-
-@ti.func
-def _curvature(spec: ti.template(), state: ti.template(), i):
-    """The product of `direction` with A and itself, for pack i.
-
-    In the second half that is the residual's with the product, too.
-    """
-    return dot(read(spec, state.direction, i), read(spec, state.product, i))
 
 
 @ti.func
@@ -92,24 +85,18 @@ def _tested(spec: ti.template(), state: ti.template(), i):
 @ti.func
 def _step_length(state: ti.template()):
     """The length of a half's step; 0 where A is not positive along it, or something overflows."""
-    curvature, tested = state.sums[0, 0], state.sums[1, 0]
-    along = ti.select(state.half[None] == 0, state.rho[None], curvature)
-    goes = curvature > 0.0 and (tested > 0.0 or tested < 0.0)
+    along_itself, tested = state.sums[0, 0], state.sums[1, 0]
+    along = ti.select(state.half[None] == 0, state.rho[None], along_itself)
+    goes = along_itself > 0.0 and (tested > 0.0 or tested < 0.0)
     return ti.select(goes, along / ti.select(goes, tested, 1.0), 0.0)
 
 
 @ti.func
 def _approach(spec: ti.template(), state: ti.template(), i):
-    """Go a step along `direction` in pack i, and return the energy of its new residual."""
-    step = _step_length(state)
-    change, direction = read(spec, state.change, i), read(spec, state.direction, i)
-    residual, product = read(spec, state.residual, i), read(spec, state.product, i)
-    write(spec, state.change, i, change + step * direction)
+    """Go a half in pack i, and return the energy of its new residual."""
     if state.half[None] == 0:
-        write(spec, state.searched, i, product)
-    residual = residual - step * product
-    write(spec, state.residual, i, residual)
-    return dot(residual, preconditioned(spec, state, i, residual))
+        write(spec, state.searched, i, read(spec, state.product, i))
+    return go_along(spec, state, i, _step_length(state))
 
 
 @ti.func
@@ -157,9 +144,8 @@ def _count_half(spec: ti.template(), state: ti.template(), i):
         ends, state.indefinite[None] = True, 1
     if ends:
         go = 1.0
-        if not (
-            state.slope[None] > 0.0
-        ):  # it leads away: stay, and try the clamped K, if it was not
+        # Where the change leads away: stay, and try the clamped K, if it was not.
+        if not (state.slope[None] > 0.0):
             go, state.slope[None], state.indefinite[None] = 0.0, ANY, 1
             if state.least[None] == CLAMPED:
                 state.outcome[None] = SINGULAR

@@ -7,11 +7,13 @@ The matrix and its preconditioner are those of `newton_matrix.py`.
 import taichi as ti
 
 from taichi_cloth.kernels.loops import add_up, each, each_pack_moving
-from taichi_cloth.kernels.packs import dot, read, write
+from taichi_cloth.kernels.packs import read, write
 from taichi_cloth.kernels.solvers.newton_matrix import (
     begin_iterating,
+    curvature,
     downhill,
     first_energy,
+    go_along,
     multiply,
     preconditioned,
     take_change,
@@ -32,7 +34,7 @@ def direct(spec: ti.template(), state: ti.template(), t):
 def iterate(spec: ti.template(), state: ti.template(), t):
     """Make one step of conjugate gradients."""
     multiply(spec, state, t)
-    add_up(spec, state, t, _curvature, 0)
+    add_up(spec, state, t, curvature, 0)
     add_up(spec, state, t, _approach, 1)
     each_pack_moving(spec, state, t, _turn)
     each(spec, state, t, 1, _count_iteration)
@@ -40,14 +42,8 @@ def iterate(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def _approach(spec: ti.template(), state: ti.template(), i):
-    """Go a step along `direction` in pack i, and return the energy of its new residual."""
-    step = _step_length(state)
-    change, direction = read(spec, state.change, i), read(spec, state.direction, i)
-    residual, product = read(spec, state.residual, i), read(spec, state.product, i)
-    write(spec, state.change, i, change + step * direction)
-    residual = residual - step * product
-    write(spec, state.residual, i, residual)
-    return dot(residual, preconditioned(spec, state, i, residual))
+    """Go a step of conjugate gradients in pack i, and return the energy of its new residual."""
+    return go_along(spec, state, i, _step_length(state))
 
 
 @ti.func
@@ -59,19 +55,13 @@ def _turn(spec: ti.template(), state: ti.template(), i):
 
 
 @ti.func
-def _curvature(spec: ti.template(), state: ti.template(), i):
-    """The product of `direction` with A and itself, for pack i."""
-    return dot(read(spec, state.direction, i), read(spec, state.product, i))
-
-
-@ti.func
 def _step_length(state: ti.template()):
     """The length of a step of conjugate gradients.
 
     It is 0 where A is not positive along the direction, or numbers are no longer finite.
     """
-    curvature = state.sums[0, 0]
-    return ti.select(curvature > 0.0, state.energy[None] / curvature, 0.0)
+    along_itself = state.sums[0, 0]
+    return ti.select(along_itself > 0.0, state.energy[None] / along_itself, 0.0)
 
 
 @ti.func

@@ -34,11 +34,12 @@ from taichi_cloth.kernels.accelerations import (
 from taichi_cloth.kernels.clock import time_of_forces
 from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity, difference
 from taichi_cloth.kernels.contact import compute_contacts, store_held_by_walls, velocity_jump
+from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.grids import renew_number
 from taichi_cloth.kernels.loops import each, each_pack_moving, each_row
 from taichi_cloth.kernels.packs import read, scaled, write, zeros
 from taichi_cloth.kernels.solvers.phases import DONE, go_to
-from taichi_cloth.kernels.state import SWEEPS, has_tractions
+from taichi_cloth.kernels.state import SWEEPS
 from taichi_cloth.kernels.surfaces import compute_traction_damping, compute_tractions
 from taichi_cloth.kernels.watchdog import commit
 

@@ -46,6 +46,7 @@ from taichi_cloth.kernels.accelerations import (
 from taichi_cloth.kernels.clock import time_of_forces
 from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.contact import compute_contacts
+from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.loops import add_up, each, each_pack_moving, find_largest
 from taichi_cloth.kernels.packs import (
     dot,
@@ -91,7 +92,7 @@ from taichi_cloth.kernels.springs import (
     accumulate,
     force_between,
 )
-from taichi_cloth.kernels.state import FORCES, UNCONVERGED, has_tractions
+from taichi_cloth.kernels.state import FORCES, UNCONVERGED
 from taichi_cloth.kernels.surfaces import compute_tractions
 from taichi_cloth.kernels.watchdog import is_finite
 

@@ -14,6 +14,7 @@ from taichi_cloth.kernels.accelerations import (
     resists,
     stiffness_of,
 )
+from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.packs import (
     dot,
     read,
@@ -38,7 +39,6 @@ from taichi_cloth.kernels.springs import (
     reads_velocity,
     stiffness_product,
 )
-from taichi_cloth.kernels.state import has_tractions
 from taichi_cloth.kernels.surfaces import compute_traction_product
 
 FORCING = 0.1  # this part of the residual is left to the next direction
@@ -133,6 +133,23 @@ def downhill(spec: ti.template(), state: ti.template(), i):
     """Set the first direction of conjugate gradients in pack i."""
     residual = read(spec, state.residual, i)
     write(spec, state.direction, i, preconditioned(spec, state, i, residual))
+
+
+@ti.func
+def curvature(spec: ti.template(), state: ti.template(), i):
+    """The product of `direction` with A and itself, for pack i."""
+    return dot(read(spec, state.direction, i), read(spec, state.product, i))
+
+
+@ti.func
+def go_along(spec: ti.template(), state: ti.template(), i, step):
+    """Go a step along `direction` in pack i, and return the energy of its new residual."""
+    change, direction = read(spec, state.change, i), read(spec, state.direction, i)
+    residual, product = read(spec, state.residual, i), read(spec, state.product, i)
+    write(spec, state.change, i, change + step * direction)
+    residual = residual - step * product
+    write(spec, state.residual, i, residual)
+    return dot(residual, preconditioned(spec, state, i, residual))
 
 
 def _least(state):

@@ -9,6 +9,7 @@ import taichi as ti
 
 from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
 from taichi_cloth.kernels.contact import store_held_by_walls, velocity_jump
+from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.loops import barrier
 from taichi_cloth.kernels.packs import (
     component,
@@ -17,7 +18,6 @@ from taichi_cloth.kernels.packs import (
     write,
 )
 from taichi_cloth.kernels.solvers.phases import set_alone
-from taichi_cloth.kernels.state import has_tractions
 from taichi_cloth.kernels.watchdog import commit
 
 BEGIN, EVALUATE, DIRECT, ITERATE, SHIFT, FINISH, CUT = range(7)  # phases

@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from taichi_cloth.ui import declarations
+from taichi_cloth import declarations
 from taichi_cloth.ui.tools.contract import Tool
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from functools import cache
 
+from taichi_cloth import declarations
 from taichi_cloth.settings.options import VIEWS
-from taichi_cloth.ui import declarations
 from taichi_cloth.ui.views.contract import ViewKind
 
 

@@ -1,22 +1,16 @@
-"""Declarations that are found by looking into a folder, one file each."""
+"""Declarations that are found by looking into a folder, one file each.
+
+Forces, methods, shapes of obstacles, mouse tools and views are all found so.
+"""
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
 from collections.abc import Iterable
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
-
-class Declaration(Protocol):
-    """What a file declares: something that bears the file's name."""
-
-    @property
-    def name(self) -> str:
-        """The name of the file, too."""
-
-
-D = TypeVar("D", bound=Declaration)
+D = TypeVar("D")
 
 
 def names(folder: Iterable[str]) -> tuple[str, ...]:
@@ -28,7 +22,8 @@ def names(folder: Iterable[str]) -> tuple[str, ...]:
 def load(package: str, name: str, constant: str, contract: type[D]) -> D:
     """What the file `name` of a package declares as `constant`, which must be a `contract`.
 
-    A part that the declaration lacks or that makes no sense raises TypeError naming file and part.
+    One that says its name has the file's. A part that the declaration lacks or that makes no sense
+    raises TypeError naming file and part.
     """
     file = f"{package.replace('.', '/')}/{name}.py"
     try:
@@ -38,6 +33,6 @@ def load(package: str, name: str, constant: str, contract: type[D]) -> D:
     declared = getattr(module, constant, None)
     if not isinstance(declared, contract):
         raise TypeError(f"{file}: declares no {constant} = {contract.__name__}(...)")
-    if declared.name != name:
-        raise TypeError(f"{file}: name must be the file's, '{name}', is {declared.name!r}")
+    if (given := getattr(declared, "name", name)) != name:
+        raise TypeError(f"{file}: name must be the file's, '{name}', is {given!r}")
     return declared

@@ -1,0 +1,160 @@
+"""The point of a triangle, or of an edge, that is nearest to an obstacle or deepest in it.
+
+The point is looked for along the sides by bisection, then inwards: by turns to the nearest point of
+the obstacle and back, and by projected gradients, with steps that grow while they lead nearer and
+shrink where they do not (Macklin, Erleben, Mueller, Chentanez, Jeschke, Corse, "Local optimization
+for robust signed distance field collision", 2020).
+"""
+
+import taichi as ti
+
+from taichi_cloth.kernels.obstacles.contract import ROUND
+from taichi_cloth.kernels.obstruction import ROUNDINGS
+from taichi_cloth.kernels.packs import epsilon
+from taichi_cloth.kernels.poses import signed_distance
+
+ALONG = 4  # looks in search of the nearest point that come before those along sides
+SIDE_TURNS = 4  # looks along each side
+INWARDS = ALONG + 3 * SIDE_TURNS
+TURNS = INWARDS + 16  # looks in all
+
+
+@ti.func
+def point_of(share, a, b, c):
+    """The point of a triangle that has these shares (3,) of its corners."""
+    return share[0] * a + share[1] * b + share[2] * c
+
+
+@ti.func
+def nearest(spec: ti.template(), state: ti.template(), o, p, q, r, radii, w, side):
+    """The least distance of the triangle p, q, r from obstacle o, the shares of that point, and n.
+
+    It is looked for at the corners, along the sides, then from the best of these inwards: distances
+    from convex obstacles have no other minimum. The last number returned is 1 if a fixed corner is
+    inside by more than its radius allows, as what is clamped may be: then the triangle is not
+    tested. radii, w: of its corners; side: the longest of its sides.
+    """
+    zero = 0.0 * side
+    least, stride, held, share, n = 1e30 + zero, 0.3 * side, 0, 0.0 * radii, 0.0 * p
+    corner_d, n_p, n_q, n_r, middle = 0.0 * radii, n, n, n, zero
+    # A side's bracket: where along it, the distance and its slope, on either side of the minimum.
+    low, low_d, low_slope, high, high_d, high_slope = zero, zero, zero, zero, zero, zero
+    turns, trial = 0, 0.0 * radii + 1.0 / 3.0
+    if ti.static(spec.dim == 2):
+        trial[0], trial[1], trial[2] = 0.5, 0.5, 0.0
+    while turns < TURNS:
+        e = ti.min((turns - ALONG) // SIDE_TURNS, 2)
+        here, there = _corner_shares(radii, e), _corner_shares(radii, (e + 1) % 3)
+        edge = point_of(there - here, p, q, r)
+        if turns >= ALONG and turns < INWARDS:
+            if (turns - ALONG) % SIDE_TURNS == 0:
+                low, low_d = zero, corner_d.dot(here)
+                low_slope = point_of(here, n_p, n_q, n_r).dot(edge)
+                high, high_d = zero + 1.0, corner_d.dot(there)
+                high_slope = point_of(there, n_p, n_q, n_r).dot(edge)
+            if not (low_slope < 0.0 and high_slope > 0.0):
+                turns = ALONG + (e + 1) * SIDE_TURNS  # the least is at one of its ends
+                continue
+            at = _between(low, low_d, low_slope, high, high_d, high_slope, turns % 2 == 0)
+            trial = here + at * (there - here)
+        elif turns >= INWARDS:
+            step = stride
+            if turns % 2 == 0:  # to the nearest point of the obstacle, and from there back
+                step = ti.max(least, 0.0) + state.obstacle_numbers[o, ROUND] + 1e-4 * side
+            trial = shares_of_nearest(spec, point_of(share, p, q, r) - step * n, p, q, r)
+            moved = trial - share
+            if turns % 2 == 1 and moved.dot(moved) < 1e-12:
+                break
+        elif turns > 0:
+            trial = _corner_shares(radii, turns - 1)
+        d, new_n = signed_distance(spec, state, o, point_of(trial, p, q, r))
+        nearer = d < least
+        if turns == 0:
+            middle = d
+            if d > 2.0 * side + radii[0] + radii[1] + radii[2]:
+                least, share, turns = d - side, trial, TURNS  # it is this far at least
+        elif turns < ALONG:
+            if w.dot(trial) == 0.0 and d < trial.dot(radii):
+                held, turns = 1, TURNS
+            corner_d += d * trial
+            n_p, n_q, n_r = n_p + trial[0] * new_n, n_q + trial[1] * new_n, n_r + trial[2] * new_n
+        elif turns < INWARDS:
+            at = trial.dot(there)
+            if new_n.dot(edge) < 0.0:
+                low, low_d, low_slope = at, d, new_n.dot(edge)
+            else:
+                high, high_d, high_slope = at, d, new_n.dot(edge)
+        if turns >= INWARDS and turns % 2 == 1:
+            stride *= ti.select(nearer, 1.2, 0.4)
+        if nearer and turns < TURNS:
+            least, share, n = d, trial, new_n
+        if turns == ALONG - 1:
+            same = ti.min(n_p.dot(n_q), n_p.dot(n_r)) >= 1.0 - ti.static(ROUNDINGS * epsilon(state))
+            bulge = 3.0 * middle - corner_d.dot(0.0 * radii + 1.0)
+            if ti.static(spec.dim == 2):
+                bulge = 2.0 * middle - corner_d[0] - corner_d[1]
+            if same and ti.max(bulge, -1.0 * bulge) <= 1e-3 * ti.max(least, -1.0 * least):
+                turns = TURNS  # over a plane face: the least is at a corner
+        turns += 1
+    return least, share, n, held
+
+
+@ti.func
+def _between(low, low_d, low_slope, high, high_d, high_slope, by_tangents):
+    """Where, between two places along a side, the distance from an obstacle may be least.
+
+    low_d, high_d: the distances there, which fall from low and rise to high by their slopes.
+    """
+    at = low - low_slope * (high - low) / (high_slope - low_slope)
+    if by_tangents:  # where they meet: exact where the side crosses an edge
+        at = (high_d - high_slope * high - low_d + low_slope * low) / (low_slope - high_slope)
+    margin = 0.02 * (high - low)
+    return ti.min(ti.max(at, low + margin), high - margin)
+
+
+@ti.func
+def _corner_shares(like, k):
+    """The shares (3,) of corner k."""
+    share = 0.0 * like
+    for corner in ti.static(range(3)):
+        share[corner] = ti.select(k == corner, 1.0, 0.0)
+    return share
+
+
+@ti.func
+def shares_of_nearest(spec: ti.template(), p, a, b, c):
+    """The shares (3,) of the corners a, b, c in the point of their triangle that is nearest to p.
+
+    In 2-D, and where b and c are one, it is the edge from a to b. Ericson, Real-Time Collision
+    Detection, 5.1.5.
+    """
+    ab, ac, bc = b - a, c - a, c - b
+    d1, d2 = ab.dot(p - a), ac.dot(p - a)
+    d3, d4 = ab.dot(p - b), ac.dot(p - b)
+    d5, d6 = ab.dot(p - c), ac.dot(p - c)
+    vc, vb, va = d1 * d4 - d3 * d2, d5 * d2 - d1 * d6, d3 * d6 - d5 * d4
+    edge = bc.dot(bc) == 0.0
+    zero = 0.0 * d1
+    share = ti.Vector([zero, zero, zero])
+    total = va + vb + vc
+    if d1 <= 0.0 and d2 <= 0.0:
+        share[0] = 1.0
+    elif d3 >= 0.0 and d4 <= d3:
+        share[1] = 1.0
+    elif d6 >= 0.0 and d5 <= d6:
+        share[2] = 1.0
+    elif (vc <= 0.0 or edge) and d1 >= 0.0 and d3 <= 0.0 and d1 - d3 > 0.0:
+        share[1] = d1 / (d1 - d3)
+        share[0] = 1.0 - share[1]
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0 and d2 - d6 > 0.0:
+        share[2] = d2 / (d2 - d6)
+        share[0] = 1.0 - share[2]
+    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0 and bc.dot(bc) > 0.0:
+        share[2] = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        share[1] = 1.0 - share[2]
+    elif total > 0.0:
+        share[1], share[2] = vb / total, vc / total
+        share[0] = 1.0 - share[1] - share[2]
+    else:
+        share[0] = 1.0
+    return share

@@ -1,0 +1,81 @@
+"""What a state is made of: fields in their trees, how much fits into them, and triangles."""
+
+from dataclasses import astuple, dataclass
+
+import taichi as ti
+
+
+def placed(tree, field, *shape):
+    """The field, after it was placed in a tree with one axis inside the other."""
+    for axis, size in zip((ti.i, ti.j), shape, strict=False):
+        tree = tree.dense(axis, size)
+    tree.place(field)
+    return field
+
+
+@dataclass(frozen=True)
+class Capacity:
+    """How much fits into a `State`.
+
+    particles; springs: those on the graph; packs, the empty ones included; grids; row: packs in the
+    widest row, with its halos; triangles: those of which the scene's forces know; elements: what is
+    tested against sharp obstacles (`faces.py`); obstacles; nodes: of their grids; stencils,
+    stencil_particles, stencil_sides: those that are listed, all of their particles, and the
+    springs they need; closer: pairs that keep less than their radii, from both ends;
+    patches: of particles that are compared as one (`scene.spheres`).
+    """
+
+    particles: int
+    springs: int
+    packs: int
+    grids: int
+    row: int
+    triangles: int = 0
+    elements: int = 0
+    obstacles: int = 0
+    nodes: int = 0
+    stencils: int = 0
+    stencil_particles: int = 0
+    stencil_sides: int = 0
+    closer: int = 0
+    patches: int = 0
+
+    def holds(self, other: "Capacity") -> bool:
+        """Whether what needs the capacity `other` fits into this one."""
+        return all(a >= b for a, b in zip(astuple(self), astuple(other), strict=True))
+
+
+@ti.data_oriented
+class Surface:
+    """The triangles of a scene on the device: m of them, by slots of particles (`surfaces.py`).
+
+    corner: (m, 3): slots; side: (m, 3): the spring between the corners k and k + 1: its number on
+    the graph, -1 where there is none, or -2 - i for link i (`grids.link_index`, of slots); vector:
+    (m, 3), a vector for each, whatever is summed; share: (m, 3), what each corner gets of it.
+    In compressed rows the triangles at each particle: row_slot, row_start, row_triangle, row_share.
+    """
+
+    def __init__(self, real, triangles, particles, reals, integers):
+        """Place the fields in two trees, `reals` and `integers` (`ti.FieldsBuilder`)."""
+        m, self.capacity = max(triangles, 1), (triangles, particles)
+        rows = max(min(particles, 3 * m), 1)
+        self.vector, self.share = (placed(reals, ti.field(real), m, 3) for _ in range(2))
+        self.row_share = placed(reals, ti.field(real), 3 * m)
+        self.corner, self.side = (placed(integers, ti.field(ti.i32), m, 3) for _ in range(2))
+        self.n_triangles, self.n_rows = (placed(integers, ti.field(ti.i32)) for _ in range(2))
+        self.row_slot = placed(integers, ti.field(ti.i32), rows)
+        self.row_start = placed(integers, ti.field(ti.i32), rows + 1)
+        self.row_triangle = placed(integers, ti.field(ti.i32), 3 * m)
+
+    @classmethod
+    def alone(cls, real, triangles, particles):
+        """One with trees of its own, which `free` gives back."""
+        reals, integers = ti.FieldsBuilder(), ti.FieldsBuilder()
+        surface = cls(real, triangles, particles, reals, integers)
+        surface.trees = [reals.finalize(), integers.finalize()]
+        return surface
+
+    def free(self):
+        """Give the device memory of one that is alone back."""
+        for tree in self.trees:
+            tree.destroy()

@@ -1,0 +1,86 @@
+"""What a scene needs on the device: what is compiled for it, and room for how much."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from taichi_cloth.kernels import forces
+from taichi_cloth.kernels.fields import Capacity
+from taichi_cloth.kernels.specialization import Specialization
+from taichi_cloth.kernels.spring_numbers import NUMBERS
+from taichi_cloth.runtime import Device
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.penetration import touches
+from taichi_cloth.scene.solids import Solid, elements, met_by_faces
+from taichi_cloth.simulation.layouts import WORTH_SORTING
+from taichi_cloth.simulation.placement import Placement
+from taichi_cloth.simulation.snapshot import Snapshot
+
+
+def specialization(
+    snapshot: Snapshot,
+    solids: Sequence[Solid],
+    placement: Placement,
+    device: Device,
+    *,
+    topologies: Callable[[], Sequence[str]],
+    accounts_contacts: bool,
+) -> Specialization:
+    """What a state needs in a placement, with parallel loops in one launch per step.
+
+    solids: what is in the way. topologies: says which ones the scene can be stored in, and is only
+    asked where that matters. accounts_contacts: whether an account of contacts is asked for.
+    """
+    scene, layout = snapshot.scene, placement.layout
+    features = dict(vars(scene.features()))
+    spawns = scene.world.mouse == "spawn"
+    listed = len(placement.graph_stencils) > 0
+    features["springs"] &= spawns or listed or len(placement.graph_springs) > 0
+    # What was cut is gone where nothing else can break.
+    features["fracture"] |= not snapshot.alive.all()
+    terms = forces.present_in(scene)
+    features["uniform_springs"] &= not any(number.changes(terms) for number in NUMBERS)
+    return Specialization(
+        **features,
+        faces=bool(met_by_faces(scene, solids)),
+        terms=terms,
+        lanes=layout.lanes,
+        links=layout.links,
+        lines=layout.lines,
+        stencils=listed,
+        rows_share_stiffness=layout.rows_share_stiffness and not features["fracture"],
+        compensated=device.compensated,
+        together=device.arch == "cpu" and _is_large_net(scene) and "lanes" not in topologies(),
+        accounts_contacts=accounts_contacts and touches(scene, solids),
+        threads=device.threads,
+        one_launch_per_step=True,
+    )
+
+
+def _is_large_net(scene: Scene) -> bool:
+    """Whether it is worth the while to compute several springs at once."""
+    particles, springs = len(scene.particles), len(scene.springs)
+    return particles >= WORTH_SORTING and springs >= 2 * particles
+
+
+def capacity(scene: Scene, solids: Sequence[Solid], placement: Placement) -> Capacity:
+    """Room for a scene in a placement, with what is in its way, and none to spare."""
+    layout, thick = placement.layout, scene.features().thick
+    # What clicks put beside grids is in a block of rows of its own.
+    clicked = layout.beside if scene.world.mouse == "spawn" else 0
+    return Capacity(
+        particles=len(scene.particles),
+        springs=len(placement.graph_springs),
+        packs=layout.n_packs,
+        grids=len(layout.grid) + (clicked > 0),
+        row=max(layout.row, clicked),
+        obstacles=len(solids),
+        nodes=sum(solid.nodes for solid in solids),
+        triangles=len(scene.triangles) if forces.act_on_triangles(scene) else 0,
+        elements=len(elements(scene)) if met_by_faces(scene, solids) else 0,
+        stencils=len(placement.graph_stencils),
+        stencil_particles=int(scene.stencils.sizes[placement.graph_stencils].sum()),
+        stencil_sides=len(scene.stencil_sides[0]),
+        closer=len(scene.spheres.other) if thick else 0,
+        patches=len(scene.spheres.patch_start) if thick else 0,
+    )
