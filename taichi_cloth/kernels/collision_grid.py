@@ -22,6 +22,7 @@ from taichi_cloth.kernels.packs import (
 )
 
 CELLS_PER_PARTICLE = 8  # about, at most; more cells mean fewer comparisons, more clearing
+CELLS_OF_CLOTH = 32  # the same where cloths have a thickness: it is not done in each step
 BLOCK = 1024  # cells whose counts one iteration sums on a GPU
 # Where threads sort, they first sort into bins of consecutive cells, then each bin by itself, so
 # that what is written lies in the fastest caches. Each thread has a count for each bin.
@@ -31,9 +32,10 @@ MOST_KEPT = 64  # likewise, from step to step, where cloths have a thickness
 ALONE = 48  # so many particles share a single cell
 
 
-def most_cells(particles):
-    """How many cells the grid of so many particles has at most."""
-    return 2 ** round(math.log2(CELLS_PER_PARTICLE * max(particles, 1)))
+def most_cells(particles, thick=False):
+    """How many cells the grid of so many particles has at most; thick: with a thickness."""
+    cells = CELLS_OF_CLOTH if thick else CELLS_PER_PARTICLE
+    return 2 ** round(math.log2(cells * max(particles, 1)))
 
 
 @ti.func

@@ -6,16 +6,16 @@ are listed anew in each step; who has more of them than MOST_NEAR looks into the
 Where one has (`spec.thick`), pairs within their reach and a skin are kept from step to step, in
 the order by cells of the step that listed them, until some have come nearer by the skin (Verlet,
 "Computer experiments on classical fluids", 1967). That is asked of patches of particles that began
-side by side, two by two: of the boxes around their displacements, at both ends of the step, unless
-they were listed farther apart than that. Where pairs are listed, those that came near each other on
-the straight ways of that step are listed, too, however far these went; the boxes around the ways of
-patches say how far to look. So in each step the list has all that may touch, and is narrowed to
-those. What has
-passed through is marked: its normal is that of the step's start. Who has more than MOST_KEPT in its
-list keeps the first ones, and the step is counted as unsettled.
+side by side, two by two: of the boxes around their displacements when the step begins and when it
+ends, unless they were listed farther apart than that. Where pairs are listed, those that came near
+each other on the straight ways of that step are listed, too, however far these went; the boxes
+around the ways of patches say how far to look. So in each step the list has all that may touch, and
+is narrowed to those. What has passed through is marked: its normal is that of the step's start. Who
+has more than MOST_KEPT in its list keeps the first ones, and the step is counted as unsettled.
 
-at, other: places in the order by cells. A code: the place of the other one times 4, plus PASSED,
-plus CLOSER for pairs that keep less than the sum of their radii (`state.closer_...`).
+at, other: places in the order by cells. A code: the place of the other one; in its last CODE_BITS
+PASSED, and for pairs that keep less than the sum of their radii CLOSER times one more than how many
+of the particle's rows of `state.closer_...` come before theirs, or times LATER if that is less.
 """
 
 import functools
@@ -38,8 +38,10 @@ from taichi_cloth.kernels.packs import slot_value
 MARGIN = 0.25  # of a pair's reach, within which particles may come to touch in a step
 CLOTH_MARGIN = 0.05  # the same where cloths have a thickness
 CLOSER_SKIN = 0.25  # of the skin: for neighbours in a cloth, whose springs keep them apart
-PASSED, CLOSER = 1, 2
-LISTED, COME, NOW, WAY = range(4)  # boxes of a patch: of positions and of displacements
+PASSED, CLOSER, LATER, CODE_BITS = 1, 2, 31, 6
+# Boxes around a patch: where it was listed, how far it went in that step, and how far it has come
+# since when this step begins and when it ends.
+LISTED, WAY, BEGINS, ENDS = range(4)
 
 
 @ti.func
@@ -50,7 +52,6 @@ def find_pairs(spec: ti.template(), state: ti.template(), t):
         each(spec, state, t, state.n[None], _begin)
     else:
         if ti.static(spec.one_launch_per_step):
-            each(spec, state, t, state.n_patches[None], _bound_patch)
             _keep_pairs(spec, state, t)
         else:
             each(spec, state, t, state.n_patches[None], _bound_patch)
@@ -150,32 +151,46 @@ def _vector(spec: ti.template(), field: ti.template(), at):
 
 @ti.func
 def _bound_patch(spec: ti.template(), state: ti.template(), patch):
-    """The boxes around a patch of particles: where they were listed, how far they have come since
-    at both ends of this step, where they are, and how far they go in this step."""
-    big = ti.Vector([1e30, 1e30, 1e30], state.real)
-    listed_low, come_low, x_low, way_low = big, big, big, big
-    listed_high, come_high, x_high, way_high = -1.0 * big, -1.0 * big, -1.0 * big, -1.0 * big
+    """The boxes around how far a patch of particles has come since it was listed."""
+    low, high = _nothing(state), -1.0 * _nothing(state)
+    low_at_end, high_at_end = low, high
     for k in range(state.patch_start[patch], state.patch_start[patch + 1]):
         i = state.in_patches[k]
-        slot = slot_of(spec, state, i)
-        x, begun = slot_value(spec, state.x, slot), slot_value(spec, state.begun_x, slot)
-        listed = _vector(spec, state.listed_x, i)
-        come, came, way = x - listed, begun - listed, x - begun
-        listed_low, listed_high = ti.min(listed_low, listed), ti.max(listed_high, listed)
-        come_low, come_high = ti.min(come_low, come, came), ti.max(come_high, come, came)
-        x_low, x_high = ti.min(x_low, x), ti.max(x_high, x)
-        way_low, way_high = ti.min(way_low, way), ti.max(way_high, way)
+        slot, listed = slot_of(spec, state, i), _vector(spec, state.listed_x, i)
+        begun = slot_value(spec, state.begun_x, slot) - listed
+        come = slot_value(spec, state.x, slot) - listed
+        low, high = ti.min(low, begun), ti.max(high, begun)
+        low_at_end, high_at_end = ti.min(low_at_end, come), ti.max(high_at_end, come)
+    _store_box(state, patch, ti.static(BEGINS), low, high)
+    _store_box(state, patch, ti.static(ENDS), low_at_end, high_at_end)
+
+
+@ti.func
+def _bound_listed_patch(spec: ti.template(), state: ti.template(), patch):
+    """The boxes around where a patch of particles is at the step's free end, and how it came."""
+    low, high = _nothing(state), -1.0 * _nothing(state)
+    low_way, high_way = low, high
+    for k in range(state.patch_start[patch], state.patch_start[patch + 1]):
+        slot = slot_of(spec, state, state.in_patches[k])
+        x = slot_value(spec, state.x, slot)
+        way = x - slot_value(spec, state.begun_x, slot)
+        low, high = ti.min(low, x), ti.max(high, x)
+        low_way, high_way = ti.min(low_way, way), ti.max(high_way, way)
+    _store_box(state, patch, ti.static(LISTED), low, high)
+    _store_box(state, patch, ti.static(WAY), low_way, high_way)
+
+
+@ti.func
+def _nothing(state: ti.template()):
+    """The low corner of a box around nothing."""
+    return ti.Vector([1e30, 1e30, 1e30], state.real)
+
+
+@ti.func
+def _store_box(state: ti.template(), patch, box: ti.template(), low, high):
     for axis in ti.static(range(3)):
-        for box, low, high in ti.static(
-            (
-                (LISTED, listed_low, listed_high),
-                (COME, come_low, come_high),
-                (NOW, x_low, x_high),
-                (WAY, way_low, way_high),
-            )
-        ):
-            state.box[patch, 6 * box + axis] = low[axis]
-            state.box[patch, 6 * box + 3 + axis] = high[axis]
+        state.box[patch, ti.static(6 * box + axis)] = low[axis]
+        state.box[patch, ti.static(6 * box + 3 + axis)] = high[axis]
 
 
 @ti.func
@@ -209,8 +224,15 @@ def _compare_patch(spec: ti.template(), state: ti.template(), patch):
     """Note if a particle of this patch may touch one that is not in its list."""
     skin2 = state.skin[None] * state.skin[None]
     reach = ti.static(2.0 * (1.0 + CLOTH_MARGIN)) * state.largest_radius[None]
-    for other in range(patch, state.n_patches[None]):
-        differ2 = _differ2(state, patch, other, ti.static(COME))
+    for k in range(state.n_patches[None] // 2 + 1):  # each pair once or twice; threads get as much
+        other = patch + k
+        if other >= state.n_patches[None]:
+            other -= state.n_patches[None]
+        # Along straight ways no difference is larger than at one of both ends.
+        differ2 = ti.max(
+            _differ2(state, patch, other, ti.static(BEGINS)),
+            _differ2(state, patch, other, ti.static(ENDS)),
+        )
         if differ2 > skin2:
             far = reach + ti.sqrt(differ2)
             if not (_apart2(state, patch, other, ti.static(LISTED)) >= far * far):
@@ -226,7 +248,8 @@ def _look_ahead(spec: ti.template(), state: ti.template(), patch):
         differ2 = _differ2(state, patch, other, ti.static(WAY))
         if differ2 > most * most:
             differ = ti.sqrt(differ2)
-            if _apart2(state, patch, other, ti.static(NOW)) <= (reach + differ) * (reach + differ):
+            far = reach + differ
+            if _apart2(state, patch, other, ti.static(LISTED)) <= far * far:
                 most = differ
     state.ahead[patch] = most
 
@@ -249,6 +272,7 @@ def _begin_lists(spec: ti.template(), state: ti.template(), i):
 @ti.func
 def _keep_pairs(spec: ti.template(), state: ti.template(), t):
     """List all pairs within their reach and a skin at the step's free end, or near on its ways."""
+    each(spec, state, t, state.n_patches[None], _bound_listed_patch)
     each(spec, state, t, state.n_patches[None], _look_ahead)
     sort_into_cells(spec, state, t)
     each(spec, state, t, state.n[None], _take_along)
@@ -290,41 +314,47 @@ def _keep_near(spec: ti.template(), state: ti.template(), at, other):
     if (not there) & (state.far[at] == 1):
         there = _within(_nearest2(spec, state, at, other), (1.0 + CLOTH_MARGIN) * full)
     if there & (other != at) & (sorted_radius(spec, state, other) >= 0.0):
-        mine, closer = _own_reach(spec, state, at, other, full)
-        if closer == 1:
+        row = _row_of(state, at, other)
+        if row >= 0:
+            mine = state.closer_reach[row]
             there = _within(d2, mine + CLOSER_SKIN * state.skin[None])
             if (not there) & (state.far[at] == 1):
                 there = _within(_nearest2(spec, state, at, other), (1.0 + CLOTH_MARGIN) * mine)
         if there:
             count = state.kept_count[at]
             if count < MOST_KEPT:
-                state.kept[at, count] = other * 4 + closer * CLOSER
+                place = 0
+                if row >= 0:
+                    first = state.closer_start[state.sorted_index[at]]
+                    place = ti.min(row - first + 1, LATER)
+                state.kept[at, count] = (other << CODE_BITS) + place * CLOSER
             state.kept_count[at] = count + 1
     return ti.Vector.zero(state.real, 1)
 
 
 @ti.func
-def _own_reach(spec: ti.template(), state: ti.template(), at, other, full):
-    """How near a pair may come, and whether that is less than the sum of its radii."""
+def _row_of(state: ti.template(), at, other):
+    """The row of a pair among those that keep less than the sum of their radii; -1: it does not."""
     i, j = state.sorted_index[at], state.sorted_index[other]
-    reach, closer = full, 0
-    k, end = state.closer_start[i], state.closer_start[i + 1]
+    row, k, end = -1, state.closer_start[i], state.closer_start[i + 1]
     while k < end:
         if state.closer_other[k] == j:
-            reach, closer = state.closer_reach[k], 1
-            k = end
+            row, k = k, end
         k += 1
-    return reach, closer
+    return row
 
 
 @ti.func
 def reach_of(spec: ti.template(), state: ti.template(), at, pair):
     """How near a pair may come: the sum of its radii, or what is its own."""
     if ti.static(spec.thick):
-        other = pair >> 2
+        other, place = place_of(spec, pair), (pair >> 1) & LATER
         reach = sorted_radius(spec, state, at) + sorted_radius(spec, state, other)
-        if (pair & CLOSER) != 0:
-            reach, _ = _own_reach(spec, state, at, other, reach)
+        if place != 0:
+            row = state.closer_start[state.sorted_index[at]] + place - 1
+            if place == LATER:
+                row = _row_of(state, at, other)
+            reach = state.closer_reach[row]
         return reach
     else:
         return sorted_radius(spec, state, at) + sorted_radius(spec, state, pair)
@@ -339,15 +369,17 @@ def _narrow(spec: ti.template(), state: ti.template(), at):
     for k in range(ti.min(kept, MOST_KEPT)):
         pair = state.kept[at, k]
         reach = (1.0 + CLOTH_MARGIN) * reach_of(spec, state, at, pair)
-        if _within(_nearest2(spec, state, at, pair >> 2), reach):
-            now = sorted_x(spec, state, pair >> 2) - sorted_x(spec, state, at)
-            if before_of(spec, state, at, pair).dot(now) < 0.0:
+        other = place_of(spec, pair)
+        if _within(_nearest2(spec, state, at, other), reach):
+            now = sorted_x(spec, state, other) - sorted_x(spec, state, at)
+            if before_of(spec, state, at, other).dot(now) < 0.0:
                 pair = pair | PASSED
             state.near[at, count] = pair
             count += 1
     state.near_count[at] = count
     if count > 0:
         state.active[ti.atomic_add(state.n_active[None], 1)] = at
+        state.visited[at] = 0
     else:
         state.touching[at, 0], state.touching[at, 1] = 0.0, 0.0
     if (count > 0) | (sorted_w(spec, state, at) == 0.0):  # what iterations read besides
@@ -367,25 +399,26 @@ def _within(distance2, reach):
 @ti.func
 def _nearest2(spec: ti.template(), state: ti.template(), at, other):
     """The square of the distance of two particles where they are nearest on the step's ways."""
-    before = before_of(spec, state, at, other * 4)
-    way = sorted_x(spec, state, other) - sorted_x(spec, state, at) - before
-    way2, there = way.dot(way), ti.cast(1.0, state.real)
-    if way2 > 0.0:
-        there = ti.max(ti.min(-1.0 * before.dot(way) / way2, 1.0), 0.0)
-    nearest = before + there * way
-    return nearest.dot(nearest)
+    before = before_of(spec, state, at, other)
+    now = sorted_x(spec, state, other) - sorted_x(spec, state, at)
+    way = now - before
+    nearest2, along, way2 = ti.min(before.dot(before), now.dot(now)), -before.dot(way), way.dot(way)
+    if (along > 0.0) & (along < way2):
+        nearest = before + along / way2 * way
+        nearest2 = nearest.dot(nearest)
+    return nearest2
 
 
 @ti.func
 def place_of(spec: ti.template(), pair):
     """The place of the other one of a pair."""
     if ti.static(spec.thick):
-        return pair >> 2
+        return pair >> CODE_BITS
     else:
         return pair
 
 
 @ti.func
-def before_of(spec: ti.template(), state: ti.template(), at, pair):
-    """From a particle to the other one of its pair, where the step began."""
-    return _vector(spec, state.listed_begun, pair >> 2) - _vector(spec, state.listed_begun, at)
+def before_of(spec: ti.template(), state: ti.template(), at, other):
+    """From a particle to another one, where the step began."""
+    return _vector(spec, state.listed_begun, other) - _vector(spec, state.listed_begun, at)

@@ -200,7 +200,7 @@ def _between(spec: ti.template(), state: ti.template(), at, pair):
     n = laws.unit(d, distance)
     if ti.static(spec.thick):
         if (pair & PASSED) != 0:
-            before = before_of(spec, state, at, pair)
+            before = before_of(spec, state, at, other)
             n = laws.unit(before, laws.length(before))
             distance = d.dot(n)
     if distance == 0.0:  # they have no normal: any will do, the other way for the other one
@@ -222,9 +222,46 @@ def _between(spec: ti.template(), state: ti.template(), at, pair):
 @ti.func
 def _count_touching(spec: ti.template(), state: ti.template(), at):
     """Count the pairs of a particle that overlap, and those that touch and approach."""
-    counts = sum_over_pairs(spec, state, at, _touching)
-    for kind in ti.static((OVERLAP, APPROACH)):
-        state.touching[at, kind] = counts[kind]
+    if _is_visited(spec, state, at):
+        counts = sum_over_pairs(spec, state, at, ti.static(_if_in_touch(_touching)))
+        for kind in ti.static((OVERLAP, APPROACH)):
+            state.touching[at, kind] = counts[kind]
+
+
+@ti.func
+def _is_visited(spec: ti.template(), state: ti.template(), at):
+    """Whether a particle or one near it was changed in the last iteration: others stay."""
+    if ti.static(spec.thick):
+        return state.visited[at] >= state.pair_iteration[None]
+    else:
+        return True
+
+
+@functools.cache
+def _if_in_touch(term):
+    """The term for pairs that may touch, and zeros for others: where cloths have a thickness."""
+
+    @ti.func
+    def in_touch(spec: ti.template(), state: ti.template(), at, pair):
+        found = ti.Vector.zero(state.real, ti.static(sizes(spec)))
+        if _may_touch(spec, state, at, pair):
+            found = term(spec, state, at, pair)
+        return found
+
+    return in_touch
+
+
+@ti.func
+def _may_touch(spec: ti.template(), state: ti.template(), at, pair):
+    """Whether a pair is so near that it is worth to ask whether it touches."""
+    if ti.static(spec.thick):
+        x = _value(spec, state, at, 0)
+        d = _value(spec, state, place_of(spec, pair), 0) - x
+        rounding = ti.static(2.0 * ROUNDINGS * epsilon(state)) * ti.abs(x).sum()
+        far = ti.static(1.0 + 2.0 * SLACK) * reach_of(spec, state, at, pair) + rounding
+        return (d.dot(d) <= far * far) | ((pair & PASSED) != 0)
+    else:
+        return True
 
 
 @ti.func
@@ -238,15 +275,32 @@ def _touching(spec: ti.template(), state: ti.template(), at, pair):
 @ti.func
 def _move(spec: ti.template(), state: ti.template(), at):
     """Take a particle to the other half, with the mean of what its pairs do to its parts."""
+    touches = state.touching[at, OVERLAP] + state.touching[at, APPROACH] > 0.0
+    if ti.static(spec.thick):
+        if _is_visited(spec, state, at):
+            _take_to_other_half(spec, state, at, touches, touches)
+        if touches:
+            done = state.pair_iteration[None] + 1
+            state.visited[at] = done
+            for k in range(state.near_count[at]):
+                state.visited[place_of(spec, state.near[at, k])] = done
+    else:
+        _take_to_other_half(spec, state, at, touches, True)
+
+
+@ti.func
+def _take_to_other_half(spec: ti.template(), state: ti.template(), at, touches, may_enter):
+    """touches: whether any pair of it does; may_enter: an obstacle."""
     x, v = _value(spec, state, at, 0), _value(spec, state, at, ti.static(spec.dim + 1))
     if sorted_w(spec, state, at) > 0.0:
-        if state.touching[at, OVERLAP] + state.touching[at, APPROACH] > 0.0:
-            change = sum_over_pairs(spec, state, at, _change)
+        if touches:
+            change = sum_over_pairs(spec, state, at, ti.static(_if_in_touch(_change)))
             for axis in ti.static(range(spec.dim)):
                 x[axis] += change[axis]
                 v[axis] += change[ti.static(spec.dim + axis)]
         if ti.static(len(spec.obstacles) > 0):
-            x, v = _out_of_obstacles(spec, state, at, x, v)
+            if may_enter:
+                x, v = _out_of_obstacles(spec, state, at, x, v)
     to = at + (state.pair_iteration[None] + 1) % 2 * ti.static(state.sorted_half)
     for axis in ti.static(range(spec.dim)):
         state.sorted[to, axis], state.sorted[to, ti.static(spec.dim + 1 + axis)] = x[axis], v[axis]

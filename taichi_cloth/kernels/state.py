@@ -106,8 +106,8 @@ class State:
         anew, and whether some list was full in this step; n_patches, patch_start, in_patches,
         patch_of: the particles of each patch, and the patch of each; box: low and high corners of
         the boxes around it; ahead: how far it looks along its way; active, n_active: the places
-        that have near pairs; listed_x: by index, where they were listed; listed_begun: by place,
-        where the step began; kept,
+        that have near pairs; visited: the last iteration in which they are visited; listed_x: by
+        index, where they were listed; listed_begun: by place, where the step began; kept,
         kept_count: codes of pairs; far: whose step went far; closer_start, closer_other,
         closer_reach: `scene.spheres`.
 
@@ -385,7 +385,8 @@ class State:
                 setattr(self, f"{place}_{number.letter}", self._scalars(*own))
 
     def _place_collision_grid(self, spec):
-        n, cells = max(self.capacity.particles, 1), most_cells(self.capacity.particles)
+        n = max(self.capacity.particles, 1)
+        cells = most_cells(n, spec.thick)
         self.grid_bits, self.per_cell = self._counts(spec.dim), self._scalars(spec.dim)
         self.bins, self.bin_bits = self._counts(), self._counts()
         self.largest_radius = self._scalars()
@@ -414,6 +415,7 @@ class State:
             self.in_patches, self.patch_of = self._counts(n), self._counts(n)
             self.box, self.ahead = self._scalars(patches, 24), self._scalars(patches)
             self.active, self.n_active = self._counts(n), self._counts()
+            self.visited = self._counts(n)
             self.listed_x, self.listed_begun = (self._scalars(n, spec.dim) for _ in range(2))
             self.kept, self.kept_count = self._counts(n, MOST_KEPT), self._counts(n)
             self.far = self._counts(n)

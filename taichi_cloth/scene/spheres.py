@@ -25,7 +25,7 @@ from taichi_cloth.scene.triangles import springs_of_sides
 
 STRETCH = 1.25  # of what triangles need at the start
 COMPRESSED = 0.7  # of its distance at the start, to which a pair of neighbours may come
-SKIN = 0.4  # of the smallest sphere's diameter, that is listed beyond the reach of pairs
+SKIN = 0.55  # of the smallest sphere's diameter, that is listed beyond the reach of pairs
 PATCH, MOST_PATCHES = 16, 256  # particles of a patch; about as many patches, of more particles
 MOST_PAIRS = 20_000_000  # that start nearer than their spheres are wide
 

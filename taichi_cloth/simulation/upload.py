@@ -76,7 +76,7 @@ class Upload:
         if self.spec.thick:
             spheres = self.snapshot.scene.spheres
             radius, values["skin"] = spheres.radius, min(spheres.skin, np.finfo(self.real).max)
-        values |= collision_grid(world, radius)
+        values |= collision_grid(world, radius, most_cells(len(radius), self.spec.thick))
         counts, reals = (
             np.concatenate([np.ravel(values[name]) for name in names])
             for names in (self.state.count_names, self.state.number_names)
@@ -439,13 +439,14 @@ def _low(values: np.ndarray, real: Real) -> np.ndarray:
     return np.where(np.isfinite(low), low, 0.0)  # `values` themselves are refused
 
 
-def collision_grid(world: World, radii: np.ndarray) -> dict[str, Any]:
+def collision_grid(world: World, radii: np.ndarray, most: int) -> dict[str, Any]:
     """The numbers of the collision grid (`kernels.collision_grid`), by the names of their fields.
 
-    Along rows a cell is at least as wide as the largest particle, across them twice that: then few
-    rows lie near a particle. The grid wraps around, so where the world has more cells than the
-    container holds, it is made smaller: far particles then share a cell, at the cost of
-    comparisons. Cells are wide enough that their coordinates are whole numbers of 32 bits.
+    most: cells that it may have. Along rows a cell is at least as wide as the largest particle,
+    across them twice that: then few rows lie near a particle. The grid wraps around, so where the
+    world has more cells than the container holds, it is made smaller: far particles then share a
+    cell, at the cost of comparisons. Cells are wide enough that their coordinates are whole numbers
+    of 32 bits.
     """
     size, count = np.array(world.size), len(radii)
     largest = float(size.max())
@@ -456,7 +457,7 @@ def collision_grid(world: World, radii: np.ndarray) -> dict[str, Any]:
     # About as many cells as fit into the world.
     bits = np.maximum(np.round(np.log2(size / widths)), 0.0).astype(int)
     widths = np.maximum(size / 2.0**bits, widths)
-    while 2.0 ** bits.sum() > most_cells(count):
+    while 2.0 ** bits.sum() > most:
         bits[bits.argmax()] -= 1
     if count <= ALONE:
         bits[:] = 0
