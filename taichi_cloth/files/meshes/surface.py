@@ -117,7 +117,7 @@ def checked(path: Path, polygons: Polygons) -> Surface:
     _check_vertices(polygons, refusal)
     owner = np.repeat(np.arange(len(polygons.count)), polygons.count)
     _check_corners(polygons, owner, refusal)
-    _check_twice(polygons, owner, refusal)
+    _check_twice(polygons, refusal)
     surface, face_of = _triangulated(polygons)
     _check_areas(surface, face_of, refusal)
     _check_edges(polygons, owner, refusal)
@@ -158,7 +158,7 @@ def _check_corners(polygons: Polygons, owner: np.ndarray, refusal: _Refusal) -> 
         refusal.face(int(owner[at]), f"is degenerate: it has vertex {polygons.corners[at]} twice")
 
 
-def _check_twice(polygons: Polygons, owner: np.ndarray, refusal: _Refusal) -> None:
+def _check_twice(polygons: Polygons, refusal: _Refusal) -> None:
     """That no two faces have the same corners."""
     # Sums of numbers drawn for vertices are equal where corners are, and hardly ever elsewhere.
     number = np.random.default_rng(0).integers(2**63, size=len(polygons.vertices), dtype=np.uint64)

@@ -1,8 +1,8 @@
 """Bending of cloth with a rigidity B, E = B/2 |curvature vector|^2 for each stencil.
 
-The curvature vectors, of rows of particles and of vertices in meshes, are those of
-`scene.stencils`: Bergou, Wardetzky, Harmon, Zorin, Grinspun, "A quadratic bending model for
-inextensible surfaces", 2006. The force is linear in positions.
+The curvature vectors, of rows of particles and of triangles in meshes, are those of
+`scene/stencils.py`, which has their sources. The force is linear in positions, as in Bergou,
+Wardetzky, Harmon, Zorin, Grinspun, "A quadratic bending model for inextensible surfaces", 2006.
 """
 
 from dataclasses import replace
