@@ -17,6 +17,7 @@ from taichi_cloth.kernels import (
     forces,
     fracture,
     grips,
+    readback,
     total_forces,
     transfer,
     watchdog,
@@ -282,7 +283,7 @@ class Storage:
         n, dim, state = len(self.scene.particles), self.scene.world.dim, self.state
         row = np.zeros((1, dim), self.real)
         found: list[Callable[[], None]] = [
-            partial(self._launch, transfer.read_vectors, field, row) for field in (state.x, state.v)
+            partial(self._launch, readback.read_vectors, field, row) for field in (state.x, state.v)
         ]
         if n == 0:  # a particle of infinite mass that nobody counts; the first load clears it
             columns = len(state.vector_names) * dim + len(state.particle_names)
@@ -290,7 +291,7 @@ class Storage:
             found.append(partial(self._launch, transfer.load_particles, *nothing))
         if self.specialization.fracture and len(self._now.placement.graph_springs) == 0:
             none = np.zeros((1, 2), np.int32)
-            found.append(partial(self._launcher.launch, transfer.read_fracture, state, none))
+            found.append(partial(self._launcher.launch, readback.read_fracture, state, none))
             rows = np.zeros((1, len(NUMBERS)), self.real)  # of no spring, until the next load
             found.append(partial(self._launch, transfer.load_spring_numbers, rows))
         return found
@@ -359,12 +360,12 @@ class Storage:
             ends = placement.layout.slot[self.scene.springs.between[mine]]
             half = adjacency.half_springs(ends, placement.layout.n_packs * placement.layout.lanes)
             part, field = np.zeros(len(mine), self.real), getattr(self.state, f"csr_{letter}")
-            self._launcher.launch(transfer.read_numbers, field, half.half[:, 0].copy(), part)
+            self._launcher.launch(readback.read_numbers, field, half.half[:, 0].copy(), part)
             out[mine] = part
         if len(placement.links):
             part, field = np.zeros(len(placement.links), self.real), f"link_{letter}"
             places = placement.link_places
-            self._launch(transfer.read_link_numbers, getattr(self.state, field), places, part)
+            self._launch(readback.read_link_numbers, getattr(self.state, field), places, part)
             out[placement.links] = part
         values: np.ndarray = out.astype(np.float64)
         return values
@@ -395,11 +396,11 @@ class Storage:
         out: np.ndarray = taken.copy()
         if len(placement.graph_springs):
             part = np.zeros((len(placement.graph_springs), 2), np.int32)
-            self._launcher.launch(transfer.read_fracture, self.state, part)
+            self._launcher.launch(readback.read_fracture, self.state, part)
             out[placement.graph_springs] = part
         if self.specialization.links:
             part = np.zeros((len(placement.links), 2), np.int32)
-            self._launch(transfer.read_link_fracture, placement.link_places, part)
+            self._launch(readback.read_link_fracture, placement.link_places, part)
             out[placement.links] = part
         return out
 
@@ -410,7 +411,7 @@ class Storage:
 
     def count_broken(self) -> int:
         """How many springs are not whole; the device counts them."""
-        return int(self._launch(transfer.count_broken)) if self.specialization.fracture else 0
+        return int(self._launch(readback.count_broken)) if self.specialization.fracture else 0
 
     def faulty_particle(self) -> int:
         """The particle that the watchdog found in the last frame: the lowest index at fault."""
@@ -423,7 +424,7 @@ class Storage:
         """
         work = np.zeros(len(WORK), np.int32)
         if self._method.claims.forces == 0:
-            self._launcher.launch(transfer.take_work, self.state, work)
+            self._launcher.launch(readback.take_work, self.state, work)
         return work
 
     def unsettled(self) -> int:
@@ -466,7 +467,7 @@ class Storage:
         if self._drawn_positions.shape != shape:
             self._drawn_positions = np.zeros(shape, self.real)
         if len(self._drawn_positions):
-            self._launch(transfer.read_vectors, self.state.x, self._drawn_positions)
+            self._launch(readback.read_vectors, self.state.x, self._drawn_positions)
         return self._drawn_positions
 
     def drawn_springs(self) -> np.ndarray:
@@ -504,7 +505,7 @@ class Storage:
     def _read_field(self, of: Any) -> np.ndarray:
         out = np.zeros((len(self.scene.particles), self.scene.world.dim), self.real)
         if len(out):
-            self._launch(transfer.read_vectors, of, out)
+            self._launch(readback.read_vectors, of, out)
         values: np.ndarray = out.astype(np.float64)
         return values
 
