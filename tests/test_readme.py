@@ -24,10 +24,18 @@ BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", README, re.M | re.S)
 PACKAGES = list((ROOT / "taichi_cloth").rglob("__init__.py"))
 SET_UP = "python3 -m venv"  # the two commands that make an environment; see below, and .ci/run
 QUICK = ("--save", "--record", "--events", "curtain.toml")  # the default run does those with these
+SCENES = ("curtain.toml", "sheet.toml")  # as what the scene files are to be saved
 
 
 def blocks(language):
     return [text for kind, text in BLOCKS if kind == language]
+
+
+def save_scenes(folder):
+    """The README's scene files, by the names that it gives them."""
+    for name, text in zip(SCENES, blocks("toml"), strict=True):
+        assert f"`{name}`" in README
+        (folder / name).write_text(text)
 
 
 def command_lines():
@@ -61,32 +69,32 @@ def test_every_block_is_of_a_kind_that_is_tested():
 
 @thorough
 def test_commands_run_one_after_the_other(tmp_path):
-    """In their order, in one folder, without a display; the scene file is the README's own."""
-    (tmp_path / "curtain.toml").write_text(blocks("toml")[0])
+    """In their order, in one folder, without a display; the scene files are the README's own."""
+    save_scenes(tmp_path)
     for line in command_lines():
         shell(line, tmp_path, environment())
     made = {path.name for path in tmp_path.iterdir()}
-    files = {"curtain.toml", "cloth.npz", "session.jsonl", "cloth.png", "cloth.mp4"}
+    files = {*SCENES, "cloth.npz", "session.jsonl", "cloth.png", "cloth.mp4", "sheet.npz"}
     assert made == files | {"trade-cloth", "stability-cloth", "frames"}
 
 
 @thorough
 def test_commands_on_files_run_one_after_the_other(cli, tmp_path):
     """In one folder: what is saved, recorded and replayed, and the README's own scene file."""
-    (tmp_path / "curtain.toml").write_text(blocks("toml")[0])
+    save_scenes(tmp_path)
     lines = [line for line in command_lines() if any(word in line for word in QUICK)]
     assert len(lines) == 4
     for line in lines:
         cli(*shlex.split(line)[1:], "--execution", "serial", "--topology", "graph", cwd=tmp_path)
     made = {path.name for path in tmp_path.iterdir()}
-    assert made == {"curtain.toml", "cloth.npz", "session.jsonl", "cloth.png", "cloth.mp4"}
+    assert made == {*SCENES, "cloth.npz", "session.jsonl", "cloth.png", "cloth.mp4"}
 
 
 @pytest.mark.parametrize("line", [line for line in command_lines() if " run " in line])
 def test_every_run_is_accepted(line, tmp_path, monkeypatch, capsys):
     """Up to the moment at which Taichi would start; the slow ones run in the thorough tests."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "curtain.toml").write_text(blocks("toml")[0])
+    save_scenes(tmp_path)
     (tmp_path / "session.jsonl").write_text("")
 
     def start(*_, **__):

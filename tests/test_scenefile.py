@@ -17,6 +17,8 @@ from taichi_cloth.scene import library, obstacles, scenefile, tables
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import grid
 from taichi_cloth.scene.model import (
+    FABRIC_COLOR,
+    FIXED_COLOR,
     MOUSE_MODES,
     WALLS,
     ParticleDefaults,
@@ -204,6 +206,23 @@ def test_a_cloth_in_a_file_is_the_built_in_cloth():
     read, built = scenefile.parse(text), library.build("cloth")
     assert set(read.world.walls) == set(built.world.walls)
     assert_same_scene(read.with_world(walls=built.world.walls), built)
+
+
+def test_cloths_and_meshes_have_colours_of_their_own(tmp_path):
+    (tmp_path / "leaf.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    cloth = "[[cloths]]\norigin = [1, 1, 0]\ncolumns = 2\nrows = 2\nspacing = 1\n"
+    file = tmp_path / "two.toml"
+    file.write_text(
+        "[world]\nsize = [9, 9, 9]\n"
+        + (cloth + "pinned = [[0, 0]]\ncolor = [9, 8, 7]\n" + cloth)
+        + "[[meshes]]\nfile = 'leaf.obj'\nmove = [4, 4, 0]\ncolor = [1, 2, 3]\n"
+    )
+    color = scenefile.load(file).particles.color
+    assert color[:4].tolist() == [list(FIXED_COLOR)] + [[9, 8, 7]] * 3
+    assert (color[4:8] == FABRIC_COLOR).all() and (color[8:] == (1, 2, 3)).all()
+    file.write_text(file.read_text().replace("[1, 2, 3]", "[1, 2, 300]"))
+    with pytest.raises(InputError, match=r"line 18: .*color"):
+        scenefile.load(file)
 
 
 def test_links_are_numbered_particle_by_particle():

@@ -14,6 +14,7 @@ from taichi_cloth.scene.toml import Keys
 
 KEYS = (
     *("origin", "columns", "rows", "spacing", "pinned", "links", "across", "down", "bending"),
+    "color",
     *MATERIAL_KEYS,
     *SPRING_PROPERTIES,
 )

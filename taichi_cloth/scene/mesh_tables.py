@@ -17,7 +17,7 @@ from taichi_cloth.scene.toml import Keys
 SPRING_KEYS = tuple(name for name in SPRING_PROPERTIES if name not in OF_THE_MESH)
 MATERIAL_KEYS = ("density", "thickness", "stretch", "damping_time", "strength")
 KEYS = (
-    *("file", "scale", "turn", "move", "pinned", "parts"),
+    *("file", "scale", "turn", "move", "pinned", "parts", "color"),
     *MATERIAL_KEYS,
     "bending",
     *SPRING_KEYS,

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ from taichi_cloth.scene.properties import (
     WorldNumber,
     WorldValue,
 )
-from taichi_cloth.scene.reading import Common, Table, TableReader
+from taichi_cloth.scene.reading import Common, Sheet, Table, TableReader
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.scene.toml import Keys
 from taichi_cloth.scene.world_keys import world_keys
@@ -127,7 +127,7 @@ class SceneReader(TableReader):
                 surfaces.append(count + sheet.triangles)
                 numbers = count + np.arange(len(sheet.particles))
                 stencils = stencils.joined(sheet.stencils.renumbered(numbers))
-                sheets.append(sheet)
+                sheets.append(replace(sheet, particles=self.colored(sheet, entry, (kind, index))))
                 count += len(sheet.particles)
                 spring_count += len(sheet.springs)
         for sheet in sheets:
@@ -148,6 +148,14 @@ class SceneReader(TableReader):
             stencils=stencils,
         )
         return validate(scene, self.place_of_fault)
+
+    def colored(self, sheet: Sheet, entry: Table, path: Keys) -> Particles:
+        """The particles of a cloth or a mesh, in its `color` if it has one; those held are grey."""
+        color = self.value(entry, path, "color", toml.color)
+        if color is None:
+            return sheet.particles
+        shades = np.where(sheet.particles.fixed[:, None], FIXED_COLOR, color)
+        return replace(sheet.particles, color=shades.astype(np.uint8))
 
     def world(self, table: Table) -> World:
         """What [world] says."""
