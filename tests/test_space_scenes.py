@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from intersections import intersecting_pairs
 
 from taichi_cloth.scene import library
 from taichi_cloth.scene.library import pull, trampoline, twist
@@ -162,3 +163,13 @@ def test_the_plates_stay_on_the_table(pool):
     assert (low > -1e-6).all() and np.median(low) < 0.01
     assert x[~free, 0].min() > pull.TABLE[1] - 0.05  # the cloth is off the table
     assert strain(sim).max() < 0.3
+
+
+@pytest.mark.thorough
+def test_the_shirt_hangs_and_its_front_stays_before_its_back(pool):
+    sim, x, start = after(pool, "shirt", 2)
+    first = sim.scene.particles.position
+    assert strain(sim).max() < 0.3 and energy(sim) < start
+    assert x[:, 1].max() < first[:, 1].max() + 1e-3  # nothing is above its collar
+    assert first[:, 1].min() - 0.1 < x[:, 1].min() < first[:, 1].min() + 0.1
+    assert not len(intersecting_pairs(x, sim.scene.triangles))

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy
@@ -203,7 +204,7 @@ def _simulation(scene: Scene, options: RunOptions) -> Simulation:
         topology=options.topology,
         tolerance=options.tolerance,
         iterations=options.iterations,
-        compiling=None if options.quiet else _note_compiling,
+        compiling=None if options.quiet else partial(_note_compiling, scene),
     )
 
 
@@ -212,9 +213,11 @@ def _say(text: str) -> None:
     print(f"{PROGRAM}: {text}", file=sys.stderr, flush=True)
 
 
-def _note_compiling() -> None:
-    """Say on standard error why nothing happens for some seconds."""
-    _say("compiling kernels for this run: some seconds, once; later runs find them")
+def _note_compiling(scene: Scene) -> None:
+    """Say on standard error why nothing happens for a while."""
+    touches = scene.obstacles or scene.features().resting
+    takes = "up to some minutes" if touches else "some seconds"
+    _say(f"compiling kernels for this run: {takes}, once; later runs find them")
 
 
 @contextlib.contextmanager

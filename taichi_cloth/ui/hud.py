@@ -114,7 +114,7 @@ def status_lines(
     counts = _row(
         f"{sim.particle_count} particles",
         f"{alive} springs, {broken} broken",
-        f"time {sim.time:.10g}",
+        f"time {sim.time:.6g}",
         f"frame {sim.frame}",
     )
     if rates is None:

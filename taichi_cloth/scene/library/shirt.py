@@ -16,6 +16,7 @@ from taichi_cloth.settings.options import Parameter
 
 FILE = Path(__file__).with_name("shirt.obj")
 FRAME = "auto"
+THICKNESS = 0.01  # so that its front does not pass through its back [m]
 
 
 def scene(
@@ -29,10 +30,16 @@ def scene(
     bending: Annotated[
         float, Parameter("rigidity against bending", unit="N m", minimum=0)
     ] = hanging.BENDING,
+    thickness: Annotated[
+        float,
+        Parameter("which keeps it off itself; 0: it passes through itself", unit="m", minimum=0),
+    ] = THICKNESS,
 ) -> Scene:
     """A shirt out of a mesh file, held at its collar; 3-D, in metres and seconds."""
     surface = meshes.read(FILE)
     table = hanging.table(FILE, surface)
     table["name"] = "shirt"
     table["meshes"][0] |= {"stretch": stretch, "density": density, "bending": bending, "parts": 1}
+    if thickness:
+        table["meshes"][0]["thickness"] = thickness
     return scenefile.parse_table(table, "shirt")
