@@ -13,9 +13,10 @@ around the ways of patches say how far to look. So in each step the list has all
 is narrowed to those. What has passed through is marked: its normal is that of the step's start. Who
 has more than MOST_KEPT in its list keeps the first ones, and the step is counted as unsettled.
 
-at, other: places in the order by cells. A code: the place of the other one; in its last CODE_BITS
-PASSED, and for pairs that keep less than the sum of their radii CLOSER times one more than how many
-of the particle's rows of `state.closer_...` come before theirs, or times LATER if that is less.
+at, other: places in the order by cells. A code of `state.kept`: the place of the other one; in its
+last CODE_BITS, for pairs that keep less than the sum of their radii, CLOSER times one more than how
+many of the particle's rows of `state.closer_...` come before theirs, or times LATER if that is
+less. One of `state.near`: twice the place, plus PASSED.
 """
 
 import functools
@@ -126,13 +127,13 @@ def _list_near(spec: ti.template(), state: ti.template(), at, other):
 def sum_over_pairs(spec: ti.template(), state: ti.template(), at, term: ti.template()):
     """The sum of term(spec, state, at, pair) over all that are near at the step's free end.
 
-    pair: a place, or a code where a cloth has a thickness.
+    pair: a place, or where a cloth has a thickness which one of the list it is.
     """
     total = ti.Vector.zero(state.real, ti.static(sizes(spec)))
     count = state.near_count[at]
     if ti.static(spec.thick):
         for k in range(count):
-            total += term(spec, state, at, state.near[at, k])
+            total += term(spec, state, at, k)
     elif count <= MOST_NEAR:
         for k in range(count):
             total += term(spec, state, at, state.near[at, k])
@@ -348,16 +349,22 @@ def _row_of(state: ti.template(), at, other):
 def reach_of(spec: ti.template(), state: ti.template(), at, pair):
     """How near a pair may come: the sum of its radii, or what is its own."""
     if ti.static(spec.thick):
-        other, place = place_of(spec, pair), (pair >> 1) & LATER
-        reach = sorted_radius(spec, state, at) + sorted_radius(spec, state, other)
-        if place != 0:
-            row = state.closer_start[state.sorted_index[at]] + place - 1
-            if place == LATER:
-                row = _row_of(state, at, other)
-            reach = state.closer_reach[row]
-        return reach
+        return state.near_reach[at, pair]
     else:
         return sorted_radius(spec, state, at) + sorted_radius(spec, state, pair)
+
+
+@ti.func
+def _kept_reach(spec: ti.template(), state: ti.template(), at, code):
+    """How near a pair that is kept may come."""
+    other, place = code >> CODE_BITS, (code >> 1) & LATER
+    reach = sorted_radius(spec, state, at) + sorted_radius(spec, state, other)
+    if place != 0:
+        row = state.closer_start[state.sorted_index[at]] + place - 1
+        if place == LATER:
+            row = _row_of(state, at, other)
+        reach = state.closer_reach[row]
+    return reach
 
 
 @ti.func
@@ -367,14 +374,13 @@ def _narrow(spec: ti.template(), state: ti.template(), at):
     if kept > MOST_KEPT:
         state.overfull[None] = 1
     for k in range(ti.min(kept, MOST_KEPT)):
-        pair = state.kept[at, k]
-        reach = (1.0 + CLOTH_MARGIN) * reach_of(spec, state, at, pair)
-        other = place_of(spec, pair)
-        if _within(_nearest2(spec, state, at, other), reach):
+        code = state.kept[at, k]
+        other, reach = code >> CODE_BITS, _kept_reach(spec, state, at, code)
+        if _within(_nearest2(spec, state, at, other), (1.0 + CLOTH_MARGIN) * reach):
             now = sorted_x(spec, state, other) - sorted_x(spec, state, at)
-            if before_of(spec, state, at, other).dot(now) < 0.0:
-                pair = pair | PASSED
-            state.near[at, count] = pair
+            passed = ti.cast(before_of(spec, state, at, other).dot(now) < 0.0, ti.i32)
+            state.near[at, count] = other * 2 + passed * PASSED
+            state.near_reach[at, count] = reach
             count += 1
     state.near_count[at] = count
     if count > 0:
@@ -410,12 +416,18 @@ def _nearest2(spec: ti.template(), state: ti.template(), at, other):
 
 
 @ti.func
-def place_of(spec: ti.template(), pair):
+def place_of(spec: ti.template(), state: ti.template(), at, pair):
     """The place of the other one of a pair."""
     if ti.static(spec.thick):
-        return pair >> CODE_BITS
+        return state.near[at, pair] >> 1
     else:
         return pair
+
+
+@ti.func
+def has_passed(state: ti.template(), at, pair):
+    """Whether a pair has passed through each other in this step."""
+    return (state.near[at, pair] & PASSED) != 0
 
 
 @ti.func

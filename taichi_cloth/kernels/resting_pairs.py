@@ -26,9 +26,9 @@ from taichi_cloth.kernels.collision_grid import slot_of, sorted_radius, sorted_w
 from taichi_cloth.kernels.compensated import joined
 from taichi_cloth.kernels.loops import each, each_pack_moving, leave
 from taichi_cloth.kernels.near_pairs import (
-    PASSED,
     before_of,
     find_pairs,
+    has_passed,
     place_of,
     reach_of,
     sizes,
@@ -193,13 +193,13 @@ def _between(spec: ti.template(), state: ti.template(), at, pair):
     """A pair: normal towards the other one, gap, reach, relative velocity, its normal part, whether
     it overlaps and whether it approaches, as 1 or 0."""
     x = _value(spec, state, at, 0)
-    other = place_of(spec, pair)
+    other = place_of(spec, state, at, pair)
     d = _value(spec, state, other, 0) - x
     reach = reach_of(spec, state, at, pair)
     distance = laws.length(d)
     n = laws.unit(d, distance)
     if ti.static(spec.thick):
-        if (pair & PASSED) != 0:
+        if has_passed(state, at, pair):
             before = before_of(spec, state, at, other)
             n = laws.unit(before, laws.length(before))
             distance = d.dot(n)
@@ -256,10 +256,10 @@ def _may_touch(spec: ti.template(), state: ti.template(), at, pair):
     """Whether a pair is so near that it is worth to ask whether it touches."""
     if ti.static(spec.thick):
         x = _value(spec, state, at, 0)
-        d = _value(spec, state, place_of(spec, pair), 0) - x
+        d = _value(spec, state, place_of(spec, state, at, pair), 0) - x
         rounding = ti.static(2.0 * ROUNDINGS * epsilon(state)) * ti.abs(x).sum()
         far = ti.static(1.0 + 2.0 * SLACK) * reach_of(spec, state, at, pair) + rounding
-        return (d.dot(d) <= far * far) | ((pair & PASSED) != 0)
+        return (d.dot(d) <= far * far) | has_passed(state, at, pair)
     else:
         return True
 
@@ -283,7 +283,7 @@ def _move(spec: ti.template(), state: ti.template(), at):
             done = state.pair_iteration[None] + 1
             state.visited[at] = done
             for k in range(state.near_count[at]):
-                state.visited[place_of(spec, state.near[at, k])] = done
+                state.visited[place_of(spec, state, at, k)] = done
     else:
         _take_to_other_half(spec, state, at, touches, True)
 
@@ -310,7 +310,7 @@ def _take_to_other_half(spec: ti.template(), state: ti.template(), at, touches, 
 def _change(spec: ti.template(), state: ti.template(), at, pair):
     """What a pair changes of the position and the velocity of the particle at `at`."""
     n, gap, reach, relative, u, overlaps, approaches = _between(spec, state, at, pair)
-    other = place_of(spec, pair)
+    other = place_of(spec, state, at, pair)
     w, other_w, dt = sorted_w(spec, state, at), sorted_w(spec, state, other), state.dt[None]
     dx, dv = 0.0 * n, 0.0 * n
     if overlaps == 1:

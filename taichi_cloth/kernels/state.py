@@ -98,8 +98,8 @@ class State:
         axis; per_cell: cells per length along each; largest_radius; cell_end, sorted_index, sorted:
         the particles by cell; cell_of, block_start, bins, bin_bits (binary logarithm of the cells
         in a bin), bin_fill, bin_start, bin_size, binned_cell, binned_index: the sort's.
-    Resting pairs (`resting_pairs.py`): near, near_count, touching, pair_friction,
-        pair_residual, pair_iteration;
+    Resting pairs (`resting_pairs.py`): near, near_count, near_reach (with thickness), touching,
+        pair_friction, pair_residual, pair_iteration;
         unsettled: steps that ended before all pairs were apart.
     With thickness (`near_pairs.py`): pair_radius, pair_restitution: of particles for each other;
         skin: how much farther pairs are kept; outdated, overfull: whether they are to be listed
@@ -415,7 +415,7 @@ class State:
             self.in_patches, self.patch_of = self._counts(n), self._counts(n)
             self.box, self.ahead = self._scalars(patches, 24), self._scalars(patches)
             self.active, self.n_active = self._counts(n), self._counts()
-            self.visited = self._counts(n)
+            self.visited, self.near_reach = self._counts(n), self._scalars(n, MOST_KEPT)
             self.listed_x, self.listed_begun = (self._scalars(n, spec.dim) for _ in range(2))
             self.kept, self.kept_count = self._counts(n, MOST_KEPT), self._counts(n)
             self.far = self._counts(n)
