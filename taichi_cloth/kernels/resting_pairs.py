@@ -257,8 +257,9 @@ def _may_touch(spec: ti.template(), state: ti.template(), at, pair):
     if ti.static(spec.thick):
         x = _value(spec, state, at, 0)
         d = _value(spec, state, place_of(spec, state, at, pair), 0) - x
-        rounding = ti.static(2.0 * ROUNDINGS * epsilon(state)) * ti.abs(x).sum()
-        far = ti.static(1.0 + 2.0 * SLACK) * reach_of(spec, state, at, pair) + rounding
+        far = ti.static(1.0 + 2.0 * SLACK) * reach_of(spec, state, at, pair)
+        for axis in ti.static(range(spec.dim)):  # `abs` of vectors crashes in lanes
+            far += ti.static(2.0 * ROUNDINGS * epsilon(state)) * ti.abs(x[axis])
         return (d.dot(d) <= far * far) | has_passed(state, at, pair)
     else:
         return True
