@@ -70,19 +70,7 @@ def each_spring(
         s = ti.min(colour // 2, spec.kinds - 1)
         # A colour of the graph has no links: it gets a parity that no row has.
         parity = ti.select(colour < 2 * spec.kinds, colour % 2, 2)
-        if ti.static(spec.lanes == 1 and spec.one_launch_per_step):
-            for c in range(state.n_packs[None]):
-                _visit_pack(spec, state, c, s, parity, on_links)
-        elif ti.static(spec.lanes == 1):
-            count = state.n_packs[None]
-            for c in range(share(spec, count, t), share(spec, count, t + 1)):
-                _visit_pack(spec, state, c, s, parity, on_links)
-        elif ti.static(spec.one_launch_per_step):
-            for i in range(spec.threads * PIECE):
-                if i % PIECE == 0:
-                    _visit_rows(spec, state, i // PIECE, s, parity, on_links)
-        else:
-            _visit_rows(spec, state, t, s, parity, on_links)
+        _visit_grids(spec, state, t, s, parity, _visit_pack, _visit_rows, on_links)
     if ti.static(spec.springs):
         first, end = 0, 0
         there = colour >= 2 * spec.kinds
@@ -93,6 +81,37 @@ def each_spring(
             end = state.colour_start[colour - 2 * spec.kinds + 1]
         _each_from(spec, state, t, first, end, on_spring)
     barrier(spec, state)
+
+
+@ti.func
+def _visit_grids(
+    spec: ti.template(),
+    state: ti.template(),
+    t,
+    kind,
+    turn,
+    of_pack: ti.template(),
+    of_rows: ti.template(),
+    visit: ti.template(),
+):
+    """Visit the links, or stencils along lines, of a kind that have a turn, on all grids.
+
+    of_pack(spec, state, i, kind, turn, visit): visits what begins at pack i, where packs have one
+        lane; of_rows(spec, state, t, kind, turn, visit): what begins in thread t's share of rows.
+    """
+    if ti.static(spec.lanes == 1 and spec.one_launch_per_step):
+        for c in range(state.n_packs[None]):
+            of_pack(spec, state, c, kind, turn, visit)
+    elif ti.static(spec.lanes == 1):
+        count = state.n_packs[None]
+        for c in range(share(spec, count, t), share(spec, count, t + 1)):
+            of_pack(spec, state, c, kind, turn, visit)
+    elif ti.static(spec.one_launch_per_step):
+        for i in range(spec.threads * PIECE):
+            if i % PIECE == 0:
+                of_rows(spec, state, i // PIECE, kind, turn, visit)
+    else:
+        of_rows(spec, state, t, kind, turn, visit)
 
 
 @ti.func
@@ -197,19 +216,7 @@ def each_stencil(
         # Another colour gets a turn that no row has.
         inside = colour >= 0 and colour < 3 * spec.line_kinds
         turn = ti.select(inside, colour - 3 * h, 3)
-        if ti.static(spec.lanes == 1 and spec.one_launch_per_step):
-            for c in range(state.n_packs[None]):
-                _visit_line(spec, state, c, h, turn, on_lines)
-        elif ti.static(spec.lanes == 1):
-            count = state.n_packs[None]
-            for c in range(share(spec, count, t), share(spec, count, t + 1)):
-                _visit_line(spec, state, c, h, turn, on_lines)
-        elif ti.static(spec.one_launch_per_step):
-            for i in range(spec.threads * PIECE):
-                if i % PIECE == 0:
-                    _visit_rows_of_lines(spec, state, i // PIECE, h, turn, on_lines)
-        else:
-            _visit_rows_of_lines(spec, state, t, h, turn, on_lines)
+        _visit_grids(spec, state, t, h, turn, _visit_line, _visit_rows_of_lines, on_lines)
     if ti.static(spec.stencils):
         first, end = 0, 0
         lines = ti.static(colours_of_lines(spec))
