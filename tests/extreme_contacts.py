@@ -94,10 +94,15 @@ def blown(speed, gust=0.0, period=1.0, density=1.2, n=4, spacing=0.1, shift=None
 
 
 def bent(rigidity, n=6, spacing=0.05):
-    """A net that resists bending, wavy by a hundredth of its spacing, free and weightless."""
+    """A net that resists bending, wavy by a hundredth of its spacing, free and weightless.
+
+    It is near the origin: the many short steps of unstable methods would move f32 by less than it
+    can hold elsewhere.
+    """
     particles, springs = cloth.grid(
-        AT, n, n, spacing, links=("structural", "shear"), across=(1.0, 0.0, 0.0),
-        down=(0.0, 0.0, 1.0), spring_defaults=SpringDefaults(stiffness=50.0),
+        np.array([1.0, 1.0, 0.0]), n, n, spacing, links=("structural", "shear"),
+        across=(1.0, 0.0, 0.0), down=(0.0, 0.0, 1.0),
+        spring_defaults=SpringDefaults(stiffness=50.0),
     )  # fmt: skip
     wave = 0.01 * spacing * np.sin(np.arange(n * n))
     x = particles.position + np.outer(wave, [0.0, 1.0, 0.0])
@@ -227,7 +232,11 @@ def _no_gain(run):
     start = run.energy(run.x0, run.v0)
     scale = abs(start) + run.mass * G * 1.0
     gain = energy_gain(run.module, run.steps.dt, run.omega, run.done)
-    return run.energy() - start * gain, scale * (1e-6 + run.walk) + run.mass * run.noise**2
+    fall = 0.0
+    if run.claims.stability_limit == 0:  # v that falls behind g raises m (g dt)^2 / 2 a step
+        fall = 0.5 * run.done * run.mass * (G * run.steps.dt) ** 2
+    bound = 1.001 * fall + scale * (1e-6 + run.walk) + run.mass * run.noise**2
+    return run.energy() - start * gain, bound
 
 
 NO_GAIN = Ask("contacts add no energy", _no_gain)
@@ -487,7 +496,7 @@ AIR = [
         "wind_of_1e3_m_per_s",
         lambda: blown(1e3),
         resolved(0.1, frame=1e-3, frames=100),
-        (no_faster("three times the wind's", 3e3), FINITE),
+        (no_faster("ten times the wind's", 1e4), FINITE),
         "may",
         kind="air",
     ),
@@ -538,7 +547,7 @@ BENT = [
     Case(
         "bending_rigidity_1e3",
         lambda: bent(1e3),
-        resolved(0.01, frame=1e-4, frames=100),
+        resolved(0.01, frame=1e-4, frames=100, most=100_000),
         (BENDING, MOMENTUM),
         kind="bending",
     ),

@@ -44,11 +44,11 @@ class Steps:
 MOST_STEPS = 1_000_000
 
 
-def resolved(seconds=1.0, frame=FRAME, frames=60, part=0.1):
+def resolved(seconds=1.0, frame=FRAME, frames=60, part=0.1, most=MOST_STEPS):
     """Methods with a stability limit: `part` of it for `seconds`. Those without: one step a frame.
 
     A method that is unstable at every step takes steps with which energy cannot double; None where
-    that would be too many of them.
+    that would be more than `most` of them.
     """
 
     def choose(module, scene):
@@ -61,7 +61,7 @@ def resolved(seconds=1.0, frame=FRAME, frames=60, part=0.1):
             h = min(_inverse(seconds * bounds.omega2 / math.log(2)), _inverse(bounds.damping))
         substeps = max(1, math.ceil(frame / h * (1 - 1e-9)))
         steps = Steps(frame, substeps, math.ceil(seconds / frame * (1 - 1e-9)))
-        return steps if steps.count <= MOST_STEPS else None
+        return steps if steps.count <= most else None
 
     return choose
 
