@@ -9,10 +9,18 @@ import numpy as np
 import pytest
 from selection import mostly_thorough, thorough
 
-from taichi_cloth.benchmarks.accuracy import command, experiments, friction, pictures, tables
+from taichi_cloth.benchmarks.accuracy import (
+    command,
+    experiments,
+    friction,
+    matrix,
+    pictures,
+    tables,
+)
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits import modes
+from taichi_cloth.settings.options import PRECISIONS, TOPOLOGIES
 
 ROOT = Path(__file__).parent.parent
 DOCUMENT = ROOT / "docs" / "accuracy.md"
@@ -114,6 +122,43 @@ def test_the_document_is_made_from_the_results():
     drawn = re.findall(r"\]\(images/(accuracy-\w+)\.png\)", text)
     assert len(drawn) >= 3
     assert all((DOCUMENT.parent / "images" / f"{name}.png").is_file() for name in drawn)
+
+
+def test_the_matrix_is_made_from_the_results_and_has_every_cell():
+    text, kept = (ROOT / "docs" / "matrix.md").read_text(), results()
+    assert tables.filled(text, kept) == text
+    data = kept["matrix"]["data"]
+    assert list(data) == list(matrix.SCENES)
+    for name, of in data.items():
+        most = 0.5 if name in ("box", "sandbox") else 0.1  # crowds, whose order chance decides
+        assert set(of["cells"]) == set(methods.METHODS)
+        for cells in of["cells"].values():
+            assert len(cells) == len(TOPOLOGIES) * len(PRECISIONS)
+            for cell in cells.values():
+                assert cell.get("refused") or cell.get("not measured") or cell["error"] < most, name
+
+
+@thorough
+def test_a_cell_is_an_error_or_says_why_it_is_refused(monkeypatch):
+    names = ["symplectic_euler", "rk4"]
+    found = matrix.matrix(["oscillator", "net"], names, ["f32", "f64"])
+    assert [list(of["cells"]) for of in found.values()] == [names, names]
+    chain, net = (found[name]["cells"] for name in ("oscillator", "net"))
+    assert "no regular grid" in chain["rk4"]["lanes f64"]["refused"]
+    assert (
+        chain["rk4"]["graph f64"]["error"] < 1e-4 < chain["symplectic_euler"]["graph f64"]["error"]
+    )
+    for topology in TOPOLOGIES:
+        assert net["rk4"][f"{topology} f64"]["error"] < 1e-6
+        assert 1e-7 < net["rk4"][f"{topology} f32"]["error"] < 1e-3
+        assert 1e-3 < net["symplectic_euler"][f"{topology} f32"]["error"] < 0.1
+    # One cell takes all the time that a scene has; then one takes longer than it may.
+    graph = (["oscillator"], names, ["f64"], ["graph"])
+    first, second = matrix.matrix(*graph, budget=0.0)["oscillator"]["cells"].values()
+    assert first["graph f64"]["error"] > 0 and "together" in second["graph f64"]["not measured"]
+    monkeypatch.setattr(matrix, "PATIENCE", 1e-3)
+    for cells in matrix.matrix(*graph)["oscillator"]["cells"].values():
+        assert cells["graph f64"] == matrix.TOO_SLOW
 
 
 def test_its_table_has_a_row_for_every_method_and_says_what_was_measured():

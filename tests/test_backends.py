@@ -9,6 +9,7 @@ from goldens import GOLDEN, golden
 from selection import mostly_thorough, thorough
 
 from taichi_cloth import runtime
+from taichi_cloth.benchmarks.accuracy.matrix import EVERYTHING
 from taichi_cloth.errors import InputError
 
 
@@ -56,12 +57,21 @@ def test_resting_cloth_in_f32_on_every_backend(arch, topology, tmp_path, cli_on)
 @thorough
 @pytest.mark.parametrize(
     "scene",
-    [["cloth", "--columns", 60, "--rows", 50, "--topology", "graph"], ["box", "--particles", 400]],
-    ids=["cloth", "box"],
+    [
+        ["cloth", "--columns", 60, "--rows", 50, "--topology", "graph"],
+        ["box", "--particles", 400],
+        ["everything", "--topology", "graph"],
+    ],
+    ids=lambda scene: f"{scene[0]} {scene[-1]}",
 )
 def test_same_bits_for_every_thread_count_and_on_every_run(scene, tmp_path, cli):
-    """`test_topologies.py` does the same in lanes."""
-    run = (*scene, "--execution", "parallel", "--frames", 60, "--every", 20, "--threads")
+    """`test_topologies.py` does the same in lanes, for cloth with nothing but springs."""
+    frames = 60
+    if scene[0] == "everything":  # air, bending, obstacles, resting pairs
+        (tmp_path / "everything.toml").write_text(EVERYTHING)
+        scene, frames = [tmp_path / "everything.toml", *scene[1:], "--dt", "auto"], 18
+    run = (*scene, "--execution", "parallel", "--frames", frames, "--every", frames // 3)
+    run = (*run, "--threads")
     saved = [save(cli, tmp_path, f"run{k}", *run, count) for k, count in enumerate((1, 2, 2, 3))]
     for other in saved[1:]:
         np.testing.assert_array_equal(other["position"], saved[0]["position"])

@@ -86,6 +86,12 @@ class Worker:
         """Whether the process still runs."""
         return self._process.poll() is None
 
+    @property
+    def ended_by(self) -> int | None:
+        """The number of the signal that ended the process; None where none did."""
+        status = self._process.poll()
+        return -status if status is not None and status < 0 else None
+
     def kill(self) -> None:
         """End the process; a thread that waits for its answer gets WorkerFailed."""
         self._process.kill()

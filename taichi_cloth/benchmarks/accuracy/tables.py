@@ -10,6 +10,7 @@ from taichi_cloth import console
 from taichi_cloth.console import duration, markdown_table
 from taichi_cloth.errors import InputError, counted
 from taichi_cloth.kernels import methods
+from taichi_cloth.settings.options import flag
 
 MARKED = "accuracy"  # what marks the document's places
 TARGETS = (0.05, 0.01, 1e-3, 1e-4, 1e-6)  # errors, in parts of the largest displacement
@@ -31,6 +32,9 @@ def _content(name: str, part: str | None, results: Mapping[str, Any]) -> str:
         "contacts": _contacts,
         "sweeps": _sweeps,
         "precisions": _precisions,
+        "matrix": _matrix,
+        "refused": _refused,
+        "scenes": _scenes,
     }
     try:
         if name in whole:
@@ -264,3 +268,61 @@ def called(precision: str, fast_math: bool) -> str:
 def _error(row: Mapping[str, Any], floor: float) -> str:
     error = row["error_trajectory_relative"]
     return f"≤ {floor:.0e}" if error < floor else f"{error:.1e}"
+
+
+# ------------------------------------------------------------------------------------------
+# Every method on every kind of scene
+
+
+def _matrix(results: Mapping[str, Any]) -> str:
+    """A row for each scene and method; cells of what is refused have the number of its reason."""
+    data = results["matrix"]["data"]
+    reasons, ways = _reasons(data), _ways(data)
+    lines = []
+    for scene, of in data.items():
+        for name in in_order(list(of["cells"])):
+            cells = [of["cells"][name].get(way) for way in ways]
+            lines.append([f"`{scene}`", f"`{name}`", *(_cell(cell, reasons) for cell in cells)])
+    return markdown_table(["scene", "method", *ways], lines)
+
+
+def _ways(data: Mapping[str, Any]) -> list[str]:
+    """The columns: topology and precision."""
+    cells = (cells for of in data.values() for cells in of["cells"].values())
+    return list(dict.fromkeys(way for of in cells for way in of))
+
+
+def _reasons(data: Mapping[str, Any]) -> list[str]:
+    """Why cells have no error, each reason once."""
+    cells = (c for of in data.values() for row in of["cells"].values() for c in row.values())
+    return list(dict.fromkeys(_reason(cell) for cell in cells if "error" not in cell))
+
+
+def _reason(cell: Mapping[str, Any]) -> str:
+    """Why a cell has no error."""
+    said: str = cell.get("refused") or cell["not measured"]
+    return said
+
+
+def _cell(cell: Mapping[str, Any] | None, reasons: Sequence[str]) -> str:
+    if cell is None:
+        return ""
+    if "error" in cell:
+        return f"{cell['error']:.1e}"
+    word = "refused" if "refused" in cell else "not measured"
+    return f"{word} ({reasons.index(_reason(cell)) + 1})"
+
+
+def _refused(results: Mapping[str, Any]) -> str:
+    said = _reasons(results["matrix"]["data"])
+    return "\n".join(f"{k}. {reason}" for k, reason in enumerate(said, 1)) or "Nothing is refused."
+
+
+def _scenes(results: Mapping[str, Any]) -> str:
+    """How the scenes of the matrix were run."""
+    lines = []
+    for name, of in results["matrix"]["data"].items():
+        words = [name, *(f"{flag(k)} {v:g}" for k, v in of["parameters"].items())]
+        numbers = (of["particles"], of["frames"], of["substeps"])
+        lines.append([f"`{' '.join(words)}`", of["features"], *map(str, numbers)])
+    return markdown_table(["scene", "features", "particles", "frames", "steps a frame"], lines)
