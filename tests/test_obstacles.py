@@ -19,7 +19,7 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
-from taichi_cloth.scene.obstacles import Obstacle
+from taichi_cloth.scene.obstacles import CONTACTS, Obstacle
 from taichi_cloth.scene.solids import depths, inside_at_start, solids, surface
 from taichi_cloth.simulation.simulation import Simulation
 
@@ -149,6 +149,29 @@ def test_a_file_with_obstacles_reads_back_as_it_was():
     again = scenefile.parse(scenefile.dump(scene))
     assert again.obstacles == scene.obstacles and again.world == world
     assert scenefile.dump(again) == scenefile.dump(scene)
+
+
+@pytest.mark.parametrize(
+    ("newer", "contact"),
+    [
+        ("", "original"),
+        ("up = 'y'", "resting"),
+        ("ground = 0.5", "resting"),
+        ("friction = 0.5", "resting"),
+        ("air = { density = 1.2 }", "resting"),
+        ("up = 'y'\ncontact = 'original'", "original"),
+        ("contact = 'resting'", "resting"),
+        ("[[obstacles]]\nshape = 'sphere'\ncentre = [0, 0, 0]\nradius = 0.1", "resting"),
+    ],
+)
+def test_files_with_anything_new_have_resting_contacts(newer, contact):
+    text = f"[world]\nsize = [1, 1, 1]\nwalls = true\n{newer}\n"
+    scene = scenefile.parse(text)
+    assert scene.world.contact == contact
+    for other in CONTACTS:  # also where a scene says what its kind has not
+        kept = scene.with_world(contact=other)
+        if other == "resting" or not kept.world.friction:
+            assert scenefile.parse(scenefile.dump(kept)).world == kept.world
 
 
 @pytest.mark.parametrize(

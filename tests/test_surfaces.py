@@ -144,6 +144,7 @@ def test_the_walls_of_a_world_whose_y_points_up(pool):
     gravity = [0.0, -9.81, 0.0]
     dt = 0.01
     walls = ["bottom", "front"]
+    contact = "original"
     [particle]
     radius = 0.1
     restitution = 0.0

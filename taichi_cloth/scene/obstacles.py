@@ -7,7 +7,7 @@ is in `solids`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from taichi_cloth.kernels.obstacles.contract import Key
 
 CONTACTS = ("original", "resting")  # how walls and pairs of particles treat positions
+# Keys of [world] and tables of a file that the original programs had nothing of.
+NEWER = frozenset({"up", "ground", "friction", "air", "obstacles", "meshes"})
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,15 @@ def keys_of(shape: str) -> dict[str, Key]:
     from taichi_cloth.kernels.obstacles.contract import COMMON
 
     return {key.name: key for key in (*obstacles.load(shape).keys, *COMMON)}
+
+
+def usual_contact(given: Iterable[str]) -> str:
+    """How contacts are treated where a scene file does not say, out of `CONTACTS`.
+
+    given: the keys of its [world] and its tables. Scenes that have nothing newer than the original
+    programs keep their rule, which the golden data has.
+    """
+    return CONTACTS[0] if NEWER.isdisjoint(given) else CONTACTS[1]
 
 
 def fault(obstacle: Any, dim: int) -> tuple[str | None, str] | None:

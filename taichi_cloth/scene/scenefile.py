@@ -22,8 +22,8 @@ from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.scene import toml
 from taichi_cloth.scene.assignments import Assignment
 from taichi_cloth.scene.checks import validate
-from taichi_cloth.scene.model import FIXED_COLOR, PARTICLE_COLOR, Scene, World
-from taichi_cloth.scene.obstacles import CONTACTS, Obstacle
+from taichi_cloth.scene.model import FIXED_COLOR, PARTICLE_COLOR, Scene
+from taichi_cloth.scene.obstacles import Obstacle, usual_contact
 from taichi_cloth.scene.properties import PARTICLE_PROPERTIES, SPRING_PROPERTIES, WorldValue
 from taichi_cloth.scene.reading import Table
 from taichi_cloth.scene.tables import SceneReader
@@ -121,7 +121,7 @@ def table_of(scene: Scene) -> Table:
             "walls": list(world.walls),
             "collisions": world.collisions,
             "mouse": world.mouse,
-            **_contact_of(world),
+            **_contact_of(scene),
             **{key: _plain(value) for key, value in world.more.items()},
         },
         **(
@@ -141,11 +141,19 @@ def _plain(value: WorldValue) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _contact_of(world: World) -> dict[str, Any]:
+def _contact_of(scene: Scene) -> dict[str, Any]:
     """Those keys of [world] for contacts that end a step that a scene gives."""
-    given = {"ground": world.ground, "friction": world.friction, "contact": world.contact}
-    absent = {"ground": None, "friction": 0.0, "contact": CONTACTS[0]}
-    return {key: value for key, value in given.items() if value != absent[key]}
+    world = scene.world
+    given: dict[str, Any] = {}
+    if world.ground is not None:
+        given["ground"] = world.ground
+    if world.friction != 0.0:
+        given["friction"] = world.friction
+    written = {*given, *world.more, *(["up"] if world.up else [])}
+    written |= {"obstacles"} if scene.obstacles else set()
+    if world.contact != usual_contact(written):
+        given["contact"] = world.contact
+    return given
 
 
 def _listed_obstacle(obstacle: Obstacle) -> Table:
@@ -185,7 +193,7 @@ def dump(scene: Scene) -> str:
         f"collisions = {str(bool(world.collisions)).lower()}",
         f"mouse = {_quoted(world.mouse)}",
     ]
-    out += [f"{key} = {_toml(value)}" for key, value in _contact_of(world).items()]
+    out += [f"{key} = {_toml(value)}" for key, value in _contact_of(scene).items()]
     for name, value in world.more.items():
         out.append(f"{name} = {_inline(value)}")
     for table, defaults, properties in (

@@ -26,7 +26,7 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
-from taichi_cloth.scene.obstacles import CONTACTS, Obstacle
+from taichi_cloth.scene.obstacles import Obstacle, usual_contact
 from taichi_cloth.scene.properties import (
     PARTICLE_PROPERTIES,
     SPRING_PROPERTIES,
@@ -104,7 +104,7 @@ class SceneReader(TableReader):
         self.known_keys(table, "", ())
         if "world" not in table:
             self.refuse((), "[world] is missing; it needs at least size = [width, height]")
-        world = self.world(self.subtable(table, "world"))
+        world = self.world(self.subtable(table, "world"), tables=table)
         particle_defaults = self.particle_defaults(self.subtable(table, "particle"))
         spring_table = self.subtable(table, "spring")
         spring_defaults = self.spring_defaults(spring_table)
@@ -157,8 +157,8 @@ class SceneReader(TableReader):
         shades = np.where(sheet.particles.fixed[:, None], FIXED_COLOR, color)
         return replace(sheet.particles, color=shades.astype(np.uint8))
 
-    def world(self, table: Table) -> World:
-        """What [world] says."""
+    def world(self, table: Table, tables: Table) -> World:
+        """What [world] says; tables: all of the file."""
         path = ("world",)
         size = self.finite(path, "size", self.required(table, path, "size", toml.numbers))
         if len(size) not in (2, 3):
@@ -175,7 +175,7 @@ class SceneReader(TableReader):
             mouse=self.value(table, path, "mouse", toml.text, MOUSE_MODES[0]),
             ground=self.value(table, path, "ground", toml.number),
             friction=self.value(table, path, "friction", toml.number, 0.0),
-            contact=self.value(table, path, "contact", toml.text, CONTACTS[0]),
+            contact=self.value(table, path, "contact", toml.text, usual_contact({*table, *tables})),
             more=self.further_keys(table, len(size)),
             up=self.value(table, path, "up", toml.text, ""),
         )
