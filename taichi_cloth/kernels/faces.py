@@ -303,16 +303,15 @@ def _note_contact(spec: ti.template(), state: ti.template(), o, m, gap, meets, p
 
     meets: whether it came to the obstacle in this step, after `part` of it.
     """
-    p, v, begun_v, mobility, radius = 0.0 * n, 0.0 * n, 0.0 * n, 0.0 * gap, 0.0 * gap
+    p, v, begun_v, mobility = 0.0 * n, 0.0 * n, 0.0 * n, 0.0 * gap
     for k in ti.static(range(3)):
         slot = _corner(state, m, k)
         p += share[k] * _position(spec, state, slot)
         v += share[k] * _velocity(spec, state, slot)
         begun_v += share[k] * slot_value(spec, state.begun_v, slot)
         mobility += slot_number(spec, state.w, slot) * share[k] * share[k]
-        radius += share[k] * slot_number(spec, state.radius, slot)
     if mobility > 0.0:
-        r = p - centre_of(spec, state, o, END) - (gap + radius) * n
+        r = p - centre_of(spec, state, o, END) - gap * n
         surface_v = velocity_at(spec, state, o, r)
         dt, u = state.dt[None], (v - surface_v).dot(n)
         push, target, weight = -1.0 * gap, 0.0 * gap, ti.static(state.position_weight) * dt

@@ -4,7 +4,8 @@ From a step's free end (x, v) a particle that has entered an obstacle is put ont
 velocity relative to the surface loses what points into it, and friction takes from what is left at
 most the coefficient times that, at most all of it (Coulomb, 1785). The position gets the method's
 weight times dt of what friction changes (`settling.py`), so on a slope it is where the method has
-it under a constant acceleration, and what sticks stays, to the bit where nothing moves.
+it under a constant acceleration, and what sticks stays, to the bit where nothing moves. What sticks
+to an obstacle that moves goes with it as a part of it, so it does not creep there either.
 
 Who meets an obstacle with a restitution bounces off where the step meets the surface, and goes on
 for the rest of the step; a bounce that ends within the step is rest. Where a step goes farther than
@@ -118,7 +119,7 @@ def obstructed(
         * (size_of(x) + size_of(centre) + radius + state.obstacle_numbers[o, SCALE])
     )
     gap, n, gap_before, part = meet(spec, state, o, slot, d, radius, slack)
-    surface_v = velocity_at(spec, state, o, d - (gap + radius) * n)
+    surface_v = velocity_at(spec, state, o, d - gap * n)  # where the particle's middle will be
     relative = v - surface_v + v_low
     u = relative.dot(n)
     if gap <= slack and (gap < 0.0 or u < 0.0):
@@ -148,13 +149,36 @@ def obstructed(
         if stops:
             new_v, new_v_low = surface_v + new_u * n, 0.0 * v_low
             begun_v = slot_value(spec, state.begun_v, slot)
-            at_rest = begun_v.dot(begun_v) + new_u == 0.0
-            if still == 1 and at_rest and not meets and gap_before > -1.0 * slack:
+            lay = steady == 1 and new_u == 0.0 and not meets and gap_before > -1.0 * slack
+            if lay and still == 1 and begun_v.dot(begun_v) == 0.0:
                 new_x = began  # to the bit, however often rounding would have moved it
                 if ti.static(spec.compensated):
                     new_x_low = slot_value(spec, state.begun_x_low, slot)
+            if ti.static(spec.moving):
+                way, goes_along = along(spec, state, o, slot, began, begun_v, slack)
+                if lay and still == 0 and goes_along:
+                    began_low = 0.0 * began
+                    if ti.static(spec.compensated):
+                        began_low = slot_value(spec, state.begun_x_low, slot)
+                    way += (-1.0 * gap_before) * n
+                    new_x, new_x_low = joined(spec, state, began, began_low, way)
+                # Where it ends, so that it begins the next step as a part of the obstacle.
+                new_v = velocity_at(spec, state, o, new_x - centre + new_x_low) + new_u * n
         changed = 1
     return new_x, new_x_low, new_v, new_v_low, changed, still
+
+
+@ti.func
+def along(spec: ti.template(), state: ti.template(), o, slot, began, begun_v, slack):
+    """Where obstacle o takes what began the step at `began` as a part of it, from there; and
+    whether that had the obstacle's velocity, to rounding."""
+    d = began - centre_of(spec, state, o, START)
+    if ti.static(spec.compensated):
+        d += slot_value(spec, state.begun_x_low, slot)
+    turned = to_world(spec, state, o, END, to_local(spec, state, o, START, d))
+    way = centre_of(spec, state, o, END) - centre_of(spec, state, o, START) + turned - d
+    off = begun_v - velocity_at(spec, state, o, d)
+    return way, size_of(off) * state.dt[None] <= slack
 
 
 @ti.func

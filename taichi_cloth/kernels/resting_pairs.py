@@ -366,7 +366,7 @@ def _out_of_obstacles(spec: ti.template(), state: ti.template(), at, x, v):
         gap = distance - radius
         if gap <= SLACK * radius:
             n = to_world(spec, state, o, END, local_n)
-            surface_v = velocity_at(spec, state, o, d - distance * n)
+            surface_v = velocity_at(spec, state, o, d - gap * n)
             relative = v - surface_v
             u = relative.dot(n)
             x += (-1.0 * ti.min(gap, 0.0)) * n  # `-=` of vectors crashes in lanes
