@@ -20,7 +20,7 @@ from taichi_cloth.scene.model import (
     World,
 )
 from taichi_cloth.scene.obstacles import CONTACTS, Obstacle
-from taichi_cloth.scene.solids import depths, inside_at_start, solids, surface
+from taichi_cloth.scene.solids import depths, inside_at_start, met_by_faces, solids, surface
 from taichi_cloth.simulation.simulation import Simulation
 
 G, RADIUS = 9.81, 0.1
@@ -421,6 +421,17 @@ def test_a_small_fast_disc_takes_a_rope_along_in_the_plane(device):
         edges = (1.0 - along) * here[:-1] + along * here[1:]
         assert np.linalg.norm(edges - middle, axis=2).min() > 0.025 * (1 - 2e-3)
     assert here[:, 1].max() > middle[1]
+
+
+@pytest.mark.parametrize(("radius", "tested"), [(0.39, True), (0.41, False)])
+def test_sides_are_tested_where_they_would_be_far_inside(radius, tested):
+    """As long as they are at rest: a rope may begin in a heap."""
+    x = [[5.0, 6.0], [5.05, 6.0], [5.0, 6.05]]
+    ties = Springs.build([[0, 1], [1, 2]], x, stiffness=50.0, rest_length=[0.2, 0.15])
+    disc = Obstacle.build("sphere", centre=[5.0, 5.0], radius=radius)
+    world = World(size=(10.0, 10.0), gravity=(0.0, 0.0))
+    scene = Scene("heap", world, Particles.build(x), ties, obstacles=(disc,))
+    assert met_by_faces(scene, solids(scene)) == ["obstacle 0"] * tested
 
 
 def test_who_begins_inside_is_named_and_who_has_no_room_is_refused(device, capsys):

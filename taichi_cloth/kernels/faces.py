@@ -1,13 +1,13 @@
 """Faces and edges of a cloth against obstacles that would pass between its particles.
 
-Where an obstacle's edges and corners are sharper than the sides of a scene's triangles are long,
-each triangle (in 2-D each of its sides, and everywhere the springs of ropes) is tested against it:
-the point of the triangle with the least distance is put onto the obstacle's surface, with what
-contact, restitution and friction leave of that point's velocity (`obstruction.py`). Its corners
-move by their shares of that point and their inverse masses (Bridson, Fedkiw, Anderson, "Robust
-treatment of collisions, contact and friction for cloth animation", 2002, 6.2). All triangles act at
-once, by mass splitting, as resting pairs do: a corner in m contacts takes part in each with 1/m of
-its mass and goes on with the mean, so energy never grows. This is repeated until all are outside.
+Where an obstacle is sharper than twice the sides of a scene's triangles (`scene/solids.py`), each
+triangle (in 2-D each of its sides, and everywhere the springs of ropes) is tested against it: the
+point of the triangle with the least distance is put onto the obstacle's surface, with what contact,
+restitution and friction leave of that point's velocity (`obstruction.py`). Its corners move by
+their shares of that point and their inverse masses (Bridson, Fedkiw, Anderson, "Robust treatment of
+collisions, contact and friction for cloth animation", 2002, 6.2). All triangles act at once, by
+mass splitting, as resting pairs do: a corner in m contacts takes part in each with 1/m of its mass
+and goes on with the mean, so energy never grows. This is repeated until all are outside.
 
 `face_distance.py` finds that point. Where a step is longer than the obstacle is sharp, its whole
 path is looked at, by steps of the distance, as the obstacle sees it.

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 ROUNDING = 1e-6  # of a particle's coordinates: a depth at the start that f32 may make of none
 PUSHES = 64  # by which a particle that begins inside finds a place outside of all obstacles
+SHARP = 2.0  # sides: what is rounder is at most a 23rd of its radius inside an unstretched one
 STUCK = 0.01  # of its radius or depth: what it may then be inside, where pushes converge slowly
 
 
@@ -155,9 +156,10 @@ def elements(scene: Scene) -> np.ndarray:
 
 
 def met_by_faces(scene: Scene, solids: Sequence[Solid]) -> list[str]:
-    """The names of those solids that are sharper than a scene's `elements` are long.
+    """The names of those solids that are sharper than SHARP of a scene's `elements` are long.
 
-    They could pass between a cloth's particles.
+    They could pass between a cloth's particles, or be far inside its sides. Sides are as long as
+    at the start, or as their springs at rest where those are longer.
     """
     if not solids:
         return []
@@ -165,9 +167,13 @@ def met_by_faces(scene: Scene, solids: Sequence[Solid]) -> list[str]:
 
     if all(solid.placed.round >= FAR for solid in solids):
         return []
-    x = scene.particles.position[elements(scene)]
+    triangles, springs = elements(scene), scene.springs
+    x = scene.particles.position[triangles]
     longest = float(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(initial=0.0))
-    return [solid.name for solid in solids if solid.placed.round < longest]
+    of_sides = np.unique(springs_of_sides(triangles, springs.between))
+    rest = springs.rest_length[of_sides[of_sides >= 0]]
+    longest = max(longest, float(rest.max(initial=0.0)))
+    return [solid.name for solid in solids if solid.placed.round < SHARP * longest]
 
 
 def _placed(shape: str, values: Mapping[str, Any], dim: int, margin: float) -> Placed:
