@@ -15,7 +15,7 @@ from taichi_cloth.scene.library import build
 from taichi_cloth.simulation import autotune, compiled
 from taichi_cloth.simulation.autotune import Choice, Watch
 from taichi_cloth.simulation.launch import Launcher
-from taichi_cloth.simulation.prediction import Cost, predict
+from taichi_cloth.simulation.prediction import Cost, predict, slow_to_compile
 from taichi_cloth.simulation.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("few_lanes")
@@ -40,6 +40,7 @@ def ways_of(scene, method="symplectic_euler", substeps=1, key="k"):
         key=key,
         paths=("serial", "parallel"),
         substeps=substeps,
+        slow_to_compile=slow_to_compile(scene),
         topologies=lambda: ["lanes", "graph"],
         predict=lambda t, p: predict(scene, declared, DEVICE, t, p),
     )
@@ -48,6 +49,12 @@ def ways_of(scene, method="symplectic_euler", substeps=1, key="k"):
 def chosen(candidates, topology="auto", execution="auto"):
     choice = autotune.choose(topology, execution, candidates)
     return f"{choice.topology} {choice.execution}"
+
+
+def test_lanes_that_take_minutes_to_compile_are_asked_for(empty_cache):
+    flag = ways_of(build("flag", columns=257), substeps=64)
+    assert chosen(flag).startswith("graph")
+    assert chosen(flag, "lanes").startswith("lanes")
 
 
 def test_a_run_starts_in_one_way_and_remembers_what_it_costs(device, empty_cache, monkeypatch):

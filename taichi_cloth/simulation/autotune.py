@@ -36,13 +36,15 @@ class Candidates(Protocol):
     """The ways in which a scene can be run.
 
     scene_name: for messages. key: device, method, features and size, which decide what is fastest.
-    paths: the paths worth a look here; substeps: steps a frame.
+    paths: the paths worth a look here; substeps: steps a frame. slow_to_compile: topologies whose
+    kernels take minutes to compile, which nobody gets who does not ask for them.
     """
 
     scene_name: str
     key: str
     paths: tuple[str, ...]
     substeps: int
+    slow_to_compile: tuple[str, ...]
 
     def topologies(self) -> list[str]:
         """The topologies that the scene can be stored in."""
@@ -81,7 +83,9 @@ def choose(topology: str, execution: str, candidates: Candidates) -> Choice:
             f"--topology lanes: the springs of scene '{candidates.scene_name}' form no regular "
             "grid; use --topology graph"
         )
-    if topology != "auto":
+    if topology == "auto":
+        topologies = [t for t in topologies if t not in candidates.slow_to_compile] or topologies
+    else:
         topologies = [topology]
     costs = expected(candidates, topologies)
     paths = candidates.paths if execution == "auto" else (execution,)

@@ -70,6 +70,7 @@ class Prediction:
         self._scene, self.substeps = storage.scene, substeps
         self.scene_name = storage.scene.name
         self.key = "/".join([launcher.device.describe(), name, describe_size(storage.scene)])
+        self.slow_to_compile = slow_to_compile(storage.scene)
         self.paths: tuple[str, ...] = PATHS if launcher.device.arch == "cpu" else ("parallel",)
 
     def topologies(self) -> list[str]:
@@ -106,6 +107,11 @@ def predict(scene: Scene, method: Method, device: Device, topology: str, path: s
     woken = HANDOVERS * WAKE_AGAIN if handovers else 0.0
     meetings = passes + COLLISION_LOOPS * collisions + 3 * iterations
     return Cost(LAUNCH + counts + WAKE, shared + handovers + woken + meetings * MEETING)
+
+
+def slow_to_compile(scene: Scene) -> tuple[str, ...]:
+    """The topologies whose kernels take minutes to compile: what ends a step is part of them."""
+    return ("lanes",) if scene.obstacles or scene.features().resting else ()
 
 
 def describe_size(scene: Scene) -> str:
