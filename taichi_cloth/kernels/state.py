@@ -216,7 +216,7 @@ class State:
                 setattr(self, name, self._pack_vectors(spec))
             vectors += method.low_vectors
         for name in vectors:
-            self._add(name, self._pack_vectors(spec))
+            setattr(self, name, self._pack_vectors(spec))
         self.w = self._pack_numbers(spec)
         self.particle = self._pack_counts(spec)
         self.slot = self._counts(max(self.capacity.particles, 1))
@@ -234,10 +234,10 @@ class State:
             self.own = self._pack_numbers(spec)
         for field in device_fields(spec):
             if field.shape == PARTICLE_NUMBER:
-                self._add(field.name, self._particle_numbers(spec))
+                setattr(self, field.name, self._particle_numbers(spec))
                 self.particle_names += [field.name] if field.value else []
             elif field.shape == PARTICLE_VECTOR:
-                self._add(field.name, self._pack_vectors(spec))
+                setattr(self, field.name, self._pack_vectors(spec))
                 self.vector_names += [field.name] if field.value else []
         if spec.has_bodies:
             self.radius, self.restitution = (
@@ -261,7 +261,7 @@ class State:
                 self._pack_numbers(spec),
             )
             for name in method.traction_vectors:
-                self._add(name, self._pack_vectors(spec))
+                setattr(self, name, self._pack_vectors(spec))
 
     def _place_links_of_packs(self, spec, method):
         kinds, row = spec.kinds, self.capacity.row
@@ -308,22 +308,22 @@ class State:
         self.count_names += ["n", "iterations"]
         for field in device_fields(spec):
             if field.shape in (NUMBER, VECTOR):
-                self._add(field.name, self._scalars(*([dim] if field.shape == VECTOR else [])))
+                setattr(self, field.name, self._scalars(*([dim] if field.shape == VECTOR else [])))
                 self.number_names += [field.name] if field.value else []
             elif field.shape == COUNT:
-                self._add(field.name, self._counts())
+                setattr(self, field.name, self._counts())
                 self.count_names += [field.name] if field.value else []
         if clock.timed(spec):
             for name in clock.NUMBERS:
-                self._add(name, self._scalars())
+                setattr(self, name, self._scalars())
             for name in clock.COUNTS:
-                self._add(name, self._counts())
+                setattr(self, name, self._counts())
             self.number_names += clock.NUMBERS
             self.count_names += clock.COUNTS
         for name in method.scalars:
-            self._add(name, self._scalars())
+            setattr(self, name, self._scalars())
         for name in method.counts:
-            self._add(name, self._counts())
+            setattr(self, name, self._counts())
         if spec.compensated:
             self.one = self._scalars()
             self.number_names.append("one")
@@ -459,14 +459,14 @@ class State:
         self.face_row, self.face_count = self._counts(m, 3), self._counts(max(min(n, 3 * m), 1))
         self.face_finds, self.faces_unsettled = self._counts(), self._counts()
 
-    def _add(self, name, field):
-        """Take up a field by the name that a method or a force gave it.
+    def __setattr__(self, name, value):
+        """Take up a field by the name that a method, a force or a function above gave it.
 
         Raises TypeError where there is already a field of this name.
         """
-        if hasattr(self, name):
+        if isinstance(value, ti.Field) and hasattr(self, name):
             raise TypeError(f"two things store a field called {name!r}; rename one of them")
-        setattr(self, name, field)
+        super().__setattr__(name, value)
 
     def _list_what_is_loaded(self, spec):
         self.particle_names.insert(0, "w")

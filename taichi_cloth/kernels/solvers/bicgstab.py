@@ -30,7 +30,7 @@ from taichi_cloth.kernels.surfaces import compute_traction_damping
 
 VECTORS = ("shadow", "search", "searched")  # the first residual; both halves' direction; A times it
 SCALARS = ("rho", "alpha")  # shadow times residual; the step of the first half
-COUNTS = ("half",)  # 0 or 1
+COUNTS = ("second_half",)  # of a step: 0 or 1
 SUMS = 5
 MOST_PRODUCTS = 1000
 ANY = 1e30  # a slope beside which every other is small
@@ -56,7 +56,7 @@ def _begin_pack(spec: ti.template(), state: ti.template(), i):
 @ti.func
 def _begin(spec: ti.template(), state: ti.template(), i):
     begin_iterating(spec, state, i)
-    state.rho[None], state.half[None] = state.sums[0, 0], 0
+    state.rho[None], state.second_half[None] = state.sums[0, 0], 0
 
 
 @ti.func
@@ -77,7 +77,7 @@ def _tested(spec: ti.template(), state: ti.template(), i):
     """What the length of a step is divided by: the product with the shadow, then with itself."""
     product = read(spec, state.product, i)
     other = read(spec, state.shadow, i)
-    if state.half[None] == 1:
+    if state.second_half[None] == 1:
         other = product
     return dot(other, preconditioned(spec, state, i, product))
 
@@ -86,7 +86,7 @@ def _tested(spec: ti.template(), state: ti.template(), i):
 def _step_length(state: ti.template()):
     """The length of a half's step; 0 where A is not positive along it, or something overflows."""
     along_itself, tested = state.sums[0, 0], state.sums[1, 0]
-    along = ti.select(state.half[None] == 0, state.rho[None], along_itself)
+    along = ti.select(state.second_half[None] == 0, state.rho[None], along_itself)
     goes = along_itself > 0.0 and (tested > 0.0 or tested < 0.0)
     return ti.select(goes, along / ti.select(goes, tested, 1.0), 0.0)
 
@@ -94,7 +94,7 @@ def _step_length(state: ti.template()):
 @ti.func
 def _approach(spec: ti.template(), state: ti.template(), i):
     """Go a half in pack i, and return the energy of its new residual."""
-    if state.half[None] == 0:
+    if state.second_half[None] == 0:
         write(spec, state.searched, i, read(spec, state.product, i))
     return go_along(spec, state, i, _step_length(state))
 
@@ -116,7 +116,7 @@ def _slope(spec: ti.template(), state: ti.template(), i):
 def _turn(spec: ti.template(), state: ti.template(), i):
     """Set the direction of the next half in pack i."""
     along = read(spec, state.residual, i)
-    if state.half[None] == 1:
+    if state.second_half[None] == 1:
         omega = _step_length(state)
         rho_omega = state.rho[None] * omega
         defined = rho_omega > 0.0 or rho_omega < 0.0
@@ -131,10 +131,10 @@ def _turn(spec: ti.template(), state: ti.template(), i):
 def _count_half(spec: ti.template(), state: ti.template(), i):
     """Count a half, and decide whether the iterations end with it."""
     step, energy = _step_length(state), state.sums[2, 0]
-    if state.half[None] == 0:
-        state.alpha[None], state.half[None] = step, 1
+    if state.second_half[None] == 0:
+        state.alpha[None], state.second_half[None] = step, 1
     else:
-        state.rho[None], state.half[None] = state.sums[3, 0], 0
+        state.rho[None], state.second_half[None] = state.sums[3, 0], 0
     state.slope[None] = state.sums[4, 0]
     state.energy[None] = energy
     state.sweeps[None] += 1
