@@ -252,7 +252,8 @@ def sums_in_order() -> Iterator[None]:
     """While it lasts, kernels are compiled without `fast_math`.
 
     It lets the compiler add in another order, and another one for each number of threads: sums over
-    all particles, which decide when a solver stops, would then not have the same bits.
+    all particles, which decide when a solver stops, would then not have the same bits, nor what
+    contacts leave of a step and what air does to a triangle.
     """
     from taichi.lang import impl
 

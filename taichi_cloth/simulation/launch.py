@@ -13,6 +13,7 @@ from typing import Any
 
 from taichi_cloth.kernels import resting_pairs, settling, stepping, watchdog
 from taichi_cloth.kernels.fields import Capacity
+from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.solvers import phases
 from taichi_cloth.kernels.specialization import Specialization
@@ -165,6 +166,11 @@ class Launcher:
         with contextlib.ExitStack() as settings:
             if isinstance(spec, Specialization) and spec.lanes > 1:
                 settings.enter_context(whole_vectors())
-            if self._method.sums:
+            if self._method.sums or isinstance(spec, Specialization) and _has_long_sums(spec):
                 settings.enter_context(sums_in_order())
             yield
+
+
+def _has_long_sums(spec: Specialization) -> bool:
+    """Whether particles get so many terms that compilers add them in an order of their own."""
+    return bool(settling.ends_step(spec) or has_tractions(spec))
