@@ -380,7 +380,7 @@ def test_a_small_fast_sphere_takes_the_cloth_along(device, speed):
     sim = Simulation(
         sheet(ball, gravity=(0.0, 0.0, 0.0), dt=0.01),
         "symplectic_euler",
-        substeps=4,
+        substeps=4 if speed < 100 else 8,  # with 4, of 0.25 m each, it is through at 2 m
         topology="graph",
         execution="serial",
     )

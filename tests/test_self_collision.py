@@ -75,7 +75,9 @@ WAYS = [
 
 @pytest.mark.parametrize(("method", "topology"), WAYS)
 def test_sheets_that_fall_on_each_other_never_intersect(pool, method, topology):
-    sim = pool(sheets(9, [0.1, 0.35]), method, substeps=8, topology=topology)
+    # Explicit Euler, unstable at every step, stretches them to 1.9 times their length with 8.
+    substeps = 64 if method == "explicit_euler" else 8
+    sim = pool(sheets(9, [0.1, 0.35]), method, substeps=substeps, topology=topology)
     assert most_intersections(sim, 60) == 0 and sim.unsettled() == 0
     assert np.abs(sim.positions()[:, 1]).min() < 0.01  # they lie on the ground
 
