@@ -89,7 +89,7 @@ def close_step(spec: ti.template(), state: ti.template(), t):
 def _jump(spec: ti.template(), state: ti.template(), i):
     """What walls and pairs have changed of pack i's velocities at the step's start."""
     if ti.static(has_impulses(spec)):
-        x, v = read(spec, state.start_x, i), read(spec, state.start_v, i)
+        x, v = read(spec, state.opened_x, i), read(spec, state.opened_v, i)
         return velocity_jump(spec, state, i, x, v)
     else:
         return zeros(spec, state)
@@ -99,7 +99,7 @@ def _jump(spec: ti.template(), state: ti.template(), i):
 def _work_on_particles(spec: ti.template(), state: ti.template(), i):
     """Compute the contacts' work on pack i but for elastic energy; note whether it was touched."""
     x, v, w = read(spec, state.x, i), read(spec, state.v, i), read(spec, state.w, i)
-    free_v, start_v = read(spec, state.free_v, i), read(spec, state.start_v, i)
+    free_v, start_v = read(spec, state.free_v, i), read(spec, state.opened_v, i)
     dx, dv, jump = x - read(spec, state.free_x, i), v - free_v, _jump(spec, state, i)
     free = where_positive(w, 0.0 * dx + 1.0, zeros(spec, state))
     dx, dv, jump = dx * free, dv * free, jump * free
@@ -185,8 +185,8 @@ def _book(spec: ti.template(), state: ti.template(), i):
 @ti.func
 def _keep_start(spec: ti.template(), state: ti.template(), i):
     """Keep where the next step begins."""
-    write(spec, state.start_x, i, read(spec, state.x, i))
-    write(spec, state.start_v, i, read(spec, state.v, i))
+    write(spec, state.opened_x, i, read(spec, state.x, i))
+    write(spec, state.opened_v, i, read(spec, state.v, i))
 
 
 @ti.kernel

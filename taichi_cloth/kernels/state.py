@@ -119,8 +119,8 @@ class State:
         elements, face, face_left, face_row, face_count, face_finds, faces_unsettled (faces): a
         `Surface` of what is tested against sharp obstacles, and what comes of that (`faces.py`).
         obstacle_low, obstacle_nodes, obstacle_grid: of its grid of distances, where it has one.
-    The account of contacts (`contact_account.py`): accounting: whether it is kept; start_x,
-        start_v, free_x, free_v, ended_x: the step's start, free end and end; contact_work: of each
+    The account of contacts (`contact_account.py`): accounting: whether it is kept; opened_x,
+        opened_v, free_x, free_v, ended_x: the step's start, free end and end; contact_work: of each
         particle; touched: whether anything was, in the step; account_part; first_touch: the number
         of the first such step; contact_energy: what contacts gave.
 
@@ -443,7 +443,7 @@ class State:
             self.obstacle_grid = self._scalars(nodes, 4)
 
     def _place_account(self, spec):
-        for name in ("free_x", "free_v", "ended_x", "start_x", "start_v"):
+        for name in ("free_x", "free_v", "ended_x", "opened_x", "opened_v"):
             setattr(self, name, self._pack_vectors(spec))
         self.contact_work = self._pack_numbers(spec)
         self.accounting, self.touched = self._counts(), self._counts()
