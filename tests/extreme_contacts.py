@@ -294,6 +294,7 @@ def _on_its_side(run):
 
 STEPS = exactly(FRAME, 4, 60)
 HARDLY = resolved(0.5, frames=30)
+BRIEFLY = resolved(0.1, frame=1e-3, frames=100)
 
 
 def on_slope(degrees, friction, **of):
@@ -343,7 +344,7 @@ SOLIDS = [
     Case(
         "ball_at_100_m_per_s_through_a_cloth",
         struck,
-        resolved(0.1, frame=1e-3, frames=100),
+        BRIEFLY,
         (no_deeper(), FINITE),
         "may",
         kind="solids",
@@ -495,7 +496,7 @@ AIR = [
     Case(
         "wind_of_1e3_m_per_s",
         lambda: blown(1e3),
-        resolved(0.1, frame=1e-3, frames=100),
+        BRIEFLY,
         (no_faster("ten times the wind's", 1e4), FINITE),
         "may",
         kind="air",
@@ -503,14 +504,14 @@ AIR = [
     Case(
         "gusts_of_1e-6_s",
         lambda: blown(5.0, gust=0.5, period=1e-6),
-        resolved(0.1, frame=1e-3, frames=100),
+        BRIEFLY,
         (no_faster("three times the gust's", 3 * 5.0 * (1 + 0.5 * 2.9)), FINITE),
         kind="air",
     ),
     Case(
         "air_as_dense_as_lead",
         lambda: blown(1.0, density=1e4),
-        resolved(0.1, frame=1e-3, frames=100),
+        BRIEFLY,
         (no_faster("ten times the wind's", 10.0), FINITE),
         "may",
         kind="air",
@@ -536,7 +537,7 @@ AIR = [
     Case(
         "sheet_of_100_m",
         lambda: blown(1.0, spacing=30.0),
-        resolved(0.1, frame=1e-3, frames=100),
+        BRIEFLY,
         (no_faster("ten times the wind's", 10.0), FINITE),
         "may",
         kind="air",

@@ -83,7 +83,7 @@ def _order(scene: Scene, method: str, exact: np.ndarray) -> float:
     sim = Simulation(scene, method, **ON_GRAPH, **solved(method))
     errors: list[float] = []
     for halvings in range(2, MOST_HALVINGS + 1):
-        x = _trajectory(sim, len(exact), 2**halvings)
+        x = trajectory(sim, len(exact), 2**halvings)
         errors.append(_rms(x, exact))
         if errors[-1] < LEAST_ERROR * _rms(exact, exact[:1]):
             errors.pop()
@@ -91,7 +91,7 @@ def _order(scene: Scene, method: str, exact: np.ndarray) -> float:
     return float(np.log2(errors[-2] / errors[-1]))
 
 
-def _trajectory(sim: Simulation, frames: int, substeps: int) -> np.ndarray:
+def trajectory(sim: Simulation, frames: int, substeps: int) -> np.ndarray:
     """Positions at the ends of frames, (frames, n, dim), from the scene's start."""
     sim.set_step(substeps=substeps)
     sim.reset()
@@ -105,7 +105,7 @@ def _trajectory(sim: Simulation, frames: int, substeps: int) -> np.ndarray:
 def _fine(scene: Scene, frames: int, finer: int = 8) -> np.ndarray:
     """Positions at the ends of frames by the method of the references at a fine step."""
     sim = Simulation(scene, reference_method(), **ON_GRAPH)
-    return _trajectory(sim, frames, finer * coarsest(scene, scene.world.dt))
+    return trajectory(sim, frames, finer * coarsest(scene, scene.world.dt))
 
 
 def _rms(a: np.ndarray, b: np.ndarray) -> float:
@@ -298,12 +298,12 @@ def orders_with_events(names: Sequence[str] = methods.METHODS) -> dict[str, dict
     found: dict[str, dict[str, float]] = {name: {} for name in names}
     for event, scene in events().items():
         fine = Simulation(scene, reference_method(), **ON_GRAPH)
-        exact = _trajectory(fine, EVENT_FRAMES, 64 * EVENT_SUBSTEPS[-1])[-1]
+        exact = trajectory(fine, EVENT_FRAMES, 64 * EVENT_SUBSTEPS[-1])[-1]
         for name in names:
             sim = Simulation(scene, name, **ON_GRAPH, **solved(name))
             points = []
             for substeps in EVENT_SUBSTEPS:
-                error = _rms(_trajectory(sim, EVENT_FRAMES, substeps)[-1], exact)
+                error = _rms(trajectory(sim, EVENT_FRAMES, substeps)[-1], exact)
                 if error > 1e-9:
                     points.append((np.log2(substeps), np.log2(error)))
             halvings, errors = np.array(points).T

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_cloth.benchmarks.accuracy.experiments import ON_GRAPH, solved
+from taichi_cloth.benchmarks.accuracy.experiments import ON_GRAPH, solved, trajectory
 from taichi_cloth.kernels import methods
 from taichi_cloth.scene.cloth import grid
 from taichi_cloth.scene.model import ParticleDefaults, Particles, Scene, SpringDefaults, World
@@ -121,7 +121,7 @@ def orders_with_friction(
     ways, landed = exact(sliding, SLIDES, times)
     ends, _ = exact(sticking, STICKS, times)
     first, each = np.ceil(landed / DT).astype(int) - 1, np.arange(BODIES)
-    fine = _run(Simulation(sheet, reference_method(), **ON_GRAPH), FINE)
+    fine = trajectory(Simulation(sheet, reference_method(), **ON_GRAPH), FRAMES, FINE)
     for name in names:
         sim = Simulation(sliding, name, **ON_GRAPH, **solved(name))
         errors: dict[str, list[float]] = {}
@@ -130,19 +130,19 @@ def orders_with_friction(
             into.setdefault(kind, []).append(float(np.sqrt((apart**2).sum(axis=-1).mean())))
 
         for substeps in SUBSTEPS:
-            x = _run(sim, substeps)
+            x = trajectory(sim, FRAMES, substeps)
             note("before", x[BEFORE - 1] - ways[BEFORE - 1])
             note("at", x[first, each] - ways[first, each])
             note("past", x[-1] - ways[-1])
         creep = 0.0
         sim.load_scene(sticking)
         for substeps in SUBSTEPS:
-            x = _run(sim, substeps)
+            x = trajectory(sim, FRAMES, substeps)
             note("stuck", x[-1] - ends[-1])
             creep = max(creep, float(np.abs(x[-1] - x[-AT_REST]).max()))
         sim = Simulation(sheet, name, **ON_GRAPH, **solved(name))
         for substeps in CLOTH_SUBSTEPS:
-            x = _run(sim, substeps)
+            x = trajectory(sim, FRAMES, substeps)
             note("cloth_before", x[CLOTH_BEFORE - 1] - fine[CLOTH_BEFORE - 1])
             note("cloth", x[CLOTH_LANDED - 1 :] - fine[CLOTH_LANDED - 1 :])
         found[name] = {
@@ -150,16 +150,6 @@ def orders_with_friction(
             for kind, of in errors.items()
         } | {"creep": creep}
     return found
-
-
-def _run(sim: Simulation, substeps: int) -> np.ndarray:
-    sim.set_step(substeps=substeps)
-    sim.reset()
-    found = []
-    for _ in range(FRAMES):
-        sim.advance()
-        found.append(sim.positions())
-    return np.array(found)
 
 
 def _order(halved: Sequence[int], errors: Sequence[float]) -> float | None:
