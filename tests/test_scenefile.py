@@ -14,6 +14,7 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import obstacles as kinds
 from taichi_cloth.kernels.obstacles.contract import COMMON
 from taichi_cloth.scene import library, obstacles, scenefile, tables
+from taichi_cloth.scene.assignments import read
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import grid
 from taichi_cloth.scene.model import (
@@ -178,6 +179,68 @@ def test_the_example_of_the_design_means_what_it_says():
     assert len(scene.springs) == 1 + 356
     np.testing.assert_array_equal(scene.springs.stiffness[:2], (0.01, 0.5))
     assert (scene.springs.break_force == 5).all() and (scene.springs.rest_length == 20).all()
+
+
+EVERY_TABLE = """
+triangles = [[0, 1, 2]]
+[world]
+size = [4.0, 4.0, 4.0]
+ground = 0.0
+air = { density = 1.0 }
+wind = { velocity = [1.0, 0.0, 0.0] }
+[particle]
+[spring]
+[[particles]]
+position = [0.0, 1.0, 0.0]
+[[particles]]
+position = [1.0, 1.0, 0.0]
+[[particles]]
+position = [1.0, 2.0, 0.0]
+[[springs]]
+between = [0, 1]
+[[stencils]]
+between = [0, 1, 2]
+weights = [1.0, -2.0, 1.0]
+bending = 1.0
+[[cloths]]
+origin = [0.0, 1.0, 1.0]
+columns = 3
+rows = 3
+spacing = 0.1
+[[meshes]]
+file = "leaf.obj"
+"""
+
+
+def test_values_are_refused_in_the_words_of_the_file(tmp_path):
+    """Whatever is refused: a message has true and { a = 1 }, never True or a dict of Python's."""
+    (tmp_path / "leaf.obj").write_text("v 0 1 0\nv 1 1 0\nv 0 2 0\nf 1 2 3\n")
+    scenefile.parse(EVERY_TABLE, folder=tmp_path)
+    names = [name for name in tables.TABLES if name not in ("", "world", "particle", "spring")]
+    keys = [f"{name}[0].{key}" for name in names for key in tables.TABLES[name]]
+    keys += [f"{name}.{key}" for name in ("particle", "spring") for key in tables.TABLES[name]]
+    keys += [f"world.{key}" for key in (*tables.TABLES["world"], *world_keys())]
+    keys += [f"world.{key}.{part}" for key, of in world_keys().items() for part in of.table or ()]
+    keys += ["cloths[0].stiffness.shear", *tables.TABLES[""]]
+    refused = [(EVERY_TABLE, key) for key in keys if not key.startswith("obstacles[")]
+    at = {key: "[1, 1, 1]" for key in ("centre", "half", "point", "normal")}
+    at |= {"radius": "1", "ends": "[[0, 0, 0], [1, 1, 1]]", "file": "'leaf.obj'"}
+    for shape in kinds.SHAPES:
+        known = obstacles.keys_of(shape)
+        given = [f"shape = '{shape}'", *(f"{key} = {at[key]}" for key in at if key in known)]
+        text = "\n".join(["[world]", "size = [4, 4, 4]", "[[obstacles]]", *given])
+        refused += [(text, f"obstacles[0].{key}") for key in known]
+    said = {}
+    for text, key in refused:
+        for value in ("true", "[true, 1]", "{ a = [false] }"):
+            try:
+                scenefile.parse(text, "a.toml", assignments=[read(f"{key}={value}")])
+            except InputError as error:
+                said[key, value] = str(error)
+    assert said["obstacles[0].radius", "[true, 1]"].endswith("is the list [true, 1]")
+    assert len(said) > 2 * len(refused)  # all that is no value of its key
+    python = re.compile(r"\b(True|False|None)\b|\{'|'\}|\(\(")
+    assert not {case: words for case, words in said.items() if python.search(words)}
 
 
 def test_a_cloth_in_a_file_is_the_built_in_cloth():

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taichi_cloth.errors import nearest
+from taichi_cloth.scene import toml
 from taichi_cloth.settings import accepted
 
 if TYPE_CHECKING:
@@ -133,7 +134,7 @@ def _fault_of_value(key: Key, value: Any, dim: int) -> str | None:
     from taichi_cloth.kernels.obstacles import contract
 
     if key.kind == contract.TEXT:
-        return None if isinstance(value, str) else f"must be a text, is {accepted.shown(value)}"
+        return None if isinstance(value, str) else f"must be a text, is {toml.describe(value)}"
     if key.kind in (contract.TURN, contract.SPIN):
         shape: tuple[int, ...] = () if dim == 2 else (3,)
         must = "a number of degrees" if dim == 2 else "three numbers"
@@ -150,11 +151,11 @@ def _fault_of_value(key: Key, value: Any, dim: int) -> str | None:
     try:
         numbers = np.asarray(value, np.float64)
     except (TypeError, ValueError, OverflowError):
-        return f"must be {must}, is {accepted.shown(value)}"
+        return f"must be {must}, is {toml.describe(value)}"
     if _has_truth(value) or isinstance(value, str) or numbers.shape != shape:
-        return f"must be {must}, is {accepted.shown(value)}"
+        return f"must be {must}, is {toml.describe(value)}"
     if not np.isfinite(numbers).all():
-        return f"must be finite, is {accepted.shown(value)}"
+        return f"must be finite, is {toml.describe(value)}"
     if key.kind == contract.FACES and (numbers != np.floor(numbers)).any():
         return f"must be {must}"
     if np.abs(numbers).max(initial=0.0) > contract.FAR / 1e3:
@@ -167,7 +168,7 @@ def _fault_of_value(key: Key, value: Any, dim: int) -> str | None:
         ("at most", key.maximum, key.maximum is None or (numbers <= key.maximum).all()),
     ):
         if not holds:
-            return f"must be {words} {limit:g}, is {accepted.shown(value)}"
+            return f"must be {words} {limit:g}, is {toml.describe(value)}"
     return None
 
 

@@ -6,7 +6,8 @@ A function of a type returns the value, or raises `WrongType` with what it shoul
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from datetime import date, time
 from typing import Any, TypeVar
 
 Keys = tuple[Any, ...]  # the way to a value, such as ("particles", 3, "mass")
@@ -61,22 +62,36 @@ class WrongType(Exception):
     """The value is of another type; the message says of which it must be."""
 
 
+def written(value: Any) -> str:
+    """A value as a scene file would have it: true, [1, 2], { above = 1.5 }."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Mapping):
+        inner = ", ".join(f"{key} = {written(entry)}" for key, entry in value.items())
+        return f"{{ {inner} }}" if inner else "{}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(written, value))}]"
+    return repr(value) if isinstance(value, str) else str(value)
+
+
 def describe(value: Any) -> str:
     """What a value is, in TOML's words, with the value where it is short."""
     try:
-        text = str(value)
+        text = written(value)
     except ValueError:  # Python does not write a whole number of thousands of digits
         return "a number of thousands of digits"
     except RecursionError:
         return "nested too deeply"
-    short = f" {text!r}" if isinstance(value, str) else f" {text}"
-    short = short if len(short) <= 40 and not isinstance(value, dict) else ""
+    short = f" {text}" if len(text) < 40 else ""
     if isinstance(value, bool):
-        return "true" if value else "false"
-    for type_, word in ((str, "the text"), ((int, float), "the number"), (list, "the list")):
+        return text
+    kinds = ((str, "the text"), ((int, float), "the number"), ((list, tuple), "the list"))
+    for type_, word in kinds:
         if isinstance(value, type_):
             return word + short if short else word.replace("the", "a")
-    return "a table" if isinstance(value, dict) else "a date or time"
+    if isinstance(value, (date, time)):
+        return "a date or time"
+    return "a table" if isinstance(value, Mapping) else text  # of a Python program's own
 
 
 def number(value: Any) -> float:
