@@ -22,7 +22,7 @@ from taichi_cloth.simulation.simulation import Simulation
 # What sets the resolution, its values from the coarsest to the scene's own, and how long to run [s]
 SCENES = {
     "drape": ("side", (25, 33, 49), 4.0),
-    "stack": ("side", (11, 15, 19), 4.0),
+    "stack": ("side", (17, 23, 31), 4.0),
     "pull": ("columns", (19, 27, 35), 4.0),
     "twist": ("columns", (41, 61, 81), 10.0),
 }

@@ -15,26 +15,27 @@ from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.settings.options import Parameter
 
 FRAME = "auto"
-WIDTH, THICKNESS, APART = 0.9, 0.01, 0.16  # of the sheets; from one to the next at the start [m]
+WIDTH, THICKNESS, APART = 0.5, 0.01, 0.1  # of the sheets; from one to the next at the start [m]
 TURN, TILT = 18.0, 4.0  # of each against the one below; out of the horizontal [degrees]
+MATERIAL = Material(density=0.3, thickness=THICKNESS, stretch=15.0, shear=4.0, damping_time=4e-4)
 BENDING = 2e-5  # N m
 COLORS = ((188, 62, 84), (236, 170, 72), (96, 176, 110), (70, 128, 190), (150, 92, 176))
 
 
 def scene(
     *,
-    side: Annotated[int, Parameter("particles along a side", minimum=3, maximum=256)] = 19,
+    side: Annotated[int, Parameter("particles along a side", minimum=3, maximum=256)] = 31,
     sheets: Annotated[int, Parameter("how many", minimum=1, maximum=50)] = 5,
     friction: Annotated[float, Parameter("Coulomb coefficient of the floor", minimum=0)] = 0.5,
     seed: Annotated[int, Parameter("of differences at the start; 0: none", minimum=0)] = 1,
 ) -> Scene:
     """Five sheets fall on each other and onto the floor; SI units."""
-    spacing, middle = WIDTH / (side - 1), np.array([0.8, 0.0, 0.0])
+    spacing, middle = WIDTH / (side - 1), np.array([0.5, 0.0, 0.0])
     particles, springs, stencils = Particles.none(3), Springs.none(), Stencils.none()
     triangles = [np.zeros((0, 3), np.int64)]
     for number in range(sheets):
         across, down = _directions(number)
-        height = 0.15 + APART * number
+        height = APART * (1 + number)
         corner = middle + [0, height, 0] - WIDTH / 2 * (np.array(across) + down)
         nodes, ties = grid(
             corner.tolist(),
@@ -44,9 +45,7 @@ def scene(
             links=("structural", "shear"),
             across=across,
             down=down,
-            material=Material(
-                density=0.2, thickness=THICKNESS, stretch=40.0, shear=6.0, damping_time=2e-4
-            ),
+            material=MATERIAL,
         )
         first = len(particles)
         color = np.tile(np.array(COLORS[number % len(COLORS)], np.uint8), (side * side, 1))
@@ -58,7 +57,7 @@ def scene(
     return Scene(
         name="stack",
         world=World(
-            size=(1.6, max(1.2, 0.3 + APART * sheets), 1.6),
+            size=(1.0, max(0.7, 0.2 + APART * sheets), 1.0),
             up="y",
             gravity=(0.0, -9.81, 0.0),
             dt=1 / 60,
