@@ -104,7 +104,7 @@ class Placements:
         if topology == "graph":
             # Collisions add up in the order of the particles, which is then that of memory too.
             return layouts.on_graph(
-                scene.springs, count, not scene.world.collisions, self._stencils
+                scene.springs, count, not scene.features().collisions, self._stencils
             )
         period = layouts.any_period
         if "spring_colours" in self._needs:

@@ -523,6 +523,6 @@ def _same_places(one: Scene, other: Scene) -> bool:
         and one.stencils is other.stencils
         and one.particles.position is other.particles.position
         and one.triangles is other.triangles
-        and one.world.collisions == other.world.collisions
+        and one.features().collisions == other.features().collisions
         and forces.present_in(one) == forces.present_in(other)
     )
