@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import Delaunay
 from shirt import shirt
 
 from taichi_cloth.errors import InputError
@@ -14,7 +15,7 @@ from taichi_cloth.files import meshes
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits.eigenmodes import stable_step
 from taichi_cloth.limits.network import Network
-from taichi_cloth.scene import assignments, meshfile, scenefile
+from taichi_cloth.scene import assignments, hanging, meshfile, scenefile
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.library.shirt import FILE
 from taichi_cloth.scene.material import Material
@@ -295,6 +296,26 @@ file = "cloths/square.obj"
 move = [3.0, 4.0, 0.0]
 pinned = { above = 4.5 }
 """
+
+
+def test_a_mesh_file_by_itself_keeps_off_itself(tmp_path, monkeypatch):
+    """Unless it is told not to, is too large, or has large triangles among many small ones."""
+    (tmp_path / "square.obj").write_text(SQUARE + "f 1 2 3 4\n")
+    source = SceneSource(str(tmp_path / "square.obj"))
+    scene, radius = source.build(), hanging.RADIUS
+    assert scene.features().thick
+    np.testing.assert_allclose(scene.particles.thickness, 2 * scene.particles.radius)
+    assert scene.particles.radius[0] == pytest.approx(radius * (4 + 2 * np.sqrt(2)) / 6)
+    told = replace(source, assignments=(assignments.read("meshes[0].thickness=0"),))
+    assert not told.build().features().thick
+    x, y = np.meshgrid(np.linspace(0, 1, 8), np.linspace(0, 1, 8))
+    fine = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()])
+    small = Delaunay(fine[:, :2]).simplices
+    uneven = np.vstack([fine, [[1.0, 8.0, 0.0]]])
+    assert hanging.keeps_off_itself(fine, small)
+    assert not hanging.keeps_off_itself(uneven, np.vstack([small, [[62, 63, 64]]]))
+    monkeypatch.setattr(hanging, "MOST_THICK", 3)
+    assert not source.build().features().thick
 
 
 def test_meshes_in_a_scene_file(tmp_path):

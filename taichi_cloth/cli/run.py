@@ -167,6 +167,7 @@ def _simulate(
         _note_inside(sim, options)
         if not options.quiet:
             _announce(sim, device, view)
+            _note_passing(source, scene)
             if recordings and view.visible:
                 words = "--save" if recordings.trajectory else "--export"
                 print(f"r goes back to the start, and {words} begins anew there", flush=True)
@@ -305,6 +306,16 @@ def _announce(sim: Simulation, device: Device, view: View) -> None:
     if sim.scene.features().thick:
         for sentence in sim.scene.spheres.widened[:MOST_NOTES]:
             _say(f"note: {sentence}")
+
+
+def _note_passing(source: SceneSource, scene: Scene) -> None:
+    """Say on standard error that a mesh file passes through itself, where nobody asked for that."""
+    asked = any(entry.keys[-1] == "thickness" for entry in source.assignments)
+    if source.is_mesh and not asked and not scene.features().thick:
+        _say(
+            "note: the mesh passes through itself: it is so large or so uneven that its steps "
+            "would take far longer; --set meshes[0].thickness=0.01 keeps it from that"
+        )
 
 
 def _first_line(sim: Simulation, device: Device, view: View) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.files.meshes.surface import Surface
+from taichi_cloth.scene.spheres import most_near
 from taichi_cloth.scene.triangles import areas
 
 GRAVITY = 9.81  # [m/s^2]
@@ -24,6 +25,8 @@ DRAG = 0.5  # of the air, beside mass: swings die away within seconds [1/s]
 DAMPING_RATIO = 0.02  # of a spring between two particles of mean mass
 HELD = 0.05  # the part of the height, from the top, that is held
 RADIUS = 0.35  # of a particle, in mean edges
+MOST_THICK = 20_000  # vertices of a mesh that keeps off itself unasked: steps take twice as long
+MOST_NEAR = 48  # vertices within the reach of one, likewise: large triangles beside small ones
 FLAT = 1e-6  # a sheet that is less high than this part of its size lies, and is stood upright
 
 
@@ -31,7 +34,8 @@ def table(path: Path, surface: Surface) -> dict[str, Any]:
     """What a scene file would say of the mesh at `path`, as a table of TOML; surface: the mesh's.
 
     The mesh is in metres, hangs in the middle of a world three times its size, and is held by all
-    vertices within the highest twentieth of its height. A sheet that lies is stood upright.
+    vertices within the highest twentieth of its height. A sheet that lies is stood upright. It does
+    not pass through itself (`thickness`) where that is no matter of minutes.
     """
     x = surface.vertices
     size = np.ptp(x, axis=0)
@@ -48,6 +52,7 @@ def table(path: Path, surface: Surface) -> dict[str, Any]:
     area = areas(x, surface.triangles)
     mass = DENSITY * float(area.sum()) / len(x)
     least = float((2 * area / edges.max(axis=1)).min())  # height of a triangle
+    radius = RADIUS * float(edges.mean())
     stretch = max(STRETCH, DENSITY * GRAVITY * float(size[1]) / SAG)
     return {
         "world": {
@@ -57,7 +62,7 @@ def table(path: Path, surface: Surface) -> dict[str, Any]:
             "dt": FRAME,
             "mouse": "blow",
         },
-        "particle": {"radius": RADIUS * float(edges.mean()), "viscous": DRAG * mass},
+        "particle": {"radius": radius, "viscous": DRAG * mass},
         "meshes": [
             {
                 "file": str(path.absolute()),
@@ -66,8 +71,15 @@ def table(path: Path, surface: Surface) -> dict[str, Any]:
                 "pinned": {"above": float(top - HELD * size[1])},
                 "stretch": stretch,
                 "density": DENSITY,
+                **({"thickness": 2 * radius} if keeps_off_itself(x, surface.triangles) else {}),
                 "damping": 2 * DAMPING_RATIO * float(np.sqrt(stretch * mass)),
                 "bending": min(BENDING, stretch * least**2 / SLIVER),
             }
         ],
     }
+
+
+def keeps_off_itself(x: np.ndarray, triangles: np.ndarray) -> bool:
+    """Whether a mesh has a thickness unasked: it is not so large, or uneven, that this would cost
+    more than all the rest. x: its vertices, (n, 3)."""
+    return len(x) <= MOST_THICK and most_near(x, triangles) <= MOST_NEAR

@@ -75,6 +75,21 @@ def needed_diameters(
     return needed
 
 
+def most_near(position: np.ndarray, triangles: np.ndarray) -> int:
+    """How many others are at the start within the reach of one corner, at most.
+
+    position: (n, 3); triangles: (m, 3). Their spheres are as wide as the triangles ask for.
+    """
+    from scipy.spatial import cKDTree
+
+    diameter = STRETCH * needed_diameters(
+        position, triangles, np.zeros((0, 2), np.int64), np.zeros(0)
+    )
+    reach = (diameter + diameter.max(initial=0.0)) / 2
+    near = cKDTree(position).query_ball_point(position, reach, return_length=True)
+    return int(np.max(near, initial=1)) - 1
+
+
 def spheres(
     position: np.ndarray,
     radius: np.ndarray,
