@@ -4,10 +4,13 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+import taichi as ti
 from intersection_sweep import SCENES, row
 from intersections import intersecting_pairs
 
 from taichi_cloth.kernels import methods
+from taichi_cloth.kernels.kept_pairs import NEAR_BITS
+from taichi_cloth.kernels.near_pairs import find_pairs
 from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import Particles, Scene, World
@@ -89,6 +92,55 @@ def test_coarse_built_in_scenes_never_intersect(device, name):
     """All of them, at three resolutions and from more starts: `tests/intersection_sweep.py`."""
     with_any = row(name, SCENES[name][1][0], 1, seconds=1.5)[4]
     assert with_any == 0
+
+
+@ti.kernel
+def find_near(spec: ti.template(), state: ti.template()):
+    """What the beginning of contacts does in a step, on one thread."""
+    for _ in range(1):
+        find_pairs(spec, state, 0)
+
+
+def test_lists_of_patches_have_all_that_may_touch_in_each_step(pool):
+    """Against all pairs, for sheets that turn, slide, jump and crumple."""
+    scene = sheets(16, [0.3, 0.33, 0.36])
+    sim = pool(scene, topology="graph", execution="serial")
+    state, spheres, rng = sim.storage.state, scene.spheres, np.random.default_rng(3)
+    n, x = len(scene.particles), scene.particles.position
+    sheet, phase = np.arange(n) // 256, rng.uniform(0, 6, (3, 3))
+    closer = np.zeros((n, n), bool)
+    closer[np.repeat(np.arange(n), np.diff(spheres.start)), spheres.other] = True
+    reach = 1.05 * (spheres.radius[:, None] + spheres.radius)
+    ways, found = {"all": 0, "some": 0, "none": 0}, 0
+    for step in range(60):
+        way = 4e-3 * np.sin(0.1 * step + phase)[sheet] + 3e-4 * rng.normal(size=(n, 3))
+        way += np.cross([0, 0.02, 0.01], x - x.mean(axis=0)) * (sheet == 1)[:, None]
+        way[:, 1] -= 2e-3 * (sheet - 1)
+        if step == 40:  # farther than lists can be made for
+            way += 0.3 * (sheet == 2)[:, None]
+        begun, x = x, x + way
+        state.begun_x.from_numpy(begun)
+        state.x.from_numpy(x)
+        state.n_stale[None] = 0
+        anchors = state.listed_x.to_numpy()[:n]
+        find_near(sim.storage.specialization, state)
+        moved = (anchors != state.listed_x.to_numpy()[:n]).any(axis=1).mean()
+        ways["all" if moved == 1 else "some" if moved else "none"] += 1
+
+        before, now = begun - begun[:, None], x - x[:, None]
+        along = -(before * (now - before)).sum(2) / ((now - before) ** 2).sum(2).clip(1e-30)
+        nearest = before + along.clip(0, 1)[..., None] * (now - before)
+        distance = np.linalg.norm(nearest, axis=2)
+        count, start = state.near_count.to_numpy()[:n], state.near_start.to_numpy()[:n]
+        near, others = np.zeros((n, n), bool), state.near.to_numpy() >> NEAR_BITS
+        for at in range(n):
+            pairs = others[start[at] : start[at] + count[at]]
+            near[spheres.in_patches[at], spheres.in_patches[pairs]] = True
+        may = (distance < 0.9999 * reach) & ~closer & ~np.eye(n, dtype=bool)
+        assert not (may & ~near).any(), step
+        assert not (near & (distance > 1.0001 * reach)).any(), step
+        found += may.sum()
+    assert found > 10_000 and ways["some"] > 20 and ways["none"] > 3 and 2 <= ways["all"] < 10, ways
 
 
 def crossing(**more):

@@ -24,11 +24,10 @@ import taichi as ti
 from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.collision_grid import slot_of, sorted_radius, sorted_w
 from taichi_cloth.kernels.compensated import joined
+from taichi_cloth.kernels.kept_pairs import before_of, has_passed, note_touch, touches
 from taichi_cloth.kernels.loops import each, each_pack_moving, leave
 from taichi_cloth.kernels.near_pairs import (
-    before_of,
     find_pairs,
-    has_passed,
     place_of,
     reach_of,
     sizes,
@@ -199,7 +198,7 @@ def _between(spec: ti.template(), state: ti.template(), at, pair):
     distance = laws.length(d)
     n = laws.unit(d, distance)
     if ti.static(spec.thick):
-        if has_passed(state, at, pair):
+        if has_passed(state, pair):
             before = before_of(spec, state, at, other)
             n = laws.unit(before, laws.length(before))
             distance = d.dot(n)
@@ -223,7 +222,7 @@ def _between(spec: ti.template(), state: ti.template(), at, pair):
 def _count_touching(spec: ti.template(), state: ti.template(), at):
     """Count the pairs of a particle that overlap, and those that touch and approach."""
     if _is_visited(spec, state, at):
-        counts = sum_over_pairs(spec, state, at, ti.static(_if_in_touch(_touching)))
+        counts = sum_over_pairs(spec, state, at, _touching)
         for kind in ti.static((OVERLAP, APPROACH)):
             state.touching[at, kind] = counts[kind]
 
@@ -237,40 +236,30 @@ def _is_visited(spec: ti.template(), state: ti.template(), at):
         return True
 
 
-@functools.cache
-def _if_in_touch(term):
-    """The term for pairs that may touch, and zeros for others: where cloths have a thickness."""
-
-    @ti.func
-    def in_touch(spec: ti.template(), state: ti.template(), at, pair):
-        found = ti.Vector.zero(state.real, ti.static(sizes(spec)))
+@ti.func
+def _touching(spec: ti.template(), state: ti.template(), at, pair):
+    counts = ti.Vector.zero(state.real, ti.static(sizes(spec)))
+    if ti.static(spec.thick):
+        overlaps, approaches = 0, 0
         if _may_touch(spec, state, at, pair):
-            found = term(spec, state, at, pair)
-        return found
-
-    return in_touch
+            _, _, _, _, _, overlaps, approaches = _between(spec, state, at, pair)
+        note_touch(state, pair, overlaps, approaches)
+        counts[OVERLAP], counts[APPROACH] = float(overlaps), float(approaches)
+    else:
+        _, _, _, _, _, overlaps, approaches = _between(spec, state, at, pair)
+        counts[OVERLAP], counts[APPROACH] = float(overlaps), float(approaches)
+    return counts
 
 
 @ti.func
 def _may_touch(spec: ti.template(), state: ti.template(), at, pair):
-    """Whether a pair is so near that it is worth to ask whether it touches."""
-    if ti.static(spec.thick):
-        x = _value(spec, state, at, 0)
-        d = _value(spec, state, place_of(spec, state, at, pair), 0) - x
-        far = ti.static(1.0 + 2.0 * SLACK) * reach_of(spec, state, at, pair)
-        for axis in ti.static(range(spec.dim)):  # `abs` of vectors crashes in lanes
-            far += ti.static(2.0 * ROUNDINGS * epsilon(state)) * ti.abs(x[axis])
-        return (d.dot(d) <= far * far) | has_passed(state, at, pair)
-    else:
-        return True
-
-
-@ti.func
-def _touching(spec: ti.template(), state: ti.template(), at, pair):
-    _, _, _, _, _, overlaps, approaches = _between(spec, state, at, pair)
-    counts = ti.Vector.zero(state.real, ti.static(sizes(spec)))
-    counts[OVERLAP], counts[APPROACH] = float(overlaps), float(approaches)
-    return counts
+    """Whether a pair of cloth is so near that it is worth to ask whether it touches."""
+    x = _value(spec, state, at, 0)
+    d = _value(spec, state, place_of(spec, state, at, pair), 0) - x
+    far = ti.static(1.0 + 2.0 * SLACK) * reach_of(spec, state, at, pair)
+    for axis in ti.static(range(spec.dim)):  # `abs` of vectors crashes in lanes
+        far += ti.static(2.0 * ROUNDINGS * epsilon(state)) * ti.abs(x[axis])
+    return (d.dot(d) <= far * far) | has_passed(state, pair)
 
 
 @ti.func
@@ -283,8 +272,9 @@ def _move(spec: ti.template(), state: ti.template(), at):
         if touches:
             done = state.pair_iteration[None] + 1
             state.visited[at] = done
-            for k in range(state.near_count[at]):
-                state.visited[place_of(spec, state, at, k)] = done
+            start = state.near_start[at]
+            for pair in range(start, start + state.near_count[at]):
+                state.visited[place_of(spec, state, at, pair)] = done
     else:
         _take_to_other_half(spec, state, at, touches, True)
 
@@ -295,7 +285,7 @@ def _take_to_other_half(spec: ti.template(), state: ti.template(), at, touches, 
     x, v = _value(spec, state, at, 0), _value(spec, state, at, ti.static(spec.dim + 1))
     if sorted_w(spec, state, at) > 0.0:
         if touches:
-            change = sum_over_pairs(spec, state, at, ti.static(_if_in_touch(_change)))
+            change = sum_over_pairs(spec, state, at, ti.static(_change_of(spec)))
             for axis in ti.static(range(spec.dim)):
                 x[axis] += change[axis]
                 v[axis] += change[ti.static(spec.dim + axis)]
@@ -305,6 +295,20 @@ def _take_to_other_half(spec: ti.template(), state: ti.template(), at, touches, 
     to = at + (state.pair_iteration[None] + 1) % 2 * ti.static(state.sorted_half)
     for axis in ti.static(range(spec.dim)):
         state.sorted[to, axis], state.sorted[to, ti.static(spec.dim + 1 + axis)] = x[axis], v[axis]
+
+
+def _change_of(spec):
+    """What each pair adds: where cloths have a thickness, only those are asked that touch."""
+    return _change_if_noted if spec.thick else _change
+
+
+@ti.func
+def _change_if_noted(spec: ti.template(), state: ti.template(), at, pair):
+    found = ti.Vector.zero(state.real, ti.static(sizes(spec)))
+    overlaps, approaches = touches(state, pair)
+    if overlaps + approaches > 0:
+        found = _change(spec, state, at, pair)
+    return found
 
 
 @ti.func

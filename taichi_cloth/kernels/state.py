@@ -19,6 +19,7 @@ from taichi_cloth.kernels.forces.contract import (
 )
 from taichi_cloth.kernels.loops import COUNTER_SIZE
 from taichi_cloth.kernels.obstacles import contract
+from taichi_cloth.kernels.patches import BLOCK as PATCH_BLOCK
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.springs import reads_velocity
 
@@ -98,18 +99,20 @@ class State:
         axis; per_cell: cells per length along each; largest_radius; cell_end, sorted_index, sorted:
         the particles by cell; cell_of, block_start, bins, bin_bits (binary logarithm of the cells
         in a bin), bin_fill, bin_start, bin_size, binned_cell, binned_index: the sort's.
-    Resting pairs (`resting_pairs.py`): near, near_count, near_reach (with thickness), touching,
-        pair_friction, pair_residual, pair_iteration;
+    Resting pairs (`resting_pairs.py`): near, near_count, near_start and near_reach (both with
+        thickness), touching, pair_friction, pair_residual, pair_iteration;
         unsettled: steps that ended before all pairs were apart.
-    With thickness (`near_pairs.py`): pair_radius, pair_restitution: of particles for each other;
-        skin: how much farther pairs are kept; outdated, overfull: whether they are to be listed
-        anew, and whether some list was full in this step; n_patches, patch_start, in_patches,
-        patch_of: the particles of each patch, and the patch of each; box: low and high corners of
-        the boxes around it; ahead: how far it looks along its way; active, n_active: the places
-        that have near pairs; visited: the last iteration in which they are visited; listed_x: by
-        index, where they were listed; listed_begun: by place, where the step began; kept,
-        kept_count: codes of pairs; far: whose step went far; closer_start, closer_other,
-        closer_reach: `scene.spheres`.
+    With thickness (`kept_pairs.py`, `patches.py`): pair_radius, pair_restitution: of particles for
+        each other; skin: how much farther pairs are kept; outdated, overfull: whether they are to
+        be listed anew, and whether some list was full in this step; n_patches, patch_start,
+        in_patches, patch_place, patch_of: the particles of each patch by place, the place of each
+        particle, and the patch of each place; box, block_box: low and high corners of the boxes
+        around a patch and its blocks; anchored: whether it was in this step; drift, stale: of each
+        two patches, their drift and skin, and whether their lists are to be made anew; n_stale: how
+        many; ahead: how far a patch looks along its way; active, n_active: the places that have
+        near pairs; visited: the last iteration in which they are visited; listed_x, listed_begun:
+        their anchors, and where the step began; kept, kept_count: codes of pairs; far: whose step
+        went far; closer_start, closer_other, closer_reach: `scene.spheres`.
 
     Obstacles (`poses.py`), a row each: obstacle_shape: its number in spec.obstacles;
         obstacle_numbers, obstacle_sizes: of contact and of its shape; obstacle_start: its pose at
@@ -400,22 +403,25 @@ class State:
         if spec.resting:
             self.pair_friction, self.pair_residual = self._scalars(), self._scalars(2, 2)
             self.number_names.append("pair_friction")
-            self.near, self.near_count = (
-                self._counts(n, MOST_KEPT if spec.thick else MOST_NEAR),
-                self._counts(n),
-            )
+            self.near_count = self._counts(n)
+            if not spec.thick:
+                self.near = self._counts(n, MOST_NEAR)
             self.touching = self._scalars(n, 2)
             self.pair_iteration, self.unsettled = self._counts(), self._counts()
         if spec.thick:
             self.skin = self._scalars()
-            self.outdated, self.overfull = self._counts(), self._counts()
+            self.outdated, self.overfull, self.n_stale = (self._counts() for _ in range(3))
             self.number_names.append("skin")
             patches = max(self.capacity.patches, 1)
             self.n_patches, self.patch_start = self._counts(), self._counts(patches + 1)
-            self.in_patches, self.patch_of = self._counts(n), self._counts(n)
+            self.in_patches, self.patch_place, self.patch_of = (self._counts(n) for _ in range(3))
+            self.anchored = self._counts(patches)
+            self.block_box = self._scalars(n // PATCH_BLOCK + patches + 1, 6)
+            self.drift, self.stale = self._scalars(patches**2, 4), self._counts(patches**2)
             self.box, self.ahead = self._scalars(patches, 24), self._scalars(patches)
             self.active, self.n_active = self._counts(n), self._counts()
-            self.visited, self.near_reach = self._counts(n), self._scalars(n, MOST_KEPT)
+            self.visited, self.near_start = self._counts(n), self._counts(n)
+            self.near, self.near_reach = self._counts(n * MOST_KEPT), self._scalars(n * MOST_KEPT)
             self.listed_x, self.listed_begun = (self._scalars(n, spec.dim) for _ in range(2))
             self.kept, self.kept_count = self._counts(n, MOST_KEPT), self._counts(n)
             self.far = self._counts(n)

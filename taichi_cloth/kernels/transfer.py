@@ -60,8 +60,6 @@ def load_packs(
             state.unsettled[None] = 0
         if ti.static(spec.thick):
             state.outdated[None], state.overfull[None] = 1, 0
-            for i in range(state.n[None]):
-                state.sorted_index[i] = i
         state.n_grids[None] = grid.shape[0]
         for g in range(grid.shape[0]):
             for i in ti.static(range(4)):
@@ -408,7 +406,7 @@ def load_closer_pairs(
     rows: ti.i32,
     count: ti.i32,
 ):
-    """Load the pairs that keep less than the sum of their radii: `scene.spheres.Spheres`."""
+    """Load the pairs that keep less than the sum of their radii: `Spheres.rows_by_place`."""
     for i in range(rows + 1):
         state.closer_start[i] = start[i]
     for k in range(count):
@@ -421,8 +419,10 @@ def load_patches(
 ):
     """Load the patches of particles that are compared as one: `scene.spheres.Spheres`."""
     state.n_patches[None] = patches
-    state.patch_start[patches] = start[patches]
-    for b in range(patches):
+    for b in range(patches + 1):
         state.patch_start[b] = start[b]
-        for k in range(start[b], start[b + 1]):
-            state.in_patches[k], state.patch_of[particles[k]] = particles[k], b
+    for at in range(particles.shape[0]):
+        state.in_patches[at], state.patch_place[particles[at]] = particles[at], at
+    for b in range(patches):
+        for at in range(start[b], start[b + 1]):
+            state.patch_of[at] = b

@@ -25,7 +25,7 @@ from taichi_cloth.scene.triangles import springs_of_sides
 
 STRETCH = 1.25  # of what triangles need at the start
 COMPRESSED = 0.7  # of its distance at the start, to which a pair of neighbours may come
-SKIN = 0.55  # of the smallest sphere's diameter, that is listed beyond the reach of pairs
+SKIN = 0.4  # of the smallest sphere's diameter, that is listed beyond the reach of pairs
 PATCH, MOST_PATCHES = 16, 256  # particles of a patch; about as many patches, of more particles
 MOST_PAIRS = 20_000_000  # that start nearer than their spheres are wide
 
@@ -39,7 +39,7 @@ class Spheres:
     less than the sum of their radii: those of particle i are `other` and `reach` from start[i] to
     start[i + 1]. skin: how much farther pairs are listed [length]. patch_start, in_patches: patches
     of particles that start near each other, each of one cloth; those of patch b are in_patches
-    from patch_start[b] to patch_start[b + 1].
+    from patch_start[b] to patch_start[b + 1], and behind the last one those who pass through all.
     """
 
     radius: np.ndarray
@@ -51,6 +51,15 @@ class Spheres:
     patch_start: np.ndarray
     in_patches: np.ndarray
     widened: tuple[str, ...]
+
+    def rows_by_place(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """start, other and reach with places in `in_patches` instead of particles."""
+        place = np.empty(len(self.in_patches), np.int64)
+        place[self.in_patches] = np.arange(len(place))
+        counts = np.diff(self.start)[self.in_patches]
+        start = np.append(0, np.cumsum(counts))
+        row = np.repeat(self.start[self.in_patches] - start[:-1], counts) + np.arange(start[-1])
+        return start, place[self.other[row]], self.reach[row]
 
 
 def needed_diameters(
@@ -135,11 +144,14 @@ def _patches(position: np.ndarray, size: np.ndarray, part: np.ndarray) -> dict[s
         for axis in range(cell.shape[1]):
             code |= (cell[:, axis] >> bit & 1) << (3 * bit + axis)
     order = np.lexsort((code, part))
-    order = order[size[order] >= 0]
-    length = max(PATCH, -(-len(order) // MOST_PATCHES))
-    cloth = np.flatnonzero(np.diff(part[order], prepend=-2))
-    ends = [np.arange(a, b, length) for a, b in zip(cloth, [*cloth[1:], len(order)], strict=True)]
-    return {"patch_start": np.append(np.concatenate(ends), len(order)), "in_patches": order}
+    inside, outside = order[size[order] >= 0], order[size[order] < 0]
+    length = max(PATCH, -(-len(inside) // MOST_PATCHES))
+    cloth = np.flatnonzero(np.diff(part[inside], prepend=-2))
+    ends = [np.arange(a, b, length) for a, b in zip(cloth, [*cloth[1:], len(inside)], strict=True)]
+    return {
+        "patch_start": np.append(np.concatenate(ends), len(inside)),
+        "in_patches": np.append(inside, outside),
+    }
 
 
 def _widened(thickness: np.ndarray, diameter: np.ndarray, part: np.ndarray) -> Iterator[str]:

@@ -251,14 +251,15 @@ class Upload:
     def _closer_pairs(self) -> None:
         """The pairs that keep less than the sum of their radii, and the patches of particles."""
         spheres = self.snapshot.scene.spheres
+        start, other, reach = spheres.rows_by_place()
         self.launcher.launch(
             transfer.load_closer_pairs,
             self.state,
-            spheres.start.astype(np.int32),
-            _not_empty(spheres.other.astype(np.int32)),
-            _not_empty(spheres.reach.astype(self.real)),
-            len(self.snapshot.x),
-            len(spheres.other),
+            start.astype(np.int32),
+            _not_empty(other.astype(np.int32)),
+            _not_empty(reach.astype(self.real)),
+            len(start) - 1,
+            len(other),
         )
         self.launcher.launch(
             transfer.load_patches,

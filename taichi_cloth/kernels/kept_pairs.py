@@ -1,0 +1,348 @@
+"""Who may touch whom in a step, where cloths have a thickness: pairs kept from step to step.
+
+Pairs within their reach and a skin are kept as long as `patches.py` says that none beyond can
+touch. Where all are listed, by the collision grid, those that came near each other on the straight
+ways of that step are listed, too, however far these went; the boxes around the ways of patches say
+how far to look. So in each step the list has all that may touch, and is narrowed to those, in the
+order of their places: what comes of a step does not depend on when lists were made, but for
+neighbours in a cloth (CLOSER_SKIN). What has passed through is marked: its normal is that of the
+step's start. Who has more than MOST_KEPT in its list keeps the first ones, the step is counted as
+unsettled, and the next one lists all pairs again.
+
+at, other: places in `state.in_patches`, which hold for a whole run, but for functions on the grid
+(`grid_at`, `grid_other`). A code of `state.kept`: the place of the other one; in its last
+CODE_BITS, for pairs that keep less than the sum of their radii, how many of the particle's rows of
+`state.closer_...` come before theirs and one more, or LATER if that is less. One of `state.near`:
+the place of the other one; in its last NEAR_BITS what is known of the pair.
+"""
+
+import taichi as ti
+
+from taichi_cloth.kernels.collision_grid import (
+    MOST_KEPT,
+    slot_of,
+    sort_into_cells,
+    sorted_radius,
+    sorted_w,
+    sorted_x,
+    sum_over_near,
+)
+from taichi_cloth.kernels.loops import barrier, each, share
+from taichi_cloth.kernels.packs import slot_number, slot_value
+from taichi_cloth.kernels.patches import (
+    CLOTH_MARGIN,
+    MOST_STALE,
+    anchor_patch_anew,
+    are_near,
+    block_is_near,
+    block_is_near_patch,
+    block_of,
+    blocks_of,
+    bound_patch,
+    compare_patch,
+    look_ahead,
+    of_two,
+    reach_of_most,
+    vector,
+)
+
+CLOSER_SKIN = 0.35  # of the skin: for neighbours in a cloth, whose springs keep them apart
+LATER, CODE_BITS = 31, 5
+PASSED, OVERLAPS, APPROACHES, NEAR_BITS = 1, 2, 4, 3
+
+
+@ti.func
+def find_kept_pairs(spec: ti.template(), state: ti.template(), t):
+    """Find who may touch whom at the end of this step."""
+    if ti.static(spec.one_launch_per_step):
+        _list_all(spec, state, t)
+    else:
+        each(spec, state, t, state.n_patches[None], bound_patch)
+        each(spec, state, t, state.n_patches[None], compare_patch)
+        if state.n_stale[None] > MOST_STALE * state.n_patches[None] or state.outdated[None] == 1:
+            _list_all(spec, state, t)
+        elif state.n_stale[None] > 0:
+            each(spec, state, t, state.n_patches[None], _renew_patch)
+    each(spec, state, t, 1, _begin_lists)
+    each(spec, state, t, state.n[None], _refresh)
+    _narrow_all(spec, state, t)
+
+
+@ti.func
+def _begin_lists(spec: ti.template(), state: ti.template(), i):
+    """The lists of the next step are those of this one, as far as is known; and none is active."""
+    state.outdated[None] = state.n_stale[None] = state.n_active[None] = 0
+
+
+@ti.func
+def _refresh(spec: ti.template(), state: ti.template(), at):
+    """Take a particle to its place."""
+    slot = slot_of(spec, state, state.in_patches[at])
+    x, begun = slot_value(spec, state.x, slot), slot_value(spec, state.begun_x, slot)
+    for axis in ti.static(range(spec.dim)):
+        state.sorted[at, axis], state.listed_begun[at, axis] = x[axis], begun[axis]
+
+
+# --- all lists, by the grid ------------------------------------------------------------------
+
+
+@ti.func
+def _list_all(spec: ti.template(), state: ti.template(), t):
+    """List all pairs within their reach and a skin at the step's free end, or near on its ways."""
+    each(spec, state, t, state.n_patches[None], anchor_patch_anew)
+    each(spec, state, t, state.n_patches[None], look_ahead)
+    sort_into_cells(spec, state, t)
+    each(spec, state, t, state.n[None], _take_along)
+    each(spec, state, t, state.n[None], _list_particle)
+    each(spec, state, t, state.n[None], _take_place)
+
+
+@ti.func
+def _take_along(spec: ti.template(), state: ti.template(), grid_at):
+    """Fill what a place in the grid has besides what is sorted."""
+    begun = slot_value(spec, state.begun_x, slot_of(spec, state, state.sorted_index[grid_at]))
+    for axis in ti.static(range(spec.dim)):
+        state.listed_begun[grid_at, axis] = begun[axis]
+
+
+@ti.func
+def _list_particle(spec: ti.template(), state: ti.template(), grid_at):
+    """List the pairs of the particle at a place in the grid."""
+    at = state.patch_place[state.sorted_index[grid_at]]
+    state.kept_count[at] = 0
+    radius = sorted_radius(spec, state, grid_at)
+    if (sorted_w(spec, state, grid_at) > 0.0) & (radius >= 0.0):
+        ahead = state.ahead[state.patch_of[at]]
+        beyond = ti.max(
+            state.skin[None], ahead + ti.static(2.0 * CLOTH_MARGIN) * state.largest_radius[None]
+        )
+        state.far[grid_at] = ti.cast(beyond > state.skin[None], ti.i32)
+        reach = radius + state.largest_radius[None] + beyond
+        x = sorted_x(spec, state, grid_at)
+        sum_over_near(spec, state, grid_at, x, reach, ti.static(1), _list_near)
+
+
+@ti.func
+def _list_near(spec: ti.template(), state: ti.template(), grid_at, grid_other):
+    reach = sorted_radius(spec, state, grid_at) + sorted_radius(spec, state, grid_other)
+    d = sorted_x(spec, state, grid_other) - sorted_x(spec, state, grid_at)
+    d2 = d.dot(d)
+    way2 = d2
+    if (state.far[grid_at] == 1) & (not _within(d2, reach + state.skin[None])):
+        way2 = _nearest2(spec, state, grid_at, grid_other)
+    if (grid_other != grid_at) & (sorted_radius(spec, state, grid_other) >= 0.0):
+        at = state.patch_place[state.sorted_index[grid_at]]
+        other = state.patch_place[state.sorted_index[grid_other]]
+        _list_pair(state, at, other, reach, d2, way2, state.skin[None])
+    return ti.Vector.zero(state.real, 1)
+
+
+@ti.func
+def _take_place(spec: ti.template(), state: ti.template(), at):
+    """Take a particle from the grid to its place."""
+    state.sorted_index[at] = state.in_patches[at]
+    slot = slot_of(spec, state, state.in_patches[at])
+    state.sorted[at, ti.static(spec.dim)] = slot_number(spec, state.pair_radius, slot)
+    state.sorted[at, ti.static(2 * spec.dim + 1)] = slot_number(spec, state.w, slot)
+
+
+# --- lists of two patches --------------------------------------------------------------------
+
+
+@ti.func
+def _renew_patch(spec: ti.template(), state: ti.template(), a):
+    """Make those lists of a patch anew that do not hold."""
+    stale = 0
+    for b in range(state.n_patches[None]):
+        stale |= state.stale[of_two(state, a, b)]
+    if stale == 1:
+        for at in range(state.patch_start[a], state.patch_start[a + 1]):
+            _drop_stale(state, a, at)
+        for b in range(state.n_patches[None]):
+            row = of_two(state, a, b)
+            if state.stale[row] == 1:
+                state.stale[row] = 0
+                if are_near(state, a, b, reach_of_most(state) + state.drift[row, 3]):
+                    _list_two(spec, state, a, b, row)
+
+
+@ti.func
+def _drop_stale(state: ti.template(), a, at):
+    """Drop those pairs of a particle whose lists are stale."""
+    count = 0
+    for k in range(ti.min(state.kept_count[at], MOST_KEPT)):
+        code = state.kept[at, k]
+        if state.stale[of_two(state, a, state.patch_of[code >> CODE_BITS])] == 0:
+            state.kept[at, count] = code
+            count += 1
+    state.kept_count[at] = count
+
+
+@ti.func
+def _list_two(spec: ti.template(), state: ti.template(), a, b, row):
+    """List the pairs of the particles of a patch with those of another; row: of both patches."""
+    drift, skin = vector(spec, state.drift, row), state.drift[row, 3]
+    for block in range(blocks_of(state, a)):
+        first, end = block_of(state, a, block)
+        if block_is_near_patch(state, a, first, b, drift, reach_of_most(state) + skin):
+            for at in range(first, end):
+                if sorted_w(spec, state, at) > 0.0:
+                    _list_of_patch(spec, state, at, b, drift, skin)
+
+
+@ti.func
+def _list_of_patch(spec: ti.template(), state: ti.template(), at, b, drift, skin):
+    """List the pairs of a particle with those of a patch."""
+    x, radius = vector(spec, state.listed_x, at) - drift, sorted_radius(spec, state, at)
+    for block in range(blocks_of(state, b)):
+        first, end = block_of(state, b, block)
+        if block_is_near(state, b, first, x, radius + state.largest_radius[None] + skin):
+            for other in range(first, end):
+                d = vector(spec, state.listed_x, other) - x
+                d2 = d.dot(d)
+                reach = radius + sorted_radius(spec, state, other)
+                if _within(d2, reach + skin) & (other != at):
+                    _list_pair(state, at, other, reach, d2, d2, skin)
+
+
+# --- both ------------------------------------------------------------------------------------
+
+
+@ti.func
+def _list_pair(state: ti.template(), at, other, reach, d2, way2, skin):
+    """Put a pair into the list of the particle at a place, if it may touch before lists are stale.
+
+    reach: the sum of its radii; d2, way2: the squares of its distance and, where the step went far,
+    of that on its ways; skin: of its list.
+    """
+    if _within(d2, reach + skin) | _within(way2, (1.0 + CLOTH_MARGIN) * reach):
+        row, there = _row_of(state, at, other), True
+        if row >= 0:
+            mine = state.closer_reach[row]
+            there = _within(d2, mine + CLOSER_SKIN * skin)
+            there |= _within(way2, (1.0 + CLOTH_MARGIN) * mine)
+        if there:
+            count = state.kept_count[at]
+            if count < MOST_KEPT:
+                place = 0
+                if row >= 0:
+                    place = ti.min(row - state.closer_start[at] + 1, LATER)
+                state.kept[at, count] = (other << CODE_BITS) + place
+            state.kept_count[at] = count + 1
+
+
+@ti.func
+def _row_of(state: ti.template(), at, other):
+    """The row of a pair among those that keep less than the sum of their radii; -1: it does not."""
+    row = -1
+    for k in range(state.closer_start[at], state.closer_start[at + 1]):  # to its end: no guesses
+        row = ti.max(row, ti.select(state.closer_other[k] == other, k, -1))
+    return row
+
+
+@ti.func
+def _kept_reach(spec: ti.template(), state: ti.template(), at, code):
+    """How near a pair that is kept may come."""
+    other, place = code >> CODE_BITS, code & LATER
+    reach = sorted_radius(spec, state, at) + sorted_radius(spec, state, other)
+    if place != 0:
+        row = state.closer_start[at] + place - 1
+        if place == LATER:
+            row = _row_of(state, at, other)
+        reach = state.closer_reach[row]
+    return reach
+
+
+@ti.func
+def _narrow_all(spec: ti.template(), state: ti.template(), t):
+    """List of the pairs that are kept those that may touch in this step, in the order of places.
+
+    Lists of one thread follow each other, so that iterations read memory from one end to the other.
+    """
+    if ti.static(spec.one_launch_per_step):
+        for at in range(state.n[None]):
+            _narrow(spec, state, at, at * MOST_KEPT)
+    else:
+        start = share(spec, state.n[None], t) * MOST_KEPT
+        for at in range(share(spec, state.n[None], t), share(spec, state.n[None], t + 1)):
+            start += _narrow(spec, state, at, start)
+        barrier(spec, state)
+
+
+@ti.func
+def _narrow(spec: ti.template(), state: ti.template(), at, start):
+    """List who may touch the particle at a place, from the row `start` on; how many they are."""
+    count, kept = 0, state.kept_count[at]
+    if kept > MOST_KEPT:
+        state.overfull[None] = state.outdated[None] = 1
+    for k in range(ti.min(kept, MOST_KEPT)):
+        code = state.kept[at, k]
+        other, reach = code >> CODE_BITS, _kept_reach(spec, state, at, code)
+        if _within(_nearest2(spec, state, at, other), (1.0 + CLOTH_MARGIN) * reach):
+            now = sorted_x(spec, state, other) - sorted_x(spec, state, at)
+            passed = ti.cast(before_of(spec, state, at, other).dot(now) < 0.0, ti.i32)
+            to = start + count
+            while to > start and state.near[to - 1] >> NEAR_BITS > other:
+                state.near[to] = state.near[to - 1]
+                state.near_reach[to] = state.near_reach[to - 1]
+                to -= 1
+            state.near[to], state.near_reach[to] = (other << NEAR_BITS) + passed * PASSED, reach
+            count += 1
+    state.near_start[at], state.near_count[at] = start, count
+    if count > 0:
+        state.active[ti.atomic_add(state.n_active[None], 1)] = at
+        state.visited[at] = 0
+    else:
+        state.touching[at, 0], state.touching[at, 1] = 0.0, 0.0
+    if (count > 0) | (sorted_w(spec, state, at) == 0.0):  # what iterations read besides
+        v = slot_value(spec, state.v, slot_of(spec, state, state.in_patches[at]))
+        other_half = ti.static(state.sorted_half) + at
+        for axis in ti.static(range(spec.dim)):
+            state.sorted[other_half, axis] = state.sorted[at, axis]
+            state.sorted[at, ti.static(spec.dim + 1 + axis)] = v[axis]
+            state.sorted[other_half, ti.static(spec.dim + 1 + axis)] = v[axis]
+    return count
+
+
+@ti.func
+def _within(distance2, reach):
+    return distance2 <= reach * reach
+
+
+@ti.func
+def _nearest2(spec: ti.template(), state: ti.template(), at, other):
+    """The square of the distance of two particles where they are nearest on the step's ways."""
+    before = before_of(spec, state, at, other)
+    now = sorted_x(spec, state, other) - sorted_x(spec, state, at)
+    way = now - before
+    nearest2, along, way2 = ti.min(before.dot(before), now.dot(now)), -before.dot(way), way.dot(way)
+    if (along > 0.0) & (along < way2):
+        nearest = before + along / way2 * way
+        nearest2 = nearest.dot(nearest)
+    return nearest2
+
+
+@ti.func
+def has_passed(state: ti.template(), pair):
+    """Whether a pair, by its row of state.near, has passed through each other in this step."""
+    return (state.near[pair] & PASSED) != 0
+
+
+@ti.func
+def note_touch(state: ti.template(), pair, overlaps, approaches):
+    """Keep whether a pair overlaps and whether it approaches, both 1 or 0."""
+    known = overlaps * OVERLAPS + approaches * APPROACHES
+    state.near[pair] = (state.near[pair] & ~(OVERLAPS + APPROACHES)) | known
+
+
+@ti.func
+def touches(state: ti.template(), pair):
+    """Whether a pair overlaps and whether it approaches, as noted, both 1 or 0."""
+    code = state.near[pair]
+    return (code & OVERLAPS) // OVERLAPS, (code & APPROACHES) // APPROACHES
+
+
+@ti.func
+def before_of(spec: ti.template(), state: ti.template(), at, other):
+    """From a particle to another one, where the step began."""
+    return vector(spec, state.listed_begun, other) - vector(spec, state.listed_begun, at)

@@ -1,0 +1,267 @@
+"""Patches of particles that began side by side: how long what is listed of two of them holds.
+
+Each particle has an anchor: where it was when its patch was last anchored. Pairs of particles of
+two patches are listed by the vectors between their anchors, plus the drift of these patches: how
+far one of them had moved against the other, about the middle, when their pairs were listed. Who is
+within its reach and a skin of another one so is in the list. So a list has all that may touch as
+long as no particle of one patch has moved against one of the other by more than the skin besides
+the drift, which the boxes around displacements say for all particles at once, at either end of a
+step: on straight ways no difference of two is larger than at one of both ends (lists with a skin:
+Verlet, "Computer experiments on classical fluids", 1967).
+
+Where a list does not hold, the drift is made what it is, and that list is made anew; a patch that
+has turned or stretched by more than ANCHORED is anchored anew, with all its lists. Where most
+lists would be made anew, or a skin would get very wide, all are, by the collision grid.
+
+a, b in this file: patches. Places are those of `state.in_patches`.
+"""
+
+import taichi as ti
+
+from taichi_cloth.kernels.collision_grid import slot_of
+from taichi_cloth.kernels.packs import slot_value
+
+CLOTH_MARGIN = 0.05  # of a pair's reach, within which particles may come to touch in a step
+ANCHORED = 0.5  # of the skin: half the diagonal of the box around a patch's displacements
+WIDER = 1.25  # than what a list needs is its skin, where that is more than the scene's
+LEADS = 0.8  # of what its skin has to spare, a drift is ahead of where two patches are
+WIDEST = 4.0  # skins of the scene: a list that needs more is found by the grid
+MOST_STALE = 6  # lists of each patch, that are made anew one by one
+# Boxes around a patch: of its anchors, how far it went in the step in which all were listed, and
+# how far it is from its anchors when this step begins and when it ends.
+LISTED, WAY, BEGINS, ENDS = range(4)
+BLOCK = 16  # places of a patch with a box of their own around their anchors
+
+
+@ti.func
+def vector(spec: ti.template(), field: ti.template(), at):
+    """The vector (dim,) in a row of a field."""
+    return ti.Vector([field[at, axis] for axis in range(spec.dim)])
+
+
+@ti.func
+def bound_patch(spec: ti.template(), state: ti.template(), a):
+    """Find how far a patch has come from its anchors, and anchor it where it lost its shape."""
+    low, high = _nothing(state), -1.0 * _nothing(state)
+    low_at_end, high_at_end = low, high
+    for at in range(state.patch_start[a], state.patch_start[a + 1]):
+        slot, anchor = slot_of(spec, state, state.in_patches[at]), vector(spec, state.listed_x, at)
+        begun = slot_value(spec, state.begun_x, slot) - anchor
+        come = slot_value(spec, state.x, slot) - anchor
+        low, high = ti.min(low, begun), ti.max(high, begun)
+        low_at_end, high_at_end = ti.min(low_at_end, come), ti.max(high_at_end, come)
+    _store_box(state, a, ti.static(BEGINS), low, high)
+    _store_box(state, a, ti.static(ENDS), low_at_end, high_at_end)
+    most = ti.static(2.0 * ANCHORED) * state.skin[None]
+    diagonal = high_at_end - low_at_end
+    state.anchored[a] = ti.cast(diagonal.dot(diagonal) > most * most, ti.i32)
+    if state.anchored[a] == 1:
+        anchor_patch(spec, state, a)
+        for axis in ti.static(range(3)):  # it began where it came from, and is at its anchors
+            low[axis] = -1.0 * state.box[a, ti.static(6 * WAY + 3 + axis)]
+            high[axis] = -1.0 * state.box[a, ti.static(6 * WAY + axis)]
+        _store_box(state, a, ti.static(BEGINS), low, high)
+        _store_box(state, a, ti.static(ENDS), 0.0 * low, 0.0 * low)
+
+
+@ti.func
+def anchor_patch(spec: ti.template(), state: ti.template(), a):
+    """Anchor a patch where it is at the step's free end; the boxes around that and how it came."""
+    low, high = _nothing(state), -1.0 * _nothing(state)
+    low_way, high_way = low, high
+    for block in range(blocks_of(state, a)):
+        first, end = block_of(state, a, block)
+        block_low, block_high = _nothing(state), -1.0 * _nothing(state)
+        for at in range(first, end):
+            slot = slot_of(spec, state, state.in_patches[at])
+            x = slot_value(spec, state.x, slot)
+            way = x - slot_value(spec, state.begun_x, slot)
+            block_low, block_high = ti.min(block_low, x), ti.max(block_high, x)
+            low_way, high_way = ti.min(low_way, way), ti.max(high_way, way)
+            for axis in ti.static(range(spec.dim)):
+                state.listed_x[at, axis] = x[axis]
+        for axis in ti.static(range(3)):
+            state.block_box[_box_of_block(a, first), axis] = block_low[axis]
+            state.block_box[_box_of_block(a, first), ti.static(3 + axis)] = block_high[axis]
+        low, high = ti.min(low, block_low), ti.max(high, block_high)
+    _store_box(state, a, ti.static(LISTED), low, high)
+    _store_box(state, a, ti.static(WAY), low_way, high_way)
+
+
+@ti.func
+def blocks_of(state: ti.template(), a):
+    """How many blocks a patch has."""
+    return (state.patch_start[a + 1] - state.patch_start[a] + BLOCK - 1) // BLOCK
+
+
+@ti.func
+def block_of(state: ti.template(), a, block):
+    """The first place of a block of a patch, and the first place behind it."""
+    first = state.patch_start[a] + block * BLOCK
+    return first, ti.min(first + BLOCK, state.patch_start[a + 1])
+
+
+@ti.func
+def _box_of_block(a, first):
+    """The row of state.block_box of the block of a patch that begins at the place `first`: patches
+    are not whole blocks, so each has one more than places say."""
+    return first // BLOCK + a
+
+
+@ti.func
+def block_is_near(state: ti.template(), a, first, x, reach):
+    """Whether anchors in the block of a patch that begins at `first` may be within reach of x."""
+    row, apart2 = _box_of_block(a, first), ti.cast(0.0, state.real)
+    for axis in ti.static(range(3)):
+        low, high = state.block_box[row, axis], state.block_box[row, ti.static(3 + axis)]
+        gap = ti.max(low - x[axis], x[axis] - high, 0.0)
+        apart2 += gap * gap
+    return apart2 <= reach * reach
+
+
+@ti.func
+def block_is_near_patch(state: ti.template(), a, first, b, drift, reach):
+    """Whether anchors in a block of a patch may be within reach of those of b, with their drift."""
+    row, apart2 = _box_of_block(a, first), ti.cast(0.0, state.real)
+    for axis in ti.static(range(3)):
+        low = state.block_box[row, axis] - drift[axis]
+        high = state.block_box[row, ti.static(3 + axis)] - drift[axis]
+        gap = state.box[b, ti.static(6 * LISTED + axis)] - high
+        gap = ti.max(gap, low - state.box[b, ti.static(6 * LISTED + 3 + axis)], 0.0)
+        apart2 += gap * gap
+    return apart2 <= reach * reach
+
+
+@ti.func
+def anchor_patch_anew(spec: ti.template(), state: ti.template(), a):
+    """Anchor a patch where all are, and forget its drifts and what was stale."""
+    anchor_patch(spec, state, a)
+    for b in range(state.n_patches[None]):
+        k = of_two(state, a, b)
+        for axis in ti.static(range(3)):
+            state.drift[k, axis] = 0.0
+        state.drift[k, 3], state.stale[k] = state.skin[None], 0
+
+
+@ti.func
+def of_two(state: ti.template(), a, b):
+    """The row of state.drift and state.stale that two patches have, as the first one sees it."""
+    return a * state.n_patches[None] + b
+
+
+@ti.func
+def _nothing(state: ti.template()):
+    """The low corner of a box around nothing."""
+    return ti.Vector([1e30, 1e30, 1e30], state.real)
+
+
+@ti.func
+def _store_box(state: ti.template(), a, box: ti.template(), low, high):
+    for axis in ti.static(range(3)):
+        state.box[a, ti.static(6 * box + axis)] = low[axis]
+        state.box[a, ti.static(6 * box + 3 + axis)] = high[axis]
+
+
+@ti.func
+def _differences(state: ti.template(), a, b, box: ti.template()):
+    """The smallest and largest differences between vectors in the box of one patch and in that of
+    another: low and high corners."""
+    low, high = _nothing(state), _nothing(state)
+    for axis in ti.static(range(3)):
+        first, last = ti.static(6 * box + axis), ti.static(6 * box + 3 + axis)
+        low[axis] = state.box[b, first] - state.box[a, last]
+        high[axis] = state.box[b, last] - state.box[a, first]
+    return low, high
+
+
+@ti.func
+def _longest2(low, high):
+    """The square of the longest vector in a box with 0 in it or not."""
+    longest = ti.max(high, -1.0 * low)
+    return longest.dot(longest)
+
+
+@ti.func
+def are_near(state: ti.template(), a, b, reach):
+    """Whether anchors of two patches, with their drift, may be within `reach` of each other."""
+    low, high = _differences(state, a, b, ti.static(LISTED))
+    total = ti.cast(0.0, state.real)
+    for axis in ti.static(range(3)):
+        drift = state.drift[of_two(state, a, b), axis]
+        gap = ti.max(low[axis] + drift, -1.0 * (high[axis] + drift), 0.0)
+        total += gap * gap
+    return not (total >= reach * reach)
+
+
+@ti.func
+def reach_of_most(state: ti.template()):
+    """Nearer than this no pair may touch in a step."""
+    return ti.static(2.0 * (1.0 + CLOTH_MARGIN)) * state.largest_radius[None]
+
+
+@ti.func
+def compare_patch(spec: ti.template(), state: ti.template(), a):
+    """Find the lists of a patch that do not hold in this step: of each two one looks."""
+    count = state.n_patches[None]
+    for k in range(count // 2 + 1):
+        b = a + k
+        if b >= count:
+            b -= count
+        if (2 * k < count) | (a < b):
+            _compare(state, a, b)
+
+
+@ti.func
+def _compare(state: ti.template(), a, b):
+    row, drift = of_two(state, a, b), _nothing(state)
+    for axis in ti.static(range(3)):
+        drift[axis] = state.drift[row, axis]
+    low_begun, high_begun = _differences(state, a, b, ti.static(BEGINS))
+    low_end, high_end = _differences(state, a, b, ti.static(ENDS))
+    low, high = ti.min(low_begun, low_end) - drift, ti.max(high_begun, high_end) - drift
+    differ2, anew = _longest2(low, high), (state.anchored[a] | state.anchored[b]) == 1
+    if anew | (differ2 > state.drift[row, 3] * state.drift[row, 3]):
+        if anew or are_near(state, a, b, reach_of_most(state) + ti.sqrt(differ2)):
+            way = 0.5 * (low_end + high_end - low_begun - high_begun)
+            _let_drift(state, a, b, drift + 0.5 * (low + high), 0.5 * (high - low), way)
+
+
+@ti.func
+def _let_drift(state: ti.template(), a, b, drift, half, way):
+    """Note that the lists of two patches are stale, and by what drift and skin they are made.
+
+    drift: the middle of how far b has come against a in this step; half: of the box around that;
+    way: how far it comes in a step. Ahead of where they are, lists hold longer.
+    """
+    needed = ti.sqrt(half.dot(half))
+    skin = ti.max(state.skin[None], WIDER * needed)
+    way2 = way.dot(way)
+    if way2 > 0.0:
+        drift += (LEADS * (skin - needed) / ti.sqrt(way2)) * way
+    _note_stale(state, of_two(state, a, b), drift, skin)
+    _note_stale(state, of_two(state, b, a), -1.0 * drift, skin)
+    if are_near(state, a, b, reach_of_most(state) + skin):
+        ti.atomic_add(state.n_stale[None], 1)
+        if skin > WIDEST * state.skin[None]:
+            state.outdated[None] = 1
+
+
+@ti.func
+def _note_stale(state: ti.template(), row, drift, skin):
+    for axis in ti.static(range(3)):
+        state.drift[row, axis] = drift[axis]
+    state.drift[row, 3], state.stale[row] = skin, 1
+
+
+@ti.func
+def look_ahead(spec: ti.template(), state: ti.template(), a):
+    """How far from the places of a patch at a step's end those are that it may meet on its way."""
+    most = ti.cast(0.0, state.real)
+    for b in range(state.n_patches[None]):
+        low, high = _differences(state, a, b, ti.static(WAY))
+        differ2 = _longest2(low, high)
+        if differ2 > most * most:
+            differ = ti.sqrt(differ2)
+            if are_near(state, a, b, reach_of_most(state) + differ):
+                most = differ
+    state.ahead[a] = most
