@@ -3,7 +3,8 @@
 The radius falls with the cube root of the count, so that a sphere always has as many neighbours.
 Build: sorting all spheres into cells. Query: finding and resolving the collisions with them. C++,
 compiled here, does the same (`cpp/spheres.cpp`): with cells of a diameter, as one would take
-them first, and with those as wide across rows as measures best.
+them first, and with those as wide across rows as measures best. One count is timed on one thread,
+too, where no thread waits for another; and twenty spheres, with all frames of a round in a launch.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.benchmarks import ours
-from taichi_cloth.benchmarks.contest import Bench, compare, separation
+from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
 from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.benchmarks.structural import enter_compiled
 from taichi_cloth.files.pending import PendingFile
@@ -25,6 +26,7 @@ PART = "contacts"
 COUNTS = (1_000, 3_000, 10_000, 30_000, 100_000, 200_000)
 QUICK_COUNTS = (1_000, 10_000)
 DENSE = (100_000, 1.8)  # a count and the radius of its spheres, which set the density
+FEW = 20  # spheres of the scene as it is
 SUBSTEPS = 2  # of a frame
 WORK = 100_000  # spheres times frames in a round, at least
 FITTED = 10_000  # from this count on, starting threads for the loops no longer shows
@@ -40,6 +42,9 @@ def measure(bench: Bench) -> Iterator[Measurement]:
     for count in QUICK_COUNTS if bench.quick else COUNTS:
         rows += _measure_count(bench, count)
     yield from rows
+    if not bench.quick:
+        yield from _measure_one_thread(bench)
+    yield from _measure_few(bench)
     for name in (WHOLE, SORT, QUERY):
         exponent = fitted_exponent([row for row in rows if row.contestant == name])
         if exponent is not None:
@@ -66,32 +71,7 @@ def _measure_count(bench: Bench, count: int) -> list[Measurement]:
     scene = (SCENE, {"name": "box", "particles": count, "radius": radius})
     settings: dict[str, Any] = {"substeps": SUBSTEPS, "topology": "graph", "execution": "parallel"}
     reference = ours.reference(bench, PART, scene, count, frames=[1], **settings)
-    frames = ours.enter(
-        bench,
-        PART,
-        WHOLE,
-        scene,
-        precision="f32",
-        size=f"{count}",
-        particles=count,
-        units=max(1, WORK // count),
-        kind="taichi_cloth.benchmarks.contestants:Collisions",
-        **settings,
-    )
-    cpp = [
-        enter_compiled(
-            bench,
-            name,
-            "taichi_cloth.benchmarks.structural:CompiledSpheres",
-            {"count": count, "radius": radius, "width": width, "steps": SUBSTEPS},
-            steps=SUBSTEPS,
-            part=PART,
-            size=f"{count}",
-            particles=count,
-            units=max(1, WORK // count),
-        )
-        for name, width in CPP.items()
-    ]
+    frames, cpp = _entered(bench, count, radius, bench.threads, "")
     if not frames or not bench.mark_after(PART, [frames, *cpp], 1):
         return []
     bench.mark_after(PART, [frames, *cpp], ALIKE - 1)
@@ -113,6 +93,79 @@ def _measure_count(bench: Bench, count: int) -> list[Measurement]:
         rows += separation(PART, frames, other, ALIKE, "px")
     frames.drop()
     return rows
+
+
+def _entered(
+    bench: Bench, count: int, radius: float, threads: int, how: str
+) -> tuple[Contestant | None, list[Contestant | None]]:
+    """Whole steps of ours, and those of C++; how: what their names say of the threads."""
+    shared: dict[str, Any] = {
+        "size": f"{count}",
+        "particles": count,
+        "units": max(1, WORK // count),
+        "threads": threads,
+    }
+    frames = ours.enter(
+        bench,
+        PART,
+        WHOLE + how,
+        (SCENE, {"name": "box", "particles": count, "radius": radius}),
+        precision="f32",
+        kind="taichi_cloth.benchmarks.contestants:Collisions",
+        substeps=SUBSTEPS,
+        topology="graph",
+        execution="parallel",
+        **shared,
+    )
+    cpp = [
+        enter_compiled(
+            bench,
+            name + how,
+            "taichi_cloth.benchmarks.structural:CompiledSpheres",
+            {"count": count, "radius": radius, "width": width, "steps": SUBSTEPS},
+            steps=SUBSTEPS,
+            part=PART,
+            **shared,
+        )
+        for name, width in CPP.items()
+    ]
+    return frames, cpp
+
+
+def _measure_one_thread(bench: Bench) -> Iterator[Measurement]:
+    """Whole steps of `DENSE` on one thread, which waits for no other."""
+    frames, cpp = _entered(bench, *DENSE, 1, ", one thread")
+    yield from bench.rows(PART, bench.race(PART, [frames, *cpp]), {}, "")
+    for other in cpp:
+        name = f"{WHOLE} to {other.name}" if other else ""
+        yield from compare(PART, f"{DENSE[0]}", name, frames, other, ">= 0.7")
+
+
+def _measure_few(bench: Bench) -> Iterator[Measurement]:
+    """A step of `FEW` spheres, where a call advances all frames of a round."""
+    few = ours.enter(
+        bench,
+        PART,
+        f"{WHOLE}, frames in one call",
+        (SCENE, {"name": "box", "particles": FEW}),
+        precision="f32",
+        size=f"{FEW}",
+        particles=FEW,
+        units=WORK // FEW,
+        substeps=SUBSTEPS,
+        topology="graph",
+        execution="serial",
+    )
+    yield from bench.rows(PART, bench.race(PART, [few]), {}, "")
+    if few and few.seconds:
+        yield Measurement(
+            part=PART,
+            contestant="a step, frames in one call",
+            size=f"{FEW}",
+            rate=1e6 * few.step_seconds,
+            unit="µs",
+            target="<= 8",
+        )
 
 
 def fitted_exponent(rows: Sequence[Measurement]) -> float | None:

@@ -125,6 +125,7 @@ def enter_compiled(
     *,
     part: str,
     steps: int = STRUCTURAL_SUBSTEPS,
+    threads: int | None = None,
     **shared: Any,
 ) -> Contestant | None:
     """Enter a contestant of C++, class `kind` ("module:Class"), compiled here; None without g++."""
@@ -138,7 +139,7 @@ def enter_compiled(
         {"folder": str(bench.folder), **arguments},
         library="C++",
         precision="f32",
-        threads=bench.threads,
+        threads=threads or bench.threads,
         steps=steps,
         packages=("g++",),
         **shared,
