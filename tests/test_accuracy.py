@@ -156,6 +156,15 @@ def test_a_cell_is_an_error_or_says_why_it_is_refused(monkeypatch):
     graph = (["oscillator"], names, ["f64"], ["graph"])
     first, second = matrix.matrix(*graph, budget=0.0)["oscillator"]["cells"].values()
     assert first["graph f64"]["error"] > 0 and "together" in second["graph f64"]["not measured"]
+    # What was measured is kept, and the rest measured; not where the scene was run differently.
+    kept = {"oscillator": matrix.matrix(*graph, budget=0.0)["oscillator"]}
+    kept["oscillator"]["cells"]["symplectic_euler"]["graph f64"]["error"] = 0.5
+    again = matrix.matrix(*graph, kept=kept)["oscillator"]["cells"]
+    assert again["symplectic_euler"]["graph f64"]["error"] == 0.5
+    assert again["rk4"]["graph f64"]["error"] < 1e-6
+    kept["oscillator"]["frames"] += 1
+    again = matrix.matrix(*graph, kept=kept)["oscillator"]["cells"]
+    assert again["symplectic_euler"]["graph f64"]["error"] < 1e-2
     monkeypatch.setattr(matrix, "PATIENCE", 1e-3)
     for cells in matrix.matrix(*graph)["oscillator"]["cells"].values():
         assert cells["graph f64"] == matrix.TOO_SLOW

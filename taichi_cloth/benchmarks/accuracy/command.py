@@ -2,6 +2,7 @@
 
     python -m taichi_cloth.benchmarks.accuracy                             # all parts
     python -m taichi_cloth.benchmarks.accuracy costs stiff                 # these two
+    python -m taichi_cloth.benchmarks.accuracy matrix --missing            # what it has no error of
     python -m taichi_cloth.benchmarks.accuracy --tables docs/accuracy.md   # measures nothing
 
 Each part's results are kept in `bench/results`, in this machine's file.
@@ -86,16 +87,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--tables", metavar="FILE.md", help="fill its tables, draw its plots")
     parser.add_argument("--output", metavar="DIR", default="bench/results")
+    parser.add_argument("--missing", action="store_true", help="matrix: keep the errors it has")
     given = parser.parse_args(arguments)
     try:
-        _run(given.parts, Path(given.output), given.tables and Path(given.tables))
+        _run(given.parts, Path(given.output), given.tables and Path(given.tables), given.missing)
     except (InputError, RunFailure) as error:
         print(f"{COMMAND}: error: {error}", file=sys.stderr)
         return error.exit_status
     return 0
 
 
-def _run(words: Sequence[str], folder: Path, document: Path | None) -> None:
+def _run(words: Sequence[str], folder: Path, document: Path | None, missing: bool) -> None:
     from taichi_cloth.benchmarks.accuracy import pictures, tables
     from taichi_cloth.measuring import machine
 
@@ -106,9 +108,10 @@ def _run(words: Sequence[str], folder: Path, document: Path | None) -> None:
         raise InputError(f"--tables {document}: there is no such file")
     path = folder / f"{machine.file_name()}-accuracy.json"
     chosen = [part for part in PARTS if part in words] or ([] if document else list(PARTS))
+    kept = read(path)["matrix"]["data"] if missing else None
     for part in chosen:
         print(f"measuring: {part}", file=sys.stderr, flush=True)
-        keep(path, part, measure(part))
+        keep(path, part, measure(part, **({"kept": kept} if part == "matrix" else {})))
     if document:
         results = read(path)
         text = document.read_text("utf-8")
@@ -118,12 +121,12 @@ def _run(words: Sequence[str], folder: Path, document: Path | None) -> None:
                 write_whole(document.parent / "images" / f"{name}.png", content)
 
 
-def measure(part: str) -> dict[str, Any]:
-    """A part's results, with what it takes to measure them again."""
+def measure(part: str, **asked: Any) -> dict[str, Any]:
+    """A part's results, with what it takes to measure them again; asked: of its function."""
     from taichi_cloth.measuring import machine
     from taichi_cloth.trade.command import PACKAGES
 
-    command, data = _trade(part) if part in TRADES else _experiment(part)
+    command, data = _trade(part) if part in TRADES else _experiment(part, asked)
     about = machine.describe()
     return {
         "command": command,
@@ -134,15 +137,15 @@ def measure(part: str) -> dict[str, Any]:
     }
 
 
-def _experiment(part: str) -> tuple[str, Any]:
+def _experiment(part: str, asked: dict[str, Any]) -> tuple[str, Any]:
     from taichi_cloth import runtime
 
     module, name = MEASURED[part].split(".")
     if part not in ("costs", "matrix"):
         runtime.start("cpu", "f64", threads=1, fast_math=False)
     found = importlib.import_module(f"taichi_cloth.benchmarks.accuracy.{module}")
-    function: Callable[[], Any] = getattr(found, name)
-    return f"{COMMAND} {part}", function()
+    function: Callable[..., Any] = getattr(found, name)
+    return f"{COMMAND} {part}", function(**asked)
 
 
 def _trade(part: str) -> tuple[str, Any]:

@@ -13,7 +13,7 @@ import contextlib
 import signal
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -187,22 +187,31 @@ def matrix(
     precisions: Sequence[str] = PRECISIONS,
     topologies: Sequence[str] = TOPOLOGIES,
     budget: float = BUDGET,
+    kept: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """All cells, by scene, method, and "topology precision"; how each scene was run.
 
     A cell has an `error`, or says why it was `refused` or `not measured`. budget: seconds of the
-    processor that a scene may take before its last cell.
+    processor that a scene may take before its last cell. kept: earlier results, whose errors are
+    taken over where the scene is run as it was then.
     """
     ways = [(topology, precision) for topology in sorted(topologies) for precision in precisions]
-    return {name: _row(name, names, ways, budget) for name in scenes}
+    return {name: _row(name, names, ways, budget, (kept or {}).get(name, {})) for name in scenes}
 
 
 def _row(
-    name: str, names: Sequence[str], ways: Sequence[tuple[str, str]], budget: float
+    name: str,
+    names: Sequence[str],
+    ways: Sequence[tuple[str, str]],
+    budget: float,
+    kept: Mapping[str, Any],
 ) -> dict[str, Any]:
     """The cells of a scene, and how it was run. ways: topologies with precisions."""
     cells: dict[str, dict[str, Any]] = {method: {} for method in names}
     slow: set[tuple[str, str]] = set()  # topologies and kinds of methods that compile too long
+    about = _about(name)
+    same = {key: kept.get(key) for key in about} == about
+    has = kept["cells"] if same else {}
     spent, scene = 0.0, built(name)
     has_grid = adjacency.find_grids(scene.springs.between, len(scene.particles))
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
@@ -210,23 +219,27 @@ def _row(
             precision: stack.enter_context(_Process(Path(folder), precision))
             for precision in {"f64", *(precision for _, precision in ways)}
         }
-        exact = processes["f64"].exact(name)
+        exact = ""
         for topology, precision in ways:
             for method in sorted(names, key=lambda m: KINDS.index(_kind(m))):
-                if topology == "lanes" and not has_grid:
+                earlier = has.get(method, {}).get(f"{topology} {precision}", {})
+                if "error" in earlier:
+                    made = earlier
+                elif topology == "lanes" and not has_grid:
                     made = NO_GRID
                 elif slow & {(topology, KINDS[0]), (topology, _kind(method))}:
                     made = TOO_SLOW
                 elif spent > budget:
                     made = _too_much(budget)
                 else:
+                    exact = exact or processes["f64"].exact(name)
                     asked = {"method": method, "topology": topology, "exact": exact}
                     made, took = processes[precision].cell(name=name, **asked)
                     spent += took
                 if made == TOO_SLOW:
                     slow.add((topology, _kind(method)))
                 cells[method][f"{topology} {precision}"] = made
-    return _about(name) | {"cells": cells}
+    return about | {"cells": cells}
 
 
 KINDS = ("explicit", "sweeps", "solves")  # of methods; the first compiles soonest
