@@ -19,6 +19,7 @@ import taichi as ti
 
 from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.contact import velocity_jump
+from taichi_cloth.kernels.copies import keep
 from taichi_cloth.kernels.forces import load
 from taichi_cloth.kernels.forces.contract import ACCELERATION, has
 from taichi_cloth.kernels.loops import add_up, each, each_pack, each_pack_moving
@@ -62,8 +63,7 @@ def open_step(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def _keep_free(spec: ti.template(), state: ti.template(), i):
-    write(spec, state.free_x, i, read(spec, state.x, i))
-    write(spec, state.free_v, i, read(spec, state.v, i))
+    keep(spec, state, i, "free")
 
 
 @ti.func
@@ -185,8 +185,7 @@ def _book(spec: ti.template(), state: ti.template(), i):
 @ti.func
 def _keep_start(spec: ti.template(), state: ti.template(), i):
     """Keep where the next step begins."""
-    write(spec, state.opened_x, i, read(spec, state.x, i))
-    write(spec, state.opened_v, i, read(spec, state.v, i))
+    keep(spec, state, i, "opened")
 
 
 @ti.kernel

@@ -15,8 +15,8 @@ in state.begun_x and begun_v, with begun_x_low, if spec.keeps_begun says so.
 import taichi as ti
 
 from taichi_cloth.kernels import contact_account, faces, grips, obstruction, resting_pairs
+from taichi_cloth.kernels.copies import keep
 from taichi_cloth.kernels.loops import each_pack
-from taichi_cloth.kernels.watchdog import keep_begun
 
 # (needed, settle), in the order in which they act
 PARTS = (
@@ -71,7 +71,12 @@ def begin_settling(spec: ti.template(), state: ti.template()):
 
 @ti.func
 def _keep_begun(spec: ti.template(), state: ti.template(), t):
-    each_pack(spec, state, t, keep_begun)
+    each_pack(spec, state, t, _keep_pack)
+
+
+@ti.func
+def _keep_pack(spec: ti.template(), state: ti.template(), i):
+    keep(spec, state, i, "begun")
 
 
 @ti.func

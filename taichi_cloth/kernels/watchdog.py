@@ -7,12 +7,12 @@ Each frame begins with a checkpoint of the state, to which a frame that fails is
 
 import taichi as ti
 
+from taichi_cloth.kernels.copies import keep, return_to
 from taichi_cloth.kernels.loops import each_pack, each_pack_moving
 from taichi_cloth.kernels.packs import (
     component,
     dot,
     over_lanes,
-    read,
     slot_number,
     slot_value,
     write,
@@ -44,22 +44,9 @@ def checkpoint(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def _checkpoint_pack(spec: ti.template(), state: ti.template(), i):
-    write(spec, state.saved_x, i, read(spec, state.x, i))
-    write(spec, state.saved_v, i, read(spec, state.v, i))
-    if ti.static(spec.compensated):
-        write(spec, state.saved_x_low, i, read(spec, state.x_low, i))
-        write(spec, state.saved_v_low, i, read(spec, state.v_low, i))
+    keep(spec, state, i, "saved")
     if ti.static(spec.keeps_begun):
-        keep_begun(spec, state, i)
-
-
-@ti.func
-def keep_begun(spec: ti.template(), state: ti.template(), i):
-    """Keep where the next step begins for pack i, for contacts that end it (`settling.py`)."""
-    write(spec, state.begun_x, i, read(spec, state.x, i))
-    write(spec, state.begun_v, i, read(spec, state.v, i))
-    if ti.static(spec.compensated):
-        write(spec, state.begun_x_low, i, read(spec, state.x_low, i))
+        keep(spec, state, i, "begun")  # where the next step begins (`settling.py`)
 
 
 @ti.func
@@ -141,8 +128,4 @@ def restore(spec: ti.template(), state: ti.template()):
 
 @ti.func
 def _restore_pack(spec: ti.template(), state: ti.template(), i):
-    write(spec, state.x, i, read(spec, state.saved_x, i))
-    write(spec, state.v, i, read(spec, state.saved_v, i))
-    if ti.static(spec.compensated):
-        write(spec, state.x_low, i, read(spec, state.saved_x_low, i))
-        write(spec, state.v_low, i, read(spec, state.saved_v_low, i))
+    return_to(spec, state, i, "saved")

@@ -9,6 +9,7 @@ import taichi as ti
 
 from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
 from taichi_cloth.kernels.contact import store_held_by_walls, velocity_jump
+from taichi_cloth.kernels.copies import keep, return_to
 from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.loops import barrier
 from taichi_cloth.kernels.packs import (
@@ -63,19 +64,13 @@ def time_of_part(spec: ti.template(), state: ti.template()):
 @ti.func
 def return_to_start(spec: ti.template(), state: ti.template(), i):
     """Put pack i back to where the present part of the step began."""
-    write(spec, state.x, i, read(spec, state.old_x, i))
-    write(spec, state.v, i, read(spec, state.old_v, i))
-    if ti.static(spec.compensated):
-        write(spec, state.x_low, i, read(spec, state.old_x_low, i))
+    return_to(spec, state, i, "old")
 
 
 @ti.func
 def keep_start(spec: ti.template(), state: ti.template(), i):
     """Keep the state of pack i at the step's start, in old_x and old_v."""
-    write(spec, state.old_x, i, read(spec, state.x, i))
-    write(spec, state.old_v, i, read(spec, state.v, i))
-    if ti.static(spec.compensated):
-        write(spec, state.old_x_low, i, read(spec, state.x_low, i))
+    keep(spec, state, i, "old")
 
 
 @ti.func
