@@ -27,7 +27,7 @@ from taichi_cloth.kernels.obstacles.contract import (
     ROUND,
     SCALE,
 )
-from taichi_cloth.kernels.obstruction import ROUNDINGS, bounce, part_before, size_of
+from taichi_cloth.kernels.obstruction import ROUNDINGS, bounce, judge_look, part_before, size_of
 from taichi_cloth.kernels.packs import epsilon, slot_number, slot_value
 from taichi_cloth.kernels.poses import (
     END,
@@ -49,8 +49,6 @@ SETTLED = 1e-3  # of the room that a contact has: depth, and approach in a step,
 UNSETTLED = 0.5  # of that room: a depth that is counted
 LEAST_ROOM = 0.02  # of the longest side: the room of what has no radius
 MOST_LOOKS = 64  # along the path of a step
-LEAST_STEP = 0.25  # of a look, in parts of the room
-NEAR = 0.01  # distance, in the same parts, at which a path has met the obstacle
 
 # Columns of state.face: what was found for a triangle, then what it does to its corners.
 # HIT: 1, or 0: nothing; OFFSET: where along the normal its point is to be; TARGET: velocity there;
@@ -238,21 +236,16 @@ def _meet(spec: ti.template(), state: ti.template(), o, m):
         inward = n.dot(point_of(share, a1 - a0, b1 - b0, c1 - c0))
         if held == 1:
             gap, going = 0.0 * gap, False
-        elif looks == 0:
-            gap, gap_before, best_share, best_n = here, here, share, n
-            at, going = 0.0 * at, here <= slack or fast
         else:
-            if looks == 1:
+            if looks == 0:
+                gap, best_share, best_n = here, share, n
+            if looks <= 1:
                 gap_before = here
-            if not fast or (looks == 1 and here < -0.5 * room):
-                going = False
-            elif here <= NEAR * room + slack and inward < 0.0:
-                past = here + (1.0 - at) * inward
-                if past < 0.0:
-                    gap, best_share, best_n, met, going = past, share, n, at - here / inward, False
-            at += ti.max(here, LEAST_STEP * room, way / MOST_LOOKS) / way
-            if at >= 1.0 or looks > MOST_LOOKS:
-                going = False
+            found, past, meets_at, at, going = judge_look(
+                looks, at, here, inward, slack, 0.5 * room, room, fast, way, MOST_LOOKS
+            )
+            if found:
+                gap, best_share, best_n, met = past, share, n, meets_at
         looks += 1
     part = part_before(met, gap, gap_before)
     return gap, gap_before, part, best_share, to_world(spec, state, o, END, best_n), room, slack

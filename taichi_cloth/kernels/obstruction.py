@@ -235,24 +235,48 @@ def meet(spec: ti.template(), state: ti.template(), o, slot, d, radius, slack):
         here_d, here_n = signed_distance(spec, state, o, start + at * way)
         here = here_d - radius
         if looks == 0:
-            gap, n, gap_before = here, here_n, here
-            at, going = 0.0 * at, here <= slack or fast
-        else:
-            inward = here_n.dot(way)
-            if looks == 1:
-                gap_before = here
-            if not fast or (looks == 1 and here < -1.0 * slack):
-                going = False
-            elif here <= NEAR * thin + slack and inward < 0.0:
-                past = here + (1.0 - at) * inward
-                if past < 0.0:
-                    gap, n, met, going = past, here_n, at - here / inward, False
-            at += ti.max(here, LEAST_STEP * thin, length / MOST_LOOKS) / length
-            if at >= 1.0 or looks > MOST_LOOKS:
-                going = False
+            gap, n = here, here_n
+        if looks <= 1:
+            gap_before = here
+        found, past, meets_at, at, going = judge_look(
+            looks, at, here, here_n.dot(way), slack, slack, thin, fast, length, MOST_LOOKS
+        )
+        if found:
+            gap, n, met = past, here_n, meets_at
         looks += 1
     part = part_before(met, gap, gap_before)
     return gap, to_world(spec, state, o, END, n), gap_before, part
+
+
+@ti.func
+def judge_look(
+    looks, at, here, inward, slack, inside, thin, fast, length, most_looks: ti.template()
+):
+    """What a look at an obstacle on the path of a step says, and where to look next.
+
+    The first is at the step's end, the second at its start; further ones follow its path where it
+    is longer than the obstacle is thick (`fast`), until one meets the surface from outside.
+    looks: how many there were before; at: the part of the step at which this one is; here: the gap
+    there; inward: how fast the gap grows along the step; inside: how deep what starts is left as it
+    ends; thin: the length below which a path may pass through; length: of the step.
+
+    Returns whether the path meets the surface, the gap at the step's end to the plane that touches
+    it there, after which part of the step, where to look next, and whether to look again.
+    """
+    found, past, meets_at, next_at, going = False, here, at, 0.0 * at, True
+    if looks == 0:
+        going = here <= slack or fast
+    else:
+        if not fast or (looks == 1 and here < -1.0 * inside):
+            going = False
+        elif here <= NEAR * thin + slack and inward < 0.0:
+            past = here + (1.0 - at) * inward
+            if past < 0.0:
+                found, meets_at, going = True, at - here / inward, False
+        next_at = at + ti.max(here, LEAST_STEP * thin, length / most_looks) / length
+        if next_at >= 1.0 or looks > most_looks:
+            going = False
+    return found, past, meets_at, next_at, going
 
 
 @ti.func
