@@ -26,7 +26,9 @@ from taichi_cloth.scene.triangles import springs_of_sides
 STRETCH = 1.25  # of what triangles need at the start
 COMPRESSED = 0.7  # of its distance at the start, to which a pair of neighbours may come
 SKIN = 0.4  # of the smallest sphere's diameter, that is listed beyond the reach of pairs
-PATCH, MOST_PATCHES = 16, 256  # particles of a patch; about as many patches, of more particles
+PATCH = 16  # particles of a patch, at least
+# About as many patches at most, or twice the root of the particles: each two are compared in a step
+FEW_PATCHES, MOST_PATCHES = 256, 2048
 MOST_PAIRS = 20_000_000  # that start nearer than their spheres are wide
 
 
@@ -145,7 +147,8 @@ def _patches(position: np.ndarray, size: np.ndarray, part: np.ndarray) -> dict[s
             code |= (cell[:, axis] >> bit & 1) << (3 * bit + axis)
     order = np.lexsort((code, part))
     inside, outside = order[size[order] >= 0], order[size[order] < 0]
-    length = max(PATCH, -(-len(inside) // MOST_PATCHES))
+    patches = min(max(FEW_PATCHES, 2 * int(np.sqrt(len(inside)))), MOST_PATCHES)
+    length = max(PATCH, -(-len(inside) // patches))
     cloth = np.flatnonzero(np.diff(part[inside], prepend=-2))
     ends = [np.arange(a, b, length) for a, b in zip(cloth, [*cloth[1:], len(inside)], strict=True)]
     return {
