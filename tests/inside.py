@@ -3,6 +3,7 @@
 Kernels are tested on a state that a simulation has loaded, because only it lays particles out.
 """
 
+import math
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -67,6 +68,8 @@ def lose_patience(monkeypatch, sim):
     """Let threads of a simulation look slower than one alone, at once."""
     monkeypatch.setattr(autotune.Watch, "PATIENCE", 0.0)
     monkeypatch.setattr(autotune.Watch, "SLOWER", 0.0)
+    monkeypatch.setattr(autotune.Watch, "OWN", math.inf)
+    monkeypatch.setattr(autotune.Watch, "REGRET", -math.inf)
     choice = sim._watch.choice
     costs = {"serial": Cost(1.0, 1.0), "parallel": Cost(0.5, 0.5)}
     sim._watch = autotune.Watch(replace(choice, costs=costs), sim.substeps)

@@ -105,7 +105,7 @@ def test_what_a_run_with_substeps_cost_does_not_mislead_one_without(empty_cache)
         "lanes parallel": Cost(100e-6, 0.5e-6),
     }.items():
         watch = Watch(Choice(*way.split(), False, {}), substeps=400)
-        watch.lost(1.0, 400)  # compiles
+        watch.lost(1.0, 400, 1.0)  # compiles
         told = [watch.enough(cost.of(400) * (1 + 0.1 * k), 400) for k in range(Watch.ENOUGH)]
         assert told == [False] * (Watch.ENOUGH - 1) + [True]
         measured = watch.cost(cost.launch)
@@ -121,7 +121,7 @@ def test_what_a_run_with_substeps_cost_does_not_mislead_one_without(empty_cache)
 def test_nothing_is_said_of_steps_that_hide_in_a_launch(launch):
     """As nearly free, they would keep a scene from lanes that gain at 64 substeps."""
     watch = Watch(Choice("graph", "serial", False, {}), substeps=1)
-    watch.lost(1.0, 1)  # compiles
+    watch.lost(1.0, 1, 1.0)  # compiles
     for _ in range(Watch.ENOUGH):
         watch.enough(42e-6, 1)
     assert watch.cost(launch) is None
@@ -190,16 +190,39 @@ def test_of_ways_that_are_about_as_fast_the_one_that_starts_soonest_is_chosen():
 def parallel_watch(forced):
     costs = {"serial": Cost(0.0, 1.6e-3), "parallel": Cost(0.0, 1e-3)}
     watch = Watch(Choice("lanes", "parallel", forced, costs), substeps=1)
-    watch.lost(9.0, 1)  # compiles
+    watch.lost(2.0, 1, 0.5)  # compiles
     return watch
+
+
+def launches(watch, seconds, count, had):
+    """How many launches of a step there were when one thread was found to do better, or None."""
+    return next((k for k in range(count) if watch.lost(seconds, 1, had)), None)
 
 
 def test_threads_lose_where_they_are_slower_than_one_would_be():
     watch = parallel_watch(False)
-    assert not any(watch.lost(1.3e-3, 1) for _ in range(1000))  # a little disturbed
-    assert any(watch.lost(5.5e-3, 1) for _ in range(200))
+    assert launches(watch, 1.3e-3, 1000, 0.8) is None  # a little disturbed
+    lost_a_step = 5.5e-3 - 1.6 * 1.3e-3
+    # As much as it took to compile, and what is looked at together.
+    assert 0 <= launches(watch, 5.5e-3, 2000, 0.6) - 2.0 / lost_a_step <= 2 * 0.3 / 5.5e-3
     assert watch.alone == pytest.approx(1.6 * 1.3e-3)
-    assert watch.together > 1.25 * watch.alone
+    assert watch.together == pytest.approx(5.5e-3)
+
+
+def test_threads_that_have_more_to_do_do_not_lose():
+    """Such as contacts after a free fall, where all cores are theirs as they were before."""
+    watch = parallel_watch(False)
+    assert launches(watch, 1e-3, 1000, 1.0) is None
+    assert launches(watch, 9e-3, 1000, 0.97) is None
+    assert launches(watch, 18e-3, 1000, 0.7) is None  # alone it would be 14.4 ms: 1.25 times
+    assert launches(watch, 20e-3, 3000, 0.7) is not None
+    assert watch.alone == pytest.approx(1.6 * 9e-3)
+
+
+def test_threads_that_were_asked_for_are_said_to_wait_at_once():
+    watch = parallel_watch(True)
+    assert launches(watch, 1e-3, 400, 1.0) is None
+    assert launches(watch, 4e-3, 200, 0.6) is not None
 
 
 @pytest.mark.parametrize("topology", mostly_thorough(["lanes", "graph"], default=["graph"]))

@@ -146,7 +146,13 @@ class Watch:
     """What the launches of a run cost, and whether all threads together are slower than one alone.
 
     They wait for each other several times a step, so where other programs want the cores they may
-    be. Both paths give the same bits, so a run may change over.
+    be. Both paths give the same bits, so a run may change over. But the other way may have to be
+    compiled, so it does once it has lost as much time as it took to compile this one: whatever
+    comes then, it has lost at most twice what was needed (Karlin et al., Algorithmica 3, 1988).
+
+    Steps also take longer because there is more to do, such as contacts, and then threads have
+    their cores all the same. What they cost while they have them, is what one thread is compared
+    with.
 
     choice: how it is run; substeps: of a frame.
     alone, together: once threads only wait, seconds a step on one, as estimated, and on all.
@@ -155,6 +161,8 @@ class Watch:
     ENOUGH = 20  # launches from which the cost of one is told
     PATIENCE = 0.3  # seconds that are looked at together
     SLOWER = 1.25  # times slower than alone
+    OWN = 0.93  # part of the processor's time from which on threads have their cores for themselves
+    REGRET = 1.0  # times what compiling took: time that is lost before a run changes over
 
     def __init__(self, choice: Choice, substeps: int) -> None:
         self.choice = choice
@@ -164,7 +172,9 @@ class Watch:
             self._gain = costs["serial"].of(substeps) / costs["parallel"].of(substeps)
         self._compiled = False  # the first launch compiles, and does not count
         self._launches: list[tuple[float, int]] = []
-        self._seconds, self._steps, self._least = 0.0, 0, math.inf
+        self._seconds, self._steps, self._processor = 0.0, 0, 0.0
+        self._undisturbed, self._least = math.inf, math.inf  # seconds a step
+        self._compiling = self._lost = 0.0  # seconds
         self.alone = self.together = 0.0
 
     def enough(self, seconds: float, steps: int) -> bool:
@@ -183,24 +193,35 @@ class Watch:
         seconds, steps = min(self._launches, key=lambda noted: noted[0] / noted[1])
         return Cost(launch, (seconds - launch) / steps) if seconds >= 2 * launch else None
 
-    def lost(self, seconds: float, steps: int) -> bool:
+    def lost(self, seconds: float, steps: int, had: float) -> bool:
         """Note a launch of so many steps; True when one thread would do better.
 
-        How fast one would be, the least disturbed launch shows.
+        had: the part of the processor's time on their cores that threads had meanwhile.
+
+        How fast one would be, show the last launches in which they had their cores; where there
+        were none yet, the least disturbed one.
         """
         if not self._compiled:
-            self._compiled = True
+            self._compiled, self._compiling = True, seconds
             return False
         self._seconds, self._steps = self._seconds + seconds, self._steps + steps
+        self._processor += had * seconds
         self._least = min(self._least, seconds / steps)
         if self._seconds < self.PATIENCE:
             return False
-        alone, together = self._gain * self._least, self._seconds / self._steps
-        self._seconds, self._steps = 0.0, 0
+        together, passed, had = self._seconds / self._steps, self._steps, self._processor
+        own = had >= self.OWN * self._seconds
+        self._seconds, self._steps, self._processor = 0.0, 0, 0.0
+        if own:
+            self._undisturbed = together
+            return False
+        known = math.isfinite(self._undisturbed)
+        alone = self._gain * (self._undisturbed if known else self._least)
         if together <= self.SLOWER * alone:
             return False
         self.alone, self.together = alone, together
-        return True
+        self._lost += (together - alone) * passed
+        return self.choice.forced or self._lost >= self.REGRET * self._compiling
 
 
 # --- the cache file ----------------------------------------------------------------------------

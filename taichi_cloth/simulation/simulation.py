@@ -178,10 +178,13 @@ class Simulation(Readings, Changes):
 
     def _advance_together(self, frames: int) -> int:
         """Advance frames that share a launch, and return how many passed the watchdog."""
-        begin = time.perf_counter()
+        begin, of_threads = time.perf_counter(), time.process_time()
         passed = self._launch_frames(frames)
         if self._watch:
-            self._heed(self._watch, time.perf_counter() - begin, frames * self.substeps)
+            seconds = time.perf_counter() - begin
+            wanted = seconds * self.storage.specialization.threads
+            had = (time.process_time() - of_threads) / wanted
+            self._heed(self._watch, seconds, frames * self.substeps, had)
         return passed
 
     def _launch_frames(self, frames: int) -> int:
@@ -191,9 +194,10 @@ class Simulation(Readings, Changes):
         self._work += self.storage.take_work()
         return passed
 
-    def _heed(self, watch: autotune.Watch, seconds: float, steps: int) -> None:
+    def _heed(self, watch: autotune.Watch, seconds: float, steps: int, had: float) -> None:
         """Note a launch; remember what it costs, and change over where threads only wait.
 
+        had: the part of the processor's time on their cores that threads had meanwhile.
         A path that was asked for is kept, and `held_up` says so.
         """
         if watch.enough(seconds, steps) and "auto" in self._requested:
@@ -201,7 +205,7 @@ class Simulation(Readings, Changes):
             if cost:
                 way = f"{self.topology} {self.execution}"
                 autotune.remember(self._prediction().key, way, cost)
-        if not watch.lost(seconds, steps):
+        if not watch.lost(seconds, steps, had):
             return
         if watch.choice.forced:
             self.held_up = watch.alone * self.substeps, watch.together * self.substeps
