@@ -11,7 +11,18 @@ import ast
 from pathlib import Path
 
 # In the order in which they run.
-PARTS = ("warp", "structural", "meshes", "lanes", "seed", "newton", "scaling", "contacts", "gpu")
+PARTS = (
+    "warp",
+    "structural",
+    "meshes",
+    "lanes",
+    "seed",
+    "newton",
+    "scaling",
+    "contacts",
+    "draping",
+    "gpu",
+)
 
 
 def summary(part: str) -> str:

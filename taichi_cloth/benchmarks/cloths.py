@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from taichi_cloth.files.meshes.surface import Surface
-from taichi_cloth.scene.cloth import grid_triangles
+from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.library import build
+from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.mesh import stiffness_by_shape
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.scene.obstacles import Obstacle
 
 # The scene `warp` as Warp's benchmark takes it (warp/examples/benchmarks/benchmark_cloth.py).
 WARP = "taichi_cloth.scene.library.warp:scene"
@@ -49,6 +52,50 @@ def structural(columns: int, rows: int) -> Scene:
             stiffness=springs.stiffness,
             rest_length=springs.rest_length,
         ),
+    )
+
+
+def draping(side: int, upright: bool = False) -> Scene:
+    """A sheet of 1 m with a thickness, `side` x `side`, that eight steps of 1/480 s can take.
+
+    It falls onto a sphere, or upright onto the ground, where it crumples. Gravity falls with the
+    square of `side`, as its stiffness does, so that it stretches as much at every size.
+    """
+    spacing, finer = 1.0 / (side - 1), (128 / side) ** 2
+    material = Material(
+        density=3.0, thickness=0.004, stretch=12 * finer, shear=2 * finer, damping_time=4e-4
+    )
+    particles, springs = grid(
+        (1.0, 0.75, -0.5),
+        side,
+        side,
+        spacing,
+        links=("structural", "shear"),
+        across=(1.0, 0.0, 0.0),
+        down=(0.0, 0.0, 1.0),
+        material=material,
+    )
+    jitter = np.random.default_rng(1).uniform(-1e-3, 1e-3, particles.position.shape) * spacing
+    position = particles.position + jitter
+    if upright:
+        height = position[:, 2] + 0.5
+        position[:, 1], position[:, 2] = 0.05 + height, 0.02 * np.sin(9 * height)
+    sphere = Obstacle.build("sphere", centre=[1.5, 0.4, 0.0], radius=0.25, friction=0.3)
+    return Scene(
+        name="draping",
+        world=World(
+            size=(3.0, 3.0, 3.0),
+            gravity=(0.0, -1.5 * finer, 0.0),
+            dt=1 / 60,
+            ground=0.0,
+            friction=0.3,
+            up="y",
+            contact="resting",
+        ),
+        particles=replace(particles, position=position),
+        springs=springs,
+        triangles=grid_triangles(side, side),
+        obstacles=() if upright else (sphere,),
     )
 
 

@@ -34,7 +34,8 @@ class Ours:
     """A unit of work is a frame.
 
     scene: "module:function" and its arguments. batch: frames in one call, None for all of a
-    round's. The other arguments are `Simulation`'s and `runtime.start`'s.
+    round's. after: frames before the first round. The other arguments are `Simulation`'s and
+    `runtime.start`'s.
     """
 
     def __init__(
@@ -44,10 +45,12 @@ class Ours:
         threads: int | None = None,
         arch: str = "cpu",
         batch: int | None = None,
+        after: int = 0,
         **settings: Any,
     ):
         device = started(arch, precision, threads)
         self.sim = Simulation(scene_of(*scene), **settings)
+        self.sim.advance(after)
         self.batch = batch
         serial = self.sim.execution == "serial"
         self.about = {
