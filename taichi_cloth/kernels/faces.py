@@ -242,7 +242,7 @@ def _meet(spec: ti.template(), state: ti.template(), o, m):
             if looks <= 1:
                 gap_before = here
             found, past, meets_at, at, going = judge_look(
-                looks, at, here, inward, slack, 0.5 * room, room, fast, way, MOST_LOOKS
+                looks, at, here, inward, slack, slack, 0.5 * room, room, fast, way, MOST_LOOKS
             )
             if found:
                 gap, best_share, best_n, met = past, share, n, meets_at

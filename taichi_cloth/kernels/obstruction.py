@@ -122,8 +122,14 @@ def obstructed(
     surface_v = velocity_at(spec, state, o, d - gap * n)  # where the particle's middle will be
     relative = v - surface_v + v_low
     u = relative.dot(n)
-    if gap <= slack and (gap < 0.0 or u < 0.0):
-        push, weight = ti.max(-1.0 * gap, 0.0), ti.static(state.position_weight) * dt
+    touches, push = gap <= slack and (gap < 0.0 or u < 0.0), ti.max(-1.0 * gap, 0.0)
+    if ti.static(state.position_weight == 0.0):
+        # Its positions follow the velocity that a step begins with, so that what lies on a round
+        # surface leaves it along the tangent; its new velocity shows whether it stays.
+        if u < 0.0 and gap > slack and gap_before <= slack and gap + dt * u <= slack:
+            touches, push = True, -1.0 * gap
+    if touches:
+        weight = ti.static(state.position_weight) * dt
         new_u = ti.max(u, 0.0)
         e = state.obstacle_numbers[o, RESTITUTION]
         if e < 0.0:
@@ -238,8 +244,11 @@ def meet(spec: ti.template(), state: ti.template(), o, slot, d, radius, slack):
             gap, n = here, here_n
         if looks <= 1:
             gap_before = here
+        near = slack
+        if ti.static(state.position_weight == 0.0):
+            near += length  # see `obstructed`
         found, past, meets_at, at, going = judge_look(
-            looks, at, here, here_n.dot(way), slack, slack, thin, fast, length, MOST_LOOKS
+            looks, at, here, here_n.dot(way), near, slack, slack, thin, fast, length, MOST_LOOKS
         )
         if found:
             gap, n, met = past, here_n, meets_at
@@ -250,22 +259,23 @@ def meet(spec: ti.template(), state: ti.template(), o, slot, d, radius, slack):
 
 @ti.func
 def judge_look(
-    looks, at, here, inward, slack, inside, thin, fast, length, most_looks: ti.template()
+    looks, at, here, inward, near, slack, inside, thin, fast, length, most_looks: ti.template()
 ):
     """What a look at an obstacle on the path of a step says, and where to look next.
 
     The first is at the step's end, the second at its start; further ones follow its path where it
     is longer than the obstacle is thick (`fast`), until one meets the surface from outside.
     looks: how many there were before; at: the part of the step at which this one is; here: the gap
-    there; inward: how fast the gap grows along the step; inside: how deep what starts is left as it
-    ends; thin: the length below which a path may pass through; length: of the step.
+    there; inward: how fast the gap grows along the step; near: the gap at its end up to which its
+    start is looked at; slack: what is rounding; inside: how deep what starts is left as it ends;
+    thin: the length below which a path may pass through; length: of the step.
 
     Returns whether the path meets the surface, the gap at the step's end to the plane that touches
     it there, after which part of the step, where to look next, and whether to look again.
     """
     found, past, meets_at, next_at, going = False, here, at, 0.0 * at, True
     if looks == 0:
-        going = here <= slack or fast
+        going = here <= near or fast
     else:
         if not fast or (looks == 1 and here < -1.0 * inside):
             going = False
