@@ -20,6 +20,7 @@ import taichi as ti
 from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.compensated import joined, owed_at, put_at
 from taichi_cloth.kernels.loops import each_pack_moving
+from taichi_cloth.kernels.obstacles import load
 from taichi_cloth.kernels.obstacles.contract import BOUND, FRICTION, RESTITUTION, SCALE, THIN
 from taichi_cloth.kernels.packs import (
     epsilon,
@@ -66,24 +67,32 @@ def _settle_pack(spec: ti.template(), state: ti.template(), i):
             _settle_particle(spec, state, slot)
 
 
+def _are_convex(shapes):
+    """Whether what was put onto the surface of any of these shapes is nowhere past it."""
+    return all(load(shape).convex for shape in shapes)
+
+
 @ti.func
 def _settle_particle(spec: ti.template(), state: ti.template(), slot):
     """Run all obstacles on the particle at a slot, until none changes it."""
     x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)
     x_low, v_low = owed_at(spec, state, slot)
     radius = slot_number(spec, state.radius, slot)
-    touched, changing, steady = 0, 1, 1
+    touched, changing, steady, last = 0, 1, 1, -1
     for _ in range(ROUNDS):
         if changing == 1:
             changing = 0
             for o in range(state.n_obstacles[None]):
-                if is_near(spec, state, o, slot, x, radius):
+                # The one that it was just put onto has nothing to say before another one has.
+                if o != last and is_near(spec, state, o, slot, x, radius):
                     new_x, new_x_low, new_v, new_v_low, changed, steady = obstructed(
                         spec, state, o, slot, x, x_low, v, v_low, radius, steady
                     )
                     if changed == 1:
                         x, x_low, v, v_low = new_x, new_x_low, new_v, new_v_low
                         changing, touched = 1, 1
+                        if ti.static(_are_convex(spec.obstacles)):
+                            last = o
     if touched == 1:
         put_at(spec, state, slot, x, x_low, v, v_low)
         note_fault(spec, state, slot)

@@ -93,6 +93,7 @@ SHAPE = Shape(
         Key("turn", TURN, "of its axes, at time 0", "degrees", None),
     ),
     dims=(2, 3),
+    convex=True,
     refusal=refusal,
     place=place,
     distance=distance,

@@ -70,6 +70,7 @@ SHAPE = Shape(
         Key("radius", NUMBER, "around that line", "length", above=0.0),
     ),
     dims=(2, 3),
+    convex=True,
     refusal=refusal,
     place=place,
     distance=distance,

@@ -93,7 +93,8 @@ Values = Mapping[str, Any]
 class Shape:
     """The declaration of a shape.
 
-    keys: its own keys of scene files. dims: the dimensions of worlds that can have it.
+    keys: its own keys of scene files. dims: the dimensions of worlds that can have it. convex:
+        whether what was put onto its surface is nowhere past it.
     refusal(values): what is wrong with values whose types are right, as (key, words), or None.
     place(values, dim, margin): a `Placed`; margin: the largest radius of a particle [length].
     distance(spec, state, o, q): a ti.func: distance of the surface of obstacle o from the local
@@ -107,6 +108,7 @@ class Shape:
 
     keys: tuple[Key, ...]
     dims: tuple[int, ...]
+    convex: bool
     refusal: Callable[[Values], tuple[str, str] | None]
     place: Callable[[Values, int, float], Placed]
     distance: Callable[..., Any]
@@ -121,7 +123,9 @@ class Shape:
                 raise ValueError(f"key {key.name}: {key.kind!r} is none of {', '.join(KINDS)}")
         if not self.dims or not set(self.dims) <= {2, 3}:
             raise ValueError(f"dims is {self.dims}; a world has 2 or 3")
-        for part in fields(self)[2:]:
+        if not isinstance(self.convex, bool):
+            raise ValueError("convex must be True or False")
+        for part in fields(self)[3:]:
             if not callable(getattr(self, part.name)):
                 raise ValueError(f"{part.name} must be a function")
 

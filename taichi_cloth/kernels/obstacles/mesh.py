@@ -310,6 +310,7 @@ SHAPE = Shape(
         Key("cell", NUMBER, "width of the grid's cells", "length", None, above=0.0),
     ),
     dims=(3,),
+    convex=False,
     refusal=refusal,
     place=place,
     distance=distance,

@@ -54,6 +54,7 @@ SHAPE = Shape(
         Key("normal", DIRECTION, "points to the free side", "1"),
     ),
     dims=(2, 3),
+    convex=True,
     refusal=lambda values: None,
     place=place,
     distance=distance,

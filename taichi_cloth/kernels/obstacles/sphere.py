@@ -50,6 +50,7 @@ SHAPE = Shape(
         Key("radius", NUMBER, "of the ball", "length", above=0.0),
     ),
     dims=(2, 3),
+    convex=True,
     refusal=lambda values: None,
     place=place,
     distance=distance,
