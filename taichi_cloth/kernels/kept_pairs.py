@@ -197,12 +197,42 @@ def _list_of_patch(spec: ti.template(), state: ti.template(), at, b, drift, skin
     for block in range(blocks_of(state, b)):
         first, end = block_of(state, b, block)
         if block_is_near(state, b, first, x, radius + state.largest_radius[None] + skin):
-            for other in range(first, end):
-                d = vector(spec, state.listed_x, other) - x
-                d2 = d.dot(d)
-                reach = radius + sorted_radius(spec, state, other)
-                if _within(d2, reach + skin) & (other != at):
-                    _list_pair(state, at, other, reach, d2, d2, skin)
+            # First without branches, which are mostly guessed wrong here.
+            hits = 0
+            for k in range(end - first):
+                d2 = _anchor_apart2(spec, state, first + k, x)
+                reach = radius + sorted_radius(spec, state, first + k) + skin
+                hits |= ti.cast(d2 <= reach * reach, ti.i32) << k
+            if hits != 0:
+                hits &= ~_list_closer(spec, state, at, first, end, x, skin)
+                for k in range(end - first):
+                    if ((hits >> k) & 1) & ti.cast(first + k != at, ti.i32):
+                        _put(state, at, first + k, 0)
+
+
+@ti.func
+def _anchor_apart2(spec: ti.template(), state: ti.template(), at, x):
+    """The square of the distance of an anchor from x."""
+    d2 = ti.cast(0.0, state.real)
+    for axis in ti.static(range(3)):
+        d = state.listed_x[at, axis] - x[axis]
+        d2 += d * d
+    return d2
+
+
+@ti.func
+def _list_closer(spec: ti.template(), state: ti.template(), at, first, end, x, skin):
+    """List the pairs of a particle that keep less than the sum of their radii, with those of a
+    block; a bit for each particle of the block that is in such a pair."""
+    closer, start = 0, state.closer_start[at]
+    for row in range(start, state.closer_start[at + 1]):
+        other = state.closer_other[row]
+        if (other >= first) & (other < end):
+            closer |= 1 << (other - first)
+            reach = state.closer_reach[row] + CLOSER_SKIN * skin
+            if _anchor_apart2(spec, state, other, x) <= reach * reach:
+                _put(state, at, other, ti.min(row - start + 1, LATER))
+    return closer
 
 
 # --- both ------------------------------------------------------------------------------------
@@ -222,13 +252,21 @@ def _list_pair(state: ti.template(), at, other, reach, d2, way2, skin):
             there = _within(d2, mine + CLOSER_SKIN * skin)
             there |= _within(way2, (1.0 + CLOTH_MARGIN) * mine)
         if there:
-            count = state.kept_count[at]
-            if count < MOST_KEPT:
-                place = 0
-                if row >= 0:
-                    place = ti.min(row - state.closer_start[at] + 1, LATER)
-                state.kept[at, count] = (other << CODE_BITS) + place
-            state.kept_count[at] = count + 1
+            _put(
+                state,
+                at,
+                other,
+                ti.select(row < 0, 0, ti.min(row - state.closer_start[at] + 1, LATER)),
+            )
+
+
+@ti.func
+def _put(state: ti.template(), at, other, place):
+    """Put a pair into the list of the particle at a place, and count it, also where it is full."""
+    count = state.kept_count[at]
+    if count < MOST_KEPT:
+        state.kept[at, count] = (other << CODE_BITS) + place
+    state.kept_count[at] = count + 1
 
 
 @ti.func
