@@ -9,14 +9,8 @@ from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene import library
 from taichi_cloth.scene.source import DEFAULT_SCENE, SceneSource, names_file
 from taichi_cloth.settings.arguments import CommandParser, value_of
-from taichi_cloth.settings.options import (
-    ASSIGNMENT,
-    AnyOptions,
-    Parameter,
-    RunOptions,
-    flag,
-    parameters_of,
-)
+from taichi_cloth.settings.options import ASSIGNMENT, AnyOptions, RunOptions, flag, parameters_of
+from taichi_cloth.settings.parameters import Parameter
 
 if TYPE_CHECKING:
     from taichi_cloth.scene.assignments import Assignment

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from taichi_cloth.errors import InputError, clipped, nearest
-from taichi_cloth.settings.options import PROGRAM, Parameter, flag
+from taichi_cloth.settings.options import PROGRAM, flag
+from taichi_cloth.settings.parameters import Parameter
 
 NARROWEST, WIDEST = 40, 120  # columns of help texts
 USAGE = "usage: "  # what argparse begins a help text with

@@ -22,7 +22,8 @@ from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.penetration import touches
 from taichi_cloth.scene.solids import solids
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.options import PROGRAM, TuneOptions, number_of
+from taichi_cloth.settings.options import PROGRAM, TuneOptions
+from taichi_cloth.settings.parameters import number_of
 from taichi_cloth.trade import command, rows
 from taichi_cloth.trade.rows import Row
 from taichi_cloth.trade.settings import Setting

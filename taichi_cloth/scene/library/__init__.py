@@ -22,7 +22,7 @@ from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings import accepted
-from taichi_cloth.settings.options import Parameter
+from taichi_cloth.settings.parameters import Parameter
 
 
 def names() -> list[str]:

@@ -13,7 +13,7 @@ from taichi_cloth.scene.model import (
     World,
 )
 from taichi_cloth.scene.scatter import scattered
-from taichi_cloth.settings.options import Parameter
+from taichi_cloth.settings.parameters import Parameter
 
 
 def scene(

@@ -16,7 +16,7 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
-from taichi_cloth.settings.options import Parameter
+from taichi_cloth.settings.parameters import Parameter
 
 LEFT, MIDDLE = 50.0, 100.0  # x of the first fixed end, y of the chain
 LENGTH = 500.0  # between the two fixed ends

@@ -17,7 +17,7 @@ from typing import Annotated
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.model import ParticleDefaults, Scene, SpringDefaults, World
-from taichi_cloth.settings.options import Parameter
+from taichi_cloth.settings.parameters import Parameter
 
 LEFT, TOP = 100.0, 20.0  # where the first particle hangs
 WHITE = (255, 255, 255)

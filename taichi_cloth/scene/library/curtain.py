@@ -15,7 +15,7 @@ from taichi_cloth.scene.cloth import grid, grid_stencils, grid_triangles
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import ParticleDefaults, Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
-from taichi_cloth.settings.options import Parameter
+from taichi_cloth.settings.parameters import Parameter
 
 FRAME = "auto"
 WIDTH, TOP, FULLNESS = 1.8, 2.4, 1.5  # of the rail; its height [m]; cloth a width of rail

@@ -11,7 +11,7 @@ from taichi_cloth.scene.cloth import grid, grid_stencils, grid_triangles
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
-from taichi_cloth.settings.options import Parameter
+from taichi_cloth.settings.parameters import Parameter
 
 FRAME = "auto"
 WIDTH, RADIUS = 1.6, 0.3  # of the cloth; of the sphere [m]

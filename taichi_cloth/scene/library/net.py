@@ -14,7 +14,7 @@ import numpy as np
 from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import ParticleDefaults, Scene, World
-from taichi_cloth.settings.options import Parameter
+from taichi_cloth.settings.parameters import Parameter
 
 FRAME = "auto"
 WIDTH, HEIGHT = 12.8, 5.0  # of the net; at which it hangs [m]

@@ -14,7 +14,7 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
-from taichi_cloth.settings.options import Parameter
+from taichi_cloth.settings.parameters import Parameter
 
 ANCHOR = (100.0, 100.0)
 REST_LENGTH = 150.0

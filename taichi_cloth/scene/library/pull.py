@@ -15,7 +15,7 @@ from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.scatter import jittered
-from taichi_cloth.settings.options import Parameter
+from taichi_cloth.settings.parameters import Parameter
 
 FRAME = "auto"
 TABLE, TOP, DEEP = (0.4, 1.4), 0.72, 0.38  # from left to right; its top; half its depth [m]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from taichi_cloth.scene.model import ParticleDefaults, Particles, Scene, SpringDefaults, World
 from taichi_cloth.scene.scatter import scattered
-from taichi_cloth.settings.options import Parameter
+from taichi_cloth.settings.parameters import Parameter
 
 
 def scene(

@@ -12,7 +12,7 @@ from typing import Annotated
 from taichi_cloth.files import meshes
 from taichi_cloth.scene import hanging, scenefile
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.settings.options import Parameter
+from taichi_cloth.settings.parameters import Parameter
 
 FILE = Path(__file__).with_name("shirt.obj")
 FRAME = "auto"

@@ -15,7 +15,7 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
-from taichi_cloth.settings.options import Parameter
+from taichi_cloth.settings.parameters import Parameter
 
 MASS = 1.0
 # The fastest oscillation of a chain has frequency 2 sqrt(k/m) = 1, half of the 2/dt at which

@@ -12,7 +12,7 @@ from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.scene.scatter import jittered
 from taichi_cloth.scene.stencils import Stencils
-from taichi_cloth.settings.options import Parameter
+from taichi_cloth.settings.parameters import Parameter
 
 FRAME = "auto"
 WIDTH, THICKNESS, APART = 0.5, 0.01, 0.1  # of the sheets; from one to the next at the start [m]

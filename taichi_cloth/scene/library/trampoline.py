@@ -10,7 +10,7 @@ import numpy as np
 from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import Particles, Scene, World
-from taichi_cloth.settings.options import Parameter
+from taichi_cloth.settings.parameters import Parameter
 
 FRAME = "auto"
 WIDTH, HEIGHT, RIM = 4.0, 1.6, 0.1  # of the net; at which it hangs; width of its rim [m]

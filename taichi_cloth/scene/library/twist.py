@@ -12,7 +12,7 @@ from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.scatter import jittered
-from taichi_cloth.settings.options import Parameter
+from taichi_cloth.settings.parameters import Parameter
 
 FRAME = "auto"
 LENGTH, WIDTH, THICKNESS, HEIGHT = 1.6, 0.2, 0.006, 0.5  # of the strip; of its middle [m]

@@ -14,7 +14,7 @@ import numpy as np
 
 from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.model import ParticleDefaults, Scene, SpringDefaults, World
-from taichi_cloth.settings.options import Parameter
+from taichi_cloth.settings.parameters import Parameter
 
 FRAME = "auto"
 SPACING, MASS, STIFFNESS, DAMPING = 0.1, 0.1, 1000.0, 10.0
