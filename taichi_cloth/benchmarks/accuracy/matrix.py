@@ -108,8 +108,8 @@ restitution = 0.3
 RELATIVE = 4  # the scenes' steps are so many times those of the coarsest reference
 LANES = 2  # particles in a pack: few compile much sooner, and what they hold is the same
 FINER = 4  # steps of the reference in one of the coarsest
-PATIENCE = 60.0  # seconds of the processor that a cell may take, nearly all of them to compile
-BUDGET = 150.0  # those that a scene may take before its last cell
+PATIENCE = 300.0  # seconds of the processor that a cell may take, nearly all of them to compile
+BUDGET = 3600.0  # those that a scene may take before its last cell
 
 
 def built(name: str) -> Scene:
