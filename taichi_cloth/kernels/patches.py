@@ -103,33 +103,25 @@ def block_of(state: ti.template(), a, block):
 
 @ti.func
 def _box_of_block(a, first):
-    """The row of state.block_box of the block of a patch that begins at the place `first`: patches
-    are not whole blocks, so each has one more than places say."""
+    """The row of state.block_box of the block of a patch that begins at the place `first`."""
+    # Patches are not whole blocks, so each has one row more than places say.
     return first // BLOCK + a
 
 
 @ti.func
 def block_is_near(state: ti.template(), a, first, x, reach):
     """Whether anchors in the block of a patch that begins at `first` may be within reach of x."""
-    row, apart2 = _box_of_block(a, first), ti.cast(0.0, state.real)
-    for axis in ti.static(range(3)):
-        low, high = state.block_box[row, axis], state.block_box[row, ti.static(3 + axis)]
-        gap = ti.max(low - x[axis], x[axis] - high, 0.0)
-        apart2 += gap * gap
-    return apart2 <= reach * reach
+    low, high = _block_box(state, a, first)
+    return _shortest2(low - x, high - x) <= reach * reach
 
 
 @ti.func
 def block_is_near_patch(state: ti.template(), a, first, b, drift, reach):
     """Whether anchors in a block of a patch may be within reach of those of b, with their drift."""
-    row, apart2 = _box_of_block(a, first), ti.cast(0.0, state.real)
-    for axis in ti.static(range(3)):
-        low = state.block_box[row, axis] - drift[axis]
-        high = state.block_box[row, ti.static(3 + axis)] - drift[axis]
-        gap = state.box[b, ti.static(6 * LISTED + axis)] - high
-        gap = ti.max(gap, low - state.box[b, ti.static(6 * LISTED + 3 + axis)], 0.0)
-        apart2 += gap * gap
-    return apart2 <= reach * reach
+    low, high = _block_box(state, a, first)
+    patch_low = ti.Vector([state.box[b, 6 * LISTED + axis] for axis in range(3)])
+    patch_high = ti.Vector([state.box[b, 6 * LISTED + 3 + axis] for axis in range(3)])
+    return _shortest2(patch_low - (high - drift), patch_high - (low - drift)) <= reach * reach
 
 
 @ti.func
@@ -182,15 +174,27 @@ def _longest2(low, high):
 
 
 @ti.func
+def _shortest2(low, high):
+    """The square of the shortest vector in a box."""
+    shortest = ti.max(low, -1.0 * high, 0.0)
+    return shortest.dot(shortest)
+
+
+@ti.func
+def _block_box(state: ti.template(), a, first):
+    """The low and high corners of the box around the block of a patch that begins at `first`."""
+    row = _box_of_block(a, first)
+    low = ti.Vector([state.block_box[row, axis] for axis in range(3)])
+    high = ti.Vector([state.block_box[row, 3 + axis] for axis in range(3)])
+    return low, high
+
+
+@ti.func
 def are_near(state: ti.template(), a, b, reach):
     """Whether anchors of two patches, with their drift, may be within `reach` of each other."""
     low, high = _differences(state, a, b, ti.static(LISTED))
-    total = ti.cast(0.0, state.real)
-    for axis in ti.static(range(3)):
-        drift = state.drift[of_two(state, a, b), axis]
-        gap = ti.max(low[axis] + drift, -1.0 * (high[axis] + drift), 0.0)
-        total += gap * gap
-    return not (total >= reach * reach)
+    drift = ti.Vector([state.drift[of_two(state, a, b), axis] for axis in range(3)])
+    return not (_shortest2(low + drift, high + drift) >= reach * reach)
 
 
 @ti.func

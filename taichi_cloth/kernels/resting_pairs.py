@@ -238,28 +238,28 @@ def _is_visited(spec: ti.template(), state: ti.template(), at):
 
 @ti.func
 def _touching(spec: ti.template(), state: ti.template(), at, pair):
-    counts = ti.Vector.zero(state.real, ti.static(sizes(spec)))
-    if ti.static(spec.thick):
-        overlaps, approaches = 0, 0
-        if _may_touch(spec, state, at, pair):
-            _, _, _, _, _, overlaps, approaches = _between(spec, state, at, pair)
-        note_touch(state, pair, overlaps, approaches)
-        counts[OVERLAP], counts[APPROACH] = float(overlaps), float(approaches)
-    else:
+    overlaps, approaches = 0, 0
+    if _may_touch(spec, state, at, pair):
         _, _, _, _, _, overlaps, approaches = _between(spec, state, at, pair)
-        counts[OVERLAP], counts[APPROACH] = float(overlaps), float(approaches)
+    if ti.static(spec.thick):
+        note_touch(state, pair, overlaps, approaches)
+    counts = ti.Vector.zero(state.real, ti.static(sizes(spec)))
+    counts[OVERLAP], counts[APPROACH] = float(overlaps), float(approaches)
     return counts
 
 
 @ti.func
 def _may_touch(spec: ti.template(), state: ti.template(), at, pair):
-    """Whether a pair of cloth is so near that it is worth to ask whether it touches."""
-    x = _value(spec, state, at, 0)
-    d = _value(spec, state, place_of(spec, state, at, pair), 0) - x
-    far = ti.static(1.0 + 2.0 * SLACK) * reach_of(spec, state, at, pair)
-    for axis in ti.static(range(spec.dim)):  # `abs` of vectors crashes in lanes
-        far += ti.static(2.0 * ROUNDINGS * epsilon(state)) * ti.abs(x[axis])
-    return (d.dot(d) <= far * far) | has_passed(state, pair)
+    """Whether a pair is worth to be asked whether it touches: one of cloth, if it is near."""
+    if ti.static(spec.thick):
+        x = _value(spec, state, at, 0)
+        d = _value(spec, state, place_of(spec, state, at, pair), 0) - x
+        far = ti.static(1.0 + 2.0 * SLACK) * reach_of(spec, state, at, pair)
+        for axis in ti.static(range(spec.dim)):  # `abs` of vectors crashes in lanes
+            far += ti.static(2.0 * ROUNDINGS * epsilon(state)) * ti.abs(x[axis])
+        return (d.dot(d) <= far * far) | has_passed(state, pair)
+    else:
+        return True
 
 
 @ti.func
