@@ -72,6 +72,7 @@ COMMAND_LINES = [
     ("run --image missing/x.png", "there is no folder 'missing'"),
     ("run --video missing/x.mp4", "there is no folder 'missing'"),
     ("run --image x.jpg", "must end in .png"),
+    ("run --pictures missing", "--pictures missing: there is no such folder; make it first"),
     ("run --video x.avi", "must end in .mp4 or .gif"),
     ("run --save x.npz --record ./x.npz", "would write the same file"),
     ("run --save x.npz --record y.jsonl --image missing/x.png", "there is no folder"),

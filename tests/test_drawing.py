@@ -347,7 +347,7 @@ def test_both_views_draw_the_same_surfaces(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_v_goes_through_what_is_drawn_also_in_a_replay(pool, tmp_path):
+def test_d_goes_through_what_is_drawn_also_in_a_replay(pool, tmp_path):
     """Pressed at frames 1 and 2 in a window; its log shows the same in another one."""
 
     class Watched(NullView):
@@ -365,7 +365,7 @@ def test_v_goes_through_what_is_drawn_also_in_a_replay(pool, tmp_path):
             self.seen.append((len(picture.triangles) > 0, len(picture.segments) > 0, balls))
 
     scene = library.build("cloth", columns=4, rows=3)
-    pressed = Watched(scene.world, [None, "v", "v", None])
+    pressed = Watched(scene.world, [None, "d", "d", None])
     recorder = Recorder(tmp_path / "log.jsonl")
     sim = pool(scene)
     recorder.write_header(app.log_header(sim, pressed))

@@ -66,6 +66,8 @@ def main(source: SceneSource, options: RunOptions) -> int:
         film.Image(options.image).discard()
     if options.video:
         film.Film(options.video).discard()
+    if options.pictures is not None and not os.path.isdir(options.pictures):
+        raise InputError(f"--pictures {options.pictures}: there is no such folder; make it first")
     with contextlib.ExitStack() as unfinished:
         trajectory = Trajectory(options.save, options.every) if options.save else None
         if trajectory:
@@ -279,6 +281,7 @@ def _of_frames(options: RunOptions, view: View) -> dict[str, Any]:
         "frames": frames,
         "film": options.video,
         "image": options.image,
+        "pictures": options.pictures,
         "paused": options.paused,
         "quiet": options.quiet,
         "status": options.status,

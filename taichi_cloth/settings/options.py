@@ -186,6 +186,12 @@ class RunOptions(Options):
     every: int = setting(1, "save and export every Nth frame only", minimum=1, metavar="N")
     image: str | None = setting(None, "save the last frame as a picture", str, metavar="FILE.png")
     video: str | None = setting(None, "save all frames as a film", str, metavar="FILE.mp4|gif")
+    pictures: str | None = setting(
+        None,
+        "folder of what the keys s and v save in a window (default: the current one)",
+        str,
+        metavar="DIR",
+    )
     show: str | None = setting(
         None,
         "draw cloths as these: surface, springs, particles (default: in 3-D surface, else the "

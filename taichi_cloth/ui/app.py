@@ -25,6 +25,7 @@ from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.inputs import COMMANDS, HELP_KEYS, KEYS, STEP_KEYS, Event
 from taichi_cloth.ui.interaction import Log, LogEvent
 from taichi_cloth.ui.opening import offscreen
+from taichi_cloth.ui.shutter import Shutter
 from taichi_cloth.ui.solids import Solids
 from taichi_cloth.ui.tools.contract import Marks
 from taichi_cloth.ui.views.contract import Picture, View
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
 
 # Keys that act on the window alone. They work while a log is replayed, too.
-WINDOW_KEYS = ("escape", "h", "v", "p", *STEP_KEYS, *HELP_KEYS)
+WINDOW_KEYS = ("escape", "h", "d", "s", "v", "p", *STEP_KEYS, *HELP_KEYS)
 
 NOTICE_SECONDS = 4.0  # how long a word about the last click stays, or about threads that waited
 
@@ -82,6 +83,7 @@ def run(
     trajectory: Trajectory | Recordings | None = None,
     film: str | None = None,
     image: str | None = None,
+    pictures: str | None = None,
     paused: bool = False,
     quiet: bool = False,
     status: bool = True,
@@ -100,9 +102,10 @@ def run(
     trajectory: is shown every frame; recordings: it and an export. Saving them is the caller's.
     film, image: paths of a film of the run and of a picture of its last frame; the view must
         draw pictures for them. Refused paths raise InputError before anything is run.
-    paused: start paused (a window only). quiet: no progress bar.
+    pictures: the folder of what the keys s and v save; None: the current one.
+    paused: start paused (a window only). quiet: no progress bar, and no word of pictures.
     status: whether the status is shown from the start (`h` hides and shows it).
-    show: what is drawn of cloths from the start, words of `settings.options.SHOWN` (`v` goes on to
+    show: what is drawn of cloths from the start, words of `settings.options.SHOWN` (`d` goes on to
         the next choice); None: what suits the scene.
     seed: of the tools' random numbers; a log's header overrides it.
     device: from `Device.describe()`, for the status; absent: of the device that was started.
@@ -118,9 +121,11 @@ def run(
         film_file = films.Film(film) if film else None
         if film_file:
             stack.callback(film_file.discard)
+        shutter = Shutter(sim.scene.name, pictures, quiet=quiet)
         loop = _Loop(
             sim, view, replay=replay, recorder=recorder, trajectory=trajectory,
-            film=film_file, paused=paused, status=status, show=show, seed=seed, device=device,
+            film=film_file, shutter=shutter, paused=paused, status=status, show=show, seed=seed,
+            device=device,
         )  # fmt: skip
         bar = stack.enter_context(_progress(frames, not (quiet or view.visible)))
         stack.enter_context(rescue.saving(lambda: loop.finish(picture_file)))
@@ -154,6 +159,7 @@ class _Loop:
         recorder: Recorder | None,
         trajectory: Trajectory | Recordings | None,
         film: films.Film | None,
+        shutter: Shutter,
         paused: bool,
         status: bool,
         show: frozenset[str] | None,
@@ -162,8 +168,9 @@ class _Loop:
     ):
         self.sim, self.view = sim, view
         self._recorder, self._trajectory = recorder, trajectory
-        self._film = film
-        self._unfilmed: films.Film | None = None  # what the frame last drawn is still to be put in
+        self._shutter = shutter
+        self._films: list[films.Film | Shutter] = [shutter] if film is None else [film, shutter]
+        self._unfilmed: list[films.Film | Shutter] = []  # what the frame last drawn goes into
         self._device = device or runtime.current_device().describe()
         if replay is not None:
             seed = int(replay.header.get("seed", seed))
@@ -217,19 +224,24 @@ class _Loop:
             advanced = False
         self._step = False
         begin = time.perf_counter()
-        film = self._film if self._film and advanced and self._film.wants() else None
-        self._unfilmed = film
-        if self.view.visible or film is not None:
+        self._unfilmed = [film for film in self._films if advanced and film.wants()]
+        if self.view.visible or self._unfilmed:
             self.view.draw(self._picture())
-        if film is not None:
-            film.add(self.view.grab() if not self.view.closed else self._last_picture())
-            self._unfilmed = None
+        if self._unfilmed or self._shutter.due:
+            self._keep(self.view.grab() if not self.view.closed else self._last_picture())
         draw = time.perf_counter() - begin
         self._draw += draw
         if advanced:
             self._meter.frame(simulate, draw)
         if self.view.visible:
             self._wait()
+
+    def _keep(self, pixels: np.ndarray) -> None:
+        """Put the frame (h, w, 3) uint8 into the films and the picture that want it."""
+        while self._unfilmed:
+            self._unfilmed.pop().add(pixels)
+        if self._shutter.due:
+            self._shutter.take(pixels)
 
     def _advance(self) -> None:
         self._controls.before_frame(replayed=self._replaying)
@@ -314,6 +326,10 @@ class _Loop:
             self._show_status = not self._show_status
         elif command == "show":
             self._show = shown.next_choice(self._show)
+        elif command == "picture":
+            self._shutter.press()
+        elif command == "film":
+            self._shutter.begin_or_end()
         elif command == "help":
             self._show_help = not self._show_help
         self._rates_due = 0.0
@@ -347,6 +363,7 @@ class _Loop:
             text=self._status() if self._show_status else (),
             help=keys,
             banner=banner,
+            marks=self._shutter.marks() if view.visible else (),
         )
         marks = self._controls.marks()
         return picture if marks is None else _with_marks(picture, marks)
@@ -378,12 +395,12 @@ class _Loop:
     def finish(self, image: films.Image | None) -> None:
         """Save the film, and the last frame as a picture."""
         with ExitStack() as files:  # each is tried, also where a disk is full
-            if self._film is not None:
-                files.callback(self._film.save)
+            for film in self._films:
+                files.callback(film.save)
             if image is not None:
                 files.callback(lambda: image.save(self._last_picture()))
-            if self._unfilmed is not None:
-                self._unfilmed.add(self._last_picture())
+            if self._unfilmed:
+                self._keep(self._last_picture())
 
     def _last_picture(self) -> np.ndarray:
         """The last frame, (h, w, 3) uint8; drawn off-screen where the user closed the window."""

@@ -61,7 +61,7 @@ class Controls:
         replayed: whether it comes from a log, which also holds what tools made of it.
 
         What is not the simulation's or the camera's is returned for the app to do: "pause",
-        "step", "reset", "status", "show", "help" or "quit".
+        "step", "reset", "status", "show", "picture", "film", "help" or "quit".
         """
         if isinstance(event, ToolEvent):
             self._replay(event)

@@ -16,7 +16,7 @@ from taichi_cloth.files.pending import PendingFile
 if TYPE_CHECKING:
     from PIL import Image as Pillow
 
-FILM_RATE = 60  # frames a second of an .mp4: real time
+FILM_RATE = 60  # simulated frames a second of an .mp4: real time, however slow the window was
 GIF_DELAY = 2  # hundredths of a second: 50 a second, the most that viewers honour
 IMAGE_KINDS, FILM_KINDS = (".png",), (".mp4", ".gif")
 
@@ -51,6 +51,18 @@ def _is_whole(film: Path) -> bool:
     return False
 
 
+def has_ffmpeg() -> bool:
+    """Whether an .mp4 can be made."""
+    try:
+        import imageio  # noqa: F401
+        import imageio_ffmpeg
+
+        imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError):
+        return False
+    return True
+
+
 class Image:
     """One picture, written at the end of a run. InputError where it cannot be."""
 
@@ -79,17 +91,14 @@ class Film:
         self._kind = Path(path).suffix.lower()
         self._file = _pending(path, "--video", FILM_KINDS)
         if self._kind == ".mp4":
-            try:
-                import imageio
-                import imageio_ffmpeg
-
-                imageio_ffmpeg.get_ffmpeg_exe()
-            except (ImportError, RuntimeError):
+            if not has_ffmpeg():
                 self._file.discard()
                 raise InputError(
                     f"--video {path}: .mp4 needs ffmpeg, which is not there "
                     "(pip install imageio imageio-ffmpeg), or choose a .gif"
-                ) from None
+                )
+            import imageio
+
             self._imageio = imageio
             # ffmpeg writes by name and seeks back in its file, so it gets one of its own.
             self._folder = tempfile.TemporaryDirectory(prefix="taichi-cloth-")
@@ -139,7 +148,7 @@ class Film:
         self._writer = None
         self.discard()
         raise InputError(
-            f"--video {self._file.path}: cannot be written: ffmpeg failed in "
+            f"{self._file.path}: cannot be written: ffmpeg failed in "
             f"{self._raw.parent.parent}; is there room?"
         ) from error
 

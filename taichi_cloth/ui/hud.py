@@ -121,7 +121,7 @@ def status_lines(
         lines = [counts, _row(sim.scene.name, method, step, device)]
     else:
         path = f"{device}, {sim.execution} {sim.topology}"
-        lines = [rates, counts, _row(sim.scene.name, method, step, path, "f1 keys")]
+        lines = [rates, counts, _row(sim.scene.name, method, step, path, "tab: keys")]
     return (notice, *lines) if notice else tuple(lines)
 
 
@@ -152,9 +152,11 @@ def help_lines(
         ("p" if tool and "space" in tool.modifiers else "space, p") + "\tpause and go on",
         ".  or right arrow\tone frame, while paused",
         "r\tback to the start" + ("; --save begins anew" if saves else ""),
-        *(["v\tsurface, springs, particles"] if len(scene.triangles) else []),
+        *(["d\tdraw surface, springs, particles"] if len(scene.triangles) else []),
         "h\thide or show the status",
-        "f1 or tab\tthis list",
+        "s\tsave a picture",
+        "v\tfilm, until v again",
+        "tab or f1\tthis list",
         "escape\tquit",
     ]
     return tuple(lines)

@@ -65,7 +65,9 @@ COMMANDS = {
     **dict.fromkeys(STEP_KEYS, "step"),
     "r": "reset",
     "h": "status",
-    "v": "show",
+    "d": "show",
+    "s": "picture",
+    "v": "film",
     **dict.fromkeys(HELP_KEYS, "help"),
     "escape": "quit",
 }

@@ -18,6 +18,7 @@ KEY_INK = (255, 203, 107)
 PAPER = (19, 22, 30)
 BANNER_PAPER = (132, 28, 36)
 BANNER_INK = (255, 240, 238)
+RECORDING = (232, 64, 64)
 
 AMBIENT = 0.38  # share of a sphere's colour that needs no light
 LIGHT = np.array([-0.45, -0.65, -0.62])  # direction to the light: left, above, towards us

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
 Color = tuple[int, int, int]  # 0..255
+DOT = "\u25cf "  # before a line of `marks`: a red disc stands in its place
 SHADES = 6  # ink coverage levels: few enough for long runs, enough for smooth letters
 
 
@@ -218,6 +219,34 @@ def _panels(keys: tuple[str, ...], banner: str | None, size: tuple[int, int]) ->
         )
         out.append(Panel(0, 0, pixels))
     return tuple(_inside(panel, size) for panel in out)
+
+
+@lru_cache(maxsize=4)
+def marks(lines: tuple[str, ...], size: tuple[int, int]) -> tuple[Panel, ...]:
+    """Lines in the top right corner of a window of `size`, smaller where they are too long.
+
+    One that begins with `DOT` has a red disc there.
+    """
+    out, top, height = [], 0, font_height(size[1])
+    for line in lines:
+        fitting = height
+        while fitting > 9 and _length(line, fitting) > size[0] - 2 * fitting:
+            fitting -= 1
+        red, said = line.startswith(DOT), line.removeprefix(DOT)
+        pixels = rasterise([said], fitting, paper=style.PAPER, inks=(style.INK, style.INK))
+        if red:
+            pixels = np.concatenate([_red_disc(len(pixels)), pixels[:, _pad(fitting) // 2 :]], 1)
+        out.append(_inside(Panel(size[0] - pixels.shape[1], top, pixels), size))
+        top += len(pixels)
+    return tuple(out)
+
+
+def _red_disc(side: int) -> np.ndarray:
+    """A red disc on paper, (side, side, 3) uint8, with smooth edges."""
+    away = np.hypot(*(np.mgrid[:side, :side] + 0.5 - side / 2))
+    share = np.round(np.clip(0.28 * side + 0.5 - away, 0, 1) * 4)[:, :, None] / 4
+    disc: np.ndarray = share * np.array(style.RECORDING) + (1 - share) * np.array(style.PAPER)
+    return disc.astype(np.uint8)
 
 
 @lru_cache(maxsize=32)

@@ -30,6 +30,7 @@ class Picture:
     text: lines of the status, bottom left, where the scenes leave most room (empty: hidden).
     help: lines of the key list (empty: hidden), "key<tab>action" for two columns.
     banner: a message across the top, wrapped as needed (None: no banner).
+    marks: lines in a window's top right corner, which `grab` leaves out (empty: none).
 
     Radius, color, segments and triangles are the same objects as before while they are equal, so
     that a view need not prepare them anew (`drawing.Cached`).
@@ -49,6 +50,7 @@ class Picture:
     text: tuple[str, ...] = ()
     help: tuple[str, ...] = ()
     banner: str | None = None
+    marks: tuple[str, ...] = ()
 
     @property
     def color_in_surfaces(self) -> np.ndarray:
@@ -87,7 +89,7 @@ class View(Protocol):
         """Draw and present one frame."""
 
     def grab(self) -> np.ndarray:
-        """The frame drawn last, (height, width, 3) uint8, row 0 on top."""
+        """The frame drawn last without its marks, (height, width, 3) uint8, row 0 on top."""
 
     def close(self) -> None:
         """Give the window back. May be called twice."""

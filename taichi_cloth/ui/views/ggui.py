@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -186,7 +187,7 @@ class GguiView:
             raise RuntimeError("nothing has been drawn yet")
         if not self._fresh:
             # What was shown or taken is gone; the same picture is drawn again.
-            self._compose(self._last)
+            self._compose(replace(self._last, marks=()))
         self._fresh = False
         return drawing.as_image(self._window.get_image_buffer_as_numpy())
 
@@ -292,6 +293,8 @@ class GguiView:
 
     def _compose_overlay(self, picture: Picture) -> None:
         panels = text.panels(picture, self.size)
+        if self.visible:
+            panels = (*panels, *text.marks(picture.marks, self.size))
         if panels:
             size = self.size
             self._triangles(np.concatenate([self._panel_vertices(p, size) for p in panels]))

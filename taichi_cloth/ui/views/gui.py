@@ -16,6 +16,7 @@ from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import BUTTON_NAMES, Event, fewest_moves, key_name
 from taichi_cloth.ui.surfaces import Topology
+from taichi_cloth.ui.text import Panel
 from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
 from taichi_cloth.ui.window_map import WindowMap
 
@@ -331,16 +332,30 @@ class GuiView:
     def _compose_overlay(self, picture: Picture) -> None:
         """Copy the text's pixels over the frame (and keep the frame for `grab`)."""
         panels = text.panels(picture, self.size)
+        marks = text.marks(picture.marks, self.size) if self.visible else ()
         if self.camera is None:
             self._gui.core.get_img(self._pixels.ctypes.data)
-        height = self.size[1]
         for panel in panels:
-            h, w = panel.pixels.shape[:2]
-            top = height - panel.y
-            block = panel.pixels[::-1].transpose(1, 0, 2).astype(np.float32) / 255
-            self._pixels[panel.x : panel.x + w, top - h : top, :3] = block
-        if panels or self.camera is not None:
+            self._lay(panel)
+        under = [(mark, self._lay(mark)) for mark in marks]
+        if panels or marks or self.camera is not None:
             self._gui.core.set_img(self._pixels.ctypes.data)
+        for mark, pixels in under:
+            self._place_of(mark)[:] = pixels
+
+    def _lay(self, panel: Panel) -> np.ndarray:
+        """Copy a panel over the frame; returns what was there."""
+        place = self._place_of(panel)
+        before: np.ndarray = place.copy()
+        place[:] = panel.pixels[::-1].transpose(1, 0, 2).astype(np.float32) / 255
+        return before
+
+    def _place_of(self, panel: Panel) -> np.ndarray:
+        """The pixels (w, h, 3) of the frame that a panel covers."""
+        h, w = panel.pixels.shape[:2]
+        top = self.size[1] - panel.y
+        place: np.ndarray = self._pixels[panel.x : panel.x + w, top - h : top, :3]
+        return place
 
 
 def _prepared_springs(

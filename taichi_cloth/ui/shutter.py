@@ -1,0 +1,139 @@
+"""Screenshots and films that keys take while a window runs: into new files, never over old ones."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from taichi_cloth.errors import InputError
+from taichi_cloth.ui import film as films
+from taichi_cloth.ui.text import DOT
+
+SAID_FOR = 5.0  # seconds for which the window says where something was saved
+
+
+class Shutter:
+    """What takes pictures in a window: one at a time, and films that a key begins and ends.
+
+    name: of the scene, with which the files' names begin. folder: where they go; None: the current
+    folder, or the home where that cannot be written to. quiet: nothing is said on the terminal.
+    """
+
+    def __init__(self, name: str, folder: str | None = None, *, quiet: bool = False):
+        self._name = re.sub(r"[^\w.-]+", "-", name).strip("-.") or "picture"
+        self._folder, self._quiet = folder, quiet
+        self._film: films.Film | None = None
+        self._to = Path()  # of the film
+        self._frames = 0  # simulated since the film began
+        self._due = False
+        self._said, self._said_until = "", 0.0
+
+    def press(self) -> None:
+        """Take the frame that is drawn next."""
+        self._due = True
+
+    def begin_or_end(self) -> None:
+        """Begin a film, or finish and save the one that is being made."""
+        if self._film is not None:
+            self.save()
+            return
+        kind = ".mp4" if films.has_ffmpeg() else ".gif"
+
+        def begin() -> None:
+            self._to = self._free(kind)
+            self._film, self._frames = films.Film(self._to), 0
+
+        self._trying(begin)
+
+    def wants(self) -> bool:
+        """Whether the film takes the frame just simulated: call once a frame."""
+        if self._film is None:
+            return False
+        self._frames += 1
+        return self._film.wants()
+
+    def add(self, pixels: np.ndarray) -> None:
+        """Append the frame `pixels` (h, w, 3) uint8 to the film."""
+        film = self._film
+        if film is not None and not self._trying(lambda: film.add(pixels)):
+            film.discard()
+            self._film = None
+
+    @property
+    def due(self) -> bool:
+        """Whether the frame that is drawn next is to be saved as a picture."""
+        return self._due
+
+    def take(self, pixels: np.ndarray) -> None:
+        """Save `pixels` (h, w, 3) uint8 as a picture of its own."""
+        self._due = False
+
+        def write() -> None:
+            path = self._free(".png")
+            films.Image(path).save(pixels)
+            self._tell(f"saved {_short(path)}", f"saved {path}")
+
+        self._trying(write)
+
+    def save(self) -> None:
+        """Finish the film that is being made, if any; one without frames leaves no file."""
+        film, self._film = self._film, None
+        if film is None:
+            return
+        length = f"{self._frames / films.FILM_RATE:.1f} s"
+        if not self._trying(film.save):
+            film.discard()
+        elif self._frames:
+            self._tell(f"saved {_short(self._to)}, {length}", f"saved {self._to} ({length})")
+        else:
+            self._tell("nothing filmed: no frame was simulated")
+
+    def marks(self) -> tuple[str, ...]:
+        """What the window shows of it, in lines, and no picture: that it records, what it saved."""
+        lines = []
+        if self._film is not None:
+            lines.append(f"{DOT}recording {self._frames / films.FILM_RATE:.1f} s   v ends it")
+        if time.monotonic() < self._said_until:
+            lines.append(self._said)
+        return tuple(lines)
+
+    def _tell(self, on_screen: str, in_terminal: str | None = None) -> None:
+        self._said, self._said_until = on_screen, time.monotonic() + SAID_FOR
+        if in_terminal and not self._quiet:
+            print(in_terminal, flush=True)
+
+    def _trying(self, act: Callable[[], object]) -> bool:
+        """Whether `act` did it; what it is refused for is told, and ends no run."""
+        try:
+            act()
+        except InputError as error:
+            self._tell(str(error), f"not saved: {error}")
+            return False
+        return True
+
+    def _free(self, kind: str) -> Path:
+        """The first path of this kind that no file has, and none that is being written."""
+        folder = Path(self._folder) if self._folder is not None else _writable()
+        number = 1
+        while True:
+            path = (folder / f"{self._name}-{number}{kind}").absolute()
+            if not path.exists() and not any(folder.glob(f"{path.name}.*.part")):
+                return path
+            number += 1
+
+
+def _writable() -> Path:
+    """The current folder, or the home where that cannot be written to."""
+    here = Path.cwd()
+    return here if os.access(here, os.W_OK) else Path.home()
+
+
+def _short(path: Path) -> str:
+    """A path as a window has room for it: from the home on."""
+    home = Path.home()
+    return f"~/{path.relative_to(home)}" if path.is_relative_to(home) else str(path)
