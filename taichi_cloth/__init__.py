@@ -8,6 +8,8 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
+from taichi_cloth.simulation import showing as _showing
+
 __version__ = "0.1.0"
 
 _HOMES = {  # public name: (module, name in it; None: the module itself)
@@ -34,9 +36,16 @@ _HOMES = {  # public name: (module, name in it; None: the module itself)
     "load_trajectory": ("files.trajectory", "load"),
     "Trajectory": ("files.trajectory", "Trajectory"),
     "Simulation": ("simulation.simulation", "Simulation"),
+    "show": ("ui.showing", "show"),
+    "picture": ("ui.showing", "picture"),
+    "Camera": ("ui.camera", "Camera"),
+    "camera_of": ("ui.framing", "camera_of"),
+    "Summary": ("ui.app", "Summary"),
     "start": ("runtime", "start"),
     "scenes": ("scene.library", None),
 }
+# A simulation that shows itself is drawn by the floor above it, which comes once that is asked for.
+_showing.drawn_by(lambda: importlib.import_module("taichi_cloth.ui.showing"))
 __all__ = ["__version__", *_HOMES]  # noqa: PLE0604
 
 

@@ -106,10 +106,16 @@ def test_every_run_is_accepted(line, tmp_path, monkeypatch, capsys):
 
 
 def test_python_example_runs_and_is_short(cli, tmp_path):
-    (example,) = blocks("python")
+    example, _ = blocks("python")
     assert len(example.splitlines()) <= 20
     out = cli.call("commands:printed_by", program=example)
     assert re.search(r"\(384, 2\) 7\d\d -?\d+\.\d+", out)
+
+
+@thorough
+def test_the_example_of_windows_runs_without_one(cli, tmp_path):
+    _, example = blocks("python")
+    assert "60 (720, 960, 3)" in cli.call("commands:printed_by", program=example)
 
 
 # An unpacked source archive has no git and nothing tracked to copy; .ci/run has both.

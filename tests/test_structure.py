@@ -120,6 +120,15 @@ def test_the_ui_is_imported_by_the_command_line_alone_and_late():
     assert users <= {("cli", False)}
 
 
+def test_a_simulation_reaches_what_draws_it_by_the_package_alone():
+    """Nothing below the ui names it in a string either; `__init__` does, as its public names."""
+    below = [path for path in FILES if room_of(path) not in ("ui", "cli", "__init__")]
+    named = [
+        path.name for path in below if re.search(r"""["'](taichi_cloth\.)?ui\.""", path.read_text())
+    ]
+    assert not named
+
+
 def test_a_wheel_has_every_package():
     listed = re.findall(
         r'^  "(taichi_cloth[.\w]*)",$', (ROOT.parent / "pyproject.toml").read_text(), re.M

@@ -36,6 +36,7 @@ from taichi_cloth.simulation.numbers import (
 )
 from taichi_cloth.simulation.prediction import Prediction
 from taichi_cloth.simulation.readings import Readings
+from taichi_cloth.simulation.showing import Showing
 from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.storage import Storage
 
@@ -45,7 +46,7 @@ LANES = 8
 MOST_LANES = 64  # more fill no vector, and take minutes to compile
 
 
-class Simulation(Readings, Changes):
+class Simulation(Readings, Changes, Showing):
     """One scene, integrated by one method on the device that `runtime.start` started.
 
     scene: validated here (InputError), against the device's precision, too. method: a name out of

@@ -81,6 +81,7 @@ def run(
     replay: Log | None = None,
     recorder: Recorder | None = None,
     trajectory: Trajectory | Recordings | None = None,
+    on_frame: Callable[[Simulation], object] | None = None,
     film: str | None = None,
     image: str | None = None,
     pictures: str | None = None,
@@ -100,6 +101,7 @@ def run(
         before that frame is advanced. Until its last event the user's mouse is ignored.
     recorder: made with `log_header`; every applied event is written.
     trajectory: is shown every frame; recordings: it and an export. Saving them is the caller's.
+    on_frame: called before each frame; the run ends where it returns False.
     film, image: paths of a film of the run and of a picture of its last frame; the view must
         draw pictures for them. Refused paths raise InputError before anything is run.
     pictures: the folder of what the keys s and v save; None: the current one.
@@ -124,8 +126,8 @@ def run(
         shutter = Shutter(sim.scene.name, pictures, quiet=quiet)
         loop = _Loop(
             sim, view, replay=replay, recorder=recorder, trajectory=trajectory,
-            film=film_file, shutter=shutter, paused=paused, status=status, show=show, seed=seed,
-            device=device,
+            on_frame=on_frame, film=film_file, shutter=shutter, paused=paused, status=status,
+            show=show, seed=seed, device=device,
         )  # fmt: skip
         bar = stack.enter_context(_progress(frames, not (quiet or view.visible)))
         stack.enter_context(rescue.saving(lambda: loop.finish(picture_file)))
@@ -147,6 +149,20 @@ def run(
         return loop.summary()
 
 
+def pixels_of(
+    sim: Simulation, view: View, *, status: bool = False, show: frozenset[str] | None = None
+) -> np.ndarray:
+    """The present frame of `sim` as `view` draws it, (height, width, 3) uint8.
+
+    status, show: as for `run`.
+    """
+    loop = _Loop(
+        sim, view, replay=None, recorder=None, trajectory=None, on_frame=None, film=None,
+        shutter=Shutter(""), paused=False, status=status, show=show, seed=0, device=None,
+    )  # fmt: skip
+    return loop.pixels()
+
+
 class _Loop:
     """The state of a run between turns."""
 
@@ -158,6 +174,7 @@ class _Loop:
         replay: Log | None,
         recorder: Recorder | None,
         trajectory: Trajectory | Recordings | None,
+        on_frame: Callable[[Simulation], object] | None,
         film: films.Film | None,
         shutter: Shutter,
         paused: bool,
@@ -168,6 +185,7 @@ class _Loop:
     ):
         self.sim, self.view = sim, view
         self._recorder, self._trajectory = recorder, trajectory
+        self._on_frame = on_frame
         self._shutter = shutter
         self._films: list[films.Film | Shutter] = [shutter] if film is None else [film, shutter]
         self._unfilmed: list[films.Film | Shutter] = []  # what the frame last drawn goes into
@@ -219,7 +237,7 @@ class _Loop:
             simulate = time.perf_counter() - begin
             if self.frames > 1:
                 self._simulate += simulate
-            advanced = self.failure is None
+            advanced = self.failure is None and not self.quit
         else:
             advanced = False
         self._step = False
@@ -244,6 +262,9 @@ class _Loop:
             self._shutter.take(pixels)
 
     def _advance(self) -> None:
+        if self._on_frame is not None and self._on_frame(self.sim) is False:
+            self.quit = True
+            return
         self._controls.before_frame(replayed=self._replaying)
         try:
             self.sim.advance(1)
@@ -401,6 +422,11 @@ class _Loop:
                 files.callback(lambda: image.save(self._last_picture()))
             if self._unfilmed:
                 self._keep(self._last_picture())
+
+    def pixels(self) -> np.ndarray:
+        """The present frame, (h, w, 3) uint8, drawn anew."""
+        self.view.draw(self._picture())
+        return self.view.grab()
 
     def _last_picture(self) -> np.ndarray:
         """The last frame, (h, w, 3) uint8; drawn off-screen where the user closed the window."""

@@ -1,0 +1,60 @@
+"""A simulation that shows itself. Who draws it is said from above: nothing here knows a window."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    import numpy as np
+
+
+class Artist(Protocol):
+    """What draws simulations, in the words of `taichi_cloth.ui.showing`."""
+
+    def shown(self, sim: Any, frames: int | None, **how: Any) -> Any:
+        """What stands in a notebook's cell, or the summary of a window."""
+
+    def picture(self, sim: Any, **how: Any) -> np.ndarray:
+        """The present frame, (h, w, 3) uint8."""
+
+    def as_png(self, pixels: np.ndarray) -> bytes:
+        """Pixels (h, w, 3) uint8 as a file."""
+
+
+_artist: Callable[[], Artist] | None = None
+
+
+def drawn_by(artist: Callable[[], Artist]) -> None:
+    """Say who draws; `artist` is called when something is first to be drawn."""
+    global _artist
+    _artist = artist
+
+
+def _called() -> Artist:
+    assert _artist is not None, "the package's __init__ says who draws"
+    return _artist()
+
+
+class Showing:
+    """What a simulation does to be seen, in notebooks and scripts."""
+
+    def show(self, frames: int | None = None, **how: Any) -> Any:
+        """Show it: in a notebook's cell a picture, or a film of the next `frames`; else a window.
+
+        In a notebook the result is what IPython displays: the last expression of a cell is enough.
+        A film goes on from the present frame, and the simulation is then as many frames further.
+        Elsewhere this is `taichi_cloth.show`, which returns a `Summary` when its window is closed.
+
+        frames: of a film, at least 1; of a window, after which it closes.
+        how: further arguments of `taichi_cloth.picture`, or outside notebooks of
+            `taichi_cloth.show`: `size`, `camera`, `parts`, `on_frame`.
+
+        Raises InputError for a number of frames or a size that makes no sense.
+        """
+        return _called().shown(self, frames, **how)
+
+    def _repr_png_(self) -> bytes:
+        """The present frame, as notebooks show a value that ends a cell."""
+        artist = _called()
+        return artist.as_png(artist.picture(self))

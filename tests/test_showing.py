@@ -1,0 +1,86 @@
+"""What Python programs and notebooks see of a simulation."""
+
+import io
+import sys
+import types
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import taichi_cloth as tc
+from taichi_cloth.scene import library
+
+CLOTH = library.build("cloth", columns=4, rows=3)
+
+
+@pytest.fixture
+def notebook(monkeypatch):
+    """As a kernel has it: IPython is there, and the shell has a kernel."""
+    ipython, display = types.ModuleType("IPython"), types.ModuleType("IPython.display")
+    shell = types.SimpleNamespace(kernel=True)
+    ipython.get_ipython, ipython.display = lambda: shell, display
+    display.Image = lambda data, format: (data, format)
+    monkeypatch.setitem(sys.modules, "IPython", ipython)
+    monkeypatch.setitem(sys.modules, "IPython.display", display)
+    return shell
+
+
+def test_pictures_of_planes_and_spaces(pool):
+    flat, deep = pool(CLOTH), pool(library.build("box", particles=3))
+    first = tc.picture(flat, size=(90, 60))
+    assert first.shape == (60, 90, 3) and first.dtype == np.uint8
+    assert (first == tc.picture(flat, size=(90, 60))).all()
+    assert (first != tc.picture(flat, size=(90, 60), parts="surface")).any()
+    lines = tc.picture(flat, size=(90, 60), status=True)
+    assert (first != lines).any()
+    flat.advance(3)
+    assert (first != tc.picture(flat, size=(90, 60))).any()
+    camera = tc.camera_of(deep.scene)
+    before = tc.picture(deep, size=(80, 80), camera=camera)
+    camera.rotate(40.0, 10.0)
+    assert (before != tc.picture(deep, size=(80, 80), camera=camera)).any()
+    assert tc.picture(deep).shape[2] == 3
+
+
+def test_a_script_runs_what_it_shows(pool, capsys):
+    sim, seen = pool(CLOTH), []
+    summary = tc.show(sim, view="none", frames=5, on_frame=lambda sim: seen.append(sim.frame))
+    assert (summary.frames, summary.quit, seen) == (5, False, [0, 1, 2, 3, 4])
+    ended = tc.show(sim, view="none", on_frame=lambda sim: sim.frame < 7)
+    assert (ended.frames, ended.quit, sim.frame) == (2, True, 7)
+
+    def cut(sim):
+        sim.cut([0])
+
+    tc.show(sim, view="none", frames=1, on_frame=cut)
+    assert not sim.springs_alive()[0]
+    assert sim.show(frames=1, view="none").frames == 1  # no notebook: the same
+
+
+@pytest.mark.parametrize(
+    "how, error",
+    [
+        ({"size": (0, 10)}, "size: width must be"),
+        ({"size": 7}, "size: must be a width and a height"),
+        ({"parts": "skin"}, "unknown word 'skin'"),
+        ({"parts": []}, "parts: must be some of"),
+        ({"frames": 0}, "show: frames must be"),
+        ({"view": "x"}, "unknown view 'x'"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(pool, how, error):
+    with pytest.raises(tc.InputError, match=error):
+        tc.show(pool(CLOTH), **{"view": "none", "frames": 1, **how})
+
+
+def test_a_notebook_gets_a_picture_or_a_film(pool, notebook):
+    sim = pool(CLOTH)
+    data, kind = sim.show(size=(60, 40))
+    assert kind == "png" and Image.open(io.BytesIO(data)).size == (60, 40)
+    data, kind = sim.show(frames=6, size=(60, 40))
+    film = Image.open(io.BytesIO(data))
+    assert (kind, film.size, film.n_frames, sim.frame) == ("gif", (60, 40), 5, 6)
+    assert Image.open(io.BytesIO(sim._repr_png_())).format == "PNG"
+    del notebook.kernel  # a terminal's IPython
+    assert sim.show(frames=1, view="none").frames == 1
