@@ -77,10 +77,10 @@ def findings() -> Iterator[Finding]:
     for name, lack in runtime.usable_backends().items():
         yield Finding(f"backend {name}", "usable" if lack is None else f"needs {lack}", not lack)
 
-    if runtime.display_available():
-        yield Finding("display", os.environ.get("DISPLAY", "") or platform.system())
-    else:
-        yield Finding("display", "needs a running X server and DISPLAY (Xvfb serves)", False)
+    from taichi_cloth.ui import surroundings
+
+    for report in surroundings.reports():
+        yield Finding(report.name, report.text, report.good)
     device = vulkan.device_name()
     yield Finding("Vulkan device", device or runtime.NEEDS["vulkan"], device is not None)
     from taichi_cloth.ui.opening import usable_views

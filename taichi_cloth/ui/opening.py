@@ -7,7 +7,7 @@ import sys
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene.model import World
 from taichi_cloth.settings.options import VIEWS
-from taichi_cloth.ui import views
+from taichi_cloth.ui import surroundings, views
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.framing import window_of
 from taichi_cloth.ui.views.contract import View, ViewKind
@@ -69,9 +69,15 @@ def open_view(
 def _best(kinds: dict[str, ViewKind]) -> ViewKind:
     """The first kind that can be opened here; a line on standard error where it has no window."""
     lacks = {name: kind.lack() for name, kind in kinds.items()}
-    best = next(kind for name, kind in kinds.items() if lacks[name] is None)
-    if not best.windows:
+    usable = [kind for name, kind in kinds.items() if lacks[name] is None]
+    if not usable[0].windows:
         # What the view lacks that needs least.
         lack = [reason for reason in lacks.values() if reason is not None][-1]
         print(f"no window: {lack}; running headless", file=sys.stderr)
-    return best
+        print(f"what works here: {surroundings.instead()}", file=sys.stderr)
+    elif surroundings.is_forwarded():
+        print(
+            f"the display comes over SSH, so windows are slow: {surroundings.KEPT}", file=sys.stderr
+        )
+        return next((kind for kind in usable if kind.name == "gui"), usable[0])
+    return usable[0]

@@ -99,7 +99,7 @@ _SURVIVING: set[int] = set()  # connections whose end the process survives
 _CUT: set[int] = set()  # connections that broke: nothing may be asked of them any more
 
 
-def _xlib() -> ctypes.CDLL | None:
+def xlib() -> ctypes.CDLL | None:
     """Xlib with the signatures used here, or None where it is not installed."""
     if not sys.platform.startswith(("linux", "freebsd")):
         return None
@@ -112,6 +112,12 @@ def _xlib() -> ctypes.CDLL | None:
         ("XOpenDisplay", _pointer, [ctypes.c_char_p]),
         ("XCloseDisplay", _int, [_pointer]),
         ("XDefaultRootWindow", _window, [_pointer]),
+        ("XDefaultScreen", _int, [_pointer]),
+        ("XDisplayWidth", _int, [_pointer, _int]),
+        ("XDisplayHeight", _int, [_pointer, _int]),
+        ("XResourceManagerString", ctypes.c_char_p, [_pointer]),
+        ("XKeysymToKeycode", ctypes.c_ubyte, [_pointer, _window]),
+        ("XGetPointerMapping", _int, [_pointer, _pointer, _int]),
         ("XQueryTree", _int, [_pointer, _window] + [_pointer] * 4),
         ("XFetchName", _int, [_pointer, _window, by(ctypes.c_char_p)]),
         ("XFree", _int, [_pointer]),
@@ -138,7 +144,7 @@ def opening() -> Iterator[list[int]]:
     Taichi does not say which it uses; Xlib calls a function for each that it opens.
     """
     opened: list[int] = []
-    x = _xlib() if os.environ.get("DISPLAY") else None
+    x = xlib() if os.environ.get("DISPLAY") else None
     if x is None:
         yield opened
         return
@@ -365,7 +371,7 @@ def connect(title: str, displays: list[int]) -> Connection | None:
 
     displays: its own connections, from `opening`.
     """
-    x = _xlib()
+    x = xlib()
     if x is None or not os.environ.get("DISPLAY"):
         return None
     try:
