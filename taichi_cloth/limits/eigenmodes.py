@@ -166,6 +166,18 @@ def _damped_modes(method: Method, stiffness: csr_matrix, damping: csr_matrix) ->
     return [_Mode(steps[first], float(omega2[first]), float(rate[first]), u[:, first])]
 
 
+def limit_along(
+    method: Method, network: Network, omega2: float, damping: float, u: np.ndarray
+) -> Limit:
+    """The limit by one mode alone, with what is responsible for it.
+
+    omega2, damping: its quotients of K and C. u: of length 1, over the free particles' coordinates,
+    times the roots of their masses.
+    """
+    step = largest_step(method, omega2, damping)
+    return _limit(network, _Mode(step, omega2, damping, u))
+
+
 def _limit(network: Network, found: _Mode) -> Limit:
     """The limit with its mode in the particles' coordinates, and what is responsible."""
     h, omega2, rate, u = found

@@ -13,7 +13,7 @@ import numpy as np
 from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.forces.contract import CURVATURE, TENSION, has
 from taichi_cloth.limits import tractions
-from taichi_cloth.scene.model import Scene, Springs
+from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.scene.triangles import corner_shares
 
@@ -98,15 +98,26 @@ def energy(scene: Scene, x: np.ndarray, v: np.ndarray, pulling: np.ndarray) -> E
 
     Of a force that the scene does not have it is zero.
     """
-    particles, springs = scene.particles, scene.springs.select(pulling)
-    stencils = scene.stencils_among(pulling)
-    free = ~particles.fixed
+    held = scene.springs.select(pulling), scene.stencils_among(pulling)
+    return energy_of(x, v, scene.world, scene.particles, *held)
+
+
+def energy_of(
+    x: np.ndarray,
+    v: np.ndarray,
+    world: World,
+    particles: Particles,
+    springs: Springs,
+    stencils: Stencils,
+) -> Energy:
+    """Energy of particles at x with v, (n, dim), and of springs and stencils that all pull."""
+    mass = np.where(particles.fixed, 0.0, particles.mass)
     terms = {name: forces.load(name) for name in forces.TERMS}
     return Energy(
-        kinetic=float(0.5 * (particles.mass[free, None] * v[free] ** 2).sum()),
+        kinetic=float(0.5 * (mass * np.einsum("ij,ij->i", v, v)).sum()),
         potential={
             name: term.energy(
-                x, v, scene.world, particles, stencils if term.adds == CURVATURE else springs
+                x, v, world, particles, stencils if term.adds == CURVATURE else springs
             )
             for name, term in terms.items()
             if has(term.energy)
@@ -169,5 +180,5 @@ def acceleration_at_start(scene: Scene) -> np.ndarray:
 
 def momentum(v: np.ndarray, mass: np.ndarray, fixed: np.ndarray) -> np.ndarray:
     """Total linear momentum of the free particles, shape (dim,)."""
-    total: np.ndarray = (mass[~fixed, None] * v[~fixed]).sum(axis=0)
+    total: np.ndarray = np.where(fixed, 0.0, mass) @ v
     return total

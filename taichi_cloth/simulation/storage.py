@@ -26,7 +26,7 @@ from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.solvers import stages
 from taichi_cloth.kernels.specialization import Specialization
-from taichi_cloth.kernels.spring_numbers import NUMBERS
+from taichi_cloth.kernels.spring_numbers import NUMBERS, SpringNumber
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE, WORK, State
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.solids import solids
@@ -76,8 +76,9 @@ class Storage:
 
     solids: what is in the way of the scene that was taken last (`scene.solids`).
     method: the one that runs on it. lanes: particles in a pack of the grids.
-    real: type of the device's numbers. topology, path: how it was loaded. pushed: whether a push
-    lasts until the frame's end. accounts_contacts: whether `account_contacts` may be called.
+    real: type of the device's numbers. topology, path: how it was loaded. loads: how often anything
+    was. pushed: whether a push lasts until the frame's end. accounts_contacts: whether
+    `account_contacts` may be called.
     """
 
     def __init__(
@@ -96,6 +97,7 @@ class Storage:
         self.solids = solids(snapshot.scene)
         self._placements = Placements(snapshot.scene, self._needs, lanes)
         self.topology = self.path = ""
+        self.loads = 0
         self.pushed = self._held = False
         self._loaded: _Loaded | None = None
         self._altered = True  # from outside, so that what the method keeps must be computed anew
@@ -166,7 +168,7 @@ class Storage:
             placement = self._placements.find(topology)
             assert placement is not None  # it takes any springs
         container = self._make_room(placement, topology)
-        self.topology, self.path = topology, path
+        self.topology, self.path, self.loads = topology, path, self.loads + 1
         specialization = self._launcher.specialize(container.spec, path)
         self._launcher.expect(specialization, container.state.capacity)
         self._loaded = _Loaded(container, placement, specialization, numbers)
@@ -343,10 +345,15 @@ class Storage:
         """The state as it is now."""
         return Snapshot(self._scene_now(), self.positions(), self.velocities(), self.marks())
 
+    @property
+    def changed_numbers(self) -> list[SpringNumber]:
+        """Those numbers of springs that forces change."""
+        spec = self.specialization
+        return [n for n in NUMBERS if n.changes(spec.terms) and n.stored(spec)]
+
     def _scene_now(self) -> Scene:
         """The scene with those numbers of springs that forces have changed since."""
-        spec, springs = self.specialization, self.scene.springs
-        changed = [n for n in NUMBERS if n.changes(spec.terms) and n.stored(spec)]
+        springs, changed = self.scene.springs, self.changed_numbers
         if not changed or len(springs) == 0:
             return self.scene
         columns = {n.column: self._read_springs(n.letter, len(springs)) for n in changed}

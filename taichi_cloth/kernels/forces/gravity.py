@@ -24,8 +24,8 @@ def law(spec: ti.template(), state: ti.template(), i):
 
 def energy(x, v, world, particles, springs):
     """The potential energy -m g.x of all free particles."""
-    free = ~particles.fixed
-    return float(-(particles.mass[free] * (x[free] @ np.asarray(world.gravity))).sum())
+    mass = np.where(particles.fixed, 0.0, particles.mass)
+    return float(-(mass * (x @ np.asarray(world.gravity))).sum())
 
 
 def twin(x, v, world, particles):

@@ -1,0 +1,39 @@
+"""How far springs are stretched, and how much that is of what they bear."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taichi_cloth.scene.model import Springs
+
+# The strain that springs which cannot break are compared with: cloth that stretches by more than a
+# tenth no longer looks like cloth (Provot, "Deformation constraints in a mass-spring model", 1995).
+ALLOWED = 0.1
+
+
+def lengths(x: np.ndarray, between: np.ndarray) -> np.ndarray:
+    """The distances of pairs of particles at x (n, dim), of between (s, 2); (s,)."""
+    a, b = between.T
+    d = x.take(b, axis=0) - x.take(a, axis=0)
+    length: np.ndarray = np.sqrt(np.einsum("ij,ij->i", d, d))
+    return length
+
+
+def strains(length: np.ndarray, springs: Springs) -> np.ndarray:
+    """(length - rest) / rest of springs, (s,); 0 of those that have no length at rest."""
+    rest = springs.rest_length
+    with np.errstate(divide="ignore", invalid="ignore"):
+        part: np.ndarray = np.where(rest > 0, (length - rest) / rest, 0.0)
+    return part
+
+
+def borne(length: np.ndarray, springs: Springs) -> np.ndarray:
+    """How much springs bear of what they can, (s,): 1 where a pull is at its limit, -1 a push.
+
+    Where springs break that is their force in break forces, else their strain in `ALLOWED`.
+    """
+    breaks = np.isfinite(springs.break_force)
+    if not breaks.any():
+        return strains(length, springs) / ALLOWED
+    pull = springs.stiffness * (length - springs.rest_length) / springs.break_force
+    return pull if breaks.all() else np.where(breaks, pull, strains(length, springs) / ALLOWED)

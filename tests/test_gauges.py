@@ -1,0 +1,174 @@
+"""What meters read: energy and where it went, against closed forms; margin, strain, momentum."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from discrete import DISCRETE
+from selection import mostly_thorough
+from test_stability import tangle
+
+from taichi_cloth.kernels import methods
+from taichi_cloth.limits.eigenmodes import stable_step
+from taichi_cloth.limits.network import Network
+from taichi_cloth.limits.tracking import FastestMode
+from taichi_cloth.scene.library import build
+from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.simulation.gauges import Gauges
+from taichi_cloth.simulation.history import History
+
+K, MASS, AMPLITUDE = 0.04, 1.0, 50.0
+OMEGA2 = K / MASS
+
+
+def oscillator(drag=0.0, dashpot=0.0):
+    """One mass on one spring, at rest `AMPLITUDE` beyond the rest length."""
+    scene = build("oscillator", stiffness=K, amplitude=AMPLITUDE)
+    viscous = np.where(scene.particles.fixed, 0.0, drag)
+    springs = replace(scene.springs, damping=np.full(1, dashpot))
+    return replace(scene, particles=replace(scene.particles, viscous=viscous), springs=springs)
+
+
+def booked(sim, frames, every=1):
+    """What an account says after so many frames, read after every so many of them."""
+    gauges = Gauges(sim, paced=False)
+    gauges.after_frame(0.0)
+    for frame in range(1, frames + 1):
+        gauges.before_frame()
+        sim.advance(1)
+        if frame % every == 0:
+            gauges.after_frame(frame / 60)
+    return gauges.state.booked
+
+
+@pytest.mark.parametrize("method", mostly_thorough(methods.METHODS, ["symplectic_euler", "rk4"]))
+def test_drift_is_what_the_discrete_map_makes_of_energy(pool, method):
+    """Without damping all change is the method's: that of its one-step matrix, to round-off."""
+    h, frames = 1.5, 60
+    sim = pool(oscillator(), method, h, **({"tolerance": 1e-12} if method[:2] == "im" else {}))
+    book = booked(sim, frames)
+    x, v = np.linalg.matrix_power(DISCRETE[method](h, OMEGA2), frames) @ [AMPLITUDE, 0.0]
+    expected = 0.5 * (MASS * v * v + K * x * x) - 0.5 * K * AMPLITUDE**2
+    assert book.work == book.by_hand == 0.0
+    solved = 1e-5 if methods.load(method).claims.implicit or method in ("vbd", "xpbd") else 1e-12
+    assert book.drift == pytest.approx(expected, rel=1e-9, abs=solved * 0.5 * K * AMPLITUDE**2)
+
+
+@pytest.mark.parametrize("damped_by", ["drag", "dashpot"])
+def test_a_damped_swing_loses_what_the_closed_form_says(pool, damped_by):
+    """The work of damping by the trapezoidal rule: its error falls as the square of the time
+    between readings, `doubt` says how large it is, and rk4 itself drifts by next to nothing."""
+    c, h, frames = 0.02, 0.5, 120
+    decay, time = c / 2 / MASS, frames * h
+    swing = math.sqrt(OMEGA2 - decay**2)
+    phase = np.array([math.cos(swing * time), math.sin(swing * time)])
+    x = AMPLITUDE * math.exp(-decay * time) * (phase @ [1.0, decay / swing])
+    v = -AMPLITUDE * math.exp(-decay * time) * phase[1] * OMEGA2 / swing
+    lost = 0.5 * (MASS * v * v + K * x * x) - 0.5 * K * AMPLITUDE**2
+    assert lost < -10.0
+    errors = []
+    for every in (1, 2):
+        book = booked(pool(oscillator(**{damped_by: c}), "rk4", h), frames, every)
+        errors.append(book.work - lost)
+        assert book.change == pytest.approx(lost, rel=1e-5)
+        assert book.drift == pytest.approx(-errors[-1], abs=1e-3)
+        assert 0.5 * abs(errors[-1]) < book.doubt < 2 * abs(errors[-1]) < 0.01 * abs(lost)
+    assert errors[1] / errors[0] == pytest.approx(4.0, rel=0.1)
+
+
+def test_pushes_changes_by_hand_and_breaks_are_no_drift(pool):
+    """A push on a free body, a velocity that is set, and a spring that breaks with what it had."""
+    world = World((400.0, 200.0), gravity=(0.0, 0.0), mouse="blow")
+    body = Scene("body", world, Particles.build([[50.0, 50.0]], mass=2.0), Springs.none())
+    sim = pool(body, "rk4", 0.5)
+    gauges = Gauges(sim, paced=False)
+    gauges.after_frame(0.0)
+    sim.hold([[0.3, 0.0]])
+    for _ in range(20):
+        gauges.before_frame()
+        sim.advance(1)
+    gauges.after_frame(0.1)
+    speed = 0.3 / 2.0 * 10.0
+    assert gauges.state.booked.work == pytest.approx(0.5 * 2.0 * speed**2)
+    assert gauges.state.momentum == pytest.approx([2.0 * speed, 0.0])
+    sim.hold([[0.0, 0.0]])
+    sim.set(velocities=[[0.0, 4.0]])
+    gauges.before_frame()
+    sim.advance(1)
+    gauges.after_frame(0.2)
+    book = gauges.state.booked
+    assert book.by_hand == pytest.approx(0.5 * 2.0 * (4.0**2 - speed**2))
+    assert abs(book.drift) < 1e-9
+
+    x = np.array([[100.0, 50.0], [110.0, 50.0]])
+    apart = [[-1.0, 0.0], [1.0, 0.0]]
+    springs = Springs.build([(0, 1)], x, stiffness=0.5, break_force=0.9)
+    sim = pool(Scene("pair", world, Particles.build(x, apart), springs), "symplectic_euler", 0.01)
+    gauges = Gauges(sim, paced=False)
+    gauges.after_frame(0.0)
+    for frame in range(200):
+        sim.advance(1)
+        gauges.after_frame(frame / 60)
+    book = gauges.state.booked
+    assert gauges.state.broken == 1 and gauges.state.spring == -1
+    assert book.work == pytest.approx(-(0.9**2) / (2 * 0.5), rel=0.03)  # a step of 0.02 in length
+    assert abs(book.drift) < 0.01 * abs(book.work)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.1])
+def test_the_mode_that_is_followed_is_that_of_the_exact_limit(damping):
+    """At a state, and again where the particles have moved; its spring is named alike."""
+    scene = tangle(damping=damping, drag=0.0)
+    for method in ("symplectic_euler", "rk4"):
+        module = methods.load(method)
+        mode = FastestMode(module)
+        for moved in (0.0, 3.0):
+            x = scene.particles.position + moved * np.random.default_rng(2).random((6, 2))
+            network = Network.from_scene(scene, x)
+            exact = stable_step(module, network)
+            found = [mode.follow(network, exact.dt, 40) for _ in range(10)][-1]
+            assert found.limit.dt == pytest.approx(exact.dt, rel=0.03 if damping else 2e-3)
+            # With dashpots two springs are nearly even, and rk4's modes are no common ones.
+            assert found.limit.spring == exact.spring or damping
+            assert found.error < 0.01
+
+
+def test_reading_changes_no_bit_and_names_the_strained_spring(device, pool):
+    """A cloth that is blown on and tears, with gauges and without."""
+    scene = build("cloth", columns=8, rows=6, break_force=1.2, damping=0.05)
+
+    def run(sim, gauges):
+        for frame in range(40):
+            if frame in (3, 4, 5):
+                sim.blow([180.0, 60.0], [40.0, 10.0])
+            if gauges:
+                gauges.before_frame()
+            sim.advance(1)
+            if gauges:
+                gauges.after_frame(frame / 60)
+        return sim.positions(), sim.velocities(), sim.springs_alive()
+
+    plain = run(pool(scene), None)
+    sim = pool(scene, another=True)
+    gauges = Gauges(sim, paced=False)
+    for a, b in zip(plain, run(sim, gauges), strict=True):
+        assert np.array_equal(a, b)
+    state, springs = gauges.state, scene.springs
+    assert state.broken == (~plain[2]).sum() > 0
+    a, b = springs.between[state.spring]
+    length = np.linalg.norm(plain[0][a] - plain[0][b])
+    assert state.ends == (a, b)
+    assert state.strain == pytest.approx(length / springs.rest_length[state.spring] - 1)
+    assert len(gauges.margins) == 4 and gauges.margin.used > 0
+
+
+def test_a_history_keeps_the_last_seconds():
+    history = History(seconds=2.0, rows=50, columns=1)
+    for n in range(500):
+        history.note(n / 10, n)
+    age, values = history.last(49.9)
+    assert age[-1] == 0.0 and age[0] == pytest.approx(2.1) and values[0, 0] == 478
+    assert history.rate(49.9) == pytest.approx(10.0)
+    history.clear()
+    assert len(history) == 0 and history.rate(0.0) == 0.0
