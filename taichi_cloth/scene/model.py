@@ -95,6 +95,7 @@ class World:
 
     @property
     def dim(self) -> int:
+        """How many dimensions it has: 2 or 3."""
         return len(self.size)
 
     @property
@@ -258,6 +259,7 @@ class Particles(ParticleProperties[np.ndarray], _Motion):
 
     @classmethod
     def none(cls, dim: int) -> Particles:
+        """No particles, in `dim` dimensions."""
         return cls.build(np.zeros((0, dim)))
 
     def joined(self, other: Particles) -> Particles:
@@ -312,6 +314,7 @@ class Springs(SpringProperties[np.ndarray, np.ndarray, np.ndarray], _Ends):
 
     @classmethod
     def none(cls) -> Springs:
+        """No springs."""
         return cls.build(np.zeros((0, 2)), np.zeros((0, 2)), rest_length=0.0)
 
     def lengths_held(self) -> tuple[np.ndarray, np.ndarray]:

@@ -64,6 +64,7 @@ class Stencils:
 
     @classmethod
     def none(cls) -> Stencils:
+        """No stencils."""
         return cls.build(np.zeros((0, IN_ROW), np.int64), np.zeros((0, IN_ROW)), 0.0)
 
     @classmethod

@@ -1,0 +1,107 @@
+"""The documents: every link leads somewhere, every public name says what it is, the site builds."""
+
+import dataclasses
+import importlib.util
+import inspect
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from selection import thorough
+
+import taichi_cloth as tc
+
+ROOT = Path(__file__).parent.parent
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+FENCE = re.compile(r"^( *)(```+).*?^\1\2\n", re.M | re.S)
+LINK = re.compile(r"\]\(([^)\s]+)\)|<img [^>]*src=\"([^\"]+)\"")
+
+
+def prose(path):
+    """A document without its blocks of code."""
+    return FENCE.sub("", path.read_text())
+
+
+def anchors(path):
+    """The anchors of a document's headings, as GitHub and the site make them."""
+    headings = re.findall(r"^#+ +(.*?) *$", prose(path), re.M)
+    plain = [re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading) for heading in headings]
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in plain}
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+def test_every_link_leads_to_what_is_there(path):
+    for found in LINK.finditer(prose(path)):
+        target, _, anchor = (found[1] or found[2]).partition("#")
+        if re.match(r"\w+:", target):
+            continue
+        at = path if not target else path.parent / target
+        assert at.exists(), f"{path.name}: {found[0]}"
+        if anchor:
+            assert anchor in anchors(at), f"{path.name}: {found[0]}"
+
+
+def test_every_picture_is_shown_somewhere_and_small():
+    """What no document shows is not kept."""
+    shown = "".join(prose(path) for path in DOCUMENTS)
+    pictures = [path for path in (ROOT / "docs" / "images").rglob("*.*")]
+    assert all(path.name in shown for path in pictures)
+    assert sum(path.stat().st_size for path in pictures) < 6e6
+
+
+def members(kind):
+    """The public methods and properties of a class, its own and inherited ones of ours."""
+    for name, value in inspect.getmembers(kind):
+        home = next((base for base in kind.__mro__ if name in vars(base)), object)
+        if not name.startswith("_") and home.__module__.startswith("taichi_cloth"):
+            kept = inspect.getattr_static(kind, name)
+            if inspect.isroutine(value) or isinstance(kept, property) or hasattr(kept, "func"):
+                yield f"{kind.__name__}.{name}", value if inspect.isroutine(value) else kept
+
+
+def documented(value):
+    said = inspect.getdoc(value)
+    # A dataclass without words has its signature.
+    generated = dataclasses.is_dataclass(value) and (said or "").startswith(f"{value.__name__}(")
+    return bool(said) and not generated
+
+
+def test_every_public_name_says_what_it_is():
+    silent, seen = [], 0
+    for name in (name for name in tc.__all__ if name != "__version__"):
+        value = getattr(tc, name)
+        parts = [(name, value), *(members(value) if inspect.isclass(value) else ())]
+        if inspect.ismodule(value):
+            parts += [
+                (f"{name}.{part}", made)
+                for part, made in inspect.getmembers(value, inspect.isfunction)
+                if made.__module__ == value.__name__ and not part.startswith("_")
+            ]
+        silent += [part for part, what in parts if not documented(what)]
+        seen += len(parts)
+    assert not silent and seen > 100
+
+
+@thorough
+@pytest.mark.skipif(
+    not (importlib.util.find_spec("mkdocstrings") or os.environ.get("CI")),
+    reason='needs pip install -e ".[docs]"',  # which CI must have
+)
+def test_the_site_builds_strictly_and_its_reference_has_every_name(tmp_path):
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-d", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=500)
+    assert done.returncode == 0 and "WARNING" not in done.stderr, done.stdout + done.stderr
+    page = (tmp_path / "reference.html").read_text()
+    for name in tc.__all__:
+        if name != "__version__":
+            assert re.search(rf'href="#[\w.]+">(<[^>]*>|\s)*{name}\b', page), name
+    for name, _ in members(tc.Simulation):
+        assert name in page, name
+    for path in DOCUMENTS:
+        name = "index" if path.name == "README.md" else path.stem.lower()
+        html = (tmp_path / f"{name}.html").read_text()
+        for target in re.findall(r'(?:href|src)="([^":#?]+)[#?"]', html):
+            assert (tmp_path / target).exists(), f"{name}.html: {target}"
