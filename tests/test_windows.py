@@ -26,7 +26,8 @@ from taichi_cloth.scene.model import COLOR_CYCLE, Particles, Scene, World
 from taichi_cloth.simulation.diagnostics import Work
 from taichi_cloth.ui import app, hud, text
 from taichi_cloth.ui.camera import Camera
-from taichi_cloth.ui.controls import ZOOM_STEP, Controls
+from taichi_cloth.ui.camera_moves import ZOOM_STEP
+from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import Event, fewest_moves
@@ -52,6 +53,12 @@ class FakeSimulation:
         self.scene, self.frame, self.calls = scene, 0, []
         self.prepared = 0
         self.x, self.pairs = list(scene.particles.position), []
+
+    def held(self):
+        return None
+
+    def let_go(self):
+        self.calls.append(("let_go",))
 
     def prepare_click(self):
         self.prepared += 1

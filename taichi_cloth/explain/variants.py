@@ -131,7 +131,7 @@ def _thickness(scene: Scene) -> Variant:
 def _uniform_springs(scene: Scene, features: Features) -> Iterator[Variant]:
     """One spring gets a number of its own, where all share theirs and none can be added."""
     springs = scene.springs
-    if features.uniform_springs and len(springs) > 1 and scene.world.mouse != "spawn":
+    if features.uniform_springs and len(springs) > 1 and not scene.world.takes_clicks:
         stiffness = springs.stiffness.copy()
         stiffness[0] *= ODD
         changed = replace(scene, springs=replace(springs, stiffness=stiffness))

@@ -229,6 +229,40 @@ def pair(name: str, value: Any) -> tuple[float, float]:
     return float(value[0]), float(value[1])
 
 
+def numbers(count: int | None = None) -> Reader:
+    """The reader of a list of so many finite numbers, such as a place; None: of any that many."""
+
+    def read(name: str, value: Any) -> tuple[float, ...]:
+        of = "finite numbers" if count is None else f"{count} finite numbers"
+        if not isinstance(value, list) or not all(map(_is_finite, value)):
+            raise InputError(f"{name} must be a list of {of}, is {show(value)}")
+        if count is not None and len(value) != count:
+            raise InputError(f"{name} must be a list of {of}, is {show(value)}")
+        return tuple(map(float, value))
+
+    return read
+
+
+def indices(name: str, value: Any) -> tuple[int, ...]:
+    """Numbers of particles or springs: one whole number from 0, or a list of such."""
+    given = value if isinstance(value, list) else [value]
+    return tuple(whole_number(name, one) for one in given)
+
+
+def flag(name: str, value: Any) -> bool:
+    """True or false."""
+    if not isinstance(value, bool):
+        raise InputError(f"{name} must be true or false, is {show(value)}")
+    return value
+
+
+def text(name: str, value: Any) -> str:
+    """A text."""
+    if not isinstance(value, str):
+        raise InputError(f"{name} must be a text, is {show(value)}")
+    return value
+
+
 def word_of(known: Iterable[str], shown: tuple[str, ...] | None = None) -> Reader:
     """The reader of a word out of `known`; shown: the words that hints choose from (all)."""
     words = frozenset(known)

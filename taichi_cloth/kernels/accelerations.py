@@ -174,7 +174,10 @@ def acceleration(spec: ti.template(), state: ti.template(), i, f):
     for term in ti.static(terms_on_particles(spec, ACCELERATION)):
         a += term.law(spec, state, i)
     for term in ti.static(terms_on_particles(spec, FORCE, True)):
-        a += scaled(w, term.law(spec, state, i))
+        if ti.static(not has(term.acts)):
+            a += scaled(w, term.law(spec, state, i))
+        elif term.acts(state):
+            a += scaled(w, term.law(spec, state, i))
     for term in ti.static(terms_on_particles(spec, FORCE, False)):
         if ti.static(not has(term.acts)):
             total += term.law(spec, state, i)

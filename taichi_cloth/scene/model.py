@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from taichi_cloth.errors import InputError
+from taichi_cloth.scene.holding import Hold
 from taichi_cloth.scene.obstacles import CONTACTS, Obstacle
 from taichi_cloth.scene.properties import (
     PARTICLE_PROPERTIES,
@@ -76,6 +77,7 @@ class World:
     contact: how walls and pairs of particles treat positions, out of `obstacles.CONTACTS`.
     more: values of further keys (`world_keys`), those that a scene gives.
     up: "y" where y points up; "": it points down, as in the original programs.
+    tools: whether any mouse tool may be taken up at once (a window). held: what one holds now.
 
     The walls "bottom" and "top" are at the ends of y, "left" and "right" at those of x. "front" is
     the one near to who looks, with x to the right: it is at the end of z where y points up.
@@ -92,6 +94,13 @@ class World:
     contact: str = CONTACTS[0]
     more: Mapping[str, WorldValue] = field(default_factory=dict, hash=False)
     up: str = ""
+    tools: bool = False
+    held: Hold | None = field(default=None, compare=False)
+
+    @property
+    def takes_clicks(self) -> bool:
+        """Whether clicks may add particles and springs."""
+        return self.tools or self.mouse == "spawn"
 
     @property
     def dim(self) -> int:
@@ -403,8 +412,7 @@ class Scene:
 
     def features(self) -> Features:
         """Which parts of the physics this scene can ever need (also after clicks)."""
-        spawns = self.world.mouse == "spawn"
-        springs = self.springs
+        spawns, springs = self.world.takes_clicks, self.springs
         # Stencils are summed with the springs on the graph, if there are any or not.
         has_springs = spawns or len(springs) > 0 or len(self.stencils) > 0
         defaults = self.spring_defaults
@@ -425,6 +433,7 @@ class Scene:
             fracture=bool(
                 np.isfinite(springs.break_force).any()
                 or (spawns and defaults.break_force is not None)
+                or self.world.tools
             ),
             walls=tuple(sorted(map(self.world.side, walls))),
             floor="bottom" in walls and not self.world.up,
@@ -468,7 +477,8 @@ class Scene:
 
     def _uniform_particles(self) -> bool:
         """Whether all particles, also those that clicks add, have the same numbers but mass."""
-        return self._uniform(self.particles, self.particle_defaults, PARTICLE_PROPERTIES)
+        alike = self._uniform(self.particles, self.particle_defaults, PARTICLE_PROPERTIES)
+        return alike and not self.world.tools
 
     def _uniform(
         self,
@@ -482,7 +492,7 @@ class Scene:
                 continue
             column = getattr(columns, name)
             first = column[:1]
-            if self.world.mouse == "spawn":
+            if self.world.takes_clicks:
                 clicked = getattr(defaults, name)
                 if clicked is None and about.at_start:
                     return False

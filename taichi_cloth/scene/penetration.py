@@ -35,6 +35,18 @@ def deepest(scene: Scene, solids: Sequence[Solid], x: np.ndarray, time: float) -
     return max(found)
 
 
+def overlapping(scene: Scene) -> np.ndarray:
+    """The pairs (k, 2) of particles that would overlap at the start, if all collided."""
+    from scipy.spatial import cKDTree
+
+    x, radius, free = scene.particles.position, scene.particles.radius, ~scene.particles.fixed
+    pairs = cKDTree(x).query_pairs(2.0 * radius.max(initial=0.0), output_type="ndarray")
+    i, j = pairs.T
+    near = np.linalg.norm(x[i] - x[j], axis=1) < radius[i] + radius[j]
+    found: np.ndarray = pairs[near & free[pairs].any(axis=1)]
+    return found
+
+
 def _deepest_pair(scene: Scene, x: np.ndarray, free: np.ndarray) -> float:
     """The largest overlap of two particles of which one is free."""
     from scipy.spatial import cKDTree

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from taichi_cloth.errors import InputError
+from taichi_cloth.kernels.methods.contract import Method
+from taichi_cloth.limits.holding import added_mass, strength
+from taichi_cloth.limits.network import Network
+from taichi_cloth.scene.holding import Hold
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.penetration import overlapping
 from taichi_cloth.settings import accepted
 from taichi_cloth.simulation import editing
 from taichi_cloth.simulation.snapshot import Snapshot
@@ -18,6 +26,10 @@ class Changes(ABC):
     """The part of a `Simulation` that changes its numbers, motion, springs and particles."""
 
     storage: Storage
+    scene: Scene
+    dt: float
+    substeps: int
+    _module: Method
 
     @property
     @abstractmethod
@@ -28,6 +40,10 @@ class Changes(ABC):
     @abstractmethod
     def particle_count(self) -> int:
         """How many particles there are."""
+
+    @abstractmethod
+    def network(self) -> Network:
+        """The particles where they are, and the springs that pull."""
 
     @abstractmethod
     def _edit(self, now: Snapshot, edited: Snapshot, left: np.ndarray | None = None) -> None:
@@ -102,7 +118,104 @@ class Changes(ABC):
         What is left is numbered from 0 in the order it had, springs too; those that are broken
         remain listed. Returns which particles these are by their old indices, (m,).
         """
+        self.let_go()
         now = self.storage.snapshot()
         edited, left = editing.without(now, particles)
         self._edit(now, edited, left if len(left) < len(now.x) else None)
         return left
+
+    # --- what a mouse does --------------------------------------------------------------------
+
+    def prepare_tools(self) -> None:
+        """Compile what mouse tools need beside the scene, if that is not done: for some seconds.
+
+        They are holding, blowing, cutting and adding particles. The state stays as it is. A scene
+        whose world has `tools` is compiled so from the start.
+        """
+        if self.scene.world.tools:
+            return
+        self.scene = self.scene.with_world(tools=True)
+        now = self.storage.snapshot()
+        self._edit(now, replace(now, scene=now.scene.with_world(tools=True)))
+
+    def prepare_balls(self) -> None:
+        """Let particles collide from now on, so that what is thrown does not pass through them.
+
+        Compiles for some seconds, where y points up for longer: there they rest on each other.
+        InputError in a scene whose particles overlap from its start, which would burst.
+        """
+        world = self.scene.world
+        if not world.collisions and not self.scene.features().thick:
+            pairs = overlapping(self.scene)
+            if len(pairs):
+                i, j = pairs[0]
+                raise InputError(
+                    f"a ball would pass through here: particles such as {i} and {j} overlap from "
+                    "the start, so they cannot collide; give them a smaller radius"
+                )
+        changes: dict[str, Any] = {"collisions": True, "tools": True}
+        if world.up and not world.collisions:
+            changes["contact"] = "resting"
+        self.scene = self.scene.with_world(**changes)
+        now = self.storage.snapshot()
+        self._edit(now, replace(now, scene=now.scene.with_world(**changes)))
+
+    def grab(
+        self,
+        particles: ArrayLike,
+        place: ArrayLike,
+        stiffness: ArrayLike | None = None,
+        damping: ArrayLike | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Hold particles, by indices or a mask (n,), until `let_go`; others are let go.
+
+        Each keeps its way from `place` (dim,), which `drag` moves. Fixed particles stay fixed.
+        stiffness [force / length], damping [force / velocity]: one for all or (m,) for each; those
+        of `limits.holding.strength` where absent. Where the step has no room for them, what is held
+        weighs more meanwhile. Returns both, (m,) each.
+        """
+        self.prepare_tools()
+        count, dim = self.particle_count, self.scene.world.dim
+        chosen = accepted.selection("grab: particles", particles, count, "particle")
+        if len(chosen) == 0:
+            raise InputError("grab: no particle to hold; give at least one")
+        at = accepted.array("grab: place", place, (dim,), "one a dimension").copy()
+        pulls = list(self.hold_strength(chosen))
+        self.let_go()
+        network = self.network()
+        for which, (name, value) in enumerate((("stiffness", stiffness), ("damping", damping))):
+            if value is not None:
+                numbers = accepted.numbers(f"grab: {name}", value)
+                accepted.require(f"grab: {name}", numbers, numbers >= 0, "must not be negative")
+                pulls[which] = accepted.fitted(f"grab: {name}", numbers, (len(chosen),), "held")
+        k, c = pulls
+        more = added_mass(self._module, network, self.dt / self.substeps, chosen, k, c)
+        offset = self.storage.positions()[chosen] - at
+        mass = network.particles.mass[chosen]
+        self.storage.grab(Hold(chosen, offset, at, k, c, mass), mass + more)
+        return k, c
+
+    def hold_strength(self, particles: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Stiffness and damping with which `grab` holds particles by itself, (m,) each."""
+        count = self.particle_count
+        chosen = accepted.selection("hold_strength: particles", particles, count, "particle")
+        k, c = strength(self.network(), self.dt, chosen)
+        return k, c
+
+    def drag(self, place: ArrayLike) -> None:
+        """Take what is held to another `place` of the pointer, (dim,); without a hold: nothing."""
+        dim = self.scene.world.dim
+        place = accepted.array("drag: place", place, (dim,), "one a dimension")
+        held = self.held()
+        if held is not None:
+            held.place[:] = place
+            self.storage.drag(place)
+
+    def let_go(self) -> None:
+        """Hold nothing any more: what was held goes on with the velocity that it has."""
+        if self.held() is not None:
+            self.storage.grab(None)
+
+    def held(self) -> Hold | None:
+        """What is held now; None: nothing."""
+        return self.storage.scene.world.held

@@ -33,7 +33,7 @@ def specialization(
     """
     scene, layout = snapshot.scene, placement.layout
     features = dict(vars(scene.features()))
-    spawns = scene.world.mouse == "spawn"
+    spawns = scene.world.takes_clicks
     listed = len(placement.graph_stencils) > 0
     features["springs"] &= spawns or listed or len(placement.graph_springs) > 0
     # What was cut is gone where nothing else can break.
@@ -67,12 +67,12 @@ def capacity(scene: Scene, solids: Sequence[Solid], placement: Placement) -> Cap
     """Room for a scene in a placement, with what is in its way, and none to spare."""
     layout, thick = placement.layout, scene.features().thick
     # What clicks put beside grids is in a block of rows of its own.
-    clicked = layout.beside if scene.world.mouse == "spawn" else 0
+    clicked = layout.beside if scene.world.takes_clicks else 0
     return Capacity(
         particles=len(scene.particles),
         springs=len(placement.graph_springs),
         packs=layout.n_packs,
-        grids=len(layout.grid) + (clicked > 0),
+        grids=len(layout.grid) + (clicked > 0 and bool(layout.grid[:, 3].all())),
         row=max(layout.row, clicked),
         obstacles=len(solids),
         nodes=sum(solid.nodes for solid in solids),

@@ -43,6 +43,7 @@ from taichi_cloth.simulation.storage import Storage
 # Particles in a pack on CPUs: 8 fill the widest vectors there are in f64, half of one in f32, where
 # 16 are faster only on large cloths and take three times as long to compile; docs/speed.md.
 LANES = 8
+ORIGINAL_REACH = blow.REACH  # world units: how far the pointer blows where nothing else is said
 MOST_LANES = 64  # more fill no vector, and take minutes to compile
 
 
@@ -370,10 +371,12 @@ class Simulation(Readings, Changes, Showing):
         fixed: bool = False,
         color: ArrayLike | None = None,
         tied_to: int | None = None,
+        **numbers: float,
     ) -> int:
         """Add one particle with the scene's particle defaults; return its index.
 
-        tied_to: index of a particle to tie it to with the scene's spring defaults. Raises
+        tied_to: index of a particle to tie it to with the scene's spring defaults. numbers: mass,
+        radius and the others of `ParticleProperties`, where it has others than those. Raises
         InputError where the particle is outside the world or tied to one that does not exist.
         """
         dim, defaults = (self.scene.world.dim,), self.scene.particle_defaults
@@ -381,7 +384,9 @@ class Simulation(Readings, Changes, Showing):
         if velocity is not None:
             velocity = accepted.array("spawn: velocity", velocity, dim, "one a dimension")
         fixed = accepted.flag("spawn: fixed", fixed)
-        new = Particles.build(position, velocity, defaults=defaults, fixed=fixed, color=color)
+        new = Particles.build(
+            position, velocity, defaults=defaults, fixed=fixed, color=color, **numbers
+        )
         if tied_to is not None:
             tied_to = accepted.whole_number("spawn: tied_to", tied_to)
             if tied_to >= self.particle_count:
@@ -416,7 +421,7 @@ class Simulation(Readings, Changes, Showing):
 
     def _check_blows(self) -> None:
         mouse = self.scene.world.mouse
-        if mouse != "blow":
+        if mouse != "blow" and not self.scene.world.tools:
             raise InputError(
                 f"scene '{self.scene.name}': the mouse does not blow here "
                 f"([world] mouse is '{mouse}'; set it to 'blow')"

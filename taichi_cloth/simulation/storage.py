@@ -22,12 +22,13 @@ from taichi_cloth.kernels import (
     transfer,
     watchdog,
 )
-from taichi_cloth.kernels.forces import blow
+from taichi_cloth.kernels.forces import blow, grab
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.solvers import stages
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS, SpringNumber
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE, WORK, State
+from taichi_cloth.scene.holding import Hold
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.solids import solids
 from taichi_cloth.simulation import adjacency, diagnostics, requirements
@@ -261,7 +262,7 @@ class Storage:
                 return old
             factor = 2 if fits else 1
             old.free()
-        room = SPAWN_CAPACITY if scene.world.mouse == "spawn" else 0
+        room = SPAWN_CAPACITY if scene.world.takes_clicks else 0
         capacity = replace(
             needed,
             particles=factor * needed.particles + room,
@@ -280,7 +281,7 @@ class Storage:
 
         Called between frames, they change nothing of the state.
         """
-        if self.scene.world.mouse != "spawn":
+        if not self.scene.world.takes_clicks:
             return []
         n, dim, state = len(self.scene.particles), self.scene.world.dim, self.state
         row = np.zeros((1, dim), self.real)
@@ -338,6 +339,39 @@ class Storage:
         if self.pushed:
             self._launcher.launch(blow.clear_push, self.state)
             self.pushed, self._held, self._altered = False, False, True
+
+    # --- what the mouse holds --------------------------------------------------------------
+
+    def grab(self, hold: Hold | None, mass: np.ndarray | None = None) -> None:
+        """Hold particles from now on, which weigh `mass` (m,) meanwhile; None: let all go."""
+        scene, before = self.scene, self.scene.world.held
+        weights = scene.particles.mass.copy()
+        if before is not None:
+            weights[before.particles] = before.mass
+            self._launch_hold(before, weights, 0)
+        if hold is not None:
+            weights[hold.particles] = mass
+            self._launch_hold(hold, weights, 1)
+            self.drag(hold.place)
+        particles = replace(scene.particles, mass=weights)
+        changed = replace(scene, world=replace(scene.world, held=hold), particles=particles)
+        self._taken = replace(self._taken, scene=changed)
+        self._altered = True
+
+    def _launch_hold(self, hold: Hold, weights: np.ndarray, grabbing: int) -> None:
+        """Hold particles, or let them go (grabbing 0), with these masses of all, (n,)."""
+        mine = hold.particles
+        w = np.where(self.scene.particles.fixed[mine], 0.0, 1.0 / weights[mine])
+        pull = grabbing * np.column_stack([hold.offset, hold.stiffness, hold.damping])
+        rows = as_real(self.real, "particle", pull, w)
+        self._launch(grab.hold, mine.astype(np.int32), rows, grabbing)
+        if self._now.container.spec.halo and "spring_colours" in self._needs:
+            self._launch(transfer.load_halo_numbers)
+
+    def drag(self, place: np.ndarray) -> None:
+        """Take what is held to another place of the pointer, (dim,)."""
+        self._launch(grab.move_hold, as_real(self.real, "pointer", place[None])[0])
+        self._altered = True
 
     # --- reading back ----------------------------------------------------------------------
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 FOCAL_LENGTH = 1.7  # in the picture's shorter side: an angle of 33 degrees, a portrait lens
 ELEVATION = (14.0, -24.0)  # degrees, rot_x and rot_y of a camera that frames: from above and aside
+POSE = 6  # numbers: centre, distance, rot_x, rot_y
 FILLED = 0.92  # share of the picture that what is framed may fill
 
 
@@ -84,12 +85,7 @@ class Camera:
         camera = cls(
             world_size, 1.0, focal, *ELEVATION, centre=(low + high) / 2, radius=radius, y_up=y_up
         )
-        corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-        seen = camera.rotate_points(low + corners * (high - low))
-        # A corner is inside the picture from the distance on at which its slope is half of it.
-        slope = FILLED * camera.middle / focal
-        fits = (np.abs(seen[:, :2]) / slope - seen[:, 2:]).max()
-        camera.distance = max(float(fits), camera.nearest)
+        camera.pose = camera.framed(low, high)
         return camera
 
     @property
@@ -150,6 +146,33 @@ class Camera:
         """Add `dx_deg` to `rot_y` and `dy_deg` to `rot_x`, degrees (kept within -180..180)."""
         self.rot_y = math.remainder(self.rot_y + dx_deg, 360.0)
         self.rot_x = math.remainder(self.rot_x + dy_deg, 360.0)
+
+    def pan(self, pixels: ArrayLike) -> None:
+        """Move what is looked at so that the picture goes by `pixels` (2,)."""
+        offset = np.asarray(pixels, np.float64) * (self.distance / self.focal_length)
+        self.centre = self.centre - np.array([*offset, 0.0]) @ self.rotation()
+
+    @property
+    def pose(self) -> tuple[float, ...]:
+        """Where it looks at, from how far, and which way: `POSE` numbers, which may be set."""
+        return (*map(float, self.centre), self.distance, self.rot_x, self.rot_y)
+
+    @pose.setter
+    def pose(self, pose: tuple[float, ...]) -> None:
+        *centre, self.distance, self.rot_x, self.rot_y = pose
+        self.centre = np.array(centre)
+
+    def framed(self, low: ArrayLike, high: ArrayLike) -> tuple[float, ...]:
+        """Its pose where it sees a box from the same side, as large as fits into the picture."""
+        low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
+        radius = max(float(np.linalg.norm(high - low)) / 2, 1e-6 * max(self.world_size[:2]))
+        corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        seen = (low + corners * (high - low) - (low + high) / 2) @ self.rotation().T
+        # A corner is inside the picture from the distance on at which its slope is half of it.
+        slope = FILLED * self.middle / self.focal_length
+        fits = float((np.abs(seen[:, :2]) / slope - seen[:, 2:]).max())
+        middle = (float(number) for number in (low + high) / 2)
+        return (*middle, max(fits, 1.05 * radius), self.rot_x, self.rot_y)
 
     def zoom(self, factor: float) -> None:
         """Come nearer by `factor` (2: half the distance; below 1: farther), within limits.

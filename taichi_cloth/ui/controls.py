@@ -7,10 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.ui import interaction, tools
 from taichi_cloth.ui.camera import Camera
-from taichi_cloth.ui.inputs import COMMANDS, FARTHER_KEYS, NEARER_KEYS, Event
+from taichi_cloth.ui.camera_moves import CameraMoves
+from taichi_cloth.ui.inputs import (
+    BACK_KEY,
+    COMMANDS,
+    DRAGS,
+    FARTHER_KEYS,
+    FRAME_KEY,
+    NEARER_KEYS,
+    Event,
+)
 from taichi_cloth.ui.interaction import LogEvent
 from taichi_cloth.ui.tools.contract import Events, Hand, Marks, Tool, ToolEvent
 from taichi_cloth.ui.window_map import WindowMap
@@ -18,20 +27,19 @@ from taichi_cloth.ui.window_map import WindowMap
 if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
 
-DEGREES_A_PIXEL = 0.1
-ZOOM_STEP = 1.1  # factor a wheel notch or key press
-
 
 class Controls:
     """Turns events into actions on the simulation and the camera.
 
     Everything it does follows from its seed, the size of the window and the events, so that the
-    same events at the same frames give the same run.
+    same events at the same frames give the same run. What would depend on more, such as which tool
+    a key takes up or whether a drag found a particle, is noted as an event of its own, and a replay
+    does what these say.
 
     sim: what is acted on. camera: of a 3-D scene, else None.
     window: (width, height) in pixels that the events' positions refer to.
     seed: of the tools' random numbers.
-    note: called with every event that a tool makes, before it is applied.
+    note: called with every event that follows from another one, before it is applied.
     """
 
     def __init__(
@@ -40,53 +48,98 @@ class Controls:
         camera: Camera | None,
         window: tuple[int, int],
         seed: int = 0,
-        note: Callable[[ToolEvent], None] | None = None,
+        note: Callable[[LogEvent], None] | None = None,
     ):
         world = sim.scene.world
         self._seed, self._note = seed, note
         self._hand = Hand(sim, camera, WindowMap.of(world, window))
+        self._moves = CameraMoves(camera) if camera else None
         self._before: np.ndarray | None = None  # [window pixels] when the last frame began
         self._memory: dict[str, Any] = {}  # what each tool remembers, by name
         self._first = self.tool = tools.for_mouse(world.mouse)
         self._by_key = {tool.key: tool for tool in tools.load_all().values() if tool.key}
+        self._waiting: Callable[[], None] | None = None
 
     @property
     def notice(self) -> str | None:
         """What to tell the user about what was done last."""
         return self._hand.notice
 
+    @property
+    def pointer(self) -> np.ndarray | None:
+        """Where the pointer is, (2,) pixels of the window that events refer to; None: unknown."""
+        return self._hand.pointer
+
+    @property
+    def waits(self) -> bool:
+        """Whether the next `before_frame` compiles for seconds, of which `notice` tells."""
+        return self._waiting is not None
+
+    def ring(self) -> float | None:
+        """How far the tool in hand reaches, world units; None: it has no ring."""
+        if self.tool is None or self.tool.ring is None:
+            return None
+        return self.tool.ring(self._hand)
+
     def apply(self, event: LogEvent, *, replayed: bool = False) -> str | None:
         """Do what `event` asks for.
 
-        replayed: whether it comes from a log, which also holds what tools made of it.
+        replayed: whether it comes from a log, which also holds what came of it.
 
         What is not the simulation's or the camera's is returned for the app to do: "pause",
         "step", "reset", "status", "show", "picture", "film", "help" or "quit".
         """
-        if isinstance(event, ToolEvent):
+        if not isinstance(event, Event):
             self._replay(event)
         elif event.kind == "move":
             self._move(np.array(event.pos, np.float64))
         elif event.kind == "wheel":
-            self._zoom(event.delta)
+            if self._moves:
+                self._moves.zoom(event.delta)
+        elif event.kind == "tool":
+            self._take_up(event.name or "")
+        elif event.kind == "view":
+            self._view(event)
         elif event.button is not None:
             self._click(event, replayed)
         elif event.key is not None:
-            return self._key(event.kind, event.key)
+            return self._key(event.kind, event.key, replayed)
         return None
 
-    def _key(self, kind: str, key: str) -> str | None:
-        held = self._hand.held
+    def choose(self, name: str) -> None:
+        """Take up the tool of this name; "": put away the one in hand, for the scene's own.
+
+        It is noted, as all that follows from what the user does. InputError for an unknown name.
+        """
+        known = tools.load_all()
+        if name and name not in known:
+            raise InputError(f"unknown tool '{name}'; {nearest(name, known)}")
+        self._follow(Event("tool", name=name))
+
+    def _follow(self, event: LogEvent) -> None:
+        """Note an event that follows from what the user did, and apply it."""
+        if self._note is not None:
+            self._note(event)
+        self.apply(event)
+
+    def _key(self, kind: str, key: str, replayed: bool) -> str | None:
+        held, moves = self._hand.held, self._moves
         if kind == "release":
             held.discard(key)
         elif key == "ctrl" or (self.tool and key in self.tool.modifiers):
             held.add(key)
-        elif key in NEARER_KEYS:
-            self._zoom(1)
-        elif key in FARTHER_KEYS:
-            self._zoom(-1)
+        elif key in (*NEARER_KEYS, *FARTHER_KEYS) and moves:
+            moves.zoom(1 if key in NEARER_KEYS else -1)
+        elif key == BACK_KEY and moves:
+            moves.back()
+        elif key == FRAME_KEY and moves:
+            pose = None if replayed else moves.framing(self._hand.sim)
+            if pose is not None:
+                self._follow(Event("view", pose=pose))
         elif key in self._by_key:
-            self._take_up(self._by_key[key])
+            chosen = self._by_key[key]
+            if not replayed:
+                self.choose("" if self.tool is chosen else chosen.name)
         else:
             command = COMMANDS.get(key)
             if command in ("pause", "step"):
@@ -94,43 +147,75 @@ class Controls:
             return command
         return None
 
-    def _take_up(self, tool: Tool[Any]) -> None:
-        """Take `tool` in hand, or put it away for what the pointer did from the start."""
-        self.tool = self._first if self.tool is tool else tool
+    def _take_up(self, name: str) -> None:
+        """Take a tool in hand, or ("") put it away for what the pointer did from the start."""
+        hand, before = self._hand, self.tool
+        chosen = tools.load_all().get(name, self._first)
         self._before = None
-        self._hand.notice = f"{self.tool.name}: {self.tool.help}" if self.tool else None
+        hand.held.difference_update(before.modifiers if before else ())
+        hand.sim.let_go()
+        try:
+            prepare = chosen.prepare(hand.sim) if chosen and chosen.prepare else None
+        except InputError as error:
+            hand.notice = str(error)
+            return
+        self.tool = chosen
+        hand.notice = f"{chosen.name}: {chosen.help}" if chosen else None
+        if chosen and prepare is not None:
+            self._waiting = prepare
+            hand.notice = f"{chosen.name}: compiling for it, some seconds ..."
+
+    def _view(self, event: Event) -> None:
+        """Move the camera to a pose, or let the button that is down drag it."""
+        if self._moves is None:
+            return
+        if event.pose is not None:
+            self._moves.to(event.pose)
+        elif event.drag is not None:
+            self._moves.begin(event.drag)
+            self._before = None
 
     def _move(self, pixel: np.ndarray) -> None:
-        hand = self._hand
-        if "ctrl" in hand.held and hand.camera and hand.pointer is not None:
-            # The side that faces us follows the pointer.
-            dx, dy = (pixel - hand.pointer) * DEGREES_A_PIXEL
-            hand.camera.rotate(-dx, dy)
-            self._before = None
+        hand, moves = self._hand, self._moves
+        if moves and hand.pointer is not None:
+            moved = pixel - hand.pointer
+            if "ctrl" in hand.held:
+                moves.turn(moved)
+                self._before = None
+            elif moves.drags:
+                moves.drag(moved, hand.window.scale)
+                self._before = None
         hand.pointer = pixel
 
-    def _zoom(self, notches: float) -> None:
-        if self._hand.camera:
-            self._hand.camera.zoom(ZOOM_STEP ** float(np.clip(notches, -100, 100)))
-
     def _click(self, event: Event, replayed: bool) -> None:
-        if self.tool is None:
-            return
+        tool, button = self.tool, event.button
         if event.kind == "release":
-            self._use(self.tool.release, event, replayed=replayed)
+            if self._moves and self._moves.drags == DRAGS.get(button or ""):
+                self._moves.end()
+                self._before = None
+            elif tool is not None:
+                self._use(tool.release, event, replayed=replayed)
         elif "ctrl" not in self._hand.held:
-            self._use(self.tool.press, event, replayed=replayed)
+            if tool and button in tool.buttons and (not tool.hits or tool.hits(self._hand, event)):
+                self._use(tool.press, event, replayed=replayed)
+            elif self._moves and button in DRAGS and not replayed:
+                self._follow(Event("view", drag=DRAGS[button]))
 
     def before_frame(self, *, replayed: bool = False) -> None:
         """Let the tool follow the pointer's motion since the last frame; call before `advance`.
 
         The first position that is ever seen comes with no motion. replayed: as for `apply`.
+        What waits to be compiled is compiled first.
         """
+        if self._waiting is not None:
+            waiting, self._waiting = self._waiting, None
+            if self._try(waiting) and self.tool is not None:
+                self._hand.notice = f"{self.tool.name}: {self.tool.help}"
         now, before = self._hand.pointer, self._before
         self._before = now
         if now is None or before is None or (now == before).all() or "ctrl" in self._hand.held:
             return
-        if self.tool is not None:
+        if self.tool is not None and not (self._moves and self._moves.drags):
             self._use(self.tool.motion, before, now, replayed=replayed)
 
     def marks(self) -> Marks | None:
@@ -150,16 +235,19 @@ class Controls:
             return
         for event in () if replayed or made is None else made:
             # As a log holds it, so that a replay does the same to the bit.
-            event = interaction.as_logged(event)
-            if self._note is not None:
-                self._note(event)
-            self._replay(event)
+            self._follow(interaction.as_logged(event))
 
     def _replay(self, event: ToolEvent) -> None:
+        self._try(lambda: interaction.replay(self._hand.sim, event))
+
+    def _try(self, action: Callable[[], None]) -> bool:
+        """Do something, or tell the user why it cannot be done; whether it was."""
         try:
-            interaction.replay(self._hand.sim, event)
+            action()
         except InputError as error:
             self._hand.notice = str(error)
+            return False
+        return True
 
     def _remembered(self, tool: Tool[Any]) -> Any:
         if tool.name not in self._memory:

@@ -9,7 +9,8 @@ from functools import partial
 from typing import Any
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.files.events import Kind, number, pair, word_of
+from taichi_cloth.files.events import Kind, number, numbers, pair, text, word_of
+from taichi_cloth.ui.camera import POSE
 
 BUTTONS = ("left", "middle", "right")
 BUTTON_NAMES = {"LMB": "left", "MMB": "middle", "RMB": "right"}  # by GGUI's and ti.GUI's names
@@ -54,6 +55,13 @@ _KEY_NAMES = {
     "-": "-",
     "minus": "-",
     "KP_Subtract": "-",
+    "comma": ",",
+    "bracketleft": "[",
+    "bracketright": "]",
+    "KP_Enter": "return",
+    "Delete": "delete",
+    **{sign: sign for sign in (*string.digits, ",", "[", "]")},
+    **{f"KP_{digit}": digit for digit in string.digits},
 }
 
 # What the program's own keys ask for, beside those of the camera.
@@ -71,6 +79,8 @@ COMMANDS = {
     **dict.fromkeys(HELP_KEYS, "help"),
     "escape": "quit",
 }
+FRAME_KEY, BACK_KEY = "f", "z"  # of the camera: what there is fills the picture; its pose before
+DRAGS = {"left": "orbit", "right": "pan"}  # what moves the camera by which button
 NEARER_KEYS, FARTHER_KEYS = ("+", "=", "up"), ("-", "down")
 
 
@@ -86,11 +96,15 @@ def key_name(key: str) -> str | None:
 class Event:
     """One thing the user did with mouse or keyboard.
 
-    kind: "move", "press", "release" or "wheel".
+    kind: "move", "press", "release" or "wheel"; "tool" where one is taken up, and "view" where the
+        camera is moved by what is not a key: these say what came of an event before.
     pos: (x, y) in window pixels, origin top left, y down (None for keys).
     button: "left", "middle" or "right".
     key: lower-case name out of `KEYS` ("space", "ctrl", "f1", ".", "a").
     delta: wheel notches, positive away from the user.
+    name: of the tool that is in hand from now on; "": none.
+    drag: out of `DRAGS`, what the button that went down last does while it is held.
+    pose: the camera's from now on (`Camera.pose`).
     """
 
     kind: str
@@ -98,6 +112,9 @@ class Event:
     button: str | None = None
     key: str | None = None
     delta: float = 0.0
+    name: str | None = None
+    drag: str | None = None
+    pose: tuple[float, ...] | None = None
 
     def fields(self) -> dict[str, Any]:
         """What a log's line says of it."""
@@ -110,6 +127,11 @@ class Event:
             said["key"] = self.key
         if self.kind == "wheel":
             said["delta"] = float(self.delta)
+        for word in ("name", "drag"):
+            if getattr(self, word) is not None:
+                said[word] = getattr(self, word)
+        if self.pose is not None:
+            said["pose"] = [float(number) for number in self.pose]
         return said
 
 
@@ -131,6 +153,12 @@ def _press_or_release(kind: str, values: dict[str, Any]) -> Event:
     return Event(kind, **values)
 
 
+def _view(values: dict[str, Any]) -> Event:
+    if len(values) != 1:
+        raise InputError("a view event needs either 'drag' or 'pose'")
+    return Event("view", **values)
+
+
 def _kinds() -> tuple[Kind[Event], ...]:
     pressed = {
         "pos": pair,
@@ -142,6 +170,8 @@ def _kinds() -> tuple[Kind[Event], ...]:
         Kind("press", {}, pressed, partial(_press_or_release, "press")),
         Kind("release", {}, pressed, partial(_press_or_release, "release")),
         Kind("wheel", {"delta": number}, {"pos": pair}, lambda values: Event("wheel", **values)),
+        Kind("tool", {"name": text}, {}, lambda values: Event("tool", **values)),
+        Kind("view", {}, {"drag": word_of(DRAGS.values()), "pose": numbers(POSE)}, _view),
     )
 
 

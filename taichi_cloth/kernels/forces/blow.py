@@ -129,7 +129,7 @@ def variant(scene):
 TERM = Term(
     adds=FORCE,
     keys=Absent('[world] mouse = "blow" is a key that every scene has'),
-    present=lambda scene: scene.world.mouse == "blow",
+    present=lambda scene: scene.world.tools or scene.world.mouse == "blow",
     fields=(
         DeviceField("push", PARTICLE_VECTOR),
         DeviceField("pushing", COUNT),

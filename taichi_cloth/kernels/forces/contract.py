@@ -118,7 +118,7 @@ class Term:
     fields: those that it has on the device.
     law, stiffness, damping, across: see the head of this file; without a law it adds nothing.
     acts(state): whether it acts in a step, where that changes from frame to frame; on particles
-        alone, and without damping.
+        alone. While it does not, its stiffness and damping are 0.
     after_step(spec, state, t): what it does at the end of each step, a ti.func, such as changing
         springs' numbers: those that name it in `spring_numbers.SpringNumber.changed_by`.
     energy(x, v, world, particles, springs): its potential energy, of all particles, a number.
@@ -185,8 +185,8 @@ class Term:
                 raise ValueError(f"{part.name} must be a function, or Absent(reason)")
         if not has(self.law) and not has(self.after_step):
             raise ValueError("law and after_step cannot both be absent")
-        if has(self.acts) and (self.adds in (TENSION, TRACTION) or has(self.damping)):
-            raise ValueError("acts is for forces on particles without damping")
+        if has(self.acts) and self.adds in (TENSION, TRACTION):
+            raise ValueError("acts is for forces on particles")
         if (has(self.prepare) or has(self.product)) and self.adds != TRACTION:
             raise ValueError("prepare and product are for forces on triangles")
         if self.adds == TRACTION and has(self.law) and not has(self.product):

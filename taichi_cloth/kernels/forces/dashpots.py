@@ -31,7 +31,7 @@ def damping(numbers: ti.template()):
 
 def present(scene):
     """Whether any spring of the scene, or any that clicks make, is damped."""
-    clicked = scene.world.mouse == "spawn" and scene.spring_defaults.damping > 0
+    clicked = scene.world.takes_clicks and scene.spring_defaults.damping > 0
     return bool((scene.springs.damping > 0).any() or clicked)
 
 

@@ -32,7 +32,7 @@ def across(length, numbers: ti.template(), least):
 def present(scene):
     """Whether the scene has springs, clicks can make some, or stencils are summed as they are."""
     bends = bool((scene.stencils.bending > 0).any())
-    return scene.world.mouse == "spawn" or len(scene.springs) > 0 or bends
+    return scene.world.takes_clicks or len(scene.springs) > 0 or bends
 
 
 def energy(x, v, world, particles, springs):
@@ -51,7 +51,7 @@ def twin(length, rate, springs):
 def variant(scene):
     """The scene without its springs; None where it has none, or clicks make some."""
     springs = scene.springs
-    if len(springs) == 0 or scene.world.mouse == "spawn":
+    if len(springs) == 0 or scene.world.takes_clicks:
         return None
     without = replace(
         scene,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.ui.tools.contract import Hand, Tool
+from taichi_cloth.simulation.simulation import ORIGINAL_REACH
+from taichi_cloth.ui.tools.contract import Hand, Tool, prepared
 
 
 def _actions(scene: Scene) -> tuple[str, ...]:
@@ -27,17 +28,26 @@ def _motion(hand: Hand, memory: None, before: np.ndarray, now: np.ndarray) -> No
         hand.sim.blow(there, displacement, hand.reach())
 
 
+def _ring(hand: Hand) -> float:
+    return hand.reach() or ORIGINAL_REACH
+
+
 TOOL = Tool(
     name="blow",
+    label="blow",
     help="blow at the particles near the pointer",
     mouse="blow",
-    key=None,  # only scenes whose mouse blows have room for a push
+    key="b",
     modifiers=(),
     actions=_actions,
     remember=_remember,
     motion=_motion,
+    buttons=(),
+    hits=None,
     press=None,
     release=None,
+    prepare=lambda sim: None if sim.scene.world.mouse == "blow" else prepared(sim),
+    ring=_ring,
     draw=None,
     events=(),  # the pointer's moves say it all
 )

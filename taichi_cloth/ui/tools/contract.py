@@ -11,8 +11,9 @@ import numpy as np
 
 from taichi_cloth.files.events import Reader
 from taichi_cloth.scene.model import MOUSE_MODES, Scene
+from taichi_cloth.ui import picking
 from taichi_cloth.ui.camera import Camera
-from taichi_cloth.ui.inputs import COMMANDS, KEYS, KINDS, Event
+from taichi_cloth.ui.inputs import BACK_KEY, BUTTONS, COMMANDS, FRAME_KEY, KEYS, KINDS, Event
 from taichi_cloth.ui.window_map import WindowMap
 
 if TYPE_CHECKING:
@@ -88,13 +89,41 @@ class Hand:
     held: set[str] = field(default_factory=set)
     notice: str | None = None
 
-    def place(self, pixel: tuple[float, float] | np.ndarray) -> np.ndarray:
+    def place(
+        self, pixel: tuple[float, float] | np.ndarray, through: np.ndarray | None = None
+    ) -> np.ndarray:
         """The point (dim,) of the world under a pixel of the window.
 
-        In 3-D it lies on the plane through the world's centre that faces the user.
+        In 3-D it lies on the plane that faces the user and goes through a point (3,); None:
+        through what the camera looks at.
         """
         point = self.window.to_world(pixel)
-        return self.camera.unproject(point) if self.camera else point
+        if self.camera is None:
+            return point
+        flat = self.camera.unproject(point)
+        if through is None:
+            return flat
+        eye, along = self.camera.ray(point)
+        ahead = self.camera.rotation()[2]
+        return eye + along * (float((through - eye) @ ahead) / float(along @ ahead))
+
+    def particle_at(
+        self, pixel: tuple[float, float], among: np.ndarray | None = None
+    ) -> int | None:
+        """The particle that a click means (`picking.particle_at`); None: empty space."""
+        at = np.array(pixel, np.float64)
+        return picking.particle_at(self.sim, self.camera, self.window, at, among)
+
+    @property
+    def in_pixels(self) -> bool:
+        """Whether the world is measured in pixels, as the original's."""
+        world = self.sim.scene.world
+        return world.up != "y" and min(world.size[:2]) >= FEWEST_PIXELS
+
+    def dot(self) -> float:
+        """The radius of what a tool marks, world units: in 3-D of what the camera looks at."""
+        length = DOT / self.window.scale
+        return length * self.camera.distance / self.camera.focal_length if self.camera else length
 
     def reach(self) -> float | None:
         """How far from the pointer a tool acts, world units: an eighth of what is seen.
@@ -102,16 +131,18 @@ class Hand:
         That is of the shorter side of the picture, in 3-D at what the camera looks at. None: the
         world is measured in pixels, as the original's, and so is what its pointer reaches.
         """
-        world = self.sim.scene.world
-        side = min(world.size[:2])
-        if world.up != "y" and side >= FEWEST_PIXELS:
+        side = min(self.sim.scene.world.size[:2])
+        if self.in_pixels:
             return None
         if self.camera:
             side *= self.camera.distance / self.camera.focal_length
         return REACH * side
 
 
+LONGEST_LABEL = 8
+OUTSIDE = "that is outside the world: click inside it"
 REACH = 1 / 8  # of the picture's shorter side
+DOT = 4.0  # pixels: the radius of what a tool marks
 FEWEST_PIXELS = 100.0  # a shorter side, where y points down, is not in pixels
 
 M = TypeVar("M")  # what a tool remembers
@@ -132,7 +163,7 @@ class Tool(Generic[M]):
 
     A slot that raises InputError has it shown to the user.
 
-    name: the file's name.
+    name: the file's name. label: the word for it in the tool bar, a short one.
     help: what it does, in one line of the key list.
     mouse: the scenes' word `[world] mouse` for which it is what the pointer does from the start.
     key: the letter that takes it up, and puts it away again.
@@ -141,12 +172,20 @@ class Tool(Generic[M]):
     remember: makes what the tool remembers from its first use to a reset, from the run's seed.
     motion: called before a frame if the pointer moved since the last one, but not while ctrl is
         held, with the pixels (2,) where the pointer was then and is now.
+    buttons: the mouse's buttons that it uses; dragging others moves a 3-D scene's camera.
+    hits: whether a press of one of these, at a place in the window, is meant for it, too; else the
+        camera takes it. None: each is.
     press, release: called when a mouse button goes down (but not while ctrl is held) and up.
+    prepare: called when it is taken up: what has to be compiled before it can be used, as a
+        function to call; None: nothing. It raises InputError where the scene cannot have it.
+    ring: how far it reaches around the pointer, for a ring that is drawn there, world units; None:
+        it has none.
     draw: what is drawn beside the scene while the tool is in hand.
     events: the kinds of events that it writes to the log.
     """
 
     name: str
+    label: str
     help: str
     mouse: str | None
     key: str | None
@@ -154,14 +193,22 @@ class Tool(Generic[M]):
     actions: Callable[[Scene], tuple[str, ...]]
     remember: Callable[[int], M]
     motion: Callable[[Hand, M, np.ndarray, np.ndarray], Events] | None
+    buttons: tuple[str, ...]
+    hits: Callable[[Hand, Event], bool] | None
     press: Callable[[Hand, M, Event], Events] | None
     release: Callable[[Hand, M, Event], Events] | None
+    prepare: Callable[[Simulation], Callable[[], None] | None] | None
+    ring: Callable[[Hand], float | None] | None
     draw: Callable[[Hand, M], Marks | None] | None
     events: tuple[LoggedEvent, ...]
 
     def __post_init__(self) -> None:
         if not self.help or "\n" in self.help:
             raise ValueError("help must be one line")
+        if not self.label or len(self.label) > LONGEST_LABEL:
+            raise ValueError(f"label must be a word of at most {LONGEST_LABEL} letters")
+        if not set(self.buttons) <= set(BUTTONS):
+            raise ValueError(f"buttons must be out of {BUTTONS}, are {self.buttons!r}")
         if self.mouse is None and self.key is None:
             raise ValueError("mouse and key are both None: the tool could never be used")
         if self.mouse is not None and self.mouse not in MOUSE_MODES[1:]:
@@ -169,13 +216,32 @@ class Tool(Generic[M]):
                 f"mouse: scenes know no '{self.mouse}' (MOUSE_MODES in scene/model.py)"
             )
         if self.key is not None and (
-            len(self.key) != 1 or self.key not in string.ascii_lowercase or self.key in COMMANDS
+            len(self.key) != 1
+            or self.key not in string.ascii_lowercase
+            or self.key in (*COMMANDS, FRAME_KEY, BACK_KEY)
         ):
             raise ValueError(f"key must be a letter that has no other meaning, is {self.key!r}")
         for key in self.modifiers:
             if key not in KEYS - {"ctrl"} or COMMANDS.get(key, "pause") != "pause":
                 raise ValueError(f"modifiers: {key!r} is no key, or has another meaning")
-        for part in ("actions", "remember", "motion", "press", "release", "draw"):
+        slots = ("motion", "hits", "press", "release", "prepare", "ring", "draw")
+        for part in ("actions", "remember", *slots):
             slot = getattr(self, part)
             if not callable(slot) and (slot is not None or part in ("actions", "remember")):
                 raise ValueError(f"{part} must be a function, is {slot!r}")
+
+
+def prepared(sim: Simulation) -> Callable[[], None] | None:
+    """What makes a simulation ready for tools that hold, cut and add: compiling, where needed."""
+    return None if sim.scene.world.tools else sim.prepare_tools
+
+
+def usual(sim: Simulation) -> dict[str, float]:
+    """Mass and radius of a particle that fits in with those that a scene has, for `spawn`.
+
+    They are the medians, of the scene as it is given; without particles, the scene's defaults.
+    """
+    particles = sim.scene.particles
+    if len(particles) == 0 or sim.scene.world.mouse == "spawn":
+        return {}
+    return {name: float(np.median(getattr(particles, name))) for name in ("mass", "radius")}

@@ -9,7 +9,7 @@ import numpy as np
 from taichi_cloth.scene.model import COLOR_CYCLE, FIXED_COLOR, Scene
 from taichi_cloth.scene.scatter import VELOCITY_HIGH, VELOCITY_LOW
 from taichi_cloth.ui.inputs import Event
-from taichi_cloth.ui.tools.contract import Hand, Tool
+from taichi_cloth.ui.tools.contract import OUTSIDE, Hand, Tool, prepared, usual
 
 
 @dataclass
@@ -38,13 +38,13 @@ def _remember(seed: int) -> _Memory:
 
 
 def _press(hand: Hand, memory: _Memory, event: Event) -> None:
-    if event.button not in ("left", "right") or event.pos is None:
+    if event.button not in TOOL.buttons or event.pos is None:
         return
     world = hand.sim.scene.world
     place = hand.place(event.pos)
     hand.notice = None
     if not np.all((place >= world.low) & (place <= world.high)):
-        hand.notice = "that is outside the world: click inside it"
+        hand.notice = OUTSIDE
         return
     fixed = event.button == "right"
     velocity, color = None, FIXED_COLOR
@@ -52,21 +52,31 @@ def _press(hand: Hand, memory: _Memory, event: Event) -> None:
         velocity = memory.random.uniform(VELOCITY_LOW[: world.dim], VELOCITY_HIGH[: world.dim])
         color = COLOR_CYCLE[memory.thrown % len(COLOR_CYCLE)]
         memory.thrown += 1
+        if world.mouse != "spawn":  # in a scene that is not made for it, it is put there
+            velocity = None
     tied_to = memory.newest if "space" in hand.held else None
-    memory.newest = hand.sim.spawn(place, velocity, fixed=fixed, color=color, tied_to=tied_to)
+    numbers = {} if world.mouse == "spawn" else usual(hand.sim)
+    memory.newest = hand.sim.spawn(
+        place, velocity, fixed=fixed, color=color, tied_to=tied_to, **numbers
+    )
 
 
 TOOL = Tool(
     name="spawn",
+    label="spawn",
     help="put new particles where you click",
     mouse="spawn",
-    key=None,  # only scenes whose mouse spawns have room for many more particles
+    key="n",
     modifiers=("space",),
     actions=_actions,
     remember=_remember,
     motion=None,
+    buttons=("left", "right"),
+    hits=None,
     press=_press,
     release=None,
+    prepare=lambda sim: None if sim.scene.world.mouse == "spawn" else prepared(sim),
+    ring=None,
     draw=None,
     events=(),  # clicks, keys and the run's seed say it all
 )

@@ -1,0 +1,86 @@
+"""How the user moves the camera of a 3-D scene: turn, pan, zoom, frame what there is, go back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from taichi_cloth.ui.camera import Camera
+
+if TYPE_CHECKING:
+    from taichi_cloth.simulation.simulation import Simulation
+
+DEGREES_A_PIXEL = 0.1  # while ctrl is held
+DEGREES_A_DRAG = 0.3  # a pixel that is dragged
+ZOOM_STEP = 1.1  # factor a wheel notch or key press
+MOST_POSES = 100  # that one can go back
+
+
+class CameraMoves:
+    """Moves a camera, and knows its poses before each move.
+
+    drags: what the button that is down does, "orbit" or "pan"; None: nothing.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self._camera = camera
+        self._poses: list[tuple[float, ...]] = []
+        self._last = ""  # the move that goes on while nothing else is done
+        self.drags: str | None = None
+
+    def _note(self, move: str) -> None:
+        """Remember the pose before a move that is not the last one going on."""
+        if move != self._last:
+            self._poses = [*self._poses[-MOST_POSES:], self._camera.pose]
+        self._last = move
+
+    def zoom(self, notches: float) -> None:
+        """Come nearer by so many notches."""
+        self._note("zoom")
+        self._camera.zoom(ZOOM_STEP ** float(np.clip(notches, -100, 100)))
+
+    def turn(self, pixels: np.ndarray) -> None:
+        """Turn so that the side that faces us follows the pointer, which moved by pixels (2,)."""
+        self._note("turn")
+        dx, dy = pixels * DEGREES_A_PIXEL
+        self._camera.rotate(-dx, dy)
+
+    def begin(self, drag: str) -> None:
+        """A drag begins: "orbit" or "pan"."""
+        self.end()
+        self.drags = drag
+
+    def drag(self, pixels: np.ndarray, scale: float) -> None:
+        """Go on with the drag, by pixels (2,) of a window with so many for one of the camera's."""
+        self._note("drag")
+        if self.drags == "pan":
+            self._camera.pan(pixels / scale)
+        else:
+            dx, dy = pixels * DEGREES_A_DRAG
+            self._camera.rotate(-dx, dy)
+
+    def end(self) -> None:
+        """The drag is over, or the zoom: what comes next is another move."""
+        self.drags, self._last = None, ""
+
+    def framing(self, sim: Simulation) -> tuple[float, ...] | None:
+        """The pose in which all particles that there are fill the picture; None: there are none."""
+        x = sim.positions()
+        x, radius = x[np.isfinite(x).all(axis=1)], sim.radii().max(initial=0.0)
+        if len(x) == 0:
+            return None
+        return self._camera.framed(x.min(axis=0) - radius, x.max(axis=0) + radius)
+
+    def to(self, pose: tuple[float, ...]) -> None:
+        """Take a pose."""
+        self.end()
+        self._note("to")
+        self.end()
+        self._camera.pose = pose
+
+    def back(self) -> None:
+        """Take the pose before the last move."""
+        self.end()
+        if self._poses:
+            self._camera.pose = self._poses.pop()

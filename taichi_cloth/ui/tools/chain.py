@@ -1,0 +1,114 @@
+"""Tie a chain: each click puts a particle that is tied to the one before, or takes one there is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taichi_cloth.files.events import flag, indices, numbers
+from taichi_cloth.scene.model import COLOR_CYCLE, FIXED_COLOR, Scene
+from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.tools.contract import (
+    OUTSIDE,
+    Events,
+    Hand,
+    LoggedEvent,
+    Marks,
+    Tool,
+    ToolEvent,
+    prepared,
+    usual,
+)
+
+if TYPE_CHECKING:
+    from taichi_cloth.simulation.simulation import Simulation
+
+COLOR = (255, 203, 107)
+
+
+@dataclass
+class _Memory:
+    """newest: the particle that the next click is tied to; None: the next one begins a chain."""
+
+    newest: int | None = None
+
+
+def _actions(scene: Scene) -> tuple[str, ...]:
+    return (
+        "left click\ta particle tied to the last one; on a particle: to that one",
+        "right click\tthe same, with one that stays where it is (grey)",
+        "shift + click\tbegin another chain",
+    )
+
+
+def _press(hand: Hand, memory: _Memory, event: Event) -> Events:
+    if event.pos is None:
+        return None
+    sim, world = hand.sim, hand.sim.scene.world
+    before = memory.newest if memory.newest is not None else sim.particle_count
+    begins = "shift" in hand.held or before >= sim.particle_count
+    hit = hand.particle_at(event.pos)
+    hand.notice = None
+    if hit is not None:
+        memory.newest = hit
+        if begins or hit == before:
+            hand.notice = f"the chain goes on from particle {hit}"
+            return None
+        return [ToolEvent("tie", {"particles": [before, hit]})]
+    through = None if begins else sim.positions()[before]
+    place = hand.place(event.pos, through)
+    if not np.all((place >= world.low) & (place <= world.high)):
+        hand.notice = OUTSIDE
+        return None
+    memory.newest = sim.particle_count
+    tied = [] if begins else [before]
+    fixed = event.button == "right"
+    return [ToolEvent("link", {"pos": place.tolist(), "fixed": fixed, "tied_to": tied})]
+
+
+def _draw(hand: Hand, memory: _Memory) -> Marks | None:
+    """A dot at the particle that the next click is tied to."""
+    if memory.newest is None or memory.newest >= hand.sim.particle_count:
+        return None
+    place = hand.sim.positions()[memory.newest]
+    radius = max(hand.dot(), 1.2 * float(hand.sim.radii()[memory.newest]))
+    none = np.zeros((0, 2), np.int64)
+    return Marks(place[None], np.array([radius]), np.array([COLOR], np.uint8), none)
+
+
+def _link(sim: Simulation, values: Mapping[str, Any]) -> None:
+    fixed, tied = values["fixed"], values["tied_to"]
+    color = FIXED_COLOR if fixed else COLOR_CYCLE[sim.particle_count % len(COLOR_CYCLE)]
+    tied_to = tied[0] if tied else None
+    sim.spawn(values["pos"], fixed=fixed, color=color, tied_to=tied_to, **usual(sim))
+
+
+def _tie(sim: Simulation, values: Mapping[str, Any]) -> None:
+    sim.add_spring(*values["particles"])
+
+
+TOOL = Tool(
+    name="chain",
+    label="chain",
+    help="tie a chain, click by click",
+    mouse=None,
+    key="j",
+    modifiers=("shift",),
+    actions=_actions,
+    remember=lambda seed: _Memory(),
+    motion=None,
+    buttons=("left", "right"),
+    hits=None,
+    press=_press,
+    release=None,
+    prepare=prepared,
+    ring=None,
+    draw=_draw,
+    events=(
+        LoggedEvent("link", {"pos": numbers(), "fixed": flag, "tied_to": indices}, _link),
+        LoggedEvent("tie", {"particles": indices}, _tie),
+    ),
+)

@@ -1,0 +1,72 @@
+"""Cut the springs that the pointer's path crosses while the left button is held."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_cloth.files.events import indices
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.ui import picking
+from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.tools.contract import Events, Hand, LoggedEvent, Tool, ToolEvent, prepared
+
+
+@dataclass
+class _Memory:
+    """last: (2,) window pixels, up to where the path has cut; None: the button is up."""
+
+    last: np.ndarray | None = None
+
+
+def _actions(scene: Scene) -> tuple[str, ...]:
+    return ("drag with left\tcut the springs that the pointer crosses",)
+
+
+def _press(hand: Hand, memory: _Memory, event: Event) -> Events:
+    memory.last = np.array(event.pos, np.float64)
+    return None
+
+
+def _motion(hand: Hand, memory: _Memory, before: np.ndarray, now: np.ndarray) -> Events:
+    if memory.last is None:
+        return None
+    start, memory.last = memory.last, now
+    crossed = picking.springs_across(hand.sim, hand.camera, hand.window, start, now)
+    if len(crossed) == 0:
+        return None
+    return [ToolEvent("cut", {"springs": crossed.tolist()})]
+
+
+def _release(hand: Hand, memory: _Memory, event: Event) -> Events:
+    if memory.last is None or event.button != "left":
+        return None
+    made = _motion(hand, memory, memory.last, np.array(event.pos, np.float64))
+    memory.last = None
+    return made
+
+
+TOOL = Tool(
+    name="cut",
+    label="cut",
+    help="cut springs",
+    mouse=None,
+    key="c",
+    modifiers=(),
+    actions=_actions,
+    remember=lambda seed: _Memory(),
+    motion=_motion,
+    buttons=("left",),
+    hits=None,
+    press=_press,
+    release=_release,
+    prepare=prepared,
+    ring=None,
+    draw=None,
+    events=(
+        LoggedEvent(
+            "cut", {"springs": indices}, lambda sim, values: sim.cut(list(values["springs"]))
+        ),
+    ),
+)

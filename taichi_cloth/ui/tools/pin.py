@@ -1,0 +1,71 @@
+"""Pin a particle where it is, or let a pinned one go."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taichi_cloth.files.events import indices
+from taichi_cloth.scene.model import FIXED_COLOR, PARTICLE_COLOR, Scene
+from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.tools.contract import Events, Hand, LoggedEvent, Tool, ToolEvent
+
+if TYPE_CHECKING:
+    from taichi_cloth.simulation.simulation import Simulation
+
+
+def _actions(scene: Scene) -> tuple[str, ...]:
+    return ("left click\tpin a particle (grey), or let a pinned one go",)
+
+
+def _hits(hand: Hand, event: Event) -> bool:
+    return event.pos is not None and hand.particle_at(event.pos) is not None
+
+
+def _press(hand: Hand, memory: None, event: Event) -> Events:
+    particle = hand.particle_at(event.pos) if event.pos is not None else None
+    if particle is None:
+        return None
+    return [ToolEvent("unpin" if hand.sim.fixed()[particle] else "pin", {"particle": particle})]
+
+
+def _pin(sim: Simulation, values: Mapping[str, Any]) -> None:
+    sim.set(particles=list(values["particle"]), fixed=True, color=FIXED_COLOR)
+
+
+def _unpin(sim: Simulation, values: Mapping[str, Any]) -> None:
+    chosen = np.array(values["particle"])
+    sim.set(particles=chosen, fixed=False, color=_free_color(sim))
+
+
+def _free_color(sim: Simulation) -> np.ndarray:
+    """The colour that most free particles have."""
+    colors, counts = np.unique(sim.colors()[~sim.fixed()], axis=0, return_counts=True)
+    found: np.ndarray = colors[counts.argmax()] if len(colors) else np.array(PARTICLE_COLOR)
+    return found
+
+
+TOOL = Tool(
+    name="pin",
+    label="pin",
+    help="pin particles, let pinned ones go",
+    mouse=None,
+    key="i",
+    modifiers=(),
+    actions=_actions,
+    remember=lambda seed: None,
+    motion=None,
+    buttons=("left",),
+    hits=_hits,
+    press=_press,
+    release=None,
+    prepare=None,
+    ring=None,
+    draw=None,
+    events=(
+        LoggedEvent("pin", {"particle": indices}, _pin),
+        LoggedEvent("unpin", {"particle": indices}, _unpin),
+    ),
+)

@@ -1,0 +1,151 @@
+"""Throw a heavy ball: in space along the line of sight, in a plane as the pointer is dragged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taichi_cloth.files.events import number, numbers
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.tools.contract import (
+    OUTSIDE,
+    Events,
+    Hand,
+    LoggedEvent,
+    Marks,
+    Tool,
+    ToolEvent,
+)
+
+if TYPE_CHECKING:
+    from taichi_cloth.simulation.simulation import Simulation
+
+COLOR = (236, 118, 52)
+SIZE = 1 / 24  # of the picture's shorter side: the ball's radius
+HEAVY = 50.0  # times the mass of a particle that the scene has
+CROSSING = 45  # frames in which a ball in space goes as far as the eye is from what it looks at
+DRAGGED = 12  # frames in which a ball in a plane goes as far as the pointer was dragged
+
+
+@dataclass
+class _Memory:
+    """start: (2,) window pixels where the button went down; None: it is up. now: where it is."""
+
+    start: np.ndarray | None = None
+
+
+def _actions(scene: Scene) -> tuple[str, ...]:
+    if scene.world.dim == 3:
+        return ("left click\tthrow a ball there, along the line of sight",)
+    return ("drag with left\tthrow a ball: the farther, the faster",)
+
+
+def _press(hand: Hand, memory: _Memory, event: Event) -> Events:
+    memory.start = None if event.pos is None else np.array(event.pos, np.float64)
+    return None
+
+
+def _release(hand: Hand, memory: _Memory, event: Event) -> Events:
+    start, memory.start = memory.start, None
+    if start is None or event.button != "left":
+        return None
+    hand.notice = None
+    sim, world = hand.sim, hand.sim.scene.world
+    radius = SIZE * min(world.size[:2])
+    masses = sim.storage.scene.particles.mass
+    mass = HEAVY * float(np.median(masses)) if len(masses) else world_mass(sim)
+    if hand.camera:
+        eye, along = hand.camera.ray(hand.window.to_world(start))
+        begin = _entry(eye, along, world.low + radius, world.high - radius)
+        if begin is None:
+            hand.notice = "the line of sight misses the scene's box: aim inside it"
+            return None
+        velocity = along * (hand.camera.distance / (CROSSING * sim.dt))
+    else:
+        begin = hand.place(start)
+        moved = hand.place(np.array(event.pos)) - begin
+        velocity = moved / (DRAGGED * sim.dt)
+        if not np.all((begin >= world.low) & (begin <= world.high)):
+            hand.notice = OUTSIDE
+            return None
+    values = {"pos": begin.tolist(), "velocity": velocity.tolist()}
+    return [ToolEvent("ball", {**values, "radius": radius, "mass": mass})]
+
+
+def world_mass(sim: Simulation) -> float:
+    """The mass of a ball in a scene without particles."""
+    return HEAVY * sim.scene.particle_defaults.mass
+
+
+def _entry(
+    eye: np.ndarray, along: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> np.ndarray | None:
+    """Where a line of sight comes into a box, or the eye, if it is inside; None: it misses it."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.stack([(low - eye) / along, (high - eye) / along])
+    ends[np.isnan(ends)] = 0.0
+    first, last = float(ends.min(axis=0).max()), float(ends.max(axis=0).min())
+    if last < max(first, 0.0):
+        return None
+    place: np.ndarray = np.clip(eye + max(first, 0.0) * along, low, high)
+    return place
+
+
+def _draw(hand: Hand, memory: _Memory) -> Marks | None:
+    """In a plane, the ball and the way of the drag."""
+    if memory.start is None or hand.camera or hand.pointer is None:
+        return None
+    ends = np.stack([hand.place(memory.start), hand.place(hand.pointer)])
+    radius = np.array([SIZE * min(hand.sim.scene.world.size[:2]), hand.dot()])
+    return Marks(ends, radius, np.array([COLOR] * 2, np.uint8), np.array([[0, 1]]))
+
+
+def _throw(sim: Simulation, values: Mapping[str, Any]) -> None:
+    prepare = _prepare(sim)
+    if prepare is not None:
+        prepare()
+    sim.spawn(
+        values["pos"],
+        values["velocity"],
+        color=COLOR,
+        radius=values["radius"],
+        mass=values["mass"],
+    )
+
+
+def _prepare(sim: Simulation) -> Callable[[], None] | None:
+    """What makes the scene's particles collide with a ball."""
+    if sim.scene.world.tools and sim.scene.world.collisions:
+        return None
+    return sim.prepare_balls
+
+
+TOOL = Tool(
+    name="throw",
+    label="throw",
+    help="throw a heavy ball",
+    mouse=None,
+    key="t",
+    modifiers=(),
+    actions=_actions,
+    remember=lambda seed: _Memory(),
+    motion=None,
+    buttons=("left",),
+    hits=None,
+    press=_press,
+    release=_release,
+    prepare=_prepare,
+    ring=None,
+    draw=_draw,
+    events=(
+        LoggedEvent(
+            "ball",
+            {"pos": numbers(), "velocity": numbers(), "radius": number, "mass": number},
+            _throw,
+        ),
+    ),
+)
