@@ -39,15 +39,20 @@ def draw(hand, pegs):
 
 TOOL = Tool(
     name="peg",
+    label="peg",
     help="tie the nearest particle to where you click",
     mouse=None,
-    key="g",
+    key="y",
     modifiers=(),
     actions=lambda scene: ("left click\\ttie the nearest particle to here",),
     remember=lambda seed: [],
     motion=None,
+    buttons=("left",),
+    hits=None,
     press=press,
     release=None,
+    prepare=None,
+    ring=None,
     draw=draw,
     events=(LoggedEvent("peg", {"particle": whole_number, "at": pair}, replay),),
 )
@@ -70,9 +75,9 @@ class Hands(NullView):
     visible = True
     pictures = []
     turns = [
-        [Event("move", pos=(300.0, 200.0)), Event("press", key="f1"), Event("press", key="g")],
+        [Event("move", pos=(300.0, 200.0)), Event("press", key="f1"), Event("press", key="y")],
         [Event("press", pos=(310.0, 250.0), button="left")],
-        [Event("move", pos=(320.0, 200.0)), Event("press", key="g")],
+        [Event("move", pos=(320.0, 200.0)), Event("press", key="y")],
         [Event("move", pos=(330.0, 200.0))],
         [Event("move", pos=(345.0, 210.0)), Event("press", pos=(310.0, 250.0), button="left")],
     ]
@@ -97,8 +102,8 @@ with Recorder("log.jsonl", {"window": [600, 400]}) as recorder:
 assert len(live[0]) == 13 and live[2][-1, 1] == 12
 assert [len(picture.position) for picture in hands.pictures[:4]] == [12, 14, 13, 13]
 keys = [" ".join(picture.help) for picture in hands.pictures[:3]]
-assert "blow at" not in keys[1] and "to here" in keys[1]
-assert all("g\\ttie the nearest" in lines for lines in keys) and "blow at" in keys[2]
+assert "move the mouse" not in keys[1] and "to here" in keys[1]
+assert all("y\\ttie the nearest" in lines for lines in keys) and "move the mouse" in keys[2]
 log = load_events("log.jsonl")
 (tied,) = [e for events in log.by_frame.values() for e in events if e.kind == "peg"]
 assert tied.values["at"] == (310.0, 250.0) and tied.values["particle"] == live[2][-1, 0]
@@ -137,9 +142,9 @@ def test_one_file_adds_a_tool_whose_log_replays_to_the_bit(package):
         ('    help="tie the nearest particle to where you click",\n', "", "'help'"),
         ("    draw=draw,\n", "", "'draw'"),
         ("    release=None,\n", "    relaese=None,\n", "'relaese'"),
-        ('name="peg"', 'name="pin"', "name must be the file's"),
-        ('key="g"', 'key="r"', "key must be a letter that has no other meaning"),
-        ('key="g"', "key=None", "the tool could never be used"),
+        ('name="peg"', 'name="pole"', "name must be the file's"),
+        ('key="y"', 'key="r"', "key must be a letter that has no other meaning"),
+        ('key="y"', "key=None", "the tool could never be used"),
         ("mouse=None", 'mouse="peg"', "scenes know no 'peg'"),
         ("press=press", "press=True", "press must be a function"),
         ('LoggedEvent("peg"', 'LoggedEvent("move"', "'move' is the mouse's"),
@@ -158,11 +163,11 @@ def test_what_a_tool_lacks_is_said_by_file_and_part(part, instead, says, tmp_pat
 
 
 def test_no_two_tools_claim_the_same_mouse_key_or_event(tmp_path, monkeypatch):
-    for name in ("peg", "pin"):
+    for name in ("peg", "pole"):
         (tmp_path / f"{name}.py").write_text(PEG.replace('name="peg"', f'name="{name}"'))
         monkeypatch.delitem(sys.modules, f"{tools.__name__}.{name}", raising=False)
     monkeypatch.setattr(tools, "__path__", [str(tmp_path)])
-    with pytest.raises(TypeError, match=r"tools/pin.py: peg.py has key 'g', too"):
+    with pytest.raises(TypeError, match=r"tools/pole.py: peg.py has key 'y', too"):
         tools.load_all.__wrapped__()
 
 

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from taichi_cloth.ui.interaction import Log
     from taichi_cloth.ui.views.contract import View
 
+MOST_WITH_TOOLS = 20_000  # particles of a scene in a window that has all mouse tools ready
 MOST_NOTES = 4  # sentences on spheres wider than the thickness, before a run
 
 
@@ -150,7 +151,7 @@ def _simulate(
     device = runtime.start(
         options.arch, options.precision, options.threads, fast_math=options.fast_math
     )
-    sim = _simulation(scene, options)
+    sim = _simulation(_with_tools(scene, options, log), options)
     view = open_view(
         options.view,
         scene.world,
@@ -193,6 +194,20 @@ def _simulate(
             _note_left_out(recordings)
             _note_unsettled(sim)
     return 0
+
+
+def _with_tools(scene: Scene, options: RunOptions, log: Log | None) -> Scene:
+    """The scene with what mouse tools need compiled from the start, so that no click waits for it.
+
+    It is so in a window, but for scenes so large that their frames would feel what is idle, and
+    where a log was recorded with it; else the first use of a tool compiles.
+    """
+    from taichi_cloth.ui.opening import opens_window
+
+    if log is not None:
+        return scene.with_world(tools=bool(log.header.get("tools", False)))
+    ready = opens_window(options.view) and len(scene.particles) <= MOST_WITH_TOOLS
+    return scene.with_world(tools=True) if ready else scene
 
 
 def _simulation(scene: Scene, options: RunOptions) -> Simulation:

@@ -172,6 +172,8 @@ def _check_header(header: dict[str, Any]) -> None:
     arguments = header.get("arguments", [])
     if not isinstance(arguments, list) or not all(isinstance(word, str) for word in arguments):
         raise InputError(f"arguments must be a list of texts, is {show(arguments)}")
+    if not isinstance(header.get("tools", False), bool):
+        raise InputError(f"tools must be true or false, is {show(header['tools'])}")
     dt, substeps = header.get("dt", 1.0), header.get("substeps", 1)
     if dt != "auto" and (not _is_finite(dt) or dt <= 0):
         raise InputError(f"dt must be a positive number or auto, is {show(dt)}")

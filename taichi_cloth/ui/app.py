@@ -25,6 +25,7 @@ from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.inputs import COMMANDS, HELP_KEYS, KEYS, STEP_KEYS, Event
 from taichi_cloth.ui.interaction import Log, LogEvent
 from taichi_cloth.ui.opening import offscreen
+from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.shutter import Shutter
 from taichi_cloth.ui.solids import Solids
 from taichi_cloth.ui.tools.contract import Marks
@@ -70,6 +71,7 @@ def log_header(
         **({"dt": "auto"} if sim.follows else {"dt": sim.dt, "substeps": sim.substeps}),
         "method": sim.method,
         "topology": sim.topology,
+        **({"tools": True} if sim.scene.world.tools else {}),
     }
 
 
@@ -265,6 +267,8 @@ class _Loop:
         if self._on_frame is not None and self._on_frame(self.sim) is False:
             self.quit = True
             return
+        if self._controls.waits and self.view.visible:
+            self.view.draw(self._picture())  # says that it compiles, and for what
         self._controls.before_frame(replayed=self._replaying)
         try:
             self.sim.advance(1)
@@ -385,9 +389,26 @@ class _Loop:
             help=keys,
             banner=banner,
             marks=self._shutter.marks() if view.visible else (),
+            pointer=self._pointer(),
         )
         marks = self._controls.marks()
         return picture if marks is None else _with_marks(picture, marks)
+
+    def _pointer(self) -> Pointer | None:
+        """The pointer, where a log or a film shows it, and a window's cursor does not.
+
+        GGUI's is hidden while a button is held.
+        """
+        place, camera, world = self._controls.pointer, self.view.camera, self.sim.scene.world
+        if place is None:
+            return None
+        here = WindowMap.of(world, self.view.size)
+        place = here.to_window(WindowMap.of(world, self._log_window).to_world(place))
+        ring = self._controls.ring()
+        if ring is not None:
+            ring *= here.scale * (camera.focal_length / camera.distance if camera else 1.0)
+        cross = self._controls.pressed or self._replaying or not self.view.visible
+        return Pointer(place, ring, cross) if cross or ring is not None else None
 
     def _status(self) -> tuple[str, ...]:
         """The status of this very frame; its rates change now and then, so that one can read them.

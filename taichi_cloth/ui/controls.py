@@ -59,6 +59,7 @@ class Controls:
         self._first = self.tool = tools.for_mouse(world.mouse)
         self._by_key = {tool.key: tool for tool in tools.load_all().values() if tool.key}
         self._waiting: Callable[[], None] | None = None
+        self.pressed = False  # whether a button of the mouse is down
 
     @property
     def notice(self) -> str | None:
@@ -189,6 +190,7 @@ class Controls:
 
     def _click(self, event: Event, replayed: bool) -> None:
         tool, button = self.tool, event.button
+        self.pressed = event.kind == "press"
         if event.kind == "release":
             if self._moves and self._moves.drags == DRAGS.get(button or ""):
                 self._moves.end()

@@ -147,7 +147,13 @@ def help_lines(
     lines += [f"{other.key}\t{other.help}" for other in tools.load_all().values() if other.key]
     if scene.world.dim == 3:
         nearer = "wheel, + -, up down" if has_wheel else "+ -, up down"
-        lines += ["ctrl + mouse motion\tturn the scene", f"{nearer}\tcome nearer, go farther"]
+        lines += [
+            "drag left, ctrl + motion\tturn the scene (left: where it is empty)",
+            "drag right\tmove the scene",
+            f"{nearer}\tcome nearer, go farther",
+            "f\tfill the picture with what there is",
+            "z\tback to the view before",
+        ]
     lines += [
         ("p" if tool and "space" in tool.modifiers else "space, p") + "\tpause and go on",
         ".  or right arrow\tone frame, while paused",

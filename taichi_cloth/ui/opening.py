@@ -27,6 +27,14 @@ def offscreen(view: View, world: World) -> View:
     return copy
 
 
+def opens_window(kind: str) -> bool:
+    """Whether `open_view` opens a window for this kind, or for "auto"."""
+    kinds = views.load_all()
+    if kind != "auto":
+        return kind in kinds and kinds[kind].windows
+    return any(one.windows and one.lack() is None for one in kinds.values())
+
+
 def open_view(
     kind: str,
     world: World,

@@ -12,6 +12,7 @@ from taichi_cloth import runtime
 from taichi_cloth.scene.model import World
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.surfaces import Solid
 
 
@@ -30,6 +31,7 @@ class Picture:
     text: lines of the status, bottom left, where the scenes leave most room (empty: hidden).
     help: lines of the key list (empty: hidden), "key<tab>action" for two columns.
     banner: a message across the top, wrapped as needed (None: no banner).
+    pointer: the pointer, where it is drawn.
     marks: lines in a window's top right corner, which `grab` leaves out (empty: none).
 
     Radius, color, segments and triangles are the same objects as before while they are equal, so
@@ -51,6 +53,7 @@ class Picture:
     help: tuple[str, ...] = ()
     banner: str | None = None
     marks: tuple[str, ...] = ()
+    pointer: Pointer | None = None
 
     @property
     def color_in_surfaces(self) -> np.ndarray:

@@ -17,11 +17,12 @@ from numpy.typing import ArrayLike
 
 from taichi_cloth import runtime
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui import drawing, rescue, style, text, x11
+from taichi_cloth.ui import drawing, pointer, rescue, style, text, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import BUTTON_NAMES, BUTTONS, Event, fewest_moves, key_name
+from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.surfaces import Topology, floor
 from taichi_cloth.ui.text import Panel
 from taichi_cloth.ui.vertices import (
@@ -291,7 +292,17 @@ class GguiView:
         info = self._info(vertex)
         self._canvas.canvas.triangles(info, self._info(None), True, (1.0, 1.0, 1.0))
 
+    def _draw_pointer(self, drawn: Pointer) -> None:
+        """Draw the pointer: its lines, on wider dark ones."""
+        lines, (_, height) = drawn.lines().reshape(-1, 2), self.size
+        for color, wide in ((pointer.SHADE, pointer.WIDE_SHADE), (pointer.COLOR, pointer.WIDE)):
+            vertex = vertices(np.tile(style.unit(color), (len(lines), 1)))
+            vertex[:, :2] = self._map.to_canvas(lines)
+            self._lines_2d(vertex, wide / height)
+
     def _compose_overlay(self, picture: Picture) -> None:
+        if picture.pointer is not None:
+            self._draw_pointer(picture.pointer)
         panels = text.panels(picture, self.size)
         if self.visible:
             panels = (*panels, *text.marks(picture.marks, self.size))

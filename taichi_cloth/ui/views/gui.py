@@ -10,11 +10,12 @@ import numpy as np
 
 from taichi_cloth.rasterizer import Balls, Floor, Lines, Mesh, Rasterizer
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui import drawing, style, surfaces, text, x11
+from taichi_cloth.ui import drawing, pointer, style, surfaces, text, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import BUTTON_NAMES, Event, fewest_moves, key_name
+from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.surfaces import Topology
 from taichi_cloth.ui.text import Panel
 from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
@@ -333,7 +334,11 @@ class GuiView:
         """Copy the text's pixels over the frame (and keep the frame for `grab`)."""
         panels = text.panels(picture, self.size)
         marks = text.marks(picture.marks, self.size) if self.visible else ()
-        if self.camera is None:
+        if picture.pointer is not None:
+            if self.camera is not None:  # it is drawn on what is there
+                self._gui.core.set_img(self._pixels.ctypes.data)
+            self._draw_pointer(picture.pointer)
+        if self.camera is None or picture.pointer is not None:
             self._gui.core.get_img(self._pixels.ctypes.data)
         for panel in panels:
             self._lay(panel)
@@ -342,6 +347,12 @@ class GuiView:
             self._gui.core.set_img(self._pixels.ctypes.data)
         for mark, pixels in under:
             self._place_of(mark)[:] = pixels
+
+    def _draw_pointer(self, drawn: Pointer) -> None:
+        """Draw the pointer: its lines, on wider dark ones."""
+        a, b = self._map.to_canvas(drawn.lines()).transpose(1, 0, 2)
+        for color, wide in ((pointer.SHADE, pointer.WIDE_SHADE), (pointer.COLOR, pointer.WIDE)):
+            self._gui.lines(a, b, radius=wide / 2, color=style.packed_one(color))
 
     def _lay(self, panel: Panel) -> np.ndarray:
         """Copy a panel over the frame; returns what was there."""
