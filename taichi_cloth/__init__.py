@@ -41,6 +41,7 @@ _HOMES = {  # public name: (module, name in it; None: the module itself)
     "Camera": ("ui.camera", "Camera"),
     "camera_of": ("ui.framing", "camera_of"),
     "Summary": ("ui.app", "Summary"),
+    "Checkpoint": ("simulation.checkpoint", "Checkpoint"),
     "start": ("runtime", "start"),
     "scenes": ("scene.library", None),
 }

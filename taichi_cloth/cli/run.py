@@ -9,8 +9,9 @@ import shlex
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy
@@ -20,6 +21,7 @@ from taichi_cloth.cli import scene_command
 from taichi_cloth.errors import InputError, RunFailure, SimulationFailure, counted
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.files.exports import Export
+from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene.model import Scene
@@ -29,11 +31,13 @@ from taichi_cloth.settings.options import (
     PROGRAM,
     RunOptions,
     check_run,
+    flag,
     shown_parts,
 )
 
 if TYPE_CHECKING:
     from taichi_cloth.runtime import Device
+    from taichi_cloth.simulation import saved
     from taichi_cloth.simulation.simulation import Simulation
     from taichi_cloth.ui.app import Summary
     from taichi_cloth.ui.interaction import Log
@@ -41,6 +45,20 @@ if TYPE_CHECKING:
 
 MOST_WITH_TOOLS = 20_000  # particles of a scene in a window that has all mouse tools ready
 MOST_NOTES = 4  # sentences on spheres wider than the thickness, before a run
+
+
+@dataclass(frozen=True)
+class _Files:
+    """What a run reads and writes.
+
+    recorder: of its log. resumed: the checkpoint that it goes on from; ending: the file of the one
+    that it ends with.
+    """
+
+    recorder: Recorder | None
+    recordings: Recordings
+    resumed: saved.Saved | None
+    ending: PendingFile | None
 
 
 def main(source: SceneSource, options: RunOptions) -> int:
@@ -63,6 +81,10 @@ def main(source: SceneSource, options: RunOptions) -> int:
         if log.header.get("scene") == scene.name and log.header.get("arguments"):
             source = _scene_as_recorded(source, options, log.header["arguments"])
             scene = source.build()
+    resumed = _resumed(options)
+    if resumed:
+        options, source = _as_saved(source, scene.name, options, resumed)
+        scene = source.build()
     if options.image:
         film.Image(options.image).discard()
     if options.video:
@@ -79,8 +101,11 @@ def main(source: SceneSource, options: RunOptions) -> int:
         recorder = Recorder(options.record) if options.record else None
         if recorder:
             unfinished.callback(recorder.discard)
-        recordings = Recordings(trajectory, export)
-        return _simulate(source, scene, options, log, recorder, recordings)
+        ending = PendingFile(options.checkpoint) if options.checkpoint else None
+        if ending:
+            unfinished.callback(ending.discard)
+        files = _Files(recorder, Recordings(trajectory, export), resumed, ending)
+        return _simulate(source, scene, options, log, files)
 
 
 def _export(scene: Scene, options: RunOptions) -> Export | None:
@@ -115,6 +140,44 @@ def _scene_as_recorded(
         raise InputError(f"{options.events} line 1: {error}") from None
 
 
+def _resumed(options: RunOptions) -> saved.Saved | None:
+    """The checkpoint that `--resume` names."""
+    if options.resume is None:
+        return None
+    from taichi_cloth.simulation import saved
+
+    return saved.read(Path(options.resume))
+
+
+def _as_saved(
+    source: SceneSource, name: str, options: RunOptions, resumed: saved.Saved
+) -> tuple[RunOptions, SceneSource]:
+    """The options and the scene, called `name`, as a checkpoint's where none are given.
+
+    Raises InputError where what is given is not what it was made with.
+    """
+    parts, about = resumed.parts, resumed.about
+    settings, where = parts["settings"], f"--resume {options.resume}"
+    if parts["name"] != name:
+        raise InputError(f"{where}: is of scene '{parts['name']}', not of '{name}'")
+    of_run = {
+        "method": parts["method"],
+        "precision": parts["precision"],
+        "topology": parts["kept"].topology,
+        "dt": settings["dt"] if parts["auto"] is None else "auto",
+        "substeps": settings["substeps"] if parts["auto"] is None else 1,
+        **settings["solver"],
+    }
+    for name, value in of_run.items():
+        if name in options.given and getattr(options, name) != value:
+            raise InputError(f"{where}: was made with {flag(name)} {value}; leave the flag out")
+    try:
+        source = scene_command.recorded(source, about.get("arguments", []))
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    return _consistent(replace(options, **of_run)), source
+
+
 def _consistent(options: RunOptions) -> RunOptions:
     """The options with what follows from them filled in; refuses those that exclude each other."""
     options = check_run(options)
@@ -123,7 +186,7 @@ def _consistent(options: RunOptions) -> RunOptions:
             raise InputError(f"--headless and --view {options.view} exclude each other; give one")
         options = replace(options, view="none")
     written: dict[str, str] = {}
-    for name in ("record", "save", "export", "image", "video"):
+    for name in ("record", "save", "export", "image", "video", "checkpoint"):
         path = getattr(options, name)
         if path is None:
             continue
@@ -138,10 +201,10 @@ def _simulate(
     scene: Scene,
     options: RunOptions,
     log: Log | None,
-    recorder: Recorder | None,
-    recordings: Recordings,
+    files: _Files,
 ) -> int:
     """Run a checked scene on the device; return the exit status."""
+    from taichi_cloth.simulation.checkpoint import Checkpoint
     from taichi_cloth.ui import app
     from taichi_cloth.ui.framing import camera_of
     from taichi_cloth.ui.opening import open_view
@@ -151,7 +214,14 @@ def _simulate(
     device = runtime.start(
         options.arch, options.precision, options.threads, fast_math=options.fast_math
     )
-    sim = _simulation(_with_tools(scene, options, log), options)
+    recorder, recordings = files.recorder, files.recordings
+    if files.resumed:
+        there = Checkpoint(**files.resumed.parts)
+        scene = scene.with_world(tools=there.kept.taken.scene.world.tools)
+        sim = _simulation(scene, options)
+        sim.restore(there)
+    else:
+        sim = _simulation(_with_tools(scene, options, log), options)
     view = open_view(
         options.view,
         scene.world,
@@ -175,7 +245,7 @@ def _simulate(
                 words = "--save" if recordings.trajectory else "--export"
                 print(f"r goes back to the start, and {words} begins anew there", flush=True)
         begin = time.perf_counter()
-        with _kept(source, sim, device, recorder, recordings):
+        with _kept(source, sim, device, files):
             summary = app.run(
                 sim,
                 view,
@@ -243,18 +313,26 @@ def _kept(
     source: SceneSource,
     sim: Simulation,
     device: Device,
-    recorder: Recorder | None,
-    recordings: Recordings,
+    written: _Files,
 ) -> Iterator[None]:
-    """Finish log, trajectory and export however the run ends; a failed one has its last frame."""
+    """Finish log, trajectory, export and checkpoint however the run ends.
+
+    A failed one has its last frame.
+    """
     from taichi_cloth.ui import rescue
 
+    recorder, recordings, ending = written.recorder, written.recordings, written.ending
     failure: KeyboardInterrupt | RunFailure | InputError | None = None
 
     def finish() -> None:
         with contextlib.ExitStack() as files:  # each is tried, also where a disk is full
             if recorder:
                 files.callback(recorder.close)
+            if ending and not ending.file.closed:
+                from taichi_cloth.simulation import saved
+
+                now, about = sim.checkpoint(), {"arguments": source.flags()}
+                files.callback(saved.into, ending, vars(now), about)
             if recordings.export:
                 files.callback(recordings.export.save)
             if recordings.trajectory:

@@ -17,7 +17,7 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.files.pending import PendingFile
 
 # What NumPy, zipfile and json raise for files that are something else, or damaged.
-_UNREADABLE = (
+UNREADABLE = (
     *(OSError, ValueError, EOFError, AttributeError, TypeError, MemoryError, OverflowError),
     *(RuntimeError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error),
 )
@@ -185,5 +185,5 @@ def load(path: str | Path) -> Saved:
         raise InputError(f"{path}: there is no such file") from None
     except KeyError as error:
         raise InputError(f"{path}: is not a saved trajectory: it has no {error}") from None
-    except _UNREADABLE as error:
+    except UNREADABLE as error:
         raise InputError(f"{path}: is not a saved trajectory: {error}") from None

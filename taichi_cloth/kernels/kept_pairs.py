@@ -146,6 +146,13 @@ def _take_place(spec: ti.template(), state: ti.template(), at):
     state.sorted[at, ti.static(2 * spec.dim + 1)] = slot_number(spec, state.w, slot)
 
 
+@ti.kernel
+def take_places(spec: ti.template(), state: ti.template()):
+    """Fill what a place has of its particle, beside where that is: for lists from a checkpoint."""
+    for at in range(state.n[None]):
+        _take_place(spec, state, at)
+
+
 # --- lists of two patches --------------------------------------------------------------------
 
 

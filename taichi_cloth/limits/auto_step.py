@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
@@ -55,6 +56,19 @@ class SubstepController:
         self._geometry = AnyGeometry()
         self._substeps = 1
         self._moving: Bounds | None = None
+
+    def memory(self) -> dict[str, Any]:
+        """What it remembers of the states before, numbers and arrays; `recall` takes it."""
+        moving = None if self._moving is None else list(vars(self._moving).values())
+        vectors = self._geometry.memory()
+        return {"substeps": self._substeps, "moving": moving, "vectors": vectors}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Go on from such a memory: the same states give the same answers as then."""
+        moving = memory["moving"]
+        self._substeps = memory["substeps"]
+        self._moving = None if moving is None else Bounds(*moving)
+        self._geometry.recall(memory["vectors"])
 
     def choose(self, network: Network) -> int:
         """The substeps of a frame of this network."""

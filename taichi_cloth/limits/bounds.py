@@ -8,7 +8,7 @@ geometry, as springs turn during a run), and `eigenmodes.stable_step` (the state
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -131,6 +131,14 @@ class AnyGeometry:
 
     def __init__(self) -> None:
         self._vectors: list[np.ndarray | None] = [None, None]
+
+    def memory(self) -> list[np.ndarray | None]:
+        """The vectors of the last time, (n,) each; None: there is none. `recall` takes them."""
+        return list(self._vectors)
+
+    def recall(self, memory: Sequence[np.ndarray | None]) -> None:
+        """Go on from such vectors."""
+        self._vectors = list(memory)
 
     def bounds(self, network: Network) -> Bounds:
         """Bounds of this network."""

@@ -173,6 +173,15 @@ class RunOptions(Options):
     )
     events: str | None = setting(None, "replay an interaction log", str, metavar="FILE.jsonl")
     record: str | None = setting(None, "write an interaction log", str, metavar="FILE.jsonl")
+    checkpoint: str | None = setting(
+        None,
+        "save where the run is at its end, from which --resume goes on bit for bit",
+        str,
+        metavar="FILE.npz",
+    )
+    resume: str | None = setting(
+        None, "go on from a checkpoint of this scene", str, metavar="FILE.npz"
+    )
     save: str | None = setting(
         None, "save the trajectory (of a window: since the last r)", str, metavar="FILE.npz"
     )

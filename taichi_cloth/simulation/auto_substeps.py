@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from taichi_cloth.kernels.forces import act_on_triangles as acts_by_speed
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.limits.auto_step import SubstepController
@@ -43,6 +46,16 @@ class AutoSubsteps:
         chosen = tried.before_spawn(edited)
         vars(self).update(vars(tried))
         return chosen
+
+    def memory(self) -> dict[str, Any]:
+        """What it remembers, numbers and arrays by name; `recall` takes it."""
+        known = {"broken": self._broken, "breaking": self._breaking}
+        return known | self._controller.memory()
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Go on from such a memory: what follows is chosen as it was then."""
+        self._broken, self._breaking = memory["broken"], memory["breaking"]
+        self._controller.recall(memory)
 
     def follows(self, storage: Storage) -> bool:
         """Whether a frame can change how many substeps the next one needs.

@@ -26,6 +26,7 @@ from taichi_cloth.settings.options import PATHS, TOPOLOGIES
 from taichi_cloth.simulation import autotune, diagnosis, diagnostics
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.changes import Changes
+from taichi_cloth.simulation.checkpoint import Checkpoints
 from taichi_cloth.simulation.editing import same
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import (
@@ -47,7 +48,7 @@ ORIGINAL_REACH = blow.REACH  # world units: how far the pointer blows where noth
 MOST_LANES = 64  # more fill no vector, and take minutes to compile
 
 
-class Simulation(Readings, Changes, Showing):
+class Simulation(Readings, Changes, Checkpoints, Showing):
     """One scene, integrated by one method on the device that `runtime.start` started.
 
     scene: validated here (InputError), against the device's precision, too. method: a name out of

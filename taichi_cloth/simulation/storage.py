@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
+from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import (
     contact_account,
     forces,
     fracture,
     grips,
+    kept_pairs,
     readback,
     total_forces,
     transfer,
@@ -30,8 +32,9 @@ from taichi_cloth.kernels.spring_numbers import NUMBERS, SpringNumber
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE, WORK, State
 from taichi_cloth.scene.holding import Hold
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.scene.solids import solids
+from taichi_cloth.scene.solids import Solid, solids
 from taichi_cloth.simulation import adjacency, diagnostics, requirements
+from taichi_cloth.simulation.kept import Kept, KeptFields
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.layouts import Layout
 from taichi_cloth.simulation.numbers import Numbers
@@ -47,15 +50,16 @@ SPAWN_CAPACITY = 16384  # room for clicks before the fields must grow: some 10 M
 class _Container:
     """Fields, and what they were made for.
 
-    spec: with parallel loops in one launch per step, for kernels beside the frames.
+    spec: with parallel loops in one launch per step, for kernels beside the frames. kept: copies
+    what steps keep.
 
-    free: gives their memory back; by itself when nobody holds the storage any more.
+    Their memory is given back when nobody holds it any more, the storage or a checkpoint.
     """
 
     state: Any
     spec: Specialization
     topology: str
-    free: weakref.finalize
+    kept: KeptFields
 
     def fits(self, spec: Specialization, topology: str) -> bool:
         """Whether the fields are those of `spec` in a topology, and more."""
@@ -64,12 +68,19 @@ class _Container:
 
 @dataclass(frozen=True)
 class _Loaded:
-    """What the last load made."""
+    """What the last load made.
 
+    number: which load of the storage it was. placements, solids: those of the scene loaded.
+    """
+
+    number: int
+    storage: weakref.ref[Storage]
     container: _Container
     placement: Placement
     specialization: Specialization
     numbers: Numbers
+    placements: Placements
+    solids: Sequence[Solid]
 
 
 class Storage:
@@ -163,16 +174,35 @@ class Storage:
         topology: "lanes" or "graph"; the graph where there is no regular grid any more. path:
         "serial" or "parallel". InputError where a number does not fit the device's precision.
         """
+        placement, topology = self._find_placement(topology)
+        self._fill(self._make_room(placement, topology), placement, path, numbers)
+
+    def _find_placement(self, topology: str) -> tuple[Placement, str]:
+        """The placement of the scene in a topology, or else on the graph, and which it is in."""
         placement = self._placements.find(topology)
         if placement is None:  # what was spawned may have undone the last grid
             topology = "graph"
             placement = self._placements.find(topology)
             assert placement is not None  # it takes any springs
-        container = self._make_room(placement, topology)
-        self.topology, self.path, self.loads = topology, path, self.loads + 1
+        return placement, topology
+
+    def _fill(
+        self, container: _Container, placement: Placement, path: str, numbers: Numbers
+    ) -> None:
+        """Put the state that was taken into a container."""
+        self.topology, self.path, self.loads = container.topology, path, self.loads + 1
         specialization = self._launcher.specialize(container.spec, path)
         self._launcher.expect(specialization, container.state.capacity)
-        self._loaded = _Loaded(container, placement, specialization, numbers)
+        self._loaded = _Loaded(
+            number=self.loads,
+            storage=weakref.ref(self),
+            container=container,
+            placement=placement,
+            specialization=specialization,
+            numbers=numbers,
+            placements=self._placements,
+            solids=self.solids,
+        )
         self._drawn_springs = self._drawn_triangles = None
         upload = self._upload()
         upload.numbers(numbers)
@@ -223,6 +253,66 @@ class Storage:
         self._taken = replace(self.snapshot(), marks=marks)
         self.load(self.topology, self.path, self._now.numbers)
 
+    # --- checkpoints -----------------------------------------------------------------------
+
+    def keep(self) -> Kept:
+        """All that later steps depend on, as it is now."""
+        now = self._now
+        return Kept(
+            taken=_with_own_hold(self._taken),
+            fields=now.container.kept.read(self._launcher, now.placement, self._patches()),
+            topology=self.topology,
+            spec=now.container.spec,
+            pushed=self.pushed,
+            held=self._held,
+            altered=self._altered,
+            loaded=now,
+        )
+
+    def put_back(self, kept: Kept, path: str, numbers: Numbers) -> None:
+        """Go on from what was kept: the same bits follow as then.
+
+        Where nothing was loaded since, nothing is loaded, and nothing compiled where the fields of
+        then are still there. InputError where they were stored in a way that is none here.
+        """
+        loaded = kept.loaded
+        mine = loaded is not None and loaded.storage() is self
+        if mine and self._loaded is not None and loaded.number == self._now.number:
+            self._taken = _with_own_hold(kept.taken)
+            self.set_numbers(numbers)
+            self.loads += 1  # for who compares two moments
+        else:
+            if mine:
+                self._taken = _with_own_hold(kept.taken)
+                self._placements, self.solids = loaded.placements, loaded.solids
+                self._fill(loaded.container, loaded.placement, path, numbers)
+            else:
+                self._load_like(kept, path, numbers)
+            if kept.spec.thick:
+                self._launch(kept_pairs.take_places)
+        where = self._now.placement, self._patches()
+        self._now.container.kept.write(self._launcher, *where, kept.fields)
+        self.pushed, self._held, self._altered = kept.pushed, kept.held, kept.altered
+        self._drawn_springs = self._drawn_triangles = None
+
+    def _patches(self) -> int:
+        """How many patches of particles are compared as one."""
+        thick = self._now.container.spec.thick
+        return len(self.scene.spheres.patch_start) - 1 if thick else 0
+
+    def _load_like(self, kept: Kept, path: str, numbers: Numbers) -> None:
+        """Load what was kept of another storage, stored as it was there."""
+        self.take(_with_own_hold(kept.taken))
+        placement, topology = self._find_placement(kept.topology)
+        threads = self._launcher.device.threads
+        like = replace(kept.spec, threads=threads)
+        container = self._make_room(placement, topology, like)
+        if container.spec != like:
+            raise InputError(
+                f"restore: it was stored otherwise ({_difference(container.spec, like)})"
+            )
+        self._fill(container, placement, path, numbers)
+
     def _upload(self) -> Upload:
         now = self._now
         return Upload(
@@ -239,10 +329,13 @@ class Storage:
 
     # --- room on the device ----------------------------------------------------------------
 
-    def _make_room(self, placement: Placement, topology: str) -> _Container:
+    def _make_room(
+        self, placement: Placement, topology: str, like: Specialization | None = None
+    ) -> _Container:
         """A container that fits particles, springs and spec: the one there is, or an empty one.
 
         A new container compiles every kernel again, so it is made with room to spare.
+        like: a specialization that it is to have, if that can run what is needed.
         """
         scene, device = self.scene, self._launcher.device
         needed = requirements.capacity(scene, self.solids, placement)
@@ -254,14 +347,17 @@ class Storage:
             topologies=self.topologies,
             accounts_contacts=self._accounts_contacts,
         )
+        if like is not None and like.can_run(spec):
+            spec = like
         factor = 1
         if self._loaded is not None:
             old = self._loaded.container
-            fits = old.fits(spec, topology)
+            fits = old.fits(spec, topology) and (like is None or old.spec == spec)
             if fits and old.state.capacity.holds(needed):
                 return old
             factor = 2 if fits else 1
-            old.free()
+            self._loaded = None  # its memory goes with `old`, unless a checkpoint holds it
+            del old
         room = SPAWN_CAPACITY if scene.world.takes_clicks else 0
         capacity = replace(
             needed,
@@ -272,9 +368,11 @@ class Storage:
             patches=factor * needed.patches,
         )
         state: Any = State(spec, getattr(ti, device.real), capacity, self._method)
+        kept = KeptFields(spec, state, self._method, self.real)
+        container = _Container(state, spec, topology, kept)
         # Taichi has room for 512 trees of fields, of which each state takes two.
-        free = free_with(self, state, device)
-        return _Container(state, spec, topology, free)
+        free_with(container, state, device)
+        return container
 
     def unprepared(self) -> list[Callable[[], None]]:
         """What compiles the kernels that only a first click needs, in a scene where clicks spawn.
@@ -549,6 +647,25 @@ class Storage:
             self._launch(readback.read_vectors, of, out)
         values: np.ndarray = out.astype(np.float64)
         return values
+
+
+def _with_own_hold(taken: Snapshot) -> Snapshot:
+    """The same state, with a copy of where the mouse holds it: that follows the pointer."""
+    held = taken.scene.world.held
+    if held is None:
+        return taken
+    own = replace(held, place=held.place.copy())
+    return replace(taken, scene=taken.scene.with_world(held=own))
+
+
+def _difference(here: Specialization, there: Specialization) -> str:
+    """What differs between two specializations, in words."""
+    words = [
+        f"{name} {value}, here {getattr(here, name)}"
+        for name, value in vars(there).items()
+        if value != getattr(here, name)
+    ]
+    return "; ".join(words)
 
 
 def _same_solids(one: Scene, other: Scene) -> bool:

@@ -1,0 +1,218 @@
+"""What of a state is kept from step to step, and its copies to NumPy and back: checkpoints.
+
+A run that goes on from a copy has the same bits as the one it was copied from if the copy has all
+that later steps read before they write it. So every field of `State` is kept, unless it is named
+here: a field that is added and forgotten costs memory, and no bit.
+
+`LOADED` are filled by a load, from the scene and the run's settings alone, and no step changes
+them. `WITHIN_STEP` are filled in each step before they are read. Tests hold both to that: by a run
+that goes on in new fields, and by comparing what is loaded before and after a run.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import taichi as ti
+
+from taichi_cloth.kernels.forces import device_fields, load
+from taichi_cloth.kernels.forces.contract import has
+from taichi_cloth.kernels.spring_numbers import NUMBERS
+
+
+def _names(text):
+    """The names in a text, which are apart by blanks."""
+    return frozenset(text.split())
+
+
+# Fields of the packs and of the particles; of grids and the graph; of stencils; of pairs; of
+# obstacles.
+LOADED = _names(
+    """w slot particle radius restitution held_by held_at pair_radius pair_restitution own
+    n_packs n_grids grid grid_of link forward link_shortest2 link_longest2 line
+    n_csr_rows csr_slot csr_start csr_other n_colours colour_start coloured
+    n_springs ends half shortest2 longest2 link_k line_k
+    n_stencils stencil_start stencil_slot stencil_weight stencil_k row_stencils row_stencil
+    row_weight side_start side n_stencil_colours stencil_colour
+    closer_start closer_other closer_reach n_patches patch_start in_patches patch_place patch_of
+    n_obstacles obstacle_shape obstacle_nodes obstacle_numbers obstacle_sizes obstacle_low
+    obstacle_start obstacle_grid"""
+)
+# Where springs break, a step changes these after all.
+CHANGED_BY_FRACTURE = frozenset({"csr_other", "link_k", "line_k", "stencil_k"})
+WITHIN_STEP = _names(
+    """saved_x saved_v saved_x_low saved_v_low begun_x begun_v begun_x_low jump ring_forces sums
+    arrivals passed phase fault watching traction traction_damping
+    impulse link_impulse line_impulse stencil_impulse stencil_pull
+    cell_end cell_of sorted_index sorted block_start bin_fill bin_start bin_size binned_cell
+    binned_index near near_count near_start near_reach touching active n_active visited
+    listed_begun pair_residual pair_iteration
+    face face_left face_row face_count face_finds
+    opened_x opened_v free_x free_v ended_x contact_work accounting touched first_touch account_part
+    contact_energy"""
+)
+
+
+# How a field is indexed: not at all, by rows, by rows and columns, by rows of vectors.
+SINGLE, ROWS, COLUMNS, VECTORS = range(4)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A field that is copied, `blocks` times `room` rows of `width` numbers each.
+
+    kind: how it is indexed; whole: whether it has whole numbers.
+    """
+
+    name: str
+    field: Any
+    kind: int
+    blocks: int
+    room: int
+    width: int
+    whole: bool
+
+
+def is_kept(spec, state, method, name):
+    """Whether a field of a state is kept from step to step."""
+    if name in WITHIN_STEP:
+        return False
+    loaded = LOADED - CHANGED_BY_FRACTURE if spec.fracture else LOADED
+    loaded |= {*state.number_names, *state.count_names, *_numbers_of_springs(spec)}
+    loaded |= {field.name for field in device_fields(spec) if field.value}
+    loaded -= _changed_by_hand(spec)
+    if method.begin is None:  # such a method keeps nothing: what it remembers is within a step
+        loaded |= {"a", *method.vectors, *method.low_vectors, *method.traction_vectors}
+    return name not in loaded
+
+
+def _changed_by_hand(spec):
+    """What a force that acts at times alone, such as the mouse's hold, changes without a load."""
+    terms = [load(name) for name in spec.terms]
+    fields = [field for term in terms if has(term.acts) for field in term.fields]
+    return {"w", *(field.name for field in fields)} if fields else set()
+
+
+def _numbers_of_springs(spec):
+    """The names of the fields with numbers of springs that no step changes."""
+    return {
+        f"{place}_{number.letter}"
+        for number in NUMBERS
+        for place in ("csr", "link", "spring")
+        if not number.changes(spec.terms) and f"{place}_{number.letter}" != "link_k"
+    }
+
+
+def kept(spec, state, method):
+    """The fields of a state that are kept, those of the same rooms together.
+
+    What is in objects of its own, such as the triangles in a `Surface`, is loaded.
+    """
+    found = [
+        _described(state, name, field)
+        for name, field in vars(state).items()
+        if isinstance(field, ti.Field) and is_kept(spec, state, method, name)
+    ]
+    return tuple(sorted(found, key=lambda of: (of.room, of.blocks, of.name)))
+
+
+def _described(state, name, field):
+    rows, *columns = field.shape or (1,)
+    kind = (COLUMNS if columns else ROWS) if field.shape else SINGLE
+    if isinstance(field, ti.MatrixField):
+        kind, columns = VECTORS, [field.n]
+    of_links = rows != state.packs and rows % state.packs == 0 and name.startswith(("link", "line"))
+    blocks = rows // state.packs if of_links else 1
+    width, whole = columns[0] if columns else 1, field.dtype == ti.i32
+    return Kept(name, field, kind, blocks, rows // blocks, width, whole)
+
+
+def in_use(state, packs, particles, springs, patches):
+    """How much of each room of a state is in use: {room: rows}.
+
+    packs, particles, springs, patches: how many there are; springs: those on the graph.
+    """
+    room, rows = state.capacity, {}
+    counts = (
+        (state.packs, packs),
+        (room.particles, particles),
+        (room.springs, springs),
+        (2 * room.springs, 2 * springs),
+        (room.patches, patches),
+        (room.patches**2, patches**2),  # of each two
+    )
+    for capacity, count in counts:  # where two have the same room, all that either uses
+        rows[capacity] = max(min(count, capacity), rows.get(capacity, 1))
+    return {capacity: count for capacity, count in rows.items() if capacity > 1}
+
+
+def groups_of(fields):
+    """What `copy_kept` goes through: for each room and number of blocks, a loop over the rows.
+
+    (room, number of the group, its fields: (field, kind, width, whether it has whole numbers,
+    number of the field)).
+    """
+    groups = {}
+    for at, of in enumerate(fields):
+        rows = groups.setdefault((of.room, of.blocks), [])
+        rows.append((of.field, of.kind, of.width, of.whole, at))
+    return tuple((room, g, tuple(rows)) for g, ((room, _), rows) in enumerate(groups.items()))
+
+
+@ti.kernel
+def copy_kept(
+    state: ti.template(),
+    back: ti.template(),
+    reals: ti.types.ndarray(),
+    counts: ti.types.ndarray(),
+    rows: ti.types.ndarray(),
+    begins: ti.types.ndarray(),
+):
+    """Copy all that is kept to two arrays, (numbers,), field after field; `back`: from these.
+
+    rows: (groups, 2): how many rows of each block are in use, and of all blocks; begins: (fields,):
+    where each begins in the array of real or of whole numbers.
+    """
+    for room, g, fields in ti.static(state.kept_groups):
+        for i in range(rows[g, 1]):
+            used = rows[g, 0]
+            r = i // used * room + i % used
+            for field, kind, width, whole, at in ti.static(fields):
+                if ti.static(whole):
+                    _copy_row(field, kind, width, back, r, counts, begins[at] + i * width)
+                else:
+                    _copy_row(field, kind, width, back, r, reals, begins[at] + i * width)
+
+
+@ti.func
+def _copy_row(
+    field: ti.template(),
+    kind: ti.template(),
+    width: ti.template(),
+    back: ti.template(),
+    r,
+    array: ti.template(),
+    at,
+):
+    """Copy row r of a field to an array, from `at` on; `back`: from it."""
+    if ti.static(kind == SINGLE):
+        if ti.static(back):
+            field[None] = array[at]
+        else:
+            array[at] = field[None]
+    elif ti.static(kind == ROWS):
+        if ti.static(back):
+            field[r] = array[at]
+        else:
+            array[at] = field[r]
+    elif ti.static(kind == COLUMNS):
+        for c in range(width):
+            if ti.static(back):
+                field[r, c] = array[at + c]
+            else:
+                array[at + c] = field[r, c]
+    else:
+        for c in ti.static(range(width)):
+            if ti.static(back):
+                field[r][c] = array[at + c]
+            else:
+                array[at + c] = field[r][c]

@@ -1,0 +1,158 @@
+"""A simulation at one moment, whole: a run that goes on from it has the bits it would have had."""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_cloth.errors import InputError
+from taichi_cloth.runtime import current_device
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.settings import accepted
+from taichi_cloth.simulation import saved
+from taichi_cloth.simulation.auto_substeps import AutoSubsteps
+from taichi_cloth.simulation.kept import Kept
+from taichi_cloth.simulation.numbers import Numbers
+from taichi_cloth.simulation.storage import Storage
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """All that later frames of a run depend on, on the host; `Simulation.restore` takes it.
+
+    frame: frames done. time: the scene's time then. name: of the scene. method, precision: of the
+    run. settings: the host's own, by name: those of `Checkpoints.SETTINGS`. auto: what dt "auto"
+    remembers; None: the step was set. kept: the state on the device.
+    scene: as it was given; None, of a checkpoint from a file: digest is that of all its numbers.
+
+    The arrays are nobody's to change: checkpoints share those that are equal.
+    """
+
+    frame: int
+    time: float
+    name: str
+    method: str
+    precision: str
+    settings: Mapping[str, Any]
+    auto: Mapping[str, Any] | None
+    kept: Kept
+    scene: Scene | None = None
+    digest: str = ""
+
+    def save(self, path: str | Path, about: Mapping[str, Any] | None = None) -> None:
+        """Write it to a file ``.npz``, which appears whole or not at all.
+
+        about: what else to note, such as the command's words. InputError where it cannot be
+        written.
+        """
+        saved.write(accepted.path("Checkpoint.save: path", path), vars(self), about or {})
+
+    @classmethod
+    def load(cls, path: str | Path) -> Checkpoint:
+        """The checkpoint saved at `path`. InputError where there is none that can be read."""
+        return cls(**saved.read(accepted.path("Checkpoint.load: path", path)).parts)
+
+    def arrays(self) -> list[np.ndarray]:
+        """The arrays of its state on the device, some of which others share."""
+        return list(self.kept.fields.values())
+
+
+class Checkpoints(ABC):
+    """The part of a `Simulation` that notes where it is, and goes back there."""
+
+    # What the host keeps of a run beside the state on the device; the solver's settings and the
+    # work done are copied.
+    SETTINGS = ("frame", "dt", "substeps", "speed_limit", "solver", "_since", "_work", "_preferred")
+
+    scene: Scene
+    method: str
+    frame: int
+    dt: float
+    topology: str
+    execution: str
+    storage: Storage
+    _auto: AutoSubsteps | None
+    _module: Any
+    _unprepared: list[Any] | None
+
+    @property
+    @abstractmethod
+    def time(self) -> float:
+        """Simulated time, in the scene's units."""
+
+    @abstractmethod
+    def _numbers(self) -> Numbers:
+        """What the device is told of the run's settings."""
+
+    def checkpoint(self) -> Checkpoint:
+        """All that the frames to come depend on, as it is now.
+
+        It takes a fraction of a millisecond, and changes nothing. What is pushed or held goes with
+        it; what a window or its tools remember does not.
+        """
+        return Checkpoint(
+            frame=self.frame,
+            time=self.time,
+            name=self.scene.name,
+            scene=self.scene,
+            method=self.method,
+            precision=current_device().precision,
+            settings={name: copy.copy(getattr(self, name)) for name in self.SETTINGS},
+            auto=self._auto.memory() if self._auto else None,
+            kept=self.storage.keep(),
+        )
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Go back, or on, to a checkpoint: what follows has the same bits as it had from there.
+
+        Springs that broke since are whole, and what was spawned, set, cut or tied since is gone;
+        what was set before is set again. The way that loops run stays.
+        InputError where it is of another scene, method or precision, or stored in another topology;
+        all is then as it was.
+        """
+        self._refuse_others(checkpoint)
+        kept = checkpoint.kept
+        if kept.loaded is None:
+            taken = replace(kept.taken, scene=saved.joined(self.scene, kept.taken.scene))
+            kept = replace(kept, taken=taken)
+        before = {name: getattr(self, name) for name in (*self.SETTINGS, "_auto")}
+        for name in self.SETTINGS:
+            setattr(self, name, copy.copy(checkpoint.settings[name]))
+        self._auto = None
+        if checkpoint.auto is not None:
+            self._auto = AutoSubsteps(self.method, self._module, self.dt)
+            self._auto.recall(checkpoint.auto)
+        try:
+            self.storage.put_back(kept, self.execution, self._numbers())
+        except InputError:
+            for name, value in before.items():
+                setattr(self, name, value)
+            raise
+        self.topology = self.storage.topology
+        self._unprepared = [] if self._unprepared else self._unprepared
+
+    def _refuse_others(self, checkpoint: Any) -> None:
+        if not isinstance(checkpoint, Checkpoint):
+            what = accepted.shown(checkpoint)
+            raise InputError(f"restore: takes a Checkpoint, not {what}")
+        pairs = (
+            ("method", checkpoint.method, self.method),
+            ("precision", checkpoint.precision, current_device().precision),
+            ("scene", checkpoint.name, self.scene.name),
+        )
+        for what, there, here in pairs:
+            if there != here:
+                raise InputError(f"restore: the checkpoint has {what} {there}, the run has {here}")
+        if checkpoint.scene is self.scene:
+            return
+        there = checkpoint.digest or saved.digest(checkpoint.scene or self.scene)
+        if there != saved.digest(self.scene):
+            raise InputError(
+                f"restore: the checkpoint is of another '{self.scene.name}': with other parameters"
+            )

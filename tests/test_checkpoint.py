@@ -1,0 +1,280 @@
+"""A run that goes on from a checkpoint has the bits of the one that was never interrupted."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cloths import SIDES, cloth, mixed
+from commands import command
+from inside import state_of
+from selection import as_thorough, mostly_thorough
+
+import taichi_cloth as tc
+from taichi_cloth.errors import InputError
+from taichi_cloth.kernels import methods, persistence
+from taichi_cloth.kernels import state as kernels_state
+from taichi_cloth.scene import library, scenefile
+from taichi_cloth.scene.library import build
+from taichi_cloth.simulation.simulation import Simulation
+
+pytestmark = pytest.mark.usefixtures("device", "few_lanes")
+
+LINKS = ("structural", "shear")
+DEFAULT = [("symplectic_euler", "lanes"), ("symplectic_euler", "graph"), ("verlet", "graph")]
+TABLE = [(method, topology) for method in methods.METHODS for topology in ("lanes", "graph")]
+
+
+def torn():
+    """A cloth that flies apart, with all that springs and particles can have."""
+    return mixed(2, mouse="blow")
+
+
+def state(sim):
+    energy = sim.energy()
+    return sim.positions(), sim.velocities(), sim.springs_alive(), sim.time, sim.steps, energy
+
+
+def assert_same(one, other):
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def advance(sim, frames):
+    """Frames one by one, with a gust in each fourth."""
+    for _ in range(frames):
+        if sim.frame % 4 == 3 and sim.scene.world.mouse == "blow" and sim.scene.world.dim == 2:
+            sim.blow((150.0, 120.0), (3.0, -2.0))
+        sim.advance()
+
+
+@pytest.mark.parametrize(
+    ("method", "topology"),
+    [row if row in DEFAULT else as_thorough(row) for row in TABLE],
+)
+def test_a_run_goes_on_from_a_checkpoint_to_the_same_bits(pool, tmp_path, method, topology):
+    """In place after springs broke; after other scenes were loaded; and by a file in new fields."""
+    sim = pool(torn(), method, topology=topology, substeps=2)
+    advance(sim, 5)
+    sim.blow((100.0, 100.0), (2.0, 1.0))
+    there = sim.checkpoint()
+    broken = int((~sim.springs_alive()).sum())
+    advance(sim, 9)
+    end = state(sim)
+    assert 0 <= broken < (~end[2]).sum() < len(end[2])
+
+    sim.restore(there)
+    assert (~sim.springs_alive()).sum() == broken and sim.frame == 5
+    advance(sim, 9)
+    assert_same(state(sim), end)
+
+    sim.set(stiffness=0.7, gravity=(0.0, -0.1))
+    sim.set_step(0.5, 3)
+    sim.cut([3, 4])
+    sim.advance(2)
+    sim.restore(there)
+    advance(sim, 9)
+    assert_same(state(sim), end)
+
+    there.save(tmp_path / "there.npz")
+    other = pool(torn(), method, topology=topology, substeps=1, another=True)
+    other.advance(3)
+    other.restore(tc.Checkpoint.load(tmp_path / "there.npz"))
+    assert (other.frame, other.substeps) == (5, 2)
+    advance(other, 9)
+    assert_same(state(other), end)
+
+
+@pytest.mark.parametrize("name", mostly_thorough(library.names(), ["sandbox", "stack"]))
+def test_every_scene_goes_on_to_the_same_bits_in_new_fields(name, tmp_path):
+    """Fields that were never written hold nothing that a step needs; steps change none that a load
+    fills.
+    """
+    scene, settings = build(name), {"topology": "graph", "execution": "serial"}
+    settings["dt"] = library.frame(name)
+    sim = Simulation(scene, **settings)
+    sim.advance(4)
+    if scene.world.mouse == "spawn":
+        place = np.add(scene.world.low, scene.world.high) / 2
+        sim.spawn(place, tied_to=sim.spawn(place + 9.0))
+    sim.advance()
+    loaded = loaded_fields(sim)
+    there = sim.checkpoint()
+    sim.advance(3)
+    for name, before in loaded.items():
+        np.testing.assert_array_equal(loaded_fields(sim)[name], before, err_msg=name)
+    end = state(sim)
+    there.save(tmp_path / "there.npz")
+    other = Simulation(scene, **settings)
+    other.restore(tc.Checkpoint.load(tmp_path / "there.npz"))
+    other.advance(3)
+    assert_same(state(other), end)
+
+
+def loaded_fields(sim):
+    """What a load fills and no step changes, by name."""
+    fracture = persistence.CHANGED_BY_FRACTURE if sim.storage.specialization.fracture else set()
+    names = persistence.LOADED - fracture
+    fields = {name: getattr(state_of(sim), name, None) for name in names}
+    return {name: field.to_numpy() for name, field in fields.items() if field is not None}
+
+
+def test_what_is_not_kept_is_named_as_in_the_state():
+    """A name that no state has any more would one day hide a field that takes it."""
+    text = Path(kernels_state.__file__).read_text()
+    placed = {*re.findall(r"self\.(\w+)", text), *re.findall(r'"(\w+)"', text), "link_k", "sums"}
+    assert placed >= persistence.LOADED | persistence.WITHIN_STEP
+
+
+@pytest.mark.parametrize("topology", ["graph", as_thorough("lanes")])
+def test_what_was_spawned_tied_and_held_comes_and_goes(topology):
+    scene = cloth(6, 5, LINKS, mouse="blow", break_force=2.0)
+    sim = Simulation(scene, topology=topology, execution="serial")
+    sim.advance(2)
+    before = sim.checkpoint()
+    sim.spawn((150.0, 60.0), (1.0, 0.0), tied_to=3)
+    sim.hold(np.full((sim.particle_count, 2), 0.01))
+    sim.advance(3)
+    after = sim.checkpoint()
+    sim.advance(4)
+    end = state(sim)
+    sim.restore(before)
+    assert sim.particle_count == len(scene.particles)
+    sim.advance(2)
+    straight = state(sim)
+    sim.restore(after)
+    assert sim.particle_count == len(scene.particles) + 1
+    sim.advance(4)
+    assert_same(state(sim), end)
+    sim.restore(before)
+    sim.advance(2)
+    assert_same(state(sim), straight)
+    sim.reset()
+    assert sim.particle_count == len(scene.particles) and sim.frame == 0
+
+
+@pytest.mark.parametrize("topology", ["graph", as_thorough("lanes")])
+def test_what_the_mouse_holds_is_held_again(topology, tmp_path):
+    scene = cloth(6, 5, LINKS, break_force=50.0).with_world(tools=True)
+    sim = Simulation(scene, topology=topology, execution="serial")
+    sim.advance(2)
+    free = sim.checkpoint()
+    sim.grab([8, 9], (120.0, 120.0))
+    sim.drag((130.0, 110.0))
+    sim.advance(2)
+    there = sim.checkpoint()
+    sim.drag((150.0, 90.0))
+    sim.advance(3)
+    end = state(sim)
+    sim.let_go()
+    there.save(tmp_path / "there.npz")
+    for checkpoint in (there, tc.Checkpoint.load(tmp_path / "there.npz"), there):
+        sim.restore(checkpoint)
+        np.testing.assert_array_equal(sim.held().place, (130.0, 110.0))
+        sim.drag((150.0, 90.0))
+        sim.advance(3)
+        assert_same(state(sim), end)
+    sim.restore(free)
+    assert sim.held() is None
+    sim.grab([8, 9], (120.0, 120.0))
+    sim.drag((130.0, 110.0))
+    sim.advance(2)
+    sim.drag((150.0, 90.0))
+    sim.advance(3)
+    assert_same(state(sim), end)
+
+
+def test_substeps_that_follow_the_springs_are_chosen_as_they_were(tmp_path):
+    scene = cloth(8, 6, LINKS, break_force=1.0, damping=0.3)
+    sim = Simulation(scene, dt="auto", topology="graph", execution="serial")
+    sim.advance(3)
+    there = sim.checkpoint()
+    sim.advance(12)
+    end = (*state(sim), sim.substeps)
+    there.save(tmp_path / "there.npz")
+    for checkpoint in (there, tc.Checkpoint.load(tmp_path / "there.npz")):
+        sim.restore(checkpoint)
+        sim.advance(12)
+        assert_same((*state(sim), sim.substeps), end)
+
+
+def test_checkpoints_share_what_is_equal(pool):
+    sim = pool(cloth(20, 20, LINKS, walls=SIDES[:4], break_force=1e9))
+    sim.advance()
+    one = sim.checkpoint()
+    sim.advance()
+    two = sim.checkpoint()
+    shared = {id(a) for a in one.arrays()} & {id(a) for a in two.arrays()}
+    changed = sum(a.nbytes for a in two.arrays() if id(a) not in shared)
+    assert changed < 1.2 * 2 * 8 * 2 * 400  # positions and velocities
+
+
+def test_what_is_no_checkpoint_of_this_run_is_refused_in_a_line(pool, tmp_path):
+    sim = pool(torn())
+    there = sim.checkpoint()
+    with pytest.raises(InputError, match="takes a Checkpoint, not"):
+        sim.restore(3)
+    with pytest.raises(InputError, match="has method symplectic_euler, the run has verlet"):
+        pool(torn(), "verlet").restore(there)
+    with pytest.raises(InputError, match="has scene cloth, the run has box"):
+        other = pool(torn(), another=True)
+        other.scene = replace(other.scene, name="box")
+        other.restore(there)
+    with pytest.raises(InputError, match="of another 'cloth': with other parameters"):
+        pool(mixed(2, mouse="blow", speed=1.0), another=True).restore(there)
+    path = tmp_path / "there.npz"
+    for content in (b"", b"none", b"PK\x03\x04"):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="there.npz: is no checkpoint"):
+            tc.Checkpoint.load(path)
+    there.save(path)
+    with np.load(path) as file:
+        arrays = dict(file)
+    meta = json.loads(str(arrays["meta"])) | {"version": 9}
+    np.savez(path, **(arrays | {"meta": np.array(json.dumps(meta))}))
+    with pytest.raises(InputError, match="of version 9, and this program reads 1"):
+        tc.Checkpoint.load(path)
+    with pytest.raises(InputError, match="there is no folder"):
+        there.save(tmp_path / "none" / "there.npz")
+
+
+PRECISIONS = [(p, t) for p in ("f32", "compensated") for t in ("lanes", "graph")]
+
+
+@pytest.mark.parametrize(
+    ("precision", "topology"),
+    [row if row == ("compensated", "graph") else as_thorough(row) for row in PRECISIONS],
+)
+def test_the_command_line_goes_on_bit_for_bit(cli, tmp_path, precision, topology):
+    """In processes of their own, at every precision, with drag, walls, and springs that break."""
+    scene = tmp_path / "scene.toml"
+    scenefile.save(torn(), scene)
+    run = ("run", scene, "--headless", "--topology", topology, "--precision", precision)
+    whole, part, end = (tmp_path / f"{name}.npz" for name in ("whole", "part", "end"))
+    cli(*run, "--frames", 14, "--substeps", 2, "--save", whole)
+    cli(*run, "--frames", 9, "--substeps", 2, "--checkpoint", part)
+    cli("run", scene, "--headless", "--resume", part, "--frames", 5, "--save", end)
+    whole, end = tc.load_trajectory(whole), tc.load_trajectory(end)
+    np.testing.assert_array_equal(end.frame, whole.frame[9:])
+    np.testing.assert_array_equal(end.time, whole.time[9:])
+    np.testing.assert_array_equal(end.position, whole.position[9:])
+    np.testing.assert_array_equal(end.velocity, whole.velocity[9:])
+    np.testing.assert_array_equal(end.spring_alive, whole.spring_alive[9:])
+    assert 0 < end.spring_alive[-1].sum() < end.spring_alive.shape[1]
+
+
+def test_a_checkpoint_of_something_else_is_refused_before_taichi_starts(cli, tmp_path):
+    path = tmp_path / "there.npz"
+    cloth = ("run", "cloth", "--columns", 8, "--rows", 6, "--headless", "--frames", 2)
+    cli(*cloth, "--checkpoint", path)
+    for words, says in (
+        (["box"], "is of scene 'cloth', not of 'box'"),
+        (["cloth", "--method", "rk4"], "was made with --method symplectic_euler; leave the flag"),
+    ):
+        said = command("run", *words, "--headless", "--resume", path, check=2)[1]
+        assert says in said and said.count("\n") == 1
+    assert cli("run", "cloth", "--resume", path, "--headless", "--frames", 1)[0].startswith(
+        "cloth: 48 particles"
+    )
