@@ -308,6 +308,7 @@ class Recorder:
     def __init__(self, path: str | Path, header: dict[str, Any] | None = None):
         self._pending = PendingFile(path)
         self._last_frame = 0
+        self._begins: dict[int, int] = {}  # of each frame with events: where in the file
         if header:
             self.write_header(header)
 
@@ -322,7 +323,17 @@ class Recorder:
         if frame < self._last_frame:
             raise ValueError(f"event of frame {frame} after one of frame {self._last_frame}")
         self._last_frame = int(frame)
+        self._begins.setdefault(self._last_frame, self._pending.file.tell())
         self._write({"frame": int(frame), "event": event.kind, **event.fields()})
+
+    def rewind(self, frame: int) -> None:
+        """Forget the events of `frame` and later ones: the run goes on another way from there."""
+        later = [begin for noted, begin in self._begins.items() if noted >= frame]
+        if later:
+            self._pending.file.seek(min(later))
+            self._pending.file.truncate()
+        self._begins = {noted: begin for noted, begin in self._begins.items() if noted < frame}
+        self._last_frame = frame
 
     def _write(self, entry: dict[str, Any]) -> None:
         self._pending.write(json.dumps(entry).encode() + b"\n")

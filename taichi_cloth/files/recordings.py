@@ -25,3 +25,9 @@ class Recordings:
         for part in (self.trajectory, self.export):
             if part is not None:
                 part.record(sim, last=last)
+
+    def rewind(self, frame: int) -> None:
+        """Forget the frames after `frame`, from which a simulation goes on another way."""
+        for part in (self.trajectory, self.export):
+            if part is not None:
+                part.rewind(frame)

@@ -134,6 +134,10 @@ class Trajectory:
         now = sim.time, sim.positions(), sim.velocities(), sim.springs_alive()
         self._frames.append(_Frame(frame, *now))
 
+    def rewind(self, frame: int) -> None:
+        """Forget the frames after `frame`, from which the simulation goes on another way."""
+        self._frames = [noted for noted in self._frames if noted.number <= frame]
+
     def save(self, meta: dict[str, Any] | None = None) -> None:
         """Write the file. May be called twice; only the first call writes.
 

@@ -120,6 +120,11 @@ class Storage:
         self._surfaces = Surfaces()
 
     @property
+    def altered(self) -> bool:
+        """Whether the state was changed from outside since the last step."""
+        return self._altered
+
+    @property
     def scene(self) -> Scene:
         """The scene with all that was spawned, every particle where it began."""
         return self._taken.scene

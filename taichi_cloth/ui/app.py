@@ -22,13 +22,15 @@ from taichi_cloth.ui import film as films
 from taichi_cloth.ui import hud, rescue, shown
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.drawing import Cached
-from taichi_cloth.ui.inputs import COMMANDS, HELP_KEYS, KEYS, STEP_KEYS, Event
+from taichi_cloth.ui.inputs import BACK_KEYS, COMMANDS, HELP_KEYS, KEYS, SLOW_KEY, STEP_KEYS, Event
 from taichi_cloth.ui.interaction import Log, LogEvent
 from taichi_cloth.ui.opening import offscreen
 from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.shutter import Shutter
 from taichi_cloth.ui.solids import Solids
+from taichi_cloth.ui.timeline import SPEEDS, Pace
 from taichi_cloth.ui.tools.contract import Marks
+from taichi_cloth.ui.travel import Travel
 from taichi_cloth.ui.views.contract import Picture, View
 from taichi_cloth.ui.window_map import WindowMap
 
@@ -36,7 +38,10 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
 
 # Keys that act on the window alone. They work while a log is replayed, too.
-WINDOW_KEYS = ("escape", "h", "d", "s", "v", "p", *STEP_KEYS, *HELP_KEYS)
+WINDOW_KEYS = (
+    *("escape", "h", "d", "s", "v", "p", SLOW_KEY),
+    *(*STEP_KEYS, *BACK_KEYS, *HELP_KEYS),
+)
 
 NOTICE_SECONDS = 4.0  # how long a word about the last click stays, or about threads that waited
 
@@ -200,6 +205,12 @@ class _Loop:
         # recorded, so that resizing does not spoil a replay.
         self._log_window = _event_window(sim.scene.world, view, replay)
         self._controls = Controls(sim, view.camera, self._log_window, seed, self._note)
+        self._travel: Travel | None = None
+        if view.visible:
+            self._travel = Travel(
+                sim, self._controls, view.camera, recorder, trajectory, reruns=on_frame is None
+            )
+        self._pace = Pace()
         self._radius = Cached(_drawn_radius)
         self._largest_disc = _largest_disc(sim.scene)
         self._paused = paused and view.visible
@@ -231,7 +242,8 @@ class _Loop:
         if self.quit or self.view.closed:
             return
         simulate = 0.0
-        if (not self._paused or self._step) and self.failure is None:
+        due = self._step or (not self._paused and self._pace.turn())
+        if due and self.failure is None:
             begin = time.perf_counter()
             if self._started is None:
                 self._started = begin
@@ -269,6 +281,11 @@ class _Loop:
             return
         if self._controls.waits and self.view.visible:
             self.view.draw(self._picture())  # says that it compiles, and for what
+        if self._travel:
+            # Events of a log that is being replayed belong to the frames that there were.
+            if self._replaying:
+                self._go_to(self._travel.timeline.frames.stop - 1)
+            self._travel.go_on()
         self._controls.before_frame(replayed=self._replaying)
         try:
             self.sim.advance(1)
@@ -281,6 +298,16 @@ class _Loop:
         self.frames += 1
         if self._trajectory is not None:
             self._trajectory.record(self.sim)
+        if self._travel:
+            self._travel.note(self.frames)
+
+    def _go_to(self, frame: int) -> None:
+        """Go back, or on, to one of the frames of the last seconds, and pause there."""
+        if self._travel is None or not self._travel.timeline.frames:
+            return
+        self.frames = self._travel.go(frame)
+        self._paused, self.failure = True, None
+        self._meter.interrupt()
 
     def _wait(self) -> None:
         """Sleep until the next frame is due; a late frame moves the schedule, not the pace."""
@@ -317,6 +344,8 @@ class _Loop:
             if (event.key is None or event.key in KEYS - {"escape"}) and not self.quit:
                 self._note(event)
             command = self._controls.apply(event)
+            if self._travel:
+                self._travel.settle()
             if command:
                 self._obey(command)
 
@@ -330,7 +359,9 @@ class _Loop:
         return changed(event, pos=(float(x), float(y)))
 
     def _note(self, event: LogEvent) -> None:
-        if self._recorder is not None:
+        if self._travel:
+            self._travel.event(self.frames, event)
+        elif self._recorder is not None:
             self._recorder.write(self.frames, event)
 
     def _obey(self, command: str) -> None:
@@ -339,9 +370,17 @@ class _Loop:
         elif command == "pause" and self.failure is None:
             self._paused = not self._paused
             self._meter.interrupt()
+        elif command == "step" and self._travel and self._travel.away:
+            self._go_to(self.frames + 1)
         elif command == "step":
             self._step = self._paused
+        elif command == "back":
+            self._go_to(self.frames - 1)
+        elif command == "slow":
+            self._pace.slower() if self._pace.slowness < SPEEDS[-1] else self._pace.full()
         elif command == "reset":
+            if self._travel:
+                self._travel.go_on()
             saved = self._trajectory.frames if self._trajectory is not None else 0
             self.sim.reset()
             self._controls.reset(hud.reset_notice(saved) if saved else None)

@@ -29,6 +29,16 @@ class CameraMoves:
         self._last = ""  # the move that goes on while nothing else is done
         self.drags: str | None = None
 
+    def memory(self) -> tuple[tuple[float, ...], list[tuple[float, ...]], str, str | None]:
+        """Its pose, those before, and what goes on; `recall` takes it."""
+        return self._camera.pose, self._poses, self._last, self.drags
+
+    def recall(
+        self, memory: tuple[tuple[float, ...], list[tuple[float, ...]], str, str | None]
+    ) -> None:
+        """Go back to such a memory."""
+        self._camera.pose, self._poses, self._last, self.drags = memory
+
     def _note(self, move: str) -> None:
         """Remember the pose before a move that is not the last one going on."""
         if move != self._last:
@@ -83,4 +93,4 @@ class CameraMoves:
         """Take the pose before the last move."""
         self.end()
         if self._poses:
-            self._camera.pose = self._poses.pop()
+            *self._poses, self._camera.pose = self._poses

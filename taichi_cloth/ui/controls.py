@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import copy
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -255,6 +256,27 @@ class Controls:
         if tool.name not in self._memory:
             self._memory[tool.name] = tool.remember(self._seed)
         return self._memory[tool.name]
+
+    def memory(self) -> dict[str, Any]:
+        """All that later events depend on, beside the simulation; `recall` takes it."""
+        hand = self._hand
+        return {
+            "tool": self.tool,
+            "tools": copy.deepcopy(self._memory),
+            "pointer": (hand.pointer, self._before, self.pressed),
+            "keys": frozenset(hand.held),
+            "camera": self._moves.memory() if self._moves else None,
+        }
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Go back to such a memory."""
+        hand, self.tool = self._hand, memory["tool"]
+        self._memory = copy.deepcopy(memory["tools"])
+        hand.pointer, self._before, self.pressed = memory["pointer"]
+        hand.held = set(memory["keys"])
+        self._waiting = None
+        if self._moves:
+            self._moves.recall(memory["camera"])
 
     def reset(self, notice: str | None = None) -> None:
         """The scene is at its start again: let the tools forget what they did.

@@ -157,6 +157,8 @@ def help_lines(
     lines += [
         ("p" if tool and "space" in tool.modifiers else "space, p") + "\tpause and go on",
         ".  or right arrow\tone frame, while paused",
+        ",  or left arrow\tone frame back, in the last 10 s",
+        "m\tslow motion: half as fast, down to 1/16",
         "r\tback to the start" + ("; --save begins anew" if saves else ""),
         *(["d\tdraw surface, springs, particles"] if len(scene.triangles) else []),
         "h\thide or show the status",

@@ -47,6 +47,7 @@ _KEY_NAMES = {
     ".": ".",
     "period": ".",
     "KP_Decimal": ".",
+    ",": ",",
     "+": "+",
     "=": "+",
     "plus": "+",
@@ -65,12 +66,14 @@ _KEY_NAMES = {
 }
 
 # What the program's own keys ask for, beside those of the camera.
-STEP_KEYS = (".", "right")
+STEP_KEYS, BACK_KEYS, SLOW_KEY = (".", "right"), (",", "left"), "m"
 HELP_KEYS = ("f1", "tab")
 COMMANDS = {
     "p": "pause",
     "space": "pause",
     **dict.fromkeys(STEP_KEYS, "step"),
+    **dict.fromkeys(BACK_KEYS, "back"),
+    SLOW_KEY: "slow",
     "r": "reset",
     "h": "status",
     "d": "show",

@@ -56,14 +56,25 @@ class Export:
         """
         frame = sim.frame
         if frame < self._last:
-            self._writer.restart()
-            self._last, self.frames, self.left_out = -1, 0, 0
+            self._restart()
         wanted = last or (frame > 0 and frame % self.every == 0)
         if not wanted or frame == self._last:
             return
         noted = self._frame(sim)
         self._writer.add(noted)
         self._last, self.frames = frame, self.frames + 1
+
+    def rewind(self, frame: int) -> None:
+        """Begin anew where a simulation goes on another way from `frame`.
+
+        Files hold what was written to them: where that is ahead, all of it is forgotten.
+        """
+        if self._last > frame:
+            self._restart()
+
+    def _restart(self) -> None:
+        self._writer.restart()
+        self._last, self.frames, self.left_out = -1, 0, 0
 
     def _frame(self, sim: Recordable) -> Frame:
         position = sim.positions()

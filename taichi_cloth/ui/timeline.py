@@ -1,0 +1,300 @@
+"""The last seconds of a run, frame by frame: to go back to, to go on from, and to export."""
+
+from __future__ import annotations
+
+import bisect
+from collections import Counter
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from taichi_cloth.errors import InputError
+from taichi_cloth.files.exports import Export
+from taichi_cloth.files.recordings import Recordings
+from taichi_cloth.files.trajectory import Trajectory
+from taichi_cloth.ui.interaction import LogEvent
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from taichi_cloth.simulation.checkpoint import Checkpoint
+    from taichi_cloth.simulation.simulation import Simulation
+
+SECONDS = 10.0  # of frames that are kept, at `FRAME_RATE`
+MOST_BYTES = 256 << 20  # of checkpoints; beyond that only some frames have one
+FRAME_RATE = 60.0
+
+
+class Remembers(Protocol):
+    """What a window remembers of what was done, beside the simulation: `Controls`."""
+
+    def memory(self) -> Any:
+        """What later events depend on, as it is now."""
+
+    def recall(self, memory: Any) -> None:
+        """Go back to such a memory."""
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """A frame with its checkpoint, and what the window remembered then."""
+
+    frame: int
+    checkpoint: Checkpoint
+    memory: Any
+
+
+class Timeline:
+    """Notes frames as they come, and goes back to any of the last ones, to the bit.
+
+    Frames are counted as the interaction log counts them, over resets. A frame that has no
+    checkpoint, because there is no room for all of them, is run again from the one before, with the
+    events that came between.
+
+    remembers: what is put back beside the simulation. rerun: advances the simulation by one frame,
+    from the one of this number on, after doing its events; None: no frame can be run again, so that
+    a run that takes more room reaches back less far.
+    seconds, most_bytes: what is kept at most.
+
+    at: the frame that was gone back to; None: the run is where it has come to.
+    """
+
+    def __init__(
+        self,
+        sim: Simulation,
+        remembers: Remembers,
+        rerun: Callable[[int, list[LogEvent]], None] | None,
+        seconds: float = SECONDS,
+        most_bytes: int = MOST_BYTES,
+    ) -> None:
+        self._sim, self._remembers, self._rerun = sim, remembers, rerun
+        self._span, self._most = max(1, round(seconds * FRAME_RATE)), most_bytes
+        self.at: int | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Keep nothing: the run is of another simulation, or begins."""
+        self._kept: list[_Kept] = []
+        self._events: dict[int, list[LogEvent]] = {}
+        self._holders: Counter[int] = Counter()
+        self._bytes, self._every = 0, 1
+        self._last = -1
+        self._present: _Kept | None = None
+        self._untouched = 0, False
+        self.at = None
+
+    # --- as the run goes on ----------------------------------------------------------------
+
+    def note(self, frame: int) -> None:
+        """Take note of the present frame, after it was advanced."""
+        self._last = frame
+        if frame % self._every == 0 or not self._kept:
+            self._hold(_Kept(frame, self._sim.checkpoint(), self._remembers.memory()))
+        while self._kept and frame - self._kept[0].frame > self._span and len(self._kept) > 1:
+            self._drop(0)
+        while self._bytes > self._most and len(self._kept) > 2:
+            self._thin()
+
+    def event(self, frame: int, event: LogEvent) -> None:
+        """Take note of an event that came before `frame` was advanced."""
+        self._events.setdefault(frame, []).append(event)
+
+    def _hold(self, kept: _Kept) -> None:
+        self._kept.append(kept)
+        for array in kept.checkpoint.arrays():
+            if self._holders[id(array)] == 0:
+                self._bytes += array.nbytes
+            self._holders[id(array)] += 1
+
+    def _drop(self, at: int) -> None:
+        dropped = self._kept.pop(at)
+        for array in dropped.checkpoint.arrays():
+            self._holders[id(array)] -= 1
+            if self._holders[id(array)] == 0:
+                del self._holders[id(array)]
+                self._bytes -= array.nbytes
+        if at == 0 and self._kept:
+            first = self._kept[0].frame
+            self._events = {f: events for f, events in self._events.items() if f >= first}
+
+    def _thin(self) -> None:
+        """Make room: every second checkpoint goes, or, where none can be done without, the oldest.
+
+        Twice as many frames are then run again, so no more than an eighth of a second's.
+        """
+        if self._rerun is None or self._every >= FRAME_RATE / 8:
+            self._drop(0)
+            return
+        self._every *= 2
+        for at in range(len(self._kept) - 1, 0, -1):
+            if self._kept[at].frame % self._every:
+                self._drop(at)
+
+    @property
+    def bytes(self) -> int:
+        """How much memory the checkpoints take; what two share counts once."""
+        return self._bytes
+
+    # --- back ------------------------------------------------------------------------------
+
+    @property
+    def frames(self) -> range:
+        """The frames that one can go to, the present one included; empty: none."""
+        return range(self._kept[0].frame, self._last + 1) if self._kept else range(0)
+
+    @property
+    def frame(self) -> int:
+        """The frame that is seen."""
+        return self._last if self.at is None else self.at
+
+    def go(self, frame: int) -> int:
+        """Go to a frame, or to the nearest one that is held; return which.
+
+        At the last one the run is where it was left, with all that was done there since.
+        """
+        frames = self.frames
+        if not frames:
+            return self.frame
+        frame = min(max(frame, frames[0]), frames[-1])
+        if self.at is None and frame != self._last:
+            memory = self._remembers.memory()
+            self._present = _Kept(self._last, self._sim.checkpoint(), memory)
+        if frame != self.frame:
+            self._put_back(frame)
+        return frame
+
+    def back(self, count: int = 1) -> int:
+        """Go back by so many frames, or on by a negative number of them; return where to."""
+        return self.go(self.frame - count)
+
+    def _put_back(self, frame: int) -> None:
+        if frame == self._last and self._present is not None:
+            kept, self.at, self._present = self._present, None, None
+        else:
+            place = bisect.bisect_right([kept.frame for kept in self._kept], frame) - 1
+            kept, self.at = self._kept[place], frame
+        self._sim.restore(kept.checkpoint)
+        self._remembers.recall(kept.memory)
+        for between in range(kept.frame, frame):
+            assert self._rerun is not None  # else each frame has its checkpoint
+            self._rerun(between, self._events.get(between, []))
+        self._untouched = self._sim.storage.loads, self._sim.storage.altered
+
+    @property
+    def touched(self) -> bool:
+        """Whether the frame that was gone back to is no longer as it was: something was done."""
+        now = self._sim.storage.loads, self._sim.storage.altered
+        return self.at is not None and now != self._untouched
+
+    def branch(self) -> int | None:
+        """Let the run go on from the frame that was gone back to: what came after is dropped.
+
+        Returns that frame, from which on logs and recordings are to forget what they have, or None
+        where the run is where it has come to.
+        """
+        frame, self.at, self._present = self.at, None, None
+        if frame is None:
+            return None
+        while self._kept and self._kept[-1].frame > frame:
+            self._drop(len(self._kept) - 1)
+        self._events = {f: events for f, events in self._events.items() if f < frame}
+        self._last = frame
+        return frame
+
+    # --- export ----------------------------------------------------------------------------
+
+    def export(self, path: str | Path, meta: Mapping[str, Any] | None = None) -> int:
+        """Write the frames that are held to a file, and return how many; the run stays as it is.
+
+        path: as for `run --export`; a file ``.npz`` is a trajectory, with `meta`. Of a run that was
+        reset, the frames since. InputError where it cannot be written.
+        """
+        if not self.frames:
+            raise InputError(f"{path}: there is no frame to export yet")
+        whole = Path(path).suffix.lower() == ".npz"
+        trajectory = Trajectory(path) if whole else None
+        export = None if whole else Export(Path(path), self._sim.dt)
+        recordings = Recordings(trajectory, export)
+        try:
+            with self._visiting():
+                for frame in self.frames:
+                    self.go(frame)
+                    recordings.record(self._sim, last=True)
+        except BaseException:
+            if trajectory:
+                trajectory.discard()
+            if export:
+                export.discard()
+            raise
+        if trajectory:
+            trajectory.save(dict(meta or {}))
+        if export:
+            export.save()
+        return recordings.frames
+
+    @contextmanager
+    def _visiting(self) -> Iterator[None]:
+        """Go where one likes meanwhile; then everything is as it was, also what was done there."""
+        before = self.at, self._present, self._untouched
+        here = _Kept(self.frame, self._sim.checkpoint(), self._remembers.memory())
+        try:
+            yield
+        finally:
+            self.at, self._present, self._untouched = before
+            self._sim.restore(here.checkpoint)
+            self._remembers.recall(here.memory)
+
+
+# --- slow motion -----------------------------------------------------------------------------
+
+SPEEDS = (1, 2, 4, 8, 16)  # times as long as a frame is shown
+
+
+class Pace:
+    """How slowly frames are shown: each for `slowness` times as long; no step is changed.
+
+    A picture between two frames may be drawn: `part` says how far on it is.
+    """
+
+    def __init__(self) -> None:
+        self.slowness = SPEEDS[0]
+        self._shown = 0
+
+    @property
+    def words(self) -> str:
+        """What a window says of it; "" at full speed."""
+        return "" if self.slowness == 1 else f"1/{self.slowness} speed"
+
+    def slower(self) -> None:
+        """Half as fast, down to the slowest."""
+        self._set(min(self.slowness * 2, SPEEDS[-1]))
+
+    def faster(self) -> None:
+        """Twice as fast, up to full speed."""
+        self._set(max(self.slowness // 2, SPEEDS[0]))
+
+    def full(self) -> None:
+        """At full speed again."""
+        self._set(SPEEDS[0])
+
+    def _set(self, slowness: int) -> None:
+        self.slowness, self._shown = slowness, 0
+
+    def turn(self) -> bool:
+        """Whether the next frame is due in this turn of a window, sixty of which are a second."""
+        self._shown += 1
+        if self._shown < self.slowness:
+            return False
+        self._shown = 0
+        return True
+
+    @property
+    def part(self) -> float:
+        """How far the picture of this turn is from the last frame to the next, from 0 to below 1.
+
+        A window that draws between frames shows the frame before the last one, and this part of the
+        way on to the last one: what comes next is not known.
+        """
+        return self._shown / self.slowness

@@ -1,0 +1,230 @@
+"""Back in the last seconds, on from there another way, and out to files."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import taichi_cloth as tc
+from taichi_cloth.errors import InputError
+from taichi_cloth.files.events import Recorder
+from taichi_cloth.files.trajectory import Trajectory
+from taichi_cloth.scene.library import build
+from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.ui import app
+from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.timeline import SPEEDS, Pace, Timeline
+from taichi_cloth.ui.views.none import NullView
+
+SIZE = 1000  # bytes of a checkpoint of what stands for a simulation
+
+
+class Saved:
+    """Its checkpoint."""
+
+    def __init__(self, state):
+        self.state, self._array = state, np.zeros(SIZE, np.int8)
+
+    def arrays(self):
+        return [self._array]
+
+
+class Counting:
+    """What stands for a simulation and for what a window remembers: a hash of all that was done."""
+
+    def __init__(self):
+        self.state, self.loads, self.altered = 0, 0, False
+        self.storage = self
+
+    def checkpoint(self):
+        return Saved(self.state)
+
+    def restore(self, saved):
+        self.state = saved.state
+        self.loads += 1
+
+    def memory(self):
+        return self.state % 7
+
+    def recall(self, memory):
+        assert memory == self.state % 7
+
+    def do(self, event):
+        self.state = hash((self.state, event))
+        self.altered = True
+
+    def advance(self):
+        self.state = hash((self.state, "frame"))
+        self.altered = False
+
+
+ACTIONS = st.lists(
+    st.one_of(
+        st.tuples(st.just("advance"), st.integers(1, 9)),
+        st.tuples(st.just("do"), st.integers(0, 99)),
+        st.tuples(st.just("go"), st.integers(-3, 40)),
+        st.tuples(st.just("branch"), st.just(0)),
+    ),
+    max_size=25,
+)
+
+
+@given(ACTIONS, st.integers(2, 40), st.booleans())
+@settings(deadline=None, max_examples=200)
+def test_any_frame_that_is_held_comes_back_as_it_was(actions, room, reruns):
+    """Whatever is done, dropped and run again: each frame has what it had, the last its present."""
+    sim = Counting()
+
+    def rerun(frame, events):
+        for event in events:
+            sim.do(event)
+        sim.advance()
+
+    line = Timeline(sim, sim, rerun if reruns else None, seconds=0.5, most_bytes=room * SIZE)
+    states, frame, present = {}, 0, 0
+    for action, number in actions:
+        if action == "go":
+            frame = line.go(number)
+        elif line.at is not None and action in ("advance", "do", "branch"):
+            assert line.branch() == frame
+            states = {f: state for f, state in states.items() if f <= frame}
+            present = sim.state
+        if action == "do":
+            line.event(frame, number)
+            sim.do(number)
+            present = sim.state
+        elif action == "advance":
+            for _ in range(number):
+                sim.advance()
+                frame += 1
+                line.note(frame)
+                states[frame] = present = sim.state
+                assert line.bytes <= max(room, 2) * SIZE
+        if line.frames:
+            assert line.frames[-1] == max(states)
+            assert line.frames[-1] - line.frames[0] <= 30 + 7
+            last = frame == line.frames[-1]
+            assert sim.state == (present if last else states[frame])
+    for frame in reversed(line.frames):
+        last = line.go(frame) == line.frames[-1]
+        assert sim.state == (present if last else states[frame])
+
+
+def test_a_long_run_that_is_large_still_reaches_back(device):
+    sim = Counting()
+
+    def rerun(frame, events):
+        sim.advance()
+
+    line = Timeline(sim, sim, rerun, seconds=10, most_bytes=160 * SIZE)
+    for frame in range(1, 2001):
+        sim.advance()
+        line.note(frame)
+    assert 600 <= len(line.frames) <= 608 and line.bytes <= 160 * SIZE
+
+
+def test_slow_motion_shows_frames_longer_and_changes_none():
+    pace = Pace()
+    assert [pace.turn() for _ in range(3)] == [True] * 3
+    pace.slower()
+    pace.slower()
+    assert pace.slowness == 4 and pace.words == "1/4 speed"
+    turns = [(pace.turn(), pace.part) for _ in range(8)]
+    assert [due for due, _ in turns] == 2 * [False, False, False, True]
+    assert [part for _, part in turns] == 2 * [0.25, 0.5, 0.75, 0.0]
+    for _ in SPEEDS:
+        pace.slower()
+    assert pace.slowness == SPEEDS[-1]
+    pace.full()
+    assert pace.turn()
+
+
+class Script(NullView):
+    """A window in which these events happen, turn by turn; then it is closed."""
+
+    visible = True
+
+    def __init__(self, world, turns):
+        super().__init__(world)
+        self.turns = list(turns)
+
+    def poll(self):
+        if not self.turns:
+            return [Event("press", key="escape")]
+        return self.turns.pop(0)
+
+    def draw(self, picture):
+        pass
+
+
+def press(key):
+    return [Event("press", key=key), Event("release", key=key)]
+
+
+def gust(k):
+    return [Event("move", pos=(200.0 + 9.0 * k, 150.0 + 5.0 * k))]
+
+
+@pytest.mark.usefixtures("device")
+def test_a_log_is_that_of_the_run_one_kept(tmp_path):
+    """Back five frames, a look around, another way on with a cut: the log has no step back."""
+    scene = build("cloth", columns=12, rows=9)
+    sim = Simulation(scene, topology="graph", execution="serial")
+    turns = [gust(k) for k in range(12)]
+    turns += [press("left") for _ in range(7)] + [press(".") for _ in range(2)]
+    turns += [press("left"), [Event("move", pos=(260.0, 140.0))], press("c")]
+    turns += [
+        [Event("press", pos=(200.0, 90.0), button="left")],
+        *([Event("move", pos=(200.0 + 30 * k, 160.0))] for k in range(3)),
+        [Event("release", pos=(300.0, 160.0), button="left")],
+    ]
+    turns += [press("space")] + [gust(k) for k in range(9)]
+    log, kept = tmp_path / "log.jsonl", tmp_path / "kept.npz"
+    view = Script(scene.world, turns)
+    with Recorder(log, app.log_header(sim, view)) as recorder:
+        trajectory = Trajectory(kept)
+        app.run(sim, view, recorder=recorder, trajectory=trajectory, quiet=True)
+        trajectory.save()
+    assert 12 <= sim.frame <= 18
+    frames = tc.load_trajectory(kept).frame
+    np.testing.assert_array_equal(frames, np.arange(1, sim.frame + 1))
+    again = Simulation(scene, topology="graph", execution="serial")
+    replay = tc.load_events(log)
+    assert any(event.kind == "cut" for events in replay.by_frame.values() for event in events)
+    app.run(again, NullView(scene.world), frames=sim.frame, replay=replay, quiet=True)
+    np.testing.assert_array_equal(again.positions(), sim.positions())
+    np.testing.assert_array_equal(again.springs_alive(), sim.springs_alive())
+    assert not sim.springs_alive().all()
+
+
+@pytest.mark.usefixtures("device")
+def test_looking_at_the_past_drops_nothing_and_exports_it(tmp_path):
+    scene = build("cloth", columns=8, rows=6)
+    sim = Simulation(scene, topology="graph", execution="serial")
+
+    class Nothing:
+        def memory(self):
+            return None
+
+        def recall(self, memory):
+            pass
+
+    line = Timeline(sim, Nothing(), None, seconds=0.1)
+    with pytest.raises(InputError, match="there is no frame to export yet"):
+        line.export(tmp_path / "none.npz")
+    states = {}
+    for frame in range(1, 12):
+        sim.advance()
+        line.note(frame)
+        states[frame] = sim.positions()
+    sim.pin([9])
+    assert list(line.frames) == list(range(5, 12))
+    line.go(7)
+    assert line.export(tmp_path / "window.npz") == 7 and line.export(tmp_path / "window") == 7
+    assert line.at == 7 and sim.frame == 7
+    saved = tc.load_trajectory(tmp_path / "window.npz")
+    for frame, position in zip(saved.frame, saved.position, strict=True):
+        np.testing.assert_array_equal(position, states[frame])
+    assert len(list((tmp_path / "window").iterdir())) == 7
+    line.go(11)
+    assert sim.fixed()[9]  # as it was left
