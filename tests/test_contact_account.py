@@ -56,6 +56,7 @@ def test_what_lies_gets_no_energy_and_a_belt_gives_what_it_should(device, method
     assert sim.contact_account().first_touch == pytest.approx(0.3, abs=0.0101)
     lost = 0.5 * 2.0 * (1 - 0.25) * (G * 0.3) ** 2
     assert sim.contact_account().gained < 1e-3 * lost
+    assert sim.contact_account().balance == pytest.approx(-lost, rel=0.05)
 
 
 def sheet():

@@ -15,8 +15,10 @@ from taichi_cloth.limits.network import Network
 from taichi_cloth.limits.tracking import FastestMode
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.simulation.gauges import Gauges
 from taichi_cloth.simulation.history import History
+from taichi_cloth.simulation.simulation import Simulation
 
 K, MASS, AMPLITUDE = 0.04, 1.0, 50.0
 OMEGA2 = K / MASS
@@ -114,6 +116,20 @@ def test_pushes_changes_by_hand_and_breaks_are_no_drift(pool):
     assert gauges.state.broken == 1 and gauges.state.spring == -1
     assert book.work == pytest.approx(-(0.9**2) / (2 * 0.5), rel=0.03)  # a step of 0.02 in length
     assert abs(book.drift) < 0.01 * abs(book.work)
+
+
+def test_contacts_with_an_account_are_work(device):
+    """A body that bounces and one that slides to a stop: verlet, exact in free fall, drifts not."""
+    world = World(size=(100.0, 50.0), gravity=(0.0, -9.81), dt=0.01, up="y")
+    plane = Obstacle.build(
+        "plane", point=[0.0, 1.0], normal=[0.0, 1.0], friction=0.3, restitution=0.5
+    )
+    bodies = Particles.build([[10.0, 1.6], [20.0, 1.1]], [[0, 0], [2, 0]], mass=2.0, radius=0.1)
+    scene = Scene("plane", world, bodies, Springs.none(), obstacles=(plane,))
+    sim = Simulation(scene, "verlet", execution="serial", accounts_contacts=True)
+    book = booked(sim, 200)
+    assert book.change == pytest.approx(-2.0 * 9.81 * 0.5 - 0.5 * 2.0 * 2.0**2)
+    assert book.work == pytest.approx(book.change) and abs(book.drift) < 1e-9
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.1])

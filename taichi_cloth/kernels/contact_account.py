@@ -177,9 +177,10 @@ def _work_of(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _book(spec: ti.template(), state: ti.template(), i):
-    """Add a step's work, if it is positive, to that of the run."""
+    """Add a step's work to that of the run, and if it is positive, to what was given."""
     work = ti.cast(state.sums[ti.static(state.sums.shape[0] - 1), 0], state.wide)
     state.contact_energy[None] += ti.max(work, ti.cast(0.0, state.wide))
+    state.contact_balance[None] += work
 
 
 @ti.func
@@ -194,4 +195,5 @@ def begin_account(spec: ti.template(), state: ti.template()):
     for _ in range(1):
         state.accounting[None], state.first_touch[None] = 1, NEVER
         state.contact_energy[None] = ti.cast(0.0, state.wide)
+        state.contact_balance[None] = ti.cast(0.0, state.wide)
     each_pack(spec, state, 0, _keep_start)

@@ -125,7 +125,8 @@ class State:
     The account of contacts (`contact_account.py`): accounting: whether it is kept; opened_x,
         opened_v, free_x, free_v, ended_x: the step's start, free end and end; contact_work: of each
         particle; touched: whether anything was, in the step; account_part; first_touch: the number
-        of the first such step; contact_energy: what contacts gave.
+        of the first such step; contact_energy: what contacts gave in steps in which they gave any;
+        contact_balance: in all, what they took set against it.
 
     What the host loads is listed by name, so that it comes in the order in which kernels take it:
     number_names, count_names, vector_names and particle_names; number_places and count_places:
@@ -455,6 +456,7 @@ class State:
         self.accounting, self.touched = self._counts(), self._counts()
         self.first_touch, self.account_part = self._counts(), self._counts()
         self.contact_energy = placed(tree := ti.FieldsBuilder(), ti.field(self.wide))
+        self.contact_balance = placed(tree, ti.field(self.wide))
         self.wide_tree = tree.finalize()
 
     def _place_faces(self):

@@ -59,11 +59,12 @@ class ContactAccount:
     """What contacts did in a run.
 
     gained: the energy that they gave, summed over the steps in which all of them together gave any
-    (`kernels.contact_account`), in the scene's units. first_touch: the time at the end of the step
-    with the first contact; None: there was none.
+    (`kernels.contact_account`), in the scene's units. balance: that of all steps, less what they
+    took. first_touch: the time at the end of the step with the first contact; None: there was none.
     """
 
     gained: float
+    balance: float
     first_touch: float | None
 
 

@@ -119,6 +119,11 @@ class Gauges:
         self._due = dict.fromkeys(SHARES, -math.inf)
         self._frames = 0
 
+    @property
+    def knows_contacts(self) -> bool:
+        """Whether what contacts give and take is counted as work."""
+        return self._sim.contact_account() is not None
+
     # The frames
 
     def before_frame(self) -> None:

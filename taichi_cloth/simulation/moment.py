@@ -40,7 +40,7 @@ class Moment:
 class Moments:
     """Reads moments of a simulation; what does not change from one to the next is not read again.
 
-    Nothing of the run is changed.
+    Nothing of the run is changed, but that an account of contacts begins, where it keeps one.
     """
 
     def __init__(self, sim: Simulation) -> None:
@@ -62,6 +62,8 @@ class Moments:
                 network = sim.network()
             now = replace(last, network=network, time=sim.time, steps=sim.steps)
         else:
+            if last is None or last.loads != storage.loads:  # a load ends the account
+                sim.account_contacts()
             snapshot, self._alive, self._taken = storage.snapshot(), alive, storage.scene
             pulling = snapshot.marks[:, 0] != GONE
             now = Moment(
@@ -80,4 +82,5 @@ class Moments:
 
 
 def _given_by_contacts(sim: Simulation) -> float:
-    return 0.0
+    account = sim.contact_account()
+    return 0.0 if account is None else account.balance

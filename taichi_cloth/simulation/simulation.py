@@ -486,10 +486,10 @@ class Simulation(Readings, Changes, Checkpoints, Showing):
         account = self.storage.contact_account()
         if account is None:
             return None
-        gained, step = account
+        gained, balance, step = account
         _, time, steps = self._since
         first = None if step is None else time + (step - steps) * self.dt / self.substeps
-        return diagnostics.ContactAccount(gained, first)
+        return diagnostics.ContactAccount(gained, balance, first)
 
     def check_converged(self) -> None:
         """Raise RunFailure where most steps since the start missed the tolerance of their solution.

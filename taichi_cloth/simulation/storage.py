@@ -580,15 +580,17 @@ class Storage:
         if self.specialization.accounts_contacts:
             self._launch(contact_account.begin_account)
 
-    def contact_account(self) -> tuple[float, int | None] | None:
-        """The energy that contacts gave, and the number of the first step with one, if any.
+    def contact_account(self) -> tuple[float, float, int | None] | None:
+        """The energy that contacts gave, that with what they took, and the number of the first step
+        with one, if any.
 
         None where no account is kept.
         """
         if not self.specialization.accounts_contacts or self.state.accounting[None] == 0:
             return None
         energy, first = float(self.state.contact_energy[None]), int(self.state.first_touch[None])
-        return energy, None if first == contact_account.NEVER else first
+        balance = float(self.state.contact_balance[None])
+        return energy, balance, None if first == contact_account.NEVER else first
 
     def unsettled_faces(self) -> int:
         """How many steps ended with faces inside obstacles, since the fields were made."""
