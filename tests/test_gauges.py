@@ -118,6 +118,29 @@ def test_pushes_changes_by_hand_and_breaks_are_no_drift(pool):
     assert abs(book.drift) < 0.01 * abs(book.work)
 
 
+def test_a_hold_that_is_dragged_gives_energy_by_hand(device):
+    """A swing on a held spring, whose place then jumps: all change is by hand and its dashpot's."""
+    world = World((400.0, 200.0), gravity=(0.0, 0.0), tools=True)
+    body = Scene("body", world, Particles.build([[50.0, 50.0]], mass=2.0), Springs.none())
+    sim = Simulation(body, "rk4", 0.05, execution="serial")
+    gauges = Gauges(sim, paced=False)
+    gauges.after_frame(0.0)
+    sim.grab([0], [50.0, 50.0], stiffness=0.4, damping=0.1)
+    given = 0.0
+    for frame in range(200):
+        if frame in (10, 40):
+            x, place = sim.positions()[0], np.array([50.0 + frame, 50.0])
+            given -= 0.5 * 0.4 * ((x - sim.held().place) ** 2).sum()
+            sim.drag(place)
+            given += 0.5 * 0.4 * ((x - place) ** 2).sum()
+        gauges.before_frame()
+        sim.advance(1)
+        gauges.after_frame(frame / 60)
+    book = gauges.state.booked
+    assert book.by_hand == pytest.approx(given) and book.work < -1.0
+    assert abs(book.drift) < 1e-4 * given
+
+
 def test_contacts_with_an_account_are_work(device):
     """A body that bounces and one that slides to a stop: verlet, exact in free fall, drifts not."""
     world = World(size=(100.0, 50.0), gravity=(0.0, -9.81), dt=0.01, up="y")

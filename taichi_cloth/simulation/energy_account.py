@@ -14,8 +14,9 @@ reading to reading, each a state between two frames:
   reading came then, else what it had at its break force, F^2 / 2k, from which a long step differs.
 - Contacts: by the account of contacts (`kernels/contact_account.py`), in a simulation that keeps
   one; else they are in the drift.
-- By hand: all that is set, tied, cut, pinned or spawned between two frames. A reading after that
-  counts the whole change since the last one as this, and forces from there on.
+- By hand: all that is set, tied, cut, pinned, spawned, taken hold of or let go between two frames.
+  A reading after that counts the whole change since the last one as this, and forces from there on.
+  While the mouse's hold moves, what that does to the energy of its springs.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, TENSION, has
 from taichi_cloth.limits import tractions
 from taichi_cloth.limits.network import Network
+from taichi_cloth.scene.holding import Hold
 from taichi_cloth.scene.model import Springs
 from taichi_cloth.simulation.diagnostics import Energy, energy_of, spring_forces, stencil_forces
 
@@ -71,6 +73,14 @@ class EnergyAccount:
     def push(self, force: np.ndarray, before: np.ndarray, after: np.ndarray) -> None:
         """Book a push (n, dim) that was held while free particles moved, (n, dim) both."""
         self._work += float((force * (after - before)).sum())
+
+    def move(self, hold: Hold, before: np.ndarray, x: np.ndarray, fixed: np.ndarray) -> None:
+        """Book that the mouse's hold moved from a place `before` (dim,), with particles at x."""
+        free, mine = ~fixed[hold.particles], hold.particles
+        for place, sign in ((hold.place, 1.0), (before, -1.0)):
+            away = x[mine] - hold.offset - place
+            energies = 0.5 * hold.stiffness * np.einsum("ij,ij->i", away, away)
+            self._by_hand += sign * float(energies[free].sum())
 
     def read(self, now: Moment) -> Booked:
         """Book what happened since the last reading."""

@@ -18,6 +18,7 @@ import numpy as np
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits.eigenmodes import Limit
 from taichi_cloth.limits.tracking import FastestMode
+from taichi_cloth.scene.holding import Hold
 from taichi_cloth.simulation import diagnostics, strain
 from taichi_cloth.simulation.energy_account import Booked, EnergyAccount
 from taichi_cloth.simulation.history import History
@@ -116,6 +117,7 @@ class Gauges:
         self._mode = FastestMode(methods.load(self._sim.method))
         self._moment: tuple[int, Moment] | None = None
         self._pushed: tuple[np.ndarray, np.ndarray] | None = None
+        self._hold: tuple[Hold, np.ndarray] | None = None  # with its place at the last frame
         self._due = dict.fromkeys(SHARES, -math.inf)
         self._frames = 0
 
@@ -127,8 +129,15 @@ class Gauges:
     # The frames
 
     def before_frame(self) -> None:
-        """Keep what the coming frame's push needs: where it begins."""
+        """Note what was done by hand since the last frame, and where a push begins."""
         self._book_push()
+        hold = self._sim.held()
+        if hold is not None:
+            if self._hold is not None and self._hold[0] is hold:
+                before = self._hold[1]
+                if (before != hold.place).any():
+                    self._account.move(hold, before, self._sim.positions(), self._sim.fixed())
+            self._hold = hold, hold.place.copy()
         held = self._sim.storage.held()
         if held is not None:
             if self.state is None:  # its work counts from a state on
