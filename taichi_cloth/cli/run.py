@@ -229,6 +229,7 @@ def _simulate(
         title=f"{PROGRAM}: {scene.name}",
         pictures=bool(options.image or options.video),
         camera=camera_of(scene),
+        status=options.status,
     )
     with contextlib.closing(view):
         seed = _seed(options, log)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass
-from dataclasses import replace as changed
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,19 +16,24 @@ from taichi_cloth.errors import RunFailure, SimulationFailure
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
-from taichi_cloth.scene.model import Scene, World
+from taichi_cloth.scene.model import World
+from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.ui import film as films
-from taichi_cloth.ui import hud, rescue, shown
+from taichi_cloth.ui import hud, rescue, style
+from taichi_cloth.ui.chrome import messages
+from taichi_cloth.ui.chrome.chrome import Chrome, Contents
+from taichi_cloth.ui.chrome.layout import Layout, Rect, at_start
+from taichi_cloth.ui.chrome.strip import Row
+from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.controls import Controls
-from taichi_cloth.ui.drawing import Cached
+from taichi_cloth.ui.depiction import Depiction
 from taichi_cloth.ui.inputs import BACK_KEYS, COMMANDS, HELP_KEYS, KEYS, SLOW_KEY, STEP_KEYS, Event
 from taichi_cloth.ui.interaction import Log, LogEvent
 from taichi_cloth.ui.opening import offscreen
 from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.shutter import Shutter
-from taichi_cloth.ui.solids import Solids
+from taichi_cloth.ui.text import Word
 from taichi_cloth.ui.timeline import SPEEDS, Pace
-from taichi_cloth.ui.tools.contract import Marks
 from taichi_cloth.ui.travel import Travel
 from taichi_cloth.ui.views.contract import Picture, View
 from taichi_cloth.ui.window_map import WindowMap
@@ -44,6 +48,9 @@ WINDOW_KEYS = (
 )
 
 NOTICE_SECONDS = 4.0  # how long a word about the last click stays, or about threads that waited
+# A window in which nothing moves: seconds after the last event until it sleeps, between its
+# pictures then (what was before it may have gone), and between looks at what the user does.
+AWAKE, ASLEEP, POLLED = 1.0, 1.0, 1 / 30
 
 
 @dataclass(frozen=True)
@@ -113,7 +120,7 @@ def run(
         draw pictures for them. Refused paths raise InputError before anything is run.
     pictures: the folder of what the keys s and v save; None: the current one.
     paused: start paused (a window only). quiet: no progress bar, and no word of pictures.
-    status: whether the status is shown from the start (`h` hides and shows it).
+    status: whether the status is shown from the start (`h` shows more of it, or none).
     show: what is drawn of cloths from the start, words of `settings.options.SHOWN` (`d` goes on to
         the next choice); None: what suits the scene.
     seed: of the tools' random numbers; a log's header overrides it.
@@ -140,6 +147,7 @@ def run(
         stack.enter_context(rescue.saving(lambda: loop.finish(picture_file)))
         failure: RunFailure | None = None
         try:
+            loop.begin()
             while not view.closed and not loop.quit and (frames is None or loop.frames < frames):
                 loop.turn()
                 bar(loop.frames)
@@ -211,24 +219,23 @@ class _Loop:
                 sim, self._controls, view.camera, recorder, trajectory, reruns=on_frame is None
             )
         self._pace = Pace()
-        self._radius = Cached(_drawn_radius)
-        self._largest_disc = _largest_disc(sim.scene)
+        self._depiction = Depiction(sim, show)
+        self._chrome = Chrome(at_start(windowed=view.visible, status=status))
+        self._buttons: tuple[Button, ...] = ()
         self._paused = paused and view.visible
         self._step = False
-        self._show_status, self._show_help = status, False
-        self._show = show or shown.default_for(sim.scene)
-        self._chosen = Cached(shown.chosen)
-        self._surface_colors = Cached(shown.surface_colors)
-        self._solids = Solids()
+        self._show_help = False
         self.failure: SimulationFailure | None = None
         self._meter = hud.Meter()
-        self._rates = ""
+        self._rates: tuple[Word, ...] = ()
         self._rates_due = 0.0
         self._notice: str | None = None
         self._notice_until = 0.0
         self._held_up: tuple[float, float] | None = None
         self._held_up_until = 0.0
         self._next_frame = 0.0
+        self._awake_until = self._drawn_at = 0.0
+        self._drawn_size = (0, 0)
         self._started: float | None = None
         self._simulate = self._draw = 0.0
         self.frames = 0
@@ -236,8 +243,15 @@ class _Loop:
 
     # One turn
 
+    def begin(self) -> None:
+        """Show a window's first picture before the first frame, which may have to be compiled."""
+        if self.view.visible:
+            self._entitle()
+            self.view.draw(self._picture())
+
     def turn(self) -> None:
         """Events, at most one frame, draw, and the wait until the next frame is due."""
+        self._entitle()
         self._take_events()
         if self.quit or self.view.closed:
             return
@@ -257,7 +271,8 @@ class _Loop:
         self._step = False
         begin = time.perf_counter()
         self._unfilmed = [film for film in self._films if advanced and film.wants()]
-        if self.view.visible or self._unfilmed:
+        wanted = self._unfilmed or self._shutter.due
+        if wanted or (self.view.visible and self._to_be_drawn(advanced)):
             self.view.draw(self._picture())
         if self._unfilmed or self._shutter.due:
             self._keep(self.view.grab() if not self.view.closed else self._last_picture())
@@ -274,6 +289,24 @@ class _Loop:
             self._unfilmed.pop().add(pixels)
         if self._shutter.due:
             self._shutter.take(pixels)
+
+    def _to_be_drawn(self, advanced: bool) -> bool:
+        """Whether a window must be drawn: while nothing happens in it, now and then is enough."""
+        now = time.perf_counter()
+        if advanced or self.view.size != self._drawn_size:
+            self._awake_until = now + AWAKE
+        elif now > max(self._awake_until, self._drawn_at + ASLEEP):
+            pass
+        elif now > self._awake_until:
+            return False
+        self._drawn_at, self._drawn_size = now, self.view.size
+        return True
+
+    def _entitle(self) -> None:
+        """Have the window's title say the scene and what it is doing."""
+        if self.view.visible:
+            state = self._state_of_run().text.partition(":")[0]
+            self.view.entitle(f"{self.sim.scene.name}, {state} - {PROGRAM}")
 
     def _advance(self) -> None:
         if self._on_frame is not None and self._on_frame(self.sim) is False:
@@ -312,7 +345,8 @@ class _Loop:
     def _wait(self) -> None:
         """Sleep until the next frame is due; a late frame moves the schedule, not the pace."""
         self.sim.prepare_click()
-        period = 1 / hud.FRAME_RATE
+        asleep = self._stopped and time.perf_counter() > self._awake_until
+        period = POLLED if asleep else 1 / hud.FRAME_RATE
         now = time.perf_counter()
         if self._next_frame > now:
             time.sleep(self._next_frame - now)
@@ -334,7 +368,12 @@ class _Loop:
             command = self._controls.apply(logged, replayed=True)
             if command in ("reset", "status", "show", "help", "quit"):
                 self._obey(command)
-        for event in self.view.poll():
+        layout = self._arranged()
+        for given in self.view.poll():
+            self._awake_until = time.perf_counter() + AWAKE
+            event = self._on_chrome(given, layout)
+            if event is None:
+                continue
             if self._replaying:
                 if event.key in WINDOW_KEYS and event.kind == "press":
                     self._obey(COMMANDS[event.key])
@@ -349,14 +388,29 @@ class _Loop:
             if command:
                 self._obey(command)
 
+    def _on_chrome(self, event: Event, layout: Layout) -> Event | None:
+        """What an event means that may be for what is around the world; None: nothing more.
+
+        A click on a button is its key; the pointer beside the world does nothing to it.
+        """
+        if event.pos is None or event.kind == "release" or layout.world.holds(event.pos):
+            return event
+        if event.kind == "press" and event.button == "left":
+            button = self._chrome.clicked(layout, self._buttons, event.pos)
+            return Event("press", key=button.key) if button else None
+        return None
+
     def _in_log_window(self, event: Event) -> Event:
         """`event` with its position converted from our window to the log's."""
-        if event.pos is None or tuple(self.view.size) == self._log_window:
+        if event.pos is None:
             return event
         world = self.sim.scene.world
-        place = WindowMap.of(world, self.view.size).to_world(event.pos)
-        x, y = WindowMap.of(world, self._log_window).to_window(place)
-        return changed(event, pos=(float(x), float(y)))
+        here = WindowMap.of(world, self.view.size, self.view.room)
+        there = WindowMap.of(world, self._log_window)
+        if here.scale == there.scale and (here.offset == there.offset).all():
+            return event
+        x, y = there.to_window(here.to_world(event.pos))
+        return replace(event, pos=(float(x), float(y)))
 
     def _note(self, event: LogEvent) -> None:
         if self._travel:
@@ -387,9 +441,9 @@ class _Loop:
             self.failure = None
             self._meter.restart()
         elif command == "status":
-            self._show_status = not self._show_status
+            self._chrome.next_status()
         elif command == "show":
-            self._show = shown.next_choice(self._show)
+            self._depiction.show_next()
         elif command == "picture":
             self._shutter.press()
         elif command == "film":
@@ -401,37 +455,35 @@ class _Loop:
     # Pictures
 
     def _picture(self) -> Picture:
-        sim, view = self.sim, self.view
-        banner = None
-        if self.failure is not None:
-            banner = f"Stopped: {self.failure}\nr goes back to the start, escape quits"
-        keys: tuple[str, ...] = ()
-        if self._show_help:
-            saves = self._trajectory is not None
-            keys = hud.help_lines(sim.scene, view.has_wheel, self._controls.tool, saves=saves)
-        triangles, segments, as_spheres = self._chosen(
-            self._show, sim.drawn_triangles(), sim.drawn_springs(), sim.particle_count
-        )
-        picture = Picture(
-            position=sim.drawn_positions(),
-            radius=self._radius(sim.radii(), self._largest_disc),
-            color=sim.colors(),
-            segments=segments,
-            spring_color=sim.scene.spring_color,
-            surface_color=self._surface_colors(sim.colors(), sim.fixed(), sim.triangles()),
-            triangles=triangles,
-            normals=sim.drawn_normals() if len(triangles) and sim.scene.world.dim == 3 else None,
-            as_spheres=as_spheres,
-            solids=self._solids.of(sim),
-            ground=sim.scene.world.ground if sim.scene.world.dim == 3 else None,
-            text=self._status() if self._show_status else (),
-            help=keys,
-            banner=banner,
-            marks=self._shutter.marks() if view.visible else (),
+        picture = self._depiction.picture(self._controls.marks())
+        layout = self._arranged()
+        return replace(
+            picture,
+            overlay=self._chrome.overlay(layout, self._contents()),
+            marks=messages.marks(self._shutter.marks(), layout.world, layout.text)
+            if self.view.visible
+            else (),
             pointer=self._pointer(),
         )
-        marks = self._controls.marks()
-        return picture if marks is None else _with_marks(picture, marks)
+
+    def _arranged(self) -> Layout:
+        """Where everything is in the view as it is now; the view draws the world in its room."""
+        layout = self._chrome.layout(self.view.size)
+        self.view.room = layout.world
+        return layout
+
+    def _contents(self) -> Contents:
+        """What is written around the world."""
+        sim = self.sim
+        banner: str | None = None
+        keys: tuple[str, ...] = ()
+        if self.failure is not None:
+            banner = f"Stopped: {self.failure}\nr goes back to the start, escape quits"
+        if self._show_help:
+            saves = self._trajectory is not None
+            keys = hud.help_lines(sim.scene, self.view.has_wheel, self._controls.tool, saves=saves)
+        self._buttons = hud.buttons(sim.scene, self._controls.tool, paused=self._paused)
+        return Contents(self._status(), self._buttons, keys, banner)
 
     def _pointer(self) -> Pointer | None:
         """The pointer, where a log or a film shows it, and a window's cursor does not.
@@ -441,7 +493,7 @@ class _Loop:
         place, camera, world = self._controls.pointer, self.view.camera, self.sim.scene.world
         if place is None:
             return None
-        here = WindowMap.of(world, self.view.size)
+        here = WindowMap.of(world, self.view.size, self.view.room)
         place = here.to_window(WindowMap.of(world, self._log_window).to_world(place))
         ring = self._controls.ring()
         if ring is not None:
@@ -449,13 +501,13 @@ class _Loop:
         cross = self._controls.pressed or self._replaying or not self.view.visible
         return Pointer(place, ring, cross) if cross or ring is not None else None
 
-    def _status(self) -> tuple[str, ...]:
+    def _status(self) -> tuple[Row, ...]:
         """The status of this very frame; its rates change now and then, so that one can read them.
 
         Without a window it follows from the frames alone, so that the same run has the same
         pictures.
         """
-        windowed, rates = self.view.visible, None
+        windowed = self.view.visible
         # A film's second has as many frames as a window's.
         now = time.perf_counter() if windowed else self.frames / hud.FRAME_RATE
         if self._controls.notice != self._notice:
@@ -465,13 +517,31 @@ class _Loop:
                 self._held_up, self._held_up_until = self.sim.held_up, now + NOTICE_SECONDS
             if now >= self._rates_due:
                 self._rates_due = now + hud.REFRESH
-                stopped = self._paused or self.failure is not None
-                self._rates = hud.rates_line(self._meter, paused=stopped)
+                self._rates = () if self._stopped else hud.rates(self._meter)
                 if now < self._held_up_until:
-                    self._rates += hud.HELD_UP
-            rates = self._rates
-        shown = self._notice if now < self._notice_until else None
-        return hud.status_lines(self.sim, self._device, rates=rates, notice=shown)
+                    self._rates += (hud.HELD_UP,)
+        return hud.status_rows(
+            self.sim,
+            self._device,
+            state=self._state_of_run() if windowed else None,
+            tool=self._controls.tool.name if self._controls.tool else None,
+            rates=self._rates,
+            notice=self._notice if now < self._notice_until else None,
+        )
+
+    @property
+    def _stopped(self) -> bool:
+        return self._paused or self.failure is not None
+
+    def _state_of_run(self) -> Word:
+        """What a window is doing, in a word."""
+        if self.failure is not None:
+            return Word("stopped", style.BAD)
+        if self._paused:
+            return Word("paused", style.WARN)
+        if self.frames == 0:
+            return Word("starting: compiling takes a moment, once", style.WARN)
+        return Word("replaying" if self._replaying else "playing", style.GOOD)
 
     def finish(self, image: films.Image | None) -> None:
         """Save the film, and the last frame as a picture."""
@@ -506,51 +576,15 @@ class _Loop:
         return Summary(self.frames, seconds, self._simulate, self._draw, self.quit)
 
 
-def _drawn_radius(radius: np.ndarray, largest: float) -> np.ndarray:
-    """Radii to draw, (n,) float32."""
-    drawn: np.ndarray = np.minimum(radius, largest).astype(np.float32)
-    return drawn
-
-
-def _with_marks(picture: Picture, marks: Marks) -> Picture:
-    """`picture` with what a tool draws beside the scene."""
-    count, real = len(picture.position), picture.position.dtype
-    as_spheres = picture.as_spheres
-    if as_spheres is not None:
-        as_spheres = np.concatenate([as_spheres, np.ones(len(marks.position), bool)])
-    return changed(
-        picture,
-        position=np.concatenate([picture.position, marks.position.astype(real)]),
-        radius=np.concatenate([picture.radius, marks.radius.astype(np.float32)]),
-        color=np.concatenate([picture.color, marks.color]),
-        surface_color=np.concatenate([picture.color_in_surfaces, marks.color]),
-        segments=np.concatenate([picture.segments, count + marks.segments]),
-        as_spheres=as_spheres,
-        normals=None,
-    )
-
-
-def _largest_disc(scene: Scene) -> float:
-    """The radius above which a particle is drawn smaller than it is, world units.
-
-    Particles that pass through each other may be larger than the mesh they sit in, and would
-    hide its springs. Where they collide, or hang in chains, their size is what one looks at.
-    """
-    springs, position = scene.springs, scene.particles.position
-    if scene.world.collisions or len(springs) <= len(position):
-        return np.inf
-    a, b = springs.between.T
-    return 0.3 * float(np.median(np.linalg.norm(position[a] - position[b], axis=1))) or np.inf
-
-
 def _event_window(world: World, view: View, replay: Log | None) -> tuple[int, int]:
-    """The window (width, height) that events' positions refer to.
+    """The window (width, height) that events' positions refer to, which the world fills.
 
     That is the one a replayed log was recorded in, or where it does not say, the one in which
-    one pixel is one world unit; without a log, this view as it is now.
+    one pixel is one world unit; without a log, the room of this view as it is now.
     """
     if replay is None:
-        return int(view.size[0]), int(view.size[1])
+        room = view.room or Rect(0, 0, *view.size)
+        return int(room.width), int(room.height)
     said = replay.header.get("window")
     w, h = said or (max(round(world.size[0]), 1), max(round(world.size[1]), 1))
     return int(w), int(h)

@@ -11,10 +11,10 @@ from taichi_cloth.scene.model import World
 from taichi_cloth.ui import style
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.views.contract import Picture
-from taichi_cloth.ui.window_map import WindowMap, default_window
 
 LIFTED = 1e-3  # by this share of the way to the eye springs are seen before their surface
 ASIDE = 0.01  # of the canvas: so far outside it triangles are still drawn
+RIM = 0.45  # of a disc's colour is that of its rim
 AXES_LENGTH = 0.16  # in radii of what the camera frames
 
 P = ParamSpec("P")
@@ -57,15 +57,36 @@ def between_shown(segments: np.ndarray, shown: np.ndarray) -> np.ndarray:
 def scenery(world: World, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """The lines of a 3-D world: ends (k, 2, 3) in world units, colours (k, 3), floats 0..1.
 
-    They are its edges and, where y points up, the axes at its origin; edges only of walls there.
+    They are its edges and the axes at its origin with their names; where y points up, edges only
+    of walls.
     """
     edges = style.box_edges(world.size)
-    if not camera.y_up:
-        return edges, np.tile(style.unit(style.EDGE), (len(edges), 1))
-    edges = edges if world.walls else edges[:0]
-    axes = np.stack([np.zeros((3, 3)), AXES_LENGTH * camera.radius * np.eye(3)], axis=1)
-    color = [*np.tile(style.unit(style.EDGE), (len(edges), 1)), *map(style.unit, style.AXES)]
-    return np.concatenate([edges, axes]), np.array(color)
+    if camera.y_up and not world.walls:
+        edges = edges[:0]
+    length = AXES_LENGTH * camera.radius
+    parts, colors = [edges], [np.tile(style.unit(style.EDGE), (len(edges), 1))]
+    for axis, (name, color) in enumerate(zip("xyz", style.AXES, strict=True)):
+        end = length * np.eye(3)[axis]
+        letter = 1.25 * end + 0.14 * length * _strokes(name) @ camera.rotation()
+        parts += [np.stack([np.zeros(3), end])[None], letter]
+        colors.append(np.tile(style.unit(color), (1 + len(letter), 1)))
+    return np.concatenate(parts), np.concatenate(colors)
+
+
+def _strokes(name: str) -> np.ndarray:
+    """The strokes of an axis's name, (k, 2, 3) in camera axes, about 1 high."""
+    left, right, low, high = -0.35, 0.35, 0.5, -0.5
+    strokes = {
+        "x": [((left, high), (right, low)), ((right, high), (left, low))],
+        "y": [((left, high), (0, 0)), ((right, high), (0, 0)), ((0, 0), (0, low))],
+        "z": [
+            ((left, high), (right, high)),
+            ((right, high), (left, low)),
+            ((left, low), (right, low)),
+        ],
+    }
+    flat = np.array(strokes[name], np.float64)
+    return np.concatenate([flat, np.zeros((*flat.shape[:2], 1))], axis=2)
 
 
 def shown_particles(
@@ -80,9 +101,9 @@ def shown_particles(
     return place[shown], picture.radius[shown], picture.color[shown]
 
 
-def enlarged(world: World, window: WindowMap) -> float:
-    """How many times as large as in its own window a 2-D world is seen, for the width of lines."""
-    return window.scale / WindowMap.of(world, default_window(world.size)).scale
+def line_width(height: int) -> float:
+    """How wide lines of a 2-D world are drawn, in pixels, in a room of this height."""
+    return max(1.4, height / 480)
 
 
 def clipped(corner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -126,7 +147,7 @@ def disc_layers(
     radius: (n,) world units. color: (n, 3) uint8. scale: pixels per world unit.
     """
     radius, color = np.maximum(radius * scale, 0.8), color / 255
-    return (radius, 0.45 * color), (np.maximum(radius - 1.2, 0.6 * radius), color)
+    return (radius, RIM * color), (np.maximum(radius - 1.2, 0.6 * radius), color)
 
 
 def spring_width(height: int) -> float:
@@ -146,9 +167,9 @@ def spring_width_on(picture: Picture, segments: np.ndarray, pixels: float, heigh
     return float(np.clip(0.15 * pixels * np.median(length), 1.0, spring_width(height)))
 
 
-def origin_radius(height: int) -> float:
-    """The radius of the dot at (0, 0, 0), in pixels of a window of this height."""
-    return 3.5 * max(1.0, height / 600)
+def edge_width(height: int) -> float:
+    """How wide the world's edges are drawn, in pixels of a window of this height."""
+    return max(1.6, height / 500)
 
 
 def as_image(canvas: np.ndarray) -> np.ndarray:

@@ -8,9 +8,9 @@ import numpy as np
 
 from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.ui.camera import Camera
-from taichi_cloth.ui.window_map import default_window
+from taichi_cloth.ui.chrome.layout import NOTHING, Parts, arrange
+from taichi_cloth.ui.window_map import SCREEN, default_window
 
-SMALLEST_FRAMED = (960, 720)  # pixels of a window that frames what it shows, in whatever unit
 SAMPLE = 500  # points among which the one farthest from what is held is sought
 SAG = 0.35  # in lengths to what is held, at most: how deep hangs what is held all around
 MARGIN = 0.08  # room around what there is at the start, in its largest extent
@@ -82,7 +82,17 @@ def _bounded(scene: Scene) -> Iterator[np.ndarray]:
                     yield centre + points @ turn.T
 
 
-def window_of(world: World) -> tuple[int, int]:
-    """The window (width, height) in pixels that a world is shown in unless a size is given."""
+def window_of(
+    world: World, parts: Parts = NOTHING, screen: tuple[int, int] | None = None
+) -> tuple[int, int]:
+    """The window (width, height) in pixels that a world is shown in unless a size is given.
+
+    parts: what is open around the world. screen: its size in pixels; None: nobody says it.
+    A camera that frames what there is fills any window; all others keep the world's aspect.
+    """
     framed = world.dim == 3 and (points_up(world) or Camera.original(world.size) is None)
-    return default_window(world.size, *([SMALLEST_FRAMED] if framed else []))
+    return default_window(
+        None if framed else world.size,
+        around=lambda height: height - arrange((height, height), parts).world.height,
+        screen=screen or SCREEN,
+    )

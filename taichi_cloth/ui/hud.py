@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from taichi_cloth.errors import counted
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.ui import tools
+from taichi_cloth.ui import style, tools
+from taichi_cloth.ui.chrome.strip import Row
+from taichi_cloth.ui.chrome.toolbar import Button
+from taichi_cloth.ui.text import Word
 from taichi_cloth.ui.tools.contract import Tool
 
 if TYPE_CHECKING:
@@ -18,8 +21,8 @@ if TYPE_CHECKING:
 FRAME_RATE = 60.0  # frames a second that count as real time
 WINDOW = 0.75  # seconds over which rates are averaged
 REFRESH = 0.2  # seconds between changes of the rates: faster cannot be read
-# Follows the rates where the execution was asked for, and threads only wait.
-HELD_UP = "  \u00b7  threads wait for another program"
+# Beside the rates, where the execution was asked for and threads only wait.
+HELD_UP = Word("threads wait for another program", style.WARN, 4)
 
 
 class Meter:
@@ -81,52 +84,80 @@ class Meter:
         return max(0.0, self._busy - self._done / FRAME_RATE)
 
 
-def rates_line(meter: Meter, *, paused: bool) -> str:
-    """The first line of a window's status: how fast it runs, and what a frame takes."""
+def rates(meter: Meter) -> tuple[Word, ...]:
+    """How fast a window runs, and what a frame takes."""
     rate = meter.frames_per_second
-    if paused:
-        pace = "paused"
-    elif rate == 0 or rate > 0.95 * FRAME_RATE:
-        pace = f"{rate:.0f} frames/s"
-    else:
+    if rate == 0:
+        return ()
+    late = rate <= 0.95 * FRAME_RATE
+    words = [Word(f"{rate:.0f} frames/s", style.WARN if late else style.GOOD, 1)]
+    if late:
         speed = rate / FRAME_RATE
-        pace = f"{rate:.0f} frames/s, {meter.behind:.1f} s behind real time ({speed:.2f}x)"
-    return _row(pace, f"simulate {1e3 * meter.simulate:.2f} ms", f"draw {1e3 * meter.draw:.1f} ms")
+        behind = f"{meter.behind:.1f} s behind real time ({speed:.2f}x)"
+        words.append(Word(behind, style.WARN, 5))
+    words.append(Word(f"simulate {1e3 * meter.simulate:.2f} ms", style.MUTED, 6))
+    words.append(Word(f"draw {1e3 * meter.draw:.1f} ms", style.MUTED, 7))
+    return tuple(words)
 
 
-def status_lines(
-    sim: Simulation, device: str, *, rates: str | None, notice: str | None = None
-) -> tuple[str, ...]:
-    """The status of the frame that `sim` is at: counts, time, settings, backend.
+def buttons(scene: Scene, tool: Tool[Any] | None, *, paused: bool) -> tuple[Button, ...]:
+    """The tool bar's: tools that have a key, then what can be opened, at the right end."""
+    found = [
+        Button(other.key, other.name, chosen=other is tool)
+        for other in tools.load_all().values()
+        if other.key
+    ]
+    found.append(Button("p", "play" if paused else "pause", chosen=paused, right=True))
+    if len(scene.triangles):
+        found.append(Button("d", "draw", right=True))
+    found += [Button("h", "status", right=True), Button("tab", "keys", right=True)]
+    return tuple(found)
 
-    device: from `Device.describe()`. rates: a window's `rates_line`; None without a window, whose
-    pictures say nothing that may be otherwise in the next run of the same.
-    notice: a line that stands above; None: none.
+
+def status_rows(
+    sim: Simulation,
+    device: str,
+    *,
+    state: Word | None,
+    tool: str | None = None,
+    rates: Sequence[Word] = (),
+    notice: str | None = None,
+) -> tuple[Row, ...]:
+    """The status of the frame that `sim` is at: counts, time; then settings and backend.
+
+    device: from `Device.describe()`. state: of a window, such as "playing"; None without one, whose
+    pictures say nothing that may be otherwise in the next run of the same. tool: the one in hand.
+    rates: how fast a window runs. notice: what is told in the place of the first row's words.
     """
     alive = len(sim.drawn_springs())
     broken = sim.spring_count - alive
-    step = f"dt {sim.dt:g}" + (f" in {sim.substeps} substeps" if sim.substeps > 1 else "")
-    method, unconverged = sim.method, sim.work().unconverged
-    if unconverged:
-        method += f" ({unconverged} steps unconverged)"
-    if sim.unsettled():
-        method += f" ({sim.unsettled()} steps with overlaps)"
-    counts = _row(
-        f"{sim.particle_count} particles",
-        f"{alive} springs, {broken} broken",
-        f"time {sim.time:.6g}",
-        f"frame {sim.frame}",
+    names = (Word(f"frame {sim.frame}", style.MUTED, 8), Word(f"time {sim.time:.6g}", style.INK, 3))
+    counts = (
+        Word(f"{sim.particle_count} particles", style.INK, 4),
+        Word(f"{alive} springs, {broken} broken", style.INK, 4),
     )
-    if rates is None:
-        lines = [counts, _row(sim.scene.name, method, step, device)]
-    else:
-        path = f"{device}, {sim.execution} {sim.topology}"
-        lines = [rates, counts, _row(sim.scene.name, method, step, path, "tab: keys")]
-    return (notice, *lines) if notice else tuple(lines)
+    settings = _settings(sim, device, windowed=state is not None)
+    if state is None:
+        first = Row((Word(sim.scene.name, style.INK), *counts), (*names,))
+        return first, Row(settings)
+    title = (state, Word(sim.scene.name, style.INK, 2))
+    hand = (Word(tool, style.KEY_INK, 1),) if tool else ()
+    left = (state, Word(notice, style.KEY_INK)) if notice else (*title, *hand, *counts)
+    hints = (Word("h more", style.MUTED, 9), Word("tab keys", style.MUTED, 9))
+    return Row(left, (*rates, *hints)), Row((*settings,), names)
 
 
-def _row(*parts: str) -> str:
-    return "  \u00b7  ".join(parts)
+def _settings(sim: Simulation, device: str, *, windowed: bool) -> tuple[Word, ...]:
+    """Method, step and backend; what went wrong with the method beside it."""
+    step = f"dt {sim.dt:g}" + (f" in {sim.substeps} substeps" if sim.substeps > 1 else "")
+    words = [Word(sim.method, style.INK)]
+    unconverged, unsettled = sim.work().unconverged, sim.unsettled()
+    if unconverged:
+        words.append(Word(f"{unconverged} steps unconverged", style.BAD))
+    if unsettled:
+        words.append(Word(f"{unsettled} steps with overlaps", style.WARN))
+    path = f"{device}, {sim.execution} {sim.topology}" if windowed else device
+    return (*words, Word(step, style.INK, 1), Word(path, style.MUTED, 2))
 
 
 def reset_notice(frames: int) -> str:
@@ -161,7 +192,7 @@ def help_lines(
         "m\tslow motion: half as fast, down to 1/16",
         "r\tback to the start" + ("; --save begins anew" if saves else ""),
         *(["d\tdraw surface, springs, particles"] if len(scene.triangles) else []),
-        "h\thide or show the status",
+        "h\tmore of the status, or none",
         "s\tsave a picture",
         "v\tfilm, until v again",
         "tab or f1\tthis list",

@@ -9,8 +9,10 @@ from taichi_cloth.scene.model import World
 from taichi_cloth.settings.options import VIEWS
 from taichi_cloth.ui import surroundings, views
 from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.chrome.layout import arrange, at_start
 from taichi_cloth.ui.framing import window_of
 from taichi_cloth.ui.views.contract import View, ViewKind
+from taichi_cloth.ui.x11 import screen_size
 
 
 def usable_views() -> dict[str, str | None]:
@@ -23,7 +25,7 @@ def offscreen(view: View, world: World) -> View:
     kinds = views.load_all().values()
     kind = next(kind for kind in kinds if kind.several and kind.pictures())
     copy = kind.open(world, view.size, "", visible=False)
-    copy.camera = view.camera
+    copy.camera, copy.room = view.camera, view.room
     return copy
 
 
@@ -43,15 +45,17 @@ def open_view(
     title: str = "taichi-cloth",
     pictures: bool = False,
     camera: Camera | None = None,
+    status: bool = True,
 ) -> View:
     """Open a view of `world`; `runtime.start` must have been called unless kind is "none".
 
     kind: "ggui", "gui", "none", or "auto": GGUI where a display and Vulkan are there, else
         ti.GUI where a display is, else none, with one line on standard error that says so.
-    size: (width, height) in pixels; None: the world's own size where a screen allows it.
+    size: (width, height) in pixels; None: what suits world and screen.
     pictures: whether a view without a window must still draw (for images and films); it uses
         GGUI where Vulkan is there, else ti.GUI, both off-screen.
     camera: of a 3-D world; None: one that shows the whole of it.
+    status: whether there will be a status beside the world.
 
     Raises InputError where the kind that was asked for cannot be had.
     """
@@ -66,11 +70,14 @@ def open_view(
     if pictures and not visible:
         chosen = next(other for other in kinds.values() if other.pictures())
     try:
-        view = chosen.open(world, size or window_of(world), title, visible=visible)
+        parts = at_start(windowed=visible, status=status)
+        chosen_size = size or window_of(world, parts, screen_size() if visible else None)
+        view = chosen.open(world, chosen_size, title, visible=visible)
     except RuntimeError as error:  # of Taichi: a display or driver that fails after all
         reason = str(error).strip().partition("\n")[0]
         raise InputError(f"--view {kind}: the window could not open: {reason}") from None
     view.camera = camera or view.camera
+    view.room = arrange(view.size, parts).world
     return view
 
 

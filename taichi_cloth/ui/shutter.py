@@ -12,7 +12,7 @@ import numpy as np
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.ui import film as films
-from taichi_cloth.ui.text import DOT
+from taichi_cloth.ui.chrome.messages import DOT
 
 SAID_FOR = 5.0  # seconds for which the window says where something was saved
 

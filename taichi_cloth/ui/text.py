@@ -6,36 +6,31 @@ either copies the pixels or draws `runs` of equal colour as rectangles.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taichi_cloth.ui import style
-from taichi_cloth.ui.views.contract import Picture
-
 if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
 Color = tuple[int, int, int]  # 0..255
-DOT = "\u25cf "  # before a line of `marks`: a red disc stands in its place
 SHADES = 6  # ink coverage levels: few enough for long runs, enough for smooth letters
 
 
 @dataclass(frozen=True, eq=False)  # compared by identity: what was made of one is kept
 class Panel:
-    """Pixels (h, w, 3) uint8 whose top left corner is the window pixel (x, y)."""
+    """Pixels (h, w, 3) uint8 whose top left corner is the window pixel (x, y).
+
+    words: what is written on it.
+    """
 
     x: int
     y: int
     pixels: np.ndarray
-
-
-def font_height(window_height: int) -> int:
-    """Height of the text in pixels, readable in small windows and large."""
-    return int(np.clip(round(window_height / 52), 12, 30))
+    words: str = ""
 
 
 @lru_cache(maxsize=8)
@@ -68,7 +63,7 @@ def _ink(word: str, height: int) -> np.ndarray:
     return inked
 
 
-def _length(line: str, height: int) -> float:
+def length(line: str, height: int) -> float:
     """The width of a line in pixels."""
     words = line.split(" ")
     return sum(_advance(word, height) for word in words) + (len(words) - 1) * _advance(" ", height)
@@ -90,7 +85,7 @@ def wrapped(line: str, width: int, height: int) -> list[str]:
     out, current = [], ""
     for word in line.split():
         longer = f"{current} {word}".strip()
-        if current and _length(longer, height) > width:
+        if current and length(longer, height) > width:
             out.append(current)
             current = word
         else:
@@ -111,25 +106,23 @@ def rasterise(
     A tab starts the second column. inks: a pair of colours, for what stands before and after the
     tab (the second for lines without one). width: of the panel in pixels; None: as needed.
     """
-    step, pad = _step(height), _pad(height)
+    step, margin = _step(height), pad(height)
     parts = [line.split("\t", 1) for line in lines]
-    column: float = max((_length(p[0], height) for p in parts if len(p) == 2), default=0)
+    column: float = max((length(p[0], height) for p in parts if len(p) == 2), default=0)
     column = round(column + 1.2 * height) if column else 0
-    needed = max((column * (len(p) == 2) + _length(p[-1], height) for p in parts), default=0)
-    size = (width or round(needed) + 2 * pad, step * len(parts) + 2 * pad - (step - height))
+    needed = max((column * (len(p) == 2) + length(p[-1], height) for p in parts), default=0)
+    size = (width or round(needed) + 2 * margin, step * len(parts) + 2 * margin - (step - height))
     pixels = np.empty((size[1], size[0], 3), np.uint8)
     pixels[:] = paper
     for ink, chosen in zip(inks, (0, 1), strict=True):
         share = np.zeros((size[1], size[0], 1), np.float32)
         for row, part in enumerate(parts):
-            y = pad + row * step - _rise(height)
+            y = margin + row * step - _rise(height)
             if chosen == 1:
-                _write(share, part[-1], (pad + column * (len(part) == 2), y), height)
+                _write(share, part[-1], (margin + column * (len(part) == 2), y), height)
             elif len(part) == 2:
-                _write(share, part[0], (pad, y), height)
-        inked = share[:, :, 0] > 0
-        over = share[inked]
-        pixels[inked] = pixels[inked] * (1 - over) + np.array(ink) * over
+                _write(share, part[0], (margin, y), height)
+        _lay(pixels, share, ink)
     return pixels
 
 
@@ -138,7 +131,7 @@ def _step(height: int) -> int:
     return round(1.27 * height)
 
 
-def _pad(height: int) -> int:
+def pad(height: int) -> int:
     """Pixels of paper around the lines."""
     return round(0.5 * height)
 
@@ -148,133 +141,112 @@ def _rise(height: int) -> int:
     return round(0.15 * height)
 
 
-@lru_cache(maxsize=16)
-def _status_row(line: str, y: int, width: int, height: int, first: bool, last: bool) -> Panel:
-    """A line of the status as a panel of its own: only the lines that change are made anew.
+@dataclass(frozen=True)
+class Word:
+    """Words in one colour, part of a row. rank: where room is scarce, the highest are left out."""
 
-    y: of its letters in the window. first, last: there the paper goes on above and below.
+    text: str
+    color: Color
+    rank: int = 0
+
+
+def fitted(
+    left: Sequence[Word], right: Sequence[Word], width: int, height: int
+) -> tuple[list[Word], list[Word]]:
+    """The words of a row that fit into `width` pixels, at its left and right end.
+
+    height: of the text, pixels. Of what is most important as much stays as there is room for.
     """
-    inks = (style.INK, style.INK)
-    pixels = rasterise([line], height, paper=style.PAPER, inks=inks, width=width)
-    letters = _pad(height) - _rise(height)
-    start, end = 0 if first else letters, len(pixels) if last else letters + _step(height)
-    return Panel(0, y - letters + start, pixels[start:end])
+    kept = [*((word, 0) for word in left), *((word, 1) for word in right)]
+    while len(kept) > 1 and _row_length([word for word, _ in kept], height) > width:
+        worst = max(range(len(kept)), key=lambda n: (kept[n][0].rank, n))
+        kept.pop(worst)
+    return [w for w, side in kept if side == 0], [w for w, side in kept if side == 1]
 
 
-def _status(lines: tuple[str, ...], size: tuple[int, int]) -> list[Panel]:
-    """The status, bottom left; it shrinks rather than leave a narrow window."""
-    width, height = size[0], font_height(size[1])
-    while height > 9 and max(_length(line, height) for line in lines) > width - height:
-        height -= 1
-    needed = round(max(_length(line, height) for line in lines)) + 2 * _pad(height)
-    below, last = height + _pad(height) + _rise(height), len(lines) - 1
-    return [
-        _status_row(
-            line,
-            size[1] - below - (last - row) * _step(height),
-            needed,
-            height,
-            row == 0,
-            row == last,
-        )  # fmt: skip
-        for row, line in enumerate(lines)
-    ]
+def _row_length(words: Sequence[Word], height: int) -> float:
+    """The width of words beside each other, with their gaps and the row's margins, pixels."""
+    return sum(length(word.text, height) + gap(height) for word in words) + gap(height)
 
 
-def panels(picture: Picture, size: tuple[int, int]) -> tuple[Panel, ...]:
-    """The overlay of a frame in a window of `size` (width, height): status, key list, banner.
+def gap(height: int) -> int:
+    """Pixels between the words of a row, and at its ends."""
+    return round(0.9 * height)
 
-    A panel that is equal to one of the frame before is the same object.
+
+def write_row(
+    pixels: np.ndarray, left: Sequence[Word], right: Sequence[Word], y: float, height: int
+) -> None:
+    """Write words onto pixels (h, w, 3) uint8, with the top of their text at y.
+
+    What does not fit is left out, by rank.
     """
-    size = int(size[0]), int(size[1])
-    status = _status(picture.text, size) if picture.text else []
-    return (
-        *(_inside(panel, size) for panel in status),
-        *_panels(picture.help, picture.banner, size),
-    )
+    width = pixels.shape[1]
+    left, right = fitted(left, right, width, height)
+    x: float = gap(height)
+    for word in left:
+        write(pixels, word.text, (x, y), height, word.color)
+        x += length(word.text, height) + gap(height)
+    x = width
+    for word in reversed(right):
+        x -= length(word.text, height) + gap(height)
+        write(pixels, word.text, (x, y), height, word.color)
 
 
-@lru_cache(maxsize=4)
-def _panels(keys: tuple[str, ...], banner: str | None, size: tuple[int, int]) -> tuple[Panel, ...]:
-    width, window_height = size
-    out = []
-    if keys:
-        height = font_height(window_height)
-        while True:
-            pixels = rasterise(keys, height, paper=style.PAPER, inks=(style.KEY_INK, style.INK))
-            fits = pixels.shape[0] <= window_height and pixels.shape[1] <= width
-            if fits or height <= 8:
-                break
-            height -= 1
-        for border in (pixels[:1], pixels[-1:], pixels[:, :1], pixels[:, -1:]):
-            border[:] = style.WALL
-        left, top = (width - pixels.shape[1]) // 2, (window_height - pixels.shape[0]) // 2
-        out.append(Panel(left, top, pixels))
-    if banner:
-        height = font_height(window_height)
-        room = width - 2 * height
-        lines = [part for line in banner.split("\n") for part in wrapped(line, room, height)]
-        pixels = rasterise(
-            lines, height, paper=style.BANNER_PAPER, inks=(style.BANNER_INK,) * 2, width=width
-        )
-        out.append(Panel(0, 0, pixels))
-    return tuple(_inside(panel, size) for panel in out)
+def write(
+    pixels: np.ndarray, line: str, corner: tuple[float, float], height: int, color: Color
+) -> None:
+    """Write a line onto pixels (h, w, 3) uint8 from its top left corner (x, y); changes them."""
+    share = np.zeros((*pixels.shape[:2], 1), np.float32)
+    _write(share, line, (corner[0], corner[1] - _rise(height)), height)
+    _lay(pixels, share, color)
 
 
-@lru_cache(maxsize=4)
-def marks(lines: tuple[str, ...], size: tuple[int, int]) -> tuple[Panel, ...]:
-    """Lines in the top right corner of a window of `size`, smaller where they are too long.
-
-    One that begins with `DOT` has a red disc there.
-    """
-    out, top, height = [], 0, font_height(size[1])
-    for line in lines:
-        fitting = height
-        while fitting > 9 and _length(line, fitting) > size[0] - 2 * fitting:
-            fitting -= 1
-        red, said = line.startswith(DOT), line.removeprefix(DOT)
-        pixels = rasterise([said], fitting, paper=style.PAPER, inks=(style.INK, style.INK))
-        if red:
-            pixels = np.concatenate([_red_disc(len(pixels)), pixels[:, _pad(fitting) // 2 :]], 1)
-        out.append(_inside(Panel(size[0] - pixels.shape[1], top, pixels), size))
-        top += len(pixels)
-    return tuple(out)
-
-
-def _red_disc(side: int) -> np.ndarray:
-    """A red disc on paper, (side, side, 3) uint8, with smooth edges."""
-    away = np.hypot(*(np.mgrid[:side, :side] + 0.5 - side / 2))
-    share = np.round(np.clip(0.28 * side + 0.5 - away, 0, 1) * 4)[:, :, None] / 4
-    disc: np.ndarray = share * np.array(style.RECORDING) + (1 - share) * np.array(style.PAPER)
-    return disc.astype(np.uint8)
-
-
-@lru_cache(maxsize=32)
-def _inside(panel: Panel, size: tuple[int, int]) -> Panel:
-    """The part of `panel` that lies in a window of `size`."""
-    left, top = max(0, -panel.x), max(0, -panel.y)
-    right, bottom = size[0] - panel.x, size[1] - panel.y
-    return Panel(max(panel.x, 0), max(panel.y, 0), panel.pixels[top:bottom, left:right])
+def _lay(pixels: np.ndarray, share: np.ndarray, color: Color) -> None:
+    """Lay ink of a colour over pixels (h, w, 3); share: (h, w, 1), how much of each it covers."""
+    inked = share[:, :, 0] > 0
+    over = share[inked]
+    pixels[inked] = pixels[inked] * (1 - over) + np.array(color) * over
 
 
 def runs(panel: Panel) -> tuple[np.ndarray, np.ndarray]:
     """`panel` as rectangles: corners (k, 4) window pixels x0, y0, x1, y1, and colours (k, 3).
 
-    The first is the whole paper; the rest are horizontal runs of equal colour. Colours are
-    floats 0..1.
+    The first is the whole paper; the rest are runs of equal colour along rows, those that repeat
+    from row to row as one. Colours are floats 0..1.
     """
     pixels = panel.pixels.astype(np.int64)
     code = (pixels[:, :, 0] << 16) | (pixels[:, :, 1] << 8) | pixels[:, :, 2]
     h, w = code.shape
-    paper = int(code[2, 2])  # inside any border, outside any letter
+    paper = _commonest(code)
     key = ((np.arange(h)[:, None] << 24) | code).reshape(-1)
     start = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
     end = np.concatenate([start[1:], [h * w]])
     inked = code.reshape(-1)[start] != paper
     start, end = start[inked], end[inked]
     row, x0 = start // w, start % w
-    corners = np.stack([x0, row, x0 + end - start, row + 1], axis=1)
-    corners = np.concatenate([[[0, 0, w, h]], corners]) + [panel.x, panel.y, panel.x, panel.y]
-    codes = np.concatenate([[paper], code.reshape(-1)[start]])
+    boxes = np.stack([x0, row, x0 + end - start, row + 1, code.reshape(-1)[start]], axis=1)
+    boxes = np.concatenate([[[0, 0, w, h, paper]], _stacked(boxes)])
+    corners, codes = boxes[:, :4] + [panel.x, panel.y, panel.x, panel.y], boxes[:, 4]
     colors = np.stack([codes >> 16, (codes >> 8) & 255, codes & 255], axis=1) / 255
     return corners, colors
+
+
+def _commonest(code: np.ndarray) -> int:
+    """The colour that most pixels have, of each fourth in each fourth row."""
+    values, counts = np.unique(code[::4, ::4], return_counts=True)
+    return int(values[counts.argmax()])
+
+
+def _stacked(boxes: np.ndarray) -> np.ndarray:
+    """Boxes (k, 5) x0, y0, x1, y1, colour, those that lie upon each other in one where they can."""
+    if not len(boxes):
+        return boxes
+    x0, y0, x1, _, code = boxes.T
+    boxes = boxes[np.lexsort((y0, code, x1, x0))]
+    alike = (boxes[1:, [0, 2, 4]] == boxes[:-1, [0, 2, 4]]).all(axis=1)
+    first = np.flatnonzero(np.concatenate([[True], ~alike | (boxes[1:, 1] != boxes[:-1, 3])]))
+    last = np.concatenate([first[1:], [len(boxes)]]) - 1
+    joined: np.ndarray = boxes[first].copy()
+    joined[:, 3] = boxes[last, 3]
+    return joined

@@ -62,27 +62,102 @@ def vertices(color: ArrayLike) -> np.ndarray:
     return vertex
 
 
-def spring_vertices(
-    segments: np.ndarray, color: np.ndarray, all_have: tuple[int, int, int] | None
-) -> np.ndarray:
-    """Vertices of the springs' ends (2s, STRIDE), nowhere yet; for the rest `spring_colors`."""
-    return vertices(np.repeat(style.spring_colors(color, segments, all_have), 2, axis=0))
+def line_layers(color: np.ndarray, width: float) -> list[tuple[np.ndarray, float]]:
+    """Vertices of the ends (2k, STRIDE), nowhere yet, and widths in pixels, of lines that are drawn
+    in layers: GGUI's have steps along their edges, which are seen less where these are fainter.
+
+    color: (k, 3), floats 0..1. width: in pixels.
+    """
+    ground, ends = np.array(style.unit(style.WORLD)), color.repeat(2, axis=0)
+    return [
+        (vertices(ground + share * (ends - ground)), max(width + more, 1.0))
+        for more, share in FADING
+    ]
+
+
+FADING = ((1.0, 0.3), (0.3, 0.62), (-0.4, 1.0))  # pixels wider, and share of the colour
 
 
 def disc_vertices(
     radius: np.ndarray, color: np.ndarray, scale: float, height: int
 ) -> list[np.ndarray]:
-    """Vertices of the particles' rims and, to be drawn over them, of their discs, nowhere yet.
+    """Vertices of the particles' rims and, to be drawn over them, of their discs, nowhere yet; the
+    edges of both fade in two steps.
 
     radius: (n,) world units. color: (n, 3) uint8. scale: pixels per world unit.
     height: of the window in pixels.
     """
+    ground = np.array(style.unit(style.WORLD))
+    (rim, dark), (disc, full) = drawing.disc_layers(radius, color, scale)
+    layers = (
+        (rim + 0.4, 0.5 * dark + 0.5 * ground),
+        (rim - 0.2, dark),
+        (disc + 0.4, 0.5 * (dark + full)),
+        (disc - 0.2, full),
+    )
     out = []
-    for pixels, rgb in drawing.disc_layers(radius, color, scale):
+    for pixels, rgb in layers:
         vertex = vertices(rgb)
         vertex[:, RADIUS] = pixels / height
         out.append(vertex)
     return out
+
+
+@dataclass
+class LineMesh:
+    """Lines as one mesh of strips that face us and fade towards their sides: GGUI's own lines have
+    steps. From frame to frame only the positions are filled in anew.
+
+    A strip has three vertices at each end: faded, full, faded, from one side to the other. Software
+    takes as long for a triangle as for hundreds of pixels, so there are no more.
+    vertex: (count, 2, 3, STRIDE). index: of the triangles' corners.
+    color: (count, 3) floats 0..1, which the vertices have; None: none yet.
+    """
+
+    vertex: np.ndarray
+    index: np.ndarray
+    color: np.ndarray | None = None
+
+    @classmethod
+    def build(cls, count: int) -> LineMesh:
+        """Meshes without colours and positions."""
+        vertex = np.zeros((count, 2, 3, STRIDE), np.float32)
+        vertex[..., NORMAL] = style.LIGHT  # where we look from they are as bright as their colour
+        quad = np.concatenate([np.array([0, 1, 4, 0, 4, 3]) + n for n in range(2)])
+        index = (6 * np.arange(count)[:, None] + quad).astype(np.int32).reshape(-1)
+        return cls(vertex, index)
+
+    def fill(
+        self,
+        ends: np.ndarray,
+        color: np.ndarray,
+        width: float,
+        focal: float,
+        distance: float,
+        *,
+        bright: float = 1.0,
+    ) -> None:
+        """Put the lines at their ends (count, 2, 3), in camera axes, with z from what is looked at.
+
+        color: (count, 3), floats 0..1. width: in pixels, as wide as they seem to be: a strip that
+        fades from its middle to its sides is twice as wide.
+        focal: pixels per unit of slope. distance: from the eye to what is looked at.
+        bright: that the lights give what faces the first of them; colours are divided by it.
+        """
+        if self.color is not color:
+            self.vertex[..., COLOR] = (color / bright)[:, None, None, :]
+            self.vertex[..., 1, ALPHA] = 1
+            self.color = color
+        depth = ends[..., 2] + np.float32(distance)
+        seen = ends[..., :2] / depth[..., None]
+        along = seen[:, 1] - seen[:, 0]
+        length = np.sqrt(np.einsum("ij,ij->i", along, along))
+        along /= np.maximum(length, np.finfo(along.dtype).tiny)[:, None]
+        side = depth * np.float32(width / focal)  # world units
+        aside = np.stack([-along[:, 1], along[:, 0]], axis=1)[:, None] * side[..., None]
+        self.vertex[..., POSITION] = ends[:, :, None]
+        self.vertex[:, :, 0, 0:2] -= aside
+        self.vertex[:, :, 2, 0:2] += aside
 
 
 @dataclass

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from taichi_cloth.scene.model import World
+from taichi_cloth.ui.chrome.layout import Rect
 
-# A window opened for a world of this many units or fewer per pixel is used as it is; worlds
-# outside these limits are shown scaled, so that the window fits a screen and can be read.
-SMALLEST_WINDOW = (480, 320)
-LARGEST_WINDOW = (1600, 1000)
+# The size that a window has at least, where a screen has so much room.
+SMALLEST_WINDOW = (1280, 800)
+SCREEN = (1440, 900)  # pixels of a screen that nobody says the size of
+USABLE = (0.96, 0.88)  # of a screen: the rest is for a window's frame and the desktop's bars
 
 
 @dataclass(frozen=True)
@@ -23,27 +24,34 @@ class WindowMap:
     In a window of the world's own size one pixel is one world unit; any other window shows the
     same picture scaled by one factor and centred, so that a 2-D scene keeps its aspect.
     y_up: whether the world's y points up; a window's points down.
+    room: the part of the window that the world is shown in; None: all of it.
     """
 
     world: tuple[float, ...]
     window: tuple[int, int]
     y_up: bool = False
+    room: Rect | None = None
 
     @classmethod
-    def of(cls, world: World, window: tuple[int, int]) -> WindowMap:
+    def of(cls, world: World, window: tuple[int, int], room: Rect | None = None) -> WindowMap:
         """The map for a world, or for the pixels of its camera: these always count downwards."""
-        return cls(world.size[:2], window, world.dim == 2 and world.up == "y")
+        return cls(world.size[:2], window, world.dim == 2 and world.up == "y", room)
+
+    @property
+    def _room(self) -> Rect:
+        return self.room or Rect(0, 0, *self.window)
 
     @property
     def scale(self) -> float:
         """Window pixels per world unit."""
-        return min(self.window[0] / self.world[0], self.window[1] / self.world[1])
+        return min(self._room.width / self.world[0], self._room.height / self.world[1])
 
     @property
     def offset(self) -> np.ndarray:
         """Window pixel of the world's corner (0, 0), shape (2,)."""
-        offset: np.ndarray = (np.array(self.window) - self.scale * np.array(self.world)) / 2
-        return offset
+        room = self._room
+        free: np.ndarray = [room.width, room.height] - self.scale * np.array(self.world)
+        return free / 2 + [room.x, room.y]
 
     def to_window(self, points: ArrayLike) -> np.ndarray:
         """World `points` (..., 2) in window pixels, origin top left."""
@@ -84,14 +92,22 @@ class WindowMap:
 
 
 def default_window(
-    world_size: Sequence[float], smallest: tuple[int, int] = SMALLEST_WINDOW
+    world_size: Sequence[float] | None,
+    *,
+    around: Callable[[int], int] = lambda height: 0,
+    screen: tuple[int, int] = SCREEN,
 ) -> tuple[int, int]:
-    """The window for a world of (w, h[, d]): its own size where that is usable on a screen.
+    """The window (width, height) in which a world of (w, h[, d]) is shown with its own aspect.
 
-    smallest: a smaller world is shown so that it fills the width or the height of this.
+    It is at least `SMALLEST_WINDOW` wide and high, where the screen has room, else what fits.
+    world_size: None for a world that fills any window. around: how many rows of pixels a window of
+    a height has above and below the world.
     """
-    w, h = float(world_size[0]), float(world_size[1])
-    shrink = min(1.0, LARGEST_WINDOW[0] / w, LARGEST_WINDOW[1] / h)
-    grow = max(1.0, min(smallest[0] / w, smallest[1] / h))
-    scale = shrink if shrink < 1 else grow
-    return max(round(w * scale), 160), max(round(h * scale), 120)
+    low, high = SMALLEST_WINDOW, [round(n * part) for n, part in zip(screen, USABLE, strict=True)]
+    wide, tall = low
+    if world_size is not None:
+        w, h = float(world_size[0]), float(world_size[1])
+        scale = max(wide / w, (tall - around(tall)) / h)
+        wide, tall = round(w * scale), round(h * scale)
+        tall += around(tall + around(tall))
+    return min(wide, high[0]), min(tall, high[1])

@@ -87,6 +87,7 @@ class _Error(ctypes.Structure):
     ]
 
 
+_BYTES, _REPLACE = 8, 0  # of a property: bits in each of its items; what becomes of it before
 BAD_WINDOW, BAD_DRAWABLE = 3, 9
 _ErrorHandler = ctypes.CFUNCTYPE(_int, _pointer, _pointer)
 _OfDisplay = ctypes.CFUNCTYPE(_int, _pointer)
@@ -127,6 +128,17 @@ def xlib() -> ctypes.CDLL | None:
         ("XSync", _int, [_pointer, _int]),
         ("XGetGeometry", _int, [_pointer, _window] + [_pointer] * 7),
         ("XMoveWindow", _int, [_pointer, _window, _int, _int]),
+        ("XStoreName", _int, [_pointer, _window, ctypes.c_char_p]),
+        ("XInternAtom", _window, [_pointer, ctypes.c_char_p, _int]),
+        (
+            "XChangeProperty",
+            _int,
+            [_pointer, _window, _window, _window, _int, _int, ctypes.c_char_p, _int],
+        ),
+        ("XFlush", _int, [_pointer]),
+        ("XDefaultScreen", _int, [_pointer]),
+        ("XDisplayWidth", _int, [_pointer, _int]),
+        ("XDisplayHeight", _int, [_pointer, _int]),
         ("XTranslateCoordinates", _int, [_pointer, _window, _window, _int, _int] + [_pointer] * 3),
         ("XSetErrorHandler", _pointer, [_pointer]),
         ("XSetIOErrorHandler", _pointer, [_pointer]),
@@ -356,6 +368,19 @@ class Connection:
         self._x.XMoveWindow(self._display, self.window, *position)
         self._x.XSync(self._display, 0)
 
+    def entitle(self, title: str) -> None:
+        """Write another title over the window."""
+        if not _CUT.intersection((self._display, *self._displays)):
+            words = title.encode()
+            self._x.XStoreName(self._display, self.window, words)
+            name, utf8 = (
+                self._x.XInternAtom(self._display, atom, 0)
+                for atom in (b"_NET_WM_NAME", b"UTF8_STRING")
+            )
+            what = (name, utf8, _BYTES, _REPLACE, words, len(words))
+            self._x.XChangeProperty(self._display, self.window, *what)
+            self._x.XFlush(self._display)
+
     def close(self) -> None:
         """Give the connection back, unless it is cut. May be called twice."""
         if self._display and self._display not in _CUT:
@@ -364,6 +389,18 @@ class Connection:
 
 
 _SIZE = ctypes.sizeof(_Event)
+
+
+def screen_size() -> tuple[int, int] | None:
+    """The screen's (width, height) in pixels; None where no X server says it."""
+    x = xlib()
+    display = x.XOpenDisplay(None) if x is not None and os.environ.get("DISPLAY") else None
+    if x is None or not display:
+        return None
+    number = x.XDefaultScreen(display)
+    size = x.XDisplayWidth(display, number), x.XDisplayHeight(display, number)
+    x.XCloseDisplay(display)
+    return size
 
 
 def connect(title: str, displays: list[int]) -> Connection | None:

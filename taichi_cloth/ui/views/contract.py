@@ -11,9 +11,11 @@ import numpy as np
 from taichi_cloth import runtime
 from taichi_cloth.scene.model import World
 from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.surfaces import Solid
+from taichi_cloth.ui.text import Panel
 
 
 @dataclass(frozen=True)
@@ -28,11 +30,9 @@ class Picture:
     normals: (n, 3) unit normals of these surfaces, as `position`; None: the view computes them.
     as_spheres: (n,) bool, which particles are drawn as spheres or discs; None: all.
     solids: the surfaces of obstacles. ground: the height of a floor; None: there is none.
-    text: lines of the status, bottom left, where the scenes leave most room (empty: hidden).
-    help: lines of the key list (empty: hidden), "key<tab>action" for two columns.
-    banner: a message across the top, wrapped as needed (None: no banner).
+    overlay: what is laid over the frame, in this order.
+    marks: the same, but only on a window: `grab` leaves them out.
     pointer: the pointer, where it is drawn.
-    marks: lines in a window's top right corner, which `grab` leaves out (empty: none).
 
     Radius, color, segments and triangles are the same objects as before while they are equal, so
     that a view need not prepare them anew (`drawing.Cached`).
@@ -49,10 +49,8 @@ class Picture:
     as_spheres: np.ndarray | None = None
     solids: Solid | None = None
     ground: float | None = None
-    text: tuple[str, ...] = ()
-    help: tuple[str, ...] = ()
-    banner: str | None = None
-    marks: tuple[str, ...] = ()
+    overlay: tuple[Panel, ...] = ()
+    marks: tuple[Panel, ...] = ()
     pointer: Pointer | None = None
 
     @property
@@ -73,10 +71,12 @@ class View(Protocol):
     visible: False where the view draws into memory only, or not at all.
     has_wheel: whether it reports the mouse's wheel.
     closed: whether the window is gone.
+    room: the part of the window that the world is drawn in; None: all of it. Read at every draw.
     """
 
     name: str
     camera: Camera | None
+    room: Rect | None
     visible: bool
     has_wheel: bool
     closed: bool
@@ -87,6 +87,9 @@ class View(Protocol):
 
     def poll(self) -> list[Event]:
         """The user's events since the last call, oldest first."""
+
+    def entitle(self, title: str) -> None:
+        """Write a title over the window, if there is one."""
 
     def draw(self, picture: Picture) -> None:
         """Draw and present one frame."""

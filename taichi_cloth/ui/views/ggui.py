@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
@@ -19,21 +20,23 @@ from taichi_cloth import runtime
 from taichi_cloth.scene.model import World
 from taichi_cloth.ui import drawing, pointer, rescue, style, text, x11
 from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import BUTTON_NAMES, BUTTONS, Event, fewest_moves, key_name
 from taichi_cloth.ui.pointer import Pointer
-from taichi_cloth.ui.surfaces import Topology, floor
+from taichi_cloth.ui.surfaces import Topology, brightness, floor
 from taichi_cloth.ui.text import Panel
 from taichi_cloth.ui.vertices import (
     POSITION,
     RADIUS,
     STRIDE,
+    LineMesh,
     SphereMeshes,
     SurfaceMesh,
     disc_vertices,
     floor_vertices,
-    spring_vertices,
+    line_layers,
     vertices,
 )
 from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
@@ -42,7 +45,9 @@ from taichi_cloth.ui.window_map import WindowMap
 NO_VULKAN = "GGUI needs Vulkan, which is not there (install a Vulkan driver, such as Mesa's)"
 WHEEL = {4: 1.0, 5: -1.0}  # X's numbers of the wheel's buttons -> notches away from the user
 SETTINGS = Path("imgui.ini")  # of GGUI's text library, which we do not use
+SMOOTH_LINES = 12_000  # so many lines in space have smooth edges, which take long to draw
 MESH_VERTICES = 170_000  # spheres are meshes up to so many vertices (10-40 ms in software)
+ENTITLED = 0.25  # seconds after which a title is written again
 FAR_AWAY = 100.0  # lights of surfaces, in distances of the eye: their rays are parallel
 SPHERES = ((10.0, 1), (45.0, 2), (math.inf, 3))  # up to this radius in pixels: subdivisions
 
@@ -60,6 +65,7 @@ class GguiView:
         self._info: Any = get_field_info
         self.world, self.visible = world, visible
         self.camera: Camera | None = camera_of_world(world)
+        self.room: Rect | None = None
         self._had_settings = SETTINGS.exists()
         # The app paces itself; GGUI's own limit would count as time spent drawing.
         with x11.opening() as displays:
@@ -67,8 +73,8 @@ class GguiView:
                 title, size, vsync=False, show_window=visible, fps_limit=1000
             )
         self._canvas = self._window.get_canvas()
-        self._scene: Any = self._window.get_scene() if self.camera else None
-        self._eye: Any = ti.ui.Camera() if self.camera else None
+        self._scene: Any = self._window.get_scene()
+        self._eye: Any = ti.ui.Camera()
         self._tap = x11.connect(title, displays) if visible else None
         self._guard = rescue.Guard(self._cut) if self._tap else None
         self._listens = bool(self._tap and self._tap.listen())
@@ -77,7 +83,10 @@ class GguiView:
         self._last: Picture | None = None
         self._fresh = False  # whether what was drawn last can still be taken from the window
         self._spheres: SphereMeshes | None = None
-        self._springs, self._discs = Cached(spring_vertices), Cached(disc_vertices)
+        self._spring_colors = Cached(style.spring_colors)
+        self._lines, self._discs = Cached(_line_layers), Cached(disc_vertices)
+        self._line_meshes: dict[str, LineMesh] = {}
+        self._title, self._named = title, 0.0
         self._topologies = Cached(Topology.build), Cached(Topology.build)
         self._surfaces: list[SurfaceMesh | None] = [None, None]  # of the picture; of its solids
         self._panel_vertices = lru_cache(maxsize=16)(self._panel_vertices_anew)
@@ -94,6 +103,13 @@ class GguiView:
         if w > 0 and h > 0:  # a minimised window reports zero
             self._size = (int(w), int(h))
         return self._size
+
+    def entitle(self, title: str) -> None:
+        """Write a title over the window; GGUI writes its own again once a second."""
+        now = time.perf_counter()
+        if self._tap and not self.closed and (title != self._title or now > self._named):
+            self._title, self._named = title, now + ENTITLED
+            self._tap.entitle(title)
 
     # Events
 
@@ -237,19 +253,12 @@ class GguiView:
 
     @property
     def _map(self) -> WindowMap:
-        return WindowMap.of(self.world, self.size)
+        return WindowMap.of(self.world, self.size, self.room)
 
     def _compose_2d(self, picture: Picture) -> None:
         window, (_, height) = self._map, self.size
-        self._canvas.set_background_color(style.unit(style.SURROUND))
-        low, high = window.box()
-        world = np.array([[*low, *high]])
-        self._triangles(self._rectangle_vertices(world, np.array([style.unit(style.WORLD)])))
-        walls = window.walls(self.world.walls)
-        if len(walls):
-            vertex = vertices(np.tile(style.unit(style.WALL), (2 * len(walls), 1)))
-            vertex[:, :2] = window.to_canvas(walls.reshape(-1, 2))
-            self._lines_2d(vertex, 1.5 / height)
+        self._canvas.set_background_color(style.unit(style.WORLD))
+        self._surround()
         place = window.world_to_canvas(picture.position)
         shown = drawing.are_numbers(place)
         if picture.solids is not None:
@@ -262,11 +271,7 @@ class GguiView:
             vertex = vertices(style.flat_colors(picture.color_in_surfaces, faces).repeat(3, axis=0))
             vertex[:, :2] = place.take(faces.reshape(-1), axis=0)
             self._triangles(vertex)
-        segments = drawing.between_shown(picture.segments, shown)
-        if len(segments):
-            vertex = self._springs(segments, picture.color, picture.spring_color)
-            vertex[:, :2] = place.take(segments.reshape(-1), axis=0)
-            self._lines_2d(vertex, max(1.6, 1.4 * drawing.enlarged(self.world, window)) / height)
+        self._lines_of_plane(picture, place, shown)
         if picture.as_spheres is not None:
             shown &= picture.as_spheres
         if shown.any():
@@ -275,10 +280,39 @@ class GguiView:
                 vertex[:, :2] = place
                 self._canvas.canvas.circles(self._info(vertex), True, True, (1.0, 1.0, 1.0), 0.01)
 
+    def _lines_of_plane(self, picture: Picture, place: np.ndarray, shown: np.ndarray) -> None:
+        """Draw the walls and springs of a 2-D world.
+
+        place: (n, 2), of all particles on the canvas. shown: (n,) bool.
+        """
+        window, height = self._map, self.size[1]
+        walls = window.to_canvas(window.walls(self.world.walls)).reshape(-1, 2)
+        segments = drawing.between_shown(picture.segments, shown)
+        if len(walls) + len(segments) == 0:
+            return
+        ends = np.concatenate([walls, place.take(segments.reshape(-1), axis=0)])
+        wide = drawing.line_width(self.room.height if self.room else height)
+        count = len(walls) // 2
+        for vertex, width in self._lines(
+            picture.color, segments, picture.spring_color, count, wide
+        ):
+            vertex[:, :2] = ends
+            self._lines_2d(vertex, width / height)
+
     def _lines_2d(self, vertex: np.ndarray, width: float) -> None:
         """Lines between consecutive pairs of vertices; width in window heights."""
         info = self._info(vertex)
         self._canvas.canvas.lines(info, self._info(None), True, (1.0, 1.0, 1.0), width)
+
+    def _surround(self) -> None:
+        """Darken what lies in the window beside the world's rectangle."""
+        (x0, y0), (x1, y1) = self._map.box()
+        w, h = self.size
+        beside = np.array([(0, 0, x0, h), (x1, 0, w, h), (x0, 0, x1, y0), (x0, y1, x1, h)])
+        beside = beside[((beside[:, 2:] - beside[:, :2]) > 0.5).all(axis=1)]
+        if len(beside):
+            color = np.tile(style.unit(style.SURROUND), (len(beside), 1))
+            self._triangles(self._rectangle_vertices(beside, color))
 
     def _rectangle_vertices(self, corners: ArrayLike, color: np.ndarray) -> np.ndarray:
         """Vertices of rectangles (k, 4) x0, y0, x1, y1 in window pixels, with colours (k, 3)."""
@@ -303,9 +337,7 @@ class GguiView:
     def _compose_overlay(self, picture: Picture) -> None:
         if picture.pointer is not None:
             self._draw_pointer(picture.pointer)
-        panels = text.panels(picture, self.size)
-        if self.visible:
-            panels = (*panels, *text.marks(picture.marks, self.size))
+        panels = (*picture.overlay, *(picture.marks if self.visible else ()))
         if panels:
             size = self.size
             self._triangles(np.concatenate([self._panel_vertices(p, size) for p in panels]))
@@ -331,41 +363,83 @@ class GguiView:
         for light, strength in lights:
             self._scene.point_light(light * (away * camera.distance), (strength,) * 3)
 
+        bright = float(brightness(style.LIGHT)) if picture.has_surfaces else 1.0
         if picture.ground is not None:
             self._floor_3d(picture.ground, camera)
         ends, color = drawing.scenery(self.world, camera)
-        if len(ends):
-            vertex = vertices(np.repeat(color, 2, axis=0))
-            vertex[:, POSITION] = camera.rotate_points(ends.reshape(-1, 3))
-            self._lines_3d(vertex, 1.6)
-
-        position = camera.rotate_points(picture.position)
+        ends = self._seen(camera, ends.reshape(-1, 3)).reshape(-1, 2, 3)
+        front = (ends[..., 2] + camera.distance > camera.nearest_drawn).all(axis=1)
+        wide = drawing.edge_width(h)
+        self._smooth_lines("scenery", ends[front], color[front], wide, camera, bright)
+        position = self._seen(camera, picture.position)
         shown = drawing.are_numbers(position)
         shown &= position[:, 2] + camera.distance > camera.nearest_drawn
         segments = drawing.between_shown(picture.segments, shown)
-        if len(segments):
-            vertex = self._springs(segments, picture.color, picture.spring_color)
-            vertex[:, POSITION] = position.take(segments.reshape(-1), axis=0)
-            if len(picture.triangles):  # they lie in them: along the line of sight, a little nearer
-                vertex[:, POSITION] += [0, 0, camera.distance]
-                vertex[:, POSITION] *= 1 - drawing.LIFTED
-                vertex[:, POSITION] -= [0, 0, camera.distance]
-            pixels = focal / camera.distance
-            self._lines_3d(vertex, drawing.spring_width_on(picture, segments, pixels, h))
-
         self._surfaces_3d(picture, camera, position, shown)
         if picture.as_spheres is not None:
             shown &= picture.as_spheres
         centre, radius, color = position[shown], picture.radius[shown], picture.color[shown]
-        if not camera.y_up:
-            origin = camera.rotate_points(np.zeros((1, 3)))
-            dot = drawing.origin_radius(h) * camera.distance / focal
-            centre = np.concatenate([centre, origin])
-            radius = np.concatenate([radius, [dot]])
-            color = np.concatenate([color, [style.ORIGIN]])
         if len(centre):
             self._spheres_3d(centre, radius, color, centre[:, 2] + camera.distance, focal)
+        if len(segments):  # last: where their edges fade, one sees what is behind
+            self._springs_3d(picture, camera, segments, position, bright)
         self._canvas.scene(self._scene)
+
+    def _seen(self, camera: Camera, points: np.ndarray) -> np.ndarray:
+        """World points (n, 3) in camera axes, moved aside with their depth, so that what is looked
+        at is seen in the middle of the world's room, and not of the window.
+        """
+        place = camera.rotate_points(points)
+        window = self._map
+        aside = window.to_window(camera.middle) - np.array(self.size) / 2
+        slope = aside / (camera.focal_length * window.scale)
+        place[:, :2] += slope * (place[:, 2:] + camera.distance)
+        return place
+
+    def _smooth_lines(
+        self,
+        name: str,
+        ends: np.ndarray,
+        color: np.ndarray,
+        width: float,
+        camera: Camera,
+        bright: float,
+    ) -> None:
+        """Draw lines whose edges fade, as `LineMesh` has them; those of a name keep their mesh."""
+        mesh = self._line_meshes.get(name)
+        if mesh is None or len(mesh.vertex) != len(ends):
+            mesh = self._line_meshes[name] = LineMesh.build(len(ends))
+        focal = camera.focal_length * self._map.scale
+        mesh.fill(ends.astype(np.float32), color, width, focal, camera.distance, bright=bright)
+        self._mesh_3d(mesh.vertex.reshape(-1, STRIDE), mesh.index)
+
+    def _springs_3d(
+        self,
+        picture: Picture,
+        camera: Camera,
+        segments: np.ndarray,
+        position: np.ndarray,
+        bright: float,
+    ) -> None:
+        """Draw springs; those of a surface lie in it, and are seen before it.
+
+        segments: (s, 2), those that are drawn. position: (n, 3), of all particles in camera axes.
+        """
+        focal = camera.focal_length * self._map.scale
+        ends = position.take(segments, axis=0)
+        if len(picture.triangles):  # along the line of sight, a little nearer
+            ends[..., 2] += camera.distance
+            ends *= 1 - drawing.LIFTED
+            ends[..., 2] -= camera.distance
+        pixels = focal / camera.distance
+        wide = drawing.spring_width_on(picture, segments, pixels, self.size[1])
+        color = self._spring_colors(picture.color, segments, picture.spring_color)
+        if len(segments) <= SMOOTH_LINES:
+            self._smooth_lines("springs", ends, color, wide, camera, bright)
+            return
+        vertex = vertices(color.repeat(2, axis=0))
+        vertex[:, POSITION] = ends.reshape(-1, 3)
+        self._lines_3d(vertex, wide)
 
     def _surfaces_3d(
         self, picture: Picture, camera: Camera, position: np.ndarray, shown: np.ndarray
@@ -381,7 +455,7 @@ class GguiView:
             )
         solids = picture.solids
         if solids is not None:
-            vertex = camera.rotate_points(solids.vertex)
+            vertex = self._seen(camera, solids.vertex)
             in_front = vertex[:, 2] + camera.distance > camera.nearest_drawn
             topology = self._topologies[1](solids.triangles).of_shown(in_front)
             self._surface_3d(1, topology, camera, vertex, solids.color, None)
@@ -413,7 +487,7 @@ class GguiView:
     def _floor_3d(self, height: float, camera: Camera) -> None:
         up = camera.rotation()[:, 1] * (1 if camera.y_up else -1)
         corner, color, opacity = floor(height, camera.centre, camera.radius)
-        place = camera.rotate_points(corner.reshape(-1, 3)).reshape(-1, 4, 3)
+        place = self._seen(camera, corner.reshape(-1, 3)).reshape(-1, 4, 3)
         front = (place[:, :, 2] + camera.distance > camera.nearest_drawn).all(axis=1)
         self._mesh_3d(*floor_vertices(place[front], color[front], opacity[front], up))
 
@@ -472,6 +546,20 @@ class GguiView:
         vertex[:, RADIUS] = radius * (h / w) * ray / depth
         white = (1.0, 1.0, 1.0)
         self._scene.scene.particles(self._info(vertex), True, True, white, 1.0, len(vertex), 0)
+
+
+def _line_layers(
+    color: np.ndarray,
+    segments: np.ndarray,
+    all_have: tuple[int, int, int] | None,
+    walls: int,
+    width: float,
+) -> list[tuple[np.ndarray, float]]:
+    """The layers of walls and then springs, as `line_layers`; for the rest `spring_colors`."""
+    springs = style.spring_colors(color, segments, all_have)
+    return line_layers(
+        np.concatenate([np.tile(style.unit(style.WALL), (walls, 1)), springs]), width
+    )
 
 
 VIEW = ViewKind(

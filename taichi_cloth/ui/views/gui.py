@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 import time
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from taichi_cloth.rasterizer import Balls, Floor, Lines, Mesh, Rasterizer
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui import drawing, pointer, style, surfaces, text, x11
+from taichi_cloth.ui import drawing, pointer, style, surfaces, x11
 from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import BUTTON_NAMES, Event, fewest_moves, key_name
@@ -24,7 +26,7 @@ from taichi_cloth.ui.window_map import WindowMap
 SETTLED = 0.2  # seconds a new size must last before the window follows it
 SAMPLES = 2  # a pixel of a 3-D scene is the mean of the square of so many: smooth edges
 LOOKED_AT, ENOUGH = 30, 0.012  # frames of a window in which a scene takes longer [s] to draw: 1
-EDGE_PARTS, EDGE_WIDTH = 16, 1.6  # of the world's edges; pixels
+EDGE_PARTS = 16  # of the world's edges
 
 
 class GuiView:
@@ -36,6 +38,7 @@ class GuiView:
     def __init__(self, world: World, size: tuple[int, int], title: str, *, visible: bool = True):
         self.world, self.visible, self._title = world, visible, title
         self.camera: Camera | None = camera_of_world(world)
+        self.room: Rect | None = None
         self.has_wheel = True
         self.closed = False
         self._gui: Any = None  # a ti.GUI
@@ -60,13 +63,27 @@ class GuiView:
             self._gui = ti.GUI(name, size, style.packed_one(style.WORLD), show_gui=self.visible)
         self._gui.fps_limit = None  # the app paces itself
         self.size = size
-        self._map = WindowMap.of(self.world, size)
         self._pixels = np.zeros((*size, 4), np.float32)
         self._rasterizer = None  # of the size before
         if self.visible:
             self._gui.show()  # only now does the window have its name
             self._tap = x11.connect(name, displays)
             self._gui.core.title = self._title
+
+    @property
+    def _map(self) -> WindowMap:
+        return WindowMap.of(self.world, self.size, self.room)
+
+    @property
+    def _room_height(self) -> int:
+        return self.room.height if self.room else self.size[1]
+
+    def entitle(self, title: str) -> None:
+        """Write a title over the window, if there is one."""
+        if title != self._title and not self.closed:
+            self._title = title
+            if self.visible:
+                self._gui.core.title = title
 
     def _follow_resize(self) -> None:
         """Open the window anew at the size the user gave it.
@@ -162,7 +179,6 @@ class GuiView:
             self._compose_3d(picture, self.camera)
             self._look_at(time.perf_counter() - begin)
         else:
-            self._gui.clear(style.packed_one(style.WORLD))
             self._compose_2d(picture)
         self._compose_overlay(picture)
         if self.visible:
@@ -203,8 +219,8 @@ class GuiView:
         if len(segments):
             first, second, color = self._springs(segments, picture.color, picture.spring_color)
             a, b = place.take(first, axis=0), place.take(second, axis=0)
-            wide = max(1.0, 0.75 * drawing.enlarged(self.world, window))
-            self._gui.lines(a, b, radius=wide, color=color)
+            wide = drawing.line_width(self._room_height)
+            self._gui.lines(a, b, radius=max(1.0, 0.75 * wide), color=color)
         if picture.as_spheres is not None:
             shown &= picture.as_spheres
         if shown.any():
@@ -213,14 +229,15 @@ class GuiView:
                 self._gui.circles(place, *disc)
 
     def _surround(self, low: np.ndarray, high: np.ndarray) -> None:
-        """Darken what lies outside the world's rectangle (the canvas is the world's colour)."""
-        w, h = self.size
+        """Darken what lies in the room beside the world (the canvas is the world's colour)."""
+        room = self.room or Rect(0, 0, *self.size)
+        x, y, right, bottom = room.x, room.y, room.x + room.width, room.y + room.height
         color = style.packed_one(style.SURROUND)
         for x0, y0, x1, y1 in (
-            (0, 0, low[0], h),
-            (high[0], 0, w, h),
-            (0, 0, w, low[1]),
-            (0, high[1], w, h),
+            (x, y, low[0], bottom),
+            (high[0], y, right, bottom),
+            (x, y, right, low[1]),
+            (x, high[1], right, bottom),
         ):
             if x1 - x0 > 0.5 and y1 - y0 > 0.5:
                 a, b, c, d = self._map.to_canvas([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
@@ -294,17 +311,11 @@ class GuiView:
         shown: np.ndarray,
         eye: np.ndarray,
     ) -> Balls:
-        """The particles that are drawn, and the dot at the origin of a world without axes."""
+        """The particles that are drawn."""
         if picture.as_spheres is not None:
             shown = shown & picture.as_spheres
         centre, radius = position[shown], picture.radius[shown]
         color = picture.color[shown] / 255
-        if not camera.y_up:
-            origin = camera.rotate_points(np.zeros((1, 3))) + eye
-            dot = drawing.origin_radius(self.size[1]) / (camera.focal_length * self._map.scale)
-            centre = np.concatenate([centre, origin])
-            radius = np.concatenate([radius, dot * origin[:, 2]])
-            color = np.concatenate([color, [np.array(style.ORIGIN) / 255]])
         return Balls(*(np.ascontiguousarray(a, np.float32) for a in (centre, radius, color)))
 
     def _scenery(self, camera: Camera, eye: np.ndarray) -> Lines:
@@ -312,7 +323,8 @@ class GuiView:
         edges, color = drawing.scenery(self.world, camera)
         end = camera.rotate_points(_cut(edges, EDGE_PARTS).reshape(-1, 3)) + eye
         color = np.repeat(color, EDGE_PARTS, axis=0).astype(np.float32)
-        return Lines(end.astype(np.float32), color, np.full(len(color), EDGE_WIDTH, np.float32))
+        wide = drawing.edge_width(self.size[1])
+        return Lines(end.astype(np.float32), color, np.full(len(color), wide, np.float32))
 
     def _spring_lines(
         self, picture: Picture, segments: np.ndarray, position: np.ndarray, pixels: float
@@ -332,18 +344,17 @@ class GuiView:
 
     def _compose_overlay(self, picture: Picture) -> None:
         """Copy the text's pixels over the frame (and keep the frame for `grab`)."""
-        panels = text.panels(picture, self.size)
-        marks = text.marks(picture.marks, self.size) if self.visible else ()
+        marks = picture.marks if self.visible else ()
         if picture.pointer is not None:
             if self.camera is not None:  # it is drawn on what is there
                 self._gui.core.set_img(self._pixels.ctypes.data)
             self._draw_pointer(picture.pointer)
         if self.camera is None or picture.pointer is not None:
             self._gui.core.get_img(self._pixels.ctypes.data)
-        for panel in panels:
+        for panel in picture.overlay:
             self._lay(panel)
         under = [(mark, self._lay(mark)) for mark in marks]
-        if panels or marks or self.camera is not None:
+        if picture.overlay or marks or self.camera is not None:
             self._gui.core.set_img(self._pixels.ctypes.data)
         for mark, pixels in under:
             self._place_of(mark)[:] = pixels
@@ -358,7 +369,7 @@ class GuiView:
         """Copy a panel over the frame; returns what was there."""
         place = self._place_of(panel)
         before: np.ndarray = place.copy()
-        place[:] = panel.pixels[::-1].transpose(1, 0, 2).astype(np.float32) / 255
+        place[:] = _canvas_block(panel)
         return before
 
     def _place_of(self, panel: Panel) -> np.ndarray:
@@ -367,6 +378,13 @@ class GuiView:
         top = self.size[1] - panel.y
         place: np.ndarray = self._pixels[panel.x : panel.x + w, top - h : top, :3]
         return place
+
+
+@lru_cache(maxsize=16)
+def _canvas_block(panel: Panel) -> np.ndarray:
+    """A panel's pixels as ti.GUI's canvas has them, (w, h, 3) floats 0..1 from the bottom up."""
+    upright = panel.pixels[::-1].transpose(1, 0, 2)
+    return np.ascontiguousarray(upright, np.float32) / 255
 
 
 def _prepared_springs(

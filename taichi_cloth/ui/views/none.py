@@ -6,6 +6,7 @@ import numpy as np
 
 from taichi_cloth.scene.model import World
 from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.views.contract import Picture, ViewKind
@@ -30,10 +31,14 @@ class NullView:
     ):
         self.size = size or default_window(world.size)
         self.camera: Camera | None = camera_of_world(world)
+        self.room: Rect | None = None
 
     def poll(self) -> list[Event]:
         """No events: there is nobody to make them."""
         return []
+
+    def entitle(self, title: str) -> None:
+        """There is no window to write it over."""
 
     def draw(self, picture: Picture) -> None:
         """Nothing is drawn."""

@@ -1,0 +1,119 @@
+"""Where in a window the world is shown, and where what is around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+SIDE_SHARE = 0.27  # of the window's width that a column beside the world takes
+SIDE_WIDTH = (15.0, 26.0)  # in text heights: below it labels do not fit, above it is mostly empty
+SMALLEST_ROOM = 64  # pixels that the world keeps along each side, whatever is open
+
+
+@dataclass(frozen=True)
+class Rect:
+    """A rectangle of window pixels; (x, y) is its upper left corner."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    def holds(self, pixel: tuple[float, float]) -> bool:
+        """Whether a window pixel (x, y) lies in it."""
+        x, y = pixel[0] - self.x, pixel[1] - self.y
+        return 0 <= x < self.width and 0 <= y < self.height
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What is open beside the world.
+
+    bar: the tool bar. strip: rows of the status. timeline: its row. columns: the names of what
+    stands in the column at the right, from the top down.
+    """
+
+    bar: bool = False
+    strip: int = 0
+    timeline: bool = False
+    columns: tuple[str, ...] = ()
+
+
+NOTHING = Parts()
+ROWS = 2  # of a status: counts, then settings
+
+
+def at_start(*, windowed: bool, status: bool) -> Parts:
+    """What is open from the start: a window has a tool bar and the status's first row; a picture,
+    which nobody can ask for more, the whole status.
+    """
+    return Parts(bar=windowed, strip=(1 if windowed else ROWS) if status else 0)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where everything is in a window of `size` (width, height) whose text is `text` pixels high.
+
+    world: where the world is shown. bar, strip, timeline: None where they are not open.
+    columns: by name, what stands at the right.
+    """
+
+    size: tuple[int, int]
+    text: int
+    world: Rect
+    bar: Rect | None
+    strip: Rect | None
+    timeline: Rect | None
+    columns: dict[str, Rect]
+
+
+def text_height(window_height: int) -> int:
+    """Height of the text in pixels, readable in small windows and large."""
+    return int(np.clip(round(window_height / 52), 12, 30))
+
+
+def bar_height(text: int) -> int:
+    """Height of the tool bar, pixels."""
+    return round(2.1 * text)
+
+
+def strip_height(rows: int, text: int) -> int:
+    """Height of the status with so many rows, pixels."""
+    return round(1.3 * text) * rows + round(0.6 * text) if rows else 0
+
+
+def timeline_height(text: int) -> int:
+    """Height of the timeline, pixels."""
+    return round(2.4 * text)
+
+
+def arrange(size: tuple[int, int], parts: Parts) -> Layout:
+    """Cut a window of `size` (width, height) into the world's room and what is open beside it."""
+    width, height = int(size[0]), int(size[1])
+    text = text_height(height)
+    top = bar_height(text) if parts.bar else 0
+    bottom = strip_height(parts.strip, text)
+    line = timeline_height(text) if parts.timeline else 0
+    side = 0
+    if parts.columns:
+        least, most = (round(n * text) for n in SIDE_WIDTH)
+        side = int(np.clip(round(SIDE_SHARE * width), least, most))
+        side = min(side, max(width - SMALLEST_ROOM, 0))
+    free = max(height - top - bottom - line, SMALLEST_ROOM)
+    world = Rect(0, top, max(width - side, SMALLEST_ROOM), free)
+    columns, y = {}, top
+    for number, name in enumerate(parts.columns):
+        left = len(parts.columns) - number
+        tall = (top + free - y) // left
+        columns[name] = Rect(width - side, y, side, tall)
+        y += tall
+    return Layout(
+        size=(width, height),
+        text=text,
+        world=world,
+        bar=Rect(0, 0, width, top) if parts.bar else None,
+        strip=Rect(0, height - bottom, width, bottom) if parts.strip else None,
+        timeline=Rect(0, top + free, width, line) if parts.timeline else None,
+        columns=columns,
+    )

@@ -1,0 +1,102 @@
+"""The tool bar: a button for each tool, and one for each thing that can be opened."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_cloth.ui import style, text
+from taichi_cloth.ui.chrome.layout import Rect
+from taichi_cloth.ui.text import Panel
+
+
+@dataclass(frozen=True)
+class Button:
+    """Something to click.
+
+    key: what a click does, too; it is written before the label. label: what is written on it.
+    chosen: whether it is in use. right: whether it stands at the bar's right end.
+    """
+
+    key: str
+    label: str
+    chosen: bool = False
+    right: bool = False
+
+
+def placed(buttons: Sequence[Button], rect: Rect, height: int) -> list[tuple[Button, Rect, bool]]:
+    """Where the buttons are in the bar's rectangle, and whether their labels are written.
+
+    Where there is too little room, only those in use and those of the tools keep their labels, then
+    only those in use, then none. height: of the text, pixels.
+    """
+    choices = (
+        [True] * len(buttons),
+        [b.chosen or not b.right for b in buttons],
+        [b.chosen for b in buttons],
+        [False] * len(buttons),
+    )
+    for labelled in choices:
+        widths = [_width(b, shown, height) for b, shown in zip(buttons, labelled, strict=True)]
+        if sum(widths) + _gap(height) * (len(buttons) + 2) <= rect.width:
+            break
+    gap, margin = _gap(height), round(0.2 * height)
+    found, x, end = [], rect.x + gap, rect.x + rect.width
+    for button, shown, width in zip(buttons, labelled, widths, strict=True):
+        if not button.right:
+            box = Rect(x, rect.y + margin, width, rect.height - 2 * margin)
+            found.append((button, box, shown))
+            x += width + gap
+    for button, shown, width in reversed(list(zip(buttons, labelled, widths, strict=True))):
+        if button.right:
+            end -= width + gap
+            box = Rect(end, rect.y + margin, width, rect.height - 2 * margin)
+            found.append((button, box, shown))
+    return [(b, box, shown) for b, box, shown in found if box.x + box.width <= rect.width]
+
+
+def panel(buttons: Sequence[Button], rect: Rect, height: int) -> Panel:
+    """The bar in its rectangle; height: of the text, pixels."""
+    pixels = np.empty((rect.height, rect.width, 3), np.uint8)
+    pixels[:] = style.PAPER
+    said = []
+    for button, box, shown in placed(buttons, rect, height):
+        left, top = box.x - rect.x, box.y - rect.y
+        block = pixels[top : top + box.height, left : left + box.width]
+        block[:] = style.CHOSEN if button.chosen else style.BUTTON
+        y = (box.height - height) / 2
+        pad = _pad(height)
+        text.write(block, button.key, (pad, y), height, style.KEY_INK)
+        said.append(button.key)
+        if shown:
+            x = pad + text.length(button.key + " ", height)
+            text.write(block, button.label, (x, y), height, style.INK)
+            said.append(button.label)
+    return Panel(rect.x, rect.y, pixels, " ".join(said))
+
+
+def hit(
+    buttons: Sequence[Button], rect: Rect, height: int, pixel: tuple[float, float]
+) -> Button | None:
+    """The button under a window pixel; None: there is none."""
+    for button, box, _ in placed(buttons, rect, height):
+        if box.holds(pixel):
+            return button
+    return None
+
+
+def _width(button: Button, labelled: bool, height: int) -> int:
+    said = f"{button.key} {button.label}" if labelled else button.key
+    return round(text.length(said, height)) + 2 * _pad(height)
+
+
+def _pad(height: int) -> int:
+    """Pixels between a button's ends and its words."""
+    return round(0.55 * height)
+
+
+def _gap(height: int) -> int:
+    """Pixels between buttons."""
+    return round(0.3 * height)

@@ -1,0 +1,96 @@
+"""A simulation's state as a `Picture`: what is drawn of it, and in which colours."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.ui import shown
+from taichi_cloth.ui.drawing import Cached
+from taichi_cloth.ui.solids import Solids
+from taichi_cloth.ui.tools.contract import Marks
+from taichi_cloth.ui.views.contract import Picture
+
+if TYPE_CHECKING:
+    from taichi_cloth.simulation.simulation import Simulation
+
+
+class Depiction:
+    """Makes pictures of a simulation; what has not changed is kept from one to the next.
+
+    show: what is drawn of cloths, words of `settings.options.SHOWN`; None: what suits the scene.
+    """
+
+    def __init__(self, sim: Simulation, show: frozenset[str] | None = None) -> None:
+        self.show = show or shown.default_for(sim.scene)
+        self._sim = sim
+        self._radius = Cached(_drawn_radius)
+        self._largest_disc = _largest_disc(sim.scene)
+        self._chosen = Cached(shown.chosen)
+        self._surface_colors = Cached(shown.surface_colors)
+        self._solids = Solids()
+
+    def show_next(self) -> None:
+        """Go on to the next choice of what is drawn of cloths."""
+        self.show = shown.next_choice(self.show)
+
+    def picture(self, marks: Marks | None = None) -> Picture:
+        """The state as it is now. marks: what a tool draws beside it."""
+        sim = self._sim
+        triangles, segments, as_spheres = self._chosen(
+            self.show, sim.drawn_triangles(), sim.drawn_springs(), sim.particle_count
+        )
+        made = Picture(
+            position=sim.drawn_positions(),
+            radius=self._radius(sim.radii(), self._largest_disc),
+            color=sim.colors(),
+            segments=segments,
+            spring_color=sim.scene.spring_color,
+            surface_color=self._surface_colors(sim.colors(), sim.fixed(), sim.triangles()),
+            triangles=triangles,
+            normals=sim.drawn_normals() if len(triangles) and sim.scene.world.dim == 3 else None,
+            as_spheres=as_spheres,
+            solids=self._solids.of(sim),
+            ground=sim.scene.world.ground if sim.scene.world.dim == 3 else None,
+        )
+        return made if marks is None else _with_marks(made, marks)
+
+
+def _drawn_radius(radius: np.ndarray, largest: float) -> np.ndarray:
+    """Radii to draw, (n,) float32."""
+    drawn: np.ndarray = np.minimum(radius, largest).astype(np.float32)
+    return drawn
+
+
+def _with_marks(picture: Picture, marks: Marks) -> Picture:
+    """`picture` with what a tool draws beside the scene."""
+    count, real = len(picture.position), picture.position.dtype
+    as_spheres = picture.as_spheres
+    if as_spheres is not None:
+        as_spheres = np.concatenate([as_spheres, np.ones(len(marks.position), bool)])
+    return replace(
+        picture,
+        position=np.concatenate([picture.position, marks.position.astype(real)]),
+        radius=np.concatenate([picture.radius, marks.radius.astype(np.float32)]),
+        color=np.concatenate([picture.color, marks.color]),
+        surface_color=np.concatenate([picture.color_in_surfaces, marks.color]),
+        segments=np.concatenate([picture.segments, count + marks.segments]),
+        as_spheres=as_spheres,
+        normals=None,
+    )
+
+
+def _largest_disc(scene: Scene) -> float:
+    """The radius above which a particle is drawn smaller than it is, world units.
+
+    Particles that pass through each other may be larger than the mesh they sit in, and would
+    hide its springs. Where they collide, or hang in chains, their size is what one looks at.
+    """
+    springs, position = scene.springs, scene.particles.position
+    if scene.world.collisions or len(springs) <= len(position):
+        return np.inf
+    a, b = springs.between.T
+    return 0.3 * float(np.median(np.linalg.norm(position[a] - position[b], axis=1))) or np.inf
