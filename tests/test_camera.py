@@ -10,7 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from taichi_cloth.scene.model import World
 from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.chrome.layout import Parts, arrange
+from taichi_cloth.ui.framing import window_of
 from taichi_cloth.ui.window_map import WindowMap, default_window
 
 GOLDEN = json.loads((Path(__file__).parent / "golden" / "projection.json").read_text())
@@ -103,14 +106,37 @@ def test_layout_keeps_the_aspect_and_inverts(world, window, pixel):
 
 
 def test_one_pixel_is_one_unit_in_a_window_of_the_worlds_size():
-    assert default_window((600.0, 400.0, 500.0)) == (600, 400)
     assert WindowMap((600, 400), (600, 400)).to_world((12.25, 7.5)).tolist() == [12.25, 7.5]
 
 
-@given(st.floats(1e-3, 1e6), st.floats(1e-3, 1e6))
-def test_default_windows_fit_a_screen(w, h):
-    width, height = default_window((w, h))
-    assert 120 <= height <= 1000 and 160 <= width <= 1600
+def test_a_worlds_window_has_its_aspect_and_room_for_what_is_around_it():
+    large = {"screen": (3000, 3000)}
+    assert default_window((800.0, 520.0), **large) == (1280, 832)
+    assert default_window((400.0, 400.0), **large) == (1280, 1280)
+    assert default_window((800.0, 520.0), around=lambda _: 60, **large) == (1280, 892)
+    assert default_window(None, **large) == (1280, 800)
+    parts = Parts(bar=True, strip=1)
+    window = window_of(World(size=(800.0, 520.0), gravity=(0.0, 0.0)), parts, (2560, 1440))
+    room = arrange(window, parts).world
+    assert room.width / room.height == pytest.approx(800 / 520, rel=0.02) and room.width >= 1280
+
+
+@given(st.floats(1e-3, 1e6), st.floats(1e-3, 1e6), st.integers(300, 4000), st.integers(200, 3000))
+def test_default_windows_fit_a_screen(w, h, across, down):
+    width, height = default_window((w, h), screen=(across, down))
+    assert 0 < width <= max(across, 1) and 0 < height <= down
+    assert width >= min(1280, 0.9 * across) and height >= min(800, 0.85 * down)
+
+
+@given(st.integers(200, 3000), st.integers(150, 2000), st.booleans(), st.integers(0, 2))
+def test_a_layout_covers_the_window_without_overlaps(width, height, bar, rows):
+    parts = Parts(bar=bar, strip=rows, timeline=bar, columns=("a", "b") if rows else ())
+    layout = arrange((width, height), parts)
+    rects = [layout.world, layout.bar, layout.strip, layout.timeline, *layout.columns.values()]
+    rects = [rect for rect in rects if rect is not None]
+    assert sum(rect.width * rect.height for rect in rects) == width * height
+    for pixel in ((0, 0), (width - 1, height - 1), (width // 2, height // 2)):
+        assert sum(rect.holds(pixel) for rect in rects) == 1
 
 
 def test_camera_needs_no_taichi():

@@ -91,7 +91,7 @@ class Hands(NullView):
 
 def end(view, **how):
     sim = Simulation(scene, topology="graph", execution="serial")
-    app.run(sim, view, frames=12, quiet=True, device="test", **how)
+    app.run(sim, view, frames=12, quiet=True, status=False, device="test", **how)
     return [sim.positions(), sim.velocities(), sim.springs()]
 
 
@@ -100,8 +100,8 @@ hands = Hands(scene.world, (600, 400))
 with Recorder("log.jsonl", {"window": [600, 400]}) as recorder:
     live = end(hands, recorder=recorder)
 assert len(live[0]) == 13 and live[2][-1, 1] == 12
-assert [len(picture.position) for picture in hands.pictures[:4]] == [12, 14, 13, 13]
-keys = [" ".join(picture.help) for picture in hands.pictures[:3]]
+assert [len(picture.position) for picture in hands.pictures[1:5]] == [12, 14, 13, 13]
+keys = [" ".join(part.words for part in one.overlay) for one in hands.pictures[1:4]]
 assert "move the mouse" not in keys[1] and "to here" in keys[1]
 assert all("y\\ttie the nearest" in lines for lines in keys) and "move the mouse" in keys[2]
 log = load_events("log.jsonl")

@@ -6,6 +6,7 @@ these programs are missing. What a window did is read from its interaction log a
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -27,11 +28,15 @@ from taichi_cloth.simulation.diagnostics import Work
 from taichi_cloth.ui import app, hud, text
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.camera_moves import ZOOM_STEP
+from taichi_cloth.ui.chrome import toolbar
+from taichi_cloth.ui.chrome.chrome import Chrome, Contents
+from taichi_cloth.ui.chrome.strip import Row
+from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import Event, fewest_moves
-from taichi_cloth.ui.views.contract import Picture
+from taichi_cloth.ui.text import Word
 from taichi_cloth.ui.views.none import NullView
 
 # Windows need a server and something that presses keys, which not every machine has. .ci/run
@@ -328,7 +333,7 @@ def test_kept_values_follow_what_they_are_made_of():
 class Script:
     """A view that plays prepared turns of events, and ends with the last."""
 
-    name, visible, has_wheel, camera = "script", True, True, None
+    name, visible, has_wheel, camera, room = "script", True, True, None, None
 
     def __init__(self, *turns, size=(600, 400)):
         self.turns, self.size, self.pictures = list(turns), size, []
@@ -341,11 +346,19 @@ class Script:
     def draw(self, picture):
         self.pictures.append(picture)
 
+    def entitle(self, title):
+        self.title = title
+
     def grab(self):
         return np.zeros((400, 600, 3), np.uint8)
 
     def close(self):
         pass
+
+
+def words(picture):
+    """All that is written over a picture."""
+    return "\n".join(panel.words for panel in picture.overlay)
 
 
 class Log:
@@ -365,15 +378,17 @@ def test_pause_step_and_reset():
     summary = app.run(sim, view, device="test")
     # Turns advance: yes, paused, no, step, no, reset, resumed, yes; the last closes the window.
     assert summary.frames == 4 and sim.frame == 2
-    assert "paused" in view.pictures[1].text[0]
+    said = [words(picture).splitlines()[1].split()[0] for picture in view.pictures[:4]]
+    assert said == ["starting:", "playing", "paused", "paused"] and "fake, " in view.title
 
 
 def test_help_hide_and_quit():
     view = Script([press(key="f1")], [press(key="h")], [press(key="escape")], [], [])
     summary = app.run(simulation("blow"), view, device="test")
     assert summary.quit and summary.frames == 2
-    assert view.pictures[0].help and view.pictures[0].text
-    assert not view.pictures[1].text
+    assert [len(picture.overlay) for picture in view.pictures[:2]] == [2, 3]
+    assert "this list" in words(view.pictures[1]) and "symplectic" not in words(view.pictures[1])
+    assert "symplectic" in words(view.pictures[2])
 
 
 def test_a_recorded_run_replays_exactly():
@@ -390,7 +405,8 @@ def test_a_recorded_run_replays_exactly():
         [],
     ]
     live, recorded = simulation("spawn"), Recorded()
-    summary = app.run(live, Script(*clicks), recorder=recorded, seed=3, device="test")
+    view = Script(*clicks)
+    summary = app.run(live, view, recorder=recorded, status=False, seed=3, device="test")
     by_frame = {}
     for frame, event in recorded:
         by_frame.setdefault(frame, []).append(event)
@@ -412,7 +428,7 @@ def test_a_resized_window_records_in_the_first_windows_pixels():
         return events
 
     view.poll = resized
-    app.run(sim, view, recorder=recorded, device="test")
+    app.run(sim, view, recorder=recorded, status=False, device="test")
     assert [event.pos for _, event in recorded] == [(100, 100), (100.0, 100.0)]
     assert [call[1] for call in calls(sim, "spawn")] == [(100.0, 100.0)] * 2
 
@@ -435,8 +451,9 @@ def test_a_failure_pauses_a_window_and_is_raised_without_one():
 
     view.poll = repaired
     summary = app.run(sim, view, device="test")
-    assert "particle 3" in view.pictures[0].banner and "r goes back" in view.pictures[1].banner
-    assert view.pictures[2].banner is None and summary.frames == 2
+    said = [words(picture) for picture in view.pictures[1:]]
+    assert "particle 3" in said[0] and "r goes back" in said[1] and "stopped" in said[1]
+    assert "particle 3" not in said[2] and summary.frames == 2
     sim.advance = fail
     with pytest.raises(SimulationFailure):
         app.run(sim, NullView(sim.scene.world), frames=5, device="test")
@@ -450,21 +467,19 @@ def test_the_meter_says_how_late_it_is():
         now[0] += 0.1
     assert meter.frames_per_second == pytest.approx(10)
     assert meter.behind == pytest.approx(3 - 30 / 60)
-    said = hud.rates_line(meter, paused=False)
+    said = " ".join(word.text for word in hud.rates(meter))
     assert "behind real time (0.17x)" in said and "50.00 ms" in said
 
 
 def frames_said(pictures):
-    """The frame that each picture's status says, and all that its first line says."""
-    lines = [next(line for line in p.text if "frame " in line) for p in pictures]
-    return [int(line.rpartition("frame ")[2]) for line in lines], {p.text[0] for p in pictures}
+    """The frame that each picture's status says."""
+    return [int(re.search(r"frame (\d+)", words(picture))[1]) for picture in pictures]
 
 
 def test_the_status_is_that_of_the_frame_drawn(tmp_path):
-    view = Script(*[[] for _ in range(8)])
+    view = Script([], [press(key="h")], *[[] for _ in range(6)], size=(1400, 800))
     app.run(simulation("blow"), view, device="test")
-    frames, firsts = frames_said(view.pictures)
-    assert frames == [1, 2, 3, 4, 5, 6, 7] and all("frames/s" in line for line in firsts)
+    assert frames_said(view.pictures[2:]) == [2, 3, 4, 5, 6, 7]
     runs = []
     for name in ("a", "b"):
         view = Script([], [])
@@ -473,15 +488,15 @@ def test_the_status_is_that_of_the_frame_drawn(tmp_path):
             simulation("blow"), view, frames=5, film=tmp_path / f"{name}.gif",
             image=tmp_path / f"{name}.png", quiet=True, device="test",
         )  # fmt: skip
-        runs.append(view.pictures)
-        assert frames_said(view.pictures)[0] == [1, 2, 3, 4, 5, 5]  # the last one is the picture
+        runs.append([words(picture) for picture in view.pictures])
+        assert frames_said(view.pictures) == [1, 2, 3, 4, 5, 5]  # the last one is the picture
         time.sleep(0.01)  # what a rate would show
-    assert [p.text for p in runs[0]] == [p.text for p in runs[1]]
-    words = " ".join(line for p in runs[0] for line in p.text)
-    assert "/s" not in words and " ms" not in words and "f1" not in words
+    assert runs[0] == runs[1]
+    said = " ".join(runs[0])
+    assert "/s" not in said and " ms" not in said and "tab" not in said
     view = Script([], [press(key="h")], [])
     app.run(simulation("blow"), view, status=False, device="test")
-    assert [bool(p.text) for p in view.pictures] == [False, True]
+    assert [bool(picture.overlay) for picture in view.pictures] == [False, False, True]
 
 
 def test_the_status_says_that_threads_which_were_asked_for_only_wait(monkeypatch):
@@ -498,9 +513,9 @@ def test_the_status_says_that_threads_which_were_asked_for_only_wait(monkeypatch
             sim.held_up = (1e-3, 5e-3)
 
     sim.advance = held_up_once
-    view = Script(*[[] for _ in range(9)])
+    view = Script(*[[] for _ in range(9)], size=(1400, 800))
     app.run(sim, view, device="test")
-    waits = ["threads wait" in p.text[0] for p in view.pictures]
+    waits = ["threads wait" in words(picture) for picture in view.pictures[1:]]
     assert waits == [False, True, True, True, True, False, False, False]
 
 
@@ -513,11 +528,11 @@ def test_a_reset_says_that_it_shortens_what_is_saved():
 
     view = Script([], [], [press(key="f1")], [press(key="r")], [])
     app.run(simulation("blow"), view, trajectory=Noted(), device="test")
-    assert "r\tback to the start; --save begins anew" in view.pictures[2].help
-    assert "forget 3 frames" in view.pictures[3].text[0]
+    assert "r\tback to the start; --save begins anew" in words(view.pictures[3])
+    assert "forget 3 frames" in words(view.pictures[4])
     view = Script([], [press(key="r")], [])
     app.run(simulation("blow"), view, device="test")
-    assert "--save" not in view.pictures[-1].text[0]
+    assert "--save" not in words(view.pictures[-1])
 
 
 def test_events_come_in_order_with_the_last_of_several_moves():
@@ -529,14 +544,18 @@ def test_events_come_in_order_with_the_last_of_several_moves():
 # Text
 
 
-def test_runs_paint_the_panel():
-    picture = Picture(
-        np.zeros((0, 2)), np.zeros(0), np.zeros((0, 3), np.uint8), np.zeros((0, 2), int),
-        text=("60 frames/s", "cloth"), help=("r\treset", "escape\tquit"),
-        banner="a long message " * 20,
-    )  # fmt: skip
+def test_what_is_around_the_world_fits_and_runs_paint_it():
     for size in ((600, 400), (1400, 900), (200, 150)):
-        for panel in text.panels(picture, size):
+        chrome = Chrome(windowed=True, status=True)
+        chrome.next_status()
+        layout = chrome.layout(size)
+        row = Row((Word("playing", (9, 200, 9)), Word("192 particles", (200, 9, 9), 2)))
+        buttons = tuple(Button(key, "a tool", chosen=key == "b") for key in "abcdefg")
+        keys = ("r\treset", "escape\tquit")
+        contents = Contents((row, row), buttons, keys, "a long message " * 20)
+        panels = chrome.overlay(layout, contents)
+        assert len(panels) == 4 and panels == chrome.overlay(layout, contents)
+        for panel in panels:
             painted = np.zeros((size[1], size[0], 3))
             corners, colors = text.runs(panel)
             for (x0, y0, x1, y1), color in zip(corners, colors, strict=True):
@@ -546,6 +565,21 @@ def test_runs_paint_the_panel():
             assert panel.x + w <= size[0] and panel.y + h <= size[1]
             seen = painted[panel.y : panel.y + h, panel.x : panel.x + w]
             np.testing.assert_allclose(seen, panel.pixels, atol=0.51)
+
+
+def test_a_click_on_a_button_is_its_key_and_the_bar_is_no_world():
+    """A click on the button that pauses; then one beside all buttons, which puts no particle."""
+    sim = simulation("spawn")
+    chrome = Chrome(windowed=True, status=True)
+    layout = chrome.layout((900, 500))
+    buttons = hud.buttons(sim.scene, None, paused=False)
+    placed = {b.key: box for b, box, _ in toolbar.placed(buttons, layout.bar, layout.text)}
+    at = placed["p"].x + 3, placed["p"].y + 3
+    view = Script([], [press("left", at)], [press("left", (2, 2))], [], size=(900, 500))
+    recorded = Recorded()
+    summary = app.run(sim, view, recorder=recorded, device="test")
+    assert summary.frames == 1 and not calls(sim, "spawn")
+    assert [(event.kind, event.key) for _, event in recorded] == [("press", "p")]
 
 
 # Real windows
@@ -574,7 +608,8 @@ springs = Springs.build([(0, 1)], place)
 runtime.start()
 scene = Scene("probe", world, particles, springs, ParticleDefaults(radius=30.0))
 sim = Simulation(scene, execution="serial")
-view = open_view(kind, world, title="taichi-cloth probe")
+size = (600, 400)
+view = open_view(kind, world, size=size, title="taichi-cloth probe", status=False)
 
 
 class Recorder:
@@ -585,7 +620,7 @@ class Recorder:
 
 
 open(log, "w").close()
-app.run(sim, view, recorder=Recorder(), image=image)
+app.run(sim, view, recorder=Recorder(), image=image, status=False)
 view.close()
 """
 
@@ -623,7 +658,7 @@ class Window:
 
     def find(self):
         def found():
-            said = self.ask("search", "--onlyvisible", "--name", "taichi-cloth probe")
+            said = self.ask("search", "--onlyvisible", "--name", "probe")
             self.id = said.split()[0] if said else None
             return self.id
 
@@ -729,7 +764,6 @@ def test_a_click_puts_a_particle_under_the_pointer(window, dim):
     w.do("key", "p")  # so that it stays where it was put
     w.point(250, 120)
     w.do("click", "1")
-    w.do("key", "h")
     w.quit()
     assert [e["pos"] for e in w.events() if e.get("button")][0] == [250, 120]
     pixels = np.asarray(Image.open(w.image).convert("RGB")).astype(int)
@@ -743,14 +777,11 @@ def test_a_resized_window_keeps_the_aspect_and_cuts_nothing_off(window):
     from PIL import Image
 
     w = window("none", 2)
-    w.do("key", "h")
     w.do("windowsize", w.id, 1000, 400)
     time.sleep(1.0)
     w.find()
     w.point(501, 201)
     w.point(500, 200)
-    w.do("key", "h")
-    w.do("key", "h")
     assert w.events()[-1]["size"] == [1000, 400]
     assert [e["pos"] for e in w.events() if e["kind"] == "move"][-1] == [300, 200]
     w.quit()
@@ -776,7 +807,7 @@ def test_the_picture_without_a_window_shows_the_scene(kind, dim, caches, tmp_pat
     code = (
         textwrap.dedent(PROGRAM)
         .replace(
-            'view = open_view(kind, world, title="taichi-cloth probe")',
+            'view = open_view(kind, world, size=size, title="taichi-cloth probe", status=False)',
             f"from taichi_cloth.ui.views.{kind} import VIEW\n"
             "view = VIEW.open(world, (900, 600), 'probe', visible=False)",
         )
@@ -822,7 +853,8 @@ def test_without_a_display_auto_says_so_and_runs_headless(monkeypatch, capsys):
 
     monkeypatch.setattr(runtime, "display_available", lambda: False)
     assert open_view("auto", world("none")).name == "none"
-    assert capsys.readouterr().err.count("\n") == 1
+    reason, instead = capsys.readouterr().err.splitlines()
+    assert "running headless" in reason and "works here" in instead
 
 
 # Films

@@ -22,7 +22,7 @@ from taichi_cloth.ui import film as films
 from taichi_cloth.ui import hud, rescue, style
 from taichi_cloth.ui.chrome import messages
 from taichi_cloth.ui.chrome.chrome import Chrome, Contents
-from taichi_cloth.ui.chrome.layout import Layout, Rect, at_start
+from taichi_cloth.ui.chrome.layout import Layout, Rect
 from taichi_cloth.ui.chrome.strip import Row
 from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.controls import Controls
@@ -220,7 +220,7 @@ class _Loop:
             )
         self._pace = Pace()
         self._depiction = Depiction(sim, show)
-        self._chrome = Chrome(at_start(windowed=view.visible, status=status))
+        self._chrome = Chrome(windowed=view.visible, status=status)
         self._buttons: tuple[Button, ...] = ()
         self._paused = paused and view.visible
         self._step = False
@@ -368,8 +368,9 @@ class _Loop:
             command = self._controls.apply(logged, replayed=True)
             if command in ("reset", "status", "show", "help", "quit"):
                 self._obey(command)
-        layout = self._arranged()
-        for given in self.view.poll():
+        events = self.view.poll()
+        layout = self._arranged()  # only now: the window may have another size
+        for given in events:
             self._awake_until = time.perf_counter() + AWAKE
             event = self._on_chrome(given, layout)
             if event is None:

@@ -103,7 +103,7 @@ def rates(meter: Meter) -> tuple[Word, ...]:
 def buttons(scene: Scene, tool: Tool[Any] | None, *, paused: bool) -> tuple[Button, ...]:
     """The tool bar's: tools that have a key, then what can be opened, at the right end."""
     found = [
-        Button(other.key, other.name, chosen=other is tool)
+        Button(other.key, other.label, chosen=other is tool)
         for other in tools.load_all().values()
         if other.key
     ]

@@ -12,7 +12,6 @@ from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.chrome.layout import arrange, at_start
 from taichi_cloth.ui.framing import window_of
 from taichi_cloth.ui.views.contract import View, ViewKind
-from taichi_cloth.ui.x11 import screen_size
 
 
 def usable_views() -> dict[str, str | None]:
@@ -71,7 +70,8 @@ def open_view(
         chosen = next(other for other in kinds.values() if other.pictures())
     try:
         parts = at_start(windowed=visible, status=status)
-        chosen_size = size or window_of(world, parts, screen_size() if visible else None)
+        screen = surroundings.equipment() if visible and size is None else None
+        chosen_size = size or window_of(world, parts, screen.size if screen else None)
         view = chosen.open(world, chosen_size, title, visible=visible)
     except RuntimeError as error:  # of Taichi: a display or driver that fails after all
         reason = str(error).strip().partition("\n")[0]

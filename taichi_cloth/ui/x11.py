@@ -113,9 +113,6 @@ def xlib() -> ctypes.CDLL | None:
         ("XOpenDisplay", _pointer, [ctypes.c_char_p]),
         ("XCloseDisplay", _int, [_pointer]),
         ("XDefaultRootWindow", _window, [_pointer]),
-        ("XDefaultScreen", _int, [_pointer]),
-        ("XDisplayWidth", _int, [_pointer, _int]),
-        ("XDisplayHeight", _int, [_pointer, _int]),
         ("XResourceManagerString", ctypes.c_char_p, [_pointer]),
         ("XKeysymToKeycode", ctypes.c_ubyte, [_pointer, _window]),
         ("XGetPointerMapping", _int, [_pointer, _pointer, _int]),
@@ -389,18 +386,6 @@ class Connection:
 
 
 _SIZE = ctypes.sizeof(_Event)
-
-
-def screen_size() -> tuple[int, int] | None:
-    """The screen's (width, height) in pixels; None where no X server says it."""
-    x = xlib()
-    display = x.XOpenDisplay(None) if x is not None and os.environ.get("DISPLAY") else None
-    if x is None or not display:
-        return None
-    number = x.XDefaultScreen(display)
-    size = x.XDisplayWidth(display, number), x.XDisplayHeight(display, number)
-    x.XCloseDisplay(display)
-    return size
 
 
 def connect(title: str, displays: list[int]) -> Connection | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from taichi_cloth.ui.chrome import messages, strip, toolbar
-from taichi_cloth.ui.chrome.layout import ROWS, Layout, Parts, arrange
+from taichi_cloth.ui.chrome.layout import ROWS, Layout, arrange, at_start
 from taichi_cloth.ui.chrome.strip import Row
 from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.text import Panel
@@ -31,17 +31,20 @@ class Contents:
 class Chrome:
     """Knows what is open around the world of a window, or of a picture.
 
-    start: what is open from the start.
+    windowed: whether it is a window, which has a tool bar. status: whether anything is open from
+    the start.
     """
 
-    def __init__(self, start: Parts) -> None:
-        self._parts = start
+    def __init__(self, *, windowed: bool, status: bool) -> None:
+        self._windowed = windowed
+        self._parts = at_start(windowed=windowed, status=status)
         self._strip = lru_cache(maxsize=4)(strip.panel)
         self._bar = lru_cache(maxsize=4)(toolbar.panel)
 
     def next_status(self) -> None:
-        """Show more of the status, or after all of it none."""
-        self._parts = replace(self._parts, strip=(self._parts.strip + 1) % (ROWS + 1))
+        """Show more of the status; after all of it nothing, so that the world has the window."""
+        rows = (self._parts.strip + 1) % (ROWS + 1)
+        self._parts = replace(self._parts, strip=rows, bar=self._windowed and rows > 0)
 
     def layout(self, size: tuple[int, int]) -> Layout:
         """Where everything is in a window of `size` (width, height)."""

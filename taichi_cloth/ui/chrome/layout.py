@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,10 +45,12 @@ ROWS = 2  # of a status: counts, then settings
 
 
 def at_start(*, windowed: bool, status: bool) -> Parts:
-    """What is open from the start: a window has a tool bar and the status's first row; a picture,
-    which nobody can ask for more, the whole status.
+    """What is open from the start, where a status is wanted: in a window a tool bar and the first
+    row of the status; in a picture, which nobody can ask for more, the whole status.
     """
-    return Parts(bar=windowed, strip=(1 if windowed else ROWS) if status else 0)
+    if not status:
+        return NOTHING
+    return Parts(bar=True, strip=1) if windowed else Parts(strip=ROWS)
 
 
 @dataclass(frozen=True)
@@ -89,31 +91,53 @@ def timeline_height(text: int) -> int:
 
 
 def arrange(size: tuple[int, int], parts: Parts) -> Layout:
-    """Cut a window of `size` (width, height) into the world's room and what is open beside it."""
+    """Cut a window of `size` (width, height) into the world's room and what is open beside it.
+
+    Where the world would have too little, what matters least is left out.
+    """
     width, height = int(size[0]), int(size[1])
     text = text_height(height)
-    top = bar_height(text) if parts.bar else 0
-    bottom = strip_height(parts.strip, text)
-    line = timeline_height(text) if parts.timeline else 0
-    side = 0
-    if parts.columns:
-        least, most = (round(n * text) for n in SIDE_WIDTH)
-        side = int(np.clip(round(SIDE_SHARE * width), least, most))
-        side = min(side, max(width - SMALLEST_ROOM, 0))
-    free = max(height - top - bottom - line, SMALLEST_ROOM)
-    world = Rect(0, top, max(width - side, SMALLEST_ROOM), free)
+    parts = _fitting(parts, width, height, text)
+    top, bottom, line = _heights(parts, text)
+    side = _side(width, text) if parts.columns else 0
+    free = height - top - bottom - line
     columns, y = {}, top
     for number, name in enumerate(parts.columns):
-        left = len(parts.columns) - number
-        tall = (top + free - y) // left
+        tall = (top + free - y) // (len(parts.columns) - number)
         columns[name] = Rect(width - side, y, side, tall)
         y += tall
     return Layout(
         size=(width, height),
         text=text,
-        world=world,
+        world=Rect(0, top, width - side, free),
         bar=Rect(0, 0, width, top) if parts.bar else None,
         strip=Rect(0, height - bottom, width, bottom) if parts.strip else None,
         timeline=Rect(0, top + free, width, line) if parts.timeline else None,
         columns=columns,
     )
+
+
+def _fitting(parts: Parts, width: int, height: int, text: int) -> Parts:
+    """Of the parts as many as leave the world its room."""
+    if parts.columns and width - _side(width, text) < SMALLEST_ROOM:
+        parts = replace(parts, columns=())
+    for fewer in ({}, {"timeline": False}, {"strip": min(1, parts.strip)}, {"strip": 0}):
+        parts = replace(parts, **fewer)
+        if height - sum(_heights(parts, text)) >= SMALLEST_ROOM:
+            return parts
+    return NOTHING
+
+
+def _heights(parts: Parts, text: int) -> tuple[int, int, int]:
+    """Heights of the bar, the status and the timeline, pixels; 0 where they are not open."""
+    return (
+        bar_height(text) if parts.bar else 0,
+        strip_height(parts.strip, text),
+        timeline_height(text) if parts.timeline else 0,
+    )
+
+
+def _side(width: int, text: int) -> int:
+    """Width of the column at the right, pixels."""
+    least, most = (round(n * text) for n in SIDE_WIDTH)
+    return int(np.clip(round(SIDE_SHARE * width), least, most))

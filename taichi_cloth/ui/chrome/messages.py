@@ -1,4 +1,4 @@
-"""What is laid over the world for a while: the list of keys, a banner where a run stopped, marks."""
+"""What is laid over the world for a while: a list of keys, a banner where a run stopped, marks."""
 
 from __future__ import annotations
 
