@@ -13,6 +13,7 @@ import sys
 import textwrap
 import time
 from dataclasses import replace as changed
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -57,10 +58,14 @@ class FakeSimulation:
     def __init__(self, scene):
         self.scene, self.frame, self.calls = scene, 0, []
         self.prepared = 0
+        self.storage = SimpleNamespace(loads=0, altered=False)
         self.x, self.pairs = list(scene.particles.position), []
 
     def held(self):
         return None
+
+    def checkpoint(self):
+        return SimpleNamespace(frame=self.frame, arrays=lambda: [])
 
     def let_go(self):
         self.calls.append(("let_go",))
