@@ -206,7 +206,11 @@ class GguiView:
             # What was shown or taken is gone; the same picture is drawn again.
             self._compose(replace(self._last, marks=()))
         self._fresh = False
-        return drawing.as_image(self._window.get_image_buffer_as_numpy())
+        pixels = drawing.as_image(self._window.get_image_buffer_as_numpy())
+        if self.visible and not self._was_destroyed():
+            # Else it would be shown in the place of the next frame, which would be drawn over it.
+            self._window.show()
+        return pixels
 
     def _was_destroyed(self) -> bool:
         """Whether the window is gone; it is closed then. Raises ConnectionCut where that is why."""
