@@ -1,17 +1,16 @@
 """Pictures and films taken by keys, by Python, and in notebooks: what they hold, where they go."""
 
 import numpy as np
-import pytest
 from PIL import Image
 
 from taichi_cloth.scene import library
-from taichi_cloth.ui import app, film, text
+from taichi_cloth.ui import app, film
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.shutter import Shutter
 from taichi_cloth.ui.views.none import NullView
 
 SCENE = library.build("cloth", columns=4, rows=3)
-SIZE = 64, 48
+SIZE = 320, 240
 
 
 class Pressed(NullView):
@@ -21,18 +20,24 @@ class Pressed(NullView):
 
     def __init__(self, turns):
         super().__init__(SCENE.world, SIZE)
-        self.turns, self.marks = list(turns), []
+        self.turns, self.titles, self.shown = list(turns), [], []
 
     def poll(self):
         if not self.turns:
             return [Event("press", key="escape")]
         return [Event("press", key=key) for key in self.turns.pop(0)]
 
+    def entitle(self, title):
+        self.titles.append(title)
+
     def draw(self, picture):
-        self.marks.append(picture.marks)
+        self.shown.append("\n".join(panel.words for panel in picture.overlay))
 
     def grab(self):
-        return np.full((SIZE[1], SIZE[0], 3), 40, np.uint8)
+        pixels = np.full((SIZE[1], SIZE[0], 3), 200, np.uint8)
+        room = self.room
+        pixels[room.y : room.y + room.height] = 40
+        return pixels
 
 
 def test_keys_save_pictures_and_films_that_replace_none(pool, tmp_path, capsys):
@@ -43,7 +48,6 @@ def test_keys_save_pictures_and_films_that_replace_none(pool, tmp_path, capsys):
     names = ["cloth-1.mp4", "cloth-1.png", "cloth-2.mp4", "cloth-2.png", "cloth-3.png"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
     assert (tmp_path / "cloth-1.png").read_bytes() == b"mine"
-    assert Image.open(tmp_path / "cloth-3.png").size == SIZE
     said = capsys.readouterr().out.splitlines()
     assert said[0] == f"saved {tmp_path}/cloth-2.png" and len(said) == 4
     # Frames 3, 4, then (after three turns of pause) 8 and 9: four.
@@ -52,17 +56,18 @@ def test_keys_save_pictures_and_films_that_replace_none(pool, tmp_path, capsys):
 
     frames = [imageio.get_reader(tmp_path / f"cloth-{n}.mp4").count_frames() for n in (1, 2)]
     assert frames == [4, 2]
-    recording = [any(line.startswith(text.DOT) for line in lines) for lines in view.marks]
-    assert recording == 2 * [False] + 7 * [True] + 3 * [False] + 2 * [True] + [False] * (
-        len(recording) - 14
-    )
+    recording = ["recording" in words for words in view.shown]
+    assert recording[:3] == [False] * 3 and recording[3:9] == [True] * 6 and not recording[10]
+    assert any("recording 0 s, paused" in title for title in view.titles)
+    first = np.asarray(Image.open(tmp_path / "cloth-2.png"))
+    assert (first == 40).all() and first.shape[0] < SIZE[1]  # the world alone
 
 
 def test_what_cannot_be_saved_is_told_and_ends_nothing(tmp_path, capsys, monkeypatch):
     missing = Shutter("cloth", str(tmp_path / "gone"))
     missing.begin_or_end()
     missing.take(np.zeros((4, 4, 3), np.uint8))
-    assert not missing.wants() and "there is no folder" in missing.marks()[0]
+    assert not missing.wants() and "there is no folder" in missing.notice
     assert capsys.readouterr().out.count("not saved: ") == 2
     monkeypatch.setattr(film, "has_ffmpeg", lambda: False)
     monkeypatch.chdir(tmp_path)
@@ -71,18 +76,8 @@ def test_what_cannot_be_saved_is_told_and_ends_nothing(tmp_path, capsys, monkeyp
     assert there.wants()
     there.add(np.zeros((8, 8, 3), np.uint8))
     there.begin_or_end()
+    assert there.notice == f"saved {tmp_path}/a-b-scene-1.gif, 0.0 s"
     there.begin_or_end()  # this one has no frame, and leaves no file
     there.save()
     assert [path.name for path in tmp_path.iterdir()] == ["a-b-scene-1.gif"]
     assert not capsys.readouterr().out
-
-
-@pytest.mark.parametrize("size", [(800, 600), (2560, 1440), (200, 100)])
-def test_marks_stay_in_the_window(size):
-    panels = text.marks((f"{text.DOT}recording 3.1 s   v ends it", "saved " + "/long" * 30), size)
-    assert len(panels) == 2
-    for panel in panels:
-        h, w = panel.pixels.shape[:2]
-        assert panel.x >= 0 and panel.y >= 0 and panel.x + w <= size[0] and panel.y + h <= size[1]
-    red = (panels[0].pixels == (232, 64, 64)).all(axis=2)
-    assert red.any() and not red[:, red.shape[1] // 2 :].any()

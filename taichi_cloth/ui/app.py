@@ -20,7 +20,6 @@ from taichi_cloth.scene.model import World
 from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import hud, rescue, style
-from taichi_cloth.ui.chrome import messages
 from taichi_cloth.ui.chrome.chrome import Chrome, Contents
 from taichi_cloth.ui.chrome.layout import Layout, Rect
 from taichi_cloth.ui.chrome.strip import Row
@@ -285,10 +284,13 @@ class _Loop:
 
     def _keep(self, pixels: np.ndarray) -> None:
         """Put the frame (h, w, 3) uint8 into the films and the picture that want it."""
+        room = self.view.room or Rect(0, 0, *self.view.size)
+        world = pixels[room.y : room.y + room.height, room.x : room.x + room.width]
         while self._unfilmed:
-            self._unfilmed.pop().add(pixels)
+            film = self._unfilmed.pop()
+            film.add(world if film is self._shutter else pixels)
         if self._shutter.due:
-            self._shutter.take(pixels)
+            self._shutter.take(world)
 
     def _to_be_drawn(self, advanced: bool) -> bool:
         """Whether a window must be drawn: while nothing happens in it, now and then is enough."""
@@ -461,9 +463,6 @@ class _Loop:
         return replace(
             picture,
             overlay=self._chrome.overlay(layout, self._contents()),
-            marks=messages.marks(self._shutter.marks(), layout.world, layout.text)
-            if self.view.visible
-            else (),
             pointer=self._pointer(),
         )
 
@@ -527,7 +526,7 @@ class _Loop:
             state=self._state_of_run() if windowed else None,
             tool=self._controls.tool.name if self._controls.tool else None,
             rates=self._rates,
-            notice=self._notice if now < self._notice_until else None,
+            notice=self._shutter.notice or (self._notice if now < self._notice_until else None),
         )
 
     @property
@@ -538,6 +537,9 @@ class _Loop:
         """What a window is doing, in a word."""
         if self.failure is not None:
             return Word("stopped", style.BAD)
+        if self._shutter.state is not None:
+            paused = ", paused" if self._paused else ""
+            return Word(self._shutter.state + paused, style.RECORDING)
         if self._paused:
             return Word("paused", style.WARN)
         if self.frames == 0:

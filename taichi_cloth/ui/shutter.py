@@ -12,13 +12,14 @@ import numpy as np
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.ui import film as films
-from taichi_cloth.ui.chrome.messages import DOT
 
 SAID_FOR = 5.0  # seconds for which the window says where something was saved
 
 
 class Shutter:
     """What takes pictures in a window: one at a time, and films that a key begins and ends.
+
+    They show the world's room alone: what is around it says that a film is being made.
 
     name: of the scene, with which the files' names begin. folder: where they go; None: the current
     folder, or the home where that cannot be written to. quiet: nothing is said on the terminal.
@@ -93,14 +94,17 @@ class Shutter:
         else:
             self._tell("nothing filmed: no frame was simulated")
 
-    def marks(self) -> tuple[str, ...]:
-        """What the window shows of it, in lines, and no picture: that it records, what it saved."""
-        lines = []
-        if self._film is not None:
-            lines.append(f"{DOT}recording {self._frames / films.FILM_RATE:.1f} s   v ends it")
-        if time.monotonic() < self._said_until:
-            lines.append(self._said)
-        return tuple(lines)
+    @property
+    def state(self) -> str | None:
+        """What the window says while a film is being made; None: none is."""
+        if self._film is None:
+            return None
+        return f"recording {self._frames / films.FILM_RATE:.0f} s"
+
+    @property
+    def notice(self) -> str | None:
+        """What it saved lately, or why it could not; None: nothing."""
+        return self._said if time.monotonic() < self._said_until else None
 
     def _tell(self, on_screen: str, in_terminal: str | None = None) -> None:
         self._said, self._said_until = on_screen, time.monotonic() + SAID_FOR

@@ -1,17 +1,14 @@
-"""What is laid over the world for a while: a list of keys, a banner where a run stopped, marks."""
+"""What is laid over the world for a while: a list of keys, a banner where a run stopped."""
 
 from __future__ import annotations
 
 from functools import lru_cache
-
-import numpy as np
 
 from taichi_cloth.ui import style, text
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.text import Panel
 
 SMALLEST = 8  # pixels of text that is shrunk to fit
-DOT = "\u25cf "  # before a line of `marks`: a red disc stands in its place
 
 
 @lru_cache(maxsize=4)
@@ -43,33 +40,3 @@ def banner(message: str, room: Rect, height: int) -> Panel:
         lines, height, paper=style.BANNER_PAPER, inks=(style.BANNER_INK,) * 2, width=room.width
     )
     return Panel(room.x, room.y, pixels[: room.height], message)
-
-
-@lru_cache(maxsize=4)
-def marks(lines: tuple[str, ...], room: Rect, height: int) -> tuple[Panel, ...]:
-    """Lines in the top right corner of the world's room, smaller where they are too long.
-
-    One that begins with `DOT` has a red disc there.
-    """
-    out, top = [], room.y
-    for line in lines:
-        fitting = height
-        while fitting > SMALLEST and text.length(line, fitting) > room.width - 2 * fitting:
-            fitting -= 1
-        red, said = line.startswith(DOT), line.removeprefix(DOT)
-        pixels = text.rasterise([said], fitting, paper=style.PAPER, inks=(style.INK, style.INK))
-        if red:
-            disc = _red_disc(len(pixels))
-            pixels = np.concatenate([disc, pixels[:, text.pad(fitting) // 2 :]], 1)
-        pixels = pixels[:, : room.width]
-        out.append(Panel(room.x + room.width - pixels.shape[1], top, pixels, line))
-        top += len(pixels)
-    return tuple(out)
-
-
-def _red_disc(side: int) -> np.ndarray:
-    """A red disc on paper, (side, side, 3) uint8, with smooth edges."""
-    away = np.hypot(*(np.mgrid[:side, :side] + 0.5 - side / 2))
-    share = np.round(np.clip(0.28 * side + 0.5 - away, 0, 1) * 4)[:, :, None] / 4
-    disc: np.ndarray = share * np.array(style.RECORDING) + (1 - share) * np.array(style.PAPER)
-    return disc.astype(np.uint8)

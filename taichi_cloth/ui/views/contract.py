@@ -31,7 +31,6 @@ class Picture:
     as_spheres: (n,) bool, which particles are drawn as spheres or discs; None: all.
     solids: the surfaces of obstacles. ground: the height of a floor; None: there is none.
     overlay: what is laid over the frame, in this order.
-    marks: the same, but only on a window: `grab` leaves them out.
     pointer: the pointer, where it is drawn.
 
     Radius, color, segments and triangles are the same objects as before while they are equal, so
@@ -50,7 +49,6 @@ class Picture:
     solids: Solid | None = None
     ground: float | None = None
     overlay: tuple[Panel, ...] = ()
-    marks: tuple[Panel, ...] = ()
     pointer: Pointer | None = None
 
     @property
@@ -95,7 +93,7 @@ class View(Protocol):
         """Draw and present one frame."""
 
     def grab(self) -> np.ndarray:
-        """The frame drawn last without its marks, (height, width, 3) uint8, row 0 on top."""
+        """The frame drawn last, (height, width, 3) uint8, row 0 on top."""
 
     def close(self) -> None:
         """Give the window back. May be called twice."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -204,7 +203,7 @@ class GguiView:
             raise RuntimeError("nothing has been drawn yet")
         if not self._fresh:
             # What was shown or taken is gone; the same picture is drawn again.
-            self._compose(replace(self._last, marks=()))
+            self._compose(self._last)
         self._fresh = False
         pixels = drawing.as_image(self._window.get_image_buffer_as_numpy())
         if self.visible and not self._was_destroyed():
@@ -341,10 +340,10 @@ class GguiView:
     def _compose_overlay(self, picture: Picture) -> None:
         if picture.pointer is not None:
             self._draw_pointer(picture.pointer)
-        panels = (*picture.overlay, *(picture.marks if self.visible else ()))
-        if panels:
+        if picture.overlay:
             size = self.size
-            self._triangles(np.concatenate([self._panel_vertices(p, size) for p in panels]))
+            panels = [self._panel_vertices(panel, size) for panel in picture.overlay]
+            self._triangles(np.concatenate(panels))
 
     def _panel_vertices_anew(self, panel: Panel, size: tuple[int, int]) -> np.ndarray:
         """Vertices of a panel in a window of this size."""

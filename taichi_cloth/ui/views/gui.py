@@ -344,7 +344,6 @@ class GuiView:
 
     def _compose_overlay(self, picture: Picture) -> None:
         """Copy the text's pixels over the frame (and keep the frame for `grab`)."""
-        marks = picture.marks if self.visible else ()
         if picture.pointer is not None:
             if self.camera is not None:  # it is drawn on what is there
                 self._gui.core.set_img(self._pixels.ctypes.data)
@@ -353,11 +352,8 @@ class GuiView:
             self._gui.core.get_img(self._pixels.ctypes.data)
         for panel in picture.overlay:
             self._lay(panel)
-        under = [(mark, self._lay(mark)) for mark in marks]
-        if picture.overlay or marks or self.camera is not None:
+        if picture.overlay or self.camera is not None:
             self._gui.core.set_img(self._pixels.ctypes.data)
-        for mark, pixels in under:
-            self._place_of(mark)[:] = pixels
 
     def _draw_pointer(self, drawn: Pointer) -> None:
         """Draw the pointer: its lines, on wider dark ones."""
@@ -365,19 +361,11 @@ class GuiView:
         for color, wide in ((pointer.SHADE, pointer.WIDE_SHADE), (pointer.COLOR, pointer.WIDE)):
             self._gui.lines(a, b, radius=wide / 2, color=style.packed_one(color))
 
-    def _lay(self, panel: Panel) -> np.ndarray:
-        """Copy a panel over the frame; returns what was there."""
-        place = self._place_of(panel)
-        before: np.ndarray = place.copy()
-        place[:] = _canvas_block(panel)
-        return before
-
-    def _place_of(self, panel: Panel) -> np.ndarray:
-        """The pixels (w, h, 3) of the frame that a panel covers."""
+    def _lay(self, panel: Panel) -> None:
+        """Copy a panel over the frame."""
         h, w = panel.pixels.shape[:2]
         top = self.size[1] - panel.y
-        place: np.ndarray = self._pixels[panel.x : panel.x + w, top - h : top, :3]
-        return place
+        self._pixels[panel.x : panel.x + w, top - h : top, :3] = _canvas_block(panel)
 
 
 @lru_cache(maxsize=16)
