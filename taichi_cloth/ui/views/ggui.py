@@ -45,7 +45,7 @@ NO_VULKAN = "GGUI needs Vulkan, which is not there (install a Vulkan driver, suc
 WHEEL = {4: 1.0, 5: -1.0}  # X's numbers of the wheel's buttons -> notches away from the user
 SETTINGS = Path("imgui.ini")  # of GGUI's text library, which we do not use
 SMOOTH_LINES = 12_000  # so many lines in space have smooth edges, which take long to draw
-MESH_VERTICES = 170_000  # spheres are meshes up to so many vertices (10-40 ms in software)
+MESH_VERTICES = 5_000  # spheres are meshes up to so many vertices (8 ms in software)
 ENTITLED = 0.25  # seconds after which a title is written again
 FAR_AWAY = 100.0  # lights of surfaces, in distances of the eye: their rays are parallel
 SPHERES = ((10.0, 1), (45.0, 2), (math.inf, 3))  # up to this radius in pixels: subdivisions
@@ -523,9 +523,7 @@ class GguiView:
         """
         largest = float(np.max(radius * focal / depth))
         level = next(n for limit, n in SPHERES if largest <= limit)
-        while level > 0 and len(centre) * (10 * 4**level + 2) > MESH_VERTICES:
-            level -= 1
-        if level == 0:
+        if len(centre) * (10 * 4**level + 2) > MESH_VERTICES:
             self._particles_3d(centre, radius, color, depth)
             return
         meshes = self._spheres
