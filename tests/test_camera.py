@@ -130,9 +130,9 @@ def test_default_windows_fit_a_screen(w, h, across, down):
 
 @given(st.integers(200, 3000), st.integers(150, 2000), st.booleans(), st.integers(0, 2))
 def test_a_layout_covers_the_window_without_overlaps(width, height, bar, rows):
-    parts = Parts(bar=bar, strip=rows, timeline=bar, columns=("a", "b") if rows else ())
+    parts = Parts(bar=bar, strip=rows, row="a" if bar else "", columns=("a", "b") if rows else ())
     layout = arrange((width, height), parts)
-    rects = [layout.world, layout.bar, layout.strip, layout.timeline, *layout.columns.values()]
+    rects = [layout.world, layout.bar, layout.strip, layout.row, *layout.columns.values()]
     rects = [rect for rect in rects if rect is not None]
     assert sum(rect.width * rect.height for rect in rects) == width * height
     for pixel in ((0, 0), (width - 1, height - 1), (width // 2, height // 2)):

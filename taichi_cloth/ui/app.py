@@ -21,8 +21,9 @@ from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import hud, rescue, style
 from taichi_cloth.ui.chrome.chrome import Chrome, Contents
+from taichi_cloth.ui.chrome.contract import Part
 from taichi_cloth.ui.chrome.layout import Layout, Rect
-from taichi_cloth.ui.chrome.strip import Row
+from taichi_cloth.ui.chrome.timeline_row import TimelineRow
 from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.depiction import Depiction
@@ -31,6 +32,7 @@ from taichi_cloth.ui.interaction import Log, LogEvent
 from taichi_cloth.ui.opening import offscreen
 from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.shutter import Shutter
+from taichi_cloth.ui.status import Status
 from taichi_cloth.ui.text import Word
 from taichi_cloth.ui.timeline import SPEEDS, Pace
 from taichi_cloth.ui.travel import Travel
@@ -42,11 +44,10 @@ if TYPE_CHECKING:
 
 # Keys that act on the window alone. They work while a log is replayed, too.
 WINDOW_KEYS = (
-    *("escape", "h", "d", "s", "v", "p", SLOW_KEY),
+    *("escape", "h", "d", "s", "v", "p", "l", "m", "o", SLOW_KEY),
     *(*STEP_KEYS, *BACK_KEYS, *HELP_KEYS),
 )
 
-NOTICE_SECONDS = 4.0  # how long a word about the last click stays, or about threads that waited
 # A window in which nothing moves: seconds after the last event until it sleeps, between its
 # pictures then (what was before it may have gone), and between looks at what the user does.
 AWAKE, ASLEEP, POLLED = 1.0, 1.0, 1 / 30
@@ -203,7 +204,6 @@ class _Loop:
         self._shutter = shutter
         self._films: list[films.Film | Shutter] = [shutter] if film is None else [film, shutter]
         self._unfilmed: list[films.Film | Shutter] = []  # what the frame last drawn goes into
-        self._device = device or runtime.current_device().describe()
         if replay is not None:
             seed = int(replay.header.get("seed", seed))
         self._log = dict(replay.by_frame) if replay is not None else {}
@@ -219,19 +219,18 @@ class _Loop:
             )
         self._pace = Pace()
         self._depiction = Depiction(sim, show)
-        self._chrome = Chrome(windowed=view.visible, status=status)
+        parts: list[Part] = []
+        if self._travel:
+            timeline = self._travel.timeline
+            parts.append(TimelineRow(timeline, self._go_to, lambda: self._pace.slowness))
+        self._chrome = Chrome(windowed=view.visible, status=status, parts=parts)
         self._buttons: tuple[Button, ...] = ()
         self._paused = paused and view.visible
         self._step = False
         self._show_help = False
         self.failure: SimulationFailure | None = None
         self._meter = hud.Meter()
-        self._rates: tuple[Word, ...] = ()
-        self._rates_due = 0.0
-        self._notice: str | None = None
-        self._notice_until = 0.0
-        self._held_up: tuple[float, float] | None = None
-        self._held_up_until = 0.0
+        self._status = Status(sim, device or runtime.current_device().describe(), self._meter)
         self._next_frame = 0.0
         self._awake_until = self._drawn_at = 0.0
         self._drawn_size = (0, 0)
@@ -327,7 +326,8 @@ class _Loop:
         except SimulationFailure as error:
             if not self.view.visible:
                 raise
-            self.failure, self._rates_due = error, 0.0
+            self.failure = error
+            self._status.hurry()
             self._meter.interrupt()
             return
         self.frames += 1
@@ -374,7 +374,7 @@ class _Loop:
         layout = self._arranged()  # only now: the window may have another size
         for given in events:
             self._awake_until = time.perf_counter() + AWAKE
-            event = self._on_chrome(given, layout)
+            event = self._chrome.take(given, layout, self._buttons)
             if event is None:
                 continue
             if self._replaying:
@@ -390,18 +390,6 @@ class _Loop:
                 self._travel.settle()
             if command:
                 self._obey(command)
-
-    def _on_chrome(self, event: Event, layout: Layout) -> Event | None:
-        """What an event means that may be for what is around the world; None: nothing more.
-
-        A click on a button is its key; the pointer beside the world does nothing to it.
-        """
-        if event.pos is None or event.kind == "release" or layout.world.holds(event.pos):
-            return event
-        if event.kind == "press" and event.button == "left":
-            button = self._chrome.clicked(layout, self._buttons, event.pos)
-            return Event("press", key=button.key) if button else None
-        return None
 
     def _in_log_window(self, event: Event) -> Event:
         """`event` with its position converted from our window to the log's."""
@@ -451,9 +439,11 @@ class _Loop:
             self._shutter.press()
         elif command == "film":
             self._shutter.begin_or_end()
+        elif self._chrome.toggle(command):
+            pass
         elif command == "help":
             self._show_help = not self._show_help
-        self._rates_due = 0.0
+        self._status.hurry()
 
     # Pictures
 
@@ -482,8 +472,19 @@ class _Loop:
         if self._show_help:
             saves = self._trajectory is not None
             keys = hud.help_lines(sim.scene, self.view.has_wheel, self._controls.tool, saves=saves)
-        self._buttons = hud.buttons(sim.scene, self._controls.tool, paused=self._paused)
-        return Contents(self._status(), self._buttons, keys, banner)
+        tool = self._controls.tool
+        opens = self._chrome.buttons()
+        self._buttons = hud.buttons(sim.scene, tool, opens, paused=self._paused)
+        windowed = self.view.visible
+        rows = self._status.rows(
+            time.perf_counter() if windowed else self.frames / hud.FRAME_RATE,
+            state=self._state_of_run() if windowed else None,
+            moving=not self._stopped,
+            tool=tool.name if tool else None,
+            notice=self._controls.notice,
+            urgent=self._shutter.notice,
+        )
+        return Contents(rows, self._buttons, keys, banner)
 
     def _pointer(self) -> Pointer | None:
         """The pointer, where a log or a film shows it, and a window's cursor does not.
@@ -500,34 +501,6 @@ class _Loop:
             ring *= here.scale * (camera.focal_length / camera.distance if camera else 1.0)
         cross = self._controls.pressed or self._replaying or not self.view.visible
         return Pointer(place, ring, cross) if cross or ring is not None else None
-
-    def _status(self) -> tuple[Row, ...]:
-        """The status of this very frame; its rates change now and then, so that one can read them.
-
-        Without a window it follows from the frames alone, so that the same run has the same
-        pictures.
-        """
-        windowed = self.view.visible
-        # A film's second has as many frames as a window's.
-        now = time.perf_counter() if windowed else self.frames / hud.FRAME_RATE
-        if self._controls.notice != self._notice:
-            self._notice, self._notice_until = self._controls.notice, now + NOTICE_SECONDS
-        if windowed:
-            if self.sim.held_up is not self._held_up:  # found anew, for as long as it goes on
-                self._held_up, self._held_up_until = self.sim.held_up, now + NOTICE_SECONDS
-            if now >= self._rates_due:
-                self._rates_due = now + hud.REFRESH
-                self._rates = () if self._stopped else hud.rates(self._meter)
-                if now < self._held_up_until:
-                    self._rates += (hud.HELD_UP,)
-        return hud.status_rows(
-            self.sim,
-            self._device,
-            state=self._state_of_run() if windowed else None,
-            tool=self._controls.tool.name if self._controls.tool else None,
-            rates=self._rates,
-            notice=self._shutter.notice or (self._notice if now < self._notice_until else None),
-        )
 
     @property
     def _stopped(self) -> bool:

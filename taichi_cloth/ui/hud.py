@@ -100,14 +100,17 @@ def rates(meter: Meter) -> tuple[Word, ...]:
     return tuple(words)
 
 
-def buttons(scene: Scene, tool: Tool[Any] | None, *, paused: bool) -> tuple[Button, ...]:
-    """The tool bar's: tools that have a key, then what can be opened, at the right end."""
+def buttons(
+    scene: Scene, tool: Tool[Any] | None, opens: Sequence[Button] = (), *, paused: bool
+) -> tuple[Button, ...]:
+    """The tool bar's: tools that have a key, then at the right end `opens`, what can be opened."""
     found = [
         Button(other.key, other.label, chosen=other is tool)
         for other in tools.load_all().values()
         if other.key
     ]
     found.append(Button("p", "play" if paused else "pause", chosen=paused, right=True))
+    found += opens
     if len(scene.triangles):
         found.append(Button("d", "draw", right=True))
     found += [Button("h", "status", right=True), Button("tab", "keys", right=True)]
@@ -186,10 +189,11 @@ def help_lines(
             "z\tback to the view before",
         ]
     lines += [
+        "l\tthe last 10 seconds, to go through",
         ("p" if tool and "space" in tool.modifiers else "space, p") + "\tpause and go on",
         ".  or right arrow\tone frame, while paused",
         ",  or left arrow\tone frame back, in the last 10 s",
-        "m\tslow motion: half as fast, down to 1/16",
+        "q\tslow motion: half as fast, down to 1/16",
         "r\tback to the start" + ("; --save begins anew" if saves else ""),
         *(["d\tdraw surface, springs, particles"] if len(scene.triangles) else []),
         "h\tmore of the status, or none",

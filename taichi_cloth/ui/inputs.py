@@ -66,7 +66,7 @@ _KEY_NAMES = {
 }
 
 # What the program's own keys ask for, beside those of the camera.
-STEP_KEYS, BACK_KEYS, SLOW_KEY = (".", "right"), (",", "left"), "m"
+STEP_KEYS, BACK_KEYS, SLOW_KEY = (".", "right"), (",", "left"), "q"
 HELP_KEYS = ("f1", "tab")
 COMMANDS = {
     "p": "pause",
@@ -79,6 +79,9 @@ COMMANDS = {
     "d": "show",
     "s": "picture",
     "v": "film",
+    "l": "timeline",
+    "m": "meters",
+    "o": "settings",
     **dict.fromkeys(HELP_KEYS, "help"),
     "escape": "quit",
 }

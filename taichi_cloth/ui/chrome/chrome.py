@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from taichi_cloth.ui.chrome import messages, strip, toolbar
-from taichi_cloth.ui.chrome.layout import ROWS, Layout, arrange, at_start
+from taichi_cloth.ui.chrome.contract import COLUMN, ROW, Part
+from taichi_cloth.ui.chrome.layout import ROWS, Layout, Rect, arrange, at_start
 from taichi_cloth.ui.chrome.strip import Row
 from taichi_cloth.ui.chrome.toolbar import Button
+from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.text import Panel
 
 
@@ -32,23 +34,43 @@ class Chrome:
     """Knows what is open around the world of a window, or of a picture.
 
     windowed: whether it is a window, which has a tool bar. status: whether anything is open from
-    the start.
+    the start. parts: what can be opened.
     """
 
-    def __init__(self, *, windowed: bool, status: bool) -> None:
+    def __init__(self, *, windowed: bool, status: bool, parts: Sequence[Part] = ()) -> None:
         self._windowed = windowed
-        self._parts = at_start(windowed=windowed, status=status)
+        self._open = at_start(windowed=windowed, status=status)
+        self._parts = {part.name: part for part in parts}
+        self._held: Part | None = None  # whose the pointer is
         self._strip = lru_cache(maxsize=4)(strip.panel)
         self._bar = lru_cache(maxsize=4)(toolbar.panel)
 
     def next_status(self) -> None:
         """Show more of the status; after all of it nothing, so that the world has the window."""
-        rows = (self._parts.strip + 1) % (ROWS + 1)
-        self._parts = replace(self._parts, strip=rows, bar=self._windowed and rows > 0)
+        rows = (self._open.strip + 1) % (ROWS + 1)
+        self._open = replace(self._open, strip=rows, bar=self._windowed and rows > 0)
+
+    def toggle(self, name: str) -> bool:
+        """Open or close the part of this name; whether there is one."""
+        part = self._parts.get(name)
+        if part is None:
+            return False
+        if part.place == ROW:
+            self._open = replace(self._open, row="" if self._open.row == name else name)
+        else:
+            wanted = set(self._open.columns) ^ {name}
+            columns = tuple(n for n, p in self._parts.items() if p.place == COLUMN and n in wanted)
+            self._open = replace(self._open, columns=columns)
+        self._held = None
+        return True
+
+    def is_open(self, name: str) -> bool:
+        """Whether a part is open."""
+        return name in (self._open.row, *self._open.columns)
 
     def layout(self, size: tuple[int, int]) -> Layout:
         """Where everything is in a window of `size` (width, height)."""
-        return arrange(size, self._parts)
+        return arrange(size, self._open)
 
     def overlay(self, layout: Layout, contents: Contents) -> tuple[Panel, ...]:
         """All that is open, as panels; one that is equal to one before is the same object."""
@@ -56,18 +78,50 @@ class Chrome:
         if layout.bar is not None:
             found.append(self._bar(contents.buttons, layout.bar, layout.text))
         if layout.strip is not None:
-            rows = contents.rows[: self._parts.strip]
+            rows = contents.rows[: self._open.strip]
             found.append(self._strip(rows, layout.strip, layout.text))
+        found += [part.panel(rect, layout.text) for part, rect in self._placed(layout)]
         if contents.keys:
             found.append(messages.keys(contents.keys, layout.world, layout.text))
         if contents.banner:
             found.append(messages.banner(contents.banner, layout.world, layout.text))
         return tuple(found)
 
-    def clicked(
-        self, layout: Layout, buttons: Sequence[Button], pixel: tuple[float, float]
-    ) -> Button | None:
-        """The button of the tool bar under a window pixel; None: there is none."""
-        if layout.bar is None:
-            return None
-        return toolbar.hit(buttons, layout.bar, layout.text, pixel)
+    def buttons(self) -> tuple[Button, ...]:
+        """Those that open and close the parts."""
+        return tuple(
+            Button(part.key, part.label, chosen=self.is_open(name), right=True)
+            for name, part in self._parts.items()
+        )
+
+    def take(self, event: Event, layout: Layout, buttons: Sequence[Button]) -> Event | None:
+        """What an event means that may be for what is around the world; None: nothing more.
+
+        A click on a button of the bar is its key; the pointer beside the world does nothing to it.
+        """
+        placed = self._placed(layout)
+        if event.pos is None:
+            for part, rect in placed:
+                if part.focused:
+                    part.take(event, rect, layout.text)
+                    return None
+            return event
+        for part, rect in placed:
+            if self._held is part or (self._held is None and rect.holds(event.pos)):
+                self._held = part if part.take(event, rect, layout.text) else None
+                return None
+            if part.focused and event.kind == "press":
+                part.take(event, rect, layout.text)  # a click elsewhere ends it
+        if event.kind == "release" or layout.world.holds(event.pos):
+            return event
+        if event.kind == "press" and event.button == "left" and layout.bar is not None:
+            button = toolbar.hit(buttons, layout.bar, layout.text, event.pos)
+            return Event("press", key=button.key) if button else None
+        return None
+
+    def _placed(self, layout: Layout) -> list[tuple[Part, Rect]]:
+        """The parts that are open, and where."""
+        found = [(self._parts[name], rect) for name, rect in layout.columns.items()]
+        if layout.row is not None:
+            found.append((self._parts[self._open.row], layout.row))
+        return found

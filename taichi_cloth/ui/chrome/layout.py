@@ -30,13 +30,13 @@ class Rect:
 class Parts:
     """What is open beside the world.
 
-    bar: the tool bar. strip: rows of the status. timeline: its row. columns: the names of what
-    stands in the column at the right, from the top down.
+    bar: the tool bar. strip: rows of the status. row: the name of what stands in the row above it
+    ("": nothing). columns: the names of what stands in the column at the right, from the top down.
     """
 
     bar: bool = False
     strip: int = 0
-    timeline: bool = False
+    row: str = ""
     columns: tuple[str, ...] = ()
 
 
@@ -57,7 +57,7 @@ def at_start(*, windowed: bool, status: bool) -> Parts:
 class Layout:
     """Where everything is in a window of `size` (width, height) whose text is `text` pixels high.
 
-    world: where the world is shown. bar, strip, timeline: None where they are not open.
+    world: where the world is shown. bar, strip, row: None where they are not open.
     columns: by name, what stands at the right.
     """
 
@@ -66,7 +66,7 @@ class Layout:
     world: Rect
     bar: Rect | None
     strip: Rect | None
-    timeline: Rect | None
+    row: Rect | None
     columns: dict[str, Rect]
 
 
@@ -85,9 +85,9 @@ def strip_height(rows: int, text: int) -> int:
     return round(1.3 * text) * rows + round(0.6 * text) if rows else 0
 
 
-def timeline_height(text: int) -> int:
-    """Height of the timeline, pixels."""
-    return round(2.4 * text)
+def row_height(text: int) -> int:
+    """Height of the row above the status, pixels."""
+    return round(2.6 * text)
 
 
 def arrange(size: tuple[int, int], parts: Parts) -> Layout:
@@ -112,7 +112,7 @@ def arrange(size: tuple[int, int], parts: Parts) -> Layout:
         world=Rect(0, top, width - side, free),
         bar=Rect(0, 0, width, top) if parts.bar else None,
         strip=Rect(0, height - bottom, width, bottom) if parts.strip else None,
-        timeline=Rect(0, top + free, width, line) if parts.timeline else None,
+        row=Rect(0, top + free, width, line) if parts.row else None,
         columns=columns,
     )
 
@@ -121,7 +121,7 @@ def _fitting(parts: Parts, width: int, height: int, text: int) -> Parts:
     """Of the parts as many as leave the world its room."""
     if parts.columns and width - _side(width, text) < SMALLEST_ROOM:
         parts = replace(parts, columns=())
-    for fewer in ({}, {"timeline": False}, {"strip": min(1, parts.strip)}, {"strip": 0}):
+    for fewer in ({}, {"row": ""}, {"strip": min(1, parts.strip)}, {"strip": 0}):
         parts = replace(parts, **fewer)
         if height - sum(_heights(parts, text)) >= SMALLEST_ROOM:
             return parts
@@ -129,11 +129,11 @@ def _fitting(parts: Parts, width: int, height: int, text: int) -> Parts:
 
 
 def _heights(parts: Parts, text: int) -> tuple[int, int, int]:
-    """Heights of the bar, the status and the timeline, pixels; 0 where they are not open."""
+    """Heights of the bar, the status and the row above it, pixels; 0 where they are not open."""
     return (
         bar_height(text) if parts.bar else 0,
         strip_height(parts.strip, text),
-        timeline_height(text) if parts.timeline else 0,
+        row_height(text) if parts.row else 0,
     )
 
 

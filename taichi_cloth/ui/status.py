@@ -1,0 +1,72 @@
+"""The status of a window or a picture; its rates change now and then, so that one can read them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from taichi_cloth.ui import hud
+from taichi_cloth.ui.chrome.strip import Row
+from taichi_cloth.ui.text import Word
+
+if TYPE_CHECKING:
+    from taichi_cloth.simulation.simulation import Simulation
+
+NOTICE_SECONDS = 4.0  # how long a word about the last click stays, or about threads that waited
+
+
+@dataclass
+class Status:
+    """What the status says.
+
+    sim: of which. device: from `Device.describe()`. meter: of a window's rates.
+    """
+
+    sim: Simulation
+    device: str
+    meter: hud.Meter
+    _rates: tuple[Word, ...] = ()
+    _rates_due: float = 0.0
+    _notice: str | None = None
+    _notice_until: float = 0.0
+    _held_up: tuple[float, float] | None = None
+    _held_up_until: float = 0.0
+
+    def hurry(self) -> None:
+        """Have the rates read anew for the next frame."""
+        self._rates_due = 0.0
+
+    def rows(
+        self,
+        now: float,
+        *,
+        state: Word | None,
+        moving: bool,
+        tool: str | None,
+        notice: str | None,
+        urgent: str | None = None,
+    ) -> tuple[Row, ...]:
+        """The status of the frame that `sim` is at.
+
+        now: seconds, of a clock that without a window goes with the frames, so that the same run
+        has the same pictures. state: of a window, in a word; None without one. moving: whether
+        frames come. tool: the one in hand. notice: what was last told. urgent: what is told before.
+        """
+        if notice != self._notice:
+            self._notice, self._notice_until = notice, now + NOTICE_SECONDS
+        if state is not None:
+            if self.sim.held_up is not self._held_up:  # found anew, for as long as it goes on
+                self._held_up, self._held_up_until = self.sim.held_up, now + NOTICE_SECONDS
+            if now >= self._rates_due:
+                self._rates_due = now + hud.REFRESH
+                self._rates = hud.rates(self.meter) if moving else ()
+                if now < self._held_up_until:
+                    self._rates += (hud.HELD_UP,)
+        return hud.status_rows(
+            self.sim,
+            self.device,
+            state=state,
+            tool=tool,
+            rates=self._rates,
+            notice=urgent or (self._notice if now < self._notice_until else None),
+        )
