@@ -55,12 +55,18 @@ def is_beyond(length2, shortest2, longest2):
 def _break_spring(spec: ti.template(), state: ti.template(), s):
     """Remove spring s on the graph if it was breaking, else mark it if it is over its limit."""
     if state.status[s] == BREAKING:
-        state.status[s] = GONE
-        for end in ti.static(range(2)):
-            # A spring from a particle to itself pulls nowhere.
-            state.csr_other[state.half[s, end]] = state.ends[s, end]
+        _remove_spring(state, s)
     else:
         _mark_spring(spec, state, s)
+
+
+@ti.func
+def _remove_spring(state: ti.template(), s):
+    """Let spring s on the graph be gone."""
+    state.status[s] = GONE
+    for end in ti.static(range(2)):
+        # A spring from a particle to itself pulls nowhere.
+        state.csr_other[state.half[s, end]] = state.ends[s, end]
 
 
 @ti.func
@@ -149,13 +155,20 @@ def _break_links(spec: ti.template(), state: ti.template(), g, i):
         for s in range(spec.kinds):
             link = link_index(state, s, i) * spec.lanes + lane
             if slot_number(spec, state.link_status, link) == BREAKING:
-                set_slot_number(spec, state.link_status, link, GONE)
-                set_slot_number(spec, state.link_k, link, 0.0)
                 state.breaking[i] -= 1
-                if ti.static(spec.line_kinds > 0):
-                    _break_lines(spec, state, s, g, i, lane)
+                _remove_link(spec, state, s, g, i, lane)
             else:
                 _mark_link(spec, state, s, g, i, lane)
+
+
+@ti.func
+def _remove_link(spec: ti.template(), state: ti.template(), s, g, i, lane):
+    """Let the link of kind s in one lane of pack i be gone, and what needs it."""
+    link = link_index(state, s, i) * spec.lanes + lane
+    set_slot_number(spec, state.link_status, link, GONE)
+    set_slot_number(spec, state.link_k, link, 0.0)
+    if ti.static(spec.line_kinds > 0):
+        _break_lines(spec, state, s, g, i, lane)
 
 
 @ti.func
@@ -213,3 +226,38 @@ def mark_new_springs(spec: ti.template(), state: ti.template(), step: ti.i32):
         each_pack(spec, state, 0, _mark_links)
     if ti.static(spec.springs):
         each(spec, state, 0, state.n_springs[None], _mark_spring)
+
+
+@ti.kernel
+def cut_springs(
+    spec: ti.template(),
+    state: ti.template(),
+    springs: ti.types.ndarray(),
+    links: ti.types.ndarray(),
+    n_springs: ti.i32,
+    n_links: ti.i32,
+    step: ti.i32,
+):
+    """Let springs be gone at once, as if they had broken in step number `step`.
+
+    springs: (n_springs,) or longer, their numbers on the graph; links: (n_links, 2) or longer, kind
+    and slot of the earlier end. Those that are gone already stay as they are.
+    """
+    for _ in range(1):  # one after the other: several may be in one pack
+        if ti.static(spec.springs):
+            for m in range(n_springs):
+                if state.status[springs[m]] != GONE:
+                    state.break_step[springs[m]] = step
+                    _remove_spring(state, springs[m])
+        if ti.static(spec.kinds > 0):
+            for m in range(n_links):
+                s, i, lane = links[m, 0], links[m, 1] // spec.lanes, links[m, 1] % spec.lanes
+                link = link_index(state, s, i) * spec.lanes + lane
+                status = slot_number(spec, state.link_status, link)
+                if status != GONE:
+                    if status == BREAKING:
+                        state.breaking[i] -= 1
+                    set_slot_number(spec, state.link_step, link, step)
+                    _remove_link(spec, state, s, state.grid_of[i], i, lane)
+    if ti.static(spec.stencils):
+        each(spec, state, 0, state.n_stencils[None], _break_stencil)

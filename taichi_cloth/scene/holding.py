@@ -24,6 +24,12 @@ class Hold:
     damping: np.ndarray
     mass: np.ndarray
 
+    @classmethod
+    def nobody(cls, dim: int) -> Hold:
+        """A hold of no particle."""
+        none = np.zeros(0)
+        return cls(np.zeros(0, np.int64), np.zeros((0, dim)), np.zeros(dim), none, none, none)
+
     @property
     def targets(self) -> np.ndarray:
         """Where each of the particles is held, (m, dim)."""

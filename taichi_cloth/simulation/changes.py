@@ -41,6 +41,11 @@ class Changes(ABC):
     def particle_count(self) -> int:
         """How many particles there are."""
 
+    @property
+    @abstractmethod
+    def spring_count(self) -> int:
+        """How many springs there are, broken ones included."""
+
     @abstractmethod
     def network(self) -> Network:
         """The particles where they are, and the springs that pull."""
@@ -109,8 +114,12 @@ class Changes(ABC):
 
     def cut(self, springs: ArrayLike) -> None:
         """Let springs be gone at once, by indices or a mask (s,). They count as broken."""
+        chosen = accepted.selection("cut: springs", springs, self.spring_count, "spring")
+        if self.storage.cut(chosen, self.steps):
+            self.storage.mark_new_springs(self.steps)
+            return
         now = self.storage.snapshot()
-        self._edit(now, editing.with_cut(now, springs, self.steps))
+        self._edit(now, editing.with_cut(now, chosen, self.steps))
 
     def remove(self, particles: ArrayLike) -> np.ndarray:
         """Remove particles, by indices or a mask (n,), with all springs at them.

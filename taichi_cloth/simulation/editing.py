@@ -121,9 +121,8 @@ def with_spring(now: Snapshot, i: int, j: int, given: Mapping[str, Any]) -> tupl
     return replace(now, scene=replace(scene, springs=Springs(**columns)), marks=marks), s
 
 
-def with_cut(now: Snapshot, springs: Any, steps: int) -> Snapshot:
+def with_cut(now: Snapshot, chosen: np.ndarray, steps: int) -> Snapshot:
     """The state in which some springs are gone, after `steps` steps; what is gone stays so."""
-    chosen = accepted.selection("cut: springs", springs, len(now.marks), "spring")
     marks = now.marks.copy()
     holding = chosen[marks[chosen, 0] != GONE]
     # In a step before the last one, so that a frame that is undone does not mend them.

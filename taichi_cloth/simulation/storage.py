@@ -395,6 +395,12 @@ class Storage:
             columns = len(state.vector_names) * dim + len(state.particle_names)
             nothing = np.zeros(1, np.int32), np.zeros((1, columns), self.real)
             found.append(partial(self._launch, transfer.load_particles, *nothing))
+        if self.scene.world.tools:
+            nobody = np.zeros(0, np.int32), np.zeros((0, 2), np.int32)
+            found.append(partial(self._launch_cut, *nobody, 0))
+            if self.scene.world.held is None:
+                found += [partial(self._launch_hold, Hold.nobody(dim), np.ones(n), 0)]
+                found += [partial(self._launch, grab.move_hold, np.zeros(dim, self.real))]
         if self.specialization.fracture and len(self._now.placement.graph_springs) == 0:
             none = np.zeros((1, 2), np.int32)
             found.append(partial(self._launcher.launch, readback.read_fracture, state, none))
@@ -443,6 +449,28 @@ class Storage:
             self._launcher.launch(blow.clear_push, self.state)
             self.pushed, self._held, self._altered = False, False, True
 
+    # --- cuts ------------------------------------------------------------------------------
+
+    def cut(self, springs: np.ndarray, steps: int) -> bool:
+        """Let springs be gone, by number, after `steps` steps, without a load.
+
+        False, with nothing done, where what is compiled knows no springs that break, or where what
+        the method keeps of each particle's springs is only summed by a load.
+        """
+        if not self.specialization.fracture or "summed_springs" in self._needs:
+            return False
+        placement = self._now.placement
+        graph = np.flatnonzero(np.isin(placement.graph_springs, springs))
+        links = placement.link_places[np.isin(placement.links, springs)]
+        self._launch_cut(graph.astype(np.int32), links, steps - 1)
+        self._drawn_springs, self._altered = None, True
+        return True
+
+    def _launch_cut(self, graph: np.ndarray, links: np.ndarray, step: int) -> None:
+        some = np.zeros(1, np.int32), np.zeros((1, 2), np.int32)  # a kernel takes no empty array
+        arrays = (graph if len(graph) else some[0], links if len(links) else some[1])
+        self._launch(fracture.cut_springs, *arrays, len(graph), len(links), step)
+
     # --- what the mouse holds --------------------------------------------------------------
 
     def grab(self, hold: Hold | None, mass: np.ndarray | None = None) -> None:
@@ -467,7 +495,10 @@ class Storage:
         w = np.where(self.scene.particles.fixed[mine], 0.0, 1.0 / weights[mine])
         pull = grabbing * np.column_stack([hold.offset, hold.stiffness, hold.damping])
         rows = as_real(self.real, "particle", pull, w)
-        self._launch(grab.hold, mine.astype(np.int32), rows, grabbing)
+        arrays = mine.astype(np.int32), rows
+        if len(mine) == 0:  # a kernel takes no empty array
+            arrays = np.zeros(1, np.int32), np.zeros((1, rows.shape[1]), self.real)
+        self._launch(grab.hold, *arrays, len(mine), grabbing)
         if self._now.container.spec.halo and "spring_colours" in self._needs:
             self._launch(transfer.load_halo_numbers)
 

@@ -61,16 +61,17 @@ def hold(
     state: ti.template(),
     particles: ti.types.ndarray(),
     rows: ti.types.ndarray(),
+    count: ti.i32,
     grabbing: ti.i32,
 ):
     """Hold some particles, or with zeros let them go.
 
-    particles: (m,), their numbers; rows: (m, dim + 3): offsets from the pointer, stiffness, damping
-    and inverse mass. grabbing: whether any particle is held then.
+    particles: (count,) or longer, their numbers; rows: (count, dim + 3) or longer: offsets from the
+    pointer, stiffness, damping and inverse mass. grabbing: whether any particle is held then.
     """
     for _ in range(1):
         state.grabbing[None] = grabbing
-    for m in range(rows.shape[0]):
+    for m in range(count):
         slot = state.slot[particles[m]]
         offset = ti.Vector.zero(state.real, ti.static(spec.dim))
         for axis in ti.static(range(spec.dim)):

@@ -19,6 +19,7 @@ from taichi_cloth.ui.tools.contract import (
     Marks,
     Tool,
     ToolEvent,
+    usual,
 )
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 COLOR = (236, 118, 52)
 SIZE = 1 / 24  # of the picture's shorter side: the ball's radius
 HEAVY = 50.0  # times the mass of a particle that the scene has
+LARGER = 1.3  # times the radius of particles that clicks make, in a scene of nothing else
 CROSSING = 45  # frames in which a ball in space goes as far as the eye is from what it looks at
 DRAGGED = 12  # frames in which a ball in a plane goes as far as the pointer was dragged
 
@@ -55,9 +57,7 @@ def _release(hand: Hand, memory: _Memory, event: Event) -> Events:
         return None
     hand.notice = None
     sim, world = hand.sim, hand.sim.scene.world
-    radius = SIZE * min(world.size[:2])
-    masses = sim.storage.scene.particles.mass
-    mass = HEAVY * float(np.median(masses)) if len(masses) else world_mass(sim)
+    radius, mass = _size(sim)
     if hand.camera:
         eye, along = hand.camera.ray(hand.window.to_world(start))
         begin = _entry(eye, along, world.low + radius, world.high - radius)
@@ -76,9 +76,14 @@ def _release(hand: Hand, memory: _Memory, event: Event) -> Events:
     return [ToolEvent("ball", {**values, "radius": radius, "mass": mass})]
 
 
-def world_mass(sim: Simulation) -> float:
-    """The mass of a ball in a scene without particles."""
-    return HEAVY * sim.scene.particle_defaults.mass
+def _size(sim: Simulation) -> tuple[float, float]:
+    """Radius and mass of a ball: by the picture and by a particle that the scene has."""
+    scene = sim.scene
+    other = {**vars(scene.particle_defaults), **usual(sim)}
+    radius = SIZE * min(scene.world.size[:2])
+    if not len(scene.particles):  # then particles are as large as clicks make them
+        radius = max(radius, LARGER * other["radius"])
+    return radius, HEAVY * other["mass"]
 
 
 def _entry(
@@ -100,7 +105,7 @@ def _draw(hand: Hand, memory: _Memory) -> Marks | None:
     if memory.start is None or hand.camera or hand.pointer is None:
         return None
     ends = np.stack([hand.place(memory.start), hand.place(hand.pointer)])
-    radius = np.array([SIZE * min(hand.sim.scene.world.size[:2]), hand.dot()])
+    radius = np.array([_size(hand.sim)[0], hand.dot()])
     return Marks(ends, radius, np.array([COLOR] * 2, np.uint8), np.array([[0, 1]]))
 
 

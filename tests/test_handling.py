@@ -1,0 +1,411 @@
+"""What mouse tools do: what they hit, what the physics of it is, and that logs do it again."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from inside import state_of
+from selection import mostly_thorough
+
+from taichi_cloth import load_events
+from taichi_cloth.errors import InputError
+from taichi_cloth.files.events import Recorder
+from taichi_cloth.scene import library
+from taichi_cloth.scene.model import ParticleDefaults, Particles, Scene, World
+from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.simulation.storage import Storage
+from taichi_cloth.ui import app, picking
+from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.controls import Controls
+from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.views.none import NullView
+from taichi_cloth.ui.window_map import WindowMap
+
+pytestmark = pytest.mark.usefixtures("device")
+
+CLOTH = library.build("cloth", columns=8, rows=6).with_world(tools=True)
+COLLIDING = CLOTH.with_world(collisions=True)  # so that throwing a ball compiles nothing
+WINDOW = (600, 400)
+
+
+@pytest.fixture(scope="module")
+def made(device):
+    """Simulations that tests share, by method, topology and scene, each at its start."""
+    found = {}
+
+    def get(method="symplectic_euler", topology="graph", substeps=1, scene=CLOTH):
+        key = method, topology, scene.world.collisions
+        if key not in found:
+            how = {"topology": topology, "execution": "serial", "lanes": 2}
+            found[key] = Simulation(scene, method, **how)
+        found[key].load_scene(scene, substeps=substeps)
+        return found[key]
+
+    return get
+
+
+def key(name):
+    return [Event("press", key=name), Event("release", key=name)]
+
+
+def drag(*places, button="left", held=()):
+    """Turns of events: the button goes down at the first place, and up at the last."""
+    down = [Event("press", key=name) for name in held]
+    up = [Event("release", key=name) for name in held]
+    first, last = places[0], places[-1]
+    moved = [[Event("move", pos=place)] for place in places[1:]]
+    return [
+        [Event("move", pos=first), *down, Event("press", pos=first, button=button)],
+        *moved,
+        [Event("release", pos=last, button=button), *up],
+    ]
+
+
+def click(place, button="left"):
+    return [
+        Event("move", pos=place),
+        Event("press", pos=place, button=button),
+        Event("release", pos=place, button=button),
+    ]
+
+
+class Hands(NullView):
+    """A window that does as it is told, turn by turn."""
+
+    visible = True
+
+    def __init__(self, world, size, turns, camera=None):
+        super().__init__(world, size)
+        self.turns, self.camera, self.pictures = list(turns), camera, []
+
+    def poll(self):
+        return self.turns.pop(0) if self.turns else []
+
+    def draw(self, picture):
+        self.pictures.append(picture)
+
+
+def end(sim):
+    return [sim.positions(), sim.velocities(), sim.storage.marks(), sim.springs(), sim.fixed()]
+
+
+def spot(sim, particle):
+    """Where a particle of a plane is in the window at the start."""
+    x = sim.scene.particles.position[particle]
+    return tuple(float(number) for number in WindowMap.of(sim.scene.world, WINDOW).to_window(x))
+
+
+def everything(sim):
+    """Turns in which each tool is used."""
+    x, y = spot(sim, 27)
+    return [
+        [],
+        key("g"),
+        *drag((x + 3, y), (x + 20, y - 10), (x + 50, y - 20), (x + 80, y - 20)),
+        *drag((x + 4, y - 40), (x + 20, y - 60), held=("shift",)),
+        key("c"),
+        *drag((x - 90, y + 12), (x, y + 14), (x + 90, y + 10)),
+        key("i"),
+        click(spot(sim, 0)),
+        [Event("move", pos=spot(sim, 7))],
+        click(spot(sim, 7)),
+        click(spot(sim, 7)),
+        key("j"),
+        click((60.0, 60.0), "right"),
+        click((90.0, 70.0)),
+        click((120.0, 75.0)),
+        key("n"),
+        click((200.0, 60.0)),
+        key("t"),
+        *drag((80.0, 300.0), (120.0, 280.0), (150.0, 270.0)),
+        key("b"),
+        [Event("move", pos=(x, y))],
+        [Event("move", pos=(x + 30, y + 5))],
+        [],
+    ]
+
+
+def recorded(path, sim, turns):
+    """Run turns in a window, and write its log."""
+    view = Hands(sim.scene.world, WINDOW, turns)
+    with Recorder(path, app.log_header(sim, view)) as recorder:
+        app.run(sim, view, frames=len(turns) + 6, recorder=recorder, quiet=True, device="test")
+    return end(sim), view
+
+
+def test_every_tool_replays_to_the_bit_and_hits_the_same_elsewhere(made, tmp_path):
+    path = tmp_path / "log.jsonl"
+    sim = made(scene=COLLIDING)
+    turns = everything(sim)
+    live, view = recorded(path, sim, turns)
+    log = load_events(path)
+    assert log.header["tools"] is True
+    events = [event for of_frame in log.by_frame.values() for event in of_frame]
+    done = {event.kind for event in events}
+    expected = {"grab", "drag", "let_go", "cut", "pin", "unpin", "link", "ball", "tool"}
+    assert expected <= done
+    assert any(picture.pointer and picture.pointer.ring for picture in view.pictures)
+
+    def again(size, **how):
+        other = made(scene=COLLIDING, **how)
+        frames = len(turns) + 6
+        view = NullView(CLOTH.world, size)
+        app.run(other, view, frames=frames, replay=load_events(path), quiet=True, device="test")
+        return end(other)
+
+    for a, b in zip(live, again((1000, 500)), strict=True):
+        assert a.tobytes() == b.tobytes()
+    (cut,) = [set(event.values["springs"]) for event in events if event.kind == "cut"][:1]
+    for finer in (again(WINDOW, substeps=3), again(WINDOW, method="verlet")):
+        assert [len(part) for part in finer] == [len(part) for part in live]
+        assert (finer[2][sorted(cut), 0] == live[2][sorted(cut), 0]).all()
+        np.testing.assert_array_equal(finer[3], live[3])
+        np.testing.assert_array_equal(finer[4], live[4])
+
+
+def test_a_tool_that_is_chosen_by_name_is_in_the_log(made):
+    sim, noted = made(), []
+    controls = Controls(sim, None, WINDOW, note=noted.append)
+    controls.choose("cut")
+    assert controls.tool.name == "cut" and noted == [Event("tool", name="cut")]
+    controls.choose("")
+    assert controls.tool.name == "blow"
+    with pytest.raises(InputError, match="unknown tool 'cat'"):
+        controls.choose("cat")
+    # A log says which tool is taken up; those from before there were tools have keys alone.
+    controls.apply(Event("press", key="g"), replayed=True)
+    assert controls.tool.name == "blow"
+
+
+# The hold
+
+
+def alone():
+    world = World((600.0, 400.0), (0.0, 0.0), tools=True)
+    particles = Particles.build([[300.0, 200.0]], mass=2.0)
+    return Simulation(Scene("alone", world, particles), topology="graph", execution="serial")
+
+
+def test_what_is_let_go_keeps_its_velocity_and_its_mass():
+    sim = alone()
+    sim.grab([0], (310.0, 200.0))
+    for frame in range(40):
+        sim.drag((310.0 + 2.0 * frame, 200.0 + frame))
+        sim.advance()
+    x, v = sim.positions(), sim.velocities()
+    # It follows the pointer, and is behind it by what damping holds it back.
+    np.testing.assert_allclose(v, [[2.0, 1.0]], rtol=1e-3)
+    sim.let_go()
+    assert sim.held() is None and sim.storage.scene.particles.mass.tolist() == [2.0]
+    sim.advance(10)
+    np.testing.assert_array_equal(sim.velocities(), v)
+    np.testing.assert_allclose(sim.positions(), x + 10 * v, rtol=1e-14)
+
+
+WAYS = [
+    (method, topology)
+    for method in ("symplectic_euler", "rk4", "implicit_euler", "xpbd")
+    for topology in ("graph", "lanes")
+]
+
+
+@pytest.mark.parametrize(("method", "topology"), mostly_thorough(WAYS, WAYS[:1]))
+def test_a_hold_leaves_a_step_at_its_limit_stable(method, topology, made):
+    """The original's cloth is run at the limit of its step, which more stiffness crosses."""
+    sim = made(method, topology)
+    sim.advance(20)
+    particles = [27, 28]
+    place = sim.positions()[particles].mean(axis=0)
+    sim.grab(particles, place)
+    weight = sim.storage.scene.particles.mass[particles]
+    assert (weight >= 1.0).all() and (weight > 1.0).all() == (method == "symplectic_euler")
+    sim.advance(400)
+    at_rest = sim.positions()
+    sim.advance(200)
+    assert np.abs(sim.positions() - at_rest).max() < 5.0
+    away = np.linalg.norm(sim.positions()[particles] - sim.held().targets, axis=1)
+    assert away.max() < 10.0, "it lifts what hangs there"
+    sim.let_go()
+    np.testing.assert_array_equal(sim.storage.scene.particles.mass, CLOTH.particles.mass)
+
+
+def test_a_hold_lasts_over_a_change_and_ends_with_a_reset(made):
+    sim = made()
+    sim.grab([20], sim.positions()[20])
+    sim.drag(sim.positions()[20] + [0.0, -30.0])
+    sim.spawn((50.0, 50.0))
+    sim.advance(60)
+    assert np.linalg.norm(sim.positions()[20] - sim.held().targets[0]) < 5.0
+    sim.reset()
+    assert sim.held() is None
+    sim.advance()
+    after = sim.positions()
+    sim.load_scene(CLOTH)
+    sim.advance()
+    assert sim.positions().tobytes() == after.tobytes()
+    with pytest.raises(InputError, match="no particle 4000"):
+        sim.grab([4000], (1.0, 1.0))
+
+
+# Cuts and pins
+
+
+def crosses(a, b, c, d):
+    """Whether two segments meet, in exact arithmetic."""
+    a, b, c, d = ([Fraction(float(number)) for number in point] for point in (a, b, c, d))
+
+    def side(p, q, r):
+        return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
+
+    one, other = side(a, b, c) * side(a, b, d), side(c, d, a) * side(c, d, b)
+    boxes = all(
+        min(a[i], b[i]) <= max(c[i], d[i]) and min(c[i], d[i]) <= max(a[i], b[i]) for i in (0, 1)
+    )
+    return one <= 0 and other <= 0 and boxes
+
+
+class Still:
+    """What `picking` asks of a simulation: points at random, tied at random."""
+
+    def __init__(self, rng, dim):
+        self.x, self.pairs = rng.uniform(0.2, 1.8, (40, dim)), rng.integers(0, 40, (120, 2))
+        self.alive = rng.random(120) < 0.8
+
+    def positions(self):
+        return self.x
+
+    def springs(self):
+        return self.pairs
+
+    def springs_alive(self):
+        return self.alive
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_path_cuts_the_springs_that_it_crosses(dim):
+    rng = np.random.default_rng(3)
+    sim, world = Still(rng, dim), World((2.0, 2.0, 2.0)[:dim], (0.0,) * dim, up="y")
+    camera = Camera.framing(world.size, [0] * 3, [2] * 3, y_up=True) if dim == 3 else None
+    window = WindowMap.of(world, WINDOW)
+    places = window.to_window(camera.project(sim.x)[0] if camera else sim.x)
+    low, high = places.min(axis=0), places.max(axis=0)
+    for _ in range(30):
+        start, end = rng.uniform(low, high, (2, 2))
+        found = picking.springs_across(sim, camera, window, start, end)
+        expected = [
+            s
+            for s, (a, b) in enumerate(sim.pairs)
+            if sim.alive[s] and crosses(places[a], places[b], start, end)
+        ]
+        assert found.tolist() == expected
+    assert len(picking.springs_across(sim, camera, window, low, low)) == 0
+
+
+CUT_WAYS = [(m, t) for m in ("symplectic_euler", "verlet", "xpbd") for t in ("graph", "lanes")]
+
+
+@pytest.mark.parametrize(
+    ("method", "topology"), mostly_thorough(CUT_WAYS, [CUT_WAYS[0], CUT_WAYS[-1]])
+)
+def test_cuts_without_a_load_are_those_with_one(method, topology, made, monkeypatch):
+    sim = made(method, topology)
+    ends = []
+    for direct in (True, False):
+        if not direct:
+            monkeypatch.setattr(Storage, "cut", lambda self, *how: False)
+        sim.reset()
+        sim.advance(5)
+        for first in (1, 20, 33):
+            sim.cut([first, first + 1, 50])
+            sim.advance(2)
+        assert sim.storage.count_broken() == len(sim.springs()) - len(sim.drawn_springs()) == 7
+        ends.append(end(sim))
+    for a, b in zip(*ends, strict=True):
+        assert a.tobytes() == b.tobytes()
+
+
+def test_a_pin_takes_the_inverse_mass_and_gives_it_back(made):
+    sim = made()
+    controls = Controls(sim, None, WINDOW)
+    controls.choose("pin")
+
+    def weight():
+        state = state_of(sim)
+        return float(state.w[int(state.slot[27])])
+
+    controls.apply(click(spot(sim, 27))[1])
+    assert sim.fixed()[27] and weight() == 0.0
+    x = sim.positions()[27]
+    sim.advance(5)
+    np.testing.assert_array_equal(sim.positions()[27], x)
+    controls.apply(click(spot(sim, 27))[1])
+    assert not sim.fixed()[27] and weight() == 1.0
+    np.testing.assert_array_equal(sim.colors(), CLOTH.particles.color)
+
+
+# The camera
+
+
+def test_drags_on_empty_space_move_the_camera_and_z_goes_back():
+    world = World((600.0, 400.0, 500.0), (0.0,) * 3, collisions=True, tools=True)
+    particles = Particles.build([[300.0, 200.0, 0.0]], radius=20.0)
+    scene = Scene("one", world, particles, particle_defaults=ParticleDefaults(radius=20.0))
+    sim = Simulation(scene, topology="graph", execution="serial")
+    camera, noted = Camera(world.size), []
+    controls = Controls(sim, camera, WINDOW, note=noted.append)
+    controls.choose("grab")
+    poses = [camera.pose]
+
+    def move(button, start, to):
+        for event in (
+            Event("move", pos=start),
+            Event("press", pos=start, button=button),
+            Event("move", pos=to),
+            Event("release", pos=to, button=button),
+            Event("move", pos=(5.0, 5.0)),
+        ):
+            controls.apply(event)
+
+    move("left", (30.0, 30.0), (60.0, 20.0))
+    poses.append(camera.pose)
+    assert poses[1][4:] != poses[0][4:] and poses[1][:4] == poses[0][:4]
+    before = camera.project(np.zeros((1, 3)))[0]
+    move("right", (300.0, 200.0), (310.0, 215.0))
+    poses.append(camera.pose)
+    shifted = camera.project(np.zeros((1, 3)))[0] - before
+    assert shifted[0] == pytest.approx([10, 15], rel=0.2)
+    for event in key("f"):
+        controls.apply(event)
+    assert camera.centre == pytest.approx([300, 200, 0])
+    _, radius, _ = camera.project(sim.positions(), 20.0)
+    assert radius[0] > 100, "it fills the picture"
+    assert [event.drag for event in noted if event.kind == "view"] == ["orbit", "pan", None]
+    move("left", (300.0, 200.0), (320.0, 200.0))
+    assert [event.kind for event in noted][-2:] == ["grab", "let_go"]  # no drag of the camera
+    for pose in reversed(poses):
+        for event in key("z"):
+            controls.apply(event)
+        assert camera.pose == pose
+    # Logs of before: a press on empty space was none of the camera's.
+    controls.apply(Event("press", pos=(30.0, 30.0), button="right"), replayed=True)
+    controls.apply(Event("move", pos=(90.0, 30.0)), replayed=True)
+    assert camera.pose == poses[0]
+
+
+def test_a_ball_is_thrown_along_the_line_of_sight_or_refused():
+    world = World((600.0, 400.0, 500.0), (0.0,) * 3, collisions=True, tools=True)
+    sim = Simulation(Scene("empty", world, Particles.none(3)), topology="graph", execution="serial")
+    camera, noted = Camera(world.size), []
+    controls = Controls(sim, camera, WINDOW, note=noted.append)
+    controls.choose("throw")
+    for event in click((300.0, 200.0)):
+        controls.apply(event)
+    (ball,) = [event.values for event in noted if event.kind == "ball"]
+    eye, along = camera.ray((300.0, 200.0))
+    way = np.array(ball["velocity"])
+    np.testing.assert_allclose(way / np.linalg.norm(way), along, atol=1e-12)
+    start = np.array(ball["pos"]) - eye
+    np.testing.assert_allclose(start / np.linalg.norm(start), along, atol=1e-12)
+    slinky = Simulation(library.build("slinky"), topology="graph", execution="serial")
+    with pytest.raises(InputError, match="a ball would pass through here"):
+        slinky.prepare_balls()
