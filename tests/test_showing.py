@@ -32,8 +32,8 @@ def test_pictures_of_planes_and_spaces(pool):
     assert first.shape == (60, 90, 3) and first.dtype == np.uint8
     assert (first == tc.picture(flat, size=(90, 60))).all()
     assert (first != tc.picture(flat, size=(90, 60), parts="surface")).any()
-    lines = tc.picture(flat, size=(90, 60), status=True)
-    assert (first != lines).any()
+    with_status, without = (tc.picture(flat, size=(240, 180), status=s) for s in (True, False))
+    assert (with_status != without).any()
     flat.advance(3)
     assert (first != tc.picture(flat, size=(90, 60))).any()
     camera = tc.camera_of(deep.scene)

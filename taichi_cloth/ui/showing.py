@@ -65,6 +65,7 @@ def show(
         size=_checked_size(size),
         title=f"{PROGRAM}: {sim.scene.name}",
         camera=camera or camera_of(sim.scene),
+        status=status,
     )
     with closing(opened):
         if frames is None and not opened.visible:
