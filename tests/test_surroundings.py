@@ -1,10 +1,14 @@
 """Where windows are missing or slow, the program says so, and what works there."""
 
+from contextlib import closing
+
 import pytest
 from commands import command
 
 from taichi_cloth import runtime
-from taichi_cloth.ui import surroundings
+from taichi_cloth.scene import library
+from taichi_cloth.ui import opening, surroundings
+from taichi_cloth.ui.chrome.layout import arrange, at_start
 
 SSH = {"SSH_CONNECTION": "10.0.0.1 5 10.0.0.2 22"}
 
@@ -54,7 +58,7 @@ def test_doctor_says_what_there_is_and_which_key_serves(display, monkeypatch):
     poor = {report.name: report for report in surroundings.reports()}
     assert not poor["mouse"].good and "+ and -" in poor["mouse"].text
     assert not poor["keyboard"].good and "tab" in poor["keyboard"].text
-    assert "scale 2" in poor["screen"].text and "--size" in poor["screen"].text
+    assert "scale 2" in poor["screen"].text and "--text-size" in poor["screen"].text
     monkeypatch.setattr(runtime, "display_available", lambda: False)
     none = {report.name: report for report in surroundings.reports()}
     assert not none["display"].good and "does not answer" in none["display"].text
@@ -64,3 +68,22 @@ def test_doctor_says_what_there_is_and_which_key_serves(display, monkeypatch):
 def test_scale_is_read_from_the_servers_resources():
     assert surroundings._scale("*customization: -color\nXft.dpi:\t192\n") == 2.0
     assert surroundings._scale("") == 1.0
+
+
+def test_text_is_as_large_as_the_screen_or_the_flag_wants(monkeypatch, display, device):
+    """A window asks the screen; nothing leaves the world less than its room."""
+    if not surroundings.equipment():
+        pytest.skip("needs an X server")
+    usual, large = (
+        arrange((1280, 800), at_start(windowed=True, status=True, text=size)) for size in (1.0, 2.0)
+    )
+    assert large.text == 2 * usual.text and large.world.height < usual.world.height
+    assert arrange((200, 100), at_start(windowed=True, status=True, text=4.0)).world.height >= 64
+    sharp = surroundings.Equipment((3840, 2160), 2.0, has_f1=True, buttons=5)
+    monkeypatch.setattr(surroundings, "equipment", lambda: sharp)
+    world = library.build("cloth").world
+    for asked, found in ((None, 2.0), (1.5, 1.5)):
+        with closing(opening.open_view("gui", world, text_size=asked)) as view:
+            assert view.text_size == found
+    with closing(opening.open_view("none", world)) as view:
+        assert view.text_size == 1.0

@@ -230,6 +230,7 @@ def _simulate(
         pictures=bool(options.image or options.video),
         camera=camera_of(scene),
         status=options.status,
+        text_size=options.text_size,
     )
     with contextlib.closing(view):
         seed = _seed(options, log)

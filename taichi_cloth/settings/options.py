@@ -209,6 +209,15 @@ class RunOptions(Options):
         metavar="A,B",
     )
     status: bool = setting(True, "the status in the window, in pictures and films", bool)
+    text_size: float | None = setting(
+        None,
+        "size of the text in windows, pictures and films, in parts of the usual (default: 1; in a "
+        "window what the screen's settings want)",
+        float,
+        minimum=0.5,
+        maximum=4,
+        metavar="X",
+    )
     paused: bool = setting(False, "start paused")
     quiet: bool = setting(False, "print nothing but errors")
 

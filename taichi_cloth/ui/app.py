@@ -223,7 +223,9 @@ class _Loop:
         if self._travel:
             timeline = self._travel.timeline
             parts.append(TimelineRow(timeline, self._go_to, lambda: self._pace.slowness))
-        self._chrome = Chrome(windowed=view.visible, status=status, parts=parts)
+        self._chrome = Chrome(
+            windowed=view.visible, status=status, parts=parts, text=view.text_size
+        )
         self._buttons: tuple[Button, ...] = ()
         self._paused = paused and view.visible
         self._step = False

@@ -24,7 +24,7 @@ def offscreen(view: View, world: World) -> View:
     kinds = views.load_all().values()
     kind = next(kind for kind in kinds if kind.several and kind.pictures())
     copy = kind.open(world, view.size, "", visible=False)
-    copy.camera, copy.room = view.camera, view.room
+    copy.camera, copy.room, copy.text_size = view.camera, view.room, view.text_size
     return copy
 
 
@@ -45,6 +45,7 @@ def open_view(
     pictures: bool = False,
     camera: Camera | None = None,
     status: bool = True,
+    text_size: float | None = None,
 ) -> View:
     """Open a view of `world`; `runtime.start` must have been called unless kind is "none".
 
@@ -55,6 +56,8 @@ def open_view(
         GGUI where Vulkan is there, else ti.GUI, both off-screen.
     camera: of a 3-D world; None: one that shows the whole of it.
     status: whether there will be a status beside the world.
+    text_size: of what is written there, in parts of the usual; None: as large as the screen's user
+        wants all text (`surroundings.Equipment.scale`), in a picture as usual.
 
     Raises InputError where the kind that was asked for cannot be had.
     """
@@ -69,14 +72,16 @@ def open_view(
     if pictures and not visible:
         chosen = next(other for other in kinds.values() if other.pictures())
     try:
-        parts = at_start(windowed=visible, status=status)
-        screen = surroundings.equipment() if visible and size is None else None
+        screen = surroundings.equipment() if visible else None
+        text_size = text_size or (screen.scale if screen else 1.0)
+        parts = at_start(windowed=visible, status=status, text=text_size)
         chosen_size = size or window_of(world, parts, screen.size if screen else None)
         view = chosen.open(world, chosen_size, title, visible=visible)
     except RuntimeError as error:  # of Taichi: a display or driver that fails after all
         reason = str(error).strip().partition("\n")[0]
         raise InputError(f"--view {kind}: the window could not open: {reason}") from None
     view.camera = camera or view.camera
+    view.text_size = text_size
     view.room = arrange(view.size, parts).world
     return view
 

@@ -200,8 +200,10 @@ def _of_equipment(found: Equipment | None) -> Iterator[Report]:
         return
     width, height = found.size
     said = f"{width}x{height}, scale {found.scale:g}"
-    if found.scale > 1:
-        said += "; text and lines grow with the window, --size WxH makes it larger"
+    if found.scale != 1:
+        said += f": text in windows is {found.scale:g} times as large; --text-size X changes it"
+    else:
+        said += "; --text-size X makes the text of windows larger"
     yield Report("screen", said)
     wheel = "a wheel" if found.has_wheel else "no wheel: + and - (or up and down) zoom"
     yield Report("mouse", wheel, found.has_wheel)

@@ -34,12 +34,14 @@ class Chrome:
     """Knows what is open around the world of a window, or of a picture.
 
     windowed: whether it is a window, which has a tool bar. status: whether anything is open from
-    the start. parts: what can be opened.
+    the start. parts: what can be opened. text: the size of all text, in parts of the usual.
     """
 
-    def __init__(self, *, windowed: bool, status: bool, parts: Sequence[Part] = ()) -> None:
+    def __init__(
+        self, *, windowed: bool, status: bool, parts: Sequence[Part] = (), text: float = 1.0
+    ) -> None:
         self._windowed = windowed
-        self._open = at_start(windowed=windowed, status=status)
+        self._open = at_start(windowed=windowed, status=status, text=text)
         self._parts = {part.name: part for part in parts}
         self._held: Part | None = None  # whose the pointer is
         self._strip = lru_cache(maxsize=4)(strip.panel)

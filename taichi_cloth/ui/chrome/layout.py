@@ -8,6 +8,7 @@ import numpy as np
 
 SIDE_SHARE = 0.27  # of the window's width that a column beside the world takes
 SIDE_WIDTH = (15.0, 26.0)  # in text heights: below it labels do not fit, above it is mostly empty
+SMALLEST_TEXT = 8  # pixels
 SMALLEST_ROOM = 64  # pixels that the world keeps along each side, whatever is open
 
 
@@ -32,25 +33,29 @@ class Parts:
 
     bar: the tool bar. strip: rows of the status. row: the name of what stands in the row above it
     ("": nothing). columns: the names of what stands in the column at the right, from the top down.
+    text: the size of all text, in parts of the usual.
     """
 
     bar: bool = False
     strip: int = 0
     row: str = ""
     columns: tuple[str, ...] = ()
+    text: float = 1.0
 
 
 NOTHING = Parts()
 ROWS = 2  # of a status: counts, then settings
 
 
-def at_start(*, windowed: bool, status: bool) -> Parts:
+def at_start(*, windowed: bool, status: bool, text: float = 1.0) -> Parts:
     """What is open from the start, where a status is wanted: in a window a tool bar and the first
     row of the status; in a picture, which nobody can ask for more, the whole status.
+
+    text: the size of all text, in parts of the usual.
     """
     if not status:
-        return NOTHING
-    return Parts(bar=True, strip=1) if windowed else Parts(strip=ROWS)
+        return Parts(text=text)
+    return Parts(bar=True, strip=1, text=text) if windowed else Parts(strip=ROWS, text=text)
 
 
 @dataclass(frozen=True)
@@ -96,7 +101,7 @@ def arrange(size: tuple[int, int], parts: Parts) -> Layout:
     Where the world would have too little, what matters least is left out.
     """
     width, height = int(size[0]), int(size[1])
-    text = text_height(height)
+    text = max(SMALLEST_TEXT, round(text_height(height) * parts.text))
     parts = _fitting(parts, width, height, text)
     top, bottom, line = _heights(parts, text)
     side = _side(width, text) if parts.columns else 0

@@ -69,12 +69,14 @@ class View(Protocol):
     visible: False where the view draws into memory only, or not at all.
     has_wheel: whether it reports the mouse's wheel.
     closed: whether the window is gone.
+    text_size: of what is written around the world, in parts of the usual.
     room: the part of the window that the world is drawn in; None: all of it. Read at every draw.
     """
 
     name: str
     camera: Camera | None
     room: Rect | None
+    text_size: float
     visible: bool
     has_wheel: bool
     closed: bool

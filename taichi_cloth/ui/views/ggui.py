@@ -65,6 +65,7 @@ class GguiView:
         self.world, self.visible = world, visible
         self.camera: Camera | None = camera_of_world(world)
         self.room: Rect | None = None
+        self.text_size = 1.0
         self._had_settings = SETTINGS.exists()
         # The app paces itself; GGUI's own limit would count as time spent drawing.
         with x11.opening() as displays:

@@ -39,6 +39,7 @@ class GuiView:
         self.world, self.visible, self._title = world, visible, title
         self.camera: Camera | None = camera_of_world(world)
         self.room: Rect | None = None
+        self.text_size = 1.0
         self.has_wheel = True
         self.closed = False
         self._gui: Any = None  # a ti.GUI

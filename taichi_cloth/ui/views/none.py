@@ -32,6 +32,7 @@ class NullView:
         self.size = size or default_window(world.size)
         self.camera: Camera | None = camera_of_world(world)
         self.room: Rect | None = None
+        self.text_size = 1.0
 
     def poll(self) -> list[Event]:
         """No events: there is nobody to make them."""
