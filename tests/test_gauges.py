@@ -79,11 +79,12 @@ def test_a_damped_swing_loses_what_the_closed_form_says(pool, damped_by):
     assert errors[1] / errors[0] == pytest.approx(4.0, rel=0.1)
 
 
-def test_pushes_changes_by_hand_and_breaks_are_no_drift(pool):
+@pytest.mark.parametrize("method", ["rk4", "symplectic_euler"])
+def test_pushes_changes_by_hand_and_breaks_are_no_drift(pool, method):
     """A push on a free body, a velocity that is set, and a spring that breaks with what it had."""
     world = World((400.0, 200.0), gravity=(0.0, 0.0), mouse="blow")
     body = Scene("body", world, Particles.build([[50.0, 50.0]], mass=2.0), Springs.none())
-    sim = pool(body, "rk4", 0.5)
+    sim = pool(body, method, 0.5, substeps=2)
     gauges = Gauges(sim, paced=False)
     gauges.after_frame(0.0)
     sim.hold([[0.3, 0.0]])

@@ -380,6 +380,7 @@ def _of_frames(options: RunOptions, view: View) -> dict[str, Any]:
         "paused": options.paused,
         "quiet": options.quiet,
         "status": options.status,
+        "meters": options.meters,
         "show": shown_parts(options.show) if options.show else None,
     }
 

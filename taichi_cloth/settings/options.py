@@ -81,7 +81,8 @@ TOPOLOGIES = ("lanes", "graph")
 # What some methods take to solve a step's equations: their defaults. See their `CLAIMS`.
 SOLVER_SETTINGS = {"tolerance": 1e-6, "iterations": 10}
 VIEWS = ("auto", "ggui", "gui", "none")
-SHOWN = ("surface", "springs", "particles")  # what may be drawn of a cloth
+STRAIN = "strain"  # drawn: the colours of what springs bear
+SHOWN = ("surface", "springs", "particles", STRAIN)  # what may be drawn of a cloth
 HEADLESS_FRAMES = 600
 
 
@@ -204,11 +205,12 @@ class RunOptions(Options):
     show: str | None = setting(
         None,
         "draw cloths as these: surface, springs, particles (default: in 3-D surface, else the "
-        "others)",
+        "others); strain: in colours of what springs bear",
         str,
         metavar="A,B",
     )
     status: bool = setting(True, "the status in the window, in pictures and films", bool)
+    meters: bool = setting(False, "show meters in the window, in pictures and films")
     text_size: float | None = setting(
         None,
         "size of the text in windows, pictures and films, in parts of the usual (default: 1; in a "

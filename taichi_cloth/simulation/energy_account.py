@@ -9,7 +9,8 @@ reading to reading, each a state between two frames:
   their power at each reading, by the trapezoidal rule. The error is of second order in the time
   between readings, and belongs to the drift; what the rule with every second reading gives beside
   it says how large it is (`doubt`).
-- Work of a push that is held: its force times the way of each particle, frame by frame.
+- Work of a push that is held: its force times the way of each particle, frame by frame, less what
+  the method's positions are ahead of it, or behind (`Method.position_weight`).
 - A spring that breaks takes its energy with it: what it has where it is gone a step later, if the
   reading came then, else what it had at its break force, F^2 / 2k, from which a long step differs.
 - Contacts: by the account of contacts (`kernels/contact_account.py`), in a simulation that keeps
@@ -70,9 +71,12 @@ class EnergyAccount:
         self._coarse = self._fine = 0.0  # integrals of power with every second reading, with all
         self._since_coarse = 0.0
 
-    def push(self, force: np.ndarray, before: np.ndarray, after: np.ndarray) -> None:
-        """Book a push (n, dim) that was held while free particles moved, (n, dim) both."""
-        self._work += float((force * (after - before)).sum())
+    def push(self, force: np.ndarray, way: np.ndarray, mass: np.ndarray, ahead: float) -> None:
+        """Book a push (n, dim) on free particles that went some way, (n, dim), in a frame.
+
+        ahead: by how much of the acceleration the method's positions are ahead of a constant one's.
+        """
+        self._work += float((force * (way - ahead * force / mass[:, None])).sum())
 
     def move(self, hold: Hold, before: np.ndarray, x: np.ndarray, fixed: np.ndarray) -> None:
         """Book that the mouse's hold moved from a place `before` (dim,), with particles at x."""

@@ -21,14 +21,12 @@ from taichi_cloth.limits.tracking import FastestMode
 from taichi_cloth.scene.holding import Hold
 from taichi_cloth.simulation import diagnostics, strain
 from taichi_cloth.simulation.energy_account import Booked, EnergyAccount
-from taichi_cloth.simulation.history import History
+from taichi_cloth.simulation.history import ROWS, SECONDS, History
 from taichi_cloth.simulation.moment import Moment, Moments
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
 
-SECONDS = 10.0  # that are kept
-ROWS = 1200  # twice as many as a window's frames in that time
 # Of the time that goes by, what reading may take: 3 % in all.
 SHARES = {"state": 0.015, "margin": 0.01, "depth": 0.005}
 # Without a window, which has no time to save: in every so manieth frame, so that each run of the
@@ -113,8 +111,10 @@ class Gauges:
         self.state: State | None = None
         self.margin: Margin | None = None
         self.depth: float | None = None
+        self._touched = False
         self._moments, self._account = Moments(self._sim), EnergyAccount()
-        self._mode = FastestMode(methods.load(self._sim.method))
+        self._method = methods.load(self._sim.method)
+        self._mode = FastestMode(self._method)
         self._moment: tuple[int, Moment] | None = None
         self._pushed: tuple[np.ndarray, np.ndarray] | None = None
         self._hold: tuple[Hold, np.ndarray] | None = None  # with its place at the last frame
@@ -123,8 +123,12 @@ class Gauges:
 
     @property
     def knows_contacts(self) -> bool:
-        """Whether what contacts give and take is counted as work."""
-        return self._sim.contact_account() is not None
+        """Whether what contacts gave and took is counted as work, or there surely were none."""
+        sim = self._sim
+        if not sim.can_touch() or sim.contact_account() is not None:
+            return True
+        beside_walls = bool(sim.storage.solids) or sim.scene.features().collisions
+        return not (self._touched or beside_walls)
 
     # The frames
 
@@ -158,13 +162,17 @@ class Gauges:
         if self._sim.can_touch() and self._is_due("depth"):
             with self._timed("depth"):
                 self.depth = self._sim.penetration()
+                self._touched |= self.depth > 0  # past a wall, for at least a step
                 self.depths.note(now, self.depth)
         self._frames += 1
 
     def _book_push(self) -> None:
         if self._pushed is not None:
             force, begin = self._pushed
-            self._account.push(force, begin, self._sim.positions())
+            sim, weight = self._sim, self._method.position_weight
+            ahead = (weight - 0.5) * sim.dt * sim.dt / sim.substeps
+            way = sim.positions() - begin
+            self._account.push(force, way, sim.storage.scene.particles.mass, ahead)
             self._pushed = None
 
     def _is_due(self, name: str) -> bool:

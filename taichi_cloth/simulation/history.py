@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+SECONDS = 10.0  # that meters keep
+ROWS = 1200  # twice as many as a window's frames in that time
+
 
 class History:
     """Rows of numbers, the oldest of which make room for new ones.

@@ -19,10 +19,12 @@ from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene.model import World
 from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.ui import film as films
-from taichi_cloth.ui import hud, rescue, style
+from taichi_cloth.ui import hud, rescue, strained, style
+from taichi_cloth.ui.chrome import messages
 from taichi_cloth.ui.chrome.chrome import Chrome, Contents
 from taichi_cloth.ui.chrome.contract import Part
 from taichi_cloth.ui.chrome.layout import Layout, Rect
+from taichi_cloth.ui.chrome.meters import Meters
 from taichi_cloth.ui.chrome.timeline_row import TimelineRow
 from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.controls import Controls
@@ -33,7 +35,7 @@ from taichi_cloth.ui.opening import offscreen
 from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.shutter import Shutter
 from taichi_cloth.ui.status import Status
-from taichi_cloth.ui.text import Word
+from taichi_cloth.ui.text import Panel, Word
 from taichi_cloth.ui.timeline import SPEEDS, Pace
 from taichi_cloth.ui.travel import Travel
 from taichi_cloth.ui.views.contract import Picture, View
@@ -44,7 +46,7 @@ if TYPE_CHECKING:
 
 # Keys that act on the window alone. They work while a log is replayed, too.
 WINDOW_KEYS = (
-    *("escape", "h", "d", "s", "v", "p", "l", "m", "o", SLOW_KEY),
+    *("escape", "h", "d", "e", "s", "v", "p", "l", "m", "o", SLOW_KEY),
     *(*STEP_KEYS, *BACK_KEYS, *HELP_KEYS),
 )
 
@@ -102,6 +104,7 @@ def run(
     paused: bool = False,
     quiet: bool = False,
     status: bool = True,
+    meters: bool = False,
     show: frozenset[str] | None = None,
     seed: int = 0,
     device: str | None = None,
@@ -121,6 +124,7 @@ def run(
     pictures: the folder of what the keys s and v save; None: the current one.
     paused: start paused (a window only). quiet: no progress bar, and no word of pictures.
     status: whether the status is shown from the start (`h` shows more of it, or none).
+    meters: whether they are shown from the start (`m` shows and hides them).
     show: what is drawn of cloths from the start, words of `settings.options.SHOWN` (`d` goes on to
         the next choice); None: what suits the scene.
     seed: of the tools' random numbers; a log's header overrides it.
@@ -141,7 +145,7 @@ def run(
         loop = _Loop(
             sim, view, replay=replay, recorder=recorder, trajectory=trajectory,
             on_frame=on_frame, film=film_file, shutter=shutter, paused=paused, status=status,
-            show=show, seed=seed, device=device,
+            meters=meters, show=show, seed=seed, device=device,
         )  # fmt: skip
         bar = stack.enter_context(_progress(frames, not (quiet or view.visible)))
         stack.enter_context(rescue.saving(lambda: loop.finish(picture_file)))
@@ -173,7 +177,8 @@ def pixels_of(
     """
     loop = _Loop(
         sim, view, replay=None, recorder=None, trajectory=None, on_frame=None, film=None,
-        shutter=Shutter(""), paused=False, status=status, show=show, seed=0, device=None,
+        shutter=Shutter(""), paused=False, status=status, meters=False, show=show, seed=0,
+        device=None,
     )  # fmt: skip
     return loop.pixels()
 
@@ -194,6 +199,7 @@ class _Loop:
         shutter: Shutter,
         paused: bool,
         status: bool,
+        meters: bool,
         show: frozenset[str] | None,
         seed: int,
         device: str | None,
@@ -219,13 +225,17 @@ class _Loop:
             )
         self._pace = Pace()
         self._depiction = Depiction(sim, show)
-        parts: list[Part] = []
+        self._meters = Meters(sim, windowed=view.visible)
+        self._waited = 0.0  # seconds, before the present frame
+        parts: list[Part] = [self._meters]
         if self._travel:
             timeline = self._travel.timeline
             parts.append(TimelineRow(timeline, self._go_to, lambda: self._pace.slowness))
         self._chrome = Chrome(
             windowed=view.visible, status=status, parts=parts, text=view.text_size
         )
+        if meters:
+            self._chrome.toggle("meters")
         self._buttons: tuple[Button, ...] = ()
         self._paused = paused and view.visible
         self._step = False
@@ -280,6 +290,8 @@ class _Loop:
         self._draw += draw
         if advanced:
             self._meter.frame(simulate, draw)
+            if self._chrome.is_open("meters"):
+                self._meters.frame(simulate, draw, self._waited)
         if self.view.visible:
             self._wait()
 
@@ -323,6 +335,8 @@ class _Loop:
                 self._go_to(self._travel.timeline.frames.stop - 1)
             self._travel.go_on()
         self._controls.before_frame(replayed=self._replaying)
+        if self._chrome.is_open("meters"):
+            self._meters.before_frame()
         try:
             self.sim.advance(1)
         except SimulationFailure as error:
@@ -352,8 +366,9 @@ class _Loop:
         asleep = self._stopped and time.perf_counter() > self._awake_until
         period = POLLED if asleep else 1 / hud.FRAME_RATE
         now = time.perf_counter()
-        if self._next_frame > now:
-            time.sleep(self._next_frame - now)
+        self._waited = max(self._next_frame - now, 0.0)
+        if self._waited > 0.0:
+            time.sleep(self._waited)
             self._next_frame += period
         else:
             self._next_frame = now + period
@@ -370,7 +385,7 @@ class _Loop:
             self._note(logged)
             # Pauses and steps only say when frames were made; a log says that itself.
             command = self._controls.apply(logged, replayed=True)
-            if command in ("reset", "status", "show", "help", "quit"):
+            if command in ("reset", "status", "show", "strain", "meters", "help", "quit"):
                 self._obey(command)
         events = self.view.poll()
         layout = self._arranged()  # only now: the window may have another size
@@ -433,16 +448,20 @@ class _Loop:
             self._controls.reset(hud.reset_notice(saved) if saved else None)
             self.failure = None
             self._meter.restart()
+            self._meters.restart()
         elif command == "status":
             self._chrome.next_status()
         elif command == "show":
             self._depiction.show_next()
+        elif command == "strain":
+            self._depiction.strain = not self._depiction.strain
         elif command == "picture":
             self._shutter.press()
         elif command == "film":
             self._shutter.begin_or_end()
         elif self._chrome.toggle(command):
-            pass
+            if command == self._meters.name:
+                self._meters.restart()
         elif command == "help":
             self._show_help = not self._show_help
         self._status.hurry()
@@ -454,9 +473,16 @@ class _Loop:
         layout = self._arranged()
         return replace(
             picture,
-            overlay=self._chrome.overlay(layout, self._contents()),
+            overlay=(*self._chrome.overlay(layout, self._contents()), *self._legend(layout)),
             pointer=self._pointer(),
         )
+
+    def _legend(self, layout: Layout) -> tuple[Panel, ...]:
+        """What the colours mean, where they mean anything."""
+        if not self._depiction.strain:
+            return ()
+        meanings = strained.legend(self.sim.storage.scene.springs)
+        return (messages.legend(meanings, layout.world, layout.text),)
 
     def _arranged(self) -> Layout:
         """Where everything is in the view as it is now; the view draws the world in its room."""
@@ -476,7 +502,9 @@ class _Loop:
             keys = hud.help_lines(sim.scene, self.view.has_wheel, self._controls.tool, saves=saves)
         tool = self._controls.tool
         opens = self._chrome.buttons()
-        self._buttons = hud.buttons(sim.scene, tool, opens, paused=self._paused)
+        self._buttons = hud.buttons(
+            sim.scene, tool, opens, paused=self._paused, strain=self._depiction.strain
+        )
         windowed = self.view.visible
         rows = self._status.rows(
             time.perf_counter() if windowed else self.frames / hud.FRAME_RATE,

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.settings.options import STRAIN
 from taichi_cloth.ui import shown
 from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.solids import Solids
+from taichi_cloth.ui.strained import Strained
 from taichi_cloth.ui.tools.contract import Marks
 from taichi_cloth.ui.views.contract import Picture
 
@@ -22,10 +24,14 @@ class Depiction:
     """Makes pictures of a simulation; what has not changed is kept from one to the next.
 
     show: what is drawn of cloths, words of `settings.options.SHOWN`; None: what suits the scene.
+    strain: whether springs and surfaces have the colours of what they bear.
     """
 
     def __init__(self, sim: Simulation, show: frozenset[str] | None = None) -> None:
-        self.show = show or shown.default_for(sim.scene)
+        show = show or frozenset()
+        self.strain = STRAIN in show
+        self.show = show - {STRAIN} or shown.default_for(sim.scene)
+        self._strained = Strained(sim)
         self._sim = sim
         self._radius = Cached(_drawn_radius)
         self._largest_disc = _largest_disc(sim.scene)
@@ -43,13 +49,21 @@ class Depiction:
         triangles, segments, as_spheres = self._chosen(
             self.show, sim.drawn_triangles(), sim.drawn_springs(), sim.particle_count
         )
+        position = sim.drawn_positions()
+        spring_color: tuple[int, int, int] | np.ndarray | None = sim.scene.spring_color
+        color = sim.colors()
+        if self.strain:
+            spring_color, color = self._strained.colors(position, segments, sim.particle_count)
+            surface_color = color
+        else:
+            surface_color = self._surface_colors(sim.colors(), sim.fixed(), sim.triangles())
         made = Picture(
-            position=sim.drawn_positions(),
+            position=position,
             radius=self._radius(sim.radii(), self._largest_disc),
-            color=sim.colors(),
+            color=color,
             segments=segments,
-            spring_color=sim.scene.spring_color,
-            surface_color=self._surface_colors(sim.colors(), sim.fixed(), sim.triangles()),
+            spring_color=spring_color,
+            surface_color=surface_color,
             triangles=triangles,
             normals=sim.drawn_normals() if len(triangles) and sim.scene.world.dim == 3 else None,
             as_spheres=as_spheres,
@@ -71,8 +85,12 @@ def _with_marks(picture: Picture, marks: Marks) -> Picture:
     as_spheres = picture.as_spheres
     if as_spheres is not None:
         as_spheres = np.concatenate([as_spheres, np.ones(len(marks.position), bool)])
+    spring_color = picture.spring_color
+    if isinstance(spring_color, np.ndarray):
+        spring_color = np.concatenate([spring_color, marks.color[marks.segments[:, 0]]])
     return replace(
         picture,
+        spring_color=spring_color,
         position=np.concatenate([picture.position, marks.position.astype(real)]),
         radius=np.concatenate([picture.radius, marks.radius.astype(np.float32)]),
         color=np.concatenate([picture.color, marks.color]),

@@ -40,7 +40,8 @@ class Cached(Generic[P, T]):
 
 
 def _unchanged(before: object, now: object) -> bool:
-    return before is now or (not isinstance(now, np.ndarray) and before == now)
+    arrays = isinstance(now, np.ndarray) or isinstance(before, np.ndarray)
+    return before is now or (not arrays and before == now)
 
 
 def are_numbers(points: np.ndarray) -> np.ndarray:

@@ -101,7 +101,12 @@ def rates(meter: Meter) -> tuple[Word, ...]:
 
 
 def buttons(
-    scene: Scene, tool: Tool[Any] | None, opens: Sequence[Button] = (), *, paused: bool
+    scene: Scene,
+    tool: Tool[Any] | None,
+    opens: Sequence[Button] = (),
+    *,
+    paused: bool,
+    strain: bool = False,
 ) -> tuple[Button, ...]:
     """The tool bar's: tools that have a key, then at the right end `opens`, what can be opened."""
     found = [
@@ -113,6 +118,8 @@ def buttons(
     found += opens
     if len(scene.triangles):
         found.append(Button("d", "draw", right=True))
+    if len(scene.springs):
+        found.append(Button("e", "strain", chosen=strain, right=True))
     found += [Button("h", "status", right=True), Button("tab", "keys", right=True)]
     return tuple(found)
 
@@ -196,6 +203,8 @@ def help_lines(
         "q\tslow motion: half as fast, down to 1/16",
         "r\tback to the start" + ("; --save begins anew" if saves else ""),
         *(["d\tdraw surface, springs, particles"] if len(scene.triangles) else []),
+        *(["e\tcolours of strain"] if len(scene.springs) else []),
+        "m\tmeters: the last 10 seconds",
         "h\tmore of the status, or none",
         "s\tsave a picture",
         "v\tfilm, until v again",

@@ -77,6 +77,7 @@ COMMANDS = {
     "r": "reset",
     "h": "status",
     "d": "show",
+    "e": "strain",
     "s": "picture",
     "v": "film",
     "l": "timeline",

@@ -38,16 +38,21 @@ AXES = ((214, 92, 92), (104, 190, 110), (96, 140, 232))  # x, y, z
 
 
 def spring_colors(
-    color: np.ndarray, segments: np.ndarray, all_have: Sequence[int] | None
+    color: np.ndarray, segments: np.ndarray, given: Sequence[int] | np.ndarray | None
 ) -> np.ndarray:
-    """One colour a spring, (s, 3) float 0..1: the one that all have, 0..255, if there is one.
+    """One colour a spring, (s, 3) float 0..1: the one that is given, for all or for each.
 
-    Else it is its ends' mean, mixed half and half with neutral.
+    Where none is, and where some springs are not drawn because their ends are lost, it is its ends'
+    mean, mixed half and half with neutral.
 
-    color: of the particles, (n, 3) uint8; segments: (s, 2) int.
+    color: of the particles, (n, 3) uint8; segments: (s, 2) int. given: 0..255.
     """
-    if all_have is not None:
-        return np.tile(np.array(unit(all_have), np.float32), (len(segments), 1))
+    if isinstance(given, np.ndarray):
+        if len(given) == len(segments):
+            own: np.ndarray = given.astype(np.float32) / 255
+            return own
+    elif given is not None:
+        return np.tile(np.array(unit(given), np.float32), (len(segments), 1))
     c = np.asarray(color, np.float32) / 255
     mean = (c[segments[:, 0]] + c[segments[:, 1]]) / 2
     mixed: np.ndarray = 0.5 * mean + 0.5 * np.array(NEUTRAL, np.float32) / 255

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import numpy as np
+
 from taichi_cloth.ui import style, text
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.text import Panel
@@ -29,6 +31,23 @@ def keys(lines: tuple[str, ...], room: Rect, height: int) -> Panel:
     left = room.x + (room.width - pixels.shape[1]) // 2
     top = room.y + (room.height - pixels.shape[0]) // 2
     return Panel(left, top, pixels, "\n".join(lines))
+
+
+@lru_cache(maxsize=4)
+def legend(meanings: tuple[tuple[str, text.Color], ...], room: Rect, height: int) -> Panel:
+    """What colours mean, at the lower left of the world's room: words, each beside its colour."""
+    gap, box = round(0.6 * height), round(0.7 * height)
+    widths = [box + gap // 2 + round(text.length(words, height)) for words, _ in meanings]
+    pixels = np.empty((round(1.8 * height), sum(widths) + gap * (len(widths) + 1), 3), np.uint8)
+    pixels[:] = style.PAPER
+    x, top = gap, (len(pixels) - box) // 2
+    for (words, color), width in zip(meanings, widths, strict=True):
+        pixels[top : top + box, x : x + box] = color
+        text.write(pixels, words, (x + box + gap // 2, 0.4 * height), height, style.INK)
+        x += width + gap
+    pixels = pixels[: room.height, : room.width]
+    words = " ".join(words for words, _ in meanings)
+    return Panel(room.x, room.y + room.height - len(pixels), pixels, words)
 
 
 @lru_cache(maxsize=4)

@@ -25,7 +25,8 @@ class Picture:
     position: (n, dim) particle positions [world], an array that the next frame may overwrite.
     radius: (n,) [world]. color: (n, 3) uint8. surface_color: the same in surfaces; None: as color.
     segments: (s, 2) int, particle pairs of the springs that are alive.
-    spring_color: that all springs have, 0..255; None: they resemble their ends.
+    spring_color: that all springs have, 0..255, or (s, 3) uint8, that of each; None: they resemble
+    their ends.
     triangles: (m, 3) int, particles at the corners of surfaces, of those that are to be drawn.
     normals: (n, 3) unit normals of these surfaces, as `position`; None: the view computes them.
     as_spheres: (n,) bool, which particles are drawn as spheres or discs; None: all.
@@ -41,7 +42,7 @@ class Picture:
     radius: np.ndarray
     color: np.ndarray
     segments: np.ndarray
-    spring_color: tuple[int, int, int] | None = None
+    spring_color: tuple[int, int, int] | np.ndarray | None = None
     surface_color: np.ndarray | None = None
     triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     normals: np.ndarray | None = None

@@ -553,12 +553,12 @@ class GguiView:
 def _line_layers(
     color: np.ndarray,
     segments: np.ndarray,
-    all_have: tuple[int, int, int] | None,
+    given: tuple[int, int, int] | np.ndarray | None,
     walls: int,
     width: float,
 ) -> list[tuple[np.ndarray, float]]:
     """The layers of walls and then springs, as `line_layers`; for the rest `spring_colors`."""
-    springs = style.spring_colors(color, segments, all_have)
+    springs = style.spring_colors(color, segments, given)
     return line_layers(
         np.concatenate([np.tile(style.unit(style.WALL), (walls, 1)), springs]), width
     )

@@ -377,11 +377,11 @@ def _canvas_block(panel: Panel) -> np.ndarray:
 
 
 def _prepared_springs(
-    segments: np.ndarray, color: np.ndarray, all_have: tuple[int, int, int] | None
+    segments: np.ndarray, color: np.ndarray, given: tuple[int, int, int] | np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """First ends, second ends, packed colours; for the rest `spring_colors`."""
     first, second = np.ascontiguousarray(segments.T)
-    return first, second, style.packed(style.spring_colors(color, segments, all_have))
+    return first, second, style.packed(style.spring_colors(color, segments, given))
 
 
 def _prepared_discs(

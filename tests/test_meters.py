@@ -1,0 +1,136 @@
+"""Meters and strain colours as they are drawn: legible at every size, cheap, alike in every run."""
+
+import numpy as np
+import pytest
+from selection import mostly_thorough
+
+from taichi_cloth.scene.library import build
+from taichi_cloth.scene.model import Springs
+from taichi_cloth.simulation.gauges import Gauges
+from taichi_cloth.simulation.history import History
+from taichi_cloth.simulation.strain import borne, lengths, strains
+from taichi_cloth.ui import strained, style, text
+from taichi_cloth.ui.chrome import graphs, instruments, meters
+from taichi_cloth.ui.chrome.instruments import Source
+from taichi_cloth.ui.chrome.layout import Parts, Rect, arrange
+from taichi_cloth.ui.chrome.meters import Meters
+
+
+@pytest.fixture(scope="module")
+def source(device):
+    """All seven meters of a cloth that has run for 3 seconds, with frame times made up."""
+    from taichi_cloth.simulation.simulation import Simulation
+
+    sim = Simulation(build("cloth", columns=8, rows=6), "symplectic_euler", topology="graph")
+    gauges, times = Gauges(sim, paced=False), History(10.0, 1200, 3)
+    for frame in range(180):
+        if frame in (60, 61):
+            sim.blow([180.0, 60.0], [90.0, 20.0])
+        gauges.before_frame()
+        sim.advance(1)
+        times.note(frame / 60, 0.002 + 0.001 * (frame % 3), 0.008, 0.004)
+        gauges.after_frame(frame / 60)
+    return Source(sim, gauges, times, 179 / 60)
+
+
+def test_a_column_is_legible_and_cheap_at_every_size(source):
+    """No word is cut off, the first meters stay where there is little room, and rectangles are few
+    enough that a view which draws those draws them in no time."""
+    made = [make(source) for make in instruments.ALL]
+    assert all(made)
+    for size in ((800, 600), (1280, 800), (1920, 1080), (2560, 1440)):
+        layout = arrange(size, Parts(bar=True, strip=1, columns=("meters",)))
+        rect, height = layout.columns["meters"], layout.text
+        panel = meters.drawn(made, rect, height)
+        assert panel.pixels.shape == (rect.height, rect.width, 3)
+        edges = panel.pixels[[0, -1]].reshape(-1, 3), panel.pixels[:, [0, -1]].reshape(-1, 3)
+        assert all((edge == style.PAPER).all() for edge in edges)
+        said = panel.words.split("\n")
+        assert all(meter.title in said and meter.value in said for meter in made)
+        assert len(text.runs(panel)[0]) < 700 * height**0.8  # 3000 to 9000
+    for width in (220, 480):
+        for height in (12, 30):
+            panel = meters.drawn(made, Rect(0, 0, width, 12 * height), height)
+            said = panel.words.split("\n")
+            assert said[0] == "frame" and "momentum" not in said
+
+
+def test_a_graph_shows_newest_values_at_its_right_edge():
+    block = np.zeros((50, 100, 3), np.uint8)
+    age, value = np.array([10.0, 5.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    curve, color = graphs.Curve(age, value, (200, 0, 0)), [200, 0, 0]
+    graphs.draw(block, [curve], [graphs.Line(1.0, (0, 0, 200))], (0.0, 1.0), 10.0, 2)
+    lit = (block == color).all(axis=2)
+    rows = np.where(lit.any(axis=0), lit.argmax(axis=0), -1)
+    assert (rows[2:50] == 48).all() and rows[-1] <= 1 and (np.diff(rows[50:]) <= 0).all()
+    assert (block[0, 10] == [0, 0, 200]).all()
+    for low, high in ((0.0, 3.3), (-2.0, 7.0), (0.96, 1.0), (-3e-4, 0.0), (5.0, 5.0)):
+        bottom, top = graphs.scale(low, high)
+        assert bottom <= low <= high <= top and top - bottom <= 2 * max(high - low, high)
+
+
+def test_without_a_window_the_same_run_has_the_same_meters(source):
+    """No frame times, and nothing else that the clock decides."""
+    sim, blocks = source.sim, []
+    for _ in range(2):
+        sim.reset()
+        shown = Meters(sim, windowed=False)
+        for _ in range(30):
+            shown.before_frame()
+            sim.advance(1)
+            shown.frame(0.01 * np.random.rand(), 0.0, 0.0)
+        blocks.append(shown.panel(Rect(0, 0, 300, 700), 15))
+    assert "frame" not in blocks[0].words.split("\n")
+    assert np.array_equal(blocks[0].pixels, blocks[1].pixels)
+
+
+def test_colours_go_from_pushed_to_the_limit(source):
+    """Of springs by what they bear, of a particle by that of its springs which bears most."""
+    x = np.array([[0.0, 0.0], [1.0, 0.0], [1.5, 0.0], [3.0, 0.0]])
+    springs = Springs.build(
+        [(0, 1), (1, 2), (2, 3)], x, stiffness=2.0, rest_length=[1.0, 1.0, 1.0],
+        break_force=[1.0, 2.0, np.inf],
+    )  # fmt: skip
+    length = lengths(x, springs.between)
+    assert strains(length, springs) == pytest.approx([0.0, -0.5, 0.5])
+    assert borne(length, springs) == pytest.approx([0.0, -0.5, 5.0])
+    calm, pushed, limit = strained.colors(np.array([0.0, -1.0, 7.0]))
+    assert tuple(calm) == strained.CALM and tuple(pushed) == strained.PUSHED
+    assert tuple(limit) == strained.LIMIT
+    sim = source.sim
+    position, holding = sim.positions(), sim.drawn_springs()
+    of_springs, of_particles = strained.Strained(sim).colors(position, holding, len(position))
+    some = holding[3:9]
+    assert np.array_equal(
+        strained.Strained(sim).colors(position, some, len(position))[0], of_springs[3:9]
+    )
+    bears = borne(lengths(position, holding), sim.scene.springs.select(sim.springs_alive()))
+    ends = (holding == 5).any(axis=1)
+    most = bears[ends][np.abs(bears[ends]).argmax()]
+    assert np.array_equal(of_particles[5], strained.colors(np.array([most]))[0])
+
+
+@pytest.mark.parametrize("view", mostly_thorough(["ggui", "gui"], ["gui"]))
+def test_views_draw_them(device, source, view, tmp_path):
+    """A picture of the run with meters has them at the right, and strain's colours in the world."""
+    from PIL import Image
+
+    from taichi_cloth.ui import app, views
+
+    opened = views.load_all()[view]
+    if not opened.pictures():
+        pytest.skip(f"{view} draws no pictures here")
+    sim = source.sim
+    sim.reset()
+    shown = opened.open(sim.scene.world, (800, 600), "test", visible=False)
+    show = frozenset({"springs", "particles", "strain"})
+    path = str(tmp_path / "frame.png")
+    app.run(sim, shown, frames=20, quiet=True, meters=True, show=show, image=path)
+    shown.close()
+    picture = np.asarray(Image.open(path))
+    column = arrange((800, 600), Parts(strip=2, columns=("meters",))).columns["meters"]
+    beside = picture[column.y : column.y + column.height, column.x :]
+    for color in (graphs.PAPER, instruments.WORK):
+        assert (np.abs(beside.astype(int) - color).max(axis=2) <= 1).any()
+    world = picture[: column.height, : column.x].astype(int)
+    assert (np.abs(world - strained.CALM).max(axis=2) < 12).sum() > 50
