@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.ui import style
 from taichi_cloth.ui.surfaces import Solid
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 PLANE_CELLS = 16  # along each side of a plane: what is behind us is left out cell by cell
 CREASE = 30.0  # degrees between a face and the mean of those around a corner that make an edge
 ROUND = ("sphere", "capsule")  # shapes whose turning would not be seen
+FLOOR_TILES = 8  # along the longer side of a box
 STRIPES = 0.16  # by so much the stripes of what turns are darker or brighter
 
 
@@ -33,11 +34,13 @@ class Solids:
         scene = sim.scene
         if self._scene is scene and not self._moving:
             return self._made
-        if not scene.obstacles and not (scene.world.dim == 2 and scene.world.ground is not None):
+        flat = scene.world.dim == 2 and scene.world.ground is not None
+        if not scene.obstacles and not flat and not has_box_floor(scene.world):
             self._scene, self._made, self._moving = scene, None, False
             return None
         drawn = [d for d in sim.obstacles() if d.name != "ground" or scene.world.dim == 2]
-        now = joined([_part(d, scene) for d in drawn])
+        floor = [box_floor(scene.world)] if has_box_floor(scene.world) else []
+        now = joined([*floor, *(_part(d, scene) for d in drawn)])
         before = self._made
         if before is not None and np.array_equal(before.triangles, now.triangles):
             now = Solid(now.vertex, before.triangles, before.color)
@@ -52,6 +55,24 @@ class Solids:
 def turns(scene: Scene, number: int) -> bool:
     """Whether an obstacle turns."""
     return bool(np.any(scene.obstacles[number].values.get("spin", 0.0)))
+
+
+def has_box_floor(world: World) -> bool:
+    """Whether a 3-D world is a box with a bottom, which is seen as its floor."""
+    return world.dim == 3 and world.up != "y" and "bottom" in world.walls and world.ground is None
+
+
+def box_floor(world: World) -> Solid:
+    """The bottom of a box as a floor of tiles in two shades."""
+    w, h, d = world.size
+    count = np.maximum(np.round(np.array([w, d]) / (max(w, d) / FLOOR_TILES)).astype(int), 1)
+    i, j = (part.ravel() for part in np.meshgrid(*map(np.arange, count), indexing="ij"))
+    corner = np.stack([i, j], 1)[:, None] + [(0, 0), (1, 0), (1, 1), (0, 1)]
+    across = corner / count * [w, d] - [0, d / 2]
+    vertex = np.stack([across[..., 0], np.full(corner.shape[:2], float(h)), across[..., 1]], -1)
+    color = np.where(((i + j) % 2)[:, None], style.TILES[0], style.TILES[1]).repeat(4, axis=0)
+    faces = 4 * np.arange(len(i))[:, None, None] + [(0, 1, 2), (0, 2, 3)]
+    return Solid(vertex.reshape(-1, 3), faces.reshape(-1, 3), color.astype(np.uint8))
 
 
 def joined(parts: list[Solid]) -> Solid:
