@@ -73,7 +73,8 @@ class Changes(ABC):
             stiffness, rest_length, break_force, damping (`SpringProperties`); None for a break
             force: unbreakable, for a rest length: the distance that the ends have now;
             bending, the rigidity of cloths that have one, all or (m,) for each stencil;
-            gravity (dim,) and the further keys of [world] that forces declare.
+            gravity (dim,) and the further keys of [world] that forces declare; None: without one;
+            friction, of the ground, resting walls and all obstacles; collisions (bool).
         particles: indices, or a mask (n,), of those that get the values; absent: all.
         springs: likewise for springs (s,); kind: instead, "structural", "shear" or "bend": those of
             the scene's regular grids that are links of this kind.

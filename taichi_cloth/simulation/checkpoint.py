@@ -17,6 +17,7 @@ from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings import accepted
 from taichi_cloth.simulation import saved
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
+from taichi_cloth.simulation.engine import Engine
 from taichi_cloth.simulation.kept import Kept
 from taichi_cloth.simulation.numbers import Numbers
 from taichi_cloth.simulation.storage import Storage
@@ -30,6 +31,7 @@ class Checkpoint:
     run. settings: the host's own, by name: those of `Checkpoints.SETTINGS`. auto: what dt "auto"
     remembers; None: the step was set. kept: the state on the device.
     scene: as it was given; None, of a checkpoint from a file: digest is that of all its numbers.
+    engine: what ran it then, for the simulation that it is of: that may have another method since.
 
     The arrays are nobody's to change: checkpoints share those that are equal.
     """
@@ -44,6 +46,7 @@ class Checkpoint:
     kept: Kept
     scene: Scene | None = None
     digest: str = ""
+    engine: Mapping[str, Any] | None = None
 
     def save(self, path: str | Path, about: Mapping[str, Any] | None = None) -> None:
         """Write it to a file ``.npz``, which appears whole or not at all.
@@ -68,7 +71,10 @@ class Checkpoints(ABC):
 
     # What the host keeps of a run beside the state on the device; the solver's settings and the
     # work done are copied.
-    SETTINGS = ("frame", "dt", "substeps", "speed_limit", "solver", "_since", "_work", "_preferred")
+    SETTINGS = (
+        *("frame", "dt", "substeps", "speed_limit", "solver"),
+        *("_since", "_work", "_counted", "_preferred"),
+    )
 
     scene: Scene
     method: str
@@ -106,6 +112,7 @@ class Checkpoints(ABC):
             settings={name: copy.copy(getattr(self, name)) for name in self.SETTINGS},
             auto=self._auto.memory() if self._auto else None,
             kept=self.storage.keep(),
+            engine={"_owner": self} | {name: getattr(self, name) for name in Engine.ENGINE},
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -121,7 +128,11 @@ class Checkpoints(ABC):
         if kept.loaded is None:
             taken = replace(kept.taken, scene=saved.joined(self.scene, kept.taken.scene))
             kept = replace(kept, taken=taken)
-        before = {name: getattr(self, name) for name in (*self.SETTINGS, "_auto")}
+        before = {name: getattr(self, name) for name in (*self.SETTINGS, *Engine.ENGINE, "_auto")}
+        engine = checkpoint.engine if self._is_own(checkpoint) else None
+        if engine and engine["storage"] is not self.storage:
+            for name in Engine.ENGINE:
+                setattr(self, name, engine[name])
         for name in self.SETTINGS:
             setattr(self, name, copy.copy(checkpoint.settings[name]))
         self._auto = None
@@ -137,12 +148,17 @@ class Checkpoints(ABC):
         self.topology = self.storage.topology
         self._unprepared = [] if self._unprepared else self._unprepared
 
+    def _is_own(self, checkpoint: Checkpoint) -> bool:
+        """Whether it is of this simulation itself, whatever method it had."""
+        return checkpoint.engine is not None and checkpoint.engine["_owner"] is self
+
     def _refuse_others(self, checkpoint: Any) -> None:
         if not isinstance(checkpoint, Checkpoint):
             what = accepted.shown(checkpoint)
             raise InputError(f"restore: takes a Checkpoint, not {what}")
+        method = checkpoint.method if self._is_own(checkpoint) else self.method
         pairs = (
-            ("method", checkpoint.method, self.method),
+            ("method", checkpoint.method, method),
             ("precision", checkpoint.precision, current_device().precision),
             ("scene", checkpoint.name, self.scene.name),
         )

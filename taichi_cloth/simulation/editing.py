@@ -17,6 +17,7 @@ from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.kernels.state import ALIVE, GONE
 from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.properties import (
     NOT_NEGATIVE,
     PARTICLE_PROPERTIES,
@@ -35,11 +36,12 @@ from taichi_cloth.simulation.snapshot import Snapshot
 
 OF_PARTICLES = (*PARTICLE_PROPERTIES, "fixed", "color", "positions", "velocities")
 OF_STENCILS = "bending"
+OF_WORLD = ("gravity", "friction", "collisions")
 
 
 def settable() -> list[str]:
     """The names of all that `with_values` takes."""
-    return [*OF_PARTICLES, *SPRING_PROPERTIES, OF_STENCILS, "gravity", *world_keys()]
+    return [*OF_PARTICLES, *SPRING_PROPERTIES, OF_STENCILS, *OF_WORLD, *world_keys()]
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,8 @@ def with_values(now: Snapshot, given: Mapping[str, Any], selection: Selection) -
     scene, x, v = now.scene, now.x, now.v
     if of_world:
         scene = replace(scene, world=_world(scene.world, of_world))
+    if "friction" in of_world:
+        scene = replace(scene, obstacles=_rubbing(scene.obstacles, of_world["friction"]))
     if of_particles:
         x, v = _motion(now, of_particles, chosen)
         scene = replace(scene, particles=_with_columns(scene.particles, of_particles, chosen))
@@ -166,6 +170,9 @@ def same(a: Snapshot, b: Snapshot) -> bool:
     worlds = [{**vars(now.scene.world), **now.scene.world.more, "more": 0} for now in (a, b)]
     return (
         equal(*worlds)
+        and all(
+            one is other for one, other in zip(a.scene.obstacles, b.scene.obstacles, strict=True)
+        )
         and equal(vars(a.scene.particles), vars(b.scene.particles))
         and equal(vars(a.scene.springs), vars(b.scene.springs))
         and np.array_equal(a.scene.triangles, b.scene.triangles)
@@ -212,8 +219,14 @@ def _world(world: World, given: Mapping[str, Any]) -> World:
     more, gravity = dict(world.more), world.gravity
     for name, value in given.items():
         what, key = f"set: {name}", world_keys().get(name)
-        if key is None:
+        if name == "friction":
+            world = replace(world, friction=_friction(what, value))
+        elif name == "collisions":
+            world = replace(world, collisions=accepted.flag(what, value))
+        elif key is None:
             gravity = _vector(what, value, None, world.dim)
+        elif value is None:
+            more.pop(name, None)
         elif key.table:
             more[name] = _table(what, value, key, world)
         else:
@@ -223,6 +236,24 @@ def _world(world: World, given: Mapping[str, Any]) -> World:
         if needs and needs not in more:
             raise InputError(f"set: {name} does nothing without {needs}; set both")
     return replace(world, gravity=gravity, more=more)
+
+
+def _friction(what: str, value: Any) -> float:
+    """A Coulomb coefficient, checked."""
+    number = accepted.number(what, value)
+    _hold(what, np.array(number), NOT_NEGATIVE)
+    return number
+
+
+def _rubbing(obstacles: tuple[Obstacle, ...], value: Any) -> tuple[Obstacle, ...]:
+    """The obstacles with one friction; what has it already is left as it is."""
+    friction = float(value)
+    changed = (
+        of if of.value("friction") == friction
+        else replace(of, values={**of.values, "friction": friction})
+        for of in obstacles
+    )  # fmt: skip
+    return tuple(changed)
 
 
 def _table(what: str, value: Any, key: WorldKey, world: World) -> WorldValue:

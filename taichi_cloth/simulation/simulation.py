@@ -6,6 +6,7 @@ import copy
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike
 from taichi_cloth.errors import InputError, RunFailure, SimulationFailure
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.forces import blow
-from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.kernels.solvers.stages import HIDDEN, OUTCOMES
 from taichi_cloth.kernels.state import WORK
 from taichi_cloth.limits.precision import refuse_unholdable
@@ -28,6 +29,7 @@ from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.changes import Changes
 from taichi_cloth.simulation.checkpoint import Checkpoints
 from taichi_cloth.simulation.editing import same
+from taichi_cloth.simulation.engine import Engine
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import (
     Numbers,
@@ -48,7 +50,7 @@ ORIGINAL_REACH = blow.REACH  # world units: how far the pointer blows where noth
 MOST_LANES = 64  # more fill no vector, and take minutes to compile
 
 
-class Simulation(Readings, Changes, Checkpoints, Showing):
+class Simulation(Readings, Changes, Checkpoints, Engine, Showing):
     """One scene, integrated by one method on the device that `runtime.start` started.
 
     scene: validated here (InputError), against the device's precision, too. method: a name out of
@@ -102,10 +104,10 @@ class Simulation(Readings, Changes, Checkpoints, Showing):
         self.claims: Claims = self._module.claims
         self.solver = solver_settings(method, self.claims, tolerance, iterations)
         self.speed_limit = runaway_speed(scene, self.dt)
-        most = min(LANES, self._module.lanes or LANES)
+        self._lanes = lanes
         self._launcher = Launcher(self._module, device, compiling)
-        lanes = lanes or (most if device.arch == "cpu" else 1)
         start = Snapshot.at_start(self.scene)
+        lanes = self._lanes_for(self._module)
         self.storage = Storage(self._module, lanes, self._launcher, start, accounts_contacts)
         self._auto = AutoSubsteps(method, self._module, self.dt) if follows else None
         self._requested = (
@@ -116,10 +118,23 @@ class Simulation(Readings, Changes, Checkpoints, Showing):
         self._watch: autotune.Watch | None = None
         self.held_up: tuple[float, float] | None = None
         self._unprepared: list[Callable[[], None]] | None = None  # until a window asks
-        self.frame = 0
+        # What the run began with, for who changes it and wants it back.
+        self.began: dict[str, Any] = {
+            "method": method,
+            "dt": self.dt,
+            "substeps": substeps,
+            **self.solver,
+        }
+        self.frame, self._counted = 0, (0, 0)
         self._since = 0, 0.0, 0  # frame, time and steps when the step last changed
         self._work = np.zeros(len(WORK), np.int64)
         self.reset()
+
+    def _lanes_for(self, module: Method) -> int:
+        """How many particles a pack has under a method."""
+        if self._launcher.device.arch != "cpu":
+            return self._lanes or 1
+        return self._lanes or min(LANES, module.lanes or LANES)
 
     def load_scene(self, scene: Scene, dt: float | None = None, substeps: int = 1) -> None:
         """Take another scene, from its start; method, settings, topology and execution stay.
@@ -150,7 +165,7 @@ class Simulation(Readings, Changes, Checkpoints, Showing):
         was: `set` it again, or `load_scene` a changed one.
         """
         self.frame, self._since = 0, (0, 0.0, 0)
-        self._work = np.zeros(len(WORK), np.int64)
+        self._work, self._counted = np.zeros(len(WORK), np.int64), (0, 0)
         start = Snapshot.at_start(self.scene)
         if self._auto:
             self._change_step(self.dt, self._auto.at_start(start))
@@ -293,7 +308,7 @@ class Simulation(Readings, Changes, Checkpoints, Showing):
         """Put a state on the device; the first time, choose how it is run."""
         self._unprepared = [] if self._unprepared else self._unprepared
         self.storage.take(snapshot)
-        if not self.execution:
+        if not self.execution:  # at the start, and under another method
             choice = autotune.choose(*self._requested, self._prediction())
             self._preferred, self.execution = choice.topology, choice.execution
             self._watch = autotune.Watch(choice, self.substeps)
@@ -471,7 +486,8 @@ class Simulation(Readings, Changes, Checkpoints, Showing):
     def work(self) -> diagnostics.Work:
         """What has been done since the start, or since `reset`."""
         forces, sweeps, unconverged = (int(count) for count in self._work)
-        forces = self.steps * self.claims.forces or forces
+        before, steps = self._counted  # evaluations, until the method was changed
+        forces = before + ((self.steps - steps) * self.claims.forces or forces)
         return diagnostics.Work(self.steps, forces, sweeps, unconverged)
 
     def account_contacts(self) -> None:

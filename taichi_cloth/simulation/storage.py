@@ -103,7 +103,7 @@ class Storage:
     ) -> None:
         self._method, self._lanes, self._launcher = method, lanes, launcher
         self._needs = method.needs
-        self._accounts_contacts = accounts_contacts
+        self.accounts_contacts = accounts_contacts
         self.real: Real = np.float64 if launcher.device.real == "f64" else np.float32
         self._taken = snapshot
         self.solids = solids(snapshot.scene)
@@ -218,6 +218,20 @@ class Storage:
             self._launcher.launch(blow.clear_push, container.state)
             self._held = False
         self._altered = True
+
+    def fits(self, snapshot: Snapshot) -> bool:
+        """Whether a state could be loaded without compiling anything anew."""
+        taken, placements, loaded = self._taken, self._placements, self.solids
+        container = self._now.container
+        try:
+            self.take(snapshot)
+            placement, topology = self._find_placement(self.topology)
+            needed = requirements.capacity(snapshot.scene, self.solids, placement)
+            spec = self._needed(placement)
+            room = container.state.capacity.holds(needed)
+            return bool(room and container.fits(spec, topology))
+        finally:
+            self._taken, self._placements, self.solids = taken, placements, loaded
 
     def mark_new_springs(self, steps: int) -> None:
         """Mark the springs that are over their limit after `steps` steps, outside of any."""
@@ -344,14 +358,7 @@ class Storage:
         """
         scene, device = self.scene, self._launcher.device
         needed = requirements.capacity(scene, self.solids, placement)
-        spec = requirements.specialization(
-            self._taken,
-            self.solids,
-            placement,
-            device,
-            topologies=self.topologies,
-            accounts_contacts=self._accounts_contacts,
-        )
+        spec = self._needed(placement)
         if like is not None and like.can_run(spec):
             spec = like
         factor = 1
@@ -378,6 +385,17 @@ class Storage:
         # Taichi has room for 512 trees of fields, of which each state takes two.
         free_with(container, state, device)
         return container
+
+    def _needed(self, placement: Placement) -> Specialization:
+        """What the state that was taken needs, in a placement."""
+        return requirements.specialization(
+            self._taken,
+            self.solids,
+            placement,
+            self._launcher.device,
+            topologies=self.topologies,
+            accounts_contacts=self.accounts_contacts,
+        )
 
     def unprepared(self) -> list[Callable[[], None]]:
         """What compiles the kernels that only a first click needs, in a scene where clicks spawn.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.simulation import live
 from taichi_cloth.ui import interaction, tools
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.camera_moves import CameraMoves
@@ -117,6 +118,13 @@ class Controls:
         if name and name not in known:
             raise InputError(f"unknown tool '{name}'; {nearest(name, known)}")
         self._follow(Event("tool", name=name))
+
+    def set(self, name: str, value: live.Value) -> None:
+        """Give a setting of `simulation.live` a value, or tell the user why it is refused.
+
+        It is noted, as `choose` is.
+        """
+        self._follow(interaction.set_event(name, value))
 
     def _follow(self, event: LogEvent) -> None:
         """Note an event that follows from what the user did, and apply it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.files import events
 from taichi_cloth.files.events import Kind
 from taichi_cloth.settings import accepted
+from taichi_cloth.simulation import live
 from taichi_cloth.ui import inputs, tools
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.tools.contract import LoggedEvent, ToolEvent
@@ -44,9 +46,29 @@ def replay(sim: Simulation, event: ToolEvent) -> None:
     _declared()[event.kind].replay(sim, event.values)
 
 
+def set_event(name: str, value: live.Value) -> ToolEvent:
+    """The event that gives a setting of `simulation.live` a value."""
+    return as_logged(ToolEvent("set", {"name": name, "value": value}))
+
+
+def _setting_value(name: str, value: Any) -> live.Value:
+    """A number, a word, true or false, or null: off."""
+    if value is None or isinstance(value, (bool, str)):
+        return value
+    return value if isinstance(value, int) else events.number(name, value)
+
+
+def _set(sim: Simulation, values: Mapping[str, Any]) -> None:
+    live.apply(sim, values["name"], values["value"])
+
+
+SET = LoggedEvent("set", {"name": events.text, "value": _setting_value}, _set)
+
+
 @cache
 def _declared() -> dict[str, LoggedEvent]:
-    return {event.name: event for tool in tools.load_all().values() for event in tool.events}
+    of_tools = (event for tool in tools.load_all().values() for event in tool.events)
+    return {event.name: event for event in (SET, *of_tools)}
 
 
 @cache

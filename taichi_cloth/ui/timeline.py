@@ -81,8 +81,9 @@ class Timeline:
         self._holders: Counter[int] = Counter()
         self._bytes, self._every = 0, 1
         self._last = -1
+        self._set: set[int] = set()
         self._present: _Kept | None = None
-        self._untouched = 0, False
+        self._untouched: tuple[Any, ...] = ()
         self.at = None
 
     # --- as the run goes on ----------------------------------------------------------------
@@ -90,7 +91,7 @@ class Timeline:
     def note(self, frame: int) -> None:
         """Take note of the present frame, after it was advanced."""
         self._last = frame
-        if frame % self._every == 0 or not self._kept:
+        if frame % self._every == 0 or not self._kept or frame in self._set:
             self._hold(_Kept(frame, self._sim.checkpoint(), self._remembers.memory()))
         while self._kept and frame - self._kept[0].frame > self._span and len(self._kept) > 1:
             self._drop(0)
@@ -100,6 +101,8 @@ class Timeline:
     def event(self, frame: int, event: LogEvent) -> None:
         """Take note of an event that came before `frame` was advanced."""
         self._events.setdefault(frame, []).append(event)
+        if event.kind == "set":  # which may compile: the frame after it is not run again
+            self._set.add(frame + 1)
 
     def _hold(self, kept: _Kept) -> None:
         self._kept.append(kept)
@@ -118,6 +121,7 @@ class Timeline:
         if at == 0 and self._kept:
             first = self._kept[0].frame
             self._events = {f: events for f, events in self._events.items() if f >= first}
+            self._set = {f for f in self._set if f >= first}
 
     def _thin(self) -> None:
         """Make room: every second checkpoint goes, or, where none can be done without, the oldest.
@@ -129,7 +133,8 @@ class Timeline:
             return
         self._every *= 2
         for at in range(len(self._kept) - 1, 0, -1):
-            if self._kept[at].frame % self._every:
+            frame = self._kept[at].frame
+            if frame % self._every and frame not in self._set:
                 self._drop(at)
 
     @property
@@ -180,13 +185,17 @@ class Timeline:
         for between in range(kept.frame, frame):
             assert self._rerun is not None  # else each frame has its checkpoint
             self._rerun(between, self._events.get(between, []))
-        self._untouched = self._sim.storage.loads, self._sim.storage.altered
+        self._untouched = self._marks()
 
     @property
     def touched(self) -> bool:
         """Whether the frame that was gone back to is no longer as it was: something was done."""
-        now = self._sim.storage.loads, self._sim.storage.altered
-        return self.at is not None and now != self._untouched
+        return self.at is not None and self._marks() != self._untouched
+
+    def _marks(self) -> tuple[Any, ...]:
+        """What tells whether something was done to the state from outside."""
+        storage = self._sim.storage
+        return id(storage), storage.loads, storage.altered
 
     def branch(self) -> int | None:
         """Let the run go on from the frame that was gone back to: what came after is dropped.
@@ -200,6 +209,7 @@ class Timeline:
         while self._kept and self._kept[-1].frame > frame:
             self._drop(len(self._kept) - 1)
         self._events = {f: events for f, events in self._events.items() if f < frame}
+        self._set = {f for f in self._set if f <= frame}
         self._last = frame
         return frame
 

@@ -53,6 +53,8 @@ class Travel:
         """Log an event that comes before `frame` is advanced; in the past, if anything is done."""
         if self._quiet:
             return
+        if self.away and event.kind == "set":  # what it changes need not be seen in the state
+            self.go_on()
         if self.away:
             self._looked.append(event)
             return

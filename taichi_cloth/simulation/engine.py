@@ -1,0 +1,145 @@
+"""What runs a scene, and how it is changed for another one while the scene goes on: the method."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+
+from taichi_cloth.errors import InputError
+from taichi_cloth.kernels import methods
+from taichi_cloth.kernels.methods.contract import Claims, Method
+from taichi_cloth.kernels.state import FORCES
+from taichi_cloth.settings import accepted
+from taichi_cloth.settings.options import SOLVER_SETTINGS
+from taichi_cloth.simulation import diagnostics
+from taichi_cloth.simulation.auto_substeps import AutoSubsteps
+from taichi_cloth.simulation.launch import Launcher
+from taichi_cloth.simulation.numbers import Numbers, solver_settings
+from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.storage import Storage
+
+# Why a change that compiles makes a window wait (`compiles_in_background`).
+ALONE = (
+    "Taichi compiles in the thread that started it, and knows what is in its cache "
+    "from when it started"
+)
+
+
+def compiles_in_background() -> str:
+    """Why kernels cannot be compiled while a run goes on; "": they can.
+
+    Taichi 1.7 refuses to work in a second thread, and reads the list of what other processes have
+    compiled once, when it starts: what another process compiles meanwhile is compiled again.
+    """
+    return ALONE
+
+
+class Engine(ABC):
+    """The part of a `Simulation` that has the method, and changes it."""
+
+    # All that is the method's, or was chosen for it; a checkpoint goes back to it.
+    ENGINE = (
+        *("method", "_module", "claims", "_launcher", "storage", "execution", "topology"),
+        *("_watch", "held_up", "_unprepared"),
+    )
+
+    method: str
+    claims: Claims
+    solver: dict[str, float]
+    dt: float
+    substeps: int
+    execution: str
+    storage: Storage
+    held_up: tuple[float, float] | None
+    _module: Method
+    _launcher: Launcher
+    _auto: AutoSubsteps | None
+    _watch: Any
+    _unprepared: list[Any] | None
+    _since: tuple[int, float, int]
+    _work: np.ndarray
+    _counted: tuple[int, int]
+    speed_limit: float
+
+    @property
+    @abstractmethod
+    def steps(self) -> int:
+        """Steps done since the start."""
+
+    @abstractmethod
+    def work(self) -> diagnostics.Work:
+        """What has been done since the start."""
+
+    @abstractmethod
+    def _lanes_for(self, module: Method) -> int:
+        """How many particles a pack has."""
+
+    @abstractmethod
+    def _store(self, snapshot: Snapshot) -> None:
+        """Put a state on the device; the first time, choose how it is run."""
+
+    @abstractmethod
+    def _change_step(self, dt: float, substeps: int) -> None:
+        """Go on counting with another step."""
+
+    @abstractmethod
+    def _numbers(self) -> Numbers:
+        """What the device is told of the run's settings."""
+
+    def set_solver(self, tolerance: float | None = None, iterations: int | None = None) -> None:
+        """From now on solve steps to a relative residual, or with so many sweeps; absent: as now.
+
+        InputError where the method does not take it, or it is out of its limits.
+        """
+        solver_settings(
+            self.method, self.claims, tolerance, iterations
+        )  # refuses what is not taken
+        given = {"tolerance": tolerance, "iterations": iterations}
+        self.solver |= {name: value for name, value in given.items() if value is not None}
+        self.storage.set_numbers(self._numbers())
+
+    def set_method(self, method: str) -> None:
+        """Go on with another method: where particles are, time, what broke and all else stays.
+
+        Settings that the new method takes stay as they were, where the old one took them, too; what
+        it keeps from step to step is computed anew. It compiles the method's kernels, which takes
+        as long as at a start. With dt "auto" the substeps are chosen for it.
+        InputError for an unknown one, and for one that dt "auto" refuses; all is then as it was.
+        """
+        accepted.word("--method", method, methods.METHODS)
+        if method == self.method:
+            return
+        names = (*self.ENGINE, "solver", "dt", "substeps", "speed_limit", "_since", "_auto")
+        before = {name: getattr(self, name) for name in names}
+        now, storage = self.storage.snapshot(), self.storage
+        held, pushed = storage.held(), storage.pushed
+        counted = self.work().force_evaluations, self.steps
+        try:
+            self._take_method(method, now)
+            self._store(now)
+        except InputError:
+            for name, value in before.items():
+                setattr(self, name, value)
+            raise
+        self._counted, self._work[FORCES] = counted, 0
+        if held is not None:
+            self.storage.hold_again(held, pushed)
+
+    def _take_method(self, method: str, now: Snapshot) -> None:
+        module, device = methods.load(method), self._launcher.device
+        self.method, self._module, self.claims = method, module, module.claims
+        self.solver = {
+            name: self.solver.get(name, SOLVER_SETTINGS[name]) for name in self.claims.settings
+        }
+        self._launcher = Launcher(module, device)
+        accounts = self.storage.accounts_contacts
+        self.storage = Storage(module, self._lanes_for(module), self._launcher, now, accounts)
+        self.execution, self.topology = "", ""  # `_store` chooses them
+        self._watch = self.held_up = self._unprepared = None
+        if self._auto:
+            self._auto = AutoSubsteps(method, module, self.dt)
+            chosen = self._auto.before_spawn(now)
+            if chosen != self.substeps:
+                self._change_step(self.dt, chosen)

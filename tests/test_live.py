@@ -1,0 +1,212 @@
+"""Settings that are changed while a run goes on: read back, restored, logged, another method."""
+
+import numpy as np
+import pytest
+from cloths import cloth
+from selection import mostly_thorough, thorough
+
+import taichi_cloth as tc
+from taichi_cloth.errors import InputError
+from taichi_cloth.files.events import Recorder
+from taichi_cloth.kernels import methods
+from taichi_cloth.scene import library
+from taichi_cloth.scene.library import build
+from taichi_cloth.simulation import live
+from taichi_cloth.simulation.running_costs import RunningCosts
+from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.ui import app, interaction
+from taichi_cloth.ui.views.none import NullView
+
+pytestmark = pytest.mark.usefixtures("device", "few_lanes")
+
+HOW = {"topology": "graph", "execution": "serial"}
+
+
+def another(setting, now):
+    """A value that a setting does not have now, inside its slider."""
+    if setting.kind == live.WORD:
+        return next(word for word in setting.words if word != now)
+    if setting.kind == live.FLAG:
+        return not now
+    value = setting.low + 0.25 * (setting.high - setting.low)
+    if setting.log:
+        value = setting.low**0.45 * setting.high**0.55
+    return max(int(value), 2) if setting.kind == live.COUNT else value
+
+
+def state(sim):
+    return sim.positions(), sim.velocities(), sim.springs_alive()
+
+
+def assert_same(one, other):
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("name", mostly_thorough(library.names(), ["cloth"]))
+def test_every_setting_is_read_back_and_restored(name):
+    scene = build(name)
+    sim = Simulation(scene, dt=library.frame(name), **HOW)
+    sim.advance(2)
+    settings = live.settings_of(sim)
+    assert len({setting.name for setting in settings}) == len(settings)
+    for setting in settings:
+        assert setting.read(sim) == pytest.approx(setting.own), setting.name
+        assert setting.label and setting.help and setting.low < setting.high
+        if setting.fixed:
+            with pytest.raises(InputError, match="auto"):
+                setting.set(sim, another(setting, setting.read(sim)))
+            continue
+        if setting.name == "collisions":  # compiles, and may push a cloth's particles apart
+            continue
+        value = another(setting, setting.read(sim))
+        if setting.name == "method" and sim.follows:
+            value = "implicit_euler"
+        frame, x = sim.frame, sim.positions()
+        setting.set(sim, value)
+        assert live.setting(sim, setting.name).read(sim) == pytest.approx(value), setting.name
+        assert sim.frame == frame
+        np.testing.assert_array_equal(sim.positions(), x)
+        live.setting(sim, setting.name).set(sim, setting.own)
+        assert live.setting(sim, setting.name).read(sim) == pytest.approx(setting.own)
+    sim.advance(2)
+
+
+def test_what_is_refused_leaves_the_run_as_it_was():
+    sim = Simulation(cloth(6, 5), **HOW)
+    for name, value, says in (
+        ("substeps", 0, "--substeps"),
+        ("substeps", 1.5, "must be a whole number"),
+        ("dt", "auto", "must be a number"),
+        ("method", "eulr", "unknown 'eulr'"),
+        ("stiffness", -1.0, "must not be negative"),
+        ("collisions", 1, "must be true or false"),
+        ("sitffness", 1.0, "did you mean 'stiffness'"),
+    ):
+        with pytest.raises(InputError, match=says):
+            live.apply(sim, name, value)
+    with pytest.raises(InputError, match="does not take it"):
+        sim.set_solver(iterations=3)
+    auto = Simulation(cloth(6, 5), dt="auto", **HOW)
+    with pytest.raises(InputError, match="unstable on these springs at every step"):
+        auto.set_method("explicit_euler")
+    assert auto.method == "symplectic_euler"
+    auto.advance(3)
+
+
+def test_stiffness_by_kind_is_that_of_its_links_alone():
+    sim = Simulation(cloth(6, 5, ("structural", "shear"), own_numbers=True), **HOW)
+    by_name = {setting.name: setting for setting in live.settings_of(sim)}
+    assert by_name["stiffness"].unit == live.TIMES
+    own = sim.scene.springs.stiffness
+    by_name["stiffness.shear"].set(sim, 0.9)
+    by_name["stiffness"].set(sim, 2.0)  # of what the scene has, so that nothing adds up
+    np.testing.assert_array_equal(sim.storage.scene.springs.stiffness, 2.0 * own)
+    assert by_name["stiffness"].read(sim) == 2.0
+
+
+@pytest.mark.parametrize(
+    "method", mostly_thorough([m for m in methods.METHODS if m != "symplectic_euler"], ["verlet"])
+)
+def test_another_method_goes_on_where_the_first_one_was(method):
+    """From a state on it does what a run does that begins with it there; checkpoints lead back."""
+    scene = cloth(8, 6, mouse="blow", drag=0.02)
+    sim = Simulation(scene, **HOW)
+    sim.advance(4)
+    there = sim.checkpoint()
+    x, v = sim.positions(), sim.velocities()
+    sim.advance(3)
+    first = state(sim)
+    sim.restore(there)
+    work = sim.work()
+    sim.hold(np.full((sim.particle_count, 2), 0.01))
+    sim.set_method(method)
+    assert (sim.method, sim.frame, sim.time) == (method, 4, there.time)
+    assert_same((x, v), state(sim)[:2])
+    sim.advance(3)
+    other = Simulation(scene, method, **HOW)
+    other.set(positions=x, velocities=v)
+    other.hold(np.full((sim.particle_count, 2), 0.01))
+    other.advance(3)
+    assert_same(state(sim), state(other))
+    done = sim.work()
+    assert done.steps == 7
+    assert done.force_evaluations == work.force_evaluations + other.work().force_evaluations
+    sim.restore(there)
+    assert sim.method == "symplectic_euler"
+    sim.advance(3)
+    assert_same(state(sim), first)
+
+
+def test_a_log_of_settings_replays_to_the_same_bits(tmp_path):
+    scene = cloth(8, 6, ("structural", "shear"), mouse="blow", break_force=3.0)
+    path = tmp_path / "log.jsonl"
+    lines = [
+        (2, "stiffness", 0.3),
+        (3, "gravity.y", -0.02),
+        (4, "method", "verlet"),
+        (4, "substeps", 3),
+        (5, "damping", 0.02),
+        (6, "break_force", None),
+        (6, "dt", 0.5),
+        (7, "fracture", True),
+    ]
+    with Recorder(path) as recorder:
+        for frame, name, value in lines:
+            recorder.write(frame, interaction.set_event(name, value))
+    sim = Simulation(scene, **HOW)
+    for frame in range(10):
+        for at, name, value in lines:
+            if at == frame:
+                live.apply(sim, name, value)
+        sim.advance()
+    again = Simulation(scene, **HOW)
+    copy = tmp_path / "copy.jsonl"
+    with Recorder(copy) as recorder:
+        replay = tc.load_events(path)
+        app.run(
+            again, NullView(scene.world), frames=10, replay=replay, recorder=recorder, quiet=True
+        )
+    assert_same(state(again), state(sim))
+    assert again.method == "verlet" and copy.read_text() == path.read_text()
+
+
+def test_what_a_setting_costs_is_measured_or_predicted_or_said_to_be_unknown():
+    sim = Simulation(cloth(8, 6), **HOW)
+    costs, by_name = RunningCosts(), {s.name: s for s in live.settings_of(sim)}
+    assert costs.now(sim).words() == "not measured"
+    assert costs.of(sim, by_name["substeps"], 4).words() == "not measured"
+    for _ in range(9):
+        costs.note(sim, 2e-3)
+    assert costs.now(sim).words() == "2 ms a frame, measured"
+    assert costs.of(sim, by_name["substeps"], 4).words() == "8 ms a frame, predicted"
+    assert costs.of(sim, by_name["gravity.x"], 1.0).how == "measured"
+    assert costs.of(sim, by_name["method"], "rk4").how == "predicted"
+    assert costs.of(sim, by_name["method"], "rk4").seconds > 2e-3
+    assert costs.of(sim, by_name["collisions"], True).words() == "not measured"
+    sim.set_step(substeps=4)
+    for _ in range(9):
+        costs.note(sim, 5e-3)
+    sim.set_step(substeps=1)
+    assert costs.of(sim, by_name["substeps"], 4).words() == "5 ms a frame, measured"
+
+
+@thorough
+def test_features_go_on_and_off_and_say_whether_they_compile():
+    scene = build("drape")
+    sim = Simulation(scene, dt="auto", **HOW)
+    sim.advance()
+    by_name = {setting.name: setting for setting in live.settings_of(sim)}
+    assert by_name["self_collision"].read(sim) and by_name["self_collision"].compiles(sim, False)
+    assert not by_name["gravity.y"].compiles(sim, -3.0)
+    by_name["self_collision"].set(sim, False)
+    assert not sim.storage.specialization.thick
+    sim.advance(2)
+    by_name["self_collision"].set(sim, True)
+    assert sim.storage.specialization.thick
+    by_name["air"].set(sim, True)
+    sim.advance(2)
+    by_name["air"].set(sim, False)
+    by_name["friction"].set(sim, 0.9)
+    assert by_name["friction"].read(sim) == 0.9
+    sim.advance(2)
