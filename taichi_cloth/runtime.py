@@ -207,6 +207,7 @@ def _initialize(
             # LLVM does the same again: without it kernels are as fast, and compile in a third of
             # the time.
             cfg_optimization=False,
+            unrolling_limit=0,  # it warns of loops over fields that must be unrolled
             log_level=ti.ERROR,
             verbose=False,
         )

@@ -18,6 +18,7 @@ from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene.model import World
 from taichi_cloth.settings.options import PROGRAM
+from taichi_cloth.simulation.running_costs import RunningCosts
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import hud, rescue, strained, style
 from taichi_cloth.ui.chrome import messages
@@ -25,6 +26,7 @@ from taichi_cloth.ui.chrome.chrome import Chrome, Contents
 from taichi_cloth.ui.chrome.contract import Part
 from taichi_cloth.ui.chrome.layout import Layout, Rect
 from taichi_cloth.ui.chrome.meters import Meters
+from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
 from taichi_cloth.ui.chrome.timeline_row import TimelineRow
 from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.controls import Controls
@@ -228,9 +230,14 @@ class _Loop:
         self._meters = Meters(sim, windowed=view.visible)
         self._waited = 0.0  # seconds, before the present frame
         parts: list[Part] = [self._meters]
+        self._costs = RunningCosts()
+        self._settings: SettingsPanel | None = None
         if self._travel:
             timeline = self._travel.timeline
             parts.append(TimelineRow(timeline, self._go_to, lambda: self._pace.slowness))
+        if view.visible:
+            self._settings = SettingsPanel(sim, self._controls, self._costs)
+            parts.insert(0, self._settings)
         self._chrome = Chrome(
             windowed=view.visible, status=status, parts=parts, text=view.text_size
         )
@@ -238,7 +245,7 @@ class _Loop:
             self._chrome.toggle("meters")
         self._buttons: tuple[Button, ...] = ()
         self._paused = paused and view.visible
-        self._step = False
+        self._step = self._compiling = False
         self._show_help = False
         self.failure: SimulationFailure | None = None
         self._meter = hud.Meter()
@@ -292,6 +299,7 @@ class _Loop:
             self._meter.frame(simulate, draw)
             if self._chrome.is_open("meters"):
                 self._meters.frame(simulate, draw, self._waited)
+            self._costs.note(self.sim, simulate)
         if self.view.visible:
             self._wait()
 
@@ -407,6 +415,21 @@ class _Loop:
                 self._travel.settle()
             if command:
                 self._obey(command)
+        self._give_settings()
+
+    def _give_settings(self) -> None:
+        """Have what was changed in the panel take effect; say so before that compiles."""
+        if self._settings is None or not self._settings.given:
+            return
+        if self._replaying:
+            self._settings.forget()
+            return
+        if self._settings.compiles:
+            self._compiling = True
+            self.view.draw(self._picture())
+            self._compiling = False
+        self._settings.flush()
+        self._meter.interrupt()
 
     def _in_log_window(self, event: Event) -> Event:
         """`event` with its position converted from our window to the log's."""
@@ -543,6 +566,8 @@ class _Loop:
         if self._shutter.state is not None:
             paused = ", paused" if self._paused else ""
             return Word(self._shutter.state + paused, style.RECORDING)
+        if self._compiling:
+            return Word("compiling for the new setting", style.WARN)
         if self._paused:
             return Word("paused", style.WARN)
         if self.frames == 0:

@@ -84,6 +84,10 @@ class Controls:
             return None
         return self.tool.ring(self._hand)
 
+    def forget_notice(self) -> None:
+        """What was told is no longer so."""
+        self._hand.notice = None
+
     def apply(self, event: LogEvent, *, replayed: bool = False) -> str | None:
         """Do what `event` asks for.
 

@@ -1,0 +1,122 @@
+"""What stands beside the world in a window: the panel of settings and the timeline's row."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from taichi_cloth.scene import library
+from taichi_cloth.simulation.running_costs import RunningCosts
+from taichi_cloth.ui.chrome.chrome import Chrome
+from taichi_cloth.ui.chrome.layout import Rect
+from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
+from taichi_cloth.ui.chrome.timeline_row import TimelineRow
+from taichi_cloth.ui.controls import Controls
+from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.timeline import Timeline
+
+RECT, HEIGHT = Rect(500, 20, 300, 560), 12
+
+
+class Hands:
+    """A panel with the pointer and the keys on it."""
+
+    def __init__(self, sim):
+        self.noted = []
+        controls = Controls(sim, None, (800, 600), note=self.noted.append)
+        self.panel = SettingsPanel(sim, controls, RunningCosts())
+        self.look()
+
+    def look(self):
+        return self.panel.panel(RECT, HEIGHT).words.splitlines()
+
+    def place(self, name, across=0.5):
+        line = next(n for n in self.panel._lines if n.setting and n.setting.name == name)
+        return RECT.x + across * RECT.width, RECT.y + line.top + line.tall - 3
+
+    def press(self, pos):
+        self.panel.take(Event("press", pos=pos, button="left"), RECT, HEIGHT)
+
+    def release(self):
+        self.panel.take(Event("release", pos=(0, 0), button="left"), RECT, HEIGHT)
+        self.panel.flush()
+
+    def keys(self, *keys):
+        for key in keys:
+            self.panel.take(Event("press", key=key), RECT, HEIGHT)
+        self.panel.flush()
+
+
+@pytest.fixture
+def sim(pool):
+    made = pool(library.build("cloth", columns=4, rows=3))
+    made.reset()
+    return made
+
+
+def test_settings_are_set_by_mouse_and_keys_and_noted(sim):
+    hands = Hands(sim)
+    assert "stiffness 0.5" in hands.look() and not hands.panel.focused
+    hands.press(hands.place("stiffness", 0.75))
+    dragged = sim.storage.scene.springs.stiffness
+    assert (dragged == 0.5).all()  # only before the next frame
+    hands.release()
+    dragged = float(sim.storage.scene.springs.stiffness[0])
+    assert 0.5 < dragged < 50 and hands.panel.focused
+    hands.keys("1", "2", "backspace", ".", "5", "return")
+    assert (sim.storage.scene.springs.stiffness == 1.5).all() and "stiffness 1.5" in hands.look()
+    hands.keys("delete")
+    assert (sim.storage.scene.springs.stiffness == 0.5).all()
+    hands.keys("right")
+    assert sim.storage.scene.springs.stiffness[0] > 0.5
+    hands.panel._clicked = "", -np.inf
+    for _ in range(2):  # a double click
+        hands.press(hands.place("stiffness", 0.1)[:1] + (hands.place("stiffness")[1] - 14,))
+        hands.release()
+    assert (sim.storage.scene.springs.stiffness == 0.5).all()
+    assert [event.values["name"] for event in hands.noted] == ["stiffness"] * 5
+    hands.keys("escape")
+    assert not hands.panel.focused
+
+
+def test_what_is_refused_is_said_and_leaves_all_as_it_was(sim):
+    hands = Hands(sim)
+    hands.press(hands.place("substeps", 0.1)[:1] + (hands.place("substeps")[1] - 14,))
+    hands.release()
+    hands.keys("0", "return")
+    assert sim.substeps == 1 and "substeps" in hands.look()[-1]
+
+
+def test_a_panel_that_is_too_long_is_scrolled_and_draws_inside(sim):
+    hands = Hands(sim)
+    small = Rect(0, 0, 180, 200)
+    first = hands.panel.panel(small, HEIGHT)
+    assert first is hands.panel.panel(small, HEIGHT) and first.pixels.shape == (200, 180, 3)
+    hands.panel.take(Event("wheel", pos=(5, 5), delta=-100), small, HEIGHT)
+    last = hands.panel.panel(small, HEIGHT)
+    assert "method" in first.words and "method" not in last.words and "fracture" in last.words
+
+
+def test_a_drag_on_the_timeline_goes_through_its_frames(sim):
+    gone = []
+    timeline = Timeline(sim, Controls(sim, None, (800, 600)), None)
+    for frame in range(1, 62):
+        sim.advance()
+        timeline.note(frame)
+    row = TimelineRow(timeline, gone.append, lambda: 4)
+    chrome = Chrome(windowed=True, status=True, parts=[row])
+    assert chrome.toggle("timeline") and chrome.is_open("timeline")
+    layout = chrome.layout((900, 600))
+    y = layout.row.y + 5
+    for event in (
+        Event("press", pos=(899, y), button="left"),
+        Event("move", pos=(0, 0)),  # outside, but it is the row's until the release
+        Event("release", pos=(0, 0), button="left"),
+    ):
+        assert chrome.take(event, layout, ()) is None
+    assert (gone[0], gone[-1]) == (61, 1)
+    move = Event("move", pos=(450, 300))
+    assert chrome.take(move, layout, ()) is move  # the world's again
+    assert "now of 1.0 s   1/4 speed" in row.panel(layout.row, layout.text).words
+    assert not chrome.toggle("nothing") and chrome.toggle("timeline")
+    assert not chrome.is_open("timeline")
