@@ -338,7 +338,7 @@ def test_kept_values_follow_what_they_are_made_of():
 class Script:
     """A view that plays prepared turns of events, and ends with the last."""
 
-    name, visible, has_wheel, camera, room = "script", True, True, None, None
+    name, visible, has_wheel, camera, room, text_size = "script", True, True, None, None, 1.0
 
     def __init__(self, *turns, size=(600, 400)):
         self.turns, self.size, self.pictures = list(turns), size, []
