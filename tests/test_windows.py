@@ -54,6 +54,10 @@ class FakeSimulation:
     method, dt, substeps, execution = "symplectic_euler", 1.0, 1, "serial"
     topology = "graph"
     held_up = None
+    solver = {}
+
+    def describe_size(self):
+        return "fake"
 
     def __init__(self, scene):
         self.scene, self.frame, self.calls = scene, 0, []
