@@ -136,6 +136,12 @@ def test_another_method_goes_on_where_the_first_one_was(method):
     assert sim.method == "symplectic_euler"
     sim.advance(3)
     assert_same(state(sim), first)
+    sim.set_method(method)  # whose fields are still there
+    sim.restore(there)
+    sim.set_method(method)
+    sim.hold(np.full((sim.particle_count, 2), 0.01))
+    sim.advance(3)
+    assert_same(state(sim), state(other))
 
 
 def test_a_log_of_settings_replays_to_the_same_bits(tmp_path):

@@ -20,6 +20,7 @@ from taichi_cloth.simulation.numbers import Numbers, solver_settings
 from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.storage import Storage
 
+MOST_ENGINES = 3  # methods that a run has had, whose fields and kernels are kept for their return
 # Why a change that compiles makes a window wait (`compiles_in_background`).
 ALONE = (
     "Taichi compiles in the thread that started it, and knows what is in its cache "
@@ -42,7 +43,7 @@ class Engine(ABC):
     # All that is the method's, or was chosen for it; a checkpoint goes back to it.
     ENGINE = (
         *("method", "_module", "claims", "_launcher", "storage", "execution", "topology"),
-        *("_watch", "held_up", "_unprepared"),
+        *("_preferred", "_requested", "_watch", "held_up", "_unprepared"),
     )
 
     method: str
@@ -58,6 +59,8 @@ class Engine(ABC):
     _auto: AutoSubsteps | None
     _watch: Any
     _unprepared: list[Any] | None
+    _requested: tuple[str, str]
+    _engines: dict[str, dict[str, Any]]
     _since: tuple[int, float, int]
     _work: np.ndarray
     _counted: tuple[int, int]
@@ -104,15 +107,17 @@ class Engine(ABC):
         """Go on with another method: where particles are, time, what broke and all else stays.
 
         Settings that the new method takes stay as they were, where the old one took them, too; what
-        it keeps from step to step is computed anew. It compiles the method's kernels, which takes
-        as long as at a start. With dt "auto" the substeps are chosen for it.
+        it keeps from step to step is computed anew. With dt "auto" the substeps are chosen for it.
+        It compiles the method's kernels, as at a start, but on the graph, unless lanes were asked
+        for: those of lanes may take a minute, and which are there would be the machine's matter. A
+        method that the run had before compiles nothing.
         InputError for an unknown one, and for one that dt "auto" refuses; all is then as it was.
         """
         accepted.word("--method", method, methods.METHODS)
         if method == self.method:
             return
         names = (*self.ENGINE, "solver", "dt", "substeps", "speed_limit", "_since", "_auto")
-        before = {name: getattr(self, name) for name in names}
+        before = {name: getattr(self, name) for name in names} | {"_engines": {**self._engines}}
         now, storage = self.storage.snapshot(), self.storage
         held, pushed = storage.held(), storage.pushed
         counted = self.work().force_evaluations, self.steps
@@ -128,18 +133,30 @@ class Engine(ABC):
             self.storage.hold_again(held, pushed)
 
     def _take_method(self, method: str, now: Snapshot) -> None:
-        module, device = methods.load(method), self._launcher.device
-        self.method, self._module, self.claims = method, module, module.claims
+        module, solver = methods.load(method), self.solver
+        self._engines[self.method] = {name: getattr(self, name) for name in self.ENGINE}
+        if method in self._engines:
+            for name, value in self._engines.pop(method).items():
+                setattr(self, name, value)
+        else:
+            self._make_engine(method, module, now)
+        while len(self._engines) > MOST_ENGINES:
+            del self._engines[next(iter(self._engines))]
         self.solver = {
-            name: self.solver.get(name, SOLVER_SETTINGS[name]) for name in self.claims.settings
+            name: solver.get(name, SOLVER_SETTINGS[name]) for name in self.claims.settings
         }
-        self._launcher = Launcher(module, device)
-        accounts = self.storage.accounts_contacts
-        self.storage = Storage(module, self._lanes_for(module), self._launcher, now, accounts)
-        self.execution, self.topology = "", ""  # `_store` chooses them
-        self._watch = self.held_up = self._unprepared = None
         if self._auto:
             self._auto = AutoSubsteps(method, module, self.dt)
             chosen = self._auto.before_spawn(now)
             if chosen != self.substeps:
                 self._change_step(self.dt, chosen)
+
+    def _make_engine(self, method: str, module: Method, now: Snapshot) -> None:
+        device, accounts = self._launcher.device, self.storage.accounts_contacts
+        self.method, self._module, self.claims = method, module, module.claims
+        self._launcher = Launcher(module, device)
+        self.storage = Storage(module, self._lanes_for(module), self._launcher, now, accounts)
+        self.execution = self.topology = ""  # `_store` chooses them
+        self._watch = self.held_up = self._unprepared = None
+        wanted, path = self._requested
+        self._requested = ("graph" if wanted == "auto" else wanted), path

@@ -105,6 +105,7 @@ class Simulation(Readings, Changes, Checkpoints, Engine, Showing):
         self.solver = solver_settings(method, self.claims, tolerance, iterations)
         self.speed_limit = runaway_speed(scene, self.dt)
         self._lanes = lanes
+        self._engines: dict[str, dict[str, Any]] = {}
         self._launcher = Launcher(self._module, device, compiling)
         start = Snapshot.at_start(self.scene)
         lanes = self._lanes_for(self._module)
@@ -150,6 +151,7 @@ class Simulation(Readings, Changes, Checkpoints, Engine, Showing):
         step = checked_step(scene.world.dt if dt is None else dt, substeps)
         refuse_unholdable(scene, current_device().precision)
         self.scene = scene
+        self._engines.clear()
         self.dt, self.substeps = step
         if self.follows:
             self._auto = AutoSubsteps(self.method, self._module, self.dt)

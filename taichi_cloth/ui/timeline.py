@@ -80,7 +80,7 @@ class Timeline:
         self._events: dict[int, list[LogEvent]] = {}
         self._holders: Counter[int] = Counter()
         self._bytes, self._every = 0, 1
-        self._last = -1
+        self._last = 0
         self._set: set[int] = set()
         self._present: _Kept | None = None
         self._untouched: tuple[Any, ...] = ()
