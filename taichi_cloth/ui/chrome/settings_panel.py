@@ -105,7 +105,7 @@ class SettingsPanel:
         """The two lines at the foot: what the chosen setting is and costs, or what was refused."""
         line = self._line(self._chosen)
         if line is None or line.setting is None:
-            return f"a frame: {self._costs.now(self._sim).words()}", HINT
+            return self._costs.now(self._sim).words(), HINT
         one, value = line.setting, line.value
         said = self._controls.notice or one.help
         if one.fixed:
@@ -141,12 +141,11 @@ class SettingsPanel:
                 said.append(self._draw_line(block, line, height))
         foot = pixels[room:]
         foot[:] = style.SURROUND
-        for number, words in enumerate(note):
-            color = style.INK if number == 0 else style.MUTED
-            wide = rect.width - 2 * _pad(height)
-            for more, part in enumerate(text.wrapped(words, wide, height)[:2]):
-                y = (0.4 + 1.3 * (2 * number + more)) * height
+        wide, y = rect.width - 2 * _pad(height), 0.4 * height
+        for words, color in zip(note, (style.INK, style.MUTED), strict=True):
+            for part in text.wrapped(words, wide, height)[:2]:
                 text.write(foot, part, (_pad(height), y), height, color)
+                y += 1.3 * height
         self._draw_bar(pixels, room)
         return Panel(rect.x, rect.y, pixels, "\n".join([*said, *note]))
 
