@@ -196,6 +196,7 @@ def help_lines(
             "z\tback to the view before",
         ]
     lines += [
+        "o\tsettings, live",
         "l\tthe last 10 seconds, to go through",
         ("p" if tool and "space" in tool.modifiers else "space, p") + "\tpause and go on",
         ".  or right arrow\tone frame, while paused",
