@@ -765,6 +765,72 @@ def test_keys_buttons_wheel_and_pointer_arrive(window):
 
 
 @needs_x
+def test_every_tool_acts_where_the_pointer_is(window):
+    """In space: two particles, tied; what each tool made of the pointer stands in the log."""
+    w = window("none", 3)
+    camera = Camera((600.0, 400.0, 500.0))
+    first, second = camera.project([(300.0, 200.0, 0.0), (500.0, 300.0, 0.0)])[0].round()
+    middle = (first + second) / 2
+
+    def said(kind):
+        return [e for e in w.events() if e["kind"] == kind]
+
+    def take_up(key, name):
+        w.do("key", key)
+        w.wait(lambda: [e.get("name", "") for e in said("tool")][-1:] == [name], 20)
+        chosen = said("tool")[-1]["frame"]
+
+        def went_on():  # a first tool compiles for some seconds
+            w.point(20, 20 + len(w.events()) % 9)
+            return w.events()[-1]["frame"] > chosen
+
+        w.wait(went_on, 120)
+
+    def drag(start, *to, button=1):
+        w.point(*map(int, start))
+        w.do("mousedown", button)
+        for place in to:
+            w.point(*map(int, place))
+        w.do("mouseup", button)
+
+    def wait_for(kind, count=1, seconds=20):
+        w.wait(lambda: len(said(kind)) >= count, seconds)
+        return [e.get("values", {}) for e in said(kind)]
+
+    take_up("g", "grab")
+    drag(first, first + [30, 0], first + [60, 10])
+    wait_for("let_go")
+    (grab,) = wait_for("grab")
+    assert grab["particle"] == [0] and grab["pos"] == pytest.approx([300, 200, 0], abs=2)
+    assert len(wait_for("drag")) > 1
+    take_up("i", "pin")
+    w.point(*map(int, second))
+    w.do("click", 1)
+    assert wait_for("pin") == [{"particle": [1]}]
+    take_up("c", "cut")
+    drag(middle + [-60, 120], middle + [0, 10], middle + [60, -130])
+    assert wait_for("cut") == [{"springs": [0]}]
+    take_up("j", "chain")
+    for x in (80, 140):
+        w.point(x, 120)
+        w.do("click", 1)
+    chain = wait_for("link", 2)
+    assert [link["tied_to"] for link in chain] == [[], [2]]
+    take_up("t", "throw")
+    w.point(320, 150)
+    w.do("click", 1)
+    (ball,) = wait_for("ball")
+    assert ball["velocity"][2] > 0, "away from the eye"
+    take_up("t", "")  # away, and what the pointer was from the start again: nothing
+    drag((40, 40), (80, 60))
+    drag((40, 40), (80, 60), button=3)
+    w.do("key", "f")
+    w.wait(lambda: len(said("view")) == 3)
+    assert [e.get("drag") for e in said("view")] == ["orbit", "pan", None]
+    w.quit()
+
+
+@needs_x
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_click_puts_a_particle_under_the_pointer(window, dim):
     from PIL import Image

@@ -17,14 +17,16 @@ EAGER = 0.5
 def strength(network: Network, frame: float, particles: np.ndarray) -> tuple[np.ndarray, ...]:
     """Stiffness and damping with which particles (m,) are held, (m,) each.
 
-    What is held hangs from the pointer as it hangs from its neighbours: by the stiffness of all of
-    its springs together, which lifts whatever they carry; and at least so stiffly that it follows
-    within some frames. It is damped critically for its own mass. frame: time of a frame.
+    What is held hangs from the pointer as it hangs from its neighbours: by a spring like the
+    stiffest of its own, which lifts whatever that carries. One that is stiffer pulls the particle
+    out of its cloth where the pointer is quick. A body without springs follows within some
+    frames. It is damped critically for its own mass. frame: time of a frame.
     """
     mass, springs = network.particles.mass[particles], network.springs
-    ends, stiffness = springs.between.ravel(), np.repeat(springs.stiffness, 2)
-    sums = np.bincount(ends, stiffness, len(network.position))[particles]
-    stiffness = np.maximum(sums, mass * (EAGER / frame) ** 2)
+    stiffest = np.zeros(len(network.position))
+    np.maximum.at(stiffest, springs.between.ravel(), np.repeat(springs.stiffness, 2))
+    free = mass * (EAGER / frame) ** 2
+    stiffness = np.where(stiffest[particles] > 0, stiffest[particles], free)
     return stiffness, 2.0 * np.sqrt(stiffness * mass)
 
 
