@@ -75,9 +75,11 @@ def draw(
     ends: the values at its lower and upper edge. thick: of curves, pixels.
     """
     height, width = block.shape[:2]
-    block[:] = PAPER
+    # Numbers of colours, which are painted much faster than colours.
+    chosen = np.zeros((height, width), np.uint8)
+    palette: list[Color] = [PAPER, RULE]
     for age in np.arange(EVERY, seconds - 1e-9, EVERY):
-        block[:, width - 1 - int(age / seconds * width)] = RULE
+        chosen[:, width - 1 - int(age / seconds * width)] = 1
     low, high = ends
     per_pixel = (height - thick) / max(high - low, 1e-300)
 
@@ -85,7 +87,7 @@ def draw(
         row: np.ndarray = np.round(np.clip((high - value) * per_pixel, 0, height - thick))
         return row
 
-    row_number = np.arange(height)[:, None]
+    row_number = np.arange(height, dtype=np.float32)[:, None]
     for curve in curves:
         found = _columns(curve.age, curve.value, width, seconds, thick)
         if found is None:
@@ -95,12 +97,17 @@ def draw(
         if curve.filled:
             bottom = np.full(len(top), float(height))
         there = ~np.isnan(most)
-        inside = (row_number >= top) & (row_number < bottom) & there
-        block[inside.repeat(cell, axis=1)[:, -width:]] = curve.color
+        inside = (row_number >= np.where(there, top, height)) & (row_number < bottom)
+        chosen[inside.repeat(cell, axis=1)[:, -width:]] = len(palette)
+        palette.append(curve.color)
     for line in lines:
         if low <= line.value <= high:
             row = int(rows(np.array(line.value)))
-            block[row : row + max(thick // 2, 1)] = line.color
+            chosen[row : row + max(thick // 2, 1)] = len(palette)
+            palette.append(line.color)
+    # Four bytes a colour, of which three count: one number is taken for each pixel.
+    words = np.array([(*color, 0) for color in palette], np.uint8).view(np.uint32).reshape(-1)
+    block[:] = words.take(chosen).view(np.uint8).reshape(height, width, 4)[:, :, :3]
 
 
 def _columns(
