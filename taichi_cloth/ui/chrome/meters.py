@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.gauges import Gauges
     from taichi_cloth.simulation.simulation import Simulation
 
-REDRAWN = 0.2  # seconds between two drawings of a window's meters
+REDRAWN = 0.2  # seconds between two drawings of a window's meters, at least,
+SHARE = 0.03  # and so many that drawing takes this part of them
 FRAME_RATE = 60.0  # frames a second that count as real time, without a window
 LEAST, MOST = 2.0, 5.0  # heights of a graph, in heights of text
 SHADES = ((56, 0.5), (168, 1.0))  # of letters: from so much ink on (of 255), that part of a colour
@@ -88,13 +89,15 @@ class Meters:
             early = self._windowed and now < self._due and _fits(panel, rect)
             if drawn_of == state or early:
                 return panel
+        begin = time.thread_time()
         gauges = self._reading()
         if gauges.state is None:
             gauges.after_frame(self._now)
         source = Source(self._sim, gauges, self._times, self._now)
         made = [meter for meter in (make(source) for make in instruments.ALL) if meter]
         panel = drawn(made, rect, height)
-        self._drawn, self._due = (state, panel), now + REDRAWN
+        self._drawn = state, panel
+        self._due = now + max(REDRAWN, (time.thread_time() - begin) / SHARE)
         return panel
 
     def take(self, event: Event, rect: Rect, height: int) -> bool:
