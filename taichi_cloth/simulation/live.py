@@ -311,7 +311,8 @@ def _of_world(sim: Simulation) -> Iterator[Setting]:
     world = sim.scene.world
     for axis in range(world.dim):
         yield _gravity(world, axis)
-    if sim.can_touch() or world.contact == "resting":
+    resting = world.contact == "resting" and (world.walls or world.collisions)
+    if sim.scene.obstacles or world.ground is not None or resting:
         yield Setting(
             "friction", "world", "friction", "", "of ground, resting walls and obstacles", NUMBER,
             _friction, _friction_of(sim.scene), 0.0, 1.5,
