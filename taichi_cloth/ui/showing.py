@@ -18,6 +18,7 @@ from taichi_cloth.settings.options import HEADLESS_FRAMES, PROGRAM, SHOWN, shown
 from taichi_cloth.ui import app, views
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.framing import camera_of, window_of
+from taichi_cloth.ui.loop import Summary
 from taichi_cloth.ui.opening import open_view
 from taichi_cloth.ui.views.contract import View
 
@@ -39,7 +40,7 @@ def show(
     parts: str | Iterable[str] | None = None,
     paused: bool = False,
     status: bool = True,
-) -> app.Summary:
+) -> Summary:
     """Open a window on `sim`, with all keys and tools, and run until it is closed.
 
     It begins at the present frame, and the simulation stays where the window left it. Without a

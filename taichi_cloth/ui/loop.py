@@ -1,0 +1,508 @@
+"""The loop of a run: events, one frame, draw. The same for windows, pictures and plain runs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from taichi_cloth import runtime
+from taichi_cloth.errors import RunFailure, SimulationFailure
+from taichi_cloth.files.events import Recorder
+from taichi_cloth.files.recordings import Recordings
+from taichi_cloth.files.trajectory import Trajectory
+from taichi_cloth.scene.model import World
+from taichi_cloth.settings.options import PROGRAM
+from taichi_cloth.simulation.running_costs import RunningCosts
+from taichi_cloth.ui import film as films
+from taichi_cloth.ui import hud, strained, style
+from taichi_cloth.ui.chrome import messages
+from taichi_cloth.ui.chrome.chrome import Chrome, Contents
+from taichi_cloth.ui.chrome.contract import Part
+from taichi_cloth.ui.chrome.layout import Layout, Rect
+from taichi_cloth.ui.chrome.meters import Meters
+from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
+from taichi_cloth.ui.chrome.timeline_row import TimelineRow
+from taichi_cloth.ui.chrome.toolbar import Button
+from taichi_cloth.ui.controls import Controls
+from taichi_cloth.ui.depiction import Depiction
+from taichi_cloth.ui.inputs import BACK_KEYS, COMMANDS, HELP_KEYS, KEYS, SLOW_KEY, STEP_KEYS, Event
+from taichi_cloth.ui.interaction import Log, LogEvent
+from taichi_cloth.ui.opening import offscreen
+from taichi_cloth.ui.pointer import Pointer
+from taichi_cloth.ui.shutter import Shutter
+from taichi_cloth.ui.status import Status
+from taichi_cloth.ui.text import Panel, Word
+from taichi_cloth.ui.timeline import SPEEDS, Pace
+from taichi_cloth.ui.travel import Travel
+from taichi_cloth.ui.views.contract import Picture, View
+from taichi_cloth.ui.window_map import WindowMap
+
+if TYPE_CHECKING:
+    from taichi_cloth.simulation.simulation import Simulation
+
+# Keys that act on the window alone. They work while a log is replayed, too.
+WINDOW_KEYS = (
+    *("escape", "h", "d", "e", "s", "v", "p", "l", "m", "o", SLOW_KEY),
+    *(*STEP_KEYS, *BACK_KEYS, *HELP_KEYS),
+)
+
+# A window in which nothing moves: seconds after the last event until it sleeps, between its
+# pictures then (what was before it may have gone), and between looks at what the user does.
+AWAKE, ASLEEP, POLLED = 1.0, 1.0, 1 / 30
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a run did.
+
+    frames: advanced in this run. seconds: it took, from the first to the last. simulate: the part
+    of these spent simulating, without the first frame, which compiles. draw: the part spent
+    drawing. quit: whether the user ended it.
+    """
+
+    frames: int
+    seconds: float
+    simulate: float
+    draw: float
+    quit: bool
+
+
+class Loop:
+    """The state of a run between turns."""
+
+    def __init__(
+        self,
+        sim: Simulation,
+        view: View,
+        *,
+        replay: Log | None,
+        recorder: Recorder | None,
+        trajectory: Trajectory | Recordings | None,
+        on_frame: Callable[[Simulation], object] | None,
+        film: films.Film | None,
+        shutter: Shutter,
+        paused: bool,
+        status: bool,
+        meters: bool,
+        show: frozenset[str] | None,
+        seed: int,
+        device: str | None,
+    ):
+        self.sim, self.view = sim, view
+        self._recorder, self._trajectory = recorder, trajectory
+        self._on_frame = on_frame
+        self._shutter = shutter
+        self._films: list[films.Film | Shutter] = [shutter] if film is None else [film, shutter]
+        self._unfilmed: list[films.Film | Shutter] = []  # what the frame last drawn goes into
+        if replay is not None:
+            seed = int(replay.header.get("seed", seed))
+        self._log = dict(replay.by_frame) if replay is not None else {}
+        self._log_end = max(self._log, default=-1)
+        # What the user does here is converted to the log's window before it is applied or
+        # recorded, so that resizing does not spoil a replay.
+        self._log_window = event_window(sim.scene.world, view, replay)
+        self._controls = Controls(sim, view.camera, self._log_window, seed, self._note)
+        self._travel: Travel | None = None
+        if view.visible:
+            self._travel = Travel(
+                sim, self._controls, view.camera, recorder, trajectory, reruns=on_frame is None
+            )
+        self._pace = Pace()
+        self._depiction = Depiction(sim, show)
+        self._meters = Meters(sim, windowed=view.visible)
+        self._waited = 0.0  # seconds, before the present frame
+        parts: list[Part] = [self._meters]
+        self._costs = RunningCosts()
+        self._settings: SettingsPanel | None = None
+        if self._travel:
+            timeline = self._travel.timeline
+            parts.append(TimelineRow(timeline, self._go_to, lambda: self._pace.slowness))
+        if view.visible:
+            self._settings = SettingsPanel(sim, self._controls, self._costs)
+            parts.insert(0, self._settings)
+        self._chrome = Chrome(
+            windowed=view.visible, status=status, parts=parts, text=view.text_size
+        )
+        if meters:
+            self._chrome.toggle("meters")
+        self._buttons: tuple[Button, ...] = ()
+        self._paused = paused and view.visible
+        self._step = self._compiling = False
+        self._show_help = False
+        self.failure: SimulationFailure | None = None
+        self._meter = hud.Meter()
+        self._status = Status(sim, device or runtime.current_device().describe(), self._meter)
+        self._next_frame = 0.0
+        self._awake_until = self._drawn_at = 0.0
+        self._drawn_size = (0, 0)
+        self._started: float | None = None
+        self._simulate = self._draw = 0.0
+        self.frames = 0
+        self.quit = False
+
+    # One turn
+
+    def begin(self) -> None:
+        """Show a window's first picture before the first frame, which may have to be compiled."""
+        if self.view.visible:
+            self._entitle()
+            self.view.draw(self._picture())
+
+    def turn(self) -> None:
+        """Events, at most one frame, draw, and the wait until the next frame is due."""
+        self._entitle()
+        self._take_events()
+        if self.quit or self.view.closed:
+            return
+        simulate = 0.0
+        due = self._step or (not self._paused and self._pace.turn())
+        if due and self.failure is None:
+            begin = time.perf_counter()
+            if self._started is None:
+                self._started = begin
+            self._advance()
+            simulate = time.perf_counter() - begin
+            if self.frames > 1:
+                self._simulate += simulate
+            advanced = self.failure is None and not self.quit
+        else:
+            advanced = False
+        self._step = False
+        begin = time.perf_counter()
+        self._unfilmed = [film for film in self._films if advanced and film.wants()]
+        wanted = self._unfilmed or self._shutter.due
+        if wanted or (self.view.visible and self._to_be_drawn(advanced)):
+            self.view.draw(self._picture())
+        if self._unfilmed or self._shutter.due:
+            self._keep(self.view.grab() if not self.view.closed else self._last_picture())
+        draw = time.perf_counter() - begin
+        self._draw += draw
+        if advanced:
+            self._meter.frame(simulate, draw)
+            if self._chrome.is_open("meters"):
+                self._meters.frame(simulate, draw, self._waited)
+            self._costs.note(self.sim, simulate)
+        if self.view.visible:
+            self._wait()
+
+    def _keep(self, pixels: np.ndarray) -> None:
+        """Put the frame (h, w, 3) uint8 into the films and the picture that want it."""
+        room = self.view.room or Rect(0, 0, *self.view.size)
+        world = pixels[room.y : room.y + room.height, room.x : room.x + room.width]
+        while self._unfilmed:
+            film = self._unfilmed.pop()
+            film.add(world if film is self._shutter else pixels)
+        if self._shutter.due:
+            self._shutter.take(world)
+
+    def _to_be_drawn(self, advanced: bool) -> bool:
+        """Whether a window must be drawn: while nothing happens in it, now and then is enough."""
+        now = time.perf_counter()
+        if advanced or self.view.size != self._drawn_size:
+            self._awake_until = now + AWAKE
+        elif now > max(self._awake_until, self._drawn_at + ASLEEP):
+            pass
+        elif now > self._awake_until:
+            return False
+        self._drawn_at, self._drawn_size = now, self.view.size
+        return True
+
+    def _entitle(self) -> None:
+        """Have the window's title say the scene and what it is doing."""
+        if self.view.visible:
+            state = self._state_of_run().text.partition(":")[0]
+            self.view.entitle(f"{self.sim.scene.name}, {state} - {PROGRAM}")
+
+    def _advance(self) -> None:
+        if self._on_frame is not None and self._on_frame(self.sim) is False:
+            self.quit = True
+            return
+        if self._controls.waits and self.view.visible:
+            self.view.draw(self._picture())  # says that it compiles, and for what
+        if self._travel:
+            # Events of a log that is being replayed belong to the frames that there were.
+            if self._replaying:
+                self._go_to(self._travel.timeline.frames.stop - 1)
+            self._travel.go_on()
+        self._controls.before_frame(replayed=self._replaying)
+        if self._chrome.is_open("meters"):
+            self._meters.before_frame()
+        try:
+            self.sim.advance(1)
+        except SimulationFailure as error:
+            if not self.view.visible:
+                raise
+            self.failure = error
+            self._status.hurry()
+            self._meter.interrupt()
+            return
+        self.frames += 1
+        if self._trajectory is not None:
+            self._trajectory.record(self.sim)
+        if self._travel:
+            self._travel.note(self.frames)
+
+    def _go_to(self, frame: int) -> None:
+        """Go back, or on, to one of the frames of the last seconds, and pause there."""
+        if self._travel is None or not self._travel.timeline.frames:
+            return
+        self.frames = self._travel.go(frame)
+        self._paused, self.failure = True, None
+        self._meter.interrupt()
+
+    def _wait(self) -> None:
+        """Sleep until the next frame is due; a late frame moves the schedule, not the pace."""
+        self.sim.prepare_click()
+        asleep = self._stopped and time.perf_counter() > self._awake_until
+        period = POLLED if asleep else 1 / hud.FRAME_RATE
+        now = time.perf_counter()
+        self._waited = max(self._next_frame - now, 0.0)
+        if self._waited > 0.0:
+            time.sleep(self._waited)
+            self._next_frame += period
+        else:
+            self._next_frame = now + period
+
+    # Events
+
+    @property
+    def _replaying(self) -> bool:
+        """Whether the log still has events for this frame or a later one."""
+        return self.frames <= self._log_end
+
+    def _take_events(self) -> None:
+        for logged in self._log.pop(self.frames, ()):
+            self._note(logged)
+            # Pauses and steps only say when frames were made; a log says that itself.
+            command = self._controls.apply(logged, replayed=True)
+            if command in ("reset", "status", "show", "strain", "meters", "help", "quit"):
+                self._obey(command)
+        events = self.view.poll()
+        layout = self._arranged()  # only now: the window may have another size
+        for given in events:
+            self._awake_until = time.perf_counter() + AWAKE
+            event = self._chrome.take(given, layout, self._buttons)
+            if event is None:
+                continue
+            if self._replaying:
+                if event.key in WINDOW_KEYS and event.kind == "press":
+                    self._obey(COMMANDS[event.key])
+                continue
+            event = self._in_log_window(event)
+            # What no log has a name for, nothing reacts to.
+            if (event.key is None or event.key in KEYS - {"escape"}) and not self.quit:
+                self._note(event)
+            command = self._controls.apply(event)
+            if self._travel:
+                self._travel.settle()
+            if command:
+                self._obey(command)
+        self._give_settings()
+
+    def _give_settings(self) -> None:
+        """Have what was changed in the panel take effect; say so before that compiles."""
+        if self._settings is None or not self._settings.given:
+            return
+        if self._replaying:
+            self._settings.forget()
+            return
+        if self._settings.compiles:
+            self._compiling = True
+            self.view.draw(self._picture())
+            self._compiling = False
+        self._settings.flush()
+        self._meter.interrupt()
+
+    def _in_log_window(self, event: Event) -> Event:
+        """`event` with its position converted from our window to the log's."""
+        if event.pos is None:
+            return event
+        world = self.sim.scene.world
+        here = WindowMap.of(world, self.view.size, self.view.room)
+        there = WindowMap.of(world, self._log_window)
+        if here.scale == there.scale and (here.offset == there.offset).all():
+            return event
+        x, y = there.to_window(here.to_world(event.pos))
+        return replace(event, pos=(float(x), float(y)))
+
+    def _note(self, event: LogEvent) -> None:
+        if self._travel:
+            self._travel.event(self.frames, event)
+        elif self._recorder is not None:
+            self._recorder.write(self.frames, event)
+
+    def _obey(self, command: str) -> None:
+        if command == "quit":
+            self.quit = True
+        elif command == "pause" and self.failure is None:
+            self._paused = not self._paused
+            self._meter.interrupt()
+        elif command == "step" and self._travel and self._travel.away:
+            self._go_to(self.frames + 1)
+        elif command == "step":
+            self._step = self._paused
+        elif command == "back":
+            self._go_to(self.frames - 1)
+        elif command == "slow":
+            self._pace.slower() if self._pace.slowness < SPEEDS[-1] else self._pace.full()
+        elif command == "reset":
+            if self._travel:
+                self._travel.go_on()
+            saved = self._trajectory.frames if self._trajectory is not None else 0
+            self.sim.reset()
+            self._controls.reset(hud.reset_notice(saved) if saved else None)
+            self.failure = None
+            self._meter.restart()
+            self._meters.restart()
+        elif command == "status":
+            self._chrome.next_status()
+        elif command == "show":
+            self._depiction.show_next()
+        elif command == "strain":
+            self._depiction.strain = not self._depiction.strain
+        elif command == "picture":
+            self._shutter.press()
+        elif command == "film":
+            self._shutter.begin_or_end()
+        elif self._chrome.toggle(command):
+            if command == self._meters.name:
+                self._meters.restart()
+        elif command == "help":
+            self._show_help = not self._show_help
+        self._status.hurry()
+
+    # Pictures
+
+    def _picture(self) -> Picture:
+        picture = self._depiction.picture(self._controls.marks())
+        layout = self._arranged()
+        return replace(
+            picture,
+            overlay=(*self._chrome.overlay(layout, self._contents()), *self._legend(layout)),
+            pointer=self._pointer(),
+        )
+
+    def _legend(self, layout: Layout) -> tuple[Panel, ...]:
+        """What the colours mean, where they mean anything."""
+        if not self._depiction.strain:
+            return ()
+        meanings = strained.legend(self.sim.storage.scene.springs)
+        return (messages.legend(meanings, layout.world, layout.text),)
+
+    def _arranged(self) -> Layout:
+        """Where everything is in the view as it is now; the view draws the world in its room."""
+        layout = self._chrome.layout(self.view.size)
+        self.view.room = layout.world
+        return layout
+
+    def _contents(self) -> Contents:
+        """What is written around the world."""
+        sim = self.sim
+        banner: str | None = None
+        keys: tuple[str, ...] = ()
+        if self.failure is not None:
+            banner = f"Stopped: {self.failure}\nr goes back to the start, escape quits"
+        if self._show_help:
+            saves = self._trajectory is not None
+            keys = hud.help_lines(sim.scene, self.view.has_wheel, self._controls.tool, saves=saves)
+        tool = self._controls.tool
+        opens = self._chrome.buttons()
+        self._buttons = hud.buttons(
+            sim.scene, tool, opens, paused=self._paused, strain=self._depiction.strain
+        )
+        windowed = self.view.visible
+        rows = self._status.rows(
+            time.perf_counter() if windowed else self.frames / hud.FRAME_RATE,
+            state=self._state_of_run() if windowed else None,
+            moving=not self._stopped,
+            tool=tool.name if tool else None,
+            notice=self._controls.notice,
+            urgent=self._shutter.notice,
+        )
+        return Contents(rows, self._buttons, keys, banner)
+
+    def _pointer(self) -> Pointer | None:
+        """The pointer, where a log or a film shows it, and a window's cursor does not.
+
+        GGUI's is hidden while a button is held.
+        """
+        place, camera, world = self._controls.pointer, self.view.camera, self.sim.scene.world
+        if place is None:
+            return None
+        here = WindowMap.of(world, self.view.size, self.view.room)
+        place = here.to_window(WindowMap.of(world, self._log_window).to_world(place))
+        ring = self._controls.ring()
+        if ring is not None:
+            ring *= here.scale * (camera.focal_length / camera.distance if camera else 1.0)
+        cross = self._controls.pressed or self._replaying or not self.view.visible
+        return Pointer(place, ring, cross) if cross or ring is not None else None
+
+    @property
+    def _stopped(self) -> bool:
+        return self._paused or self.failure is not None
+
+    def _state_of_run(self) -> Word:
+        """What a window is doing, in a word."""
+        if self.failure is not None:
+            return Word("stopped", style.BAD)
+        if self._shutter.state is not None:
+            paused = ", paused" if self._paused else ""
+            return Word(self._shutter.state + paused, style.RECORDING)
+        if self._compiling:
+            return Word("compiling for the new setting", style.WARN)
+        if self._paused:
+            return Word("paused", style.WARN)
+        if self.frames == 0:
+            return Word("starting: compiling takes a moment, once", style.WARN)
+        return Word("replaying" if self._replaying else "playing", style.GOOD)
+
+    def finish(self, image: films.Image | None) -> None:
+        """Save the film, and the last frame as a picture."""
+        with ExitStack() as files:  # each is tried, also where a disk is full
+            for film in self._films:
+                files.callback(film.save)
+            if image is not None:
+                files.callback(lambda: image.save(self._last_picture()))
+            if self._unfilmed:
+                self._keep(self._last_picture())
+
+    def pixels(self) -> np.ndarray:
+        """The present frame, (h, w, 3) uint8, drawn anew."""
+        self.view.draw(self._picture())
+        return self.view.grab()
+
+    def _last_picture(self) -> np.ndarray:
+        """The last frame, (h, w, 3) uint8; drawn off-screen where the user closed the window."""
+        if not self.view.closed:
+            # Anew: since the last frame the user may have done things.
+            with suppress(RunFailure):  # the window goes at this very moment
+                self.view.draw(self._picture())
+        if self.view.closed:
+            with closing(offscreen(self.view, self.sim.scene.world)) as view:
+                view.draw(self._picture())
+                return view.grab()
+        return self.view.grab()
+
+    def summary(self) -> Summary:
+        """What the run did so far."""
+        seconds = time.perf_counter() - self._started if self._started is not None else 0.0
+        return Summary(self.frames, seconds, self._simulate, self._draw, self.quit)
+
+
+def event_window(world: World, view: View, replay: Log | None) -> tuple[int, int]:
+    """The window (width, height) that events' positions refer to, which the world fills.
+
+    That is the one a replayed log was recorded in, or where it does not say, the one in which
+    one pixel is one world unit; without a log, the room of this view as it is now.
+    """
+    if replay is None:
+        room = view.room or Rect(0, 0, *view.size)
+        return int(room.width), int(room.height)
+    said = replay.header.get("window")
+    w, h = said or (max(round(world.size[0]), 1), max(round(world.size[1]), 1))
+    return int(w), int(h)
