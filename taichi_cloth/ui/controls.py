@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taichi_cloth.errors import InputError, nearest
-from taichi_cloth.simulation import live
 from taichi_cloth.ui import interaction, tools
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.camera_moves import CameraMoves
@@ -27,6 +26,7 @@ from taichi_cloth.ui.tools.contract import Events, Hand, Marks, Tool, ToolEvent
 from taichi_cloth.ui.window_map import WindowMap
 
 if TYPE_CHECKING:
+    from taichi_cloth.simulation import live
     from taichi_cloth.simulation.simulation import Simulation
 
 

@@ -12,12 +12,12 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.files import events
 from taichi_cloth.files.events import Kind
 from taichi_cloth.settings import accepted
-from taichi_cloth.simulation import live
 from taichi_cloth.ui import inputs, tools
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.tools.contract import LoggedEvent, ToolEvent
 
 if TYPE_CHECKING:
+    from taichi_cloth.simulation import live
     from taichi_cloth.simulation.simulation import Simulation
 
 LogEvent = Event | ToolEvent
@@ -59,6 +59,8 @@ def _setting_value(name: str, value: Any) -> live.Value:
 
 
 def _set(sim: Simulation, values: Mapping[str, Any]) -> None:
+    from taichi_cloth.simulation import live  # which needs Taichi
+
     live.apply(sim, values["name"], values["value"])
 
 

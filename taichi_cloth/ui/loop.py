@@ -17,7 +17,6 @@ from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene.model import World
 from taichi_cloth.settings.options import PROGRAM
-from taichi_cloth.simulation.running_costs import RunningCosts
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import hud, strained, style
 from taichi_cloth.ui.chrome import messages
@@ -25,7 +24,6 @@ from taichi_cloth.ui.chrome.chrome import Chrome, Contents
 from taichi_cloth.ui.chrome.contract import Part
 from taichi_cloth.ui.chrome.layout import Layout, Rect
 from taichi_cloth.ui.chrome.meters import Meters
-from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
 from taichi_cloth.ui.chrome.timeline_row import TimelineRow
 from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.controls import Controls
@@ -43,7 +41,9 @@ from taichi_cloth.ui.views.contract import Picture, View
 from taichi_cloth.ui.window_map import WindowMap
 
 if TYPE_CHECKING:
+    from taichi_cloth.simulation.running_costs import RunningCosts
     from taichi_cloth.simulation.simulation import Simulation
+    from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
 
 # Keys that act on the window alone. They work while a log is replayed, too.
 WINDOW_KEYS = (
@@ -117,12 +117,16 @@ class Loop:
         self._meters = Meters(sim, windowed=view.visible)
         self._waited = 0.0  # seconds, before the present frame
         parts: list[Part] = [self._meters]
-        self._costs = RunningCosts()
+        self._costs: RunningCosts | None = None
         self._settings: SettingsPanel | None = None
         if self._travel:
             timeline = self._travel.timeline
             parts.append(TimelineRow(timeline, self._go_to, lambda: self._pace.slowness))
         if view.visible:
+            from taichi_cloth.simulation.running_costs import RunningCosts  # which needs Taichi
+            from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
+
+            self._costs = RunningCosts()
             self._settings = SettingsPanel(sim, self._controls, self._costs)
             parts.insert(0, self._settings)
         self._chrome = Chrome(
@@ -186,7 +190,8 @@ class Loop:
             self._meter.frame(simulate, draw)
             if self._chrome.is_open("meters"):
                 self._meters.frame(simulate, draw, self._waited)
-            self._costs.note(self.sim, simulate)
+            if self._costs:
+                self._costs.note(self.sim, simulate)
         if self.view.visible:
             self._wait()
 
