@@ -113,8 +113,8 @@ class Gauges:
         self.depth: float | None = None
         self._touched = False
         self._moments, self._account = Moments(self._sim), EnergyAccount()
-        self._method = self._sim.method
-        self._mode = FastestMode(methods.load(self._method))
+        self._method = methods.load(self._sim.method)
+        self._mode = FastestMode(self._method)
         self._moment: tuple[int, Moment] | None = None
         self._pushed: tuple[np.ndarray, np.ndarray] | None = None
         self._hold: tuple[Hold, np.ndarray] | None = None  # with its place at the last frame
@@ -169,7 +169,7 @@ class Gauges:
     def _book_push(self) -> None:
         if self._pushed is not None:
             force, begin = self._pushed
-            sim, weight = self._sim, methods.load(self._sim.method).position_weight
+            sim, weight = self._sim, self._method.position_weight
             ahead = (weight - 0.5) * sim.dt * sim.dt / sim.substeps
             way = sim.positions() - begin
             self._account.push(force, way, sim.storage.scene.particles.mass, ahead)
@@ -223,8 +223,6 @@ class Gauges:
         sim = self._sim
         step, stable = sim.dt / sim.substeps, sim.claims.stability_limit
         more = AT_FIRST if self.margin is None else IMPROVEMENTS
-        if sim.method != self._method:  # it was changed since
-            self._method, self._mode = sim.method, FastestMode(methods.load(sim.method))
         found = self._mode.follow(self._present().network, step, more)
         limit = Limit(math.inf) if found is None else found.limit
         error = 0.0 if found is None else found.error

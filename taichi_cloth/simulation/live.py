@@ -311,8 +311,7 @@ def _of_world(sim: Simulation) -> Iterator[Setting]:
     world = sim.scene.world
     for axis in range(world.dim):
         yield _gravity(world, axis)
-    resting = world.contact == "resting" and (world.walls or world.collisions)
-    if sim.scene.obstacles or world.ground is not None or resting:
+    if sim.can_touch() or world.contact == "resting":
         yield Setting(
             "friction", "world", "friction", "", "of ground, resting walls and obstacles", NUMBER,
             _friction, _friction_of(sim.scene), 0.0, 1.5,

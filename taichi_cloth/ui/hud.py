@@ -95,9 +95,6 @@ def rates(meter: Meter) -> tuple[Word, ...]:
         speed = rate / FRAME_RATE
         behind = f"{meter.behind:.1f} s behind real time ({speed:.2f}x)"
         words.append(Word(behind, style.WARN, 5))
-        drawn = meter.draw > meter.simulate
-        remedy = "a smaller window" if drawn else "fewer substeps (o), or a coarser scene"
-        words.append(Word(f"{remedy} would keep up", style.MUTED, 4))
     words.append(Word(f"simulate {1e3 * meter.simulate:.2f} ms", style.MUTED, 6))
     words.append(Word(f"draw {1e3 * meter.draw:.1f} ms", style.MUTED, 7))
     return tuple(words)

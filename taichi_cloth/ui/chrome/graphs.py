@@ -75,11 +75,9 @@ def draw(
     ends: the values at its lower and upper edge. thick: of curves, pixels.
     """
     height, width = block.shape[:2]
-    # Numbers of colours, which are painted much faster than colours.
-    chosen = np.zeros((height, width), np.uint8)
-    palette: list[Color] = [PAPER, RULE]
+    block[:] = PAPER
     for age in np.arange(EVERY, seconds - 1e-9, EVERY):
-        chosen[:, width - 1 - int(age / seconds * width)] = 1
+        block[:, width - 1 - int(age / seconds * width)] = RULE
     low, high = ends
     per_pixel = (height - thick) / max(high - low, 1e-300)
 
@@ -87,7 +85,7 @@ def draw(
         row: np.ndarray = np.round(np.clip((high - value) * per_pixel, 0, height - thick))
         return row
 
-    row_number = np.arange(height, dtype=np.float32)[:, None]
+    row_number = np.arange(height)[:, None]
     for curve in curves:
         found = _columns(curve.age, curve.value, width, seconds, thick)
         if found is None:
@@ -97,17 +95,12 @@ def draw(
         if curve.filled:
             bottom = np.full(len(top), float(height))
         there = ~np.isnan(most)
-        inside = (row_number >= np.where(there, top, height)) & (row_number < bottom)
-        chosen[inside.repeat(cell, axis=1)[:, -width:]] = len(palette)
-        palette.append(curve.color)
+        inside = (row_number >= top) & (row_number < bottom) & there
+        block[inside.repeat(cell, axis=1)[:, -width:]] = curve.color
     for line in lines:
         if low <= line.value <= high:
             row = int(rows(np.array(line.value)))
-            chosen[row : row + max(thick // 2, 1)] = len(palette)
-            palette.append(line.color)
-    # Four bytes a colour, of which three count: one number is taken for each pixel.
-    words = np.array([(*color, 0) for color in palette], np.uint8).view(np.uint32).reshape(-1)
-    block[:] = words.take(chosen).view(np.uint8).reshape(height, width, 4)[:, :, :3]
+            block[row : row + max(thick // 2, 1)] = line.color
 
 
 def _columns(

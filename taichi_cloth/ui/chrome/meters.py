@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,8 +20,7 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.gauges import Gauges
     from taichi_cloth.simulation.simulation import Simulation
 
-REDRAWN = 0.2  # seconds between two drawings of a window's meters, at least,
-SHARE = 0.03  # and so many that drawing takes this part of them
+REDRAWN = 0.15  # seconds between two drawings of a window's meters
 FRAME_RATE = 60.0  # frames a second that count as real time, without a window
 LEAST, MOST = 2.0, 5.0  # heights of a graph, in heights of text
 SHADES = ((56, 0.5), (168, 1.0))  # of letters: from so much ink on (of 255), that part of a colour
@@ -89,15 +87,13 @@ class Meters:
             early = self._windowed and now < self._due and _fits(panel, rect)
             if drawn_of == state or early:
                 return panel
-        begin = time.thread_time()
         gauges = self._reading()
         if gauges.state is None:
             gauges.after_frame(self._now)
         source = Source(self._sim, gauges, self._times, self._now)
         made = [meter for meter in (make(source) for make in instruments.ALL) if meter]
         panel = drawn(made, rect, height)
-        self._drawn = state, panel
-        self._due = now + max(REDRAWN, (time.thread_time() - begin) / SHARE)
+        self._drawn, self._due = (state, panel), now + REDRAWN
         return panel
 
     def take(self, event: Event, rect: Rect, height: int) -> bool:
@@ -114,8 +110,7 @@ def _fits(panel: Panel, rect: Rect) -> bool:
 def drawn(meters: list[Meter], rect: Rect, height: int) -> Panel:
     """As many of the meters as a rectangle has room for, the first ones; height: of the text."""
     pixels = np.empty((rect.height, rect.width, 3), np.uint8)
-    # Row by row, which is much faster than pixel by pixel.
-    pixels.reshape(rect.height, -1)[:] = np.tile(np.array(style.PAPER, np.uint8), rect.width)
+    pixels[:] = style.PAPER
     pad, low = round(0.5 * height), round(LEAST * height)
     said: list[str] = []
     room = rect.height - pad
@@ -192,24 +187,13 @@ def _say(
 
     In fewer shades than other text: each run of pixels is a rectangle for some views.
     """
-    inked, margin = _letters(words, height)
-    top, left = round(y) - margin, round(x) - margin
-    inked = inked[max(-top, 0) :, max(-left, 0) :]
-    block = pixels[max(top, 0) :, max(left, 0) :][: inked.shape[0], : inked.shape[1]]
-    inked = inked[: block.shape[0], : block.shape[1]]
-    for level, (_, part) in enumerate(SHADES, 1):
-        mixed = [round(a + part * (b - a)) for a, b in zip(style.PAPER, color, strict=True)]
-        block[inked == level] = mixed
-
-
-@lru_cache(maxsize=512)
-def _letters(words: str, height: int) -> tuple[np.ndarray, int]:
-    """Which of `SHADES` each pixel of some words has, (h, w) from 1 on, 0: none; and the margin
-    around them. Most words are those of the last time.
-    """
-    margin = round(0.5 * height)
-    size = height + 2 * margin, round(text.length(words, height)) + 2 * margin
-    ink = np.zeros((*size, 3), np.uint8)
-    text.write(ink, words, (margin, margin), height, (255, 255, 255))
-    level = sum((ink[:, :, 0] >= least).astype(np.uint8) for least, _ in SHADES)
-    return np.asarray(level, np.uint8), margin
+    margin, left, top = round(0.5 * height), round(x), round(y)
+    first_row, first_column = max(top - margin, 0), max(left - margin, 0)
+    width = round(text.length(words, height)) + 2 * margin
+    block = pixels[first_row : top + height + margin, first_column : first_column + width]
+    ink = np.zeros_like(block)
+    text.write(ink, words, (left - first_column, top - first_row), height, (255, 255, 255))
+    share = ink[:, :, 0]
+    for least, part in SHADES:
+        inked = share >= least
+        block[inked] = [round(a + part * (b - a)) for a, b in zip(style.PAPER, color, strict=True)]
