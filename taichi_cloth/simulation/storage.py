@@ -314,6 +314,12 @@ class Storage:
         self.pushed, self._held, self._altered = kept.pushed, kept.held, kept.altered
         self._drawn_springs = self._drawn_triangles = None
 
+    def _prepare_return(self) -> None:
+        """Compile what goes back to a checkpoint, by going back to the present."""
+        where = self._now.placement, self._patches()
+        kept = self._now.container.kept
+        kept.write(self._launcher, *where, kept.read(self._launcher, *where))
+
     def _patches(self) -> int:
         """How many patches of particles are compared as one."""
         thick = self._now.container.spec.thick
@@ -398,17 +404,17 @@ class Storage:
         )
 
     def unprepared(self) -> list[Callable[[], None]]:
-        """What compiles the kernels that only a first click needs, in a scene where clicks spawn.
+        """What compiles the kernels that only a first step back, or a first click, needs.
 
         Called between frames, they change nothing of the state.
         """
         if not self.scene.world.takes_clicks:
-            return []
+            return [self._prepare_return]
         n, dim, state = len(self.scene.particles), self.scene.world.dim, self.state
         row = np.zeros((1, dim), self.real)
-        found: list[Callable[[], None]] = [
-            partial(self._launch, readback.read_vectors, field, row) for field in (state.x, state.v)
-        ]
+        found: list[Callable[[], None]] = [self._prepare_return]
+        for field in (state.x, state.v):
+            found.append(partial(self._launch, readback.read_vectors, field, row))
         if n == 0:  # a particle of infinite mass that nobody counts; the first load clears it
             columns = len(state.vector_names) * dim + len(state.particle_names)
             nothing = np.zeros(1, np.int32), np.zeros((1, columns), self.real)
