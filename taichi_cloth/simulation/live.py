@@ -136,6 +136,7 @@ def _of_run(sim: Simulation) -> Iterator[Setting]:
         write=lambda s, value: s.set_method(value),
     )  # fmt: skip
     dt = float(began["dt"])
+    substeps = sim.substeps if sim.follows else began["substeps"]
     yield Setting(
         "dt", "run", "frame time", "time", "time of one frame", NUMBER,
         lambda s: s.dt, dt, dt / 10, dt * 10, log=True, fixed=follows,
@@ -143,7 +144,7 @@ def _of_run(sim: Simulation) -> Iterator[Setting]:
     )  # fmt: skip
     yield Setting(
         "substeps", "run", "substeps", "", about["substeps"].help, COUNT,
-        lambda s: s.substeps, began["substeps"], 1, 256, log=True, fixed=follows,
+        lambda s: s.substeps, substeps, 1, 256, log=True, fixed=follows,
         write=lambda s, value: s.set_step(substeps=value),
     )  # fmt: skip
     if "tolerance" in sim.claims.settings:
