@@ -129,7 +129,8 @@ def recorded(path, sim, turns):
     """Run turns in a window, and write its log."""
     view = Hands(sim.scene.world, WINDOW, turns)
     with Recorder(path, app.log_header(sim, view)) as recorder:
-        app.run(sim, view, frames=len(turns) + 6, recorder=recorder, quiet=True, device="test")
+        frames = len(turns) + 6  # without a bar and a strip, which take clicks
+        app.run(sim, view, frames=frames, recorder=recorder, status=False, device="test")
     return end(sim), view
 
 

@@ -198,4 +198,4 @@ def test_documented_scene_file_and_log_are_accepted(tmp_path):
     assert len(scene.obstacles) == 1 and scene.springs.between.max() < len(scene.particles)
     log = tmp_path / "log.jsonl"
     log.write_text(re.search(r"^```json\n(.*?)^```", text, re.M | re.S)[1])
-    assert sorted(interaction.load(log).by_frame) == [12, 13, 20]
+    assert sorted(interaction.load(log).by_frame) == [12, 13, 20, 30, 31, 32, 40, 50]

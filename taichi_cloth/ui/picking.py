@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
 
 NEAR = 12.0  # pixels from a particle at which one still means it
+# The same in a plane, where a press beside all particles means nothing else: a cell of a cloth.
+NEAR_IN_PLANE = 40.0
 
 
 def seen(
@@ -36,12 +38,13 @@ def particle_at(
     window: WindowMap,
     pixel: np.ndarray,
     among: np.ndarray | None = None,
+    near: float = NEAR,
 ) -> int | None:
     """The particle that a click at a pixel (2,) means; None: it means empty space.
 
     Where the pixel is in a surface, it is the nearest corner of the triangle in front. Else it is
-    the nearest of those whose disc the pixel is in, or which are `NEAR`; of discs the one in front.
-    among: (n,) bool, those that may be meant; None: all.
+    the nearest of those whose disc the pixel is in, or which are `near`; of discs the one in front.
+    among: (n,) bool, those that may be meant; None: all. near: pixels.
     """
     x = sim.positions()
     if len(x) == 0:
@@ -61,7 +64,7 @@ def particle_at(
     if inside.any() and camera:
         return int(np.where(inside, depth, np.inf).argmin())
     nearest = int(away.argmin())
-    return nearest if away[nearest] <= max(NEAR, radius[nearest]) else None
+    return nearest if away[nearest] <= max(near, radius[nearest]) else None
 
 
 def _triangle_at(

@@ -111,8 +111,21 @@ class Hand:
         self, pixel: tuple[float, float], among: np.ndarray | None = None
     ) -> int | None:
         """The particle that a click means (`picking.particle_at`); None: empty space."""
+        return self._particle_at(pixel, among, picking.NEAR)
+
+    def particle_near(
+        self, pixel: tuple[float, float], among: np.ndarray | None = None
+    ) -> int | None:
+        """The same for tools that need one: in a plane, where nothing else is meant, from afar."""
+        return self._particle_at(
+            pixel, among, picking.NEAR if self.camera else picking.NEAR_IN_PLANE
+        )
+
+    def _particle_at(
+        self, pixel: tuple[float, float], among: np.ndarray | None, near: float
+    ) -> int | None:
         at = np.array(pixel, np.float64)
-        return picking.particle_at(self.sim, self.camera, self.window, at, among)
+        return picking.particle_at(self.sim, self.camera, self.window, at, among, near)
 
     @property
     def in_pixels(self) -> bool:

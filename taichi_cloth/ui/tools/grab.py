@@ -47,9 +47,9 @@ def _actions(scene: Scene) -> tuple[str, ...]:
 def _hits(hand: Hand, event: Event) -> bool:
     if event.pos is None:
         return False
-    if hand.particle_at(event.pos, ~hand.sim.fixed()) is not None:
+    if hand.particle_near(event.pos, ~hand.sim.fixed()) is not None:
         return True
-    if hand.particle_at(event.pos) is not None:
+    if hand.particle_near(event.pos) is not None:
         hand.notice = "that particle is pinned: i takes up the tool that lets it go"
     return False
 
@@ -57,7 +57,7 @@ def _hits(hand: Hand, event: Event) -> bool:
 def _press(hand: Hand, memory: _Memory, event: Event) -> Events:
     if event.pos is None:
         return None
-    particle = hand.particle_at(event.pos, ~hand.sim.fixed())
+    particle = hand.particle_near(event.pos, ~hand.sim.fixed())
     if particle is None:
         return None
     memory.through = hand.sim.positions()[particle]

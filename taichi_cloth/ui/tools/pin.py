@@ -21,11 +21,11 @@ def _actions(scene: Scene) -> tuple[str, ...]:
 
 
 def _hits(hand: Hand, event: Event) -> bool:
-    return event.pos is not None and hand.particle_at(event.pos) is not None
+    return event.pos is not None and hand.particle_near(event.pos) is not None
 
 
 def _press(hand: Hand, memory: None, event: Event) -> Events:
-    particle = hand.particle_at(event.pos) if event.pos is not None else None
+    particle = hand.particle_near(event.pos) if event.pos is not None else None
     if particle is None:
         return None
     return [ToolEvent("unpin" if hand.sim.fixed()[particle] else "pin", {"particle": particle})]
