@@ -23,7 +23,13 @@ README = (ROOT / "README.md").read_text()
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", README, re.M | re.S)
 PACKAGES = list((ROOT / "taichi_cloth").rglob("__init__.py"))
 SET_UP = "python3 -m venv"  # the two commands that make an environment; see below, and .ci/run
-QUICK = ("--save", "--record", "--events", "curtain.toml")  # the default run does those with these
+QUICK = (
+    "--save",
+    "--record",
+    "--events",
+    "--checkpoint",
+    "curtain.toml",
+)  # the default run does those with these
 SCENES = ("curtain.toml", "sheet.toml")  # as what the scene files are to be saved
 
 
@@ -73,7 +79,9 @@ def test_commands_run_one_after_the_other(tmp_path):
     for line in command_lines():
         shell(line, tmp_path, environment())
     made = {path.name for path in tmp_path.iterdir()}
-    files = {*SCENES, "cloth.npz", "session.jsonl", "cloth.png", "cloth.mp4", "sheet.npz"}
+    files = {*SCENES, "cloth.npz", "session.jsonl", "cloth.png", "cloth.mp4", "sheet.npz"} | {
+        "there.npz"
+    }
     assert made == files | {"trade-cloth", "stability-cloth", "frames"}
 
 
@@ -82,11 +90,12 @@ def test_commands_on_files_run_one_after_the_other(cli, tmp_path):
     """In one folder: what is saved, recorded and replayed, and the README's own scene file."""
     save_scenes(tmp_path)
     lines = [line for line in command_lines() if any(word in line for word in QUICK)]
-    assert len(lines) == 4
+    assert len(lines) == 6
     for line in lines:
         cli(*shlex.split(line)[1:], "--execution", "serial", "--topology", "graph", cwd=tmp_path)
     made = {path.name for path in tmp_path.iterdir()}
-    assert made == {*SCENES, "cloth.npz", "session.jsonl", "cloth.png", "cloth.mp4"}
+    files = {"cloth.npz", "there.npz", "session.jsonl", "cloth.png", "cloth.mp4"}
+    assert made == {*SCENES, *files}
 
 
 # A checkpoint to resume is made by the command before, in the thorough tests.
