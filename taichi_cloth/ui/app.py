@@ -66,7 +66,7 @@ def run(
     """Run `sim` in `view` until `frames` are done, the user quits, or (without both) for ever.
 
     Each turn polls the user's events, records and applies them, advances one frame, and draws
-    it. A window shows at most 60 frames a second and never catches up what it was late.
+    it. A window shows at most 60 frames a second, and catches up no more than one that was late.
 
     replay: a log; its events of frame f (0-based, counted over resets) are applied
         before that frame is advanced. Until its last event the user's mouse is ignored.

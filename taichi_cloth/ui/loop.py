@@ -261,7 +261,7 @@ class Loop:
         self._meter.interrupt()
 
     def _wait(self) -> None:
-        """Sleep until the next frame is due; a late frame moves the schedule, not the pace."""
+        """Sleep until the next frame is due; what is a frame late or more moves the schedule."""
         self.sim.prepare_click()
         asleep = self._stopped and time.perf_counter() > self._awake_until
         period = POLLED if asleep else 1 / hud.FRAME_RATE
@@ -269,9 +269,9 @@ class Loop:
         self._waited = max(self._next_frame - now, 0.0)
         if self._waited > 0.0:
             time.sleep(self._waited)
-            self._next_frame += period
-        else:
-            self._next_frame = now + period
+        elif now - self._next_frame > period:
+            self._next_frame = now
+        self._next_frame += period
 
     # Events
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
 Color = tuple[int, int, int]  # 0..255
-SHADES = 6  # ink coverage levels: few enough for long runs, enough for smooth letters
+SHADES = 4  # ink coverage levels: few enough for long runs, enough for smooth letters
 
 
 @dataclass(frozen=True, eq=False)  # compared by identity: what was made of one is kept
