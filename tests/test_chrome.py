@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from taichi_cloth import load_trajectory
 from taichi_cloth.scene import library
+from taichi_cloth.simulation.checkpoint import Checkpoint
 from taichi_cloth.simulation.running_costs import RunningCosts
+from taichi_cloth.ui import app
 from taichi_cloth.ui.chrome.chrome import Chrome
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
@@ -14,6 +17,7 @@ from taichi_cloth.ui.chrome.timeline_row import TimelineRow
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.timeline import Timeline
+from taichi_cloth.ui.views.none import NullView
 
 RECT, HEIGHT = Rect(500, 20, 300, 560), 12
 
@@ -120,3 +124,30 @@ def test_a_drag_on_the_timeline_goes_through_its_frames(sim):
     assert "now of 1.0 s   1/4 speed" in row.panel(layout.row, layout.text).words
     assert not chrome.toggle("nothing") and chrome.toggle("timeline")
     assert not chrome.is_open("timeline")
+
+
+def test_keys_write_a_checkpoint_and_export_the_last_seconds(sim, tmp_path):
+    """Pressed after 3 frames and after 5: what is read back is the run as it was then."""
+
+    class Keys(NullView):
+        visible = True
+        turns = ([], [], [], ["w"], [], ["x"], [])
+
+        def poll(self):
+            keys, *self.turns = self.turns
+            self.closed = not self.turns
+            return [Event("press", key=key) for key in keys]
+
+    seen = []
+    app.run(
+        sim, Keys(sim.scene.world), pictures=str(tmp_path), quiet=True, device="test",
+        on_frame=lambda s: seen.append(s.positions()),
+    )  # fmt: skip
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "cloth-1.checkpoint.npz", "cloth-1.seconds.npz",
+    ]  # fmt: skip
+    sim.restore(Checkpoint.load(tmp_path / "cloth-1.checkpoint.npz"))
+    assert sim.frame == 3 and sim.positions().tobytes() == seen[3].tobytes()
+    saved = load_trajectory(tmp_path / "cloth-1.seconds.npz")
+    assert saved.frame.tolist() == [1, 2, 3, 4, 5]
+    assert np.array_equal(saved.position, np.array(seen[1:6]))

@@ -255,6 +255,7 @@ def _simulate(
                 recorder=recorder,
                 trajectory=recordings if recordings else None,
                 seed=seed,
+                about={"arguments": source.flags()},
                 device=device.describe(),
                 **_of_frames(options, view),
             )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -55,6 +55,7 @@ def run(
     film: str | None = None,
     image: str | None = None,
     pictures: str | None = None,
+    about: Mapping[str, Any] | None = None,
     paused: bool = False,
     quiet: bool = False,
     status: bool = True,
@@ -75,7 +76,8 @@ def run(
     on_frame: called before each frame; the run ends where it returns False.
     film, image: paths of a film of the run and of a picture of its last frame; the view must
         draw pictures for them. Refused paths raise InputError before anything is run.
-    pictures: the folder of what the keys s and v save; None: the current one.
+    pictures: the folder of what the keys s, v, w and x save; None: the current one.
+    about: what the key w notes in a checkpoint beside the state, as `Checkpoint.save` takes it.
     paused: start paused (a window only). quiet: no progress bar, and no word of pictures.
     status: whether the status is shown from the start (`h` shows more of it, or none).
     meters: whether they are shown from the start (`m` shows and hides them).
@@ -98,8 +100,8 @@ def run(
         shutter = Shutter(sim.scene.name, pictures, quiet=quiet)
         loop = Loop(
             sim, view, replay=replay, recorder=recorder, trajectory=trajectory,
-            on_frame=on_frame, film=film_file, shutter=shutter, paused=paused, status=status,
-            meters=meters, show=show, seed=seed, device=device,
+            on_frame=on_frame, film=film_file, shutter=shutter, about=about, paused=paused,
+            status=status, meters=meters, show=show, seed=seed, device=device,
         )  # fmt: skip
         bar = stack.enter_context(_progress(frames, not (quiet or view.visible)))
         stack.enter_context(rescue.saving(lambda: loop.finish(picture_file)))

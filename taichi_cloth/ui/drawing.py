@@ -68,7 +68,8 @@ def scenery(world: World, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     parts, colors = [edges], [np.tile(style.unit(style.EDGE), (len(edges), 1))]
     for axis, (name, color) in enumerate(zip("xyz", style.AXES, strict=True)):
         end = length * np.eye(3)[axis]
-        letter = 1.25 * end + 0.14 * length * _strokes(name) @ camera.rotation()
+        above = [0.0, 0.09 * length if camera.y_up else 0.0, 0.0]  # a floor at the origin
+        letter = 1.25 * end + above + 0.14 * length * _strokes(name) @ camera.rotation()
         parts += [np.stack([np.zeros(3), end])[None], letter]
         colors.append(np.tile(style.unit(color), (1 + len(letter), 1)))
     return np.concatenate(parts), np.concatenate(colors)

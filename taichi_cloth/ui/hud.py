@@ -209,6 +209,8 @@ def help_lines(
         "h\tmore of the status, or none",
         "s\tsave a picture",
         "v\tfilm, until v again",
+        "w\twrite a checkpoint, for run --resume",
+        "x\texport the last 10 seconds",
         "tab or f1\tthis list",
         "escape\tquit",
     ]

@@ -80,6 +80,8 @@ COMMANDS = {
     "e": "strain",
     "s": "picture",
     "v": "film",
+    "w": "checkpoint",
+    "x": "export",
     "l": "timeline",
     "m": "meters",
     "o": "settings",

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 # Keys that act on the window alone. They work while a log is replayed, too.
 WINDOW_KEYS = (
-    *("escape", "h", "d", "e", "s", "v", "p", "l", "m", "o", SLOW_KEY),
+    *("escape", "h", "d", "e", "s", "v", "w", "x", "p", "l", "m", "o", SLOW_KEY),
     *(*STEP_KEYS, *BACK_KEYS, *HELP_KEYS),
 )
 
@@ -92,8 +92,10 @@ class Loop:
         show: frozenset[str] | None,
         seed: int,
         device: str | None,
+        about: Mapping[str, Any] | None = None,
     ):
         self.sim, self.view = sim, view
+        self._about = about
         self._recorder, self._trajectory = recorder, trajectory
         self._on_frame = on_frame
         self._shutter = shutter
@@ -374,6 +376,11 @@ class Loop:
             self._shutter.press()
         elif command == "film":
             self._shutter.begin_or_end()
+        elif command == "checkpoint":
+            now = self.sim.checkpoint()
+            self._shutter.keep(".checkpoint.npz", lambda path: now.save(path, self._about))
+        elif command == "export" and self._travel:
+            self._shutter.keep(".seconds.npz", self._travel.timeline.export)
         elif self._chrome.toggle(command):
             if command == self._meters.name:
                 self._meters.restart()

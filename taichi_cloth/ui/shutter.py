@@ -1,4 +1,4 @@
-"""Screenshots and films that keys take while a window runs: into new files, never over old ones."""
+"""What keys save while a window runs, pictures above all: into new files, never over old ones."""
 
 from __future__ import annotations
 
@@ -73,13 +73,17 @@ class Shutter:
     def take(self, pixels: np.ndarray) -> None:
         """Save `pixels` (h, w, 3) uint8 as a picture of its own."""
         self._due = False
+        self.keep(".png", lambda path: films.Image(path).save(pixels))
 
-        def write() -> None:
-            path = self._free(".png")
-            films.Image(path).save(pixels)
+    def keep(self, kind: str, write: Callable[[Path], object]) -> None:
+        """Have `write` make a new file whose name ends with `kind`, and say where."""
+
+        def act() -> None:
+            path = self._free(kind)
+            write(path)
             self._tell(f"saved {_short(path)}", f"saved {path}")
 
-        self._trying(write)
+        self._trying(act)
 
     def save(self) -> None:
         """Finish the film that is being made, if any; one without frames leaves no file."""
