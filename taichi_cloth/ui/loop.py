@@ -233,8 +233,8 @@ class Loop:
             self.view.draw(self._picture())  # says that it compiles, and for what
         if self._travel:
             # Events of a log that is being replayed belong to the frames that there were.
-            if self._replaying:
-                self._go_to(self._travel.timeline.frames.stop - 1)
+            if self._replaying and self._travel.away:
+                self.frames = self._travel.go(self._travel.timeline.frames.stop - 1)
             self._travel.go_on()
         self._controls.before_frame(replayed=self._replaying)
         if self._chrome.is_open("meters"):
