@@ -39,6 +39,7 @@ from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import Event, fewest_moves
 from taichi_cloth.ui.text import Word
 from taichi_cloth.ui.views.none import NullView
+from taichi_cloth.ui.window_map import Look, WindowMap
 
 # Windows need a server and something that presses keys, which not every machine has. .ci/run
 # installs both, so that nothing is skipped there; where CI is set, a lack of them fails.
@@ -343,6 +344,7 @@ class Script:
     """A view that plays prepared turns of events, and ends with the last."""
 
     name, visible, has_wheel, camera, room, text_size = "script", True, True, None, None, 1.0
+    look = None
 
     def __init__(self, *turns, size=(600, 400)):
         self.turns, self.size, self.pictures = list(turns), size, []
@@ -574,6 +576,31 @@ def test_what_is_around_the_world_fits_and_runs_paint_it():
             assert panel.x + w <= size[0] and panel.y + h <= size[1]
             seen = painted[panel.y : panel.y + h, panel.x : panel.x + w]
             np.testing.assert_allclose(seen, panel.pixels, atol=0.51)
+
+
+def test_planes_are_zoomed_and_moved_and_logs_need_not_know_it():
+    """What is under the pointer stays there; a click then puts a particle where it is seen."""
+    sim, recorded = simulation("spawn"), Recorded()
+    at, there = (450.0, 100.0), (470.0, 130.0)
+    wheel = [Event("wheel", pos=at, delta=1.0)] * 5
+    drag = [Event("press", pos=at, button="middle"), Event("move", pos=there)]
+    drag.append(Event("release", pos=there, button="middle"))
+    view = Script(wheel, [press("left", at)], drag, [press("left", there)], [press(key="z")], [])
+    looks = []
+    draw = view.draw
+    view.draw = lambda picture: (looks.append(view.look), draw(picture))
+    app.run(sim, view, recorder=recorded, status=False, device="test")
+    places = [np.array(call[1]) for call in calls(sim, "spawn")]
+    np.testing.assert_allclose(places, [at, at], atol=1e-9)
+    assert [event.kind for _, event in recorded] == ["press", "press", "press"]
+    assert looks[0] is None and looks[1].zoom == pytest.approx(1.1**5)
+    assert looks[3] != looks[2] == looks[-1]
+    whole = WindowMap.of(sim.scene.world, (600, 400))
+    for y_up in (False, True):
+        world = changed(sim.scene.world, up="y" if y_up else "")
+        near = WindowMap.of(world, (600, 400), None, Look((300.0, 200.0), 2.0))
+        np.testing.assert_allclose(near.to_world([300, 200]), whole.to_world([300, 200]))
+        assert near.scale == 2 * whole.scale
 
 
 def test_a_click_on_a_button_is_its_key_and_the_bar_is_no_world():

@@ -211,10 +211,17 @@ class Controls:
             elif tool is not None:
                 self._use(tool.release, event, replayed=replayed)
         elif "ctrl" not in self._hand.held:
-            if tool and button in tool.buttons and (not tool.hits or tool.hits(self._hand, event)):
+            if tool and self.takes(event):
                 self._use(tool.press, event, replayed=replayed)
             elif self._moves and button in DRAGS and not replayed:
                 self._follow(Event("view", drag=DRAGS[button]))
+
+    def takes(self, event: Event) -> bool:
+        """Whether the press of a button is for the tool in hand; else it may move what is seen."""
+        tool = self.tool
+        if tool is None or event.button not in tool.buttons:
+            return False
+        return not tool.hits or tool.hits(self._hand, event)
 
     def before_frame(self, *, replayed: bool = False) -> None:
         """Let the tool follow the pointer's motion since the last frame; call before `advance`.

@@ -186,15 +186,17 @@ def help_lines(
     tool = tool or tools.for_mouse(scene.world.mouse)
     lines = list(tool.actions(scene)) if tool else []
     lines += [f"{other.key}\t{other.help}" for other in tools.load_all().values() if other.key]
+    nearer = "wheel, + -, up down" if has_wheel else "+ -, up down"
+    lines.append(f"{nearer}\tcome nearer, go farther")
     if scene.world.dim == 3:
-        nearer = "wheel, + -, up down" if has_wheel else "+ -, up down"
         lines += [
             "drag left, ctrl + motion\tturn the scene (left: where it is empty)",
             "drag right\tmove the scene",
-            f"{nearer}\tcome nearer, go farther",
             "f\tfill the picture with what there is",
-            "z\tback to the view before",
         ]
+    else:
+        lines += ["drag right or middle\tmove the picture", "f\tall of the world again"]
+    lines.append("z\tback to the view before")
     lines += [
         "o\tsettings, live",
         "l\tthe last 10 seconds, to go through",

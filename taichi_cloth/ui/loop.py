@@ -28,9 +28,18 @@ from taichi_cloth.ui.chrome.timeline_row import TimelineRow
 from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.depiction import Depiction
-from taichi_cloth.ui.inputs import BACK_KEYS, COMMANDS, HELP_KEYS, KEYS, SLOW_KEY, STEP_KEYS, Event
+from taichi_cloth.ui.inputs import (
+    BACK_KEYS,
+    COMMANDS,
+    HELP_KEYS,
+    KEYS,
+    SLOW_KEY,
+    STEP_KEYS,
+    Event,
+)
 from taichi_cloth.ui.interaction import Log, LogEvent
 from taichi_cloth.ui.opening import offscreen
+from taichi_cloth.ui.plane_moves import PANS, PlaneMoves
 from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.shutter import Shutter
 from taichi_cloth.ui.status import Status
@@ -114,6 +123,8 @@ class Loop:
             self._travel = Travel(
                 sim, self._controls, view.camera, recorder, trajectory, reruns=on_frame is None
             )
+        # In space the camera moves, which logs know.
+        self._looks = PlaneMoves(sim.scene.world) if view.camera is None else None
         self._pace = Pace()
         self._depiction = Depiction(sim, show)
         self._meters = Meters(sim, windowed=view.visible)
@@ -300,7 +311,13 @@ class Loop:
                 if event.key in WINDOW_KEYS and event.kind == "press":
                     self._obey(COMMANDS[event.key])
                 continue
-            event = self._in_log_window(event)
+            logged = self._in_log_window(event)
+            if self._looks and self._looks.take(event, self._here, free=self._moves_look(logged)):
+                self.view.look = self._looks.look
+                continue
+            if self._looks:
+                self.view.look = self._looks.look
+            event = logged
             # What no log has a name for, nothing reacts to.
             if (event.key is None or event.key in KEYS - {"escape"}) and not self.quit:
                 self._note(event)
@@ -310,6 +327,16 @@ class Loop:
             if command:
                 self._obey(command)
         self._give_settings()
+
+    def _moves_look(self, event: Event) -> bool:
+        """Whether a press, in the log's window, moves what is seen of a plane."""
+        return event.button in PANS and not self._controls.takes(event)
+
+    @property
+    def _here(self) -> WindowMap:
+        """The map between the world and the window as it is now."""
+        view = self.view
+        return WindowMap.of(self.sim.scene.world, view.size, view.room, view.look)
 
     def _give_settings(self) -> None:
         """Have what was changed in the panel take effect; say so before that compiles."""
@@ -330,7 +357,7 @@ class Loop:
         if event.pos is None:
             return event
         world = self.sim.scene.world
-        here = WindowMap.of(world, self.view.size, self.view.room)
+        here = self._here
         there = WindowMap.of(world, self._log_window)
         if here.scale == there.scale and (here.offset == there.offset).all():
             return event
@@ -446,7 +473,7 @@ class Loop:
         place, camera, world = self._controls.pointer, self.view.camera, self.sim.scene.world
         if place is None:
             return None
-        here = WindowMap.of(world, self.view.size, self.view.room)
+        here = self._here
         place = here.to_window(WindowMap.of(world, self._log_window).to_world(place))
         ring = self._controls.ring()
         if ring is not None:

@@ -18,6 +18,17 @@ USABLE = (0.96, 0.88)  # of a screen: the rest is for a window's frame and the d
 
 
 @dataclass(frozen=True)
+class Look:
+    """Which part of a plane is seen: `zoom` times as large as the whole of it.
+
+    middle: what is in the middle of the room, (x, y) world units, with y counted downwards.
+    """
+
+    middle: tuple[float, float]
+    zoom: float
+
+
+@dataclass(frozen=True)
 class WindowMap:
     """The map from a world (w, h) to a window (width, height) in pixels.
 
@@ -25,17 +36,25 @@ class WindowMap:
     same picture scaled by one factor and centred, so that a 2-D scene keeps its aspect.
     y_up: whether the world's y points up; a window's points down.
     room: the part of the window that the world is shown in; None: all of it.
+    look: which part of a plane is seen there; None: all of it.
     """
 
     world: tuple[float, ...]
     window: tuple[int, int]
     y_up: bool = False
     room: Rect | None = None
+    look: Look | None = None
 
     @classmethod
-    def of(cls, world: World, window: tuple[int, int], room: Rect | None = None) -> WindowMap:
+    def of(
+        cls,
+        world: World,
+        window: tuple[int, int],
+        room: Rect | None = None,
+        look: Look | None = None,
+    ) -> WindowMap:
         """The map for a world, or for the pixels of its camera: these always count downwards."""
-        return cls(world.size[:2], window, world.dim == 2 and world.up == "y", room)
+        return cls(world.size[:2], window, world.dim == 2 and world.up == "y", room, look)
 
     @property
     def _room(self) -> Rect:
@@ -44,12 +63,17 @@ class WindowMap:
     @property
     def scale(self) -> float:
         """Window pixels per world unit."""
-        return min(self._room.width / self.world[0], self._room.height / self.world[1])
+        whole = min(self._room.width / self.world[0], self._room.height / self.world[1])
+        return whole * self.look.zoom if self.look else whole
 
     @property
     def offset(self) -> np.ndarray:
         """Window pixel of the world's corner (0, 0), shape (2,)."""
         room = self._room
+        if self.look:
+            middle = np.array([room.x + room.width / 2, room.y + room.height / 2])
+            corner: np.ndarray = middle - self.scale * np.array(self.look.middle)
+            return corner
         free: np.ndarray = [room.width, room.height] - self.scale * np.array(self.world)
         return free / 2 + [room.x, room.y]
 

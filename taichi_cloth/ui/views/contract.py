@@ -16,6 +16,7 @@ from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.surfaces import Solid
 from taichi_cloth.ui.text import Panel
+from taichi_cloth.ui.window_map import Look
 
 
 @dataclass(frozen=True)
@@ -72,11 +73,13 @@ class View(Protocol):
     closed: whether the window is gone.
     text_size: of what is written around the world, in parts of the usual.
     room: the part of the window that the world is drawn in; None: all of it. Read at every draw.
+    look: which part of a 2-D world is seen there; None: all of it. Read at every draw.
     """
 
     name: str
     camera: Camera | None
     room: Rect | None
+    look: Look | None
     text_size: float
     visible: bool
     has_wheel: bool

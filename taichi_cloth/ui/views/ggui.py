@@ -39,7 +39,7 @@ from taichi_cloth.ui.vertices import (
     vertices,
 )
 from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
-from taichi_cloth.ui.window_map import WindowMap
+from taichi_cloth.ui.window_map import Look, WindowMap
 
 NO_VULKAN = "GGUI needs Vulkan, which is not there (install a Vulkan driver, such as Mesa's)"
 WHEEL = {4: 1.0, 5: -1.0}  # X's numbers of the wheel's buttons -> notches away from the user
@@ -65,6 +65,7 @@ class GguiView:
         self.world, self.visible = world, visible
         self.camera: Camera | None = camera_of_world(world)
         self.room: Rect | None = None
+        self.look: Look | None = None
         self.text_size = 1.0
         self._had_settings = SETTINGS.exists()
         # The app paces itself; GGUI's own limit would count as time spent drawing.
@@ -257,7 +258,7 @@ class GguiView:
 
     @property
     def _map(self) -> WindowMap:
-        return WindowMap.of(self.world, self.size, self.room)
+        return WindowMap.of(self.world, self.size, self.room, self.look)
 
     def _compose_2d(self, picture: Picture) -> None:
         window, (_, height) = self._map, self.size

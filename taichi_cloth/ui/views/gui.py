@@ -21,7 +21,7 @@ from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.surfaces import Topology
 from taichi_cloth.ui.text import Panel
 from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
-from taichi_cloth.ui.window_map import WindowMap
+from taichi_cloth.ui.window_map import Look, WindowMap
 
 SETTLED = 0.2  # seconds a new size must last before the window follows it
 SAMPLES = 2  # a pixel of a 3-D scene is the mean of the square of so many: smooth edges
@@ -39,6 +39,7 @@ class GuiView:
         self.world, self.visible, self._title = world, visible, title
         self.camera: Camera | None = camera_of_world(world)
         self.room: Rect | None = None
+        self.look: Look | None = None
         self.text_size = 1.0
         self.has_wheel = True
         self.closed = False
@@ -73,7 +74,7 @@ class GuiView:
 
     @property
     def _map(self) -> WindowMap:
-        return WindowMap.of(self.world, self.size, self.room)
+        return WindowMap.of(self.world, self.size, self.room, self.look)
 
     @property
     def _room_height(self) -> int:

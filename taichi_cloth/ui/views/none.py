@@ -10,7 +10,7 @@ from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.views.contract import Picture, ViewKind
-from taichi_cloth.ui.window_map import default_window
+from taichi_cloth.ui.window_map import Look, default_window
 
 
 class NullView:
@@ -32,6 +32,7 @@ class NullView:
         self.size = size or default_window(world.size)
         self.camera: Camera | None = camera_of_world(world)
         self.room: Rect | None = None
+        self.look: Look | None = None
         self.text_size = 1.0
 
     def poll(self) -> list[Event]:
