@@ -47,7 +47,7 @@ def booked(sim, frames, every=1):
 @pytest.mark.parametrize("method", mostly_thorough(methods.METHODS, ["symplectic_euler", "rk4"]))
 def test_drift_is_what_the_discrete_map_makes_of_energy(pool, method):
     """Without damping all change is the method's: that of its one-step matrix, to round-off."""
-    h, frames = 1.5, 60
+    h, frames = 1.5, 60 if method != "explicit_euler" else 10  # which grows to the walls
     sim = pool(oscillator(), method, h, **({"tolerance": 1e-12} if method[:2] == "im" else {}))
     book = booked(sim, frames)
     x, v = np.linalg.matrix_power(DISCRETE[method](h, OMEGA2), frames) @ [AMPLITUDE, 0.0]

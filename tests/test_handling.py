@@ -219,7 +219,8 @@ def test_a_hold_leaves_a_step_at_its_limit_stable(method, topology, made):
     place = sim.positions()[particles].mean(axis=0)
     sim.grab(particles, place)
     weight = sim.storage.scene.particles.mass[particles]
-    assert (weight >= 1.0).all() and (weight > 1.0).all() == (method in ("symplectic_euler", "rk4"))
+    # rk4's step has room for it, and implicit methods need none.
+    assert (weight >= 1.0).all() and (weight > 1.0).all() == (method == "symplectic_euler")
     sim.advance(400)
     at_rest = sim.positions()
     sim.advance(200)
