@@ -223,9 +223,7 @@ class Loop:
         now = time.perf_counter()
         if advanced or self.view.size != self._drawn_size:
             self._awake_until = now + AWAKE
-        elif now > max(self._awake_until, self._drawn_at + ASLEEP):
-            pass
-        elif now > self._awake_until:
+        elif self._awake_until < now <= self._drawn_at + ASLEEP:
             return False
         self._drawn_at, self._drawn_size = now, self.view.size
         return True
@@ -312,11 +310,11 @@ class Loop:
                     self._obey(COMMANDS[event.key])
                 continue
             logged = self._in_log_window(event)
-            if self._looks and self._looks.take(event, self._here, free=self._moves_look(logged)):
-                self.view.look = self._looks.look
-                continue
             if self._looks:
+                taken = self._looks.take(event, self._here, free=self._moves_look(logged))
                 self.view.look = self._looks.look
+                if taken:
+                    continue
             event = logged
             # What no log has a name for, nothing reacts to.
             if (event.key is None or event.key in KEYS - {"escape"}) and not self.quit:

@@ -266,7 +266,7 @@ class GuiView:
             _lights(2 if picture.has_surfaces else 1),
             style.unit(style.WORLD),
             meshes=self._meshes(picture, camera, position, shown, eye),
-            balls=self._balls(picture, camera, position, shown, eye),
+            balls=self._balls(picture, position, shown),
             lines=lines,
             floor=None if picture.ground is None else _floor(picture.ground, camera),
         )
@@ -305,14 +305,7 @@ class GuiView:
             meshes.append(_mesh(topology, camera, place, color, color, None))
         return meshes
 
-    def _balls(
-        self,
-        picture: Picture,
-        camera: Camera,
-        position: np.ndarray,
-        shown: np.ndarray,
-        eye: np.ndarray,
-    ) -> Balls:
+    def _balls(self, picture: Picture, position: np.ndarray, shown: np.ndarray) -> Balls:
         """The particles that are drawn."""
         if picture.as_spheres is not None:
             shown = shown & picture.as_spheres
