@@ -9,8 +9,7 @@ import importlib
 from typing import Any
 
 from taichi_cloth.simulation import showing as _showing
-
-__version__ = "0.1.0"
+from taichi_cloth.version import __version__
 
 _HOMES = {  # public name: (module, name in it; None: the module itself)
     "InputError": ("errors", "InputError"),

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from taichi_cloth import __version__, console, runtime
+from taichi_cloth import console, runtime
 from taichi_cloth.measuring import machine, vulkan
 from taichi_cloth.settings.options import PATHS, TOPOLOGIES
+from taichi_cloth.version import __version__
 
 if TYPE_CHECKING:
     from rich.console import Console

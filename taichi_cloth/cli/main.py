@@ -16,11 +16,11 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-from taichi_cloth import __version__
 from taichi_cloth.errors import InputError, RunFailure, nearest
 from taichi_cloth.scene.source import DEFAULT_SCENE, names_file
 from taichi_cloth.settings import options
 from taichi_cloth.settings.options import PROGRAM
+from taichi_cloth.version import __version__
 
 COMMANDS = {
     "run": "run a scene, in a window or headless (the default command)",

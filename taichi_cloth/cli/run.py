@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy
 
-from taichi_cloth import __version__, runtime
+from taichi_cloth import runtime
 from taichi_cloth.cli import scene_command
 from taichi_cloth.errors import InputError, RunFailure, SimulationFailure, counted
 from taichi_cloth.files.events import Recorder
@@ -34,6 +34,7 @@ from taichi_cloth.settings.options import (
     flag,
     shown_parts,
 )
+from taichi_cloth.version import __version__
 
 if TYPE_CHECKING:
     from taichi_cloth.runtime import Device

@@ -12,13 +12,14 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taichi_cloth import __version__, console
+from taichi_cloth import console
 from taichi_cloth.console import Tell, duration, markdown_table
 from taichi_cloth.errors import InputError, counted, nearest
 from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.kernels import forces
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import ExplainOptions, check_run, flag
+from taichi_cloth.version import __version__
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -11,7 +11,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
-from taichi_cloth import __version__
+from taichi_cloth.version import __version__
 
 VECTOR_UNITS = ("avx512f", "avx2", "avx", "asimd", "neon")  # best first
 

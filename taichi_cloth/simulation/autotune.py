@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from taichi_cloth import __version__
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.settings.options import PATHS, TOPOLOGIES
 from taichi_cloth.simulation import cache
 from taichi_cloth.simulation.prediction import Cost
+from taichi_cloth.version import __version__
 
 # Lanes are taken where the graph would take more than so many times as long: they take 2 to 7 times
 # as long to compile.

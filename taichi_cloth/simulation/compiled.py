@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import hashlib
 
-from taichi_cloth import __version__
 from taichi_cloth.kernels.fields import Capacity
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.runtime import Device, kernel_cache
 from taichi_cloth.simulation import cache
+from taichi_cloth.version import __version__
 
 FILE = "compiled.json"
 MOST = 1000  # kinds that are listed, the newest ones
