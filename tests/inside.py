@@ -11,7 +11,7 @@ import pytest
 
 from taichi_cloth import runtime
 from taichi_cloth.kernels import methods
-from taichi_cloth.simulation import autotune, simulation, storage
+from taichi_cloth.simulation import autotune, containers, simulation
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.prediction import Cost, Prediction
 
@@ -100,7 +100,7 @@ def few_lanes():
 def room_for_clicks(count):
     """Room for `count` particles that clicks add, in simulations made meanwhile."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(storage, "SPAWN_CAPACITY", count)
+        patch.setattr(containers, "SPAWN_CAPACITY", count)
         yield
 
 

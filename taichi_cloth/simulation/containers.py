@@ -1,0 +1,78 @@
+"""Fields for a state on the device: how many are made, and what they are made for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import taichi as ti
+
+from taichi_cloth.kernels.fields import Capacity
+from taichi_cloth.kernels.methods.contract import Method
+from taichi_cloth.kernels.specialization import Specialization
+from taichi_cloth.kernels.state import State
+from taichi_cloth.runtime import Device
+from taichi_cloth.simulation.kept import KeptFields
+from taichi_cloth.simulation.surfaces import free_with
+from taichi_cloth.simulation.upload import Real
+
+SPAWN_CAPACITY = 16384  # room for clicks before the fields must grow: some 10 MB
+
+
+@dataclass(frozen=True)
+class Container:
+    """Fields, and what they were made for.
+
+    spec: with parallel loops in one launch per step, for kernels beside the frames. kept: copies
+    what steps keep.
+
+    Their memory is given back when nobody holds it any more, the storage or a checkpoint.
+    """
+
+    state: Any
+    spec: Specialization
+    topology: str
+    kept: KeptFields
+
+    @classmethod
+    def make(
+        cls,
+        spec: Specialization,
+        topology: str,
+        capacity: Capacity,
+        method: Method,
+        device: Device,
+        real: Real,
+    ) -> Container:
+        """An empty one; it compiles every kernel that is launched with it.
+
+        real: type of the device's numbers.
+        """
+        state: Any = State(spec, getattr(ti, device.real), capacity, method)
+        container = cls(state, spec, topology, KeptFields(spec, state, method, real))
+        # Taichi has room for 512 trees of fields, of which each state takes two.
+        free_with(container, state, device)
+        return container
+
+    def fits(self, spec: Specialization, topology: str) -> bool:
+        """Whether the fields are those of `spec` in a topology, and more."""
+        return self.topology == topology and self.spec.can_run(spec)
+
+
+def with_room_to_spare(
+    needed: Capacity, factor: int, *, takes_clicks: bool, thick: bool
+) -> Capacity:
+    """What is made where `needed` is needed.
+
+    factor: how many times as much of what clicks may add. takes_clicks: whether they may add any.
+    thick: whether cloths have a thickness.
+    """
+    room = SPAWN_CAPACITY if takes_clicks else 0
+    return replace(
+        needed,
+        particles=factor * needed.particles + room,
+        springs=factor * needed.springs + room,
+        packs=factor * needed.packs + room,
+        closer=max(needed.closer, 16 * factor * needed.particles) if thick else 0,
+        patches=factor * needed.patches,
+    )

@@ -1,0 +1,134 @@
+"""One state on the device: what was put there last, and what is known of it since."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taichi_cloth.kernels import readback
+from taichi_cloth.kernels.methods.contract import Method
+from taichi_cloth.kernels.specialization import Specialization
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.solids import Solid, solids
+from taichi_cloth.simulation.containers import Container
+from taichi_cloth.simulation.launch import Launcher
+from taichi_cloth.simulation.layouts import Layout
+from taichi_cloth.simulation.numbers import Numbers
+from taichi_cloth.simulation.placement import Placement, Placements
+from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.surfaces import Surfaces
+from taichi_cloth.simulation.upload import Real, Upload
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """What the last load made.
+
+    number: which load of its state it was, `of`. placements, solids: those of the scene loaded.
+    """
+
+    number: int
+    of: weakref.ref[DeviceState]
+    container: Container
+    placement: Placement
+    specialization: Specialization
+    numbers: Numbers
+    placements: Placements
+    solids: Sequence[Solid]
+
+
+class DeviceState:
+    """A state on the device, as all parts of a `Storage` know it.
+
+    solids: what is in the way of the scene that was taken last (`scene.solids`).
+    real: type of the device's numbers. topology, path: how it was loaded. loads: how often anything
+    was. pushed: whether a push lasts until the frame's end. accounts_contacts: whether
+    `account_contacts` may be called.
+    """
+
+    def __init__(
+        self,
+        method: Method,
+        lanes: int,
+        launcher: Launcher,
+        snapshot: Snapshot,
+        accounts_contacts: bool = False,
+    ) -> None:
+        self._method, self._lanes, self._launcher = method, lanes, launcher
+        self._needs = method.needs
+        self.accounts_contacts = accounts_contacts
+        self.real: Real = np.float64 if launcher.device.real == "f64" else np.float32
+        self._taken = snapshot
+        self.solids = solids(snapshot.scene)
+        self._placements = Placements(snapshot.scene, self._needs, lanes)
+        self.topology = self.path = ""
+        self.loads = 0
+        self.pushed = self._held = False
+        self._loaded: Loaded | None = None
+        self._altered = True  # from outside, so that what the method keeps must be computed anew
+        # What a window draws: see `Download`.
+        self._drawn_positions = np.zeros((0, 0))
+        self._drawn_springs: np.ndarray | None = None  # they are to be asked for anew
+        self._drawn_triangles: np.ndarray | None = None
+        self._drawn_broken = 0
+        self._surfaces = Surfaces()
+
+    @property
+    def altered(self) -> bool:
+        """Whether the state was changed from outside since the last step."""
+        return self._altered
+
+    @property
+    def scene(self) -> Scene:
+        """The scene with all that was spawned, every particle where it began."""
+        return self._taken.scene
+
+    @property
+    def state(self) -> Any:
+        """The fields, a `kernels.state.State`."""
+        return self._now.container.state
+
+    @property
+    def layout(self) -> Layout:
+        """Where particles and springs are."""
+        return self._now.placement.layout
+
+    @property
+    def specialization(self) -> Specialization:
+        """What is compiled to advance frames."""
+        return self._now.specialization
+
+    @property
+    def _now(self) -> Loaded:
+        if self._loaded is None:
+            raise RuntimeError("nothing is on the device before `load`")
+        return self._loaded
+
+    def _launch(self, kernel: Any, *arguments: Any) -> Any:
+        container = self._now.container
+        return self._launcher.launch(kernel, container.spec, container.state, *arguments)
+
+    def _read_field(self, of: Any) -> np.ndarray:
+        out = np.zeros((len(self.scene.particles), self.scene.world.dim), self.real)
+        if len(out):
+            self._launch(readback.read_vectors, of, out)
+        values: np.ndarray = out.astype(np.float64)
+        return values
+
+    def _upload(self) -> Upload:
+        now = self._now
+        return Upload(
+            launcher=self._launcher,
+            spec=now.container.spec,
+            state=now.container.state,
+            snapshot=self._taken,
+            placements=self._placements,
+            placement=now.placement,
+            solids=self.solids,
+            needs=self._needs,
+            real=self.real,
+        )

@@ -1,0 +1,157 @@
+"""The part of a storage that puts scenes on the device, into fields that have room for them."""
+
+from __future__ import annotations
+
+import weakref
+from dataclasses import replace
+
+import numpy as np
+
+from taichi_cloth.kernels import forces
+from taichi_cloth.kernels.forces import blow
+from taichi_cloth.kernels.specialization import Specialization
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.solids import solids
+from taichi_cloth.simulation import containers, requirements
+from taichi_cloth.simulation.containers import Container
+from taichi_cloth.simulation.device_state import DeviceState, Loaded
+from taichi_cloth.simulation.numbers import Numbers
+from taichi_cloth.simulation.placement import Placement, Placements
+from taichi_cloth.simulation.snapshot import Snapshot
+
+
+class Loading(DeviceState):
+    """Puts a state on the device: `take` says which, `load` puts it there."""
+
+    def take(self, snapshot: Snapshot) -> None:
+        """Hold another state from the next load on, without a push."""
+        if not _same_solids(self._taken.scene, snapshot.scene):
+            self.solids = solids(snapshot.scene)
+        if not _same_places(self._taken.scene, snapshot.scene):
+            self._placements = Placements(snapshot.scene, self._needs, self._lanes)
+        self._taken = snapshot
+        self.pushed = False
+
+    def move(self, x: np.ndarray, v: np.ndarray) -> None:
+        """From the next load on, have the particles at x with v, (n, dim)."""
+        self._taken = replace(self._taken, x=x, v=v)
+
+    def topologies(self) -> list[str]:
+        """The topologies that the scene can be stored in."""
+        return self._placements.topologies()
+
+    def load(self, topology: str, path: str, numbers: Numbers) -> None:
+        """Put the state that was taken on the device.
+
+        topology: "lanes" or "graph"; the graph where there is no regular grid any more. path:
+        "serial" or "parallel". InputError where a number does not fit the device's precision.
+        """
+        placement, topology = self._find_placement(topology)
+        self._fill(self._make_room(placement, topology), placement, path, numbers)
+
+    def fits(self, snapshot: Snapshot) -> bool:
+        """Whether a state could be loaded without compiling anything anew."""
+        taken, placements, loaded = self._taken, self._placements, self.solids
+        container = self._now.container
+        try:
+            self.take(snapshot)
+            placement, topology = self._find_placement(self.topology)
+            needed = requirements.capacity(snapshot.scene, self.solids, placement)
+            spec = self._needed(placement)
+            room = container.state.capacity.holds(needed)
+            return bool(room and container.fits(spec, topology))
+        finally:
+            self._taken, self._placements, self.solids = taken, placements, loaded
+
+    def _find_placement(self, topology: str) -> tuple[Placement, str]:
+        """The placement of the scene in a topology, or else on the graph, and which it is in."""
+        placement = self._placements.find(topology)
+        if placement is None:  # what was spawned may have undone the last grid
+            topology = "graph"
+            placement = self._placements.find(topology)
+            assert placement is not None  # it takes any springs
+        return placement, topology
+
+    def _fill(
+        self, container: Container, placement: Placement, path: str, numbers: Numbers
+    ) -> None:
+        """Put the state that was taken into a container."""
+        self.topology, self.path, self.loads = container.topology, path, self.loads + 1
+        specialization = self._launcher.specialize(container.spec, path)
+        self._launcher.expect(specialization, container.state.capacity)
+        self._loaded = Loaded(
+            number=self.loads,
+            of=weakref.ref(self),
+            container=container,
+            placement=placement,
+            specialization=specialization,
+            numbers=numbers,
+            placements=self._placements,
+            solids=self.solids,
+        )
+        self._drawn_springs = None
+        upload = self._upload()
+        upload.numbers(numbers)
+        upload.all()
+        if container.spec.accounts_contacts:
+            container.state.accounting[None] = 0
+        if "blow" in container.spec.terms and not self.pushed:
+            self._launcher.launch(blow.clear_push, container.state)
+            self._held = False
+        self._altered = True
+
+    def _make_room(
+        self, placement: Placement, topology: str, like: Specialization | None = None
+    ) -> Container:
+        """A container that fits particles, springs and spec: the one there is, or an empty one.
+
+        A new container compiles every kernel again, so it is made with room to spare.
+        like: a specialization that it is to have, if that can run what is needed.
+        """
+        scene, device = self.scene, self._launcher.device
+        needed = requirements.capacity(scene, self.solids, placement)
+        spec = self._needed(placement)
+        if like is not None and like.can_run(spec):
+            spec = like
+        factor = 1
+        if self._loaded is not None:
+            old = self._loaded.container
+            fits = old.fits(spec, topology) and (like is None or old.spec == spec)
+            if fits and old.state.capacity.holds(needed):
+                return old
+            factor = 2 if fits else 1
+            self._loaded = None  # its memory goes with `old`, unless a checkpoint holds it
+            del old
+        capacity = containers.with_room_to_spare(
+            needed, factor, takes_clicks=scene.world.takes_clicks, thick=spec.thick
+        )
+        return Container.make(spec, topology, capacity, self._method, device, self.real)
+
+    def _needed(self, placement: Placement) -> Specialization:
+        """What the state that was taken needs, in a placement."""
+        return requirements.specialization(
+            self._taken,
+            self.solids,
+            placement,
+            self._launcher.device,
+            topologies=self.topologies,
+            accounts_contacts=self.accounts_contacts,
+        )
+
+
+def _same_solids(one: Scene, other: Scene) -> bool:
+    """Whether the same is in the way in two scenes."""
+    radius = [scene.particles.radius.max(initial=0.0) for scene in (one, other)]
+    return one.obstacles is other.obstacles and one.world is other.world and radius[0] == radius[1]
+
+
+def _same_places(one: Scene, other: Scene) -> bool:
+    """Whether the particles and springs of two scenes are placed alike, whatever else differs."""
+    return (
+        one.springs is other.springs
+        and one.stencils is other.stencils
+        and one.particles.position is other.particles.position
+        and one.triangles is other.triangles
+        and one.features().collisions == other.features().collisions
+        and forces.present_in(one) == forces.present_in(other)
+    )
