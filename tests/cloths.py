@@ -17,8 +17,8 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
-from taichi_cloth.simulation import adjacency
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.simulation.storage import adjacency
 
 LINKS = ("structural", "shear", "bend")
 SIDES = ("left", "right", "top", "bottom", "front", "back")

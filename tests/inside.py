@@ -11,9 +11,10 @@ import pytest
 
 from taichi_cloth import runtime
 from taichi_cloth.kernels import methods
-from taichi_cloth.simulation import autotune, containers, simulation
+from taichi_cloth.simulation import autotune, simulation
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.prediction import Cost, Prediction
+from taichi_cloth.simulation.storage import containers
 
 
 def state_of(sim):

@@ -12,8 +12,8 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.scene.cloth import LINKS, grid
 from taichi_cloth.scene.model import Particles, Scene, Springs
 from taichi_cloth.settings.options import SOLVER_SETTINGS
-from taichi_cloth.simulation import layouts
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.simulation.storage import layouts
 
 # How much a simulation has room for: particles on the graph, with twice as many springs; in lanes
 # a cloth of so many columns and rows, a small one beside it, and a few particles on no grid.

@@ -21,8 +21,9 @@ from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.cloth import grid, grid_stencils, grid_triangles
 from taichi_cloth.scene.model import ParticleDefaults, Scene, SpringDefaults, Springs, World
 from taichi_cloth.scene.stencils import Stencils, mesh_stencils
-from taichi_cloth.simulation import diagnostics, lines
+from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.simulation.storage import lines
 
 
 def crumpled(columns=7, rows=6, mesh=False, bending=20.0, **options):

@@ -13,7 +13,7 @@ from taichi_cloth.files.events import Recorder
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import ParticleDefaults, Particles, Scene, World
 from taichi_cloth.simulation.simulation import Simulation
-from taichi_cloth.simulation.storage import Storage
+from taichi_cloth.simulation.storage.storage import Storage
 from taichi_cloth.ui import app, picking
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.controls import Controls

@@ -16,7 +16,7 @@ from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import Particles, Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.spheres import needed_diameters, too_near
-from taichi_cloth.simulation import layouts
+from taichi_cloth.simulation.storage import layouts
 
 WIDTH = 1.0
 

@@ -10,8 +10,8 @@ from selection import mostly_thorough, thorough
 from taichi_cloth.kernels import methods
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
-from taichi_cloth.simulation import adjacency, layouts
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.simulation.storage import adjacency, layouts
 
 SWEEPING = [m for m in methods.METHODS if "iterations" in methods.load(m).claims.settings]
 sweeping = pytest.mark.parametrize("method", SWEEPING)

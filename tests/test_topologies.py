@@ -25,8 +25,8 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import Particles, Springs
-from taichi_cloth.simulation import adjacency, layouts
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.simulation.storage import adjacency, layouts
 
 # --- layout ----------------------------------------------------------------------------------
 

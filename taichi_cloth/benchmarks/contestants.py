@@ -13,8 +13,8 @@ from taichi_cloth.kernels import stepping
 from taichi_cloth.kernels.collision_grid import sort_into_cells
 from taichi_cloth.kernels.contact import compute_pair_bounces
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.simulation import adjacency
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.simulation.storage import adjacency
 
 
 @functools.cache

@@ -18,7 +18,7 @@ from taichi_cloth.benchmarks.cloths import SHEET_STEP, STRUCTURAL_SUBSTEPS, shee
 from taichi_cloth.benchmarks.contest import Bench, compare, separation
 from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.benchmarks.structural import call, compiled, enter_compiled
-from taichi_cloth.simulation import adjacency
+from taichi_cloth.simulation.storage import adjacency
 
 PART = "meshes"
 SCENE = "taichi_cloth.benchmarks.cloths:sheet"

@@ -22,7 +22,7 @@ from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separati
 from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.measuring import machine
 from taichi_cloth.scene.library import build
-from taichi_cloth.simulation import adjacency
+from taichi_cloth.simulation.storage import adjacency
 
 PART = "structural"
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-fopenmp", "-shared", "-fPIC")

@@ -14,7 +14,7 @@ from taichi_cloth.scene.cloth import LINKS, grid_stencils
 from taichi_cloth.scene.model import WALLS, Features, Particles, Scene, SpringDefaults, Springs
 from taichi_cloth.scene.obstacles import CONTACTS
 from taichi_cloth.scene.stencils import Stencils
-from taichi_cloth.simulation import adjacency
+from taichi_cloth.simulation.storage import adjacency
 
 # Of what is added where a scene has none. Light enough for the scene's own step to stay stable.
 LIGHT_SPRING = 0.2  # stiffness of a link, of the median spring's

@@ -9,7 +9,7 @@ from taichi_cloth.kernels.forces import act_on_triangles as acts_by_speed
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.limits.auto_step import SubstepController
 from taichi_cloth.simulation.snapshot import Snapshot
-from taichi_cloth.simulation.storage import Storage
+from taichi_cloth.simulation.storage.storage import Storage
 
 
 class AutoSubsteps:

@@ -19,7 +19,7 @@ from taichi_cloth.scene.penetration import overlapping
 from taichi_cloth.settings import accepted
 from taichi_cloth.simulation import editing
 from taichi_cloth.simulation.snapshot import Snapshot
-from taichi_cloth.simulation.storage import Storage
+from taichi_cloth.simulation.storage.storage import Storage
 
 
 class Changes(ABC):

@@ -18,9 +18,9 @@ from taichi_cloth.settings import accepted
 from taichi_cloth.simulation import saved
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.engine import Engine
-from taichi_cloth.simulation.kept import Kept
 from taichi_cloth.simulation.numbers import Numbers
-from taichi_cloth.simulation.storage import Storage
+from taichi_cloth.simulation.storage.kept import Kept
+from taichi_cloth.simulation.storage.storage import Storage
 
 
 @dataclass(frozen=True)

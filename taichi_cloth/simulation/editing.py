@@ -31,8 +31,8 @@ from taichi_cloth.scene.properties import (
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.scene.world_keys import world_keys
 from taichi_cloth.settings import accepted
-from taichi_cloth.simulation import layouts
 from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.storage import layouts
 
 OF_PARTICLES = (*PARTICLE_PROPERTIES, "fixed", "color", "positions", "velocities")
 OF_STENCILS = "bending"

@@ -18,7 +18,7 @@ from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import Numbers, solver_settings
 from taichi_cloth.simulation.snapshot import Snapshot
-from taichi_cloth.simulation.storage import Storage
+from taichi_cloth.simulation.storage.storage import Storage
 
 MOST_ENGINES = 3  # methods that a run has had, whose fields and kernels are kept for their return
 # Why a change that compiles makes a window wait (`compiles_in_background`).

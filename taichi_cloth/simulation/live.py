@@ -20,7 +20,8 @@ from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.properties import PARTICLE_PROPERTIES, SPRING_PROPERTIES
 from taichi_cloth.scene.world_keys import world_keys
 from taichi_cloth.settings.options import SOLVER_SETTINGS, RunOptions, parameters_of
-from taichi_cloth.simulation import editing, layouts
+from taichi_cloth.simulation import editing
+from taichi_cloth.simulation.storage import layouts
 
 if TYPE_CHECKING:
     from taichi_cloth.scene.model import Scene, World

@@ -15,7 +15,7 @@ from taichi_cloth.runtime import Device
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import PATHS
 from taichi_cloth.simulation.launch import Launcher
-from taichi_cloth.simulation.storage import Storage
+from taichi_cloth.simulation.storage.storage import Storage
 
 LAUNCH = 30e-6  # seconds to launch a kernel
 COUNT = 90e-6  # to ask a solver, after each launch of frames, how much it worked

@@ -12,7 +12,7 @@ from taichi_cloth.scene.solids import Drawn, Inside, depths, inside_at_start, su
 from taichi_cloth.scene.spheres import too_near
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.prediction import describe_size
-from taichi_cloth.simulation.storage import Storage
+from taichi_cloth.simulation.storage.storage import Storage
 
 
 class Readings(ABC):

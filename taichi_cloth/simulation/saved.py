@@ -20,8 +20,8 @@ from taichi_cloth.scene.holding import Hold
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.stencils import Stencils
-from taichi_cloth.simulation.kept import Kept
 from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.storage.kept import Kept
 
 VERSION = 1  # of the file; another one is refused
 TABLES = {"particles": Particles, "springs": Springs, "stencils": Stencils}

@@ -41,7 +41,7 @@ from taichi_cloth.simulation.prediction import Prediction
 from taichi_cloth.simulation.readings import Readings
 from taichi_cloth.simulation.showing import Showing
 from taichi_cloth.simulation.snapshot import Snapshot
-from taichi_cloth.simulation.storage import Storage
+from taichi_cloth.simulation.storage.storage import Storage
 
 # Particles in a pack on CPUs: 8 fill the widest vectors there are in f64, half of one in f32, where
 # 16 are faster only on large cloths and take three times as long to compile; docs/speed.md.

@@ -26,7 +26,7 @@ from taichi_cloth.measuring.timing import Quiet
 from taichi_cloth.measuring.worker import ENDED, Worker, WorkerFailed
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import ComparisonOptions
-from taichi_cloth.simulation import adjacency
+from taichi_cloth.simulation.storage import adjacency
 from taichi_cloth.trade import ode, reference, settings
 from taichi_cloth.trade.errors import Samples
 from taichi_cloth.trade.settings import Process, Setting

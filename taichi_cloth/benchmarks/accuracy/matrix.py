@@ -26,8 +26,8 @@ from taichi_cloth.measuring.worker import Worker, WorkerFailed
 from taichi_cloth.scene import library, scenefile
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import PRECISIONS, TOPOLOGIES
-from taichi_cloth.simulation import adjacency
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.simulation.storage import adjacency
 from taichi_cloth.trade.errors import Samples, displacement, rms_by_frame
 from taichi_cloth.trade.reference import coarsest
 from taichi_cloth.trade.runner import reference_method

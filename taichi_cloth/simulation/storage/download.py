@@ -11,9 +11,10 @@ from taichi_cloth.kernels.solvers import stages
 from taichi_cloth.kernels.spring_numbers import NUMBERS, SpringNumber
 from taichi_cloth.kernels.state import ALIVE, WORK
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.simulation import adjacency, diagnostics
-from taichi_cloth.simulation.device_state import DeviceState
+from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.storage import adjacency
+from taichi_cloth.simulation.storage.device_state import DeviceState
 
 
 class Download(DeviceState):

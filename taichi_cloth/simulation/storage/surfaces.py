@@ -14,7 +14,7 @@ from taichi_cloth.kernels.fields import Surface
 from taichi_cloth.runtime import Device, still_runs
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.triangles import springs_of_sides
-from taichi_cloth.simulation.upload import Upload
+from taichi_cloth.simulation.storage.upload import Upload
 
 
 @dataclass(frozen=True)

@@ -24,12 +24,12 @@ from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 from taichi_cloth.scene.holding import Hold
-from taichi_cloth.simulation.download import Download
-from taichi_cloth.simulation.handling import Handling
-from taichi_cloth.simulation.kept import Kept
-from taichi_cloth.simulation.loading import Loading
 from taichi_cloth.simulation.numbers import Numbers
 from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.storage.download import Download
+from taichi_cloth.simulation.storage.handling import Handling
+from taichi_cloth.simulation.storage.kept import Kept
+from taichi_cloth.simulation.storage.loading import Loading
 
 
 class Storage(Loading, Download, Handling):

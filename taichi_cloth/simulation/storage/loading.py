@@ -12,12 +12,12 @@ from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.solids import solids
-from taichi_cloth.simulation import containers, requirements
-from taichi_cloth.simulation.containers import Container
-from taichi_cloth.simulation.device_state import DeviceState, Loaded
 from taichi_cloth.simulation.numbers import Numbers
-from taichi_cloth.simulation.placement import Placement, Placements
 from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.storage import containers, requirements
+from taichi_cloth.simulation.storage.containers import Container
+from taichi_cloth.simulation.storage.device_state import DeviceState, Loaded
+from taichi_cloth.simulation.storage.placement import Placement, Placements
 
 
 class Loading(DeviceState):

@@ -13,8 +13,8 @@ from taichi_cloth.kernels import persistence
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.simulation.launch import Launcher
-from taichi_cloth.simulation.placement import Placement
 from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.storage.placement import Placement
 
 
 @dataclass(frozen=True)

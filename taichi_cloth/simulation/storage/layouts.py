@@ -16,7 +16,7 @@ from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.model import Springs
 from taichi_cloth.scene.stencils import Stencils
-from taichi_cloth.simulation import adjacency, lines
+from taichi_cloth.simulation.storage import adjacency, lines
 
 # Offsets (columns, rows) from a particle to those that come later and are tied to it.
 FORWARD = tuple((-column, -row) for kind in LINKS.values() for column, row in kind)

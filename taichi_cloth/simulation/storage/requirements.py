@@ -12,9 +12,9 @@ from taichi_cloth.runtime import Device
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.penetration import touches
 from taichi_cloth.scene.solids import Solid, elements, met_by_faces
-from taichi_cloth.simulation.layouts import WORTH_SORTING
-from taichi_cloth.simulation.placement import Placement
 from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.storage.layouts import WORTH_SORTING
+from taichi_cloth.simulation.storage.placement import Placement
 
 
 def specialization(

@@ -12,8 +12,8 @@ from taichi_cloth.kernels.forces.contract import CURVATURE
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.settings.options import TOPOLOGIES
-from taichi_cloth.simulation import layouts
-from taichi_cloth.simulation.layouts import Layout
+from taichi_cloth.simulation.storage import layouts
+from taichi_cloth.simulation.storage.layouts import Layout
 
 # Packs of more lanes take minutes to compile where stencils are summed besides springs.
 BENT_LANES = 4

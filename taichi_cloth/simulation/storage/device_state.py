@@ -14,14 +14,14 @@ from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.solids import Solid, solids
-from taichi_cloth.simulation.containers import Container
 from taichi_cloth.simulation.launch import Launcher
-from taichi_cloth.simulation.layouts import Layout
 from taichi_cloth.simulation.numbers import Numbers
-from taichi_cloth.simulation.placement import Placement, Placements
 from taichi_cloth.simulation.snapshot import Snapshot
-from taichi_cloth.simulation.surfaces import Surfaces
-from taichi_cloth.simulation.upload import Real, Upload
+from taichi_cloth.simulation.storage.containers import Container
+from taichi_cloth.simulation.storage.layouts import Layout
+from taichi_cloth.simulation.storage.placement import Placement, Placements
+from taichi_cloth.simulation.storage.surfaces import Surfaces
+from taichi_cloth.simulation.storage.upload import Real, Upload
 
 
 @dataclass(frozen=True)

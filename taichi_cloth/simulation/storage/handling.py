@@ -9,8 +9,8 @@ import numpy as np
 from taichi_cloth.kernels import fracture, transfer
 from taichi_cloth.kernels.forces import blow, grab
 from taichi_cloth.scene.holding import Hold
-from taichi_cloth.simulation.device_state import DeviceState
-from taichi_cloth.simulation.upload import as_real
+from taichi_cloth.simulation.storage.device_state import DeviceState
+from taichi_cloth.simulation.storage.upload import as_real
 
 
 class Handling(DeviceState):

@@ -22,11 +22,11 @@ from taichi_cloth.kernels.state import GONE
 from taichi_cloth.scene.model import Particles, Springs, World
 from taichi_cloth.scene.solids import Solid, elements, held, met_by_faces
 from taichi_cloth.scene.triangles import corner_shares, springs_of_sides
-from taichi_cloth.simulation import adjacency, layouts
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import Numbers
-from taichi_cloth.simulation.placement import Placement, Placements
 from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.storage import adjacency, layouts
+from taichi_cloth.simulation.storage.placement import Placement, Placements
 
 Real = type[np.floating]  # the device's precision: np.float32 or np.float64
 
