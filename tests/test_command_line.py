@@ -16,7 +16,7 @@ from goldens import GOLDEN
 from selection import as_thorough
 
 from taichi_cloth import runtime
-from taichi_cloth.cli import doctor, run, scene_command
+from taichi_cloth.cli import doctor, run_notes, scene_command
 from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError, RunFailure
 from taichi_cloth.files import trajectory as trajectories
@@ -443,9 +443,9 @@ def test_a_run_few_of_whose_steps_did_not_converge_is_noted(pool, monkeypatch, c
         for options in (RunOptions(), RunOptions(unconverged="accept")):
             if fails and options.unconverged == "fail":
                 with pytest.raises(RunFailure, match=f"{unconverged} of 4 steps"):
-                    run._check_converged(sim, options)
+                    run_notes.check_converged(sim, options)
             else:
-                run._check_converged(sim, options)
+                run_notes.check_converged(sim, options)
                 assert f"note: {unconverged} of 4 steps" in capsys.readouterr().err
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from selection import mostly_thorough
 
-from taichi_cloth.cli import run
+from taichi_cloth.cli import run_notes
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.obstacles import SHAPES
@@ -21,6 +21,7 @@ from taichi_cloth.scene.model import (
 )
 from taichi_cloth.scene.obstacles import CONTACTS, Obstacle
 from taichi_cloth.scene.solids import depths, inside_at_start, met_by_faces, solids, surface
+from taichi_cloth.settings.options import RunOptions
 from taichi_cloth.simulation.simulation import Simulation
 
 G, RADIUS = 9.81, 0.1
@@ -444,7 +445,7 @@ def test_who_begins_inside_is_named_and_who_has_no_room_is_refused(device, capsy
     found = inside_at_start(scene, solids(scene))
     assert found.particles.tolist() == [1, 2] and len(found.stuck) == 0
     sim = Simulation(scene, execution="serial")
-    run._note_inside(sim, run.RunOptions())
+    run_notes.note_inside(sim, RunOptions())
     said = capsys.readouterr().err
     assert "2 particles begin inside" in said and "particle 1, in obstacle 0" in said
     walls = [
@@ -453,4 +454,4 @@ def test_who_begins_inside_is_named_and_who_has_no_room_is_refused(device, capsy
     ]
     sim = Simulation(Scene("stuck", world, particles, obstacles=tuple(walls)), execution="serial")
     with pytest.raises(InputError, match="particle 0 begins inside obstacle 0, and .* no room"):
-        run._note_inside(sim, run.RunOptions())
+        run_notes.note_inside(sim, RunOptions())

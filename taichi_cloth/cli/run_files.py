@@ -1,0 +1,144 @@
+"""The files that a run writes: begun before Taichi starts, finished however the run ends."""
+
+from __future__ import annotations
+
+import contextlib
+import platform
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy
+
+from taichi_cloth.errors import InputError, RunFailure, SimulationFailure
+from taichi_cloth.files.events import Recorder
+from taichi_cloth.files.exports import Export
+from taichi_cloth.files.pending import PendingFile
+from taichi_cloth.files.recordings import Recordings
+from taichi_cloth.files.trajectory import Trajectory
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.source import SceneSource
+from taichi_cloth.settings.options import RunOptions
+from taichi_cloth.version import __version__
+
+if TYPE_CHECKING:
+    from taichi_cloth.runtime import Device
+    from taichi_cloth.simulation.simulation import Simulation
+
+
+@dataclass(frozen=True)
+class RunFiles:
+    """What a run writes beside pictures.
+
+    recorder: of its log. ending: the file of the checkpoint that it ends with.
+    """
+
+    recorder: Recorder | None
+    recordings: Recordings
+    ending: PendingFile | None
+
+
+@contextlib.contextmanager
+def begun(scene: Scene, options: RunOptions) -> Iterator[RunFiles]:
+    """The files that the options ask for; those that are not finished at the end are discarded.
+
+    InputError where one cannot be written.
+    """
+    with contextlib.ExitStack() as unfinished:
+        trajectory = Trajectory(options.save, options.every) if options.save else None
+        if trajectory:
+            unfinished.callback(trajectory.discard)
+        export = _export(scene, options)
+        if export:
+            unfinished.callback(export.discard)
+        recorder = Recorder(options.record) if options.record else None
+        if recorder:
+            unfinished.callback(recorder.discard)
+        ending = PendingFile(options.checkpoint) if options.checkpoint else None
+        if ending:
+            unfinished.callback(ending.discard)
+        yield RunFiles(recorder, Recordings(trajectory, export), ending)
+
+
+def _export(scene: Scene, options: RunOptions) -> Export | None:
+    """What `--export` asks for."""
+    if options.export is None:
+        return None
+    dt = options.dt if isinstance(options.dt, float) else scene.world.dt
+    return Export(options.export, dt, options.every)
+
+
+@contextlib.contextmanager
+def kept(
+    source: SceneSource,
+    sim: Simulation,
+    device: Device,
+    written: RunFiles,
+) -> Iterator[None]:
+    """Finish log, trajectory, export and checkpoint however the run ends.
+
+    A failed one has its last frame.
+    """
+    from taichi_cloth.ui import rescue
+
+    recorder, recordings, ending = written.recorder, written.recordings, written.ending
+    failure: KeyboardInterrupt | RunFailure | InputError | None = None
+
+    def finish() -> None:
+        with contextlib.ExitStack() as files:  # each is tried, also where a disk is full
+            if recorder:
+                files.callback(recorder.close)
+            if ending and not ending.file.closed:
+                from taichi_cloth.simulation import saved
+
+                now, about = sim.checkpoint(), {"arguments": source.flags()}
+                files.callback(saved.into, ending, vars(now), about)
+            if recordings.export:
+                files.callback(recordings.export.save)
+            if recordings.trajectory:
+                files.callback(recordings.trajectory.save, _meta(source, sim, device))
+            if isinstance(failure, SimulationFailure):
+                recordings.record(sim, last=True)
+
+    try:
+        with rescue.saving(finish):
+            yield
+    except (KeyboardInterrupt, RunFailure) as error:
+        failure = error
+    except InputError as error:
+        if sim.frame == 0:  # refused before anything was run
+            raise
+        failure = error  # a disk is full: it may not be the one of the other files
+    finish()
+    if failure:
+        raise failure
+
+
+def header(source: SceneSource, header: dict[str, Any]) -> dict[str, Any]:
+    """A log's header with the flags that gave its scene parameters and assignments."""
+    return {**header, "arguments": source.flags()} if source.flags() else header
+
+
+def _meta(source: SceneSource, sim: Simulation, device: Device) -> dict[str, Any]:
+    """What a saved trajectory says about its run."""
+    import taichi
+
+    return {
+        "scene": sim.scene.name,
+        "arguments": source.flags(),
+        "method": sim.method,
+        "dt": sim.dt,
+        "substeps": sim.substeps,  # the last ones, where they follow the springs
+        "dt_auto": sim.follows,
+        "precision": device.precision,
+        "arch": device.arch,
+        "device": device.describe(),
+        "execution": sim.execution,
+        "topology": sim.topology,
+        "versions": {
+            "taichi_cloth": __version__,
+            "taichi": ".".join(map(str, taichi.__version__)),
+            "numpy": numpy.__version__,
+            "python": platform.python_version(),
+        },
+    }

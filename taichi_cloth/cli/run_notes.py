@@ -1,0 +1,196 @@
+"""What ``taichi-cloth run`` says: its first and its last line, and notes on standard error."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy
+
+from taichi_cloth.errors import InputError, RunFailure, counted
+from taichi_cloth.files.recordings import Recordings
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.source import SceneSource
+from taichi_cloth.settings.options import PROGRAM, RunOptions
+
+if TYPE_CHECKING:
+    from taichi_cloth.runtime import Device
+    from taichi_cloth.simulation.simulation import Simulation
+    from taichi_cloth.ui.loop import Summary
+    from taichi_cloth.ui.views.contract import View
+
+MOST_NOTES = 4  # sentences on spheres wider than the thickness, before a run
+
+
+def say(text: str) -> None:
+    """Say something on standard error, in a line."""
+    print(f"{PROGRAM}: {text}", file=sys.stderr, flush=True)
+
+
+def note_compiling(scene: Scene) -> None:
+    """Say on standard error why nothing happens for a while."""
+    touches = scene.obstacles or scene.features().resting
+    takes = "up to some minutes" if touches else "some seconds"
+    say(f"compiling kernels for this run: {takes}, once; later runs find them")
+
+
+def announce(sim: Simulation, device: Device, view: View) -> None:
+    """Say what runs, and on standard error if its steps are too long to be stable, or if there is
+    something that the precision cannot resolve.
+    """
+    from taichi_cloth.limits.auto_step import above_limit
+    from taichi_cloth.limits.precision import unresolved
+    from taichi_cloth.simulation.diagnostics import acceleration_at_start
+
+    print(_first_line(sim, device, view), flush=True)
+    warnings = [
+        above_limit(sim.method, sim.scene, sim.dt, sim.substeps),
+        unresolved(
+            sim.scene, acceleration_at_start(sim.scene), sim.dt, sim.substeps, device.precision
+        ),
+    ]
+    for warning in filter(None, warnings):
+        say(f"warning: {warning}")
+    if sim.scene.features().thick:
+        for sentence in sim.scene.spheres.widened[:MOST_NOTES]:
+            say(f"note: {sentence}")
+
+
+def note_passing(source: SceneSource, scene: Scene) -> None:
+    """Say on standard error that a mesh file passes through itself, where nobody asked for that."""
+    asked = any(entry.keys[-1] == "thickness" for entry in source.assignments)
+    if source.is_mesh and not asked and not scene.features().thick:
+        say(
+            "note: the mesh passes through itself: it is so large or so uneven that its steps "
+            "would take far longer; --set meshes[0].thickness=0.01 keeps it from that"
+        )
+
+
+def note_reset(recordings: Recordings, view: View) -> None:
+    """Say what going back to the start does to what is saved, where a user may do so."""
+    if recordings and view.visible:
+        words = "--save" if recordings.trajectory else "--export"
+        print(f"r goes back to the start, and {words} begins anew there", flush=True)
+
+
+def _first_line(sim: Simulation, device: Device, view: View) -> str:
+    """Scene, method, dt, substeps, device, execution path and view."""
+    steps = f"{sim.substeps} substep{'s' * (sim.substeps > 1)}"
+    width, height = view.size
+    window = f"window {view.name} {width}x{height}" if view.visible else "headless"
+    return (
+        f"{sim.scene.name}: {sim.particle_count} particles, {sim.spring_count} springs; "
+        f"{sim.method}, dt {sim.dt:g}, {steps}; "
+        f"{device.describe()}, {sim.execution} {sim.topology}; {window}"
+    )
+
+
+def last_line(sim: Simulation, summary: Summary, seconds: float) -> str:
+    """Frames, time a frame, steps a second, and the execution path."""
+    frames = summary.frames
+    if not frames:
+        return f"0 frames in {seconds:.2f} s"
+    done = f"{frames} frame{'s' * (frames > 1)} in {seconds:.2f} s"
+    if frames == 1:
+        return done
+    a_frame = summary.simulate / (frames - 1)
+    return (
+        f"{done}: {1e3 * a_frame:.3g} ms a frame to simulate after the first, "
+        f"{sim.substeps / a_frame:.4g} steps/s, {sim.execution} {sim.topology}"
+    )
+
+
+def note_inside(sim: Simulation, options: RunOptions) -> None:
+    """Say on standard error which particles begin inside an obstacle, from which they are pushed.
+
+    Raises InputError where one has no place outside.
+    """
+    inside = sim.inside_at_start()
+    if len(inside.stuck):
+        first = int(inside.stuck[0])
+        name = inside.solid[int(numpy.searchsorted(inside.particles, first))]
+        raise InputError(
+            f"particle {first} begins inside {name}, and what is around leaves it no room; "
+            "move it, or make it fixed"
+        )
+    if len(inside.particles) and not options.quiet:
+        count = len(inside.particles)
+        say(
+            f"note: {counted(count, 'particle')} begin{'s' * (count == 1)} inside an obstacle and "
+            f"{'is' if count == 1 else 'are'} pushed out in the first step; the first is particle "
+            f"{inside.particles[0]}, in {inside.solid[0]}"
+        )
+
+
+def check_converged(sim: Simulation, options: RunOptions) -> None:
+    """Say on standard error how many steps' solutions missed their tolerance.
+
+    Raises RunFailure where most of them did, unless the user accepts that.
+    """
+    if options.unconverged == "fail":
+        try:
+            sim.check_converged()
+        except RunFailure as failure:
+            raise RunFailure(f"{failure}, or accept it: --unconverged accept") from None
+    if sim.work().unconverged and not options.quiet:
+        say(f"note: {sim.describe_convergence()}")
+
+
+def note_held_up(sim: Simulation) -> None:
+    """Say on standard error that several threads were asked for, and only waited."""
+    if sim.held_up:
+        alone, together = (1e3 * seconds for seconds in sim.held_up)
+        say(
+            f"note: another program wants the cores: a frame took {together:.3g} ms on all "
+            f"threads, where one would take about {alone:.3g} ms; --execution parallel keeps "
+            "them, without it the run gives way"
+        )
+
+
+def note_left_out(recordings: Recordings) -> None:
+    """Say on standard error that an export lacks particles, which came after its first frame."""
+    left_out = recordings.export.left_out if recordings.export else 0
+    if left_out:
+        say(
+            "note: the export has the particles of its first frame; left out: "
+            f"{counted(left_out, 'particle')} that came later"
+        )
+
+
+def note_unsettled(sim: Simulation) -> None:
+    """Say on standard error in how many steps faces were left in obstacles and resting pairs
+    overlapping, and whether triangles might intersect at the end.
+    """
+    thick = sim.scene.features().thick
+    part, near = "a tenth" if thick else "a hundredth", sim.uncertified()
+    if sim.unsettled_faces():
+        say(
+            f"note: {sim.unsettled_faces()} of {sim.steps} steps ended with faces or edges of a "
+            "cloth inside an obstacle; use more --substeps"
+        )
+    if sim.unsettled():
+        say(
+            f"note: {sim.unsettled()} of {sim.steps} steps ended with pairs that overlap by more "
+            f"than {part} of their reach; use more --substeps"
+        )
+    if near:
+        say(
+            f"note: {counted(near, 'pair')} of particles ended so near that triangles of cloth "
+            "might intersect: they are stretched, or the steps are too long"
+        )
+
+
+def note_differences(recorded: Mapping[str, Any], present: Mapping[str, Any]) -> None:
+    """Say on standard error where a replay's settings are not those of the recording."""
+    notes = [
+        f"{key} {present[key]} (recorded: {recorded[key]})"
+        for key in ("scene", "dt", "substeps", "method", "topology")
+        if key in recorded and key in present and recorded[key] != present[key]
+    ]
+    words = [shlex.join(header.get("arguments", ())) for header in (present, recorded)]
+    if words[0] != words[1] and present.get("scene") == recorded.get("scene"):
+        notes.append(f"{words[0] or 'no parameters'} (recorded: {words[1] or 'none'})")
+    if notes:
+        say(f"note: replaying with {', '.join(notes)}")

@@ -1,0 +1,97 @@
+"""The options of a run with what follows: from each other, a log to replay, a checkpoint."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from taichi_cloth.cli import scene_command
+from taichi_cloth.errors import InputError
+from taichi_cloth.scene.source import SceneSource
+from taichi_cloth.settings.options import RunOptions, check_run, flag
+
+if TYPE_CHECKING:
+    from taichi_cloth.simulation import saved
+
+
+def consistent(options: RunOptions) -> RunOptions:
+    """The options with what follows from them filled in; refuses those that exclude each other."""
+    options = check_run(options)
+    if options.headless:
+        if options.view not in ("auto", "none"):
+            raise InputError(f"--headless and --view {options.view} exclude each other; give one")
+        options = replace(options, view="none")
+    written: dict[str, str] = {}
+    for name in ("record", "save", "export", "image", "video", "checkpoint"):
+        path = getattr(options, name)
+        if path is None:
+            continue
+        twin = written.setdefault(os.path.realpath(path), name)
+        if twin != name and os.path.isfile(path) | (not os.path.exists(path)):
+            raise InputError(f"--{twin} and --{name} would write the same file, {path}")
+    return options
+
+
+def as_recorded(options: RunOptions, header: Mapping[str, Any]) -> RunOptions:
+    """The options with the recording's dt, substeps and so on where none are given."""
+    recorded = {
+        name: header[name]
+        for name in ("dt", "substeps", "method", "topology")
+        if name in header and name not in options.given
+    }
+    if recorded.get("dt") == "auto" and "substeps" in options.given:
+        del recorded["dt"]  # substeps of the user's own: of the scene's frames, too
+    if options.dt == "auto":
+        recorded.pop("substeps", None)
+    return consistent(replace(options, **recorded))
+
+
+def scene_as_recorded(
+    source: SceneSource, options: RunOptions, arguments: Sequence[str]
+) -> SceneSource:
+    """The scene with the recording's parameters and assignments where none are given."""
+    try:
+        return scene_command.recorded(source, arguments)
+    except InputError as error:
+        raise InputError(f"{options.events} line 1: {error}") from None
+
+
+def resumed(options: RunOptions) -> saved.Saved | None:
+    """The checkpoint that `--resume` names."""
+    if options.resume is None:
+        return None
+    from taichi_cloth.simulation import saved
+
+    return saved.read(Path(options.resume))
+
+
+def as_saved(
+    source: SceneSource, name: str, options: RunOptions, resumed: saved.Saved
+) -> tuple[RunOptions, SceneSource]:
+    """The options and the scene, called `name`, as a checkpoint's where none are given.
+
+    Raises InputError where what is given is not what it was made with.
+    """
+    parts, about = resumed.parts, resumed.about
+    settings, where = parts["settings"], f"--resume {options.resume}"
+    if parts["name"] != name:
+        raise InputError(f"{where}: is of scene '{parts['name']}', not of '{name}'")
+    of_run = {
+        "method": parts["method"],
+        "precision": parts["precision"],
+        "topology": parts["kept"].topology,
+        "dt": settings["dt"] if parts["auto"] is None else "auto",
+        "substeps": settings["substeps"] if parts["auto"] is None else 1,
+        **settings["solver"],
+    }
+    for name, value in of_run.items():
+        if name in options.given and getattr(options, name) != value:
+            raise InputError(f"{where}: was made with {flag(name)} {value}; leave the flag out")
+    try:
+        source = scene_command.recorded(source, about.get("arguments", []))
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    return consistent(replace(options, **of_run)), source
