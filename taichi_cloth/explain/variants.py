@@ -11,7 +11,8 @@ from taichi_cloth.errors import counted
 from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.forces.contract import PARTICLE_NUMBER, Variant, has
 from taichi_cloth.scene.cloth import LINKS, grid_stencils
-from taichi_cloth.scene.model import WALLS, Features, Particles, Scene, SpringDefaults, Springs
+from taichi_cloth.scene.features import Features
+from taichi_cloth.scene.model import WALLS, Particles, Scene, SpringDefaults, Springs
 from taichi_cloth.scene.obstacles import CONTACTS
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.simulation.storage import adjacency

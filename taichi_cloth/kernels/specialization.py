@@ -8,7 +8,7 @@ class Specialization:
     """The switches of one compilation; specializations that are equal share their kernels.
 
     dim, uniform_springs, uniform_particles, fracture, walls, floor, collisions: features of the
-        scene, as in `scene.model.Features`.
+        scene, as in `scene.features.Features`.
     obstacles: the shapes of its obstacles, ground and resting walls included (`obstacles/`).
     moving: whether any of them moves. faces: whether any is so thin that the faces of triangles are
         tested against it (`faces.py`).

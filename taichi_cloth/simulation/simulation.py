@@ -11,11 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from taichi_cloth.errors import InputError, RunFailure, SimulationFailure
+from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.kernels import methods
-from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.methods.contract import Claims, Method
-from taichi_cloth.kernels.solvers.stages import HIDDEN, OUTCOMES
 from taichi_cloth.kernels.state import WORK
 from taichi_cloth.limits.precision import refuse_unholdable
 from taichi_cloth.runtime import current_device
@@ -24,7 +22,8 @@ from taichi_cloth.scene.model import Particles, Scene, Springs
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import PATHS, TOPOLOGIES
-from taichi_cloth.simulation import autotune, diagnosis, diagnostics
+from taichi_cloth.simulation import autotune, diagnosis
+from taichi_cloth.simulation.accounts import Accounts
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.changes import Changes
 from taichi_cloth.simulation.checkpoint import Checkpoints
@@ -38,6 +37,7 @@ from taichi_cloth.simulation.numbers import (
     solver_settings,
 )
 from taichi_cloth.simulation.prediction import Prediction
+from taichi_cloth.simulation.pushes import Pushes
 from taichi_cloth.simulation.readings import Readings
 from taichi_cloth.simulation.showing import Showing
 from taichi_cloth.simulation.snapshot import Snapshot
@@ -46,11 +46,10 @@ from taichi_cloth.simulation.storage.storage import Storage
 # Particles in a pack on CPUs: 8 fill the widest vectors there are in f64, half of one in f32, where
 # 16 are faster only on large cloths and take three times as long to compile; docs/speed.md.
 LANES = 8
-ORIGINAL_REACH = blow.REACH  # world units: how far the pointer blows where nothing else is said
 MOST_LANES = 64  # more fill no vector, and take minutes to compile
 
 
-class Simulation(Readings, Changes, Checkpoints, Engine, Showing):
+class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Engine, Showing):
     """One scene, integrated by one method on the device that `runtime.start` started.
 
     scene: validated here (InputError), against the device's precision, too. method: a name out of
@@ -333,53 +332,7 @@ class Simulation(Readings, Changes, Checkpoints, Engine, Showing):
         self.topology, self.execution = self.storage.topology, path
         self._preferred = topology
 
-    # --- interaction -----------------------------------------------------------------------
-
-    def blow(self, pointer: ArrayLike, displacement: ArrayLike, reach: float | None = None) -> None:
-        """Blow on particles near `pointer` (2-D, world units) through the next frame.
-
-        displacement: how far the pointer moved since the last frame. reach: how far it blows, world
-        units; right under it a particle of mean mass gains a tenth of the pointer's velocity in a
-        frame. None: 50 units, with the original's force, whatever particles weigh. InputError in a
-        scene whose mouse does not blow, and in a 3-D one, which takes `blow_ray`.
-        """
-        if self.scene.world.dim != 2:
-            raise InputError("blow: the scene is 3-D; use blow_ray")
-        pointer = accepted.array("blow: pointer", pointer, (2,))
-        displacement = accepted.array("blow: displacement", displacement, (2,))
-        self._push(pointer, np.zeros(2), displacement, reach)
-
-    def blow_ray(
-        self,
-        origin: ArrayLike,
-        direction: ArrayLike,
-        displacement: ArrayLike,
-        reach: float | None = None,
-    ) -> None:
-        """Blow in 3-D on particles near the line through `origin` along `direction`, all (3,).
-
-        displacement, reach: as for `blow`.
-        InputError in a scene whose mouse does not blow, and in a 2-D one, which takes `blow`.
-        """
-        if self.scene.world.dim != 3:
-            raise InputError("blow_ray: the scene is 2-D; use blow")
-        origin = accepted.array("blow_ray: origin", origin, (3,))
-        along = accepted.array("blow_ray: direction", direction, (3,))
-        displacement = accepted.array("blow_ray: displacement", displacement, (3,))
-        largest = np.abs(along).max()
-        if largest == 0:
-            raise InputError("blow_ray: direction must not be zero")
-        along = along / largest  # so that no square overflows
-        self._push(origin, along / np.linalg.norm(along), displacement, reach)
-
-    def hold(self, force: ArrayLike) -> None:
-        """Push every particle with a constant force of its own, (n, dim), until the next push.
-
-        A scene whose mouse does not blow refuses with InputError, as it does for `blow`.
-        """
-        self._check_blows()
-        shape = self.particle_count, self.scene.world.dim
-        self.storage.hold(accepted.array("hold: force", force, shape, "particles, dimensions"))
+    # --- clicks ----------------------------------------------------------------------------
 
     def spawn(
         self,
@@ -420,31 +373,6 @@ class Simulation(Readings, Changes, Checkpoints, Engine, Showing):
         self._store(grown)
         return self.particle_count - 1
 
-    def _push(
-        self,
-        origin: np.ndarray,
-        direction: np.ndarray,
-        displacement: np.ndarray,
-        reach: float | None,
-    ) -> None:
-        self._check_blows()
-        numbers = [blow.REACH, blow.STRENGTH]
-        if reach is not None:
-            reach = accepted.number("blow: reach", reach, above=0)
-            particles = self.storage.scene.particles
-            mass = particles.mass[~particles.fixed]
-            mean = float(mass.mean()) if len(mass) else 1.0
-            numbers = [reach, blow.strength_of(reach, mean, self.dt)]
-        self.storage.push(np.concatenate([origin, direction, displacement, numbers]))
-
-    def _check_blows(self) -> None:
-        mouse = self.scene.world.mouse
-        if mouse != "blow" and not self.scene.world.tools:
-            raise InputError(
-                f"scene '{self.scene.name}': the mouse does not blow here "
-                f"([world] mouse is '{mouse}'; set it to 'blow')"
-            )
-
     def prepare_click(self) -> None:
         """Compile one of the kernels that only the first clicks need, if any is left.
 
@@ -482,57 +410,3 @@ class Simulation(Readings, Changes, Checkpoints, Engine, Showing):
             raise
         if held is not None:
             self.storage.hold_again(held if left is None else held[left], pushed)
-
-    # --- what has been done; what there is: see `Readings` ----------------------------------
-
-    def work(self) -> diagnostics.Work:
-        """What has been done since the start, or since `reset`."""
-        forces, sweeps, unconverged = (int(count) for count in self._work)
-        before, steps = self._counted  # evaluations, until the method was changed
-        forces = before + ((self.steps - steps) * self.claims.forces or forces)
-        return diagnostics.Work(self.steps, forces, sweeps, unconverged)
-
-    def account_contacts(self) -> None:
-        """Begin an account of what contacts do, which lasts until the next reset or change.
-
-        It stays empty unless the simulation was made with `accounts_contacts`.
-        """
-        self.storage.account_contacts()
-
-    def contact_account(self) -> diagnostics.ContactAccount | None:
-        """What contacts have done since `account_contacts`; None: no account is kept."""
-        account = self.storage.contact_account()
-        if account is None:
-            return None
-        gained, balance, step = account
-        _, time, steps = self._since
-        first = None if step is None else time + (step - steps) * self.dt / self.substeps
-        return diagnostics.ContactAccount(gained, balance, first)
-
-    def check_converged(self) -> None:
-        """Raise RunFailure where most steps since the start missed the tolerance of their solution.
-
-        Such a run does not show the scene; `advance` leaves that to be judged at its end.
-        """
-        if self.work().mostly_unconverged:
-            raise RunFailure(self.describe_convergence())
-
-    def describe_convergence(self) -> str:
-        """How many steps missed their tolerance, how the last one did, and what to change."""
-        work, tolerance = self.work(), self.solver["tolerance"]
-        last = self.solution()
-        ended = "" if last.converged else f" (the last one: {last.outcome})"
-        remedy = "use softer springs, more --substeps or a larger --tolerance"
-        if last.outcome == OUTCOMES[HIDDEN]:  # which no step and no tolerance changes
-            wider = " or --precision f64" * (self._launcher.device.precision != "f64")
-            remedy = f"use softer springs{wider}"
-        return (
-            f"{work.unconverged} of {work.steps} steps of {self.method} did not converge to a "
-            f"relative residual of {tolerance:g}{ended}; remedy: {remedy}"
-        )
-
-    def solution(self) -> diagnostics.Solution:
-        """How the last step was solved; InputError where the method has no tolerance to meet."""
-        if "tolerance" not in self.claims.settings:
-            raise InputError(f"{self.method} solves no equations to a tolerance")
-        return self.storage.solution()

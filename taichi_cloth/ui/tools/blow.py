@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.simulation.simulation import ORIGINAL_REACH
+from taichi_cloth.simulation.pushes import ORIGINAL_REACH
 from taichi_cloth.ui.tools.contract import Hand, Tool, prepared
 
 

@@ -1,0 +1,91 @@
+"""What the steps of a simulation have done: work, what contacts did, how solutions converged."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from taichi_cloth.errors import InputError, RunFailure
+from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.kernels.solvers.stages import HIDDEN, OUTCOMES
+from taichi_cloth.simulation import diagnostics
+from taichi_cloth.simulation.launch import Launcher
+from taichi_cloth.simulation.storage.storage import Storage
+
+
+class Accounts(ABC):
+    """The part of a `Simulation` that says what its steps have done.
+
+    _counted: evaluations of forces, and steps, when the method was last changed. _work: counts of
+    the solver's work since then (`kernels.state.WORK`). _since: frame, time and steps when the step
+    last changed.
+    """
+
+    storage: Storage
+    method: str
+    claims: Claims
+    solver: dict[str, float]
+    dt: float
+    substeps: int
+    _launcher: Launcher
+    _counted: tuple[int, int]
+    _work: np.ndarray
+    _since: tuple[int, float, int]
+
+    @property
+    @abstractmethod
+    def steps(self) -> int:
+        """Steps done since the start."""
+
+    def work(self) -> diagnostics.Work:
+        """What has been done since the start, or since `reset`."""
+        forces, sweeps, unconverged = (int(count) for count in self._work)
+        before, steps = self._counted  # evaluations, until the method was changed
+        forces = before + ((self.steps - steps) * self.claims.forces or forces)
+        return diagnostics.Work(self.steps, forces, sweeps, unconverged)
+
+    def account_contacts(self) -> None:
+        """Begin an account of what contacts do, which lasts until the next reset or change.
+
+        It stays empty unless the simulation was made with `accounts_contacts`.
+        """
+        self.storage.account_contacts()
+
+    def contact_account(self) -> diagnostics.ContactAccount | None:
+        """What contacts have done since `account_contacts`; None: no account is kept."""
+        account = self.storage.contact_account()
+        if account is None:
+            return None
+        gained, balance, step = account
+        _, time, steps = self._since
+        first = None if step is None else time + (step - steps) * self.dt / self.substeps
+        return diagnostics.ContactAccount(gained, balance, first)
+
+    def check_converged(self) -> None:
+        """Raise RunFailure where most steps since the start missed the tolerance of their solution.
+
+        Such a run does not show the scene; `advance` leaves that to be judged at its end.
+        """
+        if self.work().mostly_unconverged:
+            raise RunFailure(self.describe_convergence())
+
+    def describe_convergence(self) -> str:
+        """How many steps missed their tolerance, how the last one did, and what to change."""
+        work, tolerance = self.work(), self.solver["tolerance"]
+        last = self.solution()
+        ended = "" if last.converged else f" (the last one: {last.outcome})"
+        remedy = "use softer springs, more --substeps or a larger --tolerance"
+        if last.outcome == OUTCOMES[HIDDEN]:  # which no step and no tolerance changes
+            wider = " or --precision f64" * (self._launcher.device.precision != "f64")
+            remedy = f"use softer springs{wider}"
+        return (
+            f"{work.unconverged} of {work.steps} steps of {self.method} did not converge to a "
+            f"relative residual of {tolerance:g}{ended}; remedy: {remedy}"
+        )
+
+    def solution(self) -> diagnostics.Solution:
+        """How the last step was solved; InputError where the method has no tolerance to meet."""
+        if "tolerance" not in self.claims.settings:
+            raise InputError(f"{self.method} solves no equations to a tolerance")
+        return self.storage.solution()
