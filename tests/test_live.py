@@ -189,7 +189,8 @@ def test_what_a_setting_costs_is_measured_or_predicted_or_said_to_be_unknown():
     assert costs.of(sim, by_name["gravity.x"], 1.0).how == "measured"
     assert costs.of(sim, by_name["method"], "rk4").how == "predicted"
     assert costs.of(sim, by_name["method"], "rk4").seconds > 2e-3
-    assert costs.of(sim, by_name["collisions"], True).words() == "not measured"
+    assert costs.of(sim, by_name["collisions"], True).how == "predicted"
+    assert costs.of(sim, by_name["fracture"], True).words() == "not measured"
     sim.set_step(substeps=4)
     for _ in range(9):
         costs.note(sim, 5e-3)

@@ -42,6 +42,32 @@ class Followed:
     error: float
 
 
+@dataclass(frozen=True)
+class Shares:
+    """What makes up omega^2 and d of a mode.
+
+    stiffness, damping: what each spring adds to omega^2 and to d, (s,). bending, held: what
+    stencils, and forces on single particles add to omega^2. drag, air: what these add to d.
+    """
+
+    stiffness: np.ndarray
+    damping: np.ndarray
+    bending: float
+    held: float
+    drag: float
+    air: float
+
+    @property
+    def omega2(self) -> float:
+        """The whole omega^2."""
+        return float(self.stiffness.sum()) + self.bending + self.held
+
+    @property
+    def d(self) -> float:
+        """The whole d."""
+        return float(self.damping.sum()) + self.drag + self.air
+
+
 class FastestMode:
     """Follows the mode that sets a method's largest stable step; the same states, the same answers.
 
@@ -54,6 +80,7 @@ class FastestMode:
         self._u: np.ndarray | None = None  # (n, dim), of length 1, times the roots of masses
         self._way: np.ndarray | None = None  # the last direction of improvement
         self._named: tuple[int, Limit] | None = None  # for how many more states, and who sets it
+        self.shares: Shares | None = None  # of the mode at the last state
         self._random = np.random.default_rng(0)
 
     def follow(self, network: Network, h: float, improvements: int) -> Followed | None:
@@ -88,15 +115,16 @@ class FastestMode:
         value = float((u * au).sum())
         left = au - value * u
         error = float(np.sqrt((left * left).sum())) / value / 2 if value > 0 else 0.0
-        return Followed(self._limit(weighted, u), error)
+        self.shares = weighted.shares(u)
+        return Followed(self._limit(weighted, u, self.shares), error)
 
     def _noise(self, weighted: _Weighted) -> np.ndarray:
         found = self._random.standard_normal(weighted.shape)
         return _unit(found * (weighted.scale > 0)[:, None])
 
-    def _limit(self, weighted: _Weighted, u: np.ndarray) -> Limit:
+    def _limit(self, weighted: _Weighted, u: np.ndarray, shares: Shares) -> Limit:
         """The limit along a vector; who sets it is looked for now and then."""
-        network, (omega2, damping) = weighted.network, weighted.parts(u)
+        network, omega2, damping = weighted.network, shares.omega2, shares.d
         left, named = self._named or (0, None)
         if named is None or left == 0 or not self._shape.same:
             flat = u[~network.particles.fixed].reshape(-1)
@@ -167,7 +195,7 @@ class _Weighted:
             out[self._free] += self._h**2 * (self._bending @ u[self._free])
         return out
 
-    def parts(self, u: np.ndarray) -> tuple[float, float]:
+    def shares(self, u: np.ndarray) -> Shares:
         """The quotients omega^2 and d of K and C along a unit vector u (n, dim)."""
         network, (_, t) = self.network, self.network.geometry
         d = self._ends[0] @ (self.scale[:, None] * u)
@@ -175,11 +203,16 @@ class _Weighted:
         across = np.einsum("ij,ij->i", d, d) - axial
         (held, drag), (_, air) = network.on_particles, network.by_triangles
         moved = self.scale**2 * np.einsum("ij,ij->i", u, u)
-        stiff = float((self._stiff * (axial + t * across)).sum() + (held * moved).sum())
-        if self._bending is not None:
-            free = u[self._free]
-            stiff += float((free * (self._bending @ free)).sum())
-        return stiff, float((self._damped * axial).sum() + ((drag + air) * moved).sum())
+        free = u[self._free]
+        bent = self._bending
+        return Shares(
+            stiffness=self._stiff * (axial + t * across),
+            damping=self._damped * axial,
+            bending=0.0 if bent is None else float((free * (bent @ free)).sum()),
+            held=float((held * moved).sum()),
+            drag=float((drag * moved).sum()),
+            air=float((air * moved).sum()),
+        )
 
 
 def _unit(u: np.ndarray) -> np.ndarray:

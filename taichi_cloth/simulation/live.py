@@ -21,6 +21,7 @@ from taichi_cloth.scene.properties import PARTICLE_PROPERTIES, SPRING_PROPERTIES
 from taichi_cloth.scene.world_keys import world_keys
 from taichi_cloth.settings.options import SOLVER_SETTINGS, RunOptions, parameters_of
 from taichi_cloth.simulation import editing
+from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.storage import layouts
 
 if TYPE_CHECKING:
@@ -98,13 +99,25 @@ class Setting:
             return bool(value != sim.method)
         if self.changes is None or value == self.read(sim):
             return False
-        now = sim.storage.snapshot()
-        given = dict(self.changes(sim, self.checked(value)))
-        selection = editing.Selection(given.pop("particles", None), given.pop("springs", None))
         try:
-            return not sim.storage.fits(editing.with_values(now, given, selection))
+            return not sim.storage.fits(self._changed(sim, sim.storage.snapshot(), value))
         except InputError:
             return False
+
+    def scene_with(self, sim: Simulation, value: Any) -> Scene | None:
+        """The scene with another value; None where it goes another way, or is refused."""
+        if self.changes is None:
+            return None
+        try:
+            return self._changed(sim, Snapshot.at_start(sim.storage.scene), value).scene
+        except InputError:
+            return None
+
+    def _changed(self, sim: Simulation, now: Snapshot, value: Any) -> Snapshot:
+        assert self.changes is not None
+        given = dict(self.changes(sim, self.checked(value)))
+        selection = editing.Selection(given.pop("particles", None), given.pop("springs", None))
+        return editing.with_values(now, given, selection)
 
 
 def settings_of(sim: Simulation) -> list[Setting]:

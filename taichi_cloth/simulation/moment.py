@@ -41,10 +41,12 @@ class Moments:
     """Reads moments of a simulation; what does not change from one to the next is not read again.
 
     Nothing of the run is changed, but that an account of contacts begins, where it keeps one.
+
+    accounts: whether it does; else nothing is changed at all, and moments know of no contacts.
     """
 
-    def __init__(self, sim: Simulation) -> None:
-        self._sim = sim
+    def __init__(self, sim: Simulation, *, accounts: bool = True) -> None:
+        self._sim, self._accounts = sim, accounts
         self._last: Moment | None = None
         self._alive: np.ndarray | None = None
         self._taken: Scene | None = None  # what the storage had then
@@ -62,7 +64,8 @@ class Moments:
                 network = sim.network()
             now = replace(last, network=network, time=sim.time, steps=sim.steps)
         else:
-            if last is None or last.loads != storage.loads:  # a load ends the account
+            # A load ends the account.
+            if self._accounts and (last is None or last.loads != storage.loads):
                 sim.account_contacts()
             snapshot, self._alive, self._taken = storage.snapshot(), alive, storage.scene
             pulling = snapshot.marks[:, 0] != GONE
@@ -77,7 +80,7 @@ class Moments:
                 broken=len(pulling) - len(alive),
                 contacts=0.0,
             )
-        self._last = replace(now, contacts=_given_by_contacts(sim))
+        self._last = replace(now, contacts=_given_by_contacts(sim) if self._accounts else 0.0)
         return self._last
 
 

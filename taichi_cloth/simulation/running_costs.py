@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from taichi_cloth.kernels import methods
 from taichi_cloth.runtime import current_device
-from taichi_cloth.simulation.prediction import predict
+from taichi_cloth.simulation.prediction import describe_size, predict
 
 if TYPE_CHECKING:
+    from taichi_cloth.scene.model import Scene
     from taichi_cloth.simulation.live import Setting
     from taichi_cloth.simulation.simulation import Simulation
 
@@ -53,26 +54,31 @@ class RunningCosts:
         seconds = self._mean.get(_way(sim))
         return FrameCost(seconds, "not measured" if seconds is None else "measured")
 
-    def of(self, sim: Simulation, setting: Setting, value: Any) -> FrameCost:
+    def of(
+        self, sim: Simulation, setting: Setting, value: Any, substeps: int | None = None
+    ) -> FrameCost:
         """What a frame would cost with another value of a setting.
 
-        Measured where the run had it; predicted from the present cost where steps, sweeps or the
-        method say by how much it differs. Numbers that change no work cost what they cost now.
+        Measured where the run had it; predicted from the present cost where steps, sweeps, the
+        method or features say by how much it differs. Numbers that change no work cost what they
+        cost now. substeps: that a run would have with it; None: as many as now.
         """
         now = self.now(sim)
-        way = _way(sim, **{setting.name: value})
-        if way == _way(sim) and setting.group != "features":
+        other = {setting.name: value} | ({} if substeps is None else {"substeps": substeps})
+        scene = setting.scene_with(sim, value) if setting.group == "features" else None
+        way = _way(sim, scene, **other)
+        if way == _way(sim):
             return now
-        if way in self._mean and setting.group != "features":
+        if way in self._mean:
             return FrameCost(self._mean[way], "measured")
-        factor = _factor(sim, setting.name, value)
+        factor = _factor(sim, setting.name, value, substeps) if scene is None else _of(sim, scene)
         if now.seconds is None or factor is None:
             return FrameCost(None, "not measured")
         return FrameCost(now.seconds * factor, "predicted")
 
 
-def _way(sim: Simulation, **other: Any) -> tuple[Any, ...]:
-    """What decides the work of a frame."""
+def _way(sim: Simulation, scene: Scene | None = None, **other: Any) -> tuple[Any, ...]:
+    """What decides the work of a frame; scene: in the place of the present one."""
     sweeps = other.get("iterations", sim.solver.get("iterations"))
     tolerance = other.get("tolerance", sim.solver.get("tolerance"))
     method = other.get("method", sim.method)
@@ -81,10 +87,21 @@ def _way(sim: Simulation, **other: Any) -> tuple[Any, ...]:
         sweeps = sweeps if "iterations" in settings else None
         tolerance = tolerance if "tolerance" in settings else None
     steps = other.get("substeps", sim.substeps)
-    return method, steps, sweeps, tolerance, sim.describe_size()
+    size = sim.describe_size() if scene is None else describe_size(scene)
+    return method, steps, sweeps, tolerance, size
 
 
-def _factor(sim: Simulation, name: str, value: Any) -> float | None:
+def _of(sim: Simulation, scene: Scene) -> float | None:
+    """By how much a frame's work changes with features; None: the prediction does not know them."""
+    method, device = methods.load(sim.method), current_device()
+    here, there = (
+        predict(of, method, device, sim.topology, sim.execution).of(sim.substeps)
+        for of in (sim.storage.scene, scene)
+    )
+    return None if here == there else there / here
+
+
+def _factor(sim: Simulation, name: str, value: Any, substeps: int | None) -> float | None:
     """By how much a frame's work changes with a setting; None: nobody knows."""
     if name == "substeps":
         return float(value) / sim.substeps
@@ -93,8 +110,8 @@ def _factor(sim: Simulation, name: str, value: Any) -> float | None:
     if name == "method":
         scene, device = sim.storage.scene, current_device()
         here, there = (
-            predict(scene, methods.load(of), device, sim.topology, sim.execution).of(sim.substeps)
-            for of in (sim.method, value)
+            predict(scene, methods.load(of), device, sim.topology, sim.execution).of(steps)
+            for of, steps in ((sim.method, sim.substeps), (value, substeps or sim.substeps))
         )
         return there / here
     return None
