@@ -16,6 +16,7 @@ from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
 from taichi_cloth.ui.chrome.timeline_row import TimelineRow
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.scenes import Scenes
 from taichi_cloth.ui.timeline import Timeline
 from taichi_cloth.ui.views.none import NullView
 
@@ -25,18 +26,18 @@ RECT, HEIGHT = Rect(500, 20, 300, 560), 12
 class Hands:
     """A panel with the pointer and the keys on it."""
 
-    def __init__(self, sim):
+    def __init__(self, sim, scenes=None):
         self.noted = []
         controls = Controls(sim, None, (800, 600), note=self.noted.append)
-        self.panel = SettingsPanel(sim, controls, RunningCosts())
+        self.panel = SettingsPanel(sim, controls, RunningCosts(), scenes or Scenes())
         self.look()
 
     def look(self):
         return self.panel.panel(RECT, HEIGHT).words.splitlines()
 
     def place(self, name, across=0.5):
-        line = next(n for n in self.panel._lines if n.setting and n.setting.name == name)
-        return RECT.x + across * RECT.width, RECT.y + line.top + line.tall - 3
+        placed = next(n for n in self.panel._rows if n.row.name == name)
+        return RECT.x + across * RECT.width, RECT.y + placed.top + placed.tall - 3
 
     def press(self, pos):
         self.panel.take(Event("press", pos=pos, button="left"), RECT, HEIGHT)
@@ -60,7 +61,7 @@ def sim(pool):
 
 def test_settings_are_set_by_mouse_and_keys_and_noted(sim):
     hands = Hands(sim)
-    assert "stiffness 0.5" in hands.look() and not hands.panel.focused
+    assert "stiffness 0.5 lim 65 %" in hands.look() and not hands.panel.focused
     hands.press(hands.place("stiffness", 0.75))
     dragged = sim.storage.scene.springs.stiffness
     assert (dragged == 0.5).all()  # only before the next frame
@@ -68,7 +69,9 @@ def test_settings_are_set_by_mouse_and_keys_and_noted(sim):
     dragged = float(sim.storage.scene.springs.stiffness[0])
     assert 0.5 < dragged < 50 and hands.panel.focused
     hands.keys("1", "2", "backspace", ".", "5", "return")
-    assert (sim.storage.scene.springs.stiffness == 1.5).all() and "stiffness 1.5" in hands.look()
+    assert (
+        sim.storage.scene.springs.stiffness == 1.5
+    ).all() and "stiffness 1.5 lim 113 %" in hands.look()
     hands.keys("delete")
     assert (sim.storage.scene.springs.stiffness == 0.5).all()
     hands.keys("right")

@@ -1,6 +1,5 @@
 """Back in the last seconds, on from there another way, and out to files."""
 
-import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -79,9 +78,9 @@ ACTIONS = st.lists(
 )
 
 
-@given(ACTIONS, st.integers(2, 40), st.booleans(), st.integers(0, 4))
+@given(ACTIONS, st.integers(2, 40), st.booleans())
 @settings(deadline=None, max_examples=200)
-def test_any_frame_that_is_held_comes_back_as_it_was(actions, room, reruns, spacing):
+def test_any_frame_that_is_held_comes_back_as_it_was(actions, room, reruns):
     """Whatever is done, dropped and run again: each frame has what it had, the last its present."""
     sim = Counting()
 
@@ -90,15 +89,7 @@ def test_any_frame_that_is_held_comes_back_as_it_was(actions, room, reruns, spac
             sim.do(event.number)
         sim.advance()
 
-    line = Timeline(
-        sim,
-        sim,
-        rerun if reruns else None,
-        seconds=0.5,
-        most_bytes=room * SIZE,
-        spacing=spacing,
-        clock=itertools.count().__next__,
-    )
+    line = Timeline(sim, sim, rerun if reruns else None, seconds=0.5, most_bytes=room * SIZE)
     states, frame, present = {}, 0, 0
     for action, number in actions:
         if action == "go":

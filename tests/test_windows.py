@@ -7,7 +7,6 @@ these programs are missing. What a window did is read from its interaction log a
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import textwrap
@@ -19,7 +18,7 @@ import numpy as np
 import pytest
 from commands import PROGRAM as PROGRAM_LINE
 from commands import command
-from screens import end_server, virtual_screen
+from screens import end_server, needs_x, virtual_screen
 
 from taichi_cloth import runtime
 from taichi_cloth.files import trajectory as trajectories
@@ -40,13 +39,6 @@ from taichi_cloth.ui.inputs import Event, fewest_moves
 from taichi_cloth.ui.text import Word
 from taichi_cloth.ui.views.none import NullView
 from taichi_cloth.ui.window_map import Look, WindowMap
-
-# Windows need a server and something that presses keys, which not every machine has. .ci/run
-# installs both, so that nothing is skipped there; where CI is set, a lack of them fails.
-needs_x = pytest.mark.skipif(
-    not (shutil.which("Xvfb") and shutil.which("xdotool") or os.environ.get("CI")),
-    reason="needs Xvfb and xdotool",  # which CI must have
-)
 
 
 class FakeSimulation:

@@ -13,8 +13,8 @@ import numpy
 
 from taichi_cloth import runtime
 from taichi_cloth.cli import run_files, run_notes, run_options
-from taichi_cloth.cli.run_files import RunFiles
-from taichi_cloth.errors import InputError
+from taichi_cloth.cli.run_scenes import Run, Wanted, Window
+from taichi_cloth.errors import InputError, RunFailure
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import (
@@ -25,6 +25,7 @@ from taichi_cloth.settings.options import (
 )
 
 if TYPE_CHECKING:
+    from taichi_cloth.runtime import Device
     from taichi_cloth.simulation import saved
     from taichi_cloth.simulation.simulation import Simulation
     from taichi_cloth.ui.interaction import Log
@@ -45,7 +46,7 @@ def main(source: SceneSource, options: RunOptions) -> int:
     if not options.given & {"dt", "substeps"}:
         options = replace(options, dt=source.frame())
 
-    from taichi_cloth.ui import film, interaction
+    from taichi_cloth.ui import interaction
 
     log = interaction.load(options.events) if options.events else None
     if log:
@@ -57,68 +58,93 @@ def main(source: SceneSource, options: RunOptions) -> int:
     if resumed:
         options, source = run_options.as_saved(source, scene.name, options, resumed)
         scene = source.build()
-    if options.image:
-        film.Image(options.image).discard()
-    if options.video:
-        film.Film(options.video).discard()
     if options.pictures is not None and not os.path.isdir(options.pictures):
         raise InputError(f"--pictures {options.pictures}: there is no such folder; make it first")
     with run_files.begun(scene, options) as files:
-        return _simulate(source, scene, options, log, resumed, files)
+        return _simulate(Wanted(source, scene, options, files), log, resumed)
 
 
-def _simulate(
-    source: SceneSource,
-    scene: Scene,
-    options: RunOptions,
-    log: Log | None,
-    resumed: saved.Saved | None,
-    files: RunFiles,
-) -> int:
-    """Run a checked scene on the device; return the exit status."""
-    from taichi_cloth.ui import app
-
+def _simulate(first: Wanted, log: Log | None, resumed: saved.Saved | None) -> int:
+    """Run a checked scene on the device, and those that the user opens in its window; return the
+    exit status.
+    """
     # Numbers that overflow are the watchdog's to report, in one line.
     numpy.seterr(all="ignore")
+    options, scene = first.options, first.scene
     device = runtime.start(
         options.arch, options.precision, options.threads, fast_math=options.fast_math
     )
     sim = _resumed(scene, options, resumed) if resumed else _begun(scene, options, log)
-    with contextlib.closing(_view(scene, options)) as view:
-        seed = _seed(options, log)
+    run_notes.note_inside(sim, options)
+    failure: RunFailure | None = None
+    with contextlib.closing(_view(scene, options)) as view, Window(first, view, _ready) as window:
+        now: Run | None = Run(first, sim, log)
         if log:
-            log.header["seed"] = seed
-            present = run_files.header(source, app.log_header(sim, view, seed))
-            run_notes.note_differences(log.header, present)
-        if files.recorder:
-            header = app.log_header(sim, view, seed, replay=log)
-            files.recorder.write_header(run_files.header(source, header))
-        run_notes.note_inside(sim, options)
-        if not options.quiet:
-            run_notes.announce(sim, device, view)
-            run_notes.note_passing(source, scene)
-            run_notes.note_reset(files.recordings, view)
-        begin = time.perf_counter()
-        with run_files.kept(source, sim, device, files):
-            summary = app.run(
-                sim,
-                view,
-                replay=log,
-                recorder=files.recorder,
-                trajectory=files.recordings if files.recordings else None,
-                seed=seed,
-                about={"arguments": source.flags()},
-                device=device.describe(),
-                **_of_frames(options, view),
-            )
-        if not options.quiet:
-            print(run_notes.last_line(sim, summary, time.perf_counter() - begin))
-        run_notes.check_converged(sim, options)
-        if not options.quiet:
-            run_notes.note_held_up(sim)
-            run_notes.note_left_out(files.recordings)
-            run_notes.note_unsettled(sim)
+            window.scenes.fixed = "a log is replayed here, and that is of this scene"
+        while now is not None:
+            frames = _run_in(window, now, device)
+            failure = failure or _ended(now)  # which is told last, where the window goes on
+            now = window.go_on(frames)
+    if failure is not None:
+        raise failure
     return 0
+
+
+def _ready(wanted: Wanted) -> Run:
+    """The run of a scene from its start, on the device that was started."""
+    sim = _begun(wanted.scene, wanted.options, None)
+    run_notes.note_inside(sim, wanted.options)
+    return Run(wanted, sim, None)
+
+
+def _run_in(window: Window, run: Run, device: Device) -> int:
+    """Run a scene in a view until it ends, and finish its files; return how many frames it made."""
+    from taichi_cloth.ui import app
+
+    view, sim, log = window.view, run.sim, run.log
+    source, options, files = run.of.source, run.of.options, run.of.files
+    seed = _seed(options, log)
+    if log:
+        log.header["seed"] = seed
+        present = run_files.header(source, app.log_header(sim, view, seed))
+        run_notes.note_differences(log.header, present)
+    if files.recorder:
+        header = app.log_header(sim, view, seed, replay=log)
+        files.recorder.write_header(run_files.header(source, header))
+    if not options.quiet:
+        run_notes.announce(sim, device, view)
+        run_notes.note_passing(source, run.of.scene)
+        run_notes.note_reset(files.recordings, view)
+    begin = time.perf_counter()
+    with run_files.kept(source, sim, device, files):
+        summary = app.run(
+            sim,
+            view,
+            replay=log,
+            recorder=files.recorder,
+            trajectory=files.recordings if files.recordings else None,
+            seed=seed,
+            about={"arguments": source.flags()},
+            device=device.describe(),
+            scenes=window.scenes,
+            **_of_frames(options, view),
+        )
+    if not options.quiet:
+        print(run_notes.last_line(sim, summary, time.perf_counter() - begin), flush=True)
+    return summary.frames
+
+
+def _ended(run: Run) -> RunFailure | None:
+    """Say what there is to say of a run that ended; the failure that it ended with, if any."""
+    try:
+        run_notes.check_converged(run.sim, run.of.options)
+    except RunFailure as failure:
+        return failure
+    if not run.of.options.quiet:
+        run_notes.note_held_up(run.sim)
+        run_notes.note_left_out(run.of.files.recordings)
+        run_notes.note_unsettled(run.sim)
+    return None
 
 
 def _resumed(scene: Scene, options: RunOptions, resumed: saved.Saved) -> Simulation:

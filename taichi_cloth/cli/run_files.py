@@ -44,6 +44,12 @@ def begun(scene: Scene, options: RunOptions) -> Iterator[RunFiles]:
 
     InputError where one cannot be written.
     """
+    from taichi_cloth.ui import film
+
+    if options.image:
+        film.Image(options.image).discard()
+    if options.video:
+        film.Film(options.video).discard()
     with contextlib.ExitStack() as unfinished:
         trajectory = Trajectory(options.save, options.every) if options.save else None
         if trajectory:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -18,6 +19,7 @@ from taichi_cloth.ui import film as films
 from taichi_cloth.ui import rescue
 from taichi_cloth.ui.interaction import Log
 from taichi_cloth.ui.loop import Loop, Summary, event_window
+from taichi_cloth.ui.scenes import Scenes
 from taichi_cloth.ui.shutter import Shutter
 from taichi_cloth.ui.views.contract import View
 
@@ -63,6 +65,7 @@ def run(
     show: frozenset[str] | None = None,
     seed: int = 0,
     device: str | None = None,
+    scenes: Scenes | None = None,
 ) -> Summary:
     """Run `sim` in `view` until `frames` are done, the user quits, or (without both) for ever.
 
@@ -85,6 +88,7 @@ def run(
         the next choice); None: what suits the scene.
     seed: of the tools' random numbers; a log's header overrides it.
     device: from `Device.describe()`, for the status; absent: of the device that was started.
+    scenes: what a window may go on with: the run ends once the user opened one of them. None: none.
 
     A SimulationFailure pauses a window with a banner until R. Without a window, or where the user
     quits at the banner, it is raised once film and image are saved with the last good frame; so is
@@ -101,14 +105,16 @@ def run(
         loop = Loop(
             sim, view, replay=replay, recorder=recorder, trajectory=trajectory,
             on_frame=on_frame, film=film_file, shutter=shutter, about=about, paused=paused,
-            status=status, meters=meters, show=show, seed=seed, device=device,
+            status=status, meters=meters, show=show, seed=seed, device=device, scenes=scenes,
         )  # fmt: skip
         bar = stack.enter_context(_progress(frames, not (quiet or view.visible)))
         stack.enter_context(rescue.saving(lambda: loop.finish(picture_file)))
         failure: RunFailure | None = None
         try:
             loop.begin()
-            while not view.closed and not loop.quit and (frames is None or loop.frames < frames):
+            while not (view.closed or loop.quit or loop.left) and loop.frames < (
+                frames or math.inf
+            ):
                 loop.turn()
                 bar(loop.frames)
         except RunFailure as error:

@@ -84,9 +84,9 @@ class Controls:
             return None
         return self.tool.ring(self._hand)
 
-    def forget_notice(self) -> None:
-        """What was told is no longer so."""
-        self._hand.notice = None
+    def tell(self, notice: str | None) -> None:
+        """Tell the user something; None: what was told is no longer so."""
+        self._hand.notice = notice
 
     def apply(self, event: LogEvent, *, replayed: bool = False) -> str | None:
         """Do what `event` asks for.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taichi_cloth import runtime
-from taichi_cloth.errors import RunFailure, SimulationFailure
+from taichi_cloth.errors import InputError, RunFailure, SimulationFailure
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
@@ -41,6 +41,7 @@ from taichi_cloth.ui.interaction import Log, LogEvent
 from taichi_cloth.ui.opening import offscreen
 from taichi_cloth.ui.plane_moves import PANS, PlaneMoves
 from taichi_cloth.ui.pointer import Pointer
+from taichi_cloth.ui.scenes import OWNED, Scenes
 from taichi_cloth.ui.shutter import Shutter
 from taichi_cloth.ui.status import Status
 from taichi_cloth.ui.text import Panel, Word
@@ -102,9 +103,13 @@ class Loop:
         seed: int,
         device: str | None,
         about: Mapping[str, Any] | None = None,
+        scenes: Scenes | None = None,
     ):
         self.sim, self.view = sim, view
         self._about = about
+        self._scenes = scenes or Scenes(fixed=OWNED)
+        self._opening = ""  # the name of the scene that is made ready
+        self.left = False  # whether another scene goes on in the window
         self._recorder, self._trajectory = recorder, trajectory
         self._on_frame = on_frame
         self._shutter = shutter
@@ -140,13 +145,19 @@ class Loop:
             from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
 
             self._costs = RunningCosts()
-            self._settings = SettingsPanel(sim, self._controls, self._costs)
+            self._settings = SettingsPanel(sim, self._controls, self._costs, self._scenes)
             parts.insert(0, self._settings)
         self._chrome = Chrome(
-            windowed=view.visible, status=status, parts=parts, text=view.text_size
+            windowed=view.visible,
+            status=status,
+            parts=parts,
+            text=view.text_size,
+            opened=self._scenes.beside,
         )
-        if meters:
+        if meters and not self._chrome.is_open("meters") and self._scenes.beside is None:
             self._chrome.toggle("meters")
+        if self._scenes.said:
+            self._controls.tell(self._scenes.said)
         self._buttons: tuple[Button, ...] = ()
         self._paused = paused and view.visible
         self._step = self._compiling = False
@@ -174,7 +185,7 @@ class Loop:
         """Events, at most one frame, draw, and the wait until the next frame is due."""
         self._entitle()
         self._take_events()
-        if self.quit or self.view.closed:
+        if self.quit or self.left or self.view.closed:
             return
         simulate = 0.0
         due = self._step or (not self._paused and self._pace.turn())
@@ -325,6 +336,7 @@ class Loop:
             if command:
                 self._obey(command)
         self._give_settings()
+        self._open_scene()
 
     def _moves_look(self, event: Event) -> bool:
         """Whether a press, in the log's window, moves what is seen of a plane."""
@@ -413,6 +425,24 @@ class Loop:
             self._show_help = not self._show_help
         self._status.hurry()
 
+    def _open_scene(self) -> None:
+        """Make the scene that was chosen ready: the run ends for it, or goes on where it cannot."""
+        name = self._settings.take_scene() if self._settings else None
+        if name is None:
+            return
+        self._opening = name
+        self._entitle()
+        self.view.draw(self._picture())
+        self._opening = ""
+        try:
+            self._scenes.open(name)
+        except (InputError, RunFailure) as error:
+            self._controls.tell(f"{name} was not opened: {error}")
+            self._meter.interrupt()
+            return
+        self._scenes.beside = self._chrome.opened
+        self.left, self.failure = True, None
+
     # Pictures
 
     def _picture(self) -> Picture:
@@ -485,6 +515,8 @@ class Loop:
 
     def _state_of_run(self) -> Word:
         """What a window is doing, in a word."""
+        if self._opening:
+            return Word(f"opening {self._opening}: compiling takes a moment, once", style.WARN)
         if self.failure is not None:
             return Word("stopped", style.BAD)
         if self._shutter.state is not None:

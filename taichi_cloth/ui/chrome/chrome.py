@@ -8,7 +8,7 @@ from functools import lru_cache
 
 from taichi_cloth.ui.chrome import messages, strip, toolbar
 from taichi_cloth.ui.chrome.contract import COLUMN, ROW, Part
-from taichi_cloth.ui.chrome.layout import ROWS, Layout, Rect, arrange, at_start
+from taichi_cloth.ui.chrome.layout import ROWS, Layout, Parts, Rect, arrange, at_start
 from taichi_cloth.ui.chrome.strip import Row
 from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.inputs import Event
@@ -35,13 +35,20 @@ class Chrome:
 
     windowed: whether it is a window, which has a tool bar. status: whether anything is open from
     the start. parts: what can be opened. text: the size of all text, in parts of the usual.
+    opened: what is open from the start; None: what follows from the others.
     """
 
     def __init__(
-        self, *, windowed: bool, status: bool, parts: Sequence[Part] = (), text: float = 1.0
+        self,
+        *,
+        windowed: bool,
+        status: bool,
+        parts: Sequence[Part] = (),
+        text: float = 1.0,
+        opened: Parts | None = None,
     ) -> None:
         self._windowed = windowed
-        self._open = at_start(windowed=windowed, status=status, text=text)
+        self._open = opened or at_start(windowed=windowed, status=status, text=text)
         self._parts = {part.name: part for part in parts}
         self._held: Part | None = None  # whose the pointer is
         self._strip = lru_cache(maxsize=4)(strip.panel)
@@ -65,6 +72,11 @@ class Chrome:
             self._open = replace(self._open, columns=columns)
         self._held = None
         return True
+
+    @property
+    def opened(self) -> Parts:
+        """All that is open."""
+        return self._open
 
     def is_open(self, name: str) -> bool:
         """Whether a part is open."""

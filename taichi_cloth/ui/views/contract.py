@@ -89,6 +89,9 @@ class View(Protocol):
     def size(self) -> tuple[int, int]:
         """Current width and height in pixels."""
 
+    def turn_to(self, world: World, camera: Camera | None) -> None:
+        """Show another world from now on; camera: of a 3-D one."""
+
     def poll(self) -> list[Event]:
         """The user's events since the last call, oldest first."""
 

@@ -80,6 +80,12 @@ class GuiView:
     def _room_height(self) -> int:
         return self.room.height if self.room else self.size[1]
 
+    def turn_to(self, world: World, camera: Camera | None) -> None:
+        """Show another world from now on; camera: of a 3-D one."""
+        self.world, self.camera, self.look = world, camera, None
+        self._rasterizer = None  # how finely it is drawn is found out anew
+        self._samples, self._drawn, self._quickest = SAMPLES, 0, np.inf
+
     def entitle(self, title: str) -> None:
         """Write a title over the window, if there is one."""
         if title != self._title and not self.closed:

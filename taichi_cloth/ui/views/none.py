@@ -35,6 +35,10 @@ class NullView:
         self.look: Look | None = None
         self.text_size = 1.0
 
+    def turn_to(self, world: World, camera: Camera | None) -> None:
+        """Have the camera of another world."""
+        self.camera, self.look = camera, None
+
     def poll(self) -> list[Event]:
         """No events: there is nobody to make them."""
         return []

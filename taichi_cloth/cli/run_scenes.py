@@ -1,0 +1,170 @@
+"""The scenes that follow each other in a window: what of the command line the next one takes.
+
+How and where to compute, and what the window looks like, stays; the physics of a scene is its own.
+A scene's log, trajectory, film and so on are files of their own, beside those of the first scene.
+"""
+
+from __future__ import annotations
+
+import gc
+import glob
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from taichi_cloth.cli import run_files
+from taichi_cloth.cli.run_files import RunFiles
+from taichi_cloth.scene import library
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.source import SceneSource
+from taichi_cloth.settings.options import RunOptions, flag
+
+if TYPE_CHECKING:
+    from taichi_cloth.simulation.simulation import Simulation
+    from taichi_cloth.ui.interaction import Log
+    from taichi_cloth.ui.views.contract import View
+
+# Of one scene alone: its steps, what solves them, the layout of its springs, what it begins with.
+OF_ONE_SCENE = ("method", "dt", "substeps", "tolerance", "iterations", "topology", "resume")
+WRITTEN = ("record", "save", "export", "checkpoint", "video", "image")  # files, one of each a scene
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A checked scene that is to be run: where it comes from, its options, the files it writes."""
+
+    source: SceneSource
+    scene: Scene
+    options: RunOptions
+    files: RunFiles
+
+
+@dataclass(frozen=True)
+class Run:
+    """A scene that is ready to run, in a simulation. log: what is replayed."""
+
+    of: Wanted
+    sim: Simulation
+    log: Log | None
+
+
+class Window:
+    """A view, and the scenes that follow each other in it.
+
+    first: the one that it begins with. view: of it; with one that is no window there are no others.
+    ready: makes the simulation of another one, or raises InputError or RunFailure.
+
+    scenes: what the window offers.
+    """
+
+    def __init__(self, first: Wanted, view: View, ready: Callable[[Wanted], Run]) -> None:
+        from taichi_cloth.ui.scenes import Scenes
+
+        self.view, self._ready = view, ready
+        self._source, self._options, self._name = first.source, first.options, first.scene.name
+        self._unfinished = ExitStack()  # discards the files of scenes that were opened
+        self._next: Run | None = None
+        self._made = [(first.scene.name, written(first.options))]
+        about = choices(first.source, self._name) if view.visible else {}
+        self.scenes = Scenes(about, self._open)
+
+    def __enter__(self) -> Window:
+        return self
+
+    def __exit__(self, kind: object, error: object, traceback: object) -> None:
+        """Discard what was not finished; where there were several scenes, say what is where."""
+        self._unfinished.close()
+        several = len(self._made) > 1 and not self._options.quiet
+        for name, files in self._made if several else ():
+            if files:
+                print(f"{name}: {', '.join(files)}")
+
+    def _open(self, name: str) -> None:
+        """Make a scene ready; InputError or RunFailure where it cannot be."""
+        source = source_of(name, self._source, self._name)
+        scene, options = source.build(), options_of(name, self._options)
+        options = replace(options, dt=source.frame())
+        with ExitStack() as unfinished:
+            files = unfinished.enter_context(run_files.begun(scene, options))
+            self._next = self._ready(Wanted(source, scene, options, files))
+            self._unfinished.push(unfinished.pop_all())
+        words = (line.split(" ", 1) for line in written(options))
+        names = [f"{word} {Path(path).name}" for word, path in words]
+        left = left_behind(self._source, self._options)
+        if left:
+            names.append(f"{', '.join(left)} {'were' if left[1:] else 'was'} for {self._name}")
+        self.scenes.said = "; ".join([f"opened {name}", *names])
+
+    def go_on(self, frames: int) -> Run | None:
+        """The scene that was opened, seen in the window; None: the window closes.
+
+        frames: that the last one made.
+        """
+        from taichi_cloth.ui.framing import camera_of
+
+        run, self._next = self._next, None
+        if run is None:
+            return None
+        if self._options.frames is not None:  # --frames counts those of all scenes
+            self._options = replace(self._options, frames=self._options.frames - frames)
+            run = replace(
+                run,
+                of=replace(run.of, options=replace(run.of.options, frames=self._options.frames)),
+            )
+        if not self._options.quiet:
+            print(self.scenes.said, flush=True)
+        self._made.append((run.of.scene.name, written(run.of.options)))
+        gc.collect()  # what the last scene held on the device is given back
+        self.view.turn_to(run.sim.scene.world, camera_of(run.sim.scene))
+        return run
+
+
+def choices(first: SceneSource, name: str) -> dict[str, str]:
+    """What a window may go on with, in the order of a list: a line on each scene by its name.
+
+    first: of the scene that it began with, called `name`; it is among them if it is a file.
+    """
+    found = {name: f"the scene of {first.name}"} if first.is_file else {}
+    return found | {one: library.description(one) for one in library.names() if one not in found}
+
+
+def source_of(chosen: str, first: SceneSource, name: str) -> SceneSource:
+    """The scene of a choice, as it is without parameters or assignments."""
+    return SceneSource(first.name if first.is_file and chosen == name else chosen)
+
+
+def options_of(chosen: str, options: RunOptions) -> RunOptions:
+    """The options of the next scene. Its files are named after it: FILE-SCENE.jsonl, of which the
+    first is taken that no file has.
+    """
+    other: dict[str, Any] = {f.name: f.default for f in fields(options) if f.name in OF_ONE_SCENE}
+    for name in WRITTEN:
+        path = getattr(options, name)
+        other[name] = None if path is None else beside(path, chosen)
+    return replace(options, given=options.given - set(OF_ONE_SCENE), **other)
+
+
+def beside(path: str, scene: str) -> str:
+    """A path like this one for a file of another scene; devices, such as /dev/null, take all."""
+    given = Path(path)
+    if given.exists() and not (given.is_file() or given.is_dir()):
+        return path
+    number, name = 1, f"{given.stem}-{scene}"
+    while any(given.parent.glob(f"{glob.escape(name)}[._]*")) or (given.parent / name).exists():
+        number += 1
+        name = f"{given.stem}-{scene}-{number}"
+    return str(given.with_name(name + given.suffix))
+
+
+def left_behind(source: SceneSource, options: RunOptions) -> list[str]:
+    """The flags that were for the first scene alone, which the next one does not take."""
+    words = [flag(name) for name in OF_ONE_SCENE if name in options.given]
+    return [*words, *(word for word in source.flags() if word.startswith("--"))]
+
+
+def written(options: RunOptions) -> list[str]:
+    """The files of a scene, each after the flag that asks for it."""
+    paths = {name: getattr(options, name) for name in WRITTEN}
+    return [f"{flag(name)} {path}" for name, path in paths.items() if path is not None]

@@ -1,0 +1,145 @@
+"""Another scene in the same window: chosen in the panel, with files of its own that replay."""
+
+import json
+import os
+import subprocess
+import time
+
+import numpy as np
+import pytest
+from commands import PROGRAM, command
+from screens import needs_x, virtual_screen
+
+from taichi_cloth import load_trajectory, runtime
+from taichi_cloth.cli import run_scenes
+from taichi_cloth.scene.source import SceneSource
+from taichi_cloth.settings.options import RunOptions
+from taichi_cloth.ui.chrome.layout import Parts, arrange
+
+OWN = """name = "own"
+[world]
+size = [600.0, 400.0]
+gravity = [0.0, 0.05]
+mouse = "blow"
+[[cloths]]
+origin = [200.0, 100.0]
+columns = 6
+rows = 5
+spacing = 20.0
+pinned = [[0, 0], [5, 0]]
+"""
+SIZE = 900, 600
+
+
+def test_the_next_scene_keeps_where_to_compute_and_has_files_of_its_own(tmp_path):
+    log, folder = tmp_path / "a.b.jsonl", tmp_path / "frames"
+    folder.mkdir()
+    options = RunOptions.from_given(
+        {"precision": "f64", "meters": True, "substeps": 4, "method": "rk4", "topology": "lanes",
+         "record": str(log), "export": str(folder), "save": "/dev/null"}
+    )  # fmt: skip
+    there = run_scenes.options_of("box", options)
+    assert (there.precision, there.meters) == ("f64", True)
+    assert (there.substeps, there.method, there.topology) == (1, "symplectic_euler", "auto")
+    assert (there.record, there.export) == (str(tmp_path / "a.b-box.jsonl"), f"{folder}-box")
+    assert there.save == "/dev/null" and there.given == options.given - {
+        "substeps", "method", "topology",
+    }  # fmt: skip
+    (tmp_path / "a.b-box.jsonl").touch()
+    assert run_scenes.beside(str(log), "box") == str(tmp_path / "a.b-box-2.jsonl")
+    first = SceneSource("cloth", {"columns": 8})
+    assert run_scenes.left_behind(first, options) == [
+        "--method", "--substeps", "--topology", "--columns",
+    ]  # fmt: skip
+    assert "own" in run_scenes.choices(SceneSource("own.toml"), "own")
+    assert run_scenes.source_of("own", SceneSource("own.toml"), "own").name == "own.toml"
+
+
+class Hands:
+    """What the mouse and the keys do in a window of `taichi-cloth run`."""
+
+    def __init__(self, display, caches, folder, *words):
+        self.env, self.folder = {**os.environ, **caches, "DISPLAY": display}, folder
+        self.process = subprocess.Popen(
+            [*PROGRAM, "run", *words, "--size", "x".join(map(str, SIZE))],
+            env=self.env, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+        self.wait("own, playing")
+        column = arrange(SIZE, Parts(bar=True, strip=1, columns=("settings",)))
+        rect = column.columns["settings"]
+        self.row = rect.x + rect.width // 2, rect.y + column.text // 2
+        self.press("o", 100, 300)
+
+    def ask(self, *words):
+        return subprocess.run(
+            ["xdotool", *map(str, words)], env=self.env, capture_output=True, text=True
+        ).stdout.split()
+
+    def wait(self, title):
+        end = time.time() + 120
+        while not (found := self.ask("search", "--onlyvisible", "--name", f"^{title}")):
+            assert self.process.poll() is None and time.time() < end, title
+            time.sleep(0.1)
+        self.id = found[-1]
+
+    def press(self, key, *place):
+        if place:
+            self.ask("mousemove", "--window", self.id, *place)
+        self.ask("key", key)
+        time.sleep(0.3)
+
+    def open(self, number):
+        """Open the scene of so many rows under the first."""
+        self.ask("mousemove", "--window", self.id, *self.row, "click", 1)
+        time.sleep(0.5)
+        for _ in range(number):
+            self.press("Down")
+        self.press("Return")
+
+    def blow(self, *places):
+        for place in places:
+            self.ask("mousemove", "--window", self.id, *place)
+            time.sleep(0.2)
+
+    def quit(self):
+        self.press("Escape", 100, 300)  # leaves the panel
+        self.press("Escape")
+        out, _ = self.process.communicate(timeout=60)
+        return out
+
+
+@needs_x
+@pytest.mark.parametrize("kind", ["ggui", "gui"])
+def test_a_window_goes_on_with_another_scene_and_both_logs_replay(kind, caches, tmp_path):
+    if kind == "ggui" and not runtime.vulkan_available():
+        pytest.skip("GGUI needs Vulkan")
+    (tmp_path / "own.toml").write_text(OWN)
+    files = ("--record", "log.jsonl", "--save", "run.npz", "--substeps", "2")
+    with virtual_screen() as display:
+        w = Hands(display, caches, tmp_path, "own.toml", "--view", kind, *files)
+        w.blow((200, 200), (260, 240), (220, 300))
+        w.open(1 + run_scenes.library.names().index("cloth") + 1)
+        w.wait("cloth, playing")
+        w.blow((200, 200), (260, 240), (320, 300))
+        (tmp_path / "own.toml").write_text("nothing = 1")
+        w.open(1)
+        time.sleep(1.0)
+        w.wait("cloth, playing")  # what cannot be opened leaves it as it was
+        out = w.quit()
+    assert w.process.returncode == 0, out
+    assert "opened cloth; --record log-cloth.jsonl; --save run-cloth.npz; --substeps was" in out
+    assert out.rstrip().endswith("cloth: --record log-cloth.jsonl, --save run-cloth.npz")
+    (tmp_path / "own.toml").write_text(OWN)
+    for scene, log, saved, steps in (
+        ("own.toml", "log.jsonl", "run.npz", 2),
+        ("cloth", "log-cloth.jsonl", "run-cloth.npz", 1),
+    ):
+        first, *events = (tmp_path / log).read_text().splitlines()
+        assert json.loads(first)["header"]["substeps"] == steps
+        assert sum('"move"' in event for event in events) >= 2
+        seen = load_trajectory(tmp_path / saved)
+        frames = ("--frames", seen.frame[-1], "--headless", "--save", "again.npz", "--quiet")
+        command("run", scene, "--events", log, *frames, cwd=tmp_path, env=caches)
+        again = load_trajectory(tmp_path / "again.npz")
+        np.testing.assert_array_equal(again.position, seen.position)
+        np.testing.assert_array_equal(again.frame, seen.frame)
