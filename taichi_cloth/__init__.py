@@ -39,7 +39,7 @@ _HOMES = {  # public name: (module, name in it; None: the module itself)
     "picture": ("ui.showing", "picture"),
     "Camera": ("ui.camera", "Camera"),
     "camera_of": ("ui.framing", "camera_of"),
-    "Summary": ("ui.app", "Summary"),
+    "Summary": ("ui.summary", "Summary"),
     "Checkpoint": ("simulation.checkpoint", "Checkpoint"),
     "start": ("runtime", "start"),
     "scenes": ("scene.library", None),

@@ -18,7 +18,7 @@ from taichi_cloth.settings.options import PROGRAM, RunOptions
 if TYPE_CHECKING:
     from taichi_cloth.runtime import Device
     from taichi_cloth.simulation.simulation import Simulation
-    from taichi_cloth.ui.loop import Summary
+    from taichi_cloth.ui.summary import Summary
     from taichi_cloth.ui.views.contract import View
 
 MOST_NOTES = 4  # sentences on spheres wider than the thickness, before a run

@@ -18,9 +18,11 @@ from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import rescue
 from taichi_cloth.ui.interaction import Log
-from taichi_cloth.ui.loop import Loop, Summary, event_window
+from taichi_cloth.ui.log_window import event_window
+from taichi_cloth.ui.loop import Loop
 from taichi_cloth.ui.scenes import Scenes
 from taichi_cloth.ui.shutter import Shutter
+from taichi_cloth.ui.summary import Summary
 from taichi_cloth.ui.views.contract import View
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +15,6 @@ from taichi_cloth.errors import InputError, RunFailure, SimulationFailure
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
-from taichi_cloth.scene.model import World
 from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import hud, strained, style
@@ -28,58 +27,27 @@ from taichi_cloth.ui.chrome.timeline_row import TimelineRow
 from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.depiction import Depiction
-from taichi_cloth.ui.inputs import (
-    BACK_KEYS,
-    COMMANDS,
-    HELP_KEYS,
-    KEYS,
-    SLOW_KEY,
-    STEP_KEYS,
-    Event,
-)
+from taichi_cloth.ui.inputs import COMMANDS, KEYS, WINDOW_KEYS, Event
 from taichi_cloth.ui.interaction import Log, LogEvent
+from taichi_cloth.ui.log_window import LogWindow
 from taichi_cloth.ui.opening import offscreen
 from taichi_cloth.ui.plane_moves import PANS, PlaneMoves
 from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.scenes import OWNED, Scenes
+from taichi_cloth.ui.schedule import Schedule
 from taichi_cloth.ui.shutter import Shutter
 from taichi_cloth.ui.status import Status
+from taichi_cloth.ui.summary import Summary
+from taichi_cloth.ui.takes import Takes
 from taichi_cloth.ui.text import Panel, Word
 from taichi_cloth.ui.timeline import SPEEDS, Pace
 from taichi_cloth.ui.travel import Travel
 from taichi_cloth.ui.views.contract import Picture, View
-from taichi_cloth.ui.window_map import WindowMap
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.running_costs import RunningCosts
     from taichi_cloth.simulation.simulation import Simulation
     from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
-
-# Keys that act on the window alone. They work while a log is replayed, too.
-WINDOW_KEYS = (
-    *("escape", "h", "d", "e", "s", "v", "w", "x", "p", "l", "m", "o", SLOW_KEY),
-    *(*STEP_KEYS, *BACK_KEYS, *HELP_KEYS),
-)
-
-# A window in which nothing moves: seconds after the last event until it sleeps, between its
-# pictures then (what was before it may have gone), and between looks at what the user does.
-AWAKE, ASLEEP, POLLED = 1.0, 1.0, 1 / 30
-
-
-@dataclass(frozen=True)
-class Summary:
-    """What a run did.
-
-    frames: advanced in this run. seconds: it took, from the first to the last. simulate: the part
-    of these spent simulating, without the first frame, which compiles. draw: the part spent
-    drawing. quit: whether the user ended it.
-    """
-
-    frames: int
-    seconds: float
-    simulate: float
-    draw: float
-    quit: bool
 
 
 class Loop:
@@ -112,17 +80,13 @@ class Loop:
         self.left = False  # whether another scene goes on in the window
         self._recorder, self._trajectory = recorder, trajectory
         self._on_frame = on_frame
-        self._shutter = shutter
-        self._films: list[films.Film | Shutter] = [shutter] if film is None else [film, shutter]
-        self._unfilmed: list[films.Film | Shutter] = []  # what the frame last drawn goes into
+        self._takes, self._shutter = Takes(film, shutter), shutter
         if replay is not None:
             seed = int(replay.header.get("seed", seed))
         self._log = dict(replay.by_frame) if replay is not None else {}
         self._log_end = max(self._log, default=-1)
-        # What the user does here is converted to the log's window before it is applied or
-        # recorded, so that resizing does not spoil a replay.
-        self._log_window = event_window(sim.scene.world, view, replay)
-        self._controls = Controls(sim, view.camera, self._log_window, seed, self._note)
+        self._window = LogWindow(sim, view, replay)
+        self._controls = Controls(sim, view.camera, self._window.size, seed, self._note)
         self._travel: Travel | None = None
         if view.visible:
             self._travel = Travel(
@@ -133,7 +97,7 @@ class Loop:
         self._pace = Pace()
         self._depiction = Depiction(sim, show)
         self._meters = Meters(sim, windowed=view.visible)
-        self._waited = 0.0  # seconds, before the present frame
+        self._schedule = Schedule()
         parts: list[Part] = [self._meters]
         self._costs: RunningCosts | None = None
         self._settings: SettingsPanel | None = None
@@ -165,9 +129,6 @@ class Loop:
         self.failure: SimulationFailure | None = None
         self._meter = hud.Meter()
         self._status = Status(sim, device or runtime.current_device().describe(), self._meter)
-        self._next_frame = 0.0
-        self._awake_until = self._drawn_at = 0.0
-        self._drawn_size = (0, 0)
         self._started: float | None = None
         self._simulate = self._draw = 0.0
         self.frames = 0
@@ -202,42 +163,27 @@ class Loop:
             advanced = False
         self._step = False
         begin = time.perf_counter()
-        self._unfilmed = [film for film in self._films if advanced and film.wants()]
-        wanted = self._unfilmed or self._shutter.due
-        if wanted or (self.view.visible and self._to_be_drawn(advanced)):
+        self._takes.turn(advanced)
+        seen = self.view.visible
+        if self._takes.due or (seen and self._schedule.draws(advanced, self.view.size)):
             self.view.draw(self._picture())
-        if self._unfilmed or self._shutter.due:
-            self._keep(self.view.grab() if not self.view.closed else self._last_picture())
+        if self._takes.due:
+            self._take(self.view.grab() if not self.view.closed else self._last_picture())
         draw = time.perf_counter() - begin
         self._draw += draw
         if advanced:
             self._meter.frame(simulate, draw)
             if self._chrome.is_open("meters"):
-                self._meters.frame(simulate, draw, self._waited)
+                self._meters.frame(simulate, draw, self._schedule.waited)
             if self._costs:
                 self._costs.note(self.sim, simulate)
         if self.view.visible:
-            self._wait()
+            self.sim.prepare_click()
+            self._schedule.wait(self._stopped)
 
-    def _keep(self, pixels: np.ndarray) -> None:
+    def _take(self, pixels: np.ndarray) -> None:
         """Put the frame (h, w, 3) uint8 into the films and the picture that want it."""
-        room = self.view.room or Rect(0, 0, *self.view.size)
-        world = pixels[room.y : room.y + room.height, room.x : room.x + room.width]
-        while self._unfilmed:
-            film = self._unfilmed.pop()
-            film.add(world if film is self._shutter else pixels)
-        if self._shutter.due:
-            self._shutter.take(world)
-
-    def _to_be_drawn(self, advanced: bool) -> bool:
-        """Whether a window must be drawn: while nothing happens in it, now and then is enough."""
-        now = time.perf_counter()
-        if advanced or self.view.size != self._drawn_size:
-            self._awake_until = now + AWAKE
-        elif self._awake_until < now <= self._drawn_at + ASLEEP:
-            return False
-        self._drawn_at, self._drawn_size = now, self.view.size
-        return True
+        self._takes.take(pixels, self.view.room or Rect(0, 0, *self.view.size))
 
     def _entitle(self) -> None:
         """Have the window's title say the scene and what it is doing."""
@@ -282,19 +228,6 @@ class Loop:
         self._paused, self.failure = True, None
         self._meter.interrupt()
 
-    def _wait(self) -> None:
-        """Sleep until the next frame is due; what is a frame late or more moves the schedule."""
-        self.sim.prepare_click()
-        asleep = self._stopped and time.perf_counter() > self._awake_until
-        period = POLLED if asleep else 1 / hud.FRAME_RATE
-        now = time.perf_counter()
-        self._waited = max(self._next_frame - now, 0.0)
-        if self._waited > 0.0:
-            time.sleep(self._waited)
-        elif now - self._next_frame > period:
-            self._next_frame = now
-        self._next_frame += period
-
     # Events
 
     @property
@@ -312,7 +245,7 @@ class Loop:
         events = self.view.poll()
         layout = self._arranged()  # only now: the window may have another size
         for given in events:
-            self._awake_until = time.perf_counter() + AWAKE
+            self._schedule.wake()
             event = self._chrome.take(given, layout, self._buttons)
             if event is None:
                 continue
@@ -320,9 +253,9 @@ class Loop:
                 if event.key in WINDOW_KEYS and event.kind == "press":
                     self._obey(COMMANDS[event.key])
                 continue
-            logged = self._in_log_window(event)
+            logged = self._window.taken(event)
             if self._looks:
-                taken = self._looks.take(event, self._here, free=self._moves_look(logged))
+                taken = self._looks.take(event, self._window.here, free=self._moves_look(logged))
                 self.view.look = self._looks.look
                 if taken:
                     continue
@@ -342,12 +275,6 @@ class Loop:
         """Whether a press, in the log's window, moves what is seen of a plane."""
         return event.button in PANS and not self._controls.takes(event)
 
-    @property
-    def _here(self) -> WindowMap:
-        """The map between the world and the window as it is now."""
-        view = self.view
-        return WindowMap.of(self.sim.scene.world, view.size, view.room, view.look)
-
     def _give_settings(self) -> None:
         """Have what was changed in the panel take effect; say so before that compiles."""
         if self._settings is None or not self._settings.given:
@@ -361,18 +288,6 @@ class Loop:
             self._compiling = False
         self._settings.flush()
         self._meter.interrupt()
-
-    def _in_log_window(self, event: Event) -> Event:
-        """`event` with its position converted from our window to the log's."""
-        if event.pos is None:
-            return event
-        world = self.sim.scene.world
-        here = self._here
-        there = WindowMap.of(world, self._log_window)
-        if here.scale == there.scale and (here.offset == there.offset).all():
-            return event
-        x, y = there.to_window(here.to_world(event.pos))
-        return replace(event, pos=(float(x), float(y)))
 
     def _note(self, event: LogEvent) -> None:
         if self._travel:
@@ -498,14 +413,13 @@ class Loop:
 
         GGUI's is hidden while a button is held.
         """
-        place, camera, world = self._controls.pointer, self.view.camera, self.sim.scene.world
+        place, camera = self._controls.pointer, self.view.camera
         if place is None:
             return None
-        here = self._here
-        place = here.to_window(WindowMap.of(world, self._log_window).to_world(place))
-        ring = self._controls.ring()
+        place, ring = self._window.shown(place), self._controls.ring()
         if ring is not None:
-            ring *= here.scale * (camera.focal_length / camera.distance if camera else 1.0)
+            nearness = camera.focal_length / camera.distance if camera else 1.0
+            ring *= self._window.here.scale * nearness
         cross = self._controls.pressed or self._replaying or not self.view.visible
         return Pointer(place, ring, cross) if cross or ring is not None else None
 
@@ -533,12 +447,11 @@ class Loop:
     def finish(self, image: films.Image | None) -> None:
         """Save the film, and the last frame as a picture."""
         with ExitStack() as files:  # each is tried, also where a disk is full
-            for film in self._films:
-                files.callback(film.save)
+            self._takes.save(files)
             if image is not None:
                 files.callback(lambda: image.save(self._last_picture()))
-            if self._unfilmed:
-                self._keep(self._last_picture())
+            if self._takes.missing:
+                self._take(self._last_picture())
 
     def pixels(self) -> np.ndarray:
         """The present frame, (h, w, 3) uint8, drawn anew."""
@@ -561,17 +474,3 @@ class Loop:
         """What the run did so far."""
         seconds = time.perf_counter() - self._started if self._started is not None else 0.0
         return Summary(self.frames, seconds, self._simulate, self._draw, self.quit)
-
-
-def event_window(world: World, view: View, replay: Log | None) -> tuple[int, int]:
-    """The window (width, height) that events' positions refer to, which the world fills.
-
-    That is the one a replayed log was recorded in, or where it does not say, the one in which
-    one pixel is one world unit; without a log, the room of this view as it is now.
-    """
-    if replay is None:
-        room = view.room or Rect(0, 0, *view.size)
-        return int(room.width), int(room.height)
-    said = replay.header.get("window")
-    w, h = said or (max(round(world.size[0]), 1), max(round(world.size[1]), 1))
-    return int(w), int(h)

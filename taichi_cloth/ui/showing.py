@@ -18,8 +18,8 @@ from taichi_cloth.settings.options import HEADLESS_FRAMES, PROGRAM, SHOWN, shown
 from taichi_cloth.ui import app, views
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.framing import camera_of, window_of
-from taichi_cloth.ui.loop import Summary
 from taichi_cloth.ui.opening import open_view
+from taichi_cloth.ui.summary import Summary
 from taichi_cloth.ui.views.contract import View
 
 if TYPE_CHECKING:
