@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from taichi_cloth import load_trajectory
+from taichi_cloth.kernels import methods
 from taichi_cloth.scene import library
 from taichi_cloth.simulation.checkpoint import Checkpoint
 from taichi_cloth.simulation.running_costs import RunningCosts
-from taichi_cloth.ui import app
+from taichi_cloth.ui import app, style, text
+from taichi_cloth.ui.chrome import settings_rows
 from taichi_cloth.ui.chrome.chrome import Chrome
-from taichi_cloth.ui.chrome.layout import Rect
+from taichi_cloth.ui.chrome.layout import Parts, Rect, arrange
 from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
 from taichi_cloth.ui.chrome.timeline_row import TimelineRow
 from taichi_cloth.ui.controls import Controls
@@ -33,6 +35,7 @@ class Hands:
         self.look()
 
     def look(self):
+        self.panel._read_at = self.panel._costs._looked = -np.inf  # as if a second had passed
         return self.panel.panel(RECT, HEIGHT).words.splitlines()
 
     def place(self, name, across=0.5):
@@ -84,6 +87,63 @@ def test_settings_are_set_by_mouse_and_keys_and_noted(sim):
     assert [event.values["name"] for event in hands.noted] == ["stiffness"] * 5
     hands.keys("escape")
     assert not hands.panel.focused
+
+
+def test_scenes_and_methods_are_chosen_from_lists_that_say_what_each_is_and_costs(sim):
+    opened = []
+    about = {name: f"about {name}" for name in ("box", "cloth", "net")}
+    hands = Hands(sim, Scenes(about, opened.append))
+    assert hands.look()[0] == "scene \u2039 cloth \u203a"
+    hands.press(hands.place("scene"))
+    assert hands.look()[:4] == ["scene \u2039 cloth \u203a", "box", "cloth now", "net"]
+    before = hands.panel.panel(RECT, HEIGHT).pixels
+    hands.press(hands.place("scene:net"))
+    after = hands.panel.panel(RECT, HEIGHT)
+    assert "net open" in after.words and "about net" in after.words
+    x, y = hands.place("scene:net", 0.95)
+    spot = int(y) - RECT.y, int(x) - RECT.x
+    assert tuple(before[spot]) == style.PAPER and tuple(after.pixels[spot]) == style.CHOSEN
+    assert hands.panel.take_scene() is None
+    hands.press((x, y))
+    assert hands.panel.take_scene() == "net" and hands.panel.take_scene() is None
+    hands.keys("up", "return")  # the one that there is: nothing is opened
+    assert hands.panel.take_scene() is None
+    hands.keys("up", "return")
+    assert hands.panel.take_scene() == "box"
+    hands.keys("left")
+    assert "net open" not in hands.look() and not hands.noted and not opened
+
+    hands.press(hands.place("method"))
+    rows = [line.split() for line in hands.look()]
+    assert ["symplectic_euler", "min", "1", "?"] in rows and ["verlet", "min", "1", "?"] in rows
+    assert not hands.noted
+    hands.keys(*["down"] * 8)
+    costs, advice = hands.look()[-2:]
+    assert costs == "not measured; stable from 1 substep on; compiles, and waits"
+    assert advice == methods.load("verlet").claims.choose
+    fixed = Hands(sim, Scenes(fixed="why not"))
+    fixed.press(fixed.place("scene"))
+    assert "why not" in fixed.look() and fixed.look()[1] == "run cost now"
+
+
+@pytest.mark.parametrize("size", [(800, 600), (1280, 800), (1920, 1080), (2560, 1440)])
+def test_nothing_written_in_the_panel_is_cut_or_meets_something_else(sim, size):
+    """By what is drawn: the columns between what stands beside each other are empty paper."""
+    rect = arrange(size, Parts(bar=True, strip=1, columns=("settings",)))
+    height, rect = rect.text, rect.columns["settings"]
+    hands = Hands(sim, Scenes({"trampoline": "a net"}))
+    for name in ("scene", "method"):
+        hands.panel._unfold(name)
+        pixels = hands.panel.panel(rect, height).pixels
+        first, end = settings_rows.cost_column(rect.width, height)
+        room = hands.panel._room(rect)
+        assert (pixels[:room, end + 2 : -3] == style.PAPER).all()
+        assert (pixels[:room, first - 3 : first - 1] == style.PAPER).all()
+        for placed in hands.panel._rows:
+            assert text.length(placed.row.cost, height) <= end - first
+            assert settings_rows.label_end(placed, height) < settings_rows.value_start(
+                placed, rect.width, height
+            )
 
 
 def test_what_is_refused_is_said_and_leaves_all_as_it_was(sim):

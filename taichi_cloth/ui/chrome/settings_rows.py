@@ -92,6 +92,17 @@ def _fitted(row: Row, width: int, height: int) -> tuple[str, bool]:
     return row.value, True
 
 
+def label_end(placed: Placed, height: int) -> float:
+    """Where a row's label ends, and"""
+    return _indent(placed.row, height) + text.length(placed.row.label, height)
+
+
+def value_start(placed: Placed, width: int, height: int) -> float:
+    """where what stands beside it begins, pixels of the panel."""
+    words = "" if placed.under else placed.words
+    return _left(width, height)[1] - text.length(words, height)
+
+
 def pad(height: int) -> int:
     """Pixels of paper at both ends of a row."""
     return round(0.7 * height)
