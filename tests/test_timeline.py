@@ -1,5 +1,6 @@
 """Back in the last seconds, on from there another way, and out to files."""
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -78,9 +79,9 @@ ACTIONS = st.lists(
 )
 
 
-@given(ACTIONS, st.integers(2, 40), st.booleans())
+@given(ACTIONS, st.integers(2, 40), st.booleans(), st.integers(0, 4))
 @settings(deadline=None, max_examples=200)
-def test_any_frame_that_is_held_comes_back_as_it_was(actions, room, reruns):
+def test_any_frame_that_is_held_comes_back_as_it_was(actions, room, reruns, spacing):
     """Whatever is done, dropped and run again: each frame has what it had, the last its present."""
     sim = Counting()
 
@@ -89,7 +90,15 @@ def test_any_frame_that_is_held_comes_back_as_it_was(actions, room, reruns):
             sim.do(event.number)
         sim.advance()
 
-    line = Timeline(sim, sim, rerun if reruns else None, seconds=0.5, most_bytes=room * SIZE)
+    line = Timeline(
+        sim,
+        sim,
+        rerun if reruns else None,
+        seconds=0.5,
+        most_bytes=room * SIZE,
+        spacing=spacing,
+        clock=itertools.count().__next__,
+    )
     states, frame, present = {}, 0, 0
     for action, number in actions:
         if action == "go":

@@ -34,7 +34,8 @@ from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.settings.options import TradeOptions
 from taichi_cloth.trade import ode, reference, rows, settings, tune
 from taichi_cloth.trade.errors import Breaks, Contacts, Invariants, Samples, distance
-from taichi_cloth.trade.runner import Outcome, Result, Study, StudyFailure, _failed
+from taichi_cloth.trade.outcomes import Outcome, Result, StudyFailure, failed_by
+from taichi_cloth.trade.runner import Study
 from taichi_cloth.trade.settings import Setting
 
 CONTRACT = (
@@ -556,10 +557,10 @@ def test_what_ends_a_sweep_is_one_line_and_status_3(failure, monkeypatch, capsys
 def test_settings_that_the_machine_lost_are_no_choice():
     outcome = Outcome(Setting("rk4", 1.0, 1))
     result = Result(library.build("oscillator"), [outcome], {}, None, None)
-    _failed(outcome, WorkerFailed("SimulationFailure: frame 1"))
+    failed_by(outcome, WorkerFailed("SimulationFailure: frame 1"))
     result.check_whole()
     for why in ("its process ended: Killed", "OSError: [Errno 28] No space left on device"):
-        _failed(outcome, WorkerFailed(why))
+        failed_by(outcome, WorkerFailed(why))
         with pytest.raises(StudyFailure, match="1 of 1 settings were lost"):
             result.check_whole()
 

@@ -22,6 +22,7 @@ from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import TuneOptions
 from taichi_cloth.trade import command, ode, rows, runner, settings
+from taichi_cloth.trade.conditions import conditions, without_mouse
 from taichi_cloth.trade.settings import Setting
 from taichi_cloth.trade.tune import Figures, Target, is_measured, kicked, meeting
 
@@ -73,7 +74,7 @@ def main(arguments: Sequence[str]) -> int:
 def varied(name: str, parameters: dict[str, Any], count: int, seed: int) -> Iterator[Scene]:
     """Variants of a built-in scene: numbers differ, features do not."""
     rng = np.random.default_rng(seed)
-    base = runner.without_mouse(library.build(name, **parameters))
+    base = without_mouse(library.build(name, **parameters))
     particles, springs = base.particles, base.springs
     for _ in range(count):
         shape = particles.velocity.shape
@@ -98,9 +99,7 @@ def measured(variants: Sequence[Scene]) -> Iterator[tuple[list[rows.Row], dict[S
     """For each variant its rows, and, by setting, those of the same from another start."""
     options = TuneOptions(precisions="f32,f64", quick=True)
     chosen = settings.choose(variants[0], options)
-    how = replace(
-        runner.conditions(variants[0], options), budget=0.03, patience=3.0, solver_errors=False
-    )
+    how = replace(conditions(variants[0], options), budget=0.03, patience=3.0, solver_errors=False)
     # How fast is usual is known after a run; before, by the start and gravity alone.
     others = [kicked(scene, _usual(scene), seed=1) for scene in variants]
     study = runner.Study([*variants, *others], chosen, FRAMES, how)

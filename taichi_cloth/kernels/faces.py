@@ -17,6 +17,7 @@ import taichi as ti
 
 from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.compensated import joined, owed_at, put_at
+from taichi_cloth.kernels.contact_fields import FACE_COLUMNS, FACE_CONTACTS
 from taichi_cloth.kernels.face_distance import nearest, point_of
 from taichi_cloth.kernels.loops import each, each_pack_moving, leave
 from taichi_cloth.kernels.obstacles.contract import (
@@ -38,7 +39,6 @@ from taichi_cloth.kernels.poses import (
     to_world,
     velocity_at,
 )
-from taichi_cloth.kernels.state import FACE_COLUMNS, FACE_CONTACTS
 from taichi_cloth.kernels.surfaces import is_whole
 from taichi_cloth.kernels.watchdog import note_fault
 

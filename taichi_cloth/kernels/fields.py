@@ -45,6 +45,47 @@ class Capacity:
         return all(a >= b for a, b in zip(astuple(self), astuple(other), strict=True))
 
 
+class Fields:
+    """Places fields in two trees, one per width of number.
+
+    Where both share a tree, Vulkan and OpenGL read f64 at addresses that are no multiple of 8,
+    which are not the ones that were written.
+
+    real: ti.f32 or ti.f64; capacity: a `Capacity`; packs: how many there is room for.
+    number_names, count_names, vector_names, particle_names: of the fields that the host loads.
+    """
+
+    def __init__(self, real, capacity):
+        self.real, self.capacity = real, capacity
+        self.packs = max(capacity.packs, 1)
+        self.number_names, self.count_names = [], []
+        self.particle_names, self.vector_names = [], []
+        self._reals, self._integers = ti.FieldsBuilder(), ti.FieldsBuilder()
+
+    def _scalars(self, *shape):
+        return placed(self._reals, ti.field(self.real), *shape)
+
+    def _counts(self, *shape):
+        return placed(self._integers, ti.field(ti.i32), *shape)
+
+    def _pack_vectors(self, spec, packs=None, tree=None):
+        tree, packs = tree or self._reals, packs or self.packs
+        if spec.lanes == 1:
+            return placed(tree, ti.Vector.field(spec.dim, self.real), packs)
+        return placed(tree, ti.field(self.real), packs, spec.dim * spec.lanes)
+
+    def _pack_numbers(self, spec, packs=None):
+        packs = packs or self.packs
+        return self._scalars(packs) if spec.lanes == 1 else self._scalars(packs, spec.lanes)
+
+    def _pack_counts(self, spec, packs=None):
+        packs = packs or self.packs
+        return self._counts(packs) if spec.lanes == 1 else self._counts(packs, spec.lanes)
+
+    def _particle_numbers(self, spec):
+        return self._scalars() if spec.uniform_particles else self._pack_numbers(spec)
+
+
 @ti.data_oriented
 class Surface:
     """The triangles of a scene on the device: m of them, by slots of particles (`surfaces.py`).

@@ -6,8 +6,8 @@ kernel is compiled again. Fields of features that a scene lacks are not allocate
 
 import taichi as ti
 
-from taichi_cloth.kernels import clock, poses
-from taichi_cloth.kernels.collision_grid import BLOCK, MOST_BINS, MOST_KEPT, MOST_NEAR, most_cells
+from taichi_cloth.kernels import clock
+from taichi_cloth.kernels.contact_fields import ContactFields
 from taichi_cloth.kernels.fields import Surface, placed
 from taichi_cloth.kernels.forces import device_fields, has_tractions
 from taichi_cloth.kernels.forces.contract import (
@@ -18,8 +18,6 @@ from taichi_cloth.kernels.forces.contract import (
     VECTOR,
 )
 from taichi_cloth.kernels.loops import COUNTER_SIZE
-from taichi_cloth.kernels.obstacles import contract
-from taichi_cloth.kernels.patches import BLOCK as PATCH_BLOCK
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.springs import reads_velocity
 
@@ -29,14 +27,11 @@ ALIVE, BREAKING, GONE = 0, 1, 2  # of a spring; BREAKING: over its limit, pulls 
 # Gauss-Seidel or for a product with the stiffness matrix), steps that did not converge.
 WORK = FORCES, SWEEPS, UNCONVERGED = range(3)
 
-FACE_COLUMNS = 21  # of state.face (`faces.py`)
-FACE_CONTACTS = 4  # that a triangle may have at once
-
 CACHE_LINE = 32  # whole numbers in two lines of 64 bytes, which processors fetch in pairs
 
 
 @ti.data_oriented
-class State:
+class State(ContactFields):
     """All device data of one simulation.
 
     Packs (`packs.py`): a vector (dim,) or a number for each of a pack's particles.
@@ -95,38 +90,7 @@ class State:
     Colours of particles with springs on the graph (needs "particle_colours"): those of colour k are
         in the slots csr_slot[coloured[n]], n from colour_start[k] to colour_start[k+1]; own: 0 for
         these particles, 1 for all others.
-    The collision grid (`collision_grid.py`): grid_bits: binary logarithms of the cells along each
-        axis; per_cell: cells per length along each; largest_radius; cell_end, sorted_index, sorted:
-        the particles by cell; cell_of, block_start, bins, bin_bits (binary logarithm of the cells
-        in a bin), bin_fill, bin_start, bin_size, binned_cell, binned_index: the sort's.
-    Resting pairs (`resting_pairs.py`): near, near_count, near_start and near_reach (both with
-        thickness), touching, pair_friction, pair_residual, pair_iteration;
-        unsettled: steps that ended before all pairs were apart.
-    With thickness (`kept_pairs.py`, `patches.py`): pair_radius, pair_restitution: of particles for
-        each other; skin: how much farther pairs are kept; outdated, overfull: whether they are to
-        be listed anew, and whether some list was full in this step; n_patches, patch_start,
-        in_patches, patch_place, patch_of: the particles of each patch by place, the place of each
-        particle, and the patch of each place; box, block_box: low and high corners of the boxes
-        around a patch and its blocks; anchored: whether it was in this step; drift, stale: of each
-        two patches, their drift and skin, and whether their lists are to be made anew; n_stale: how
-        many; ahead: how far a patch looks along its way; active, n_active: the places that have
-        near pairs; visited: the last iteration in which they are visited; listed_x, listed_begun:
-        their anchors, and where the step began; kept, kept_count: codes of pairs; far: whose step
-        went far; closer_start, closer_other, closer_reach: `scene.spheres`.
-
-    Obstacles (`poses.py`), a row each: obstacle_shape: its number in spec.obstacles;
-        obstacle_numbers, obstacle_sizes: of contact and of its shape; obstacle_start: its pose at
-        time 0 and its velocities; obstacle_pose: its poses at both ends of the step,
-        and (held) its mean rates in the next one; obstacle_part (moving): of the step, in which it
-        moves. held_by, held_at: what each particle goes with, 1 + its row, and where (`grips.py`).
-        elements, face, face_left, face_row, face_count, face_finds, faces_unsettled (faces): a
-        `Surface` of what is tested against sharp obstacles, and what comes of that (`faces.py`).
-        obstacle_low, obstacle_nodes, obstacle_grid: of its grid of distances, where it has one.
-    The account of contacts (`contact_account.py`): accounting: whether it is kept; opened_x,
-        opened_v, free_x, free_v, ended_x: the step's start, free end and end; contact_work: of each
-        particle; touched: whether anything was, in the step; account_part; first_touch: the number
-        of the first such step; contact_energy: what contacts gave in steps in which they gave any;
-        contact_balance: in all, what they took set against it.
+    What contacts need: see `ContactFields`.
 
     What the host loads is listed by name, so that it comes in the order in which kernels take it:
     number_names, count_names, vector_names and particle_names; number_places and count_places:
@@ -140,16 +104,10 @@ class State:
         spec: a `Specialization`; real: ti.f32 or ti.f64; capacity: a `Capacity`; method: a
         `methods.contract.Method`. Raises TypeError where two declare a field of the same name.
         """
-        self.real, self.capacity = real, capacity
+        super().__init__(real, capacity)
         self.wide = ti.f32 if ti.cfg.arch == ti.metal else ti.f64
         self.position_weight, self.begin = method.position_weight, method.begin
         self.force_times = method.force_times
-        self.packs = max(capacity.packs, 1)
-        self.number_names, self.count_names = [], []
-        self.particle_names, self.vector_names = [], []
-        # Two trees, one per width of number: where both share a tree, Vulkan and OpenGL read f64
-        # at addresses that are no multiple of 8, which are not the ones that were written.
-        self._reals, self._integers = ti.FieldsBuilder(), ti.FieldsBuilder()
         self._place_packs(spec, method)
         if spec.links:
             self._place_links_of_packs(spec, method)
@@ -181,31 +139,6 @@ class State:
         if method.sums + spec.accounts_contacts:
             self.add_sums(method.sums + spec.accounts_contacts)
         self._list_what_is_loaded(spec)
-
-    # --- allocation ------------------------------------------------------------------------------
-
-    def _scalars(self, *shape):
-        return placed(self._reals, ti.field(self.real), *shape)
-
-    def _counts(self, *shape):
-        return placed(self._integers, ti.field(ti.i32), *shape)
-
-    def _pack_vectors(self, spec, packs=None, tree=None):
-        tree, packs = tree or self._reals, packs or self.packs
-        if spec.lanes == 1:
-            return placed(tree, ti.Vector.field(spec.dim, self.real), packs)
-        return placed(tree, ti.field(self.real), packs, spec.dim * spec.lanes)
-
-    def _pack_numbers(self, spec, packs=None):
-        packs = packs or self.packs
-        return self._scalars(packs) if spec.lanes == 1 else self._scalars(packs, spec.lanes)
-
-    def _pack_counts(self, spec, packs=None):
-        packs = packs or self.packs
-        return self._counts(packs) if spec.lanes == 1 else self._counts(packs, spec.lanes)
-
-    def _particle_numbers(self, spec):
-        return self._scalars() if spec.uniform_particles else self._pack_numbers(spec)
 
     def _place_packs(self, spec, method):
         """Place the fields of packs: first, so that each pack lies at a multiple of its size.
@@ -387,85 +320,6 @@ class State:
             if number.stored(spec):
                 own = () if spec.uniform_springs else (count,)
                 setattr(self, f"{place}_{number.letter}", self._scalars(*own))
-
-    def _place_collision_grid(self, spec):
-        n = max(self.capacity.particles, 1)
-        cells = most_cells(n, spec.thick)
-        self.grid_bits, self.per_cell = self._counts(spec.dim), self._scalars(spec.dim)
-        self.bins, self.bin_bits = self._counts(), self._counts()
-        self.largest_radius = self._scalars()
-        self.count_names += ["grid_bits", "bins", "bin_bits"]
-        self.number_names += ["per_cell", "largest_radius"]
-        self.cell_end, self.cell_of, self.sorted_index = (
-            self._counts(count) for count in (cells + 1, n, n)
-        )
-        # In two halves: what is being sorted, or goes from iteration to iteration, changes sides.
-        self.sorted_half, self.sorted = n, self._scalars(2 * n, 2 * spec.dim + 2)
-        if spec.resting:
-            self.pair_friction, self.pair_residual = self._scalars(), self._scalars(2, 2)
-            self.number_names.append("pair_friction")
-            self.near_count = self._counts(n)
-            if not spec.thick:
-                self.near = self._counts(n, MOST_NEAR)
-            self.touching = self._scalars(n, 2)
-            self.pair_iteration, self.unsettled = self._counts(), self._counts()
-        if spec.thick:
-            self.skin = self._scalars()
-            self.outdated, self.overfull, self.n_stale = (self._counts() for _ in range(3))
-            self.number_names.append("skin")
-            patches = max(self.capacity.patches, 1)
-            self.n_patches, self.patch_start = self._counts(), self._counts(patches + 1)
-            self.in_patches, self.patch_place, self.patch_of = (self._counts(n) for _ in range(3))
-            self.anchored = self._counts(patches)
-            self.block_box = self._scalars(n // PATCH_BLOCK + patches + 1, 6)
-            self.drift, self.stale = self._scalars(patches**2, 4), self._counts(patches**2)
-            self.box, self.ahead = self._scalars(patches, 24), self._scalars(patches)
-            self.active, self.n_active = self._counts(n), self._counts()
-            self.visited, self.near_start = self._counts(n), self._counts(n)
-            self.near, self.near_reach = self._counts(n * MOST_KEPT), self._scalars(n * MOST_KEPT)
-            self.listed_x, self.listed_begun = (self._scalars(n, spec.dim) for _ in range(2))
-            self.kept, self.kept_count = self._counts(n, MOST_KEPT), self._counts(n)
-            self.far = self._counts(n)
-            closer = max(self.capacity.closer, 1)
-            self.closer_start, self.closer_other = self._counts(n + 1), self._counts(closer)
-            self.closer_reach = self._scalars(closer)
-        self.block_start = self._counts(cells // BLOCK + 1)
-        self.bin_fill = self._counts(spec.threads * MOST_BINS)
-        self.bin_start, self.bin_size = self._counts(MOST_BINS), self._counts(MOST_BINS)
-        self.binned_cell, self.binned_index = self._counts(n), self._counts(n)
-
-    def _place_obstacles(self, spec):
-        count, nodes = max(self.capacity.obstacles, 1), self.capacity.nodes
-        self.n_obstacles = self._counts()
-        self.obstacle_shape, self.obstacle_nodes = self._counts(count), self._counts(count, 4)
-        self.obstacle_numbers = self._scalars(count, len(contract.NUMBERS))
-        self.obstacle_sizes = self._scalars(count, contract.SIZES)
-        self.obstacle_low = self._scalars(count, 3)
-        self.obstacle_start = self._scalars(count, poses.start_size(spec.dim))
-        self.obstacle_pose = self._scalars(count, poses.poses_size(spec))
-        if spec.moving:
-            self.obstacle_part = self._scalars(count)
-        self.has_nodes = nodes > 0
-        if self.has_nodes:
-            self.obstacle_grid = self._scalars(nodes, 4)
-
-    def _place_account(self, spec):
-        for name in ("free_x", "free_v", "ended_x", "opened_x", "opened_v"):
-            setattr(self, name, self._pack_vectors(spec))
-        self.contact_work = self._pack_numbers(spec)
-        self.accounting, self.touched = self._counts(), self._counts()
-        self.first_touch, self.account_part = self._counts(), self._counts()
-        self.contact_energy = placed(tree := ti.FieldsBuilder(), ti.field(self.wide))
-        self.contact_balance = placed(tree, ti.field(self.wide))
-        self.wide_tree = tree.finalize()
-
-    def _place_faces(self):
-        m, n = max(self.capacity.elements, 1), self.capacity.particles
-        self.elements = Surface(self.real, m, n, self._reals, self._integers)
-        self.face = self._scalars(FACE_CONTACTS * m, FACE_COLUMNS)
-        self.face_left = self._scalars()
-        self.face_row, self.face_count = self._counts(m, 3), self._counts(max(min(n, 3 * m), 1))
-        self.face_finds, self.faces_unsettled = self._counts(), self._counts()
 
     def __setattr__(self, name, value):
         """Take up a field by the name that a method, a force or a function above gave it.

@@ -20,6 +20,8 @@ from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import ARCHS, PROGRAM, ComparisonOptions, TradeOptions
 from taichi_cloth.trade import plot, reference, report, rows, runner, settings
+from taichi_cloth.trade.conditions import RunConditions, conditions, without_mouse
+from taichi_cloth.trade.outcomes import Result
 
 PACKAGES = ("taichi-cloth", "taichi", "numpy", "scipy", "python")
 FILES = ("trade.csv", "trade.json", "trade.png", "trade.svg")
@@ -51,14 +53,14 @@ def main(source: SceneSource, options: TradeOptions) -> int:
 
 def prepare(
     source: SceneSource, options: ComparisonOptions
-) -> tuple[Scene, list[settings.Setting], runner.RunConditions]:
+) -> tuple[Scene, list[settings.Setting], RunConditions]:
     """The scene, the settings to compare and how they are run; raises InputError."""
     from taichi_cloth import runtime
 
-    scene = runner.without_mouse(source.build())
+    scene = without_mouse(source.build())
     reference.check_frames(scene, options.frames or 1)
     chosen = settings.choose(scene, options)
-    how = runner.conditions(scene, options)
+    how = conditions(scene, options)
     archs = {setting.arch for setting in chosen} - {"cpu"}
     if archs:
         usable = runtime.usable_backends()
@@ -77,10 +79,10 @@ def measured(
     options: ComparisonOptions,
     scene: Scene,
     chosen: list[settings.Setting],
-    how: runner.RunConditions,
+    how: RunConditions,
     closed: bool = True,
     quiet: bool = False,
-) -> Iterator[runner.Result]:
+) -> Iterator[Result]:
     """What a study found, with its samples as long as the context lasts.
 
     How far it is shows on standard error, unless `quiet`. closed: whether the scene is the one
@@ -112,7 +114,7 @@ def write(
     folder: Path,
     source: SceneSource,
     options: ComparisonOptions,
-    result: runner.Result,
+    result: Result,
     measured: list[rows.Row],
 ) -> list[str]:
     """Write the files, each whole; return their names. There is no plot without an error."""
@@ -133,9 +135,7 @@ def common(scene: Scene) -> dict[str, str]:
     return {"scene_hash": scene_hash(scene), "versions": machine.versions(PACKAGES)}
 
 
-def environment(
-    source: SceneSource, options: ComparisonOptions, result: runner.Result
-) -> dict[str, Any]:
+def environment(source: SceneSource, options: ComparisonOptions, result: Result) -> dict[str, Any]:
     """What it takes to measure the same again."""
     from taichi_cloth.measuring import machine
 
@@ -186,6 +186,6 @@ def scene_hash(scene: Scene) -> str:
     return digest.hexdigest()[:16]
 
 
-def run_words(source: SceneSource, how: runner.RunConditions) -> list[str]:
+def run_words(source: SceneSource, how: RunConditions) -> list[str]:
     """The words of a run of the scene, to which a setting's are added."""
     return [PROGRAM, "run", *source.words(), *how.words()]

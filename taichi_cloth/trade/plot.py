@@ -6,8 +6,8 @@ import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from taichi_cloth.trade.outcomes import Result
 from taichi_cloth.trade.rows import Row
-from taichi_cloth.trade.runner import Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -248,3 +248,12 @@ def refine(
             break
         last = apart
     return runs
+
+
+def fine_method() -> str:
+    """The method of the fine runs: of the explicit ones that with the highest order."""
+    from taichi_cloth.kernels import methods
+
+    claims = {name: methods.load(name).claims for name in methods.METHODS}
+    explicit = [name for name, claim in claims.items() if not claim.implicit]
+    return max(explicit, key=lambda name: claims[name].order)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from taichi_cloth import console
 from taichi_cloth.console import duration
 from taichi_cloth.errors import counted
+from taichi_cloth.trade.outcomes import Result
 from taichi_cloth.trade.reference import Horizon, Reference
 from taichi_cloth.trade.rows import Row
-from taichi_cloth.trade.runner import Result
 
 if TYPE_CHECKING:
     from rich.console import Console

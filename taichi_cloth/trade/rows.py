@@ -16,8 +16,8 @@ import numpy as np
 from taichi_cloth.measuring.timing import quartiles
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.trade.errors import Breaks, Contacts, Invariants, Samples, distance
+from taichi_cloth.trade.outcomes import Outcome, Result
 from taichi_cloth.trade.reference import Horizon, Reference
-from taichi_cloth.trade.runner import Outcome, Result
 from taichi_cloth.trade.settings import Setting, converged
 
 

@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +21,21 @@ import numpy as np
 
 from taichi_cloth import runtime
 from taichi_cloth.console import Tell, tell_nobody
-from taichi_cloth.errors import InputError, RunFailure
+from taichi_cloth.errors import InputError
 from taichi_cloth.measuring.timing import Quiet
-from taichi_cloth.measuring.worker import ENDED, Worker, WorkerFailed
+from taichi_cloth.measuring.worker import Worker, WorkerFailed
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.settings.options import ComparisonOptions
-from taichi_cloth.simulation.storage import adjacency
 from taichi_cloth.trade import ode, reference, settings
+from taichi_cloth.trade.conditions import RunConditions
 from taichi_cloth.trade.errors import Samples
+from taichi_cloth.trade.outcomes import (
+    LOST_REMEDY,
+    REFUSED,
+    Outcome,
+    Result,
+    StudyFailure,
+    failed_by,
+)
 from taichi_cloth.trade.settings import Process, Setting
 
 TRIAL = "taichi_cloth.trade.trial:Trial"
@@ -37,109 +44,6 @@ MAKING = 4  # how much longer compiling a method takes than running a setting, a
 # Particles times steps times sweeps of a converged solver that are worth the wait: half a minute.
 CONVERGED_WORK = 1e9
 SWEEPS_TO_CONVERGE = 50  # of a solver that ends by its tolerance, about
-REFUSED = "InputError: "  # how a worker says that
-# How it says that the machine was at fault, and not the setting: a full disk, a killed process.
-LOST = (ENDED, "OSError: ", "MemoryError: ")
-LOST_REMEDY = "see that there is memory, and room for temporary files (TMPDIR), and start again"
-
-
-@dataclass(frozen=True)
-class RunConditions:
-    """How settings are run, beside what is compared.
-
-    topology, execution, threads: as in `run`, the first two never "auto": to measure which is
-    fastest takes longer than a whole study. budget: seconds of timing for each setting;
-    patience: seconds for the references. solver_errors: whether solvers are run converged, too.
-    """
-
-    topology: str
-    execution: str
-    threads: int | None = None
-    budget: float = 0.3
-    patience: float = 20.0
-    solver_errors: bool = True
-
-    def words(self) -> list[str]:
-        """The flags of `run` that stand for it."""
-        words = ["--topology", self.topology, "--execution", self.execution]
-        return words + (["--threads", str(self.threads)] if self.threads else [])
-
-
-@dataclass
-class Outcome:
-    """What came of a setting: its samples' file, its work, the seconds of each timed run.
-
-    lost: whether it came to nothing because of the machine, such as a full disk.
-    """
-
-    setting: Setting
-    status: str = "ok"
-    file: Path | None = None
-    force_evaluations: int | None = None
-    sweeps: int | None = None
-    unconverged: int | None = None
-    lost: bool = False
-    seconds: list[float] = field(default_factory=list)
-    about: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def ok(self) -> bool:
-        return self.status == "ok"
-
-    def samples(self) -> Samples:
-        """The states that it is judged by."""
-        if self.file is None:
-            raise ValueError(f"{self.setting.describe()}: {self.status}")
-        return Samples.read(self.file)
-
-
-class StudyFailure(RunFailure):
-    """Not even the reference could be computed, or the machine failed."""
-
-
-@dataclass
-class Result:
-    """What a study found, whole or, where it was interrupted, what was finished.
-
-    outcomes: of the settings, in their order; converged: those with a converged solver, by setting.
-    interrupted: by what, which the caller raises once it has kept what was finished; None: whole.
-    """
-
-    scene: Scene
-    outcomes: list[Outcome]
-    converged: dict[Setting, Outcome]
-    horizon: reference.Horizon | None
-    reference: reference.Reference | None
-    interrupted: KeyboardInterrupt | None = None
-
-    def check_whole(self) -> None:
-        """Raise StudyFailure where the machine lost settings: the others are no fair choice."""
-        lost = [outcome for outcome in self.outcomes if outcome.lost]
-        if lost:
-            why = lost[0].status.removeprefix("failed: ")
-            raise StudyFailure(
-                f"{len(lost)} of {len(self.outcomes)} settings were lost, the first because {why}; "
-                f"{LOST_REMEDY}"
-            )
-
-
-def conditions(scene: Scene, options: ComparisonOptions) -> RunConditions:
-    """How a scene is run, from the command's settings and the scene's size."""
-    n = len(scene.particles)
-    has_grid = bool(adjacency.find_grids(scene.springs.between, n))
-    if options.topology == "lanes" and not has_grid:
-        raise InputError(
-            f"--topology lanes: the springs of scene '{scene.name}' form no regular grid; "
-            "use --topology graph"
-        )
-    stored, run = options.topology, options.execution
-    if stored == "auto":
-        stored = "lanes" if has_grid and n >= settings.FEW_PARTICLES else "graph"
-    if run == "auto":
-        one = options.threads == 1 or (options.threads is None and n < settings.SERIAL_BEST)
-        run = "serial" if one else "parallel"
-    budget, patience = (0.06, 5.0) if options.quick else (0.3, 20.0)
-    return RunConditions(stored, run, options.threads, budget, patience)
 
 
 class Stopped(Exception):
@@ -262,7 +166,7 @@ class Study:
 
     def _groups(self) -> dict[Process, dict[str, list[Setting]]]:
         """Settings by process and method, that of the references first."""
-        groups: dict[Process, dict[str, list[Setting]]] = {EXACT: {reference_method(): []}}
+        groups: dict[Process, dict[str, list[Setting]]] = {EXACT: {reference.fine_method(): []}}
         for setting in self.settings:
             of = groups.setdefault(setting.process, {}).setdefault(setting.method, [])
             of.append(setting)
@@ -313,7 +217,7 @@ class Study:
                         raise
                     for course in self._courses:
                         for setting in of:
-                            self._finish(course, _failed(Outcome(setting), failed))
+                            self._finish(course, failed_by(Outcome(setting), failed))
                     if not worker.alive:
                         worker = self._start()
                     continue
@@ -438,7 +342,7 @@ class Study:
         try:
             found = self._ask(trial, "sample", **_step(setting), frames=frames, file=str(file))
         except WorkerFailed as failed:
-            return _failed(outcome, failed)
+            return failed_by(outcome, failed)
         outcome.file = file
         outcome.status = found["failed"] or "ok"
         outcome.force_evaluations = found["force_evaluations"]
@@ -452,7 +356,7 @@ class Study:
                 trial, "time", **_step(outcome.setting), frames=frames, budget=budget
             )
         except WorkerFailed as failed:
-            _failed(outcome, failed)
+            failed_by(outcome, failed)
 
     def _finish(self, course: _Course, outcome: Outcome) -> None:
         """Keep an outcome: of a setting that is compared, of a converged solver, or of both."""
@@ -473,34 +377,7 @@ class Study:
         return str(file)
 
 
-def reference_method() -> str:
-    """The method of the fine runs: of the explicit ones that with the highest order."""
-    from taichi_cloth.kernels import methods
-
-    claims = {name: methods.load(name).claims for name in methods.METHODS}
-    explicit = [name for name, claim in claims.items() if not claim.implicit]
-    return max(explicit, key=lambda name: claims[name].order)
-
-
 def _step(setting: Setting) -> dict[str, Any]:
     given = {"tolerance": setting.tolerance, "iterations": setting.iterations}
     solver = {name: value for name, value in given.items() if value is not None}
     return {"dt": setting.dt, "substeps": setting.substeps, "solver": solver}
-
-
-def _failed(outcome: Outcome, failed: WorkerFailed) -> Outcome:
-    """The outcome of a setting that a worker could not even make or run."""
-    text = str(failed)
-    outcome.status, outcome.lost = f"failed: {text}", text.startswith(LOST)
-    if text.startswith(REFUSED):
-        outcome.status = f"refused: {text.removeprefix(REFUSED)}"
-    return outcome
-
-
-def without_mouse(scene: Scene) -> Scene:
-    """The scene that is compared: nobody moves a mouse. InputError where nothing can move."""
-    if not (~scene.particles.fixed).any():
-        raise InputError(
-            f"scene '{scene.name}' has no particle that can move: there is nothing to compare"
-        )
-    return replace(scene, world=replace(scene.world, mouse="none"))

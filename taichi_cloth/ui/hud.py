@@ -110,7 +110,7 @@ def buttons(
 ) -> tuple[Button, ...]:
     """The tool bar's: tools that have a key, then at the right end `opens`, what can be opened."""
     found = [
-        Button(other.key, other.label, chosen=other is tool)
+        Button(other.key, other.name, chosen=other is tool)
         for other in tools.load_all().values()
         if other.key
     ]

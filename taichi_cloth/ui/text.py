@@ -209,6 +209,22 @@ def _lay(pixels: np.ndarray, share: np.ndarray, color: Color) -> None:
     pixels[inked] = pixels[inked] * (1 - over) + np.array(color) * over
 
 
+def layers(panels: Iterable[Panel]) -> list[list[Panel]]:
+    """Panels that lie over each other in this order, in layers of such as do not overlap."""
+    out: list[list[Panel]] = []
+    for panel in panels:
+        if not out or any(_overlap(panel, other) for other in out[-1]):
+            out.append([])
+        out[-1].append(panel)
+    return out
+
+
+def _overlap(one: Panel, other: Panel) -> bool:
+    (h, w), (h2, w2) = one.pixels.shape[:2], other.pixels.shape[:2]
+    beside = one.x + w <= other.x or other.x + w2 <= one.x
+    return not (beside or one.y + h <= other.y or other.y + h2 <= one.y)
+
+
 def runs(panel: Panel) -> tuple[np.ndarray, np.ndarray]:
     """`panel` as rectangles: corners (k, 4) window pixels x0, y0, x1, y1, and colours (k, 3).
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -57,6 +58,8 @@ class Timeline:
     from the one of this number on, after doing its events; None: no frame can be run again, so that
     a run that takes more room reaches back less far.
     seconds, most_bytes: what is kept at most.
+    spacing: seconds of work after which a frame that can be run again has a checkpoint all the
+    same: it costs as much as drawing at 60 frames a second. clock: that tells these seconds.
 
     at: the frame that was gone back to; None: the run is where it has come to.
     """
@@ -68,9 +71,12 @@ class Timeline:
         rerun: Callable[[int, list[LogEvent]], None] | None,
         seconds: float = SECONDS,
         most_bytes: int = MOST_BYTES,
+        spacing: float = 0.0,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._sim, self._remembers, self._rerun = sim, remembers, rerun
         self._span, self._most = max(1, round(seconds * FRAME_RATE)), most_bytes
+        self._spacing, self._clock = spacing if rerun else 0.0, clock
         self.at: int | None = None
         self.forget()
 
@@ -80,7 +86,7 @@ class Timeline:
         self._events: dict[int, list[LogEvent]] = {}
         self._holders: Counter[int] = Counter()
         self._bytes, self._every = 0, 1
-        self._last = 0
+        self._last, self._held_at = 0, 0.0
         self._set: set[int] = set()
         self._present: _Kept | None = None
         self._untouched: tuple[Any, ...] = ()
@@ -91,7 +97,10 @@ class Timeline:
     def note(self, frame: int) -> None:
         """Take note of the present frame, after it was advanced."""
         self._last = frame
-        if frame % self._every == 0 or not self._kept or frame in self._set:
+        now = self._clock()
+        due = frame % self._every == 0 and now - self._held_at >= self._spacing
+        if due or not self._kept or frame in self._set:
+            self._held_at = now
             self._hold(_Kept(frame, self._sim.checkpoint(), self._remembers.memory()))
         while self._kept and frame - self._kept[0].frame > self._span and len(self._kept) > 1:
             self._drop(0)

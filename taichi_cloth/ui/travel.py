@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from taichi_cloth.ui.controls import Controls
     from taichi_cloth.ui.interaction import LogEvent
 
+# Seconds of a run between its checkpoints, about: each fourth frame of a window at full speed has
+# one, each of a scene that is slow; a frame without one is run again in no more than this.
+CHECKPOINT_SPACING = 1 / 16
+
 
 class Travel:
     """Goes to frames of a `Timeline`, and lets the run go on from there.
@@ -40,7 +44,9 @@ class Travel:
     ) -> None:
         self._sim, self._controls, self._camera = sim, controls, camera
         self._recorder, self._trajectory = recorder, trajectory
-        self.timeline = Timeline(sim, controls, self._rerun if reruns else None)
+        self.timeline = Timeline(
+            sim, controls, self._rerun if reruns else None, spacing=CHECKPOINT_SPACING
+        )
         self._looked: list[LogEvent] = []  # events in the past that may not have to be kept
         self._quiet = False
 

@@ -21,6 +21,9 @@ from taichi_cloth.ui.surfaces import Topology, back_of, seen_normals
 # texture, colour with its opacity.
 POSITION, NORMAL, RADIUS, COLOR, ALPHA, STRIDE = slice(0, 3), slice(3, 6), 3, slice(8, 11), 11, 12
 
+# Layers of a line in a plane: pixels wider, and share of the colour.
+FADING = ((1.0, 0.3), (0.3, 0.62), (-0.4, 1.0))
+
 
 def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
     """The unit sphere as triangles: vertices (v, 3) float32 and corners (t, 3) int32."""
@@ -62,27 +65,64 @@ def vertices(color: ArrayLike) -> np.ndarray:
     return vertex
 
 
-def line_layers(color: np.ndarray, width: float) -> list[tuple[np.ndarray, float]]:
-    """Vertices of the ends (2k, STRIDE), nowhere yet, and widths in pixels, of lines that are drawn
-    in layers: GGUI's have steps along their edges, which are seen less where these are fainter.
+def quads(count: int) -> np.ndarray:
+    """The corners, int32, of the two triangles of each of so many four vertices that go round."""
+    corner = 4 * np.arange(count, dtype=np.int32)[:, None] + np.array([0, 1, 2, 0, 2, 3], np.int32)
+    return corner.reshape(-1)
 
-    color: (k, 3), floats 0..1. width: in pixels.
+
+@dataclass
+class FlatLines:
+    """Lines of a plane as one mesh of quads. From frame to frame only the positions are filled in.
+
+    They lie in layers, the widest and faintest first, so that their edges fade: what GGUI draws in
+    a plane does not blend.
+    vertex: (layers, count, 4, STRIDE). index: of the triangles' corners. half: (layers,), half of
+    their widths in pixels.
     """
-    ground, ends = np.array(style.unit(style.WORLD)), color.repeat(2, axis=0)
-    return [
-        (vertices(ground + share * (ends - ground)), max(width + more, 1.0))
-        for more, share in FADING
-    ]
+
+    vertex: np.ndarray
+    index: np.ndarray
+    half: np.ndarray
+
+    @classmethod
+    def build(
+        cls, color: np.ndarray, width: float, layers: tuple[tuple[float, float], ...] = FADING
+    ) -> FlatLines:
+        """Lines without positions.
+
+        color: (count, 3), floats 0..1. width: in pixels. layers: how many pixels each is wider, and
+        its share of the colour.
+        """
+        ground = np.array(style.unit(style.WORLD))
+        vertex = np.zeros((len(layers), len(color), 4, STRIDE), np.float32)
+        vertex[..., ALPHA] = 1
+        for layer, (_, share) in zip(vertex, layers, strict=True):
+            layer[..., COLOR] = (ground + share * (color - ground))[:, None]
+        wide = np.maximum([width + more for more, _ in layers], 1.0)
+        return cls(vertex, quads(len(layers) * len(color)), 0.5 * wide)
+
+    def fill(self, ends: np.ndarray, size: tuple[int, int]) -> None:
+        """Put the lines at their ends (2 count, 2), on a canvas of this size in pixels."""
+        first, second = ends[0::2], ends[1::2]
+        along = (second - first) * size
+        length = np.sqrt(np.einsum("ij,ij->i", along, along))
+        along /= np.maximum(length, np.finfo(np.float32).tiny)[:, None]
+        normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / size
+        for layer, half in zip(self.vertex, self.half, strict=True):
+            side = half * normal
+            for corner, place in enumerate(
+                (first - side, second - side, second + side, first + side)
+            ):
+                layer[:, corner, :2] = place
 
 
-FADING = ((1.0, 0.3), (0.3, 0.62), (-0.4, 1.0))  # pixels wider, and share of the colour
+DISC_LAYERS = 4
 
 
-def disc_vertices(
-    radius: np.ndarray, color: np.ndarray, scale: float, height: int
-) -> list[np.ndarray]:
-    """Vertices of the particles' rims and, to be drawn over them, of their discs, nowhere yet; the
-    edges of both fade in two steps.
+def disc_vertices(radius: np.ndarray, color: np.ndarray, scale: float, height: int) -> np.ndarray:
+    """Vertices (DISC_LAYERS, n, STRIDE), nowhere yet, of the particles' rims and, to be drawn over
+    them, of their discs; the edges of both fade in two steps.
 
     radius: (n,) world units. color: (n, 3) uint8. scale: pixels per world unit.
     height: of the window in pixels.
@@ -95,12 +135,9 @@ def disc_vertices(
         (disc + 0.4, 0.5 * (dark + full)),
         (disc - 0.2, full),
     )
-    out = []
-    for pixels, rgb in layers:
-        vertex = vertices(rgb)
-        vertex[:, RADIUS] = pixels / height
-        out.append(vertex)
-    return out
+    vertex = vertices(np.concatenate([rgb for _, rgb in layers]))
+    vertex[:, RADIUS] = np.concatenate([pixels for pixels, _ in layers]) / height
+    return vertex.reshape(DISC_LAYERS, -1, STRIDE)
 
 
 @dataclass

@@ -13,6 +13,7 @@ import contextlib
 import ctypes
 import ctypes.util
 import os
+import socket
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -27,6 +28,8 @@ KINDS = {
     BUTTON_RELEASE: "release",
     MOTION: "move",
 }
+
+PICTURE_BYTES = 4 << 20  # of 1280 x 800 pixels; the system may allow less
 
 _pointer, _window, _int = ctypes.c_void_p, ctypes.c_ulong, ctypes.c_int
 
@@ -123,6 +126,7 @@ def xlib() -> ctypes.CDLL | None:
         ("XkbKeycodeToKeysym", _window, [_pointer, ctypes.c_uint, _int, _int]),
         ("XKeysymToString", ctypes.c_char_p, [_window]),
         ("XSync", _int, [_pointer, _int]),
+        ("XConnectionNumber", _int, [_pointer]),
         ("XGetGeometry", _int, [_pointer, _window] + [_pointer] * 7),
         ("XMoveWindow", _int, [_pointer, _window, _int, _int]),
         ("XStoreName", _int, [_pointer, _window, ctypes.c_char_p]),
@@ -203,6 +207,17 @@ def _survive(x: ctypes.CDLL, display: int) -> None:
     _SURVIVING.add(display)
 
 
+def _widen(x: ctypes.CDLL, display: int) -> None:
+    """Let a whole picture wait in the connection: drawn in software, each goes through it, and
+    else we would wait until the server has read it (0.7 ms of 5 at 1280 x 800).
+    """
+    with (
+        contextlib.suppress(OSError),
+        socket.socket(fileno=os.dup(x.XConnectionNumber(display))) as s,
+    ):
+        s.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, PICTURE_BYTES)
+
+
 def keep(window: object) -> None:
     """Never give this window back: its connection is cut, and drivers would end the process."""
     ctypes.pythonapi.Py_IncRef(ctypes.py_object(window))
@@ -238,6 +253,8 @@ class Connection:
         _install_end_handler(x)
         for display in (self._display, *displays):
             _survive(x, display)
+        for display in displays:
+            _widen(x, display)
         self._root = x.XDefaultRootWindow(self._display)
         self.window = self._find(self._root, title.encode(), 0)
         self._read: list[_Event] = []

@@ -33,8 +33,7 @@ from taichi_cloth.scene.model import (
 )
 from taichi_cloth.settings.options import RunOptions, parameters_of
 from taichi_cloth.simulation.simulation import Simulation
-from taichi_cloth.trade.reference import coarsest
-from taichi_cloth.trade.runner import reference_method
+from taichi_cloth.trade.reference import coarsest, fine_method
 from taichi_cloth.trade.settings import CONVERGED_TOLERANCE
 
 DEFAULT = parameters_of(RunOptions)["method"].default
@@ -104,7 +103,7 @@ def trajectory(sim: Simulation, frames: int, substeps: int) -> np.ndarray:
 
 def _fine(scene: Scene, frames: int, finer: int = 8) -> np.ndarray:
     """Positions at the ends of frames by the method of the references at a fine step."""
-    sim = Simulation(scene, reference_method(), **ON_GRAPH)
+    sim = Simulation(scene, fine_method(), **ON_GRAPH)
     return trajectory(sim, frames, finer * coarsest(scene, scene.world.dt))
 
 
@@ -297,7 +296,7 @@ def orders_with_events(names: Sequence[str] = methods.METHODS) -> dict[str, dict
     """
     found: dict[str, dict[str, float]] = {name: {} for name in names}
     for event, scene in events().items():
-        fine = Simulation(scene, reference_method(), **ON_GRAPH)
+        fine = Simulation(scene, fine_method(), **ON_GRAPH)
         exact = trajectory(fine, EVENT_FRAMES, 64 * EVENT_SUBSTEPS[-1])[-1]
         for name in names:
             sim = Simulation(scene, name, **ON_GRAPH, **solved(name))

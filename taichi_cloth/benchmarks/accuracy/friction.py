@@ -18,7 +18,7 @@ from taichi_cloth.scene.cloth import grid
 from taichi_cloth.scene.model import ParticleDefaults, Particles, Scene, SpringDefaults, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.simulation.simulation import Simulation
-from taichi_cloth.trade.runner import reference_method
+from taichi_cloth.trade.reference import fine_method
 
 G, SLOPE, RADIUS = 9.81, np.radians(30.0), 0.05
 DRAG = 1.0  # of a body, over its mass: so that no method is exact in the air
@@ -121,7 +121,7 @@ def orders_with_friction(
     ways, landed = exact(sliding, SLIDES, times)
     ends, _ = exact(sticking, STICKS, times)
     first, each = np.ceil(landed / DT).astype(int) - 1, np.arange(BODIES)
-    fine = trajectory(Simulation(sheet, reference_method(), **ON_GRAPH), FRAMES, FINE)
+    fine = trajectory(Simulation(sheet, fine_method(), **ON_GRAPH), FRAMES, FINE)
     for name in names:
         sim = Simulation(sliding, name, **ON_GRAPH, **solved(name))
         errors: dict[str, list[float]] = {}

@@ -29,8 +29,7 @@ from taichi_cloth.settings.options import PRECISIONS, TOPOLOGIES
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.simulation.storage import adjacency
 from taichi_cloth.trade.errors import Samples, displacement, rms_by_frame
-from taichi_cloth.trade.reference import coarsest
-from taichi_cloth.trade.runner import reference_method
+from taichi_cloth.trade.reference import coarsest, fine_method
 
 # Of each scene: parameters with which it is small, and the frames in which what it shows begins.
 SCENES: dict[str, tuple[dict[str, Any], int]] = {
@@ -134,7 +133,7 @@ class Cells:
         """Positions by the reference method in fine steps, (frames + 1, n, dim)."""
         scene = built(name)
         fine = FINER * coarsest(scene, scene.world.dt)
-        return _positions(Simulation(scene, reference_method(), None, fine, **ON_GRAPH), name)
+        return _positions(Simulation(scene, fine_method(), None, fine, **ON_GRAPH), name)
 
     def timed(self, patience: float, **asked: str) -> tuple[dict[str, Any], float]:
         """A cell, and the seconds of the processor that it took; `patience` ends the process."""

@@ -34,20 +34,14 @@ def _ring(hand: Hand) -> float:
 
 TOOL = Tool(
     name="blow",
-    label="blow",
     help="blow at the particles near the pointer",
     mouse="blow",
     key="b",
-    modifiers=(),
     actions=_actions,
     remember=_remember,
     motion=_motion,
     buttons=(),
-    hits=None,
-    press=None,
-    release=None,
     prepare=lambda sim: None if sim.scene.world.mouse == "blow" else prepared(sim),
     ring=_ring,
-    draw=None,
     events=(),  # the pointer's moves say it all
 )

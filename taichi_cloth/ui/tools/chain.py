@@ -92,20 +92,14 @@ def _tie(sim: Simulation, values: Mapping[str, Any]) -> None:
 
 TOOL = Tool(
     name="chain",
-    label="chain",
     help="tie a chain, click by click",
-    mouse=None,
     key="j",
     modifiers=("shift",),
     actions=_actions,
     remember=lambda seed: _Memory(),
-    motion=None,
     buttons=("left", "right"),
-    hits=None,
     press=_press,
-    release=None,
     prepare=prepared,
-    ring=None,
     draw=_draw,
     events=(
         LoggedEvent("link", {"pos": numbers(), "fixed": flag, "tied_to": indices}, _link),

@@ -152,7 +152,7 @@ class Hand:
         return REACH * side
 
 
-LONGEST_LABEL = 8
+LONGEST_NAME = 8
 OUTSIDE = "that is outside the world: click inside it"
 REACH = 1 / 8  # of the picture's shorter side
 DOT = 4.0  # pixels: the radius of what a tool marks
@@ -166,7 +166,7 @@ Events = Iterable[ToolEvent] | None
 
 @dataclass(frozen=True, kw_only=True)
 class Tool(Generic[M]):
-    """A mouse tool. Every part is given; one that the tool does not have is None or empty.
+    """A mouse tool: what it is called and does, what it writes to the log, and the slots it fills.
 
     Everything that a tool does follows from the log: either from the mouse's and the keyboard's
     events, which every log holds, as `motion`, `press` and `release` act on the simulation
@@ -174,9 +174,10 @@ class Tool(Generic[M]):
     events of the tool's own, which these return. Such an event is written to the log, then handed
     to its `replay`. While a log is replayed, what they return is left out: the log holds it.
 
-    A slot that raises InputError has it shown to the user.
+    A slot that raises InputError has it shown to the user. Slots that a tool does not fill are left
+    out; what nothing else would tell to be forgotten (buttons, prepare, events) is always said.
 
-    name: the file's name. label: the word for it in the tool bar, a short one.
+    name: the file's name, and the word for it in the tool bar: a short one.
     help: what it does, in one line of the key list.
     mouse: the scenes' word `[world] mouse` for which it is what the pointer does from the start.
     key: the letter that takes it up, and puts it away again.
@@ -198,32 +199,35 @@ class Tool(Generic[M]):
     """
 
     name: str
-    label: str
     help: str
-    mouse: str | None
-    key: str | None
-    modifiers: tuple[str, ...]
+    mouse: str | None = None
+    key: str | None = None
+    modifiers: tuple[str, ...] = ()
     actions: Callable[[Scene], tuple[str, ...]]
     remember: Callable[[int], M]
-    motion: Callable[[Hand, M, np.ndarray, np.ndarray], Events] | None
+    motion: Callable[[Hand, M, np.ndarray, np.ndarray], Events] | None = None
     buttons: tuple[str, ...]
-    hits: Callable[[Hand, Event], bool] | None
-    press: Callable[[Hand, M, Event], Events] | None
-    release: Callable[[Hand, M, Event], Events] | None
+    hits: Callable[[Hand, Event], bool] | None = None
+    press: Callable[[Hand, M, Event], Events] | None = None
+    release: Callable[[Hand, M, Event], Events] | None = None
     prepare: Callable[[Simulation], Callable[[], None] | None] | None
-    ring: Callable[[Hand], float | None] | None
-    draw: Callable[[Hand, M], Marks | None] | None
+    ring: Callable[[Hand], float | None] | None = None
+    draw: Callable[[Hand, M], Marks | None] | None = None
     events: tuple[LoggedEvent, ...]
 
     def __post_init__(self) -> None:
         if not self.help or "\n" in self.help:
             raise ValueError("help must be one line")
-        if not self.label or len(self.label) > LONGEST_LABEL:
-            raise ValueError(f"label must be a word of at most {LONGEST_LABEL} letters")
+        if len(self.name) > LONGEST_NAME:
+            raise ValueError(f"name must be a word of at most {LONGEST_NAME} letters")
         if not set(self.buttons) <= set(BUTTONS):
             raise ValueError(f"buttons must be out of {BUTTONS}, are {self.buttons!r}")
         if self.mouse is None and self.key is None:
-            raise ValueError("mouse and key are both None: the tool could never be used")
+            raise ValueError("it has neither mouse nor key: the tool could never be used")
+        if self.press is None and (self.motion is None or self.buttons):
+            raise ValueError("press is missing: what it does with the mouse's buttons")
+        if self.press is not None and not self.buttons:
+            raise ValueError("press is never called: it has no buttons")
         if self.mouse is not None and self.mouse not in MOUSE_MODES[1:]:
             raise ValueError(
                 f"mouse: scenes know no '{self.mouse}' (MOUSE_MODES in scene/model.py)"

@@ -49,21 +49,15 @@ def _release(hand: Hand, memory: _Memory, event: Event) -> Events:
 
 TOOL = Tool(
     name="cut",
-    label="cut",
     help="cut springs",
-    mouse=None,
     key="c",
-    modifiers=(),
     actions=_actions,
     remember=lambda seed: _Memory(),
     motion=_motion,
     buttons=("left",),
-    hits=None,
     press=_press,
     release=_release,
     prepare=prepared,
-    ring=None,
-    draw=None,
     events=(
         LoggedEvent(
             "cut", {"springs": indices}, lambda sim, values: sim.cut(list(values["springs"]))

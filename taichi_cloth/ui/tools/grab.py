@@ -105,9 +105,7 @@ def _grab(sim: Simulation, values: Mapping[str, Any]) -> None:
 
 TOOL = Tool(
     name="grab",
-    label="grab",
     help="take hold of a particle",
-    mouse=None,
     key="g",
     modifiers=("shift",),
     actions=_actions,
@@ -118,7 +116,6 @@ TOOL = Tool(
     press=_press,
     release=_release,
     prepare=prepared,
-    ring=None,
     draw=_draw,
     events=(
         LoggedEvent(

@@ -49,21 +49,14 @@ def _free_color(sim: Simulation) -> np.ndarray:
 
 TOOL = Tool(
     name="pin",
-    label="pin",
     help="pin particles, let pinned ones go",
-    mouse=None,
     key="i",
-    modifiers=(),
     actions=_actions,
     remember=lambda seed: None,
-    motion=None,
     buttons=("left",),
     hits=_hits,
     press=_press,
-    release=None,
     prepare=None,
-    ring=None,
-    draw=None,
     events=(
         LoggedEvent("pin", {"particle": indices}, _pin),
         LoggedEvent("unpin", {"particle": indices}, _unpin),

@@ -63,20 +63,14 @@ def _press(hand: Hand, memory: _Memory, event: Event) -> None:
 
 TOOL = Tool(
     name="spawn",
-    label="spawn",
     help="put new particles where you click",
     mouse="spawn",
     key="n",
     modifiers=("space",),
     actions=_actions,
     remember=_remember,
-    motion=None,
     buttons=("left", "right"),
-    hits=None,
     press=_press,
-    release=None,
     prepare=lambda sim: None if sim.scene.world.mouse == "spawn" else prepared(sim),
-    ring=None,
-    draw=None,
     events=(),  # clicks, keys and the run's seed say it all
 )

@@ -131,20 +131,14 @@ def _prepare(sim: Simulation) -> Callable[[], None] | None:
 
 TOOL = Tool(
     name="throw",
-    label="throw",
     help="throw a heavy ball",
-    mouse=None,
     key="t",
-    modifiers=(),
     actions=_actions,
     remember=lambda seed: _Memory(),
-    motion=None,
     buttons=("left",),
-    hits=None,
     press=_press,
     release=_release,
     prepare=_prepare,
-    ring=None,
     draw=_draw,
     events=(
         LoggedEvent(

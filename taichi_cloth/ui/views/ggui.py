@@ -30,12 +30,13 @@ from taichi_cloth.ui.vertices import (
     POSITION,
     RADIUS,
     STRIDE,
+    FlatLines,
     LineMesh,
     SphereMeshes,
     SurfaceMesh,
     disc_vertices,
     floor_vertices,
-    line_layers,
+    quads,
     vertices,
 )
 from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
@@ -85,12 +86,13 @@ class GguiView:
         self._fresh = False  # whether what was drawn last can still be taken from the window
         self._spheres: SphereMeshes | None = None
         self._spring_colors = Cached(style.spring_colors)
-        self._lines, self._discs = Cached(_line_layers), Cached(disc_vertices)
+        self._lines, self._discs = Cached(_flat_lines), Cached(disc_vertices)
         self._line_meshes: dict[str, LineMesh] = {}
         self._title, self._named = title, 0.0
         self._topologies = Cached(Topology.build), Cached(Topology.build)
         self._surfaces: list[SurfaceMesh | None] = [None, None]  # of the picture; of its solids
         self._panel_vertices = lru_cache(maxsize=16)(self._panel_vertices_anew)
+        self._written = lru_cache(maxsize=2)(self._written_anew)
         self.has_wheel = self._listens
         self.closed = False
         self._size = size
@@ -286,9 +288,9 @@ class GguiView:
             shown &= picture.as_spheres
         if shown.any():
             place, radius, color = drawing.shown_particles(place, picture, shown)
-            for vertex in self._discs(radius, color, window.scale, height):
-                vertex[:, :2] = place
-                self._canvas.canvas.circles(self._info(vertex), True, True, (1.0, 1.0, 1.0), 0.01)
+            vertex = self._discs(radius, color, window.scale, height)
+            vertex[..., :2] = place
+            self._circles(vertex.reshape(-1, STRIDE))
 
     def _lines_of_plane(self, picture: Picture, place: np.ndarray, shown: np.ndarray) -> None:
         """Draw the walls and springs of a 2-D world.
@@ -303,16 +305,13 @@ class GguiView:
         ends = np.concatenate([walls, place.take(segments.reshape(-1), axis=0)])
         wide = drawing.line_width(self.room.height if self.room else height)
         count = len(walls) // 2
-        for vertex, width in self._lines(
-            picture.color, segments, picture.spring_color, count, wide
-        ):
-            vertex[:, :2] = ends
-            self._lines_2d(vertex, width / height)
+        lines = self._lines(picture.color, segments, picture.spring_color, count, wide)
+        self._lines_2d(lines, ends)
 
-    def _lines_2d(self, vertex: np.ndarray, width: float) -> None:
-        """Lines between consecutive pairs of vertices; width in window heights."""
-        info = self._info(vertex)
-        self._canvas.canvas.lines(info, self._info(None), True, (1.0, 1.0, 1.0), width)
+    def _lines_2d(self, lines: FlatLines, ends: np.ndarray) -> None:
+        """Lines between consecutive pairs of points (2k, 2) of the canvas."""
+        lines.fill(ends, self.size)
+        self._triangles(lines.vertex.reshape(-1, STRIDE), lines.index)
 
     def _surround(self) -> None:
         """Darken what lies in the window beside the world's rectangle."""
@@ -322,39 +321,64 @@ class GguiView:
         beside = beside[((beside[:, 2:] - beside[:, :2]) > 0.5).all(axis=1)]
         if len(beside):
             color = np.tile(style.unit(style.SURROUND), (len(beside), 1))
-            self._triangles(self._rectangle_vertices(beside, color))
+            self._triangles(self._rectangle_vertices(beside, color), quads(len(beside)))
 
     def _rectangle_vertices(self, corners: ArrayLike, color: np.ndarray) -> np.ndarray:
-        """Vertices of rectangles (k, 4) x0, y0, x1, y1 in window pixels, with colours (k, 3)."""
+        """Vertices, four of each, of rectangles (k, 4) x0, y0, x1, y1 in window pixels, with
+        colours (k, 3).
+        """
         x0, y0, x1, y1 = np.asarray(corners, np.float64).T
-        points = np.stack([x0, y0, x1, y0, x1, y1, x0, y0, x1, y1, x0, y1], axis=1)
-        vertex = vertices(np.repeat(color, 6, axis=0))
+        points = np.stack([x0, y0, x1, y0, x1, y1, x0, y1], axis=1)
+        vertex = vertices(np.repeat(color, 4, axis=0))
         vertex[:, :2] = self._map.to_canvas(points.reshape(-1, 2))
         return vertex
 
-    def _triangles(self, vertex: np.ndarray) -> None:
-        info = self._info(vertex)
-        self._canvas.canvas.triangles(info, self._info(None), True, (1.0, 1.0, 1.0))
+    def _triangles(self, vertex: np.ndarray, index: np.ndarray | None = None) -> None:
+        """Triangles of each three vertices, or of those whose numbers are in index (3m,) int32."""
+        self._canvas.canvas.triangles(self._info(vertex), self._info(index), True, (1.0, 1.0, 1.0))
+
+    def _circles(self, vertex: np.ndarray) -> None:
+        self._canvas.canvas.circles(self._info(vertex), True, True, (1.0, 1.0, 1.0), 0.01)
 
     def _draw_pointer(self, drawn: Pointer) -> None:
         """Draw the pointer: its lines, on wider dark ones."""
-        lines, (_, height) = drawn.lines().reshape(-1, 2), self.size
+        ends = self._map.to_canvas(drawn.lines().reshape(-1, 2))
         for color, wide in ((pointer.SHADE, pointer.WIDE_SHADE), (pointer.COLOR, pointer.WIDE)):
-            vertex = vertices(np.tile(style.unit(color), (len(lines), 1)))
-            vertex[:, :2] = self._map.to_canvas(lines)
-            self._lines_2d(vertex, wide / height)
+            colors = np.tile(style.unit(color), (len(ends) // 2, 1))
+            self._lines_2d(FlatLines.build(colors, wide, layers=((0.0, 1.0),)), ends)
 
     def _compose_overlay(self, picture: Picture) -> None:
         if picture.pointer is not None:
             self._draw_pointer(picture.pointer)
         if picture.overlay:
-            size = self.size
-            panels = [self._panel_vertices(panel, size) for panel in picture.overlay]
-            self._triangles(np.concatenate(panels))
+            for rectangles, index, pixels in self._written(picture.overlay, self.size):
+                self._triangles(rectangles, index)
+                if len(pixels):
+                    self._circles(pixels)
 
-    def _panel_vertices_anew(self, panel: Panel, size: tuple[int, int]) -> np.ndarray:
-        """Vertices of a panel in a window of this size."""
-        return self._rectangle_vertices(*text.runs(panel))
+    def _written_anew(
+        self, panels: tuple[Panel, ...], size: tuple[int, int]
+    ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Panels in a window of this size, in layers, of which none overlap within one: vertices of
+        rectangles, their triangles' corners, and circles, which single pixels are drawn as.
+        """
+        out = []
+        for layer in text.layers(panels):
+            parts = [self._panel_vertices(panel, size) for panel in layer]
+            rectangles, pixels = (np.concatenate(part) for part in zip(*parts, strict=True))
+            out.append((rectangles, quads(len(rectangles) // 4), pixels))
+        return out
+
+    def _panel_vertices_anew(
+        self, panel: Panel, size: tuple[int, int]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices of a panel's rectangles in a window of this size, and of its single pixels."""
+        corners, color = text.runs(panel)
+        single = ((corners[:, 2:] - corners[:, :2]) == 1).all(axis=1)
+        pixels = vertices(color[single])
+        pixels[:, :2] = self._map.to_canvas(corners[single, :2] + 0.5)
+        pixels[:, RADIUS] = 0.5 / size[1]
+        return self._rectangle_vertices(corners[~single], color[~single]), pixels
 
     def _compose_3d(self, picture: Picture, camera: Camera) -> None:
         _, h = self.size
@@ -556,16 +580,16 @@ class GguiView:
         self._scene.scene.particles(self._info(vertex), True, True, white, 1.0, len(vertex), 0)
 
 
-def _line_layers(
+def _flat_lines(
     color: np.ndarray,
     segments: np.ndarray,
     given: tuple[int, int, int] | np.ndarray | None,
     walls: int,
     width: float,
-) -> list[tuple[np.ndarray, float]]:
-    """The layers of walls and then springs, as `line_layers`; for the rest `spring_colors`."""
+) -> FlatLines:
+    """Walls and then springs, of a width in pixels; for the rest `spring_colors`."""
     springs = style.spring_colors(color, segments, given)
-    return line_layers(
+    return FlatLines.build(
         np.concatenate([np.tile(style.unit(style.WALL), (walls, 1)), springs]), width
     )
 

@@ -1,0 +1,61 @@
+"""How the settings of a study are run, beside what is compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from taichi_cloth.errors import InputError
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.settings.options import ComparisonOptions
+from taichi_cloth.simulation.storage import adjacency
+from taichi_cloth.trade import settings
+
+
+@dataclass(frozen=True)
+class RunConditions:
+    """How settings are run, beside what is compared.
+
+    topology, execution, threads: as in `run`, the first two never "auto": to measure which is
+    fastest takes longer than a whole study. budget: seconds of timing for each setting;
+    patience: seconds for the references. solver_errors: whether solvers are run converged, too.
+    """
+
+    topology: str
+    execution: str
+    threads: int | None = None
+    budget: float = 0.3
+    patience: float = 20.0
+    solver_errors: bool = True
+
+    def words(self) -> list[str]:
+        """The flags of `run` that stand for it."""
+        words = ["--topology", self.topology, "--execution", self.execution]
+        return words + (["--threads", str(self.threads)] if self.threads else [])
+
+
+def conditions(scene: Scene, options: ComparisonOptions) -> RunConditions:
+    """How a scene is run, from the command's settings and the scene's size."""
+    n = len(scene.particles)
+    has_grid = bool(adjacency.find_grids(scene.springs.between, n))
+    if options.topology == "lanes" and not has_grid:
+        raise InputError(
+            f"--topology lanes: the springs of scene '{scene.name}' form no regular grid; "
+            "use --topology graph"
+        )
+    stored, run = options.topology, options.execution
+    if stored == "auto":
+        stored = "lanes" if has_grid and n >= settings.FEW_PARTICLES else "graph"
+    if run == "auto":
+        one = options.threads == 1 or (options.threads is None and n < settings.SERIAL_BEST)
+        run = "serial" if one else "parallel"
+    budget, patience = (0.06, 5.0) if options.quick else (0.3, 20.0)
+    return RunConditions(stored, run, options.threads, budget, patience)
+
+
+def without_mouse(scene: Scene) -> Scene:
+    """The scene that is compared: nobody moves a mouse. InputError where nothing can move."""
+    if not (~scene.particles.fixed).any():
+        raise InputError(
+            f"scene '{scene.name}' has no particle that can move: there is nothing to compare"
+        )
+    return replace(scene, world=replace(scene.world, mouse="none"))

@@ -1,0 +1,86 @@
+"""What came of a study's settings, and how one says that it failed, or that the machine did."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from taichi_cloth.errors import RunFailure
+from taichi_cloth.measuring.worker import ENDED, WorkerFailed
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.trade import reference
+from taichi_cloth.trade.errors import Samples
+from taichi_cloth.trade.settings import Setting
+
+REFUSED = "InputError: "  # how a worker says that
+# How it says that the machine was at fault, and not the setting: a full disk, a killed process.
+LOST = (ENDED, "OSError: ", "MemoryError: ")
+LOST_REMEDY = "see that there is memory, and room for temporary files (TMPDIR), and start again"
+
+
+@dataclass
+class Outcome:
+    """What came of a setting: its samples' file, its work, the seconds of each timed run.
+
+    lost: whether it came to nothing because of the machine, such as a full disk.
+    """
+
+    setting: Setting
+    status: str = "ok"
+    file: Path | None = None
+    force_evaluations: int | None = None
+    sweeps: int | None = None
+    unconverged: int | None = None
+    lost: bool = False
+    seconds: list[float] = field(default_factory=list)
+    about: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def ok(self) -> bool:
+        return self.status == "ok"
+
+    def samples(self) -> Samples:
+        """The states that it is judged by."""
+        if self.file is None:
+            raise ValueError(f"{self.setting.describe()}: {self.status}")
+        return Samples.read(self.file)
+
+
+class StudyFailure(RunFailure):
+    """Not even the reference could be computed, or the machine failed."""
+
+
+@dataclass
+class Result:
+    """What a study found, whole or, where it was interrupted, what was finished.
+
+    outcomes: of the settings, in their order; converged: those with a converged solver, by setting.
+    interrupted: by what, which the caller raises once it has kept what was finished; None: whole.
+    """
+
+    scene: Scene
+    outcomes: list[Outcome]
+    converged: dict[Setting, Outcome]
+    horizon: reference.Horizon | None
+    reference: reference.Reference | None
+    interrupted: KeyboardInterrupt | None = None
+
+    def check_whole(self) -> None:
+        """Raise StudyFailure where the machine lost settings: the others are no fair choice."""
+        lost = [outcome for outcome in self.outcomes if outcome.lost]
+        if lost:
+            why = lost[0].status.removeprefix("failed: ")
+            raise StudyFailure(
+                f"{len(lost)} of {len(self.outcomes)} settings were lost, the first because {why}; "
+                f"{LOST_REMEDY}"
+            )
+
+
+def failed_by(outcome: Outcome, failure: WorkerFailed) -> Outcome:
+    """The outcome of a setting that a worker could not even make or run."""
+    text = str(failure)
+    outcome.status, outcome.lost = f"failed: {text}", text.startswith(LOST)
+    if text.startswith(REFUSED):
+        outcome.status = f"refused: {text.removeprefix(REFUSED)}"
+    return outcome
