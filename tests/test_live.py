@@ -9,10 +9,12 @@ import taichi_cloth as tc
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.kernels import methods
+from taichi_cloth.limits.eigenmodes import stable_step
 from taichi_cloth.scene import library
 from taichi_cloth.scene.library import build
 from taichi_cloth.simulation import live
 from taichi_cloth.simulation.running_costs import RunningCosts
+from taichi_cloth.simulation.setting_costs import SettingCosts
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app, interaction
 from taichi_cloth.ui.views.none import NullView
@@ -196,6 +198,47 @@ def test_what_a_setting_costs_is_measured_or_predicted_or_said_to_be_unknown():
         costs.note(sim, 5e-3)
     sim.set_step(substeps=1)
     assert costs.of(sim, by_name["substeps"], 4).words() == "5 ms a frame, measured"
+
+
+def test_what_stands_beside_a_setting_is_measured_or_predicted_or_of_the_stable_step():
+    sim, clock = Simulation(cloth(8, 6, drag=0.02), substeps=2, **HOW), iter(range(0, 1000, 10))
+    frames = RunningCosts()
+    costs = SettingCosts(sim, frames, clock=lambda: next(clock))
+
+    def beside(name):
+        one = live.setting(sim, name)
+        return costs.of(one, one.read(sim))
+
+    def run(seconds):
+        for _ in range(5):
+            frames.note(sim, seconds)
+        costs.look()
+
+    costs.look()
+    assert (beside("method").words, beside("fracture").words) == ("?", "free")
+    run(2e-3)
+    sim.advance(3)
+    costs.look()
+    longest = stable_step(methods.load(sim.method), sim.network()).dt
+    assert beside("dt").used == pytest.approx(sim.dt / 2 / longest, rel=0.03)
+    assert (beside("method").words, beside("substeps").words) == ("2 ms", "min 1")
+    assert "1 ms each, measured" in beside("substeps").said
+    assert beside("gravity.x").words == "free"
+    before = beside("stiffness").used
+    assert before < beside("dt").used and beside("viscous").used > 0
+    live.apply(sim, "stiffness", 4.0 * float(sim.scene.springs.stiffness[0]))
+    costs.look()
+    assert beside("stiffness").used == pytest.approx(2 * before, rel=0.03)
+    method = live.setting(sim, "method")
+    assert costs.option(method, "rk4").words.startswith("~")
+    assert costs.option(method, "implicit_euler").said.endswith("predicted; stable at every step")
+    assert int(costs.least("explicit_euler").removeprefix("min ")) > 10
+    live.apply(sim, "fracture", True)
+    run(3e-3)
+    assert beside("fracture").words == "1 ms" and "measured" in beside("fracture").said
+    live.apply(sim, "fracture", False)
+    run(2e-3)
+    assert beside("fracture").said == "off it takes no time; on 1 ms of a frame, measured"
 
 
 @thorough

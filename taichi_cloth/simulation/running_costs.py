@@ -40,14 +40,17 @@ class RunningCosts:
     def __init__(self) -> None:
         self._mean: dict[tuple[Any, ...], float] = {}
         self._frames: dict[tuple[Any, ...], int] = {}
+        self._last: tuple[tuple[Any, ...], int] = (), 0  # the last frame's way, and how many had it
 
     def note(self, sim: Simulation, seconds: float) -> None:
         """A frame took so many seconds to simulate."""
         way = _way(sim)
-        count = self._frames[way] = self._frames.get(way, 0) + 1
-        if count > WARM:
+        lately = self._last[1] + 1 if way == self._last[0] else 1
+        self._last = way, lately
+        if lately > WARM:
+            count = self._frames[way] = self._frames.get(way, 0) + 1
             mean = self._mean.get(way, seconds)
-            self._mean[way] = mean + max(RECENT, 1 / (count - WARM)) * (seconds - mean)
+            self._mean[way] = mean + max(RECENT, 1 / count) * (seconds - mean)
 
     def now(self, sim: Simulation) -> FrameCost:
         """What a frame costs as the run is."""
@@ -61,12 +64,11 @@ class RunningCosts:
 
         Measured where the run had it; predicted from the present cost where steps, sweeps, the
         method or features say by how much it differs. Numbers that change no work cost what they
-        cost now. substeps: that a run would have with it; None: as many as now.
+        cost now. substeps: what a run that chooses them would have; None: as many as now.
         """
         now = self.now(sim)
-        other = {setting.name: value} | ({} if substeps is None else {"substeps": substeps})
         scene = setting.scene_with(sim, value) if setting.group == "features" else None
-        way = _way(sim, scene, **other)
+        way = _way(sim, scene, **{setting.name: value})
         if way == _way(sim):
             return now
         if way in self._mean:
@@ -86,7 +88,7 @@ def _way(sim: Simulation, scene: Scene | None = None, **other: Any) -> tuple[Any
         settings = methods.load(method).claims.settings
         sweeps = sweeps if "iterations" in settings else None
         tolerance = tolerance if "tolerance" in settings else None
-    steps = other.get("substeps", sim.substeps)
+    steps = other.get("substeps", "auto" if sim.follows else sim.substeps)
     size = sim.describe_size() if scene is None else describe_size(scene)
     return method, steps, sweeps, tolerance, size
 

@@ -19,6 +19,7 @@ from taichi_cloth.errors import counted
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits.modes import largest_step
 from taichi_cloth.limits.tracking import FastestMode, Shares
+from taichi_cloth.simulation import live
 from taichi_cloth.simulation.moment import Moments
 from taichi_cloth.simulation.running_costs import FrameCost, RunningCosts
 
@@ -75,7 +76,7 @@ class SettingCosts:
     def look(self) -> None:
         """Look at the state, where that is due."""
         wait = AFTER_CHANGE if self._changed else EVERY
-        begin = self._clock()
+        begin, busy = self._clock(), time.thread_time()  # other programs' time is not counted
         if begin < self._looked + max(wait, self._took / SHARE):
             return
         self._said, self._changed, self._looked = {}, False, begin
@@ -88,7 +89,7 @@ class SettingCosts:
         mode, more = self._mode[1], AT_FIRST if first else IMPROVEMENTS
         found = mode.follow(self._network, sim.dt / sim.substeps, more)
         self._shares = None if found is None else mode.shares
-        self._took = self._clock() - begin
+        self._took = time.thread_time() - busy
 
     def of(self, one: Setting, value: Value) -> Beside:
         """What a setting costs at its present value."""
@@ -131,6 +132,8 @@ class SettingCosts:
             )
         if one.group == "features":
             return self._of_feature(one, bool(value))
+        if one.name == "thickness" and value:  # its pairs are what self-collision takes
+            return self._of_feature(live.setting(self._sim, "self_collision"), True)
         part = self._part(one)
         if part is not None:
             return self._of_part(one, *part)
