@@ -2,41 +2,14 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-
-import numpy as np
-
 from taichi_cloth.errors import InputError, RunFailure
-from taichi_cloth.kernels.methods.contract import Claims
 from taichi_cloth.kernels.solvers.stages import HIDDEN, OUTCOMES
 from taichi_cloth.simulation import diagnostics
-from taichi_cloth.simulation.launch import Launcher
-from taichi_cloth.simulation.storage.storage import Storage
+from taichi_cloth.simulation.part import Part
 
 
-class Accounts(ABC):
-    """The part of a `Simulation` that says what its steps have done.
-
-    _counted: evaluations of forces, and steps, when the method was last changed. _work: counts of
-    the solver's work since then (`kernels.state.WORK`). _since: frame, time and steps when the step
-    last changed.
-    """
-
-    storage: Storage
-    method: str
-    claims: Claims
-    solver: dict[str, float]
-    dt: float
-    substeps: int
-    _launcher: Launcher
-    _counted: tuple[int, int]
-    _work: np.ndarray
-    _since: tuple[int, float, int]
-
-    @property
-    @abstractmethod
-    def steps(self) -> int:
-        """Steps done since the start."""
+class Accounts(Part):
+    """The part of a `Simulation` that says what its steps have done."""
 
     def work(self) -> diagnostics.Work:
         """What has been done since the start, or since `reset`."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Any
 
@@ -10,49 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.limits.holding import added_mass, strength
-from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.holding import Hold
-from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.penetration import overlapping
 from taichi_cloth.settings import accepted
 from taichi_cloth.simulation import editing
-from taichi_cloth.simulation.snapshot import Snapshot
-from taichi_cloth.simulation.storage.storage import Storage
+from taichi_cloth.simulation.part import Part
 
 
-class Changes(ABC):
+class Changes(Part):
     """The part of a `Simulation` that changes its numbers, motion, springs and particles."""
-
-    storage: Storage
-    scene: Scene
-    dt: float
-    substeps: int
-    _module: Method
-
-    @property
-    @abstractmethod
-    def steps(self) -> int:
-        """Steps done since the start."""
-
-    @property
-    @abstractmethod
-    def particle_count(self) -> int:
-        """How many particles there are."""
-
-    @property
-    @abstractmethod
-    def spring_count(self) -> int:
-        """How many springs there are, broken ones included."""
-
-    @abstractmethod
-    def network(self) -> Network:
-        """The particles where they are, and the springs that pull."""
-
-    @abstractmethod
-    def _edit(self, now: Snapshot, edited: Snapshot, left: np.ndarray | None = None) -> None:
-        """Go on from an edited state; left: which of the particles are left, all where absent."""
 
     def set(
         self,

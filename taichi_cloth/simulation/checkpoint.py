@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,9 +17,8 @@ from taichi_cloth.settings import accepted
 from taichi_cloth.simulation import saved
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.engine import Engine
-from taichi_cloth.simulation.numbers import Numbers
+from taichi_cloth.simulation.part import Part
 from taichi_cloth.simulation.storage.kept import Kept
-from taichi_cloth.simulation.storage.storage import Storage
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ class Checkpoint:
         return list(self.kept.fields.values())
 
 
-class Checkpoints(ABC):
+class Checkpoints(Part):
     """The part of a `Simulation` that notes where it is, and goes back there."""
 
     # What the host keeps of a run beside the state on the device; the solver's settings and the
@@ -75,26 +73,6 @@ class Checkpoints(ABC):
         *("frame", "dt", "substeps", "speed_limit", "solver"),
         *("_since", "_work", "_counted", "_preferred"),
     )
-
-    scene: Scene
-    method: str
-    frame: int
-    dt: float
-    topology: str
-    execution: str
-    storage: Storage
-    _auto: AutoSubsteps | None
-    _module: Any
-    _unprepared: list[Any] | None
-
-    @property
-    @abstractmethod
-    def time(self) -> float:
-        """Simulated time, in the scene's units."""
-
-    @abstractmethod
-    def _numbers(self) -> Numbers:
-        """What the device is told of the run's settings."""
 
     def checkpoint(self) -> Checkpoint:
         """All that the frames to come depend on, as it is now.

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import Any
-
-import numpy as np
-
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
-from taichi_cloth.kernels.methods.contract import Claims, Method
+from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.state import FORCES
 from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import SOLVER_SETTINGS
-from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.launch import Launcher
-from taichi_cloth.simulation.numbers import Numbers, solver_settings
+from taichi_cloth.simulation.numbers import solver_settings
+from taichi_cloth.simulation.part import Part
 from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.storage.storage import Storage
 
@@ -37,7 +32,7 @@ def compiles_in_background() -> str:
     return ALONE
 
 
-class Engine(ABC):
+class Engine(Part):
     """The part of a `Simulation` that has the method, and changes it."""
 
     # All that is the method's, or was chosen for it; a checkpoint goes back to it.
@@ -45,51 +40,6 @@ class Engine(ABC):
         *("method", "_module", "claims", "_launcher", "storage", "execution", "topology"),
         *("_preferred", "_requested", "_watch", "held_up", "_unprepared"),
     )
-
-    method: str
-    claims: Claims
-    solver: dict[str, float]
-    dt: float
-    substeps: int
-    execution: str
-    storage: Storage
-    held_up: tuple[float, float] | None
-    _module: Method
-    _launcher: Launcher
-    _auto: AutoSubsteps | None
-    _watch: Any
-    _unprepared: list[Any] | None
-    _requested: tuple[str, str]
-    _engines: dict[str, dict[str, Any]]
-    _since: tuple[int, float, int]
-    _work: np.ndarray
-    _counted: tuple[int, int]
-    speed_limit: float
-
-    @property
-    @abstractmethod
-    def steps(self) -> int:
-        """Steps done since the start."""
-
-    @abstractmethod
-    def work(self) -> diagnostics.Work:
-        """What has been done since the start."""
-
-    @abstractmethod
-    def _lanes_for(self, module: Method) -> int:
-        """How many particles a pack has."""
-
-    @abstractmethod
-    def _store(self, snapshot: Snapshot) -> None:
-        """Put a state on the device; the first time, choose how it is run."""
-
-    @abstractmethod
-    def _change_step(self, dt: float, substeps: int) -> None:
-        """Go on counting with another step."""
-
-    @abstractmethod
-    def _numbers(self) -> Numbers:
-        """What the device is told of the run's settings."""
 
     def set_solver(self, tolerance: float | None = None, iterations: int | None = None) -> None:
         """From now on solve steps to a relative residual, or with so many sweeps; absent: as now.

@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels.forces import blow
-from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings import accepted
-from taichi_cloth.simulation.storage.storage import Storage
+from taichi_cloth.simulation.part import Part
 
 ORIGINAL_REACH = blow.REACH  # world units: how far the pointer blows where nothing else is said
 
 
-class Pushes(ABC):
+class Pushes(Part):
     """The part of a `Simulation` that pushes its particles."""
-
-    storage: Storage
-    scene: Scene
-    dt: float
-
-    @property
-    @abstractmethod
-    def particle_count(self) -> int:
-        """How many particles there are."""
 
     def blow(self, pointer: ArrayLike, displacement: ArrayLike, reach: float | None = None) -> None:
         """Blow on particles near `pointer` (2-D, world units) through the next frame.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-
 import numpy as np
 
 from taichi_cloth.limits.network import Network
@@ -11,27 +9,15 @@ from taichi_cloth.scene.penetration import deepest, touches
 from taichi_cloth.scene.solids import Drawn, Inside, depths, inside_at_start, surface
 from taichi_cloth.scene.spheres import too_near
 from taichi_cloth.simulation import diagnostics
+from taichi_cloth.simulation.part import Part
 from taichi_cloth.simulation.prediction import describe_size
-from taichi_cloth.simulation.storage.storage import Storage
 
 
-class Readings(ABC):
+class Readings(Part):
     """The part of a `Simulation` that reads its particles and springs back from the device.
 
     Arrays are float64 copies, one row per particle or spring in the order of creation.
     """
-
-    storage: Storage
-
-    @property
-    @abstractmethod
-    def steps(self) -> int:
-        """Steps done since the start."""
-
-    @property
-    @abstractmethod
-    def time(self) -> float:
-        """Simulated time, in the scene's units."""
 
     @property
     def particle_count(self) -> int:

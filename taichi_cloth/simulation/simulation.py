@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.kernels import methods
-from taichi_cloth.kernels.methods.contract import Claims, Method
+from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.state import WORK
 from taichi_cloth.limits.precision import refuse_unholdable
 from taichi_cloth.runtime import current_device
@@ -100,11 +100,11 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Engine, Showi
         self.dt, self.substeps = step
         device = current_device()
         self._module = methods.load(method)
-        self.claims: Claims = self._module.claims
+        self.claims = self._module.claims
         self.solver = solver_settings(method, self.claims, tolerance, iterations)
         self.speed_limit = runaway_speed(scene, self.dt)
         self._lanes = lanes
-        self._engines: dict[str, dict[str, Any]] = {}
+        self._engines = {}
         self._launcher = Launcher(self._module, device, compiling)
         start = Snapshot.at_start(self.scene)
         lanes = self._lanes_for(self._module)
@@ -115,9 +115,9 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Engine, Showi
             accepted.word("--execution", execution, (*PATHS, "auto")),
         )
         self.topology = self.execution = self._preferred = ""  # until the first `reset` has chosen
-        self._watch: autotune.Watch | None = None
-        self.held_up: tuple[float, float] | None = None
-        self._unprepared: list[Callable[[], None]] | None = None  # until a window asks
+        self._watch = None
+        self.held_up = None
+        self._unprepared = None  # until a window asks
         # What the run began with, for who changes it and wants it back.
         self.began: dict[str, Any] = {
             "method": method,
@@ -126,7 +126,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Engine, Showi
             **self.solver,
         }
         self.frame, self._counted = 0, (0, 0)
-        self._since = 0, 0.0, 0  # frame, time and steps when the step last changed
+        self._since = 0, 0.0, 0
         self._work = np.zeros(len(WORK), np.int64)
         self.reset()
 

@@ -1,0 +1,104 @@
+"""What the parts of a simulation know of each other: the run as it is, and what changes it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from taichi_cloth.kernels.methods.contract import Claims, Method
+from taichi_cloth.limits.network import Network
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.simulation import autotune, diagnostics
+from taichi_cloth.simulation.auto_substeps import AutoSubsteps
+from taichi_cloth.simulation.launch import Launcher
+from taichi_cloth.simulation.numbers import Numbers
+from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.storage.storage import Storage
+
+
+class Part(ABC):
+    """A part of a `Simulation`: what it may use of the others.
+
+    _module: the method's declaration. _auto: what chooses the substeps with dt "auto", else None.
+    _requested: topology and execution as asked for; _preferred: the topology of the next load.
+    _watch: what times launches. _engines: of methods that the run had, by name (`Engine.ENGINE`).
+    _unprepared: what only a first click needs compiled; None: nobody has asked.
+    _since: frame, time and steps when the step last changed.
+    _work: counts of the solver's work (`kernels.state.WORK`), evaluations of forces since the
+    method last changed; _counted: how many of these, and steps, there were then.
+    """
+
+    scene: Scene
+    method: str
+    claims: Claims
+    solver: dict[str, float]
+    frame: int
+    dt: float
+    substeps: int
+    speed_limit: float
+    execution: str
+    topology: str
+    storage: Storage
+    held_up: tuple[float, float] | None
+    _module: Method
+    _launcher: Launcher
+    _auto: AutoSubsteps | None
+    _requested: tuple[str, str]
+    _preferred: str
+    _watch: autotune.Watch | None
+    _engines: dict[str, dict[str, Any]]
+    _unprepared: list[Callable[[], None]] | None
+    _since: tuple[int, float, int]
+    _work: np.ndarray
+    _counted: tuple[int, int]
+
+    @property
+    @abstractmethod
+    def steps(self) -> int:
+        """Steps done since the start."""
+
+    @property
+    @abstractmethod
+    def time(self) -> float:
+        """Simulated time, in the scene's units."""
+
+    @property
+    @abstractmethod
+    def particle_count(self) -> int:
+        """How many particles there are."""
+
+    @property
+    @abstractmethod
+    def spring_count(self) -> int:
+        """How many springs there are, broken ones included."""
+
+    @abstractmethod
+    def network(self) -> Network:
+        """The particles where they are, and the springs that pull."""
+
+    @abstractmethod
+    def work(self) -> diagnostics.Work:
+        """What has been done since the start."""
+
+    @abstractmethod
+    def _lanes_for(self, module: Method) -> int:
+        """How many particles a pack has under a method."""
+
+    @abstractmethod
+    def _store(self, snapshot: Snapshot) -> None:
+        """Put a state on the device; the first time, choose how it is run."""
+
+    @abstractmethod
+    def _change_step(self, dt: float, substeps: int) -> None:
+        """Go on counting with another step."""
+
+    @abstractmethod
+    def _numbers(self) -> Numbers:
+        """What the device is told of the run's settings."""
+
+    @abstractmethod
+    def _edit(self, now: Snapshot, edited: Snapshot, left: np.ndarray | None = None) -> None:
+        """Go on from an edited state; left: which of the particles are left, all where absent."""
