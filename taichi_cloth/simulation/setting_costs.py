@@ -68,6 +68,7 @@ class SettingCosts:
         self._changed = False
         self._said: dict[str, tuple[Value, Beside]] = {}
         self.looks = 0  # that were taken
+        self.frame = "not measured"  # what a frame took at the last one, in words
 
     def hurry(self) -> None:
         """Something was set: look again soon."""
@@ -80,7 +81,7 @@ class SettingCosts:
         if begin < self._looked + max(wait, self._took / SHARE):
             return
         self._said, self._changed, self._looked = {}, False, begin
-        self.looks += 1
+        self.looks, self.frame = self.looks + 1, self._frames.now(self._sim).words()
         sim, first = self._sim, self._mode is None or self._mode[0] != self._sim.method
         if first:
             self._mode = sim.method, FastestMode(methods.load(sim.method))

@@ -54,7 +54,7 @@ class SettingsPanel:
     def __init__(
         self, sim: Simulation, controls: Controls, frames: RunningCosts, scenes: Scenes
     ) -> None:
-        self._sim, self._controls, self._frames, self._scenes = sim, controls, frames, scenes
+        self._sim, self._controls, self._scenes = sim, controls, scenes
         self._costs = SettingCosts(sim, frames)
         self._rows: list[Placed] = []
         self._read_at, self._shape = -np.inf, (0, 0)
@@ -129,14 +129,13 @@ class SettingsPanel:
     def _note(self) -> tuple[str, str]:
         """What is said at the foot: what the chosen row is and costs, or what was refused."""
         row, notice = self._row(self._chosen), self._controls.notice
-        now = self._frames.now(self._sim).words()
-        key = (row, notice, now, self._costs.looks)
+        key = (row, notice, self._costs.looks)
         if self._noted is None or self._noted[0] != key:
-            first, second = self._said(row, now) if row else (now, HINT)
+            first, second = self._said(row) if row else (self._costs.frame, HINT)
             self._noted = key, (first, notice or second)
         return self._noted[1]
 
-    def _said(self, row: Row, now: str) -> tuple[str, str]:
+    def _said(self, row: Row) -> tuple[str, str]:
         one, about = row.setting, self._scenes.about
         if row.name == SCENE:
             return self._scenes.fixed or "click, choose one, open it", about.get(
