@@ -54,6 +54,14 @@ class Lines:
     lift: float = 0.0
 
 
+@dataclass(frozen=True, eq=False)  # compared by identity: what was drawn of one is kept
+class Still:
+    """What stands still, seen from one place: it is drawn once, and kept."""
+
+    meshes: list[Mesh]
+    lines: list[Lines]
+
+
 @dataclass(frozen=True)
 class Floor:
     """A floor of tiles in two colours, which fades out.
@@ -78,19 +86,30 @@ class Floor:
         return np.concatenate([[self.above], *given]).astype(np.float32)
 
 
+def _image(shape: tuple[int, ...]) -> ti.Ndarray:
+    return ti.ndarray(ti.i32, shape)
+
+
 class Rasterizer:
-    """A picture of `size` (width, height) pixels, each the mean of samples x samples."""
+    """Pictures of `size` (width, height) pixels, each the mean of samples x samples."""
 
     def __init__(self, size: tuple[int, int], samples: int):
         self._samples = samples
-        shape = tuple(samples * length for length in size)
-        self._depth, self._color = ti.ndarray(ti.i32, shape), ti.ndarray(ti.i32, shape)
+        shape = samples * size[1], samples * size[0]
+        tiles = tuple(-(-n // tile) for n, tile in zip(shape, raster.TILE, strict=True))
+        self._drawn = (
+            ti.ndarray(ti.i32, shape),
+            ti.ndarray(ti.i32, shape),
+            ti.ndarray(ti.i32, tiles),
+        )
         self._behind = ti.ndarray(ti.i32, shape), ti.ndarray(ti.i32, shape)
-        self._laid: bytes | None = None  # what lies behind everything
-        self.pixels = np.zeros((*size, 4), np.float32)  # column by column, from the bottom up
+        self._laid = ti.ndarray(ti.i32, (size[1], size[0]))
+        self._wanted: bytes | None = None  # what lies behind everything, and
+        self._still: Still | None = None
 
     def draw(
         self,
+        picture: np.ndarray,
         focal_length: float,
         middle: tuple[float, float],
         nearest: float,
@@ -101,20 +120,34 @@ class Rasterizer:
         balls: Balls,
         lines: list[Lines],
         floor: Floor | None = None,
-    ) -> np.ndarray:
-        """The picture (width, height, 4), floats 0..1, column by column from the bottom up.
+        still: Still | None = None,
+    ) -> None:
+        """Draw the whole of a picture (h, w) uint32, 0xRRGGBB, row 0 on top.
 
-        focal_length: pixels per unit of slope. middle: the pixel (x right, y up) looked at.
+        focal_length: pixels per unit of slope. middle: the pixel (x right, y down) looked at.
         nearest: the least depth that is drawn. lights: (k + 1, 4) float32, as `kernels/raster.py`
-        has them. The array is the same at every call.
+        has them. still: what is drawn besides, made with this lens and these lights.
         """
         fine = float(self._samples)
         lens = np.array(
             [fine * focal_length, fine * middle[0], fine * middle[1], nearest], np.float32
         )
-        self._lay(lens, np.array(background, np.float32), floor)
-        target = self._depth, self._color
-        raster.clear(*target, *self._behind)
+        self._lay(lens, lights, np.array(background, np.float32), floor, still)
+        self._put(lens, lights, meshes, balls, lines)
+        raster.resolve(
+            self._samples, *self._drawn, *self._behind, self._laid, picture.view(np.int32)
+        )
+
+    def _put(
+        self,
+        lens: np.ndarray,
+        lights: np.ndarray,
+        meshes: list[Mesh],
+        balls: Balls,
+        lines: list[Lines],
+    ) -> None:
+        """Draw things before what is there."""
+        target = self._drawn
         for stage in (0, 1):
             for m in meshes:
                 if len(m.corner):
@@ -125,15 +158,26 @@ class Rasterizer:
                 raster.balls(stage, *target, balls.centre, balls.radius, balls.color, lens, lights)
             for line in lines:
                 if len(line.color):
-                    wide = np.float32(fine) * line.width
+                    wide = np.float32(self._samples) * line.width
                     raster.lines(stage, *target, line.end, line.color, wide, lens, line.lift)
-        raster.resolve(self._samples, self._color, self.pixels)
-        return self.pixels
 
-    def _lay(self, lens: np.ndarray, background: np.ndarray, floor: Floor | None) -> None:
+    def _lay(
+        self,
+        lens: np.ndarray,
+        lights: np.ndarray,
+        background: np.ndarray,
+        floor: Floor | None,
+        still: Still | None,
+    ) -> None:
         """Have what lies behind everything ready; it is made anew where it changed."""
         numbers = NO_NUMBERS if floor is None else floor.numbers()
-        wanted = b"".join(a.tobytes() for a in (lens, background, numbers))
-        if wanted != self._laid:
-            raster.lay_floor(*self._behind, lens, background, numbers)
-            self._laid = wanted
+        parts = [background, numbers]
+        if floor is not None or still is not None:
+            parts += [lens, lights]
+        wanted = b"".join(part.tobytes() for part in parts)
+        if wanted != self._wanted or still is not self._still:
+            raster.lay_floor(*self._drawn[:2], lens, background, numbers)
+            if still is not None:
+                self._put(lens, lights, still.meshes, Balls(), still.lines)
+            raster.lay(self._samples, *self._drawn, *self._behind, self._laid)
+            self._wanted, self._still = wanted, still

@@ -6,31 +6,27 @@ have no order: the picture has the same bits however many threads draw it (integ
 which all backends can compare atomically; positive floats are ordered as their bits are).
 
 Places are in the camera's axes: x right, y down, z away from the eye, which is their origin. A lens
-(4,) is pixels per unit of slope, the pixel (x right, y up) at which the camera looks, the least
-depth that is drawn. Colours are floats 0..1; in the picture they are 0xRRGGBB, and c of what lies
-behind everything is -1 - c, so that whatever is drawn is larger. Lights (k + 1, 4): unit direction
-to each light and its strength; in the last row the ambient one's.
+(4,) is pixels per unit of slope, the pixel (x right, y down) at which the camera looks, the least
+depth that is drawn. Pictures (h, w) have a row at a time from the top down. Colours are floats
+0..1; in the picture they are 0xRRGGBB, and c of what lies behind everything is -1 - c, so that
+whatever is drawn is larger. Lights (k + 1, 4): unit direction to each light and its strength; in
+the last row the ambient one's.
+
+`touched` marks the tiles of `TILE` pixels in which something may have been drawn: only these are
+taken from the pixels drawn, and emptied again; all others are what lies behind everything.
 """
 
 import taichi as ti
 
 FARTHEST = 0x7F000000  # the bits of a depth that nothing has
 SAME_DEPTH = 1.0 + 4e-6  # both stages compute a depth, which compilers may round in two ways
+TILE = (16, 64)  # rows and columns of a tile, in the pixels that are drawn
 EDGE = -1e-5  # so far outside a triangle, in its own heights, pixels still belong to it
 
 image = ti.types.ndarray(dtype=ti.i32, ndim=2)
 rows = ti.types.ndarray(dtype=ti.f32, ndim=2)
 numbers = ti.types.ndarray(dtype=ti.f32, ndim=1)
 indices = ti.types.ndarray(dtype=ti.i32, ndim=2)
-
-
-@ti.kernel
-def clear(depth: image, color: image, behind: image, colored: image):
-    """Empty the picture: what is seen is what lies behind everything, of these depths, colours."""
-    for i in range(depth.shape[0]):
-        for j in range(depth.shape[1]):
-            depth[i, j] = behind[i, j]
-            color[i, j] = colored[i, j]
 
 
 @ti.func
@@ -40,9 +36,9 @@ def _vector(a: ti.template(), i):
 
 @ti.func
 def _pixel(lens: ti.template(), place):
-    """The pixel (x right, y up) of a place, and one over its depth."""
+    """The pixel (x right, y down) of a place, and one over its depth."""
     slope = lens[0] / place[2]
-    return ti.Vector([lens[1] + slope * place[0], lens[2] - slope * place[1], 1.0 / place[2]])
+    return ti.Vector([lens[1] + slope * place[0], lens[2] + slope * place[1], 1.0 / place[2]])
 
 
 @ti.func
@@ -83,8 +79,43 @@ def _depth_bits(z):
 
 
 @ti.func
-def _is_seen(depth: ti.template(), i, j, z):
-    return z <= ti.bit_cast(depth[i, j], ti.f32) * SAME_DEPTH
+def _keep_least(depth: ti.template(), j, i, z):
+    """Keep a pixel's least depth; what is not less costs no atomic operation."""
+    bits = _depth_bits(z)
+    if bits < depth[j, i]:
+        ti.atomic_min(depth[j, i], bits)
+
+
+@ti.func
+def _row(along, at):
+    """From where to where along a row the three shares `along` * x + `at` are at least `EDGE`."""
+    low, high = -1e9, 1e9
+    for k in ti.static(range(3)):
+        if along[k] > 1e-12:
+            low = ti.max(low, (EDGE - at[k]) / along[k])
+        elif along[k] < -1e-12:
+            high = ti.min(high, (EDGE - at[k]) / along[k])
+    return low, high
+
+
+@ti.func
+def _is_seen(depth: ti.template(), j, i, z):
+    return z <= ti.bit_cast(depth[j, i], ti.f32) * SAME_DEPTH
+
+
+@ti.func
+def _touch(touched: ti.template(), j0, j1, i0, i1):
+    """Mark the tiles of the rows from j0 to before j1 in the columns from i0 to before i1."""
+    if j0 < j1 and i0 < i1:
+        for tile_j in range(j0 // TILE[0], (j1 - 1) // TILE[0] + 1):
+            for tile_i in range(i0 // TILE[1], (i1 - 1) // TILE[1] + 1):
+                touched[tile_j, tile_i] = 1
+
+
+@ti.func
+def _sight(lens: ti.template(), j, i):
+    """The way (3,) from the eye through a pixel's middle, as long as it is deep 1."""
+    return ti.Vector([(i + 0.5 - lens[1]) / lens[0], (j + 0.5 - lens[2]) / lens[0], 1.0])
 
 
 @ti.kernel
@@ -92,6 +123,7 @@ def triangles(
     stage: ti.template(),
     depth: image,
     color: image,
+    touched: image,
     place: rows,
     normal: rows,
     corner: indices,
@@ -112,22 +144,35 @@ def triangles(
             u, v, w = _pixel(lens, a), _pixel(lens, b), _pixel(lens, c)
             area = (v[0] - u[0]) * (w[1] - u[1]) - (v[1] - u[1]) * (w[0] - u[0])
             if area != 0.0:
-                i0 = _first(ti.min(u[0], v[0], w[0]), depth.shape[0])
-                i1 = _beyond(ti.max(u[0], v[0], w[0]), depth.shape[0])
-                j0 = _first(ti.min(u[1], v[1], w[1]), depth.shape[1])
-                j1 = _beyond(ti.max(u[1], v[1], w[1]), depth.shape[1])
-                for i in range(i0, i1):
-                    for j in range(j0, j1):
-                        x, y = i + 0.5 - u[0], j + 0.5 - u[1]
-                        second = (x * (w[1] - u[1]) - y * (w[0] - u[0])) / area
-                        third = (y * (v[0] - u[0]) - x * (v[1] - u[1])) / area
+                i0 = _first(ti.min(u[0], v[0], w[0]), depth.shape[1])
+                i1 = _beyond(ti.max(u[0], v[0], w[0]), depth.shape[1])
+                j0 = _first(ti.min(u[1], v[1], w[1]), depth.shape[0])
+                j1 = _beyond(ti.max(u[1], v[1], w[1]), depth.shape[0])
+                if ti.static(stage == 0):
+                    _touch(touched, j0, j1, i0, i1)
+                # The shares of the second and the third corner grow by so much from pixel to pixel.
+                by_area = 1.0 / area
+                second_x, second_y = (w[1] - u[1]) * by_area, (u[0] - w[0]) * by_area
+                third_x, third_y = (u[1] - v[1]) * by_area, (v[0] - u[0]) * by_area
+                for j in range(j0, j1):
+                    y = j + 0.5 - u[1]
+                    low, high = _row(
+                        ti.Vector([-second_x - third_x, second_x, third_x]),
+                        ti.Vector([1.0 - (second_y + third_y) * y, second_y * y, third_y * y]),
+                    )
+                    first_i = ti.max(i0, _first(u[0] + low - 0.01, depth.shape[1]))
+                    for i in range(
+                        first_i, ti.min(i1, _beyond(u[0] + high + 0.01, depth.shape[1]))
+                    ):
+                        x = i + 0.5 - u[0]
+                        second, third = second_x * x + second_y * y, third_x * x + third_y * y
                         first = 1.0 - second - third
                         if ti.min(first, second, third) >= EDGE:
                             # One over the depth is linear on the screen.
                             z = 1.0 / (first * u[2] + second * v[2] + third * w[2])
                             if ti.static(stage == 0):
-                                ti.atomic_min(depth[i, j], _depth_bits(z))
-                            elif _is_seen(depth, i, j, z):
+                                _keep_least(depth, j, i, z)
+                            elif _is_seen(depth, j, i, z):
                                 f, s, t3 = first * u[2], second * v[2], third * w[2]
                                 n = (
                                     f * _vector(normal, p)
@@ -135,7 +180,7 @@ def triangles(
                                     + t3 * _vector(normal, r)
                                 )
                                 rgb = ti.Vector([0.0, 0.0, 0.0])
-                                if area > 0.0:
+                                if area < 0.0:  # as y points down
                                     rgb = (
                                         f * _vector(front, p)
                                         + s * _vector(front, q)
@@ -149,7 +194,7 @@ def triangles(
                                         + t3 * _vector(back, r)
                                     )
                                 code = _packed(_lit(z * rgb, n, lights))
-                                ti.atomic_max(color[i, j], code)
+                                ti.atomic_max(color[j, i], code)
 
 
 @ti.kernel
@@ -157,6 +202,7 @@ def balls(
     stage: ti.template(),
     depth: image,
     color: image,
+    touched: image,
     centre: rows,
     radius: numbers,
     rgb: rows,
@@ -172,13 +218,13 @@ def balls(
             u = _pixel(lens, c)
             slope = (c[0] * c[0] + c[1] * c[1]) / (c[2] * c[2])
             reach = lens[0] * r / ti.max(c[2] - r, lens[3]) * (1.0 + slope) + 1.0
-            i0, i1 = _first(u[0] - reach, depth.shape[0]), _beyond(u[0] + reach, depth.shape[0])
-            j0, j1 = _first(u[1] - reach, depth.shape[1]), _beyond(u[1] + reach, depth.shape[1])
-            for i in range(i0, i1):
-                for j in range(j0, j1):
-                    d = ti.Vector(
-                        [(i + 0.5 - lens[1]) / lens[0], (lens[2] - j - 0.5) / lens[0], 1.0]
-                    )
+            i0, i1 = _first(u[0] - reach, depth.shape[1]), _beyond(u[0] + reach, depth.shape[1])
+            j0, j1 = _first(u[1] - reach, depth.shape[0]), _beyond(u[1] + reach, depth.shape[0])
+            if ti.static(stage == 0):
+                _touch(touched, j0, j1, i0, i1)
+            for j in range(j0, j1):
+                for i in range(i0, i1):
+                    d = _sight(lens, j, i)
                     size2 = d.dot(d)
                     nearest = d.dot(c) / size2  # where the line of sight is nearest to the middle
                     away = nearest * d - c
@@ -187,10 +233,10 @@ def balls(
                         z = nearest - ti.sqrt(inside / size2)
                         if z > lens[3]:
                             if ti.static(stage == 0):
-                                ti.atomic_min(depth[i, j], _depth_bits(z))
-                            elif _is_seen(depth, i, j, z):
+                                _keep_least(depth, j, i, z)
+                            elif _is_seen(depth, j, i, z):
                                 own = _lit(_vector(rgb, s), z * d - c, lights)
-                                ti.atomic_max(color[i, j], _packed(own))
+                                ti.atomic_max(color[j, i], _packed(own))
 
 
 @ti.kernel
@@ -198,6 +244,7 @@ def lines(
     stage: ti.template(),
     depth: image,
     color: image,
+    touched: image,
     end: rows,
     rgb: rows,
     width: numbers,
@@ -215,37 +262,47 @@ def lines(
             half = 0.5 * width[s]
             x, y = v[0] - u[0], v[1] - u[1]
             size2 = ti.max(x * x + y * y, 1e-12)
-            i0 = _first(ti.min(u[0], v[0]) - half, depth.shape[0])
-            i1 = _beyond(ti.max(u[0], v[0]) + half, depth.shape[0])
-            j0 = _first(ti.min(u[1], v[1]) - half, depth.shape[1])
-            j1 = _beyond(ti.max(u[1], v[1]) + half, depth.shape[1])
-            for i in range(i0, i1):
-                for j in range(j0, j1):
-                    from_x, from_y = i + 0.5 - u[0], j + 0.5 - u[1]
+            j0 = _first(ti.min(u[1], v[1]) - half, depth.shape[0])
+            j1 = _beyond(ti.max(u[1], v[1]) + half, depth.shape[0])
+            for j in range(j0, j1):
+                # Only this part of the line, from one share of it to another, is so near the row.
+                from_y = j + 0.5 - u[1]
+                part0, part1 = 0.0, 1.0
+                if ti.abs(y) > 1e-3:
+                    one, other = (from_y - half) / y, (from_y + half) / y
+                    part0 = ti.min(ti.max(ti.min(one, other), 0.0), 1.0)
+                    part1 = ti.min(ti.max(ti.max(one, other), 0.0), 1.0)
+                x0, x1 = u[0] + part0 * x, u[0] + part1 * x
+                i0 = _first(ti.min(x0, x1) - half, depth.shape[1])
+                i1 = _beyond(ti.max(x0, x1) + half, depth.shape[1])
+                if ti.static(stage == 0):
+                    _touch(touched, j, j + 1, i0, i1)
+                for i in range(i0, i1):
+                    from_x = i + 0.5 - u[0]
                     part = ti.min(ti.max((from_x * x + from_y * y) / size2, 0.0), 1.0)
                     off_x, off_y = from_x - part * x, from_y - part * y
                     if off_x * off_x + off_y * off_y <= half * half:
                         z = (1.0 - lift) / (u[2] + part * (v[2] - u[2]))
                         if ti.static(stage == 0):
-                            ti.atomic_min(depth[i, j], _depth_bits(z))
-                        elif _is_seen(depth, i, j, z):
-                            ti.atomic_max(color[i, j], _packed(_vector(rgb, s)))
+                            _keep_least(depth, j, i, z)
+                        elif _is_seen(depth, j, i, z):
+                            ti.atomic_max(color[j, i], _packed(_vector(rgb, s)))
 
 
 @ti.kernel
-def lay_floor(behind: image, colored: image, lens: numbers, background: numbers, floor: numbers):
-    """Compute what lies behind everything: a floor of tiles that fades out, or none.
+def lay_floor(depth: image, color: image, lens: numbers, background: numbers, floor: numbers):
+    """Fill a picture with what lies behind everything: a floor of tiles that fades out, or none.
 
     background: (3,). floor: () for none, else (22,): how far the eye is above the floor; the unit
     normal of the floor and its two axes; where the eye is along these, and where the middle of what
     is looked at; the side of a tile, and the distance from the middle at which the floor ends; then
     the colours of both kinds of tile.
     """
-    for i, j in behind:
+    for j, i in depth:
         rgb = ti.Vector([background[0], background[1], background[2]])
-        behind[i, j] = FARTHEST
+        depth[j, i] = FARTHEST
         if floor.shape[0] > 0:
-            d = ti.Vector([(i + 0.5 - lens[1]) / lens[0], (lens[2] - j - 0.5) / lens[0], 1.0])
+            d = _sight(lens, j, i)
             down = -1.0 * d.dot(ti.Vector([floor[1], floor[2], floor[3]]))
             if down * floor[0] > 0.0:
                 z = floor[0] / down
@@ -259,25 +316,81 @@ def lay_floor(behind: image, colored: image, lens: numbers, background: numbers,
                     tile = ti.Vector([floor[kind], floor[kind + 1], floor[kind + 2]])
                     rgb += share * (tile - rgb)
                 if share > 0.5:
-                    behind[i, j] = _depth_bits(z)
-        colored[i, j] = -1 - _packed(rgb)
+                    depth[j, i] = _depth_bits(z)
+        color[j, i] = -1 - _packed(rgb)
+
+
+@ti.func
+def _mean(samples: ti.template(), color: ti.template(), j, i):
+    """The mean colour 0xRRGGBB of samples x samples pixels, the pixel (j, i) of a picture."""
+    total = ti.Vector([0, 0, 0])
+    for p in ti.static(range(samples)):
+        for q in ti.static(range(samples)):
+            code = color[j * samples + p, i * samples + q]
+            code = ti.max(code, -1 - code)
+            total += ti.Vector([code >> 16, (code >> 8) & 255, code & 255])
+    count = ti.static(samples * samples)
+    mean = (total + count // 2) // count
+    return (mean[0] << 16) | (mean[1] << 8) | mean[2]
 
 
 @ti.kernel
-def resolve(samples: ti.template(), color: image, out: ti.types.ndarray(dtype=ti.f32, ndim=3)):
-    """Compute the picture `out` (w, h, 4), each pixel the mean of samples x samples."""
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            red, green, blue = 0, 0, 0
-            for p in ti.static(range(samples)):
-                for q in ti.static(range(samples)):
-                    code = color[i * samples + p, j * samples + q]
-                    code = ti.max(code, -1 - code)
-                    red += code >> 16
-                    green += (code >> 8) & 255
-                    blue += code & 255
-            share = 1.0 / ti.static(255.0 * samples * samples)
-            out[i, j, 0] = red * share
-            out[i, j, 1] = green * share
-            out[i, j, 2] = blue * share
-            out[i, j, 3] = 1.0
+def lay(
+    samples: ti.template(),
+    depth: image,
+    color: image,
+    touched: image,
+    behind: image,
+    colored: image,
+    laid: image,
+):
+    """Take what is drawn now as what lies behind everything: its depths, its colours.
+
+    laid: (h, w), the picture of it.
+    """
+    for tile_j, tile_i in touched:
+        touched[tile_j, tile_i] = 0
+    for j in range(depth.shape[0]):
+        for i in range(depth.shape[1]):
+            code = ti.min(color[j, i], -1 - color[j, i])
+            behind[j, i], colored[j, i] = depth[j, i], code
+            color[j, i] = code
+    for j in range(laid.shape[0]):
+        for i in range(laid.shape[1]):
+            laid[j, i] = _mean(samples, colored, j, i)
+
+
+@ti.kernel
+def resolve(
+    samples: ti.template(),
+    depth: image,
+    color: image,
+    touched: image,
+    behind: image,
+    colored: image,
+    laid: image,
+    out: image,
+):
+    """Compute the picture `out` (h, w), each pixel the mean of samples x samples.
+
+    What was drawn is gone then; what lies behind everything is as `lay` took it.
+    """
+    tall, wide = ti.static(TILE[0] // samples), ti.static(TILE[1] // samples)
+    h, w, across = out.shape[0], out.shape[1], touched.shape[1]
+    for tile in range(touched.shape[0] * across):
+        tile_j, tile_i = tile // across, tile % across
+        j0, i0 = tile_j * tall, tile_i * wide
+        j1, i1 = ti.min(j0 + tall, h), ti.min(i0 + wide, w)
+        if touched[tile_j, tile_i] == 0:
+            for j in range(j0, j1):
+                for i in range(i0, i1):
+                    out[j, i] = laid[j, i]
+        else:
+            touched[tile_j, tile_i] = 0
+            for j in range(j0, j1):
+                for i in range(i0, i1):
+                    out[j, i] = _mean(samples, color, j, i)
+            for j in range(j0 * samples, j1 * samples):
+                for i in range(i0 * samples, i1 * samples):
+                    depth[j, i] = behind[j, i]
+                    color[j, i] = colored[j, i]

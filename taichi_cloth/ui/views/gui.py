@@ -1,15 +1,21 @@
-"""Drawing with ti.GUI, Taichi's plain window: no Vulkan needed, depth by `rasterizer.py`."""
+"""A window by ti.GUI, Taichi's plain one, which shows what is painted here: no Vulkan needed.
+
+What is seen is drawn into the window's own buffer by `rasterizer.py` (with depth) and `painter.py`.
+"""
 
 from __future__ import annotations
 
 import os
+import sys
 import time
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from taichi_cloth.rasterizer import Balls, Floor, Lines, Mesh, Rasterizer
+from taichi_cloth import painter
+from taichi_cloth.painter import Shapes
+from taichi_cloth.rasterizer import Balls, Floor, Lines, Mesh, Rasterizer, Still
 from taichi_cloth.scene.model import World
 from taichi_cloth.ui import drawing, pointer, style, surfaces, x11
 from taichi_cloth.ui.camera import Camera
@@ -18,12 +24,13 @@ from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import BUTTON_NAMES, Event, fewest_moves, key_name
 from taichi_cloth.ui.pointer import Pointer
-from taichi_cloth.ui.surfaces import Topology
+from taichi_cloth.ui.surfaces import Solid, Topology
 from taichi_cloth.ui.text import Panel
 from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
 from taichi_cloth.ui.window_map import Look, WindowMap
 
 SETTLED = 0.2  # seconds a new size must last before the window follows it
+OPAQUE = 0xFF000000
 SAMPLES = 2  # a pixel of a 3-D scene is the mean of the square of so many: smooth edges
 LOOKED_AT, ENOUGH = 30, 0.012  # frames of a window in which a scene takes longer [s] to draw: 1
 EDGE_PARTS = 16  # of the world's edges
@@ -47,10 +54,13 @@ class GuiView:
         self._tap: x11.Connection | None = None
         self._held: set[str] = set()
         self._springs, self._discs = Cached(_prepared_springs), Cached(_prepared_discs)
+        self._faces = Cached(_prepared_faces), Cached(_prepared_faces)
         self._topologies = Cached(Topology.build), Cached(Topology.build)
         self._sides_of, self._solids_color = Cached(_sides), Cached(_floats)
         self._spring_colors = Cached(style.spring_colors)
         self._rasterizer: Rasterizer | None = None
+        self._still = Cached(self._make_still)
+        self._stood: Still | None = None  # in the frame before
         self._samples, self._drawn, self._quickest = SAMPLES, 0, np.inf
         self._wanted: tuple[tuple[int, int], float] | None = None
         self._open(size)
@@ -62,10 +72,10 @@ class GuiView:
         GuiView._opened += 1
         name = f"taichi-cloth {os.getpid()}.{GuiView._opened}" if self.visible else self._title
         with x11.opening() as displays:
-            self._gui = ti.GUI(name, size, style.packed_one(style.WORLD), show_gui=self.visible)
+            self._gui = ti.GUI(name, size, show_gui=self.visible, fast_gui=True)
         self._gui.fps_limit = None  # the app paces itself
         self.size = size
-        self._pixels = np.zeros((*size, 4), np.float32)
+        self._frame = _frame_of(self._gui.img.reshape(size[::-1]))
         self._rasterizer = None  # of the size before
         if self.visible:
             self._gui.show()  # only now does the window have its name
@@ -188,13 +198,16 @@ class GuiView:
             self._look_at(time.perf_counter() - begin)
         else:
             self._compose_2d(picture)
-        self._compose_overlay(picture)
+        for panel in picture.overlay:
+            self._lay(panel)
         if self.visible:
+            if sys.platform == "darwin":
+                self._gui.img[:] = _turned(self._frame).reshape(-1)
             self._gui.show()
 
     def grab(self) -> np.ndarray:
         """The frame drawn last, (height, width, 3) uint8, row 0 on top."""
-        return drawing.as_image(self._pixels)
+        return np.stack([(self._frame >> place).astype(np.uint8) for place in (16, 8, 0)], axis=2)
 
     def close(self) -> None:
         """Give the window back. May be called twice."""
@@ -205,77 +218,82 @@ class GuiView:
             self._gui.close()
 
     def _compose_2d(self, picture: Picture) -> None:
-        window = self._map
-        low, high = window.box()
-        self._surround(low, high)
+        """Paint what there is, one upon another."""
+        self._surround(*self._map.box())
+        painter.draw(self._frame, [*self._shapes(picture, self._map), *_pointer(picture.pointer)])
+
+    def _surround(self, low: np.ndarray, high: np.ndarray) -> None:
+        """Paint the world's paper, and a darker one beside it in the room."""
+        self._frame.fill(style.packed_one(style.WORLD))
+        room = self.room or Rect(0, 0, *self.size)
+        whole = self._frame[room.y : room.y + room.height, room.x : room.x + room.width]
+        x0, y0 = np.clip(np.round(low - [room.x, room.y]), 0, whole.shape[::-1]).astype(int)
+        x1, y1 = np.clip(np.round(high - [room.x, room.y]), 0, whole.shape[::-1]).astype(int)
+        for beside in (whole[:y0], whole[y1:], whole[y0:y1, :x0], whole[y0:y1, x1:]):
+            beside[:] = style.packed_one(style.SURROUND)
+
+    def _shapes(self, picture: Picture, window: WindowMap) -> list[Shapes]:
+        """What is painted of a plane: walls, solids, surfaces, springs, particles."""
         walls = window.walls(self.world.walls)
-        if len(walls):
-            a, b = window.to_canvas(walls[:, 0]), window.to_canvas(walls[:, 1])
-            self._gui.lines(a, b, radius=0.75, color=style.packed_one(style.WALL))
-        place = window.world_to_canvas(picture.position)
-        shown = drawing.are_numbers(place)
+        found = [painter.lines(walls[:, 0], walls[:, 1], 1.5, style.packed_one(style.WALL))]
         if picture.solids is not None:
-            corner = window.world_to_canvas(picture.solids.vertex)
-            flat = style.flat_colors(picture.solids.color, picture.solids.triangles)
-            corners, of = drawing.clipped(corner.take(picture.solids.triangles, axis=0))
-            self._gui.triangles(*corners.transpose(1, 0, 2), style.packed(flat[of]))
+            faces = picture.solids.triangles
+            corner = window.to_window(picture.solids.vertex).take(faces, axis=0)
+            found.append(painter.triangles(corner, *self._faces[1](faces, picture.solids.color)))
+        place = window.to_window(picture.position)
+        shown = drawing.are_numbers(place)
         faces = drawing.between_shown(picture.triangles, shown)
         if len(faces):
-            codes = style.packed(style.flat_colors(picture.color_in_surfaces, faces))
-            self._gui.triangles(*place.take(faces.T, axis=0), codes)
+            corner = place.take(faces, axis=0)
+            found.append(
+                painter.triangles(corner, *self._faces[0](faces, picture.color_in_surfaces))
+            )
         segments = drawing.between_shown(picture.segments, shown)
         if len(segments):
             first, second, color = self._springs(segments, picture.color, picture.spring_color)
-            a, b = place.take(first, axis=0), place.take(second, axis=0)
             wide = drawing.line_width(self._room_height)
-            self._gui.lines(a, b, radius=max(1.0, 0.75 * wide), color=color)
+            found.append(
+                painter.lines(place.take(first, axis=0), place.take(second, axis=0), wide, color)
+            )
         if picture.as_spheres is not None:
             shown &= picture.as_spheres
         if shown.any():
             place, radius, color = drawing.shown_particles(place, picture, shown)
             for disc in self._discs(radius, color, window.scale):
-                self._gui.circles(place, *disc)
-
-    def _surround(self, low: np.ndarray, high: np.ndarray) -> None:
-        """Darken what lies in the room beside the world (the canvas is the world's colour)."""
-        room = self.room or Rect(0, 0, *self.size)
-        x, y, right, bottom = room.x, room.y, room.x + room.width, room.y + room.height
-        color = style.packed_one(style.SURROUND)
-        for x0, y0, x1, y1 in (
-            (x, y, low[0], bottom),
-            (high[0], y, right, bottom),
-            (x, y, right, low[1]),
-            (x, high[1], right, bottom),
-        ):
-            if x1 - x0 > 0.5 and y1 - y0 > 0.5:
-                a, b, c, d = self._map.to_canvas([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
-                self._gui.triangle(a, b, c, color)
-                self._gui.triangle(a, c, d, color)
+                found.append(painter.discs(place, *disc))
+        return found
 
     def _compose_3d(self, picture: Picture, camera: Camera) -> None:
-        """Draw what there is with a depth buffer into `self._pixels`."""
+        """Draw what there is with a depth buffer, and the pointer over it."""
         if self._rasterizer is None:
             self._rasterizer = Rasterizer(self.size, self._samples)
         eye = np.array([0.0, 0.0, camera.distance])
         position = camera.rotate_points(picture.position) + eye
         shown = drawing.are_numbers(position)
         segments = drawing.between_shown(picture.segments, shown)
-        lines = [self._scenery(camera, eye)]
+        still, keep = self._standing(camera, picture.solids), True
+        if still is not self._stood:  # it changes with each frame, or did so just now
+            self._stood, keep = still, False
+        lines = [] if keep else [*still.lines]
+        meshes = self._meshes(picture, camera, position, shown)
         focal = camera.focal_length * self._map.scale
         if len(segments):
             lines.append(self._spring_lines(picture, segments, position, focal / camera.distance))
         x, y = self._map.to_window(camera.middle)
-        self._pixels = self._rasterizer.draw(
+        self._rasterizer.draw(
+            self._frame,
             focal,
-            (x, self.size[1] - y),
+            (x, y),
             camera.nearest_drawn,
             _lights(2 if picture.has_surfaces else 1),
             style.unit(style.WORLD),
-            meshes=self._meshes(picture, camera, position, shown, eye),
+            meshes=meshes if keep else [*still.meshes, *meshes],
             balls=self._balls(picture, position, shown),
             lines=lines,
             floor=None if picture.ground is None else _floor(picture.ground, camera),
+            still=still if keep else None,
         )
+        painter.draw(self._frame, _pointer(picture.pointer))
 
     def _look_at(self, seconds: float) -> None:
         """Draw with fewer samples in a window whose scene takes too long with more."""
@@ -288,28 +306,43 @@ class GuiView:
             self._drawn, self._quickest = 0, np.inf
 
     def _meshes(
-        self,
-        picture: Picture,
-        camera: Camera,
-        position: np.ndarray,
-        shown: np.ndarray,
-        eye: np.ndarray,
+        self, picture: Picture, camera: Camera, position: np.ndarray, shown: np.ndarray
     ) -> list[Mesh]:
-        """The surfaces of cloths, and those of obstacles.
+        """The surfaces of cloths.
 
         position: (n, 3), of the picture's particles, from the eye in camera axes. shown: (n,) bool.
         """
-        meshes, solids = [], picture.solids
-        if len(picture.triangles):
-            topology = self._topologies[0](picture.triangles).of_shown(shown)
-            front, back = self._sides_of(picture.color_in_surfaces)
-            meshes.append(_mesh(topology, camera, position, front, back, picture.normals))
-        if solids is not None:
-            topology = self._topologies[1](solids.triangles)
-            color = self._solids_color(solids.color)
-            place = camera.rotate_points(solids.vertex) + eye
-            meshes.append(_mesh(topology, camera, place, color, color, None))
-        return meshes
+        if not len(picture.triangles):
+            return []
+        topology = self._topologies[0](picture.triangles).of_shown(shown)
+        front, back = self._sides_of(picture.color_in_surfaces)
+        return [_mesh(topology, camera, position, front, back, picture.normals)]
+
+    def _standing(self, camera: Camera, solids: Solid | None) -> Still:
+        """What only changes with the camera, or with obstacles: these, and the scenery."""
+        seen = (camera.rot_x, camera.rot_y, camera.distance, camera.radius, *camera.centre)
+        solid = (
+            (None, None, None)
+            if solids is None
+            else (solids.vertex, solids.triangles, solids.color)
+        )
+        return self._still(camera, seen, self.size, *solid)
+
+    def _make_still(
+        self,
+        camera: Camera,
+        seen: tuple[float, ...],
+        size: tuple[int, int],
+        vertex: np.ndarray | None,
+        triangles: np.ndarray | None,
+        color: np.ndarray | None,
+    ) -> Still:
+        eye, meshes = np.array([0.0, 0.0, camera.distance]), []
+        if vertex is not None and triangles is not None and color is not None:
+            topology, colors = self._topologies[1](triangles), self._solids_color(color)
+            place = camera.rotate_points(vertex) + eye
+            meshes.append(_mesh(topology, camera, place, colors, colors, None))
+        return Still(meshes, [self._scenery(camera, eye)])
 
     def _balls(self, picture: Picture, position: np.ndarray, shown: np.ndarray) -> Balls:
         """The particles that are drawn."""
@@ -325,7 +358,8 @@ class GuiView:
         end = camera.rotate_points(_cut(edges, EDGE_PARTS).reshape(-1, 3)) + eye
         color = np.repeat(color, EDGE_PARTS, axis=0).astype(np.float32)
         wide = drawing.edge_width(self.size[1])
-        return Lines(end.astype(np.float32), color, np.full(len(color), wide, np.float32))
+        wide_each = np.full(len(color), wide, np.float32)
+        return Lines(end.astype(np.float32), color, wide_each, drawing.LIFTED)
 
     def _spring_lines(
         self, picture: Picture, segments: np.ndarray, position: np.ndarray, pixels: float
@@ -343,37 +377,46 @@ class GuiView:
             drawing.LIFTED if len(picture.triangles) else 0.0,
         )
 
-    def _compose_overlay(self, picture: Picture) -> None:
-        """Copy the text's pixels over the frame (and keep the frame for `grab`)."""
-        if picture.pointer is not None:
-            if self.camera is not None:  # it is drawn on what is there
-                self._gui.core.set_img(self._pixels.ctypes.data)
-            self._draw_pointer(picture.pointer)
-        if self.camera is None or picture.pointer is not None:
-            self._gui.core.get_img(self._pixels.ctypes.data)
-        for panel in picture.overlay:
-            self._lay(panel)
-        if picture.overlay or self.camera is not None:
-            self._gui.core.set_img(self._pixels.ctypes.data)
-
-    def _draw_pointer(self, drawn: Pointer) -> None:
-        """Draw the pointer: its lines, on wider dark ones."""
-        a, b = self._map.to_canvas(drawn.lines()).transpose(1, 0, 2)
-        for color, wide in ((pointer.SHADE, pointer.WIDE_SHADE), (pointer.COLOR, pointer.WIDE)):
-            self._gui.lines(a, b, radius=wide / 2, color=style.packed_one(color))
-
     def _lay(self, panel: Panel) -> None:
         """Copy a panel over the frame."""
         h, w = panel.pixels.shape[:2]
-        top = self.size[1] - panel.y
-        self._pixels[panel.x : panel.x + w, top - h : top, :3] = _canvas_block(panel)
+        self._frame[panel.y : panel.y + h, panel.x : panel.x + w] = _block(panel)
 
 
-@lru_cache(maxsize=16)
-def _canvas_block(panel: Panel) -> np.ndarray:
-    """A panel's pixels as ti.GUI's canvas has them, (w, h, 3) floats 0..1 from the bottom up."""
-    upright = panel.pixels[::-1].transpose(1, 0, 2)
-    return np.ascontiguousarray(upright, np.float32) / 255
+def _frame_of(buffer: np.ndarray) -> np.ndarray:
+    """The picture (h, w) uint32, 0xRRGGBB, row 0 on top, that is drawn for a window's buffer.
+
+    It is the buffer itself, but for macOS, whose windows have bytes in another order.
+    """
+    return np.zeros_like(buffer) if sys.platform == "darwin" else buffer
+
+
+def _turned(frame: np.ndarray) -> np.ndarray:
+    """A picture of 0xRRGGBB as macOS shows it: opaque, with red and blue in each other's places."""
+    turned: np.ndarray = (frame & 255) << 16 | (frame & 0xFF00) | (frame >> 16 & 255) | OPAQUE
+    return turned
+
+
+@lru_cache(maxsize=32)
+def _block(panel: Panel) -> np.ndarray:
+    """A panel's pixels, (h, w) uint32, 0xRRGGBB."""
+    red, green, blue = np.moveaxis(panel.pixels.astype(np.uint32), 2, 0)
+    block: np.ndarray = red << 16 | green << 8 | blue
+    return block
+
+
+def _pointer(drawn: Pointer | None) -> list[Shapes]:
+    """The pointer, if it is drawn: its lines, on wider dark ones."""
+    if drawn is None:
+        return []
+    first, second = drawn.lines().transpose(1, 0, 2)
+    looks = ((pointer.SHADE, pointer.WIDE_SHADE), (pointer.COLOR, pointer.WIDE))
+    return [painter.lines(first, second, wide, style.packed_one(color)) for color, wide in looks]
+
+
+def _prepared_faces(triangles: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which sides of flat triangles are the surface's edge, and packed colours."""
+    return painter.outline(triangles), style.packed(style.flat_colors(color, triangles))
 
 
 def _prepared_springs(

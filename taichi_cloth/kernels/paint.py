@@ -1,0 +1,139 @@
+"""Flat shapes as pixels, one upon another as a painter would, with smooth edges.
+
+A shape covers a share of each pixel at its edge, taken from how far the pixel's middle is from the
+edge: exact for edges along rows and columns, and right on the mean for others. That share of its
+colour is mixed into what lies there. Tiles are painted at a time by different threads, each with
+all shapes in their order: the picture has the same bits however many threads paint it.
+
+Places are pixels, x right, y down, from the corner at the top left. A picture (h, w) has a row of
+pixels at a time from the top down, as 0xRRGGBB. Shapes are rows of `number` (k, 7) and `what`
+(k, 2). `what` is their kind and their colour, 0xRRGGBB. Of the kind `STROKE` are all places that
+are at most so far from a line: its two ends, two numbers that are not used, and how far; a disc is
+one whose ends are the same. All other kinds are triangles: three corners, and a number that is not
+used; the kind is the sum of 1, 2 and 4 for each of the sides between corners 0 and 1, 1 and 2, and
+2 and 0 that is smooth. One that is not hides what is under it as far as a neighbour may begin.
+"""
+
+import taichi as ti
+
+STROKE = -1
+COMMON = -1.0 / 64  # pixels that triangles overlap at sides that are not smooth
+
+image = ti.types.ndarray(dtype=ti.i32, ndim=2)
+rows = ti.types.ndarray(dtype=ti.f32, ndim=2)
+indices = ti.types.ndarray(dtype=ti.i32, ndim=2)
+
+
+@ti.func
+def _first(place, low, high):
+    """The first pixel from `low` to `high` whose middle lies at `place` or after it."""
+    return ti.cast(ti.ceil(ti.min(ti.max(place - 0.5, low + 0.0), high + 0.0)), ti.i32)
+
+
+@ti.func
+def _beyond(place, low, high):
+    """The first pixel from `low` to `high` whose middle lies after `place`."""
+    return ti.cast(ti.floor(ti.min(ti.max(place + 0.5, low + 0.0), high + 0.0)), ti.i32)
+
+
+@ti.func
+def _mix(frame: ti.template(), j, i, color, share):
+    """Mix this share of a colour into a pixel."""
+    if share >= 1.0:
+        frame[j, i] = color
+    elif share > 0.0:
+        under = frame[j, i]
+        mixed = 0
+        for place in ti.static((16, 8, 0)):
+            below, above = (under >> place) & 255, (color >> place) & 255
+            channel = below + share * (above - below) + 0.5
+            mixed += ti.cast(channel, ti.i32) << place
+        frame[j, i] = mixed
+
+
+@ti.func
+def _stroke(frame: ti.template(), number: ti.template(), s, color, top, bottom, left, right):
+    """Paint what is near a line, from row `top` to before `bottom`, `left` to before `right`."""
+    ax, ay, half = number[s, 0], number[s, 1], number[s, 6]
+    along, down = number[s, 2] - ax, number[s, 3] - ay
+    by_size2 = 1.0 / ti.max(along * along + down * down, 1e-12)
+    reach = half + 0.5
+    whole2 = ti.max(half - 0.5, 0.0) ** 2  # so near, squared, all of a pixel is covered
+    j0 = _first(ti.min(ay, ay + down) - reach, top, bottom)
+    j1 = _beyond(ti.max(ay, ay + down) + reach, top, bottom)
+    for j in range(j0, j1):
+        # Only this part of the line, from one share of it to another, is so near to the row.
+        y = j + 0.5 - ay
+        part0, part1 = 0.0, 1.0
+        if ti.abs(down) > 1e-3:
+            one, other = (y - reach) / down, (y + reach) / down
+            part0 = ti.min(ti.max(ti.min(one, other), 0.0), 1.0)
+            part1 = ti.min(ti.max(ti.max(one, other), 0.0), 1.0)
+        x0, x1 = ax + part0 * along, ax + part1 * along
+        i0 = _first(ti.min(x0, x1) - reach, left, right)
+        i1 = _beyond(ti.max(x0, x1) + reach, left, right)
+        for i in range(i0, i1):
+            x = i + 0.5 - ax
+            part = ti.min(ti.max((x * along + y * down) * by_size2, 0.0), 1.0)
+            off_x, off_y = x - part * along, y - part * down
+            away2 = off_x * off_x + off_y * off_y
+            if away2 < whole2:
+                frame[j, i] = color
+            elif away2 < reach * reach:
+                away = ti.sqrt(away2)
+                _mix(frame, j, i, color, ti.min(away + 0.5, half) - ti.max(away - 0.5, -half))
+
+
+@ti.func
+def _triangle(
+    frame: ti.template(), number: ti.template(), s, kind, color, top, bottom, left, right
+):
+    """Paint a triangle, from row `top` to before `bottom`, `left` to before `right`."""
+    x = ti.Vector([number[s, 0], number[s, 2], number[s, 4]])
+    y = ti.Vector([number[s, 1], number[s, 3], number[s, 5]])
+    area = (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0])
+    if area != 0.0:
+        # Of each side: how far a place is inside it is across * x + downwards * y + at.
+        across, downwards, at = ti.Vector([0.0] * 3), ti.Vector([0.0] * 3), ti.Vector([0.0] * 3)
+        least = ti.Vector([0.0] * 3)
+        for k in ti.static(range(3)):
+            to_x, to_y = x[(k + 1) % 3] - x[k], y[(k + 1) % 3] - y[k]
+            length = ti.max(ti.sqrt(to_x * to_x + to_y * to_y), 1e-12)
+            way = ti.select(area > 0.0, 1.0, -1.0) / length
+            across[k], downwards[k] = -way * to_y, way * to_x
+            at[k] = -across[k] * x[k] - downwards[k] * y[k]
+            least[k] = ti.select((kind >> k) & 1, -0.5, COMMON)
+        for j in range(_first(y.min() - 0.5, top, bottom), _beyond(y.max() + 0.5, top, bottom)):
+            # The row is inside all sides from `low` to `high`.
+            low, high = x.min() - 0.5, x.max() + 0.5
+            for k in ti.static(range(3)):
+                free = least[k] - at[k] - downwards[k] * (j + 0.5)
+                if across[k] > 1e-6:
+                    low = ti.max(low, free / across[k])
+                elif across[k] < -1e-6:
+                    high = ti.min(high, free / across[k])
+            for i in range(_first(low - 0.01, left, right), _beyond(high + 0.01, left, right)):
+                share = 1.0
+                for k in ti.static(range(3)):
+                    inside = across[k] * (i + 0.5) + downwards[k] * (j + 0.5) + at[k]
+                    if (kind >> k) & 1:
+                        share = ti.min(share, inside + 0.5)
+                    elif inside < COMMON:
+                        share = 0.0
+                _mix(frame, j, i, color, share)
+
+
+@ti.kernel
+def paint(frame: image, tall: ti.i32, wide: ti.i32, number: rows, what: indices):
+    """Paint shapes, each upon those before it, tile by tile of `tall` x `wide` pixels."""
+    h, w = frame.shape[0], frame.shape[1]
+    down, across = (h + tall - 1) // tall, (w + wide - 1) // wide
+    ti.loop_config(block_dim=1)
+    for tile in range(down * across):
+        top, left = tile // across * tall, tile % across * wide
+        bottom, right = ti.min(top + tall, h), ti.min(left + wide, w)
+        for s in range(what.shape[0]):
+            if what[s, 0] < 0:
+                _stroke(frame, number, s, what[s, 1], top, bottom, left, right)
+            else:
+                _triangle(frame, number, s, what[s, 0], what[s, 1], top, bottom, left, right)
