@@ -50,7 +50,9 @@ ROOMS = {
     "limits": {"kernels", "scene"},
     "simulation": {*BASE, "limits", "runtime"},
     "rasterizer": {"kernels"},
-    "ui": {*BASE, "console", "declarations", "rasterizer", "runtime", "simulation"} - {"kernels"},
+    "painter": {"kernels", "runtime"},
+    "ui": {*BASE, "console", "declarations", "painter", "rasterizer", "runtime", "simulation"}
+    - {"kernels"},
     "explain": {*BASE, "console", "measuring", "runtime", "simulation"},
     "stability": {*BASE, "console", "limits", "runtime", "simulation"},
     "trade": {*BASE, "console", "limits", "measuring", "runtime", "simulation"},

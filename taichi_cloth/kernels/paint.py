@@ -1,8 +1,9 @@
 """Flat shapes as pixels, one upon another as a painter would, with smooth edges.
 
-A shape covers a share of each pixel at its edge, taken from how far the pixel's middle is from the
-edge: exact for edges along rows and columns, and right on the mean for others. That share of its
-colour is mixed into what lies there. Tiles are painted at a time by different threads, each with
+A shape covers a share of each pixel at its edge: as much as it covers of a straight way through the
+pixel's middle, across the edge and as long as the pixel is in that direction. That is exact for
+edges along rows and columns, and right on the mean for others. That share of its colour is mixed
+into what lies there. Tiles are painted at a time by different threads, each with
 all shapes in their order: the picture has the same bits however many threads paint it.
 
 Places are pixels, x right, y down, from the corner at the top left. A picture (h, w) has a row of
@@ -17,6 +18,7 @@ used; the kind is the sum of 1, 2 and 4 for each of the sides between corners 0 
 import taichi as ti
 
 STROKE = -1
+DIAGONAL = 0.7072  # from a pixel's middle to its corner
 COMMON = -1.0 / 64  # pixels that triangles overlap at sides that are not smooth
 
 image = ti.types.ndarray(dtype=ti.i32, ndim=2)
@@ -57,8 +59,8 @@ def _stroke(frame: ti.template(), number: ti.template(), s, color, top, bottom, 
     ax, ay, half = number[s, 0], number[s, 1], number[s, 6]
     along, down = number[s, 2] - ax, number[s, 3] - ay
     by_size2 = 1.0 / ti.max(along * along + down * down, 1e-12)
-    reach = half + 0.5
-    whole2 = ti.max(half - 0.5, 0.0) ** 2  # so near, squared, all of a pixel is covered
+    reach = half + DIAGONAL
+    whole2 = ti.max(half - DIAGONAL, 0.0) ** 2  # so near, squared, all of a pixel is covered
     j0 = _first(ti.min(ay, ay + down) - reach, top, bottom)
     j1 = _beyond(ti.max(ay, ay + down) + reach, top, bottom)
     for j in range(j0, j1):
@@ -80,8 +82,10 @@ def _stroke(frame: ti.template(), number: ti.template(), s, color, top, bottom, 
             if away2 < whole2:
                 frame[j, i] = color
             elif away2 < reach * reach:
-                away = ti.sqrt(away2)
-                _mix(frame, j, i, color, ti.min(away + 0.5, half) - ti.max(away - 0.5, -half))
+                away = ti.max(ti.sqrt(away2), 1e-3)
+                long = ti.max((ti.abs(off_x) + ti.abs(off_y)) / away, 1.0)  # 1 to sqrt 2
+                common = ti.min(away + 0.5 * long, half) - ti.max(away - 0.5 * long, -half)
+                _mix(frame, j, i, color, common / long)
 
 
 @ti.func
@@ -98,14 +102,18 @@ def _triangle(
         least = ti.Vector([0.0] * 3)
         for k in ti.static(range(3)):
             to_x, to_y = x[(k + 1) % 3] - x[k], y[(k + 1) % 3] - y[k]
-            length = ti.max(ti.sqrt(to_x * to_x + to_y * to_y), 1e-12)
-            way = ti.select(area > 0.0, 1.0, -1.0) / length
+            size = ti.sqrt(to_x * to_x + to_y * to_y)
+            least[k] = COMMON
+            if (kind >> k) & 1:  # measured in how long a pixel is across the side
+                size, least[k] = ti.abs(to_x) + ti.abs(to_y), -0.5
+            way = ti.select(area > 0.0, 1.0, -1.0) / ti.max(size, 1e-12)
             across[k], downwards[k] = -way * to_y, way * to_x
             at[k] = -across[k] * x[k] - downwards[k] * y[k]
-            least[k] = ti.select((kind >> k) & 1, -0.5, COMMON)
-        for j in range(_first(y.min() - 0.5, top, bottom), _beyond(y.max() + 0.5, top, bottom)):
+        for j in range(
+            _first(y.min() - DIAGONAL, top, bottom), _beyond(y.max() + DIAGONAL, top, bottom)
+        ):
             # The row is inside all sides from `low` to `high`.
-            low, high = x.min() - 0.5, x.max() + 0.5
+            low, high = x.min() - DIAGONAL, x.max() + DIAGONAL
             for k in ti.static(range(3)):
                 free = least[k] - at[k] - downwards[k] * (j + 0.5)
                 if across[k] > 1e-6:

@@ -13,7 +13,6 @@ from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.views.contract import Picture
 
 LIFTED = 1e-3  # by this share of the way to the eye springs are seen before their surface
-ASIDE = 0.01  # of the canvas: so far outside it triangles are still drawn
 RIM = 0.45  # of a disc's colour is that of its rim
 AXES_LENGTH = 0.16  # in radii of what the camera frames
 
@@ -106,37 +105,6 @@ def shown_particles(
 def line_width(height: int) -> float:
     """How wide lines of a 2-D world are drawn, in pixels, in a room of this height."""
     return max(1.4, height / 480)
-
-
-def clipped(corner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The parts of triangles (m, 3, 2) that lie on the canvas, as triangles (k, 3, 2).
-
-    ti.GUI goes through all pixels around a triangle, on the canvas or not. Returned, too, is of
-    which triangle each is a part, (k,).
-    """
-    inside = ((corner > -ASIDE) & (corner < 1 + ASIDE)).all(axis=(1, 2))
-    parts, of = [corner[inside]], [np.flatnonzero(inside)]
-    for number in np.flatnonzero(~inside):
-        polygon = list(corner[number])
-        for axis, side in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
-            limit = -ASIDE if side > 0 else -1 - ASIDE
-            polygon = _cut_off(polygon, axis, side, limit)
-        fan = [[polygon[0], *polygon[n : n + 2]] for n in range(1, len(polygon) - 1)]
-        parts.append(np.array(fan, corner.dtype).reshape(-1, 3, 2))
-        of.append(np.full(len(fan), number))
-    return np.concatenate(parts), np.concatenate(of)
-
-
-def _cut_off(polygon: list[np.ndarray], axis: int, side: float, limit: float) -> list[np.ndarray]:
-    """What of a convex polygon has side * x[axis] >= limit (Sutherland, Hodgman, 1974)."""
-    kept: list[np.ndarray] = []
-    for a, b in zip(polygon, [*polygon[1:], *polygon[:1]], strict=True):
-        over_a, over_b = side * a[axis] - limit, side * b[axis] - limit
-        if over_a >= 0:
-            kept.append(a)
-        if (over_a >= 0) != (over_b >= 0):
-            kept.append(a + over_a / (over_a - over_b) * (b - a))
-    return kept
 
 
 def disc_layers(
