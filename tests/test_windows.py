@@ -874,11 +874,14 @@ def test_a_resized_window_keeps_the_aspect_and_cuts_nothing_off(window):
 
     w = window("none", 2)
     w.do("windowsize", w.id, 1000, 400)
-    time.sleep(1.0)
-    w.find()
-    w.point(501, 201)
-    w.point(500, 200)
-    assert w.events()[-1]["size"] == [1000, 400]
+
+    def is_wide():
+        w.find()  # ti.GUI opens it anew
+        w.point(501, 201)
+        w.point(500, 200)
+        return w.events() and w.events()[-1].get("size") == [1000, 400]
+
+    w.wait(is_wide)
     assert [e["pos"] for e in w.events() if e["kind"] == "move"][-1] == [300, 200]
     w.quit()
     pixels = np.asarray(Image.open(w.image).convert("RGB")).astype(int)

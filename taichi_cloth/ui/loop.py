@@ -473,4 +473,5 @@ class Loop:
     def summary(self) -> Summary:
         """What the run did so far."""
         seconds = time.perf_counter() - self._started if self._started is not None else 0.0
-        return Summary(self.frames, seconds, self._simulate, self._draw, self.quit)
+        parts = self._simulate, self._draw, self._schedule.waited_in_all
+        return Summary(self.frames, seconds, *parts, self.quit)

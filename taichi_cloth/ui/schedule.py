@@ -14,11 +14,11 @@ AWAKE, ASLEEP, POLLED = 1.0, 1.0, 1 / 30
 class Schedule:
     """When the next turn of a window is due, and whether it is to be drawn in this one.
 
-    waited: seconds before the present turn.
+    waited, waited_in_all: seconds, before the present turn, and before all until now.
     """
 
     def __init__(self) -> None:
-        self.waited = 0.0
+        self.waited = self.waited_in_all = 0.0
         self._next = 0.0
         self._awake_until = self._drawn_at = 0.0
         self._drawn_size = (0, 0)
@@ -48,6 +48,7 @@ class Schedule:
         self.waited = max(self._next - now, 0.0)
         if self.waited > 0.0:
             time.sleep(self.waited)
+            self.waited_in_all += self.waited
         elif now - self._next > period:
             self._next = now
         self._next += period

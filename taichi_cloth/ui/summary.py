@@ -11,11 +11,13 @@ class Summary:
 
     frames: advanced in this run. seconds: it took, from the first to the last. simulate: the part
     of these spent simulating, without the first frame, which compiles. draw: the part spent
-    drawing. quit: whether the user ended it.
+    drawing. waited: the part spent waiting until the next frame was due. quit: whether the user
+    ended it.
     """
 
     frames: int
     seconds: float
     simulate: float
     draw: float
+    waited: float
     quit: bool

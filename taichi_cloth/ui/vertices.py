@@ -8,6 +8,7 @@ and colours and sizes only where these changed.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,6 +70,30 @@ def quads(count: int) -> np.ndarray:
     """The corners, int32, of the two triangles of each of so many four vertices that go round."""
     corner = 4 * np.arange(count, dtype=np.int32)[:, None] + np.array([0, 1, 2, 0, 2, 3], np.int32)
     return corner.reshape(-1)
+
+
+class Triangles:
+    """Triangles that are drawn together, in the order in which they were added."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[np.ndarray, np.ndarray]] = []
+        self._count = 0
+
+    def add(self, vertex: np.ndarray, index: np.ndarray) -> None:
+        """Add those of the vertices (k, STRIDE) float32 whose numbers are in index (3m,) int32."""
+        self._parts.append((vertex, index + self._count if self._count else index))
+        self._count += len(vertex)
+
+    def taken(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Their vertices and numbers, once; nothing where there are none."""
+        parts, self._parts, self._count = self._parts, [], 0
+        if sum(len(index) for _, index in parts):
+            vertex, index = zip(*parts, strict=True)
+            yield (
+                (vertex[0], index[0])
+                if len(parts) == 1
+                else (np.concatenate(vertex), np.concatenate(index))
+            )
 
 
 @dataclass
