@@ -8,6 +8,7 @@ digits and return set a number, backspace takes one away, delete goes back to th
 
 from __future__ import annotations
 
+import operator
 import string
 import time
 from collections.abc import Iterator
@@ -33,11 +34,12 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
     from taichi_cloth.ui.controls import Controls
 
-REFRESH = 0.2  # seconds between readings of all values: some are columns of many springs
+REFRESH = 0.2  # seconds between looks at what was set elsewhere, as by a tool
 TWICE = 0.35  # seconds within which two clicks are a double click
 NOTCH = 0.02  # of a slider's length that an arrow key moves
 TYPED = frozenset(string.digits + ".-e")
 SCENE, METHOD = "scene", "method"  # rows that unfold
+MOST_BLOCKS = 500  # pictures of rows that are kept
 FOOT = 4  # lines of the foot at least
 HINT = "click a setting; twice: the scene's own value; ~ is predicted, ? unknown"
 
@@ -58,6 +60,8 @@ class SettingsPanel:
         self._costs = SettingCosts(sim, frames)
         self._rows: list[Placed] = []
         self._read_at, self._shape = -np.inf, (0, 0)
+        self._values: list[tuple[Setting, Value]] = []
+        self._read_of: tuple[tuple[object, ...], object] = (None, None), None
         self._chosen = ""  # the name of the row that the keys change
         self._unfolded = ""  # the name of the choice whose words are listed
         self._typed = ""
@@ -67,6 +71,7 @@ class SettingsPanel:
         self._wanted: str | None = None  # the scene that is to be opened
         self.given: dict[str, Value] = {}
         self.focused = False
+        self._blocks: dict[tuple[Placed, int, int, bool, str], tuple[np.ndarray, str]] = {}
         self._drawn: tuple[object, Panel] | None = None
         self._noted: tuple[object, tuple[str, str]] | None = None
         self._foot = 0  # pixels
@@ -93,15 +98,25 @@ class SettingsPanel:
         self._read_at, self._shape = now, (width, height)
         self._rows = rows.place(list(self._found()), width, height)
 
+    def _settings(self) -> list[tuple[Setting, Value]]:
+        """The settings with their values, read anew where something was set."""
+        sim = self._sim
+        scenes = sim.storage.scene, sim.scene
+        run = sim.method, sim.dt, sim.substeps, tuple(sim.solver.items())
+        if not (all(map(operator.is_, scenes, self._read_of[0])) and run == self._read_of[1]):
+            self._read_of = scenes, run
+            self._blocks.clear()
+            self._values = [(one, one.read(sim)) for one in live.settings_of(sim)]
+        return self._values
+
     def _found(self) -> Iterator[Row]:
         """The rows as they are now."""
         yield from self._of_scene()
         group = ""
-        for one in live.settings_of(self._sim):
+        for one, value in self._settings():
             if one.group != group:
                 yield Row("", one.group, cost="cost now" if not group else "")
                 group = one.group
-            value = one.read(self._sim)
             cost = self._costs.of(one, value)
             yield Row(
                 one.name, one.label, rows.shown(one, value), cost.words, cost.used, one, value,
@@ -160,6 +175,8 @@ class SettingsPanel:
     def _anew(
         self, rect: Rect, height: int, note: tuple[str, str], lines: list[list[str]]
     ) -> Panel:
+        if len(self._blocks) > MOST_BLOCKS:
+            self._blocks.clear()
         pixels = np.empty((rect.height, rect.width, 3), np.uint8)
         pixels[:] = style.PAPER
         pixels[:, :1] = style.WALL
@@ -169,9 +186,12 @@ class SettingsPanel:
             top, name = placed.top - self._first, placed.row.name
             if top < 0 or top + placed.tall > room:
                 continue
-            block, chosen = pixels[top : top + placed.tall], bool(name) and name == self._chosen
-            typed = self._typed if chosen else ""
-            said.append(rows.draw(block, placed, height, chosen=chosen, typed=typed))
+            chosen = bool(name) and name == self._chosen
+            key = placed, rect.width, height, chosen, self._typed if chosen else ""
+            if key not in self._blocks:
+                self._blocks[key] = rows.draw(*key)
+            pixels[top : top + placed.tall], words = self._blocks[key]
+            said.append(words)
         foot = pixels[room:]
         foot[:] = style.SURROUND
         y = 0.4 * height

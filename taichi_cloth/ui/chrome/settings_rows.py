@@ -6,7 +6,7 @@ label and value do not fit beside each other, the value stands under the label.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,7 +43,7 @@ class Row:
     value: str = ""
     cost: str = ""
     used: float | None = None
-    setting: Setting | None = None
+    setting: Setting | None = field(default=None, compare=False)
     number: Value = None
     option: str = ""
     fixed: bool = False
@@ -135,17 +135,21 @@ def is_on_slider(placed: Placed, y: float, height: int) -> bool:
     return placed.row.has_slider and y > placed.tall - (SLIDER + 0.4) * height
 
 
-def draw(block: np.ndarray, placed: Placed, height: int, *, chosen: bool, typed: str) -> str:
-    """Draw a row into its pixels (tall, width, 3); returns what is written there.
+def draw(
+    placed: Placed, width: int, height: int, chosen: bool, typed: str
+) -> tuple[np.ndarray, str]:
+    """A row's pixels (tall, width, 3) uint8, and what is written there.
 
-    chosen: whether the keys change it. typed: what was typed for it.
+    height: of the text. chosen: whether the keys change it. typed: what was typed for it.
     """
-    row, width = placed.row, block.shape[1]
+    row, block = placed.row, np.empty((placed.tall, width, 3), np.uint8)
+    block[:] = style.PAPER
+    block[:, :1] = style.WALL
     if not row.name:
         y = placed.tall - 1.3 * height
         text.write(block, row.label, (pad(height), y), height, style.KEY_INK)
         _write_cost(block, row, y, height)
-        return f"{row.label} {row.cost}".strip()
+        return block, f"{row.label} {row.cost}".strip()
     if chosen:
         block[:, 1:] = style.BUTTON
     ink = style.MUTED if row.fixed else style.KEY_INK if row.changed else style.INK
@@ -158,7 +162,7 @@ def draw(block: np.ndarray, placed: Placed, height: int, *, chosen: bool, typed:
     _write_cost(block, row, y, height)
     if row.has_slider:
         _draw_slider(block, row, height, ink)
-    return " ".join(part for part in (row.label, words, row.cost) if part)
+    return block, " ".join(part for part in (row.label, words, row.cost) if part)
 
 
 def _write_cost(block: np.ndarray, row: Row, y: float, height: int) -> None:
