@@ -46,7 +46,7 @@ class FakeSimulation:
 
     method, dt, substeps, execution = "symplectic_euler", 1.0, 1, "serial"
     topology = "graph"
-    held_up = None
+    held_up, follows = None, False
     solver = {}
 
     def describe_size(self):
