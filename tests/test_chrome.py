@@ -189,21 +189,34 @@ def test_a_drag_on_the_timeline_goes_through_its_frames(sim):
     assert not chrome.is_open("timeline")
 
 
+class Pressed(NullView):
+    """A window in which keys are pressed, those of each turn at once; it closes after the last."""
+
+    visible = True
+
+    def __init__(self, world, turns):
+        super().__init__(world)
+        self.turns = turns
+
+    def poll(self):
+        keys, *self.turns = self.turns
+        self.closed = not self.turns
+        return [Event("press", key=key) for key in keys]
+
+
+def test_what_a_key_closed_gets_nothing_of_the_same_turn(sim):
+    """A slow frame leaves many keys for one turn; the panels are those after each of them."""
+    turns = (["l", "m", "o"], ["l", "p", "o", "p"], ["m", "l"], [])
+    app.run(sim, Pressed(sim.scene.world, turns), quiet=True, device="test")
+
+
 def test_keys_write_a_checkpoint_and_export_the_last_seconds(sim, tmp_path):
     """Pressed after 3 frames and after 5: what is read back is the run as it was then."""
 
-    class Keys(NullView):
-        visible = True
-        turns = ([], [], [], ["w"], [], ["x"], [])
-
-        def poll(self):
-            keys, *self.turns = self.turns
-            self.closed = not self.turns
-            return [Event("press", key=key) for key in keys]
-
     seen = []
+    window = Pressed(sim.scene.world, ([], [], [], ["w"], [], ["x"], []))
     app.run(
-        sim, Keys(sim.scene.world), pictures=str(tmp_path), quiet=True, device="test",
+        sim, window, pictures=str(tmp_path), quiet=True, device="test",
         on_frame=lambda s: seen.append(s.positions()),
     )  # fmt: skip
     assert sorted(path.name for path in tmp_path.iterdir()) == [

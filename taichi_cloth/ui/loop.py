@@ -242,11 +242,10 @@ class Loop:
             command = self._controls.apply(logged, replayed=True)
             if command in ("reset", "status", "show", "strain", "meters", "help", "quit"):
                 self._obey(command)
-        events = self.view.poll()
-        layout = self._arranged()  # only now: the window may have another size
-        for given in events:
+        for given in self.view.poll():  # after which the window may have another size
             self._schedule.wake()
-            event = self._chrome.take(given, layout, self._buttons)
+            # An event may have opened or closed what the next one would be for.
+            event = self._chrome.take(given, self._arranged(), self._buttons)
             if event is None:
                 continue
             if self._replaying:
