@@ -70,7 +70,8 @@ def test_shapes_cover_their_area():
         ends = np.array([50.2, 45.1]) + 30 * np.array([[[0, 0]], [[np.cos(turn), np.sin(turn)]]])
         for width in (0.6, 1.4, 5.0):
             expected = 30 * width + np.pi / 4 * width**2
-            assert covered(painter.lines(*ends, width, WHITE)) == pytest.approx(expected, rel=0.02, abs=0.6)
+            area = covered(painter.lines(*ends, width, WHITE))
+            assert area == pytest.approx(expected, rel=0.02, abs=0.6)
     corner = np.array([[[10.3, 8.1], [100.7, 30.2], [40.6, 80.9]]])
     area = abs(np.linalg.det(corner[0, 1:] - corner[0, 0])) / 2
     for order in ([0, 1, 2], [2, 1, 0]):
