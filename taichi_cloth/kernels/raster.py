@@ -298,26 +298,38 @@ def lay_floor(depth: image, color: image, lens: numbers, background: numbers, fl
     is looked at; the side of a tile, and the distance from the middle at which the floor ends; then
     the colours of both kinds of tile.
     """
-    for j, i in depth:
-        rgb = ti.Vector([background[0], background[1], background[2]])
-        depth[j, i] = FARTHEST
+    none = ti.Vector([background[0], background[1], background[2]])
+    empty = -1 - _packed(none)
+    for j in range(depth.shape[0]):
+        for i in range(depth.shape[1]):
+            depth[j, i], color[j, i] = FARTHEST, empty
         if floor.shape[0] > 0:
-            d = _sight(lens, j, i)
-            down = -1.0 * d.dot(ti.Vector([floor[1], floor[2], floor[3]]))
-            if down * floor[0] > 0.0:
-                z = floor[0] / down
-                x = z * d.dot(ti.Vector([floor[4], floor[5], floor[6]])) + floor[10]
-                y = z * d.dot(ti.Vector([floor[7], floor[8], floor[9]])) + floor[11]
-                away = ti.Vector([x - floor[12], y - floor[13]]).norm() / floor[15]
-                share = ti.min(ti.max(1.25 * (1.0 - away * away), 0.0), 1.0)
-                if share > 0.0:
-                    odd = ti.floor(x / floor[14]) + ti.floor(y / floor[14])
-                    kind = 16 + 3 * (ti.abs(ti.cast(odd, ti.i32)) % 2)
-                    tile = ti.Vector([floor[kind], floor[kind + 1], floor[kind + 2]])
-                    rgb += share * (tile - rgb)
-                if share > 0.5:
-                    depth[j, i] = _depth_bits(z)
-        color[j, i] = -1 - _packed(rgb)
+            above, start = floor[0], _sight(lens, j, 0)
+            normal = -1.0 * ti.Vector([floor[1], floor[2], floor[3]])
+            along = ti.Vector([floor[4], floor[5], floor[6]])
+            across = ti.Vector([floor[7], floor[8], floor[9]])
+            # Of the way of sight from pixel to pixel: how much it goes down, along, and across.
+            down0, along0, across0 = normal.dot(start), along.dot(start), across.dot(start)
+            down1, along1, across1 = normal[0] / lens[0], along[0] / lens[0], across[0] / lens[0]
+            eye_x, eye_y, x0, y0 = floor[10], floor[11], floor[12], floor[13]
+            by_side, by_reach2 = 1.0 / floor[14], 1.0 / (floor[15] * floor[15])
+            one = ti.Vector([floor[16], floor[17], floor[18]])
+            other = ti.Vector([floor[19], floor[20], floor[21]])
+            for i in range(depth.shape[1]):
+                down = down0 + i * down1
+                if down * above > 0.0:
+                    z = above / down
+                    x = z * (along0 + i * along1) + eye_x
+                    y = z * (across0 + i * across1) + eye_y
+                    away2 = (x - x0) * (x - x0) + (y - y0) * (y - y0)
+                    share = ti.min(1.25 * (1.0 - away2 * by_reach2), 1.0)
+                    if share > 0.0:
+                        u, v = ti.floor(x * by_side), ti.floor(y * by_side)
+                        odd = (ti.cast(u, ti.i32) + ti.cast(v, ti.i32)) & 1
+                        tile = ti.select(odd == 1, other, one)
+                        color[j, i] = -1 - _packed(none + share * (tile - none))
+                        if share > 0.5:
+                            depth[j, i] = _depth_bits(z)
 
 
 @ti.func

@@ -15,9 +15,9 @@ import numpy as np
 
 from taichi_cloth import painter
 from taichi_cloth.painter import Shapes
-from taichi_cloth.rasterizer import Balls, Floor, Lines, Mesh, Rasterizer, Still
+from taichi_cloth.rasterizer import Balls, Lines, Mesh, Rasterizer, Still
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui import drawing, pointer, style, surfaces, x11
+from taichi_cloth.ui import drawing, in_space, pointer, style, surfaces, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.drawing import Cached
@@ -58,9 +58,11 @@ class GuiView:
         self._topologies = Cached(Topology.build), Cached(Topology.build)
         self._sides_of, self._solids_color = Cached(_sides), Cached(_floats)
         self._spring_colors = Cached(style.spring_colors)
-        self._rasterizer: Rasterizer | None = None
+        self._rasterizers: dict[int, Rasterizer] = {}  # by samples
         self._still = Cached(self._make_still)
         self._stood: Still | None = None  # in the frame before
+        self._seen_from: tuple[float, ...] = ()  # then
+        self._turning = False
         self._samples, self._drawn, self._quickest = SAMPLES, 0, np.inf
         self._wanted: tuple[tuple[int, int], float] | None = None
         self._open(size)
@@ -76,7 +78,7 @@ class GuiView:
         self._gui.fps_limit = None  # the app paces itself
         self.size = size
         self._frame = _frame_of(self._gui.img.reshape(size[::-1]))
-        self._rasterizer = None  # of the size before
+        self._rasterizers = {}  # of the size before
         if self.visible:
             self._gui.show()  # only now does the window have its name
             self._tap = x11.connect(name, displays)
@@ -93,7 +95,7 @@ class GuiView:
     def turn_to(self, world: World, camera: Camera | None) -> None:
         """Show another world from now on; camera: of a 3-D one."""
         self.world, self.camera, self.look = world, camera, None
-        self._rasterizer = None  # how finely it is drawn is found out anew
+        self._rasterizers = {}  # how finely it is drawn is found out anew
         self._samples, self._drawn, self._quickest = SAMPLES, 0, np.inf
 
     def entitle(self, title: str) -> None:
@@ -265,8 +267,6 @@ class GuiView:
 
     def _compose_3d(self, picture: Picture, camera: Camera) -> None:
         """Draw what there is with a depth buffer, and the pointer over it."""
-        if self._rasterizer is None:
-            self._rasterizer = Rasterizer(self.size, self._samples)
         eye = np.array([0.0, 0.0, camera.distance])
         position = camera.rotate_points(picture.position) + eye
         shown = drawing.are_numbers(position)
@@ -280,29 +280,38 @@ class GuiView:
         if len(segments):
             lines.append(self._spring_lines(picture, segments, position, focal / camera.distance))
         x, y = self._map.to_window(camera.middle)
-        self._rasterizer.draw(
+        self._fitting_rasterizer(picture).draw(
             self._frame,
             focal,
             (x, y),
             camera.nearest_drawn,
-            _lights(2 if picture.has_surfaces else 1),
+            in_space.lights(2 if picture.has_surfaces else 1),
             style.unit(style.WORLD),
             meshes=meshes if keep else [*still.meshes, *meshes],
             balls=self._balls(picture, position, shown),
             lines=lines,
-            floor=None if picture.ground is None else _floor(picture.ground, camera),
+            floor=None if picture.ground is None else in_space.floor(picture.ground, camera),
             still=still if keep else None,
         )
         painter.draw(self._frame, _pointer(picture.pointer))
 
+    def _fitting_rasterizer(self, picture: Picture) -> Rasterizer:
+        """The one to draw with: a window's floor, made anew as one turns it, has fewer samples."""
+        coarse = self.visible and self._turning and picture.ground is not None
+        samples = 1 if coarse else self._samples
+        if samples not in self._rasterizers:
+            self._rasterizers[samples] = Rasterizer(self.size, samples)
+        return self._rasterizers[samples]
+
     def _look_at(self, seconds: float) -> None:
         """Draw with fewer samples in a window whose scene takes too long with more."""
-        if not self.visible or self._samples == 1:
+        if not self.visible or self._samples == 1 or self._turning:
             return
         self._drawn, self._quickest = self._drawn + 1, min(self._quickest, seconds)
         if self._drawn == LOOKED_AT:
             if self._quickest > ENOUGH:
-                self._samples, self._rasterizer = 1, None
+                self._samples = 1
+                self._rasterizers.pop(SAMPLES, None)
             self._drawn, self._quickest = 0, np.inf
 
     def _meshes(
@@ -316,11 +325,12 @@ class GuiView:
             return []
         topology = self._topologies[0](picture.triangles).of_shown(shown)
         front, back = self._sides_of(picture.color_in_surfaces)
-        return [_mesh(topology, camera, position, front, back, picture.normals)]
+        return [in_space.mesh(topology, camera, position, front, back, picture.normals)]
 
     def _standing(self, camera: Camera, solids: Solid | None) -> Still:
         """What only changes with the camera, or with obstacles: these, and the scenery."""
         seen = (camera.rot_x, camera.rot_y, camera.distance, camera.radius, *camera.centre)
+        self._turning, self._seen_from = seen != self._seen_from, seen
         solid = (
             (None, None, None)
             if solids is None
@@ -341,7 +351,7 @@ class GuiView:
         if vertex is not None and triangles is not None and color is not None:
             topology, colors = self._topologies[1](triangles), self._solids_color(color)
             place = camera.rotate_points(vertex) + eye
-            meshes.append(_mesh(topology, camera, place, colors, colors, None))
+            meshes.append(in_space.mesh(topology, camera, place, colors, colors, None))
         return Still(meshes, [self._scenery(camera, eye)])
 
     def _balls(self, picture: Picture, position: np.ndarray, shown: np.ndarray) -> Balls:
@@ -355,7 +365,7 @@ class GuiView:
     def _scenery(self, camera: Camera, eye: np.ndarray) -> Lines:
         """The world's edges and axes, cut, so that a line stays one where its end is behind us."""
         edges, color = drawing.scenery(self.world, camera)
-        end = camera.rotate_points(_cut(edges, EDGE_PARTS).reshape(-1, 3)) + eye
+        end = camera.rotate_points(in_space.cut(edges, EDGE_PARTS).reshape(-1, 3)) + eye
         color = np.repeat(color, EDGE_PARTS, axis=0).astype(np.float32)
         wide = drawing.edge_width(self.size[1])
         wide_each = np.full(len(color), wide, np.float32)
@@ -442,60 +452,6 @@ def _sides(color: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _floats(color: np.ndarray) -> np.ndarray:
     return np.asarray(color / 255, np.float32)
-
-
-def _mesh(
-    topology: Topology,
-    camera: Camera,
-    place: np.ndarray,
-    front: np.ndarray,
-    back: np.ndarray,
-    normal: np.ndarray | None,
-) -> Mesh:
-    """A surface as it is drawn.
-
-    place: (n, 3), from the eye in camera axes. front, back: (n, 3) floats 0..1. normal: (n, 3),
-    unit normals in the world's axes; None: they are computed here.
-    """
-    place = place.astype(np.float32)
-    if normal is None:
-        normal = topology.normals(place, topology.face_normals(place))
-    else:
-        normal = normal.astype(np.float32) @ camera.rotation().T.astype(np.float32)
-    return Mesh(place, np.ascontiguousarray(normal), topology.triangles, front, back)
-
-
-def _lights(count: int) -> np.ndarray:
-    """The first lights as they are drawn with, (count + 1, 4)."""
-    lights = [[*light, strength] for light, strength in style.LIGHTS[:count]]
-    return np.array([*lights, [0.0, 0.0, 0.0, style.AMBIENT]], np.float32)
-
-
-def _floor(height: float, camera: Camera) -> Floor:
-    """The floor at this height, as it is drawn."""
-    side, reach = surfaces.floor_tiles(camera.radius)
-    up, along, across = camera.rotation()[:, [1, 0, 2]].T
-    eye = np.array([0.0, 0.0, -camera.distance]) @ camera.rotation() + camera.centre
-    bright = surfaces.brightness(up)
-    return Floor(
-        above=float(eye[1] - height),
-        axes=(up, along, across),
-        eye=(eye[0], eye[2]),
-        middle=(camera.centre[0], camera.centre[2]),
-        side=side,
-        reach=reach,
-        colors=(
-            bright * np.array(style.unit(style.TILES[0])),
-            bright * np.array(style.unit(style.TILES[1])),
-        ),
-    )
-
-
-def _cut(ends: np.ndarray, parts: int) -> np.ndarray:
-    """Lines (k, 2, 3) cut into equal `parts`, (k * parts, 2, 3)."""
-    t = np.linspace(0, 1, parts + 1)[:, None]
-    points = ends[:, None, 0] * (1 - t) + ends[:, None, 1] * t
-    return np.stack([points[:, :-1], points[:, 1:]], axis=2).reshape(-1, 2, 3)
 
 
 VIEW = ViewKind(

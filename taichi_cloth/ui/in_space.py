@@ -1,0 +1,64 @@
+"""What `rasterizer.py` draws of a world in space: surfaces, lights, a floor, seen by a camera."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taichi_cloth.rasterizer import Floor, Mesh
+from taichi_cloth.ui import style, surfaces
+from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.surfaces import Topology
+
+
+def mesh(
+    topology: Topology,
+    camera: Camera,
+    place: np.ndarray,
+    front: np.ndarray,
+    back: np.ndarray,
+    normal: np.ndarray | None,
+) -> Mesh:
+    """A surface as it is drawn.
+
+    place: (n, 3), from the eye in camera axes. front, back: (n, 3) floats 0..1. normal: (n, 3),
+    unit normals in the world's axes; None: they are computed here.
+    """
+    place = place.astype(np.float32)
+    if normal is None:
+        normal = topology.normals(place, topology.face_normals(place))
+    else:
+        normal = normal.astype(np.float32) @ camera.rotation().T.astype(np.float32)
+    return Mesh(place, np.ascontiguousarray(normal), topology.triangles, front, back)
+
+
+def lights(count: int) -> np.ndarray:
+    """The first lights as they are drawn with, (count + 1, 4)."""
+    lights = [[*light, strength] for light, strength in style.LIGHTS[:count]]
+    return np.array([*lights, [0.0, 0.0, 0.0, style.AMBIENT]], np.float32)
+
+
+def floor(height: float, camera: Camera) -> Floor:
+    """The floor at this height, as it is drawn."""
+    side, reach = surfaces.floor_tiles(camera.radius)
+    up, along, across = camera.rotation()[:, [1, 0, 2]].T
+    eye = np.array([0.0, 0.0, -camera.distance]) @ camera.rotation() + camera.centre
+    bright = surfaces.brightness(up)
+    return Floor(
+        above=float(eye[1] - height),
+        axes=(up, along, across),
+        eye=(eye[0], eye[2]),
+        middle=(camera.centre[0], camera.centre[2]),
+        side=side,
+        reach=reach,
+        colors=(
+            bright * np.array(style.unit(style.TILES[0])),
+            bright * np.array(style.unit(style.TILES[1])),
+        ),
+    )
+
+
+def cut(ends: np.ndarray, parts: int) -> np.ndarray:
+    """Lines (k, 2, 3) cut into equal `parts`, (k * parts, 2, 3)."""
+    t = np.linspace(0, 1, parts + 1)[:, None]
+    points = ends[:, None, 0] * (1 - t) + ends[:, None, 1] * t
+    return np.stack([points[:, :-1], points[:, 1:]], axis=2).reshape(-1, 2, 3)
