@@ -80,6 +80,8 @@ class GuiView:
         self._frame = _frame_of(self._gui.img.reshape(size[::-1]))
         self._rasterizers = {}  # of the size before
         if self.visible:
+            # The pointer comes later, and nobody should wait then for a kernel to be compiled.
+            painter.draw(self._frame, [painter.discs(np.full((1, 2), -9.0), np.ones(1), 0)])
             self._gui.show()  # only now does the window have its name
             self._tap = x11.connect(name, displays)
             self._gui.core.title = self._title
