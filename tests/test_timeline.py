@@ -12,9 +12,11 @@ import taichi_cloth as tc
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.files.trajectory import Trajectory
+from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.library import build
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app
+from taichi_cloth.ui.depiction import Depiction
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.timeline import SPEEDS, Pace, Timeline
 from taichi_cloth.ui.views.none import NullView
@@ -157,6 +159,72 @@ def test_slow_motion_shows_frames_longer_and_changes_none():
     assert pace.turn()
 
 
+TORN_BY_A_BOX = """
+[world]
+up = "y"
+size = [2.0, 2.0, 2.0]
+gravity = [0.0, -9.81, 0.0]
+dt = 0.016
+ground = 0.0
+[particle]
+mass = 0.01
+radius = 0.02
+[[cloths]]
+origin = [0.0, 1.0, 0.0]
+columns = 5
+rows = 4
+spacing = 0.1
+stiffness = 30.0
+down = [0.0, 0.0, 1.0]
+pinned = [[0, 0], [4, 0]]
+[[obstacles]]
+shape = "box"
+centre = [0.2, 0.6, 0.2]
+half = [0.1, 0.1, 0.1]
+velocity = [3.0, 0.0, 0.6]
+"""
+
+
+@pytest.mark.usefixtures("device")
+def test_slow_motion_draws_what_is_between_two_frames():
+    """Particles, normals and obstacles move straight on from one frame to the next."""
+    sim = Simulation(scenefile.parse(TORN_BY_A_BOX), substeps=4, execution="serial")
+    sim.prepare_tools()
+    depiction = Depiction(sim, frozenset({"surface", "springs"}))
+
+    def left():
+        whole = depiction.picture()
+        seen = whole.position.copy(), whole.solids.vertex, whole.normals.copy()
+        depiction.between.leave(sim)
+        sim.advance(1)
+        return seen
+
+    for _ in range(12):
+        before, solid, normals = left()
+    now = depiction.picture()
+    after, turned = now.position.copy(), now.normals.copy()
+    assert np.abs(after - before).max() > 0.02 and np.abs(turned - normals).max() > 1e-3
+    moved = np.array([3.0, 0.0, 0.6]) * sim.dt
+    for part in (0.0, 1 / 16, 0.5, 15 / 16):
+        seen = depiction.picture(part=part)
+        np.testing.assert_allclose(seen.position, before + part * (after - before), atol=1e-6)
+        np.testing.assert_allclose(seen.solids.vertex, solid + part * moved, atol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(seen.normals, axis=1), 1.0, atol=1e-6)
+        middle = normals + part * (turned - normals)
+        np.testing.assert_allclose(np.cross(seen.normals, middle), 0.0, atol=1e-6)
+        assert seen.segments is now.segments
+    np.testing.assert_array_equal(depiction.picture(part=0.0).position, before)
+    np.testing.assert_array_equal(sim.drawn_positions(), after)
+    sim.cut([7])
+    cut = depiction.picture(part=0.5)  # torn at once, still on its way
+    assert len(cut.segments) == len(now.segments) - 1 and len(cut.triangles) < len(now.triangles)
+    np.testing.assert_allclose(cut.position, (before + after) / 2, atol=1e-6)
+    for change in (lambda: sim.spawn([1.0, 1.0, 1.0], mass=0.01, radius=0.05), sim.reset):
+        change()
+        np.testing.assert_array_equal(depiction.picture(part=0.5).position, sim.drawn_positions())
+        left()
+
+
 class Script(NullView):
     """A window in which these events happen, turn by turn; then it is closed."""
 
@@ -181,6 +249,30 @@ def press(key):
 
 def gust(k):
     return [Event("move", pos=(200.0 + 9.0 * k, 150.0 + 5.0 * k))]
+
+
+@pytest.mark.usefixtures("device")
+def test_a_window_in_slow_motion_lags_by_a_frame_and_pauses_where_it_is():
+    scene = build("cloth", columns=12, rows=9)
+    sim = Simulation(scene, topology="graph", execution="serial")
+    frames, drawn = [sim.drawn_positions().copy()], []
+
+    class Seen(Script):
+        def draw(self, picture):
+            drawn.append((sim.frame, picture.position.copy()))
+            if sim.frame == len(frames):
+                frames.append(sim.drawn_positions().copy())
+
+    turns = [[], [], press("q") + press("q"), *[[] for _ in range(10)], press("space"), []]
+    app.run(sim, Seen(scene.world, turns), quiet=True)
+    slow = drawn[-13:-2]  # before: at full speed; after it: paused
+    assert [frame for frame, _ in slow] == [2] * 3 + [3] * 4 + [4] * 4
+    for k, (frame, position) in enumerate(slow[3:]):
+        part = k % 4 / 4
+        expected = (1 - part) * frames[frame - 1] + part * frames[frame]
+        np.testing.assert_array_equal(position, expected.astype(position.dtype))
+    for frame, position in (*drawn[:-10], *drawn[-2:]):
+        np.testing.assert_array_equal(position, frames[frame])
 
 
 @pytest.mark.usefixtures("device")

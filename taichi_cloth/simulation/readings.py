@@ -113,17 +113,19 @@ class Readings(Part):
         """
         return self.storage.drawn_triangles()
 
-    def obstacles(self) -> list[Drawn]:
-        """What is in the way, where it is now: obstacles in their order, then the ground.
+    def obstacles(self, time: float | None = None) -> list[Drawn]:
+        """What is in the way, where it is at a time: obstacles in their order, then the ground.
 
         Each has vertices (k, dim) and triangles (m, 3) to draw it by. Resting walls are left out.
+        time: of the scene; None: now.
         """
+        time = self.time if time is None else time
         world, found = self.storage.scene.world, []
         extent = float(np.linalg.norm(world.size))
         for solid in self.storage.solids:
             if not solid.name.endswith("wall"):
                 shape = surface(solid, extent)
-                found.append(Drawn(solid.name, solid.shape, *shape, *solid.pose(self.time)))
+                found.append(Drawn(solid.name, solid.shape, *shape, *solid.pose(time)))
         return found
 
     def depths(self) -> np.ndarray:

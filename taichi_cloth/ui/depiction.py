@@ -10,6 +10,7 @@ import numpy as np
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import STRAIN
 from taichi_cloth.ui import shown
+from taichi_cloth.ui.between import Between
 from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.solids import Solids
 from taichi_cloth.ui.strained import Strained
@@ -25,6 +26,7 @@ class Depiction:
 
     show: what is drawn of cloths, words of `settings.options.SHOWN`; None: what suits the scene.
     strain: whether springs and surfaces have the colours of what they bear.
+    between: what pictures between two frames are made from.
     """
 
     def __init__(self, sim: Simulation, show: frozenset[str] | None = None) -> None:
@@ -38,18 +40,23 @@ class Depiction:
         self._chosen = Cached(shown.chosen)
         self._surface_colors = Cached(shown.surface_colors)
         self._solids = Solids()
+        self.between = Between()
 
     def show_next(self) -> None:
         """Go on to the next choice of what is drawn of cloths."""
         self.show = shown.next_choice(self.show)
 
-    def picture(self, marks: Marks | None = None) -> Picture:
-        """The state as it is now. marks: what a tool draws beside it."""
-        sim = self._sim
+    def picture(self, marks: Marks | None = None, part: float = 1.0) -> Picture:
+        """The state as it is now.
+
+        marks: what a tool draws beside it. part: below 1, how far the picture is on the way to it
+        from the frame before; what is drawn alone changes.
+        """
+        sim, between = self._sim, self.between
         triangles, segments, as_spheres = self._chosen(
             self.show, sim.drawn_triangles(), sim.drawn_springs(), sim.particle_count
         )
-        position = sim.drawn_positions()
+        position = sim.drawn_positions() if part >= 1 else between.positions(sim, part)
         spring_color: tuple[int, int, int] | np.ndarray | None = sim.scene.spring_color
         color = sim.colors()
         if self.strain:
@@ -57,6 +64,9 @@ class Depiction:
             surface_color = color
         else:
             surface_color = self._surface_colors(sim.colors(), sim.fixed(), sim.triangles())
+        normals = None
+        if len(triangles) and sim.scene.world.dim == 3:
+            normals = sim.drawn_normals() if part >= 1 else between.normals(sim, part)
         made = Picture(
             position=position,
             radius=self._radius(sim.radii(), self._largest_disc),
@@ -65,9 +75,9 @@ class Depiction:
             spring_color=spring_color,
             surface_color=surface_color,
             triangles=triangles,
-            normals=sim.drawn_normals() if len(triangles) and sim.scene.world.dim == 3 else None,
+            normals=normals,
             as_spheres=as_spheres,
-            solids=self._solids.of(sim),
+            solids=self._solids.of(sim, sim.time if part >= 1 else between.time(sim, part)),
             ground=sim.scene.world.ground if sim.scene.world.dim == 3 else None,
         )
         return made if marks is None else _with_marks(made, marks)
@@ -82,6 +92,9 @@ def _drawn_radius(radius: np.ndarray, largest: float) -> np.ndarray:
 def _with_marks(picture: Picture, marks: Marks) -> Picture:
     """`picture` with what a tool draws beside the scene."""
     count, real = len(picture.position), picture.position.dtype
+    place = marks.position.astype(real)
+    if marks.on is not None:  # where the picture has them, which may be between two frames
+        place[: len(marks.on)] = picture.position[marks.on]
     as_spheres = picture.as_spheres
     if as_spheres is not None:
         as_spheres = np.concatenate([as_spheres, np.ones(len(marks.position), bool)])
@@ -91,7 +104,7 @@ def _with_marks(picture: Picture, marks: Marks) -> Picture:
     return replace(
         picture,
         spring_color=spring_color,
-        position=np.concatenate([picture.position, marks.position.astype(real)]),
+        position=np.concatenate([picture.position, place]),
         radius=np.concatenate([picture.radius, marks.radius.astype(np.float32)]),
         color=np.concatenate([picture.color, marks.color]),
         surface_color=np.concatenate([picture.color_in_surfaces, marks.color]),

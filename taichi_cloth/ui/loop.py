@@ -154,6 +154,8 @@ class Loop:
             begin = time.perf_counter()
             if self._started is None:
                 self._started = begin
+            if self._glides:
+                self._depiction.between.leave(self.sim)
             self._advance()
             simulate = time.perf_counter() - begin
             if self.frames > 1:
@@ -162,6 +164,8 @@ class Loop:
         else:
             advanced = False
         self._step = False
+        if not self._glides:
+            self._depiction.between.forget()
         begin = time.perf_counter()
         self._takes.turn(advanced)
         seen = self.view.visible
@@ -359,8 +363,15 @@ class Loop:
 
     # Pictures
 
-    def _picture(self) -> Picture:
-        picture = self._depiction.picture(self._controls.marks())
+    @property
+    def _glides(self) -> bool:
+        """Whether pictures between frames are drawn: films take frames, and tools at rest, too."""
+        return self._pace.slowness > 1 and not self._stopped and not self._takes.filming
+
+    def _picture(self, *, now: bool = False) -> Picture:
+        """What is drawn. now: the present frame, also in slow motion."""
+        part = self._pace.part if self._glides and not now else 1.0
+        picture = self._depiction.picture(self._controls.marks(), part)
         layout = self._arranged()
         return replace(
             picture,
@@ -454,7 +465,7 @@ class Loop:
 
     def pixels(self) -> np.ndarray:
         """The present frame, (h, w, 3) uint8, drawn anew."""
-        self.view.draw(self._picture())
+        self.view.draw(self._picture(now=True))
         return self.view.grab()
 
     def _last_picture(self) -> np.ndarray:
@@ -462,10 +473,10 @@ class Loop:
         if not self.view.closed:
             # Anew: since the last frame the user may have done things.
             with suppress(RunFailure):  # the window goes at this very moment
-                self.view.draw(self._picture())
+                self.view.draw(self._picture(now=True))
         if self.view.closed:
             with closing(offscreen(self.view, self.sim.scene.world)) as view:
-                view.draw(self._picture())
+                view.draw(self._picture(now=True))
                 return view.grab()
         return self.view.grab()
 

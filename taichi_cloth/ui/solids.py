@@ -29,8 +29,8 @@ class Solids:
         self._moving = False
         self._made: Solid | None = None
 
-    def of(self, sim: Simulation) -> Solid | None:
-        """The surface of the obstacles; None: there are none besides a floor."""
+    def of(self, sim: Simulation, time: float) -> Solid | None:
+        """The surface of the obstacles at a time; None: there are none besides a floor."""
         scene = sim.scene
         if self._scene is scene and not self._moving:
             return self._made
@@ -38,7 +38,7 @@ class Solids:
         if not scene.obstacles and not flat and not has_box_floor(scene.world):
             self._scene, self._made, self._moving = scene, None, False
             return None
-        drawn = [d for d in sim.obstacles() if d.name != "ground" or scene.world.dim == 2]
+        drawn = [d for d in sim.obstacles(time) if d.name != "ground" or scene.world.dim == 2]
         floor = [box_floor(scene.world)] if has_box_floor(scene.world) else []
         now = joined([*floor, *(_part(d, scene) for d in drawn)])
         before = self._made

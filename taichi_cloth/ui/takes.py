@@ -27,6 +27,11 @@ class Takes:
         self._waiting = [film for film in self._films if advanced and film.wants()]
 
     @property
+    def filming(self) -> bool:
+        """Whether a film is being made, of whatever frame comes next."""
+        return len(self._films) > 1 or self.shutter.state is not None
+
+    @property
     def due(self) -> bool:
         """Whether the frame that is drawn now is wanted."""
         return bool(self._waiting) or self.shutter.due

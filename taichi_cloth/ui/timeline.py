@@ -299,7 +299,8 @@ class Pace:
         self._set(SPEEDS[0])
 
     def _set(self, slowness: int) -> None:
-        self.slowness, self._shown = slowness, 0
+        # The picture stays where it is between two frames.
+        self.slowness, self._shown = slowness, self._shown * slowness // self.slowness
 
     def turn(self) -> bool:
         """Whether the next frame is due in this turn of a window, sixty of which are a second."""
@@ -313,7 +314,7 @@ class Pace:
     def part(self) -> float:
         """How far the picture of this turn is from the last frame to the next, from 0 to below 1.
 
-        A window that draws between frames shows the frame before the last one, and this part of the
-        way on to the last one: what comes next is not known.
+        A window in slow motion shows the frame before the last one, and this part of the way on to
+        the last one (`between.py`): what comes next is not known.
         """
         return self._shown / self.slowness

@@ -63,12 +63,15 @@ class Marks:
 
     position: (m, dim) world units. radius: (m,) world units. color: (m, 3) uint8.
     segments: (s, 2) int, pairs of these particles.
+    on: (k,) int, particles of the scene that the first k of these are drawn at, wherever the
+    picture has them; None: none is.
     """
 
     position: np.ndarray
     radius: np.ndarray
     color: np.ndarray
     segments: np.ndarray
+    on: np.ndarray | None = None
 
 
 @dataclass

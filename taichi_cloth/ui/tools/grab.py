@@ -92,10 +92,11 @@ def _draw(hand: Hand, memory: _Memory) -> Marks | None:
     if held is None:
         return None
     count = len(held.particles)
-    position = np.concatenate([hand.sim.positions()[held.particles], held.targets])
+    position = np.concatenate([held.targets, held.targets])  # the first of them `on` particles
     radius = np.append(np.zeros(count), np.full(count, hand.dot()))
     segments = np.column_stack([np.arange(count), count + np.arange(count)])
-    return Marks(position, radius, np.tile(np.array(COLOR, np.uint8), (2 * count, 1)), segments)
+    color = np.tile(np.array(COLOR, np.uint8), (2 * count, 1))
+    return Marks(position, radius, color, segments, on=held.particles)
 
 
 def _grab(sim: Simulation, values: Mapping[str, Any]) -> None:
