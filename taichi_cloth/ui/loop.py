@@ -176,7 +176,8 @@ class Loop:
         draw = time.perf_counter() - begin
         self._draw += draw
         if advanced:
-            self._meter.frame(simulate, draw)
+            if self._pace.slowness == 1:  # else late, and on purpose
+                self._meter.frame(simulate, draw)
             if self._chrome.is_open("meters"):
                 self._meters.frame(simulate, draw, self._schedule.waited)
             if self._costs:
@@ -312,6 +313,7 @@ class Loop:
             self._go_to(self.frames - 1)
         elif command == "slow":
             self._pace.slower() if self._pace.slowness < SPEEDS[-1] else self._pace.full()
+            self._meter.interrupt()
         elif command == "reset":
             if self._travel:
                 self._travel.go_on()
@@ -411,7 +413,7 @@ class Loop:
         rows = self._status.rows(
             time.perf_counter() if windowed else self.frames / hud.FRAME_RATE,
             state=self._state_of_run() if windowed else None,
-            moving=not self._stopped,
+            moving=not self._stopped and self._pace.slowness == 1,
             tool=tool.name if tool else None,
             notice=self._controls.notice,
             urgent=self._shutter.notice,
@@ -452,7 +454,8 @@ class Loop:
             return Word("paused", style.WARN)
         if self.frames == 0:
             return Word("starting: compiling takes a moment, once", style.WARN)
-        return Word("replaying" if self._replaying else "playing", style.GOOD)
+        state = "replaying" if self._replaying else "playing"
+        return Word(", ".join(filter(None, (state, self._pace.words))), style.GOOD)
 
     def finish(self, image: films.Image | None) -> None:
         """Save the film, and the last frame as a picture."""

@@ -50,7 +50,8 @@ class Status:
 
         now: seconds, of a clock that without a window goes with the frames, so that the same run
         has the same pictures. state: of a window, in a word; None without one. moving: whether
-        frames come. tool: the one in hand. notice: what was last told. urgent: what is told before.
+        frames come, at full speed. tool: the one in hand. notice: what was last told. urgent: what
+        is told before.
         """
         if notice != self._notice:
             self._notice, self._notice_until = notice, now + NOTICE_SECONDS
