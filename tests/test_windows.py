@@ -710,6 +710,10 @@ class Window:
     def pressed(self):
         return [e["key"] for e in self.events() if e["kind"] == "press" and "key" in e]
 
+    def released(self):
+        """How many keys were let go."""
+        return sum(e["kind"] == "release" and "key" in e for e in self.events())
+
     def quit(self):
         self.do("key", "Escape")
         assert self.process.wait(20) == 0
@@ -759,10 +763,14 @@ def test_keys_buttons_wheel_and_pointer_arrive(window):
         w.point(x, y)
     for button in (1, 2, 3, 4, 5):
         w.do("click", button)
-    for key in ("F1", "F1", "period", "plus", "minus", "KP_Add", "KP_Subtract"):
+    for key in (
+        *("F1", "F1", "period", "plus", "minus", "KP_Add", "KP_Subtract"),
+        *("Up", "Down", "Tab", "Tab", "h", "h"),  # left goes back, and the log with it
+    ):
+        before = w.released()
         w.do("key", key)
-    for key in ("Up", "Down", "Tab", "Tab", "h", "h"):  # left goes back, and the log with it
-        w.do("key", key)
+        # ti.GUI cannot tell a key pressed twice within one of its frames from one that repeats.
+        w.wait(lambda: w.released() > before)  # noqa: B023
     w.do("keydown", "Control_L")
     w.do("keyup", "Control_L")
     w.do("keydown", "h")

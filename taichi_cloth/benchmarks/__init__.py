@@ -21,6 +21,7 @@ PARTS = (
     "scaling",
     "contacts",
     "draping",
+    "windows",
     "gpu",
 )
 
