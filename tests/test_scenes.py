@@ -12,7 +12,8 @@ from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.solids import held, solids
 
-LONG = ("pull", "twist")  # to compile, with all that moves, touches and bends
+# What takes long to compile, with all that moves, touches and bends.
+LONG = ("pull", "twist", "stack", "curtain", "shirt")
 
 
 @pytest.mark.parametrize(

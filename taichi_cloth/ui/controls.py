@@ -177,7 +177,8 @@ class Controls:
         hand.notice = f"{chosen.name}: {chosen.help}" if chosen else None
         if chosen and prepare is not None:
             self._waiting = prepare
-            hand.notice = f"{chosen.name}: compiling for it, some seconds ..."
+            takes = "some seconds, minutes where bodies touch"
+            hand.notice = f"{chosen.name}: compiling for it, {takes}"
 
     def _view(self, event: Event) -> None:
         """Move the camera to a pose, or let the button that is down drag it."""

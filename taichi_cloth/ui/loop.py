@@ -201,7 +201,7 @@ class Loop:
             self.quit = True
             return
         if self._controls.waits and self.view.visible:
-            self.view.draw(self._picture())  # says that it compiles, and for what
+            self._say_that_it_compiles()
         if self._travel:
             # Events of a log that is being replayed belong to the frames that there were.
             if self._replaying and self._travel.away:
@@ -287,11 +287,17 @@ class Loop:
             self._settings.forget()
             return
         if self._settings.compiles:
-            self._compiling = True
-            self.view.draw(self._picture())
-            self._compiling = False
+            self._say_that_it_compiles()
         self._settings.flush()
         self._meter.interrupt()
+
+    def _say_that_it_compiles(self) -> None:
+        """Draw a window that stands still from now on, and says why."""
+        self._compiling = True
+        self._status.hurry()
+        self._entitle()
+        self.view.draw(self._picture())
+        self._compiling = False
 
     def _note(self, event: LogEvent) -> None:
         if self._travel:
@@ -449,7 +455,7 @@ class Loop:
             paused = ", paused" if self._paused else ""
             return Word(self._shutter.state + paused, style.RECORDING)
         if self._compiling:
-            return Word("compiling for the new setting", style.WARN)
+            return Word("compiling, the window waits", style.WARN)
         if self._paused:
             return Word("paused", style.WARN)
         if self.frames == 0:
