@@ -7,7 +7,7 @@ from typing import Generic, ParamSpec, TypeVar
 
 import numpy as np
 
-from taichi_cloth.scene.model import World
+from taichi_cloth.scene.model import Particles, Springs, World
 from taichi_cloth.ui import style
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.views.contract import Picture
@@ -15,6 +15,7 @@ from taichi_cloth.ui.views.contract import Picture
 LIFTED = 1e-3  # by this share of the way to the eye springs are seen before their surface
 RIM = 0.45  # of a disc's colour is that of its rim
 AXES_LENGTH = 0.16  # in radii of what the camera frames
+TABLES = (np.ndarray, Particles, Springs)  # whose equality is no single truth
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -30,7 +31,8 @@ class Cached(Generic[P, T]):
     def __call__(self, *inputs: P.args, **named: P.kwargs) -> T:
         """The function's value; the one returned last if all inputs are what they were.
 
-        An array is what it was while it is the same object, anything else while it is equal.
+        An array, or a table of them, is what it was while it is the same object, anything else
+        while it is equal.
         """
         given = (*inputs, *named.values())
         if self._made is None or not all(map(_unchanged, self._made[0], given)):
@@ -39,7 +41,7 @@ class Cached(Generic[P, T]):
 
 
 def _unchanged(before: object, now: object) -> bool:
-    arrays = isinstance(now, np.ndarray) or isinstance(before, np.ndarray)
+    arrays = isinstance(now, TABLES) or isinstance(before, TABLES)
     return before is now or (not arrays and before == now)
 
 
