@@ -1,5 +1,7 @@
 """Meters and strain colours as they are drawn: legible at every size, cheap, alike in every run."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from selection import mostly_thorough
@@ -8,7 +10,7 @@ from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import Springs
 from taichi_cloth.simulation.gauges import Gauges
 from taichi_cloth.simulation.history import History
-from taichi_cloth.simulation.strain import borne, lengths, strains
+from taichi_cloth.simulation.strain import CLOTHS, allowed, borne, lengths, strains
 from taichi_cloth.ui import strained, style, text
 from taichi_cloth.ui.chrome import graphs, instruments, meters
 from taichi_cloth.ui.chrome.instruments import Source
@@ -108,6 +110,30 @@ def test_colours_go_from_pushed_to_the_limit(source):
     ends = (holding == 5).any(axis=1)
     most = bears[ends][np.abs(bears[ends]).argmax()]
     assert np.array_equal(of_particles[5], strained.colors(np.array([most]))[0])
+
+
+def test_what_is_stretched_from_the_start_is_full_at_that():
+    """A slinky that hangs would be all red at a cloth's tenth; its colours tell top from bottom."""
+    for name, full in (("slinky", 0.8), ("warp", CLOTHS)):
+        scene = build(name)
+        x, springs = scene.particles.position, scene.springs
+        assert allowed(x, springs) == pytest.approx(full)
+        bears = borne(lengths(x, springs.between), springs, allowed(x, springs))
+        assert bears.max() == pytest.approx(1.0 if name == "slinky" else 0.0)
+        fake = SimpleNamespace(scene=scene, storage=SimpleNamespace(scene=scene))
+        assert strained.Strained(fake).legend()[-1] == (f"{100 * full:.0f} %", strained.LIMIT)
+
+
+def test_colours_follow_springs_that_were_changed(source):
+    """Of other stiffness, and as many: what was kept of the ones before is no longer so."""
+    sim = source.sim
+    sim.reset()
+    colors = strained.Strained(sim)
+    for factor in (1.0, 2.0):
+        sim.set(stiffness=factor * 0.25)
+        length = lengths(sim.positions(), sim.drawn_springs())
+        seen, _ = colors.colors(sim.positions(), sim.drawn_springs(), sim.particle_count)
+        assert np.array_equal(seen, strained.colors(borne(length, sim.storage.scene.springs)))
 
 
 @pytest.mark.parametrize("view", mostly_thorough(["ggui", "gui"], ["gui"]))

@@ -41,7 +41,8 @@ class State:
 
     momentum: (dim,). strain: the largest in magnitude, pulled positive, of the spring of number
     `spring` between the particles `ends` (-1: there is none). borne: the largest part that any
-    spring bears of what it can (`strain.borne`). broken: springs that are.
+    spring bears of what it can (`strain.borne`), by `full`, the strain that counts as full. broken:
+    springs that are.
     """
 
     booked: Booked
@@ -50,6 +51,7 @@ class State:
     spring: int
     ends: tuple[int, int]
     borne: float
+    full: float
     broken: int
 
 
@@ -114,6 +116,8 @@ class Gauges:
         self._touched = False
         self._moments, self._account = Moments(self._sim), EnergyAccount()
         self._method = methods.load(self._sim.method)
+        start = self._sim.scene
+        self._full = strain.allowed(start.particles.position, start.springs)
         self._mode = FastestMode(self._method)
         self._moment: tuple[int, Moment] | None = None
         self._pushed: tuple[np.ndarray, np.ndarray] | None = None
@@ -210,8 +214,8 @@ class Gauges:
             at = int(np.abs(strained).argmax())
             most, spring = float(strained[at]), int(network.number[at])
             ends = int(network.springs.between[at, 0]), int(network.springs.between[at, 1])
-            borne = float(np.abs(strain.borne(length, network.springs)).max())
-        self.state = State(booked, momentum, most, spring, ends, borne, moment.broken)
+            borne = float(np.abs(strain.borne(length, network.springs, self._full)).max())
+        self.state = State(booked, momentum, most, spring, ends, borne, self._full, moment.broken)
         energy = booked.energy
         self.states.note(
             now, energy.total, booked.change, booked.work, booked.by_hand, booked.doubt,

@@ -8,7 +8,17 @@ from taichi_cloth.scene.model import Springs
 
 # The strain that springs which cannot break are compared with: cloth that stretches by more than a
 # tenth no longer looks like cloth (Provot, "Deformation constraints in a mass-spring model", 1995).
-ALLOWED = 0.1
+CLOTHS = 0.1
+
+
+def allowed(position: np.ndarray, springs: Springs) -> float:
+    """The strain that counts as full where springs cannot break.
+
+    It is a cloth's; of what is stretched or squeezed by more from the start, such as a hanging
+    spring, the largest there. position: (n, dim) at the start.
+    """
+    start = strains(lengths(position, springs.between), springs)
+    return max(CLOTHS, float(np.abs(start).max(initial=0.0)))
 
 
 def lengths(x: np.ndarray, between: np.ndarray) -> np.ndarray:
@@ -27,13 +37,13 @@ def strains(length: np.ndarray, springs: Springs) -> np.ndarray:
     return part
 
 
-def borne(length: np.ndarray, springs: Springs) -> np.ndarray:
+def borne(length: np.ndarray, springs: Springs, full: float = CLOTHS) -> np.ndarray:
     """How much springs bear of what they can, (s,): 1 where a pull is at its limit, -1 a push.
 
-    Where springs break that is their force in break forces, else their strain in `ALLOWED`.
+    Where springs break that is their force in break forces, else their strain in `full`.
     """
     breaks = np.isfinite(springs.break_force)
     if not breaks.any():
-        return strains(length, springs) / ALLOWED
+        return strains(length, springs) / full
     pull = springs.stiffness * (length - springs.rest_length) / springs.break_force
-    return pull if breaks.all() else np.where(breaks, pull, strains(length, springs) / ALLOWED)
+    return pull if breaks.all() else np.where(breaks, pull, strains(length, springs) / full)

@@ -26,14 +26,14 @@ class Depiction:
 
     show: what is drawn of cloths, words of `settings.options.SHOWN`; None: what suits the scene.
     strain: whether springs and surfaces have the colours of what they bear.
-    between: what pictures between two frames are made from.
+    strained: these colours. between: what pictures between two frames are made from.
     """
 
     def __init__(self, sim: Simulation, show: frozenset[str] | None = None) -> None:
         show = show or frozenset()
         self.strain = STRAIN in show
         self.show = show - {STRAIN} or shown.default_for(sim.scene)
-        self._strained = Strained(sim)
+        self.strained = Strained(sim)
         self._sim = sim
         self._radius = Cached(_drawn_radius)
         self._largest_disc = _largest_disc(sim.scene)
@@ -60,7 +60,7 @@ class Depiction:
         spring_color: tuple[int, int, int] | np.ndarray | None = sim.scene.spring_color
         color = sim.colors()
         if self.strain:
-            spring_color, color = self._strained.colors(position, segments, sim.particle_count)
+            spring_color, color = self.strained.colors(position, segments, sim.particle_count)
             surface_color = color
         else:
             surface_color = self._surface_colors(sim.colors(), sim.fixed(), sim.triangles())

@@ -17,7 +17,7 @@ from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.ui import film as films
-from taichi_cloth.ui import hud, strained, style
+from taichi_cloth.ui import hud, style
 from taichi_cloth.ui.chrome import messages
 from taichi_cloth.ui.chrome.chrome import Chrome, Contents
 from taichi_cloth.ui.chrome.contract import Part
@@ -391,7 +391,7 @@ class Loop:
         """What the colours mean, where they mean anything."""
         if not self._depiction.strain:
             return ()
-        meanings = strained.legend(self.sim.storage.scene.springs)
+        meanings = self._depiction.strained.legend()
         return (messages.legend(meanings, layout.world, layout.text),)
 
     def _arranged(self) -> Layout:

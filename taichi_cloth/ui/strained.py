@@ -1,7 +1,7 @@
 """Springs and surfaces in the colours of what they bear: pushed blue, calm, pulled amber and red.
 
-Where springs break that is their force in break forces, else their strain in tenths
-(`simulation.strain.borne`).
+Where springs break that is their force in break forces, else their strain, of which a tenth counts
+as full, or what the scene starts with (`simulation.strain`).
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.simulation import strain
-from taichi_cloth.simulation.strain import ALLOWED
 from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.text import Color
 
@@ -42,20 +41,27 @@ def colors(borne: np.ndarray) -> np.ndarray:
     return found
 
 
-def legend(springs: Springs) -> tuple[tuple[str, Color], ...]:
-    """What the colours mean, as words in them."""
-    full = "break force" if np.isfinite(springs.break_force).any() else f"{100 * ALLOWED:.0f} %"
-    return (("pushed", PUSHED), ("calm", CALM), ("pulled: half", HALF), (full, LIMIT))
-
-
 class Strained:
     """The colours of a simulation's springs and particles, as it is now."""
 
     def __init__(self, sim: Simulation) -> None:
         self._sim = sim
         self._held = Cached(self._select)
+        self._allowed = Cached(strain.allowed)
         self._rows = Cached(_rows_of)
         self._ends = Cached(_Ends)
+
+    @property
+    def _full(self) -> float:
+        """The strain that counts as full where springs cannot break."""
+        start = self._sim.scene
+        return self._allowed(start.particles.position, start.springs)
+
+    def legend(self) -> tuple[tuple[str, Color], ...]:
+        """What the colours mean, as words in them."""
+        breaks = np.isfinite(self._sim.storage.scene.springs.break_force).any()
+        full = "break force" if breaks else f"{100 * self._full:.0f} %"
+        return (("pushed", PUSHED), ("calm", CALM), ("pulled: half", HALF), (full, LIMIT))
 
     def _select(self, springs: Springs, holding: np.ndarray) -> Springs:
         return springs.select(self._sim.springs_alive())
@@ -72,7 +78,7 @@ class Strained:
         """
         holding = self._sim.drawn_springs()
         springs = self._held(self._sim.storage.scene.springs, holding)
-        borne = strain.borne(strain.lengths(position, holding), springs)
+        borne = strain.borne(strain.lengths(position, holding), springs, self._full)
         particle = colors(self._ends(holding, count).most(borne))
         if segments is holding:
             return colors(borne), particle

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.simulation.history import SECONDS, History
-from taichi_cloth.simulation.strain import ALLOWED
 from taichi_cloth.ui import style
 from taichi_cloth.ui.chrome.graphs import Curve, Line
 from taichi_cloth.ui.text import Color
@@ -204,7 +203,7 @@ def strain(of: Source) -> Meter | None:
         details = [(f"spring {state.spring}: {a}-{b}", style.MUTED)]
         breaks = np.isfinite(of.sim.storage.scene.springs.break_force).any()
         bears = f"{100 * state.borne:.0f} % of break force"
-        details.append((bears if breaks else f"limit {100 * ALLOWED:.0f} %", color))
+        details.append((bears if breaks else f"limit {100 * state.full:.0f} %", color))
     curve = Curve(age, 100 * np.abs(rows[:, 7 + dim]), color)
     rate = of.gauges.states.rate(of.now)
     return Meter(
