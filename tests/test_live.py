@@ -196,7 +196,8 @@ def test_what_a_setting_costs_is_measured_or_predicted_or_said_to_be_unknown():
     assert costs.of(sim, by_name["method"], "rk4").how == "predicted"
     assert costs.of(sim, by_name["method"], "rk4").seconds > 2e-3
     assert costs.of(sim, by_name["collisions"], True).how == "predicted"
-    assert costs.of(sim, by_name["fracture"], True).words() == "not measured"
+    breaking = costs.of(sim, by_name["fracture"], True)
+    assert breaking.how == "predicted" and 2e-3 < breaking.seconds < 2.1e-3  # 86 springs
     sim.set_step(substeps=4)
     for _ in range(9):
         costs.note(sim, 5e-3)
@@ -205,7 +206,7 @@ def test_what_a_setting_costs_is_measured_or_predicted_or_said_to_be_unknown():
 
 
 def test_what_stands_beside_a_setting_is_measured_or_predicted_or_of_the_stable_step():
-    sim, clock = Simulation(cloth(8, 6, drag=0.02), substeps=2, **HOW), iter(range(0, 1000, 10))
+    sim, clock = Simulation(cloth(8, 6, drag=0.02), substeps=2, **HOW), iter(range(0, 10**6, 10**4))
     frames = RunningCosts()
     costs = SettingCosts(sim, frames, clock=lambda: next(clock))
 

@@ -26,6 +26,10 @@ MEETING = 1.5e-6  # of threads at the barriers of a pass over all springs
 SHARED = 0.55  # part of the work that remains for each of two threads
 # Seconds a particle and a spring, in a pass over all of them.
 PASS = {"lanes": (2.4e-9, 0.8e-9), "graph": (2.0e-9, 4.4e-9)}
+# Seconds a stencil of bending and a triangle in air, in each pass; a spring that may break, a step.
+BENDING = {"lanes": 4e-9, "graph": 5e-9}
+AIR = {"lanes": 23e-9, "graph": 18e-9}
+FRACTURE = {"lanes": 0.4e-9, "graph": 1.4e-9}
 # How much longer it takes in other precisions than f32.
 LONGER = {
     "f32": {"lanes": 1.0, "graph": 1.0},
@@ -35,7 +39,7 @@ LONGER = {
 # Passes of a solver's step, typically, by the setting that it takes.
 SOLVER_PASSES = {"tolerance": 26, "iterations": 18}
 HANDOVERS = 15  # launches of a step whose solver takes several kernels, typically
-COLLIDING = 90e-9  # seconds a particle to sort it into cells and find whom it meets
+COLLIDING = 50e-9  # seconds a particle to sort it into cells and find whom it meets
 COLLISION_LOOPS = 8  # loops that do it
 RESTING_ITERATIONS = 10  # of pairs that rest on each other, typically
 RESTING = 40e-9  # seconds a particle, in each
@@ -87,13 +91,18 @@ def predict(scene: Scene, method: Method, device: Device, topology: str, path: s
     passes = method.claims.forces or max(
         SOLVER_PASSES.get(setting, 1) for setting in ("", *method.claims.settings)
     )
+    features = scene.features()
     particle, spring = PASS[topology]
     work = particle * len(scene.particles) + spring * len(scene.springs)
-    work *= passes * LONGER[device.precision][topology]
-    collisions = scene.world.collisions
+    work += BENDING[topology] * int((scene.stencils.bending > 0).sum())
+    if "air" in scene.world.more:
+        work += AIR[topology] * len(scene.triangles)
+    work = passes * work + FRACTURE[topology] * features.fracture * len(scene.springs)
+    work *= LONGER[device.precision][topology]
+    collisions = features.collisions
     if collisions:
         work += COLLIDING * len(scene.particles)
-    iterations = RESTING_ITERATIONS * scene.features().resting
+    iterations = RESTING_ITERATIONS * features.resting
     work += iterations * RESTING * len(scene.particles)
     counts = COUNT if method.claims.forces == 0 else 0.0
     handovers = HANDOVERS * LAUNCH if topology == "lanes" and method.launches else 0.0

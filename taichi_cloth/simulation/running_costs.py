@@ -73,8 +73,12 @@ class RunningCosts:
             return now
         if way in self._mean:
             return FrameCost(self._mean[way], "measured")
-        factor = _factor(sim, setting.name, value, substeps) if scene is None else _of(sim, scene)
-        if now.seconds is None or factor is None:
+        if now.seconds is None:
+            return now
+        if scene is not None:
+            return FrameCost(_with_features(sim, scene, now.seconds), "predicted")
+        factor = _factor(sim, setting.name, value, substeps)
+        if factor is None:
             return FrameCost(None, "not measured")
         return FrameCost(now.seconds * factor, "predicted")
 
@@ -93,14 +97,19 @@ def _way(sim: Simulation, scene: Scene | None = None, **other: Any) -> tuple[Any
     return method, steps, sweeps, tolerance, size
 
 
-def _of(sim: Simulation, scene: Scene) -> float | None:
-    """By how much a frame's work changes with features; None: the prediction does not know them."""
+def _with_features(sim: Simulation, scene: Scene, now: float) -> float:
+    """Seconds of a frame with the features of a scene, where it takes `now` with the present ones.
+
+    What is predicted for both is taken off each other: a frame has work beside it that stays. A
+    machine that is faster than the predicted one is so with a feature, too; a frame that takes
+    longer may have other reasons than the machine.
+    """
     method, device = methods.load(sim.method), current_device()
     here, there = (
         predict(of, method, device, sim.topology, sim.execution).of(sim.substeps)
         for of in (sim.storage.scene, scene)
     )
-    return None if here == there else there / here
+    return max(0.0, now + (there - here) * min(1.0, now / here))
 
 
 def _factor(sim: Simulation, name: str, value: Any, substeps: int | None) -> float | None:

@@ -452,7 +452,8 @@ def collision_grid(world: World, radii: np.ndarray, most: int) -> dict[str, Any]
     size, count = np.array(world.size), len(radii)
     largest = float(size.max())
     radius = float(radii.max(initial=0.0))
-    width = max(2.0 * radius or largest, largest / 2**24)
+    # Points never meet: of cells as many as there may be.
+    width = max(2.0 * radius or largest / most ** (1 / world.dim), largest / 2**24)
     widths = np.full(world.dim, 2.01 * width)
     widths[0] = width
     # About as many cells as fit into the world.
