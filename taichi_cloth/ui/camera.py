@@ -85,7 +85,8 @@ class Camera:
         camera = cls(
             world_size, 1.0, focal, *ELEVATION, centre=(low + high) / 2, radius=radius, y_up=y_up
         )
-        camera.pose = camera.framed(low, high)
+        corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        camera.pose = camera.framed(np.where(corners, high, low))
         return camera
 
     @property
@@ -162,16 +163,27 @@ class Camera:
         *centre, self.distance, self.rot_x, self.rot_y = pose
         self.centre = np.array(centre)
 
-    def framed(self, low: ArrayLike, high: ArrayLike) -> tuple[float, ...]:
-        """Its pose where it sees a box from the same side, as large as fits into the picture."""
-        low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
+    def framed(
+        self, points: ArrayLike, around: float = 0.0, filled: float = FILLED
+    ) -> tuple[float, ...]:
+        """Its pose where it sees all points from the same side, as large as fits into the picture.
+
+        points: (n, 3), n > 0, world units; around: how far things reach around them, world units.
+        filled: share of the picture that they may fill.
+        """
+        points = np.asarray(points, np.float64)
+        low, high = points.min(axis=0) - around, points.max(axis=0) + around
         radius = max(float(np.linalg.norm(high - low)) / 2, 1e-6 * max(self.world_size[:2]))
-        corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-        seen = (low + corners * (high - low) - (low + high) / 2) @ self.rotation().T
-        # A corner is inside the picture from the distance on at which its slope is half of it.
-        slope = FILLED * self.middle / self.focal_length
-        fits = float((np.abs(seen[:, :2]) / slope - seen[:, 2:]).max())
-        middle = (float(number) for number in (low + high) / 2)
+        turned = (points - (low + high) / 2) @ self.rotation().T
+        # From the distance D and with the centre at u, a point at (x, z) is inside the picture
+        # where |x - u| <= slope (D + z): the points that are first to leave it say both.
+        slope = filled * self.middle / self.focal_length
+        deep = slope * turned[:, 2:]
+        right = (turned[:, :2] - deep).max(axis=0) + around
+        left = (turned[:, :2] + deep).min(axis=0) - around
+        fits = float(((right - left) / (2 * slope)).max())
+        centre = (low + high) / 2 + np.array([*(left + right) / 2, 0.0]) @ self.rotation()
+        middle = (float(number) for number in centre)
         return (*middle, max(fits, 1.05 * radius), self.rot_x, self.rot_y)
 
     def zoom(self, factor: float) -> None:

@@ -80,7 +80,7 @@ class CameraMoves:
         x, radius = x[np.isfinite(x).all(axis=1)], sim.radii().max(initial=0.0)
         if len(x) == 0:
             return None
-        return self._camera.framed(x.min(axis=0) - radius, x.max(axis=0) + radius)
+        return self._camera.framed(x, radius)
 
     def to(self, pose: tuple[float, ...]) -> None:
         """Take a pose."""

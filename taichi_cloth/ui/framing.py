@@ -13,7 +13,11 @@ from taichi_cloth.ui.window_map import SCREEN, default_window
 
 SAMPLE = 500  # points among which the one farthest from what is held is sought
 SAG = 0.35  # in lengths to what is held, at most: how deep hangs what is held all around
-MARGIN = 0.08  # room around what there is at the start, in its largest extent
+FILLED = 0.84  # share of the picture that what there is at the start may fill: it will move
+FLAT = 0.1  # in its largest extent: what is lower is seen from higher up
+FROM_ABOVE = 26.0  # degrees
+NEAR = 1.3  # in radii of what is seen: an origin so near to its middle is seen, too
+UP = np.array([0.0, 1.0, 0.0])
 
 
 def points_up(world: World) -> bool:
@@ -34,39 +38,47 @@ def camera_of_world(world: World) -> Camera | None:
 
 
 def camera_of(scene: Scene) -> Camera | None:
-    """The camera that shows what a 3-D scene has at its start, and where obstacles go; None: 2-D.
+    """The camera that shows what a 3-D scene has at its start, and where that goes; None: 2-D.
 
-    Where y points down, or there is nothing yet, it shows the whole world.
+    Obstacles go as they are told, what is held and nothing else holds swings down, and what is
+    above a floor may fall there. Where y points down, or there is nothing yet, it shows the whole
+    world.
     """
     world, particles = scene.world, scene.particles
     if world.dim == 2 or not points_up(world) or not len(particles):
         return camera_of_world(world)
-    x, radius = particles.position, particles.radius[:, None]
-    low, high = (x - radius).min(axis=0), (x + radius).max(axis=0)
-    for points in _bounded(scene):
-        low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
+    x = particles.position
+    seen = [x, *_bounded(scene)]
     if world.ground is not None:
-        low[1] = min(low[1], world.ground)
-    largest = float((high - low).max())
-    if world.ground is None and particles.fixed.any() and world.gravity[1] < 0:
-        # What is held may come to hang from there.
-        held = x[particles.fixed]
-        low[1] = min(low[1], held[:, 1].max() - _deepest(x, held))
-    room = MARGIN * largest
-    return Camera.framing(world.size, low - room, high + room, y_up=True)
+        seen += [points * [1, 0, 1] + [0, world.ground, 0] for points in seen]
+    elif particles.fixed.any() and world.gravity[1] < 0:
+        seen += _hanging(x, x[particles.fixed])
+    points, reach = np.concatenate(seen), float(particles.radius.max())
+    ends = points.min(axis=0) - reach, points.max(axis=0) + reach
+    camera = Camera.framing(world.size, *ends, y_up=True)
+    if world.ground is None and np.ptp(x[:, 1]) < FLAT * np.ptp(x, axis=0).max():
+        camera.rot_x = FROM_ABOVE
+    if np.linalg.norm(camera.centre) < NEAR * camera.radius:
+        points = np.concatenate([points, np.zeros((1, 3))])  # the axes' origin, drawn there
+    camera.pose = camera.framed(points, reach, FILLED)
+    return camera
 
 
-def _deepest(points: np.ndarray, held: np.ndarray) -> float:
-    """About how far below what is held the points, both (n, 3), may come to hang.
+def _hanging(points: np.ndarray, held: np.ndarray) -> list[np.ndarray]:
+    """About where the points, (n, 3), may come to hang from those that are held, (k, 3).
 
     What lies beside what is held swings down by all of its distance; what lies between sags.
     """
     some, few = (a[:: max(1, len(a) // SAMPLE)] for a in (points, held))
-    away = np.linalg.norm(some[:, None] - few, axis=2).min(axis=1)
+    offset = some[:, None] - few
+    nearest = np.linalg.norm(offset, axis=2).argmin(axis=1)
+    away = np.linalg.norm(some - few[nearest], axis=1)
     across = some[:, [0, 2]]
     low, high = held[:, [0, 2]].min(axis=0), held[:, [0, 2]].max(axis=0)
     between = ((across > low) & (across < high)).all(axis=1)
-    return float(np.where(between, SAG * away, away).max())
+    sags = some[between] - SAG * away[between, None] * UP
+    hangs = few[nearest[~between]] - away[~between, None] * UP
+    return [sags, hangs, (hangs + some[~between]) / 2]
 
 
 def _bounded(scene: Scene) -> Iterator[np.ndarray]:
