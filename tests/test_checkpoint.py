@@ -162,6 +162,34 @@ def test_what_was_spawned_tied_and_held_comes_and_goes(topology):
     assert sim.particle_count == len(scene.particles) and sim.frame == 0
 
 
+def test_one_goes_back_over_a_throw_and_on_in_another_run(tmp_path):
+    """The first ball lets particles collide for good, which is no other scene."""
+    scene = cloth(4, 3, LINKS)
+    sim = Simulation(scene, topology="graph", execution="serial")
+    sim.advance(2)
+    before = sim.checkpoint()
+    sim.advance(3)
+    straight = state(sim)
+    sim.prepare_balls()
+    sim.spawn((150.0, 20.0), (0.0, 4.0), radius=20.0, mass=50.0)
+    sim.advance(2)
+    thrown = sim.checkpoint()
+    sim.advance(2)
+    end = state(sim)
+    sim.restore(before)
+    assert not sim.scene.world.collisions
+    sim.advance(3)
+    assert_same(state(sim), straight)
+    thrown.save(tmp_path / "thrown.npz")
+    sim.reset()  # a run that has thrown nothing
+    for checkpoint in (thrown, tc.Checkpoint.load(tmp_path / "thrown.npz")):
+        sim.restore(checkpoint)
+        sim.advance(2)
+        assert_same(state(sim), end)
+        sim.reset()
+        assert sim.scene.world.collisions and sim.scene.world.tools
+
+
 @pytest.mark.parametrize("topology", ["graph", as_thorough("lanes")])
 def test_what_the_mouse_holds_is_held_again(topology, tmp_path):
     scene = cloth(6, 5, LINKS, break_force=50.0).with_world(tools=True)

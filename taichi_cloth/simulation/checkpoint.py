@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ class Checkpoint:
     run. settings: the host's own, by name: those of `Checkpoints.SETTINGS`. auto: what dt "auto"
     remembers; None: the step was set. kept: the state on the device.
     scene: as it was given; None, of a checkpoint from a file: digest is that of all its numbers.
+    prepared: what tools had switched on in its world by then (`Checkpoints.PREPARED`).
     engine: what ran it then, for the simulation that it is of: that may have another method since.
 
     The arrays are nobody's to change: checkpoints share those that are equal.
@@ -44,6 +45,7 @@ class Checkpoint:
     kept: Kept
     scene: Scene | None = None
     digest: str = ""
+    prepared: Mapping[str, Any] = field(default_factory=dict)
     engine: Mapping[str, Any] | None = None
 
     def save(self, path: str | Path, about: Mapping[str, Any] | None = None) -> None:
@@ -73,6 +75,8 @@ class Checkpoints(Part):
         *("frame", "dt", "substeps", "speed_limit", "solver"),
         *("_since", "_work", "_counted", "_preferred"),
     )
+    # What mouse tools switch on in the scene's world, for good.
+    PREPARED = ("tools", "collisions", "contact")
 
     def checkpoint(self) -> Checkpoint:
         """All that the frames to come depend on, as it is now.
@@ -84,7 +88,8 @@ class Checkpoints(Part):
             frame=self.frame,
             time=self.time,
             name=self.scene.name,
-            scene=self.scene,
+            scene=self._given,
+            prepared={name: getattr(self.scene.world, name) for name in self.PREPARED},
             method=self.method,
             precision=current_device().precision,
             settings={name: copy.copy(getattr(self, name)) for name in self.SETTINGS},
@@ -106,13 +111,15 @@ class Checkpoints(Part):
         if kept.loaded is None:
             taken = replace(kept.taken, scene=saved.joined(self.scene, kept.taken.scene))
             kept = replace(kept, taken=taken)
-        before = {name: getattr(self, name) for name in (*self.SETTINGS, *Engine.ENGINE, "_auto")}
+        names = ("scene", "_auto", *self.SETTINGS, *Engine.ENGINE)
+        before = {name: getattr(self, name) for name in names}
         engine = checkpoint.engine if self._is_own(checkpoint) else None
         if engine and engine["storage"] is not self.storage:
             for name in Engine.ENGINE:
                 setattr(self, name, engine[name])
         for name in self.SETTINGS:
             setattr(self, name, copy.copy(checkpoint.settings[name]))
+        self.scene = self._given.with_world(**checkpoint.prepared)
         self._auto = None
         if checkpoint.auto is not None:
             self._auto = AutoSubsteps(self.method, self._module, self.dt)
@@ -143,10 +150,10 @@ class Checkpoints(Part):
         for what, there, here in pairs:
             if there != here:
                 raise InputError(f"restore: the checkpoint has {what} {there}, the run has {here}")
-        if checkpoint.scene is self.scene:
+        if checkpoint.scene is self._given:
             return
-        there = checkpoint.digest or saved.digest(checkpoint.scene or self.scene)
-        if there != saved.digest(self.scene):
+        there = checkpoint.digest or saved.digest(checkpoint.scene or self._given)
+        if there != saved.digest(self._given):
             raise InputError(
                 f"restore: the checkpoint is of another '{self.scene.name}': with other parameters"
             )

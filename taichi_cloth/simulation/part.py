@@ -22,6 +22,7 @@ from taichi_cloth.simulation.storage.storage import Storage
 class Part(ABC):
     """A part of a `Simulation`: what it may use of the others.
 
+    scene: as it was given, with what tools switched on in its world; _given: without.
     _module: the method's declaration. _auto: what chooses the substeps with dt "auto", else None.
     _requested: topology and execution as asked for; _preferred: the topology of the next load.
     _watch: what times launches. _engines: of methods that the run had, by name (`Engine.ENGINE`).
@@ -32,6 +33,7 @@ class Part(ABC):
     """
 
     scene: Scene
+    _given: Scene
     method: str
     claims: Claims
     solver: dict[str, float]

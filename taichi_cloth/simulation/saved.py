@@ -36,8 +36,12 @@ class Saved:
 
 
 def digest(scene: Scene) -> str:
-    """What tells a scene from any other, in 16 letters: all of its numbers."""
-    found = hashlib.sha256(repr([scene.name, scene.world, scene.obstacles]).encode())
+    """What tells a scene from any other, in 16 letters: all of its numbers.
+
+    Whether it is compiled for mouse tools is none: a window's scene is, a picture's is not.
+    """
+    world = replace(scene.world, tools=False)
+    found = hashlib.sha256(repr([scene.name, world, scene.obstacles]).encode())
     for name in (*TABLES, "triangles"):
         table = getattr(scene, name)
         for key, column in (vars(table) if name in TABLES else {name: table}).items():
@@ -93,6 +97,7 @@ def into(file: PendingFile, parts: Mapping[str, Any], about: Mapping[str, Any]) 
         "version": VERSION,
         "digest": parts["digest"] or digest(parts["scene"]),
         **{name: parts[name] for name in ("frame", "time", "name", "method", "precision")},
+        "prepared": dict(parts["prepared"]),
         "settings": settings,
         "auto": auto,
         "kept": flags,
@@ -160,6 +165,7 @@ def _parts(meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any
     return {
         **{name: meta[name] for name in ("frame", "time", "name", "digest", "method", "precision")},
         "scene": None,
+        "prepared": meta["prepared"],
         "settings": settings,
         "auto": auto,
         "kept": Kept(

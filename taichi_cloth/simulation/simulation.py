@@ -94,7 +94,8 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Engine, Showi
             lanes = accepted.whole_number("lanes", lanes, 1, MOST_LANES)
         if follows and substeps != 1:
             raise InputError("--substeps: --dt auto chooses them; give one of the two")
-        self.scene, self.method = validate(scene), method
+        self.scene = self._given = validate(scene)
+        self.method = method
         refuse_unholdable(scene, current_device().precision)
         step = checked_step(scene.world.dt if dt is None or follows else dt, substeps)
         self.dt, self.substeps = step
@@ -149,7 +150,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Engine, Showi
         validate(scene)
         step = checked_step(scene.world.dt if dt is None else dt, substeps)
         refuse_unholdable(scene, current_device().precision)
-        self.scene = scene
+        self.scene = self._given = scene
         self._engines.clear()
         self.dt, self.substeps = step
         if self.follows:
