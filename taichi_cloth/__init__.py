@@ -33,6 +33,8 @@ _HOMES = {  # public name: (module, name in it; None: the module itself)
     "save_scene": ("scene.scenefile", "save"),
     "load_events": ("ui.interaction", "load"),
     "load_trajectory": ("files.trajectory", "load"),
+    "compare": ("comparison.compare", "compare"),
+    "Comparison": ("comparison.compare", "Comparison"),
     "Trajectory": ("files.trajectory", "Trajectory"),
     "Simulation": ("simulation.simulation", "Simulation"),
     "show": ("ui.showing", "show"),

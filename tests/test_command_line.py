@@ -533,6 +533,9 @@ class FakeSimulation:
         class world:
             dim = 2
 
+        class particles:
+            position, fixed = np.zeros((1, 2)), np.zeros(1, bool)
+
     def __init__(self):
         self.frame, self.n, self.pairs = 0, 1, []
 

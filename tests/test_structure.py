@@ -56,8 +56,10 @@ ROOMS = {
     "explain": {*BASE, "console", "measuring", "runtime", "simulation"},
     "stability": {*BASE, "console", "limits", "runtime", "simulation"},
     "trade": {*BASE, "console", "limits", "measuring", "runtime", "simulation"},
+    "comparison": {"console", "files", "scene", "settings", "trade"},
     "benchmarks": {*BASE, "console", "measuring", "runtime", "simulation", "trade", "ui"},
-    "cli": {*BASE, "benchmarks", "console", "limits", "measuring", "runtime", "simulation", "ui"},
+    "cli": {*BASE, "benchmarks", "comparison", "console", "limits", "measuring", "runtime"}
+    | {"simulation", "ui"},
     "__main__": {"cli"},
 }
 

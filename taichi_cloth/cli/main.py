@@ -29,6 +29,7 @@ COMMANDS = {
     "stability": "compute the largest stable steps of a scene, and find the real ones by runs",
     "trade": "measure a scene's error beside its cost, by method, step and precision",
     "tune": "find the cheapest setting that meets an error, or the best that fits a frame's time",
+    "compare": "compare two recordings of a scene, or a session with a finer run of it",
     "bench": "measure speed, and beside it the error, here and beside other programs",
     "explain": "show what a scene uses, what is compiled for it, and what each feature costs",
 }
@@ -41,6 +42,8 @@ SCENE_COMMANDS: dict[str, tuple[str, type[options.Options]]] = {
     "tune": ("taichi_cloth.trade.tune", options.TuneOptions),
     "explain": ("taichi_cloth.explain.command", options.ExplainOptions),
 }
+# Those that read their words themselves: the module whose main(words) does it.
+OWN_WORDS = {"bench": "taichi_cloth.cli.bench", "compare": "taichi_cloth.cli.compare"}
 # Those that take no words: the module whose main() does it.
 PLAIN_COMMANDS = {"list": "taichi_cloth.cli.listing", "doctor": "taichi_cloth.cli.doctor"}
 
@@ -115,10 +118,9 @@ def _dispatch(arguments: Sequence[str]) -> int:
         return _start_on_scene(command, rest)
     if command in PLAIN_COMMANDS:
         return _start_plain(command, rest)
-    if command == "bench":
-        from taichi_cloth.cli import bench
-
-        return bench.main(rest)
+    if command in OWN_WORDS:
+        status: int = importlib.import_module(OWN_WORDS[command]).main(rest)
+        return status
     raise InputError(f"unknown command '{command}'; {_command_hint(command)}")
 
 
@@ -166,6 +168,7 @@ def _help() -> str:
     return laid_out(
         f"usage: {PROGRAM} [run] [SCENE | FILE.toml | MESH.obj] [flags]\n"
         f"       {PROGRAM} {' | '.join(others)} [SCENE | FILE.toml | MESH.obj] [flags]\n"
+        f"       {PROGRAM} compare A.npz B.npz | [SCENE] --events FILE.jsonl [flags]\n"
         f"       {PROGRAM} bench [PART ...] [flags]\n"
         f"       {PROGRAM} list | doctor | --version | --help\n\n"
         "An interactive cloth and spring-mass simulator.\n\n"
@@ -173,6 +176,6 @@ def _help() -> str:
         f"Without a command it runs the scene '{DEFAULT_SCENE}'.\n"
         f"'{PROGRAM} run --help' shows all flags of a run, '{PROGRAM} run SCENE --help' those of "
         "a scene, too.\n\n"
-        "exit status: 0 done, 1 tune: no setting was confirmed, 2 the input was refused, "
-        "3 the simulation failed"
+        "exit status: 0 done, 1 tune: no setting was confirmed, compare: they differ, "
+        "2 the input was refused, 3 the simulation failed"
     )

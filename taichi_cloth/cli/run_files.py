@@ -16,6 +16,7 @@ from taichi_cloth.files.exports import Export
 from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
+from taichi_cloth.scene.fingerprint import scene_hash
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import RunOptions
@@ -89,6 +90,7 @@ def kept(
 
     recorder, recordings, ending = written.recorder, written.recordings, written.ending
     failure: KeyboardInterrupt | RunFailure | InputError | None = None
+    began = sim.scene  # which the user may change
 
     def finish() -> None:
         with contextlib.ExitStack() as files:  # each is tried, also where a disk is full
@@ -102,7 +104,7 @@ def kept(
             if recordings.export:
                 files.callback(recordings.export.save)
             if recordings.trajectory:
-                files.callback(recordings.trajectory.save, _meta(source, sim, device))
+                files.callback(recordings.trajectory.save, _meta(source, began, sim, device))
             if isinstance(failure, SimulationFailure):
                 recordings.record(sim, last=True)
 
@@ -125,13 +127,15 @@ def header(source: SceneSource, header: dict[str, Any]) -> dict[str, Any]:
     return {**header, "arguments": source.flags()} if source.flags() else header
 
 
-def _meta(source: SceneSource, sim: Simulation, device: Device) -> dict[str, Any]:
-    """What a saved trajectory says about its run."""
+def _meta(source: SceneSource, began: Scene, sim: Simulation, device: Device) -> dict[str, Any]:
+    """What a saved trajectory says about its run; began: the scene as it was at the start."""
     import taichi
 
     return {
-        "scene": sim.scene.name,
+        "scene": began.name,
         "arguments": source.flags(),
+        "scene_source": source.as_json(),
+        "scene_hash": scene_hash(began),
         "method": sim.method,
         "dt": sim.dt,
         "substeps": sim.substeps,  # the last ones, where they follow the springs

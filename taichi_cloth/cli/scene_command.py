@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from taichi_cloth.errors import InputError, nearest
@@ -19,13 +19,18 @@ OF_EVERY_SCENE = {"set": ASSIGNMENT}
 
 
 def read(
-    command: str, settings: type[AnyOptions], arguments: Sequence[str], about: str
+    command: str,
+    settings: type[AnyOptions],
+    arguments: Sequence[str],
+    about: str,
+    default: Callable[[Mapping[str, str | bool]], str] = lambda texts: DEFAULT_SCENE,
 ) -> tuple[SceneSource, AnyOptions] | None:
     """The scene and the options on a command line; None if it asks for help, which is printed here.
 
     settings: the command's class of options. What these exclude of each other is the command's
         to check.
-    about: a sentence for its help.
+    about: a sentence for its help. default: the scene where none is named, from the texts of the
+        flags that are given.
     """
     of_command = parameters_of(settings)
     of_scenes = {name: library.parameters(name) for name in library.names()}
@@ -35,7 +40,7 @@ def read(
     parser.declare("", OF_EVERY_SCENE)
     words = parser.read(arguments)
 
-    scene, *more = words.others or [DEFAULT_SCENE]
+    scene, *more = words.others or [default(words.texts)]
     if more:
         raise InputError(f"unexpected '{more[0]}': the scene is already '{scene}'")
     is_file = names_file(scene)

@@ -22,6 +22,7 @@ UNREADABLE = (
     *(RuntimeError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error),
 )
 _ARRAYS = ("frame", "time", "position", "velocity", "spring", "spring_alive", "meta")
+_LATER = ("start", "fixed")  # which files of earlier versions do not have
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,8 @@ class Saved:
     frame: (k,) int, numbered from 1; time: (k,) [the scene's time]; position, velocity:
     (k, particles, dim) float64, NaN before a particle exists; spring: (springs, 2) int;
     spring_alive: (k, springs) bool; meta: scene, method, dt and so on.
+    start: (particles, dim), where particles were at the scene's start, NaN of those that came
+    later; fixed: (particles,) bool, which were fixed there. None: a file of an earlier version.
     """
 
     frame: np.ndarray
@@ -40,6 +43,8 @@ class Saved:
     spring: np.ndarray
     spring_alive: np.ndarray
     meta: dict[str, Any]
+    start: np.ndarray | None = None
+    fixed: np.ndarray | None = None
 
 
 class _World(Protocol):
@@ -47,9 +52,18 @@ class _World(Protocol):
     def dim(self) -> int: ...
 
 
+class _Particles(Protocol):
+    @property
+    def position(self) -> np.ndarray: ...
+    @property
+    def fixed(self) -> np.ndarray: ...
+
+
 class _Scene(Protocol):
     @property
     def world(self) -> _World: ...
+    @property
+    def particles(self) -> _Particles: ...
 
 
 class Recordable(Protocol):
@@ -102,6 +116,7 @@ class Trajectory:
         self._frames: list[_Frame] = []
         self._springs = np.zeros((0, 2), np.int64)
         self._shape = (0, 2)
+        self._began: _Particles | None = None
 
     @property
     def frames(self) -> int:
@@ -127,6 +142,7 @@ class Trajectory:
             )
         self._shape = (sim.particle_count, sim.scene.world.dim)
         self._springs = sim.springs()
+        self._began = self._began or sim.scene.particles
         wanted = last or (frame > 0 and frame % self.every == 0)
         if not wanted or (self._frames and frame == self._frames[-1].number):
             return
@@ -147,6 +163,11 @@ class Trajectory:
         position = np.full((k, particles, dim), np.nan)
         velocity = np.full((k, particles, dim), np.nan)
         alive = np.zeros((k, len(self._springs)), bool)
+        start, fixed = np.full((particles, dim), np.nan), np.zeros(particles, bool)
+        if self._began is not None:
+            there = len(self._began.fixed[:particles])
+            start[:there] = self._began.position[:particles]
+            fixed[:there] = self._began.fixed[:particles]
         for i, frame in enumerate(self._frames):
             position[i, : len(frame.position)] = frame.position
             velocity[i, : len(frame.velocity)] = frame.velocity
@@ -164,6 +185,8 @@ class Trajectory:
                 spring=np.asarray(self._springs, np.int64).reshape(-1, 2),
                 spring_alive=alive,
                 meta=np.array(json.dumps(meta or {})),
+                start=start,
+                fixed=fixed,
             )
         )
 
@@ -183,11 +206,35 @@ def load(path: str | Path) -> Saved:
     path = _checked(path)
     try:
         with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in _ARRAYS}
-        return Saved(**{**arrays, "meta": json.loads(str(arrays["meta"]))})
+            missing = [name for name in _ARRAYS if name not in file]
+            if missing:
+                raise InputError(f"{path}: is not a saved trajectory: it has no '{missing[0]}'")
+            names = (*_ARRAYS, *(name for name in _LATER if name in file))
+            arrays = {name: file[name] for name in names}
+        return _whole(Saved(**{**arrays, "meta": json.loads(str(arrays["meta"]))}), path)
+    except InputError:
+        raise
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
-    except KeyError as error:
-        raise InputError(f"{path}: is not a saved trajectory: it has no {error}") from None
     except UNREADABLE as error:
         raise InputError(f"{path}: is not a saved trajectory: {error}") from None
+
+
+def _whole(saved: Saved, path: Path) -> Saved:
+    """What was read, if its arrays go together; else InputError."""
+    shape = saved.position.shape
+    k, n, dim = shape if len(shape) == 3 else (0, 0, 0)
+    s = len(saved.spring) if saved.spring.ndim else 0
+    wanted = {
+        "frame": (k,), "time": (k,), "position": (k, n, dim), "velocity": (k, n, dim),
+        "spring": (s, 2), "spring_alive": (k, s), "start": (n, dim), "fixed": (n,),
+    }  # fmt: skip
+    for name, there in wanted.items():
+        array = getattr(saved, name)
+        kinds = "b" if name in ("spring_alive", "fixed") else "iuf"
+        if array is not None and (array.shape != there or array.dtype.kind not in kinds):
+            found = f"{array.dtype} {array.shape}"
+            raise InputError(f"{path}: is not a saved trajectory: its '{name}' is {found}")
+    if not isinstance(saved.meta, dict):
+        raise InputError(f"{path}: is not a saved trajectory: its 'meta' is no object")
+    return saved

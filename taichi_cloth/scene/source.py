@@ -98,6 +98,22 @@ class SceneSource:
         assigned = (word for entry in self.assignments for word in ("--set", entry.text))
         return [*flag_words(self.parameters), *assigned]
 
+    def as_json(self) -> dict[str, Any]:
+        """It as JSON values, of which `from_json` makes it again."""
+        assigned = [entry.text for entry in self.assignments]
+        return {"name": self.name, "parameters": dict(self.parameters), "assignments": assigned}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> SceneSource:
+        """The source that `as_json` wrote. InputError, KeyError or TypeError where it wrote none.
+
+        A parameter that the scene lacks, or a value that it refuses, shows when it is built.
+        """
+        from taichi_cloth.scene import assignments
+
+        given = tuple(map(assignments.read, values["assignments"]))
+        return cls(str(values["name"]), dict(values["parameters"]), given)
+
     def following(self, other: SceneSource) -> SceneSource:
         """This scene with parameters and assignments of `other` where it has none of its own."""
         return replace(

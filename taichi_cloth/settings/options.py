@@ -84,6 +84,7 @@ VIEWS = ("auto", "ggui", "gui", "none")
 STRAIN = "strain"  # drawn: the colours of what springs bear
 SHOWN = ("surface", "springs", "particles", STRAIN)  # what may be drawn of a cloth
 HEADLESS_FRAMES = 600
+WITHIN = "1%"  # how far apart two runs may be that are still together: most eyes see no less
 
 
 @dataclass(frozen=True)
@@ -370,6 +371,57 @@ class ExplainOptions(Options):
     tables: str | None = setting(
         None, "with --all: fill a document's tables", str, metavar="FILE.md"
     )
+
+
+@dataclass(frozen=True)
+class CompareOptions(Options):
+    """Settings of `compare`."""
+
+    events: str | None = setting(
+        None,
+        "run a session again: as this log has it (A), and with one of the next four flags (B)",
+        str,
+        metavar="FILE.jsonl",
+    )
+    substeps: int | None = setting(
+        None, "B: steps a frame", int, minimum=1, maximum=1_000_000, metavar="N"
+    )
+    dt: float | None = setting(
+        None,
+        "B: time of a step, as the log's frames stay: the longest that is not longer and that "
+        "divides them",
+        float,
+        above=0,
+        metavar="X",
+    )
+    method: str | None = setting(None, "B: time-integration method", str, metavar="NAME")
+    precision: str | None = setting(
+        None, "B: floating-point numbers (A: f32)", str, choices=PRECISIONS
+    )
+    frames: int | None = setting(
+        None,
+        "frames to run (default: 60 past the log's last event)",
+        int,
+        minimum=1,
+        maximum=100_000,
+        metavar="N",
+    )
+    order: bool = setting(
+        False, "run a third time, finer by as much again, and measure the order of convergence"
+    )
+    keep: str | None = setting(
+        None, "folder that keeps the recordings of these runs", str, metavar="DIR"
+    )
+    within: str | None = setting(
+        None,
+        "how far apart is near enough (rms, at each frame): in the scene's unit, or with % in "
+        "parts of the largest displacement; exit status 0 up to that, and else only for the same "
+        "bits",
+        str,
+        metavar="X|X%",
+    )
+    picture: str | None = setting(None, "draw the distance over time", str, metavar="FILE.png|svg")
+    json: bool = setting(False, "print nothing but JSON")
 
 
 def shown_parts(text: str) -> frozenset[str]:

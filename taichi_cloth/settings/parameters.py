@@ -122,6 +122,28 @@ def number_of(type_: Callable[[str], Number], text: str) -> Number:
     return type_(text)
 
 
+def positive(flag: str, text: str, says: str, given: str) -> float:
+    """The number above zero that `text` is.
+
+    Raises InputError where it is none: `given` is not what it `says`.
+    """
+    try:
+        number = number_of(float, text.strip())
+    except ValueError:
+        number = math.nan
+    if not 0 < number < math.inf:
+        raise InputError(f"{flag} must be {says}; is '{clipped(given)}'")
+    return number
+
+
+def error_limit(flag: str, given: str) -> tuple[float, bool]:
+    """A limit of an error, 'X' or 'X%': the number, of which 1 is 100 %, and whether it had a %."""
+    text = given.strip()
+    number = text.removesuffix("%")
+    value = positive(flag, number, "a number, or one with %, such as 1%", given)
+    return (value / 100, True) if number != text else (value, False)
+
+
 def _shown(value: float) -> str:
     """A number as it is, cut where it is long; Python does not write one of 4301 digits."""
     try:

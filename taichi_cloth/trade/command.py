@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import hashlib
 import shlex
 from collections.abc import Iterator
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from taichi_cloth import console
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.pending import folder_of_results, write_all
+from taichi_cloth.scene.fingerprint import scene_hash
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import ARCHS, PROGRAM, ComparisonOptions, TradeOptions
@@ -163,27 +160,6 @@ def environment(source: SceneSource, options: ComparisonOptions, result: Result)
         "event": found.event if found else None,
         "interrupted": result.interrupted is not None,
     }
-
-
-def scene_hash(scene: Scene) -> str:
-    """16 digits that two scenes share only if all of their physics is the same."""
-    digest = hashlib.sha256()
-    world = scene.world
-    digest.update(repr((world.size, world.gravity, world.walls, world.collisions)).encode())
-    if scene.features().obstacles:
-        given = world.up, world.ground, world.friction, world.contact
-        digest.update(repr((given, scene.obstacles)).encode())
-    if world.more:
-        digest.update(repr(sorted(world.more.items())).encode())
-        digest.update(np.ascontiguousarray(scene.triangles).tobytes())
-    for part in (scene.particles, scene.springs):
-        for column in fields(part):
-            if column.name != "color":
-                digest.update(np.ascontiguousarray(getattr(part, column.name)).tobytes())
-    if len(scene.stencils):
-        for values in vars(scene.stencils).values():
-            digest.update(np.ascontiguousarray(values).tobytes())
-    return digest.hexdigest()[:16]
 
 
 def run_words(source: SceneSource, how: RunConditions) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -59,26 +60,65 @@ class Distance:
 
 
 def distance(a: Samples, b: Samples, free: np.ndarray) -> Distance:
-    """The distance of two runs of as many frames; free: (n,) bool."""
-    square = ((a.x[1:, free] - b.x[1:, free]) ** 2).sum(axis=2)
+    """The distance of two runs of as many frames; free: (n,) bool.
+
+    A particle that either run does not have yet, whose row is NaN, counts from when both have it.
+    """
+    square = squares(a, b, free)[1:]
     return Distance(
-        final_rms=float(np.sqrt(square[-1].mean())),
-        final_max=float(np.sqrt(square[-1].max())),
-        trajectory=float(np.sqrt(square.mean())),
-        trajectory_max=float(np.sqrt(square.max())),
+        final_rms=float(np.sqrt(_mean(square[-1]))),
+        final_max=float(np.sqrt(_largest(square[-1]))),
+        trajectory=float(np.sqrt(_mean(square))),
+        trajectory_max=float(np.sqrt(_largest(square))),
     )
+
+
+def squares(a: Samples, b: Samples, free: np.ndarray) -> np.ndarray:
+    """Square of the distance of each free particle at each sample, (frames + 1, free)."""
+    square: np.ndarray = ((a.x[:, free] - b.x[:, free]) ** 2).sum(axis=2)
+    return square
 
 
 def rms_by_frame(a: Samples, b: Samples, free: np.ndarray) -> np.ndarray:
     """Root of the mean square distance of a particle at each sample, (frames + 1,)."""
-    rms: np.ndarray = np.sqrt(((a.x[:, free] - b.x[:, free]) ** 2).sum(axis=2).mean(axis=1))
+    rms: np.ndarray = np.sqrt(_mean(squares(a, b, free), axis=1))
     return rms
+
+
+def max_by_frame(a: Samples, b: Samples, free: np.ndarray) -> np.ndarray:
+    """Largest distance of a particle at each sample, (frames + 1,)."""
+    largest: np.ndarray = np.sqrt(_largest(squares(a, b, free), axis=1))
+    return largest
 
 
 def displacement(samples: Samples, free: np.ndarray) -> float:
     """Largest distance of a free particle from where it began."""
     moved = samples.x[:, free] - samples.x[:1, free]
-    return float(np.sqrt((moved**2).sum(axis=2).max(initial=0.0)))
+    return float(np.sqrt(_largest((moved**2).sum(axis=2))))
+
+
+def extent(samples: Samples, free: np.ndarray, diagonal: float) -> tuple[float, str]:
+    """What errors are compared to, and its name: the largest displacement of a free particle.
+
+    diagonal: the world's [length], which stands for it where nothing moves.
+    """
+    largest = displacement(samples, free)
+    if largest > 0:
+        return largest, "the largest displacement"
+    return diagonal, "the world's diagonal, as nothing moves"
+
+
+def _mean(square: np.ndarray, axis: int | None = None) -> Any:
+    """The mean of what is there; 0 where nothing is."""
+    there = ~np.isnan(square)
+    if there.all() and square.size:
+        return square.mean(axis=axis)
+    return np.where(there, square, 0.0).sum(axis=axis) / np.maximum(there.sum(axis=axis), 1)
+
+
+def _largest(square: np.ndarray, axis: int | None = None) -> Any:
+    """The largest of what is there; 0 where nothing is."""
+    return np.fmax.reduce(square, axis=axis, initial=0.0)
 
 
 @dataclass(frozen=True)
@@ -154,8 +194,8 @@ class Breaks:
 
     @classmethod
     def of(cls, samples: Samples, reference: Samples) -> Breaks:
-        broken, true = (_break_frames(of) for of in (samples, reference))
-        first, true_first = _first(broken), _first(true)
+        broken, true = (break_frames(of) for of in (samples, reference))
+        first, true_first = first_frame(broken), first_frame(true)
         return cls(
             count=int((broken >= 0).sum()),
             agreeing=int(((broken >= 0) & (true >= 0)).sum()),
@@ -164,13 +204,14 @@ class Breaks:
         )
 
 
-def _break_frames(samples: Samples) -> np.ndarray:
+def break_frames(samples: Samples) -> np.ndarray:
     """The frame in which each spring broke, (s,), -1 for those that hold."""
     broken = ~samples.alive
     return np.where(broken.any(axis=0), broken.argmax(axis=0), -1)
 
 
-def _first(frames: np.ndarray) -> int | None:
+def first_frame(frames: np.ndarray) -> int | None:
+    """The frame of the first break, of those of all springs; None where none breaks."""
     broken = frames[frames >= 0]
     return int(broken.min()) if len(broken) else None
 

@@ -71,7 +71,7 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
     of_time.set_ylabel(f"trajectory error (RMS, in parts of {result.horizon.what.split(',')[0]})")
     figure.suptitle(_title(result), fontsize=11)
     _legend(figure, styles, rows)
-    return {kind: _file(figure, kind) for kind in kinds}
+    return {kind: file_of(figure, kind) for kind in kinds}
 
 
 def _title(result: Result) -> str:
@@ -85,7 +85,8 @@ def _title(result: Result) -> str:
     return title
 
 
-def _file(figure: Figure, kind: str) -> bytes:
+def file_of(figure: Figure, kind: str) -> bytes:
+    """A figure as a file of a kind ("png", "svg"), the same each time."""
     buffer = io.BytesIO()
     # A date would make every file another one.
     figure.savefig(buffer, format=kind, dpi=130, metadata={"Date": None} if kind == "svg" else {})

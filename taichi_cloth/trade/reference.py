@@ -20,7 +20,7 @@ from taichi_cloth.limits.bounds import any_geometry
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.trade import ode
+from taichi_cloth.trade import errors, ode
 from taichi_cloth.trade.errors import Distance, Samples, displacement, distance, rms_by_frame
 
 DISTURBANCE = 1e-10  # of the largest displacement: what the starts of two runs differ by
@@ -169,11 +169,9 @@ def limit_horizon(scene: Scene, run: Samples, other: Samples) -> Horizon:
 
 
 def extent(scene: Scene, run: Samples) -> tuple[float, str]:
-    """What errors are compared to, and its name: the largest displacement of a free particle."""
-    largest = displacement(run, ~scene.particles.fixed)
-    if largest > 0:
-        return largest, "the largest displacement"
-    return float(np.linalg.norm(scene.world.size)), "the world's diagonal, as nothing moves"
+    """What errors of a scene are compared to, and its name (`errors.extent`)."""
+    diagonal = float(np.linalg.norm(scene.world.size))
+    return errors.extent(run, ~scene.particles.fixed, diagonal)
 
 
 def closed_form(source: SceneSource, scene: Scene, times: np.ndarray) -> Samples | None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from taichi_cloth import console
-from taichi_cloth.console import duration
+from taichi_cloth.console import duration, percent
 from taichi_cloth.errors import counted
 from taichi_cloth.trade.outcomes import Result
 from taichi_cloth.trade.reference import Horizon, Reference
@@ -78,7 +78,7 @@ def advised(front: Sequence[Row]) -> tuple[Row, str]:
     lasting = [row for row in good if methods.load(row.setting.method).claims.stability_limit > 0]
     if lasting or good:
         taken = min(lasting or good, key=_by_cost)
-        return taken, f"the cheapest with an error of at most {_percent(GOOD)}"
+        return taken, f"the cheapest with an error of at most {percent(GOOD)}"
     best = min(front, key=lambda row: row.error_trajectory_relative or 0.0)
     return best, "the most accurate there is"
 
@@ -104,10 +104,10 @@ def _columns(result: Result, rows: Sequence[Row]) -> dict[str, list[str]]:
         "solver": [_solver(row) for row in rows],
         "error": [_error(row, result.reference, result.horizon) for row in rows],
         "by solver": column(lambda row: _number(row.error_solver, _scale(result))),
-        "worst at end": column(lambda row: _percent(row.error_final_max_relative)),
+        "worst at end": column(lambda row: percent(row.error_final_max_relative)),
         "order": column(lambda row: "" if row.order is None else f"{row.order:.2f}"),
-        "energy drift": column(lambda row: _percent(row.energy_drift)),
-        "strain": column(lambda row: _percent(row.max_strain)),
+        "energy drift": column(lambda row: percent(row.energy_drift)),
+        "strain": column(lambda row: percent(row.max_strain)),
         "breaks (as in ref.)": column(
             lambda row: f"{row.breaks} ({row.breaks_agreeing})" if row.breaks is not None else ""
         ),
@@ -211,19 +211,8 @@ def _error(row: Row, reference: Reference | None, horizon: Horizon | None) -> st
     if row.error_trajectory_relative is None:
         return "not known"
     if row.below_floor and reference and horizon:
-        return FLOOR + _percent(reference.floor(horizon) / horizon.scale)
-    return _percent(row.error_trajectory_relative)
-
-
-def _percent(part: float | None) -> str:
-    """A part as a percentage of three digits; tiny ones with an exponent."""
-    if part is None:
-        return ""
-    if part == 0:
-        return "0 %"
-    if part >= 1:
-        return f"{100 * part:.0f} %" if part < 1e4 else f"{100 * part:.0e} %"
-    return f"{100 * part:.3g} %" if part >= 1e-5 else f"{100 * part:.1e} %"
+        return FLOOR + percent(reference.floor(horizon) / horizon.scale)
+    return percent(row.error_trajectory_relative)
 
 
 def _plain(number: float | None) -> str:
@@ -236,4 +225,4 @@ def _signed(number: float | None) -> str:
 
 
 def _number(error: float | None, scale: float) -> str:
-    return "" if error is None else _percent(error / scale)
+    return "" if error is None else percent(error / scale)

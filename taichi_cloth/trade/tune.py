@@ -23,7 +23,7 @@ from taichi_cloth.scene.penetration import touches
 from taichi_cloth.scene.solids import solids
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import PROGRAM, TuneOptions
-from taichi_cloth.settings.parameters import number_of
+from taichi_cloth.settings.parameters import error_limit, positive
 from taichi_cloth.trade import command, rows
 from taichi_cloth.trade.rows import Row
 from taichi_cloth.trade.settings import Setting
@@ -237,10 +237,7 @@ def read_target(
         )
     deepest = None if penetration is None else _read_length(penetration, in_metres)
     if error is not None:
-        number = error.strip().removesuffix("%")
-        relative = number != error.strip()
-        value = _positive("--error", number, "a number, or one with %, such as 1%", error)
-        value = value / 100 if relative else value
+        value, relative = error_limit("--error", error)
         return Target(error=value, relative=relative, penetration=deepest)
     if frame_time is not None:
         return Target(frame_seconds=_read_time(frame_time), penetration=deepest)
@@ -252,8 +249,8 @@ def _read_length(given: str, in_metres: bool | None) -> float:
     unit = next((unit for unit in LENGTH_UNITS if text.endswith(unit)), None)
     says = "a length of the scene, or one with m, cm or mm, such as 1mm"
     if unit is None:
-        return _positive("--penetration", text, says, given)
-    length = _positive("--penetration", text.removesuffix(unit), says, given)
+        return positive("--penetration", text, says, given)
+    length = positive("--penetration", text.removesuffix(unit), says, given)
     if in_metres is False:
         raise InputError(
             f"--penetration: '{clipped(given)}' has a unit, and this scene's lengths have none, "
@@ -268,17 +265,7 @@ def _read_time(frame_time: str) -> float:
     says = "a time with its unit, s, ms or us, such as 8ms"
     if unit is None:
         raise InputError(f"--frame-time must be {says}; is '{clipped(frame_time)}'")
-    return _positive("--frame-time", text.removesuffix(unit), says, frame_time) * TIME_UNITS[unit]
-
-
-def _positive(flag: str, text: str, says: str, given: str) -> float:
-    try:
-        number = number_of(float, text.strip())
-    except ValueError:
-        number = np.nan
-    if not 0 < number < np.inf:
-        raise InputError(f"{flag} must be {says}; is '{clipped(given)}'")
-    return number
+    return positive("--frame-time", text.removesuffix(unit), says, frame_time) * TIME_UNITS[unit]
 
 
 def is_measured(row: Row) -> bool:

@@ -1,0 +1,263 @@
+"""`compare`: two runs whose first difference is known by construction, and a session run again."""
+
+import json
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import taichi_cloth as tc
+from taichi_cloth.errors import InputError
+from taichi_cloth.files.trajectory import Trajectory
+from taichi_cloth.scene import library
+from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.scene.penetration import Moment, touching
+from taichi_cloth.scene.solids import solids
+
+AMPLITUDE, OMEGA = 50.0, 0.1  # of the oscillator
+
+
+def recorded(sim, path, frames):
+    """The path of a recording of so many frames."""
+    trajectory = Trajectory(path)
+    for _ in range(frames):
+        sim.advance()
+        trajectory.record(sim)
+    trajectory.save({"scene": sim.scene.name})
+    return path
+
+
+def swing(step, times):
+    """Where symplectic Euler has x'' = -OMEGA^2 x at `times`, let go at AMPLITUDE: its closed form.
+
+    x_n = A cos((n + 1/2) theta) / cos(theta / 2), where sin(theta / 2) = OMEGA step / 2.
+    """
+    half = np.arcsin(OMEGA * step / 2)
+    return AMPLITUDE * np.cos((2 * times / step + 1) * half) / np.cos(half)
+
+
+@pytest.fixture(scope="module")
+def swings(pool, tmp_path_factory):
+    """Recordings of 60 units of time by step: frames of 1 or, of the second one, of a half."""
+    folder, scene = tmp_path_factory.mktemp("swings"), library.build("oscillator")
+    return {
+        1.0: recorded(pool(scene), folder / "whole.npz", 60),
+        0.5: recorded(pool(scene, dt=0.5), folder / "half.npz", 120),
+    }
+
+
+def test_the_distance_is_the_phase_error_of_the_oscillator(swings):
+    """Also where frames are not as long: those at the same times are compared."""
+    found = tc.compare(swings[1.0], swings[0.5], within="0.2%")
+    times = np.arange(1.0, 61.0)
+    apart = np.abs(swing(1.0, times) - swing(0.5, times))
+    assert (found.time == times).all() and (found.frame_b == 2 * found.frame_a).all()
+    assert np.allclose(found.rms, apart, rtol=1e-9, atol=1e-9)
+    assert np.allclose(found.max, apart, rtol=1e-9, atol=1e-9) and (found.farthest == 1).all()
+    scale = np.abs(swing(0.5, times) - AMPLITUDE).max()
+    assert found.scale == pytest.approx(scale, rel=1e-12) and found.particles == 1
+    assert found.error == pytest.approx(np.sqrt((apart**2).mean()) / scale, rel=1e-9)
+    assert found.parted == times[np.argmax(apart > 0.002 * scale)]
+    assert found.difference.time == 1.0 and found.difference.particle == 1
+    assert not found.identical and found.first_break is None and found.break_a is None
+
+
+def test_identical_runs_are_identical(swings, cli):
+    found = tc.compare(swings[1.0], tc.load_trajectory(swings[1.0]))
+    assert found.identical and found.difference is None and found.parted is None
+    assert not found.rms.any() and found.error == 0
+    assert "identical to the bit in all 60 frames" in cli("compare", *[swings[1.0]] * 2)[0]
+    # Half of the frames are not all of them, even if they have the same bits.
+    saved = tc.load_trajectory(swings[1.0])
+    some = {name: getattr(saved, name)[:30] for name in ("frame", "time", "position", "velocity")}
+    short = tc.compare(saved, replace(saved, **some, spring_alive=saved.spring_alive[:30]))
+    assert not short.identical and short.difference is None and short.frames_a == 60
+
+
+def test_the_exit_status_and_what_is_written(swings, cli, tmp_path):
+    both = swings[1.0], swings[0.5]
+    out, _ = cli("compare", *both, check=1)
+    assert "they part at time" in out and "the first difference: position" in out
+    picture = tmp_path / "apart.svg"
+    out, _ = cli("compare", *both, "--within", "10", "--json", "--picture", picture)
+    said, found = json.loads(out), tc.compare(*both, within=10.0)
+    assert said["same"] and said["parted"] is None and said["rms"] == found.rms.tolist()
+    assert said["limit"] == 10.0 and said["difference"]["particle"] == 1
+    assert "first difference" in "".join(ElementTree.parse(picture).getroot().itertext()) or (
+        picture.stat().st_size > 10_000  # where letters are drawn as paths
+    )
+    cli("compare", *both, "--within", "10%", "--picture", tmp_path / "apart.png", check=0)
+    assert (tmp_path / "apart.png").read_bytes().startswith(b"\x89PNG")
+
+
+# ------------------------------------------------------------------------------------------
+# Events
+
+
+def hanging(*break_forces):
+    """Masses that fall, each on a spring of its own, which breaks at a force of its own."""
+    count = len(break_forces)
+    top = [(50.0 + 50.0 * k, 20.0) for k in range(count)]
+    below = [(x, y + 10.0) for x, y in top]
+    return Scene(
+        "hanging",
+        World(size=(400.0, 400.0), gravity=(0.0, 0.1)),
+        Particles.build([*top, *below], fixed=[True] * count + [False] * count),
+        Springs.build(
+            [(k, count + k) for k in range(count)],
+            [*top, *below],
+            stiffness=0.05,
+            rest_length=10.0,
+            break_force=break_forces,
+        ),
+    )
+
+
+def test_the_first_break_is_named(pool, tmp_path):
+    """Of three springs the second breaks at another force: its frames follow from its swing."""
+    a = recorded(pool(hanging(0.12, 0.15, 9.0)), tmp_path / "a.npz", 30)
+    b = recorded(pool(hanging(0.12, 0.06, 0.18)), tmp_path / "b.npz", 30)
+    y, v, pull = 0.0, 0.0, [0.0]
+    for _ in range(30):
+        v += 0.1 - 0.05 * y
+        y += v
+        pull.append(0.05 * y)
+    breaks = [int(np.argmax(np.array(pull) > force)) for force in (0.12, 0.15, 0.06, 0.18)]
+    found = tc.compare(a, b)
+    event = found.first_break
+    assert (event.kind, event.spring, event.particles) == ("break", 1, (1, 4))
+    assert (event.a, event.b, event.others) == (breaks[1], breaks[2], 1)
+    assert event.time == breaks[2] == found.break_b and found.break_a == breaks[0]
+    # What a spring breaks at changes nothing before: it pulls in the step in which it is marked.
+    assert found.difference.frame_a == breaks[2] and found.difference.what == "springs that hold"
+    only = tc.compare(b, a).first_break
+    assert (only.a, only.b) == (event.b, event.a)
+    third = tc.compare(
+        recorded(pool(hanging(0.12, 0.15, 0.18)), tmp_path / "c.npz", 30), a
+    ).first_break
+    assert (third.spring, third.a, third.b, third.others) == (2, breaks[3], None, 0)
+
+
+BALL = """
+name = "ball"
+[world]
+size = [2.0, 2.0]
+up = "y"
+gravity = [0.0, -10.0]
+ground = 0.2
+dt = 0.01
+[particle]
+radius = 0.05
+[[particles]]
+position = [0.5, 1.0]
+[[particles]]
+position = [1.5, 1.0]
+"""
+
+
+def test_the_first_touch_is_named(cli, tmp_path):
+    """Two balls fall on the ground, which is higher in B: frames follow from their fall."""
+    (tmp_path / "ball.toml").write_text(BALL)
+    run = ["run", "ball.toml", "--headless", "--quiet", "--precision", "f64", "--frames", 50]
+    cli(*run, "--save", "a.npz", cwd=tmp_path)
+    cli(*run, "--save", "b.npz", "--set", "world.ground=0.5", cwd=tmp_path)
+    frame = np.arange(51)
+    height = 1.0 - 10.0 * 0.01**2 * frame * (frame + 1) / 2 - 0.05  # of symplectic Euler
+    at = {ground: 0.01 * np.argmax(height <= ground) for ground in (0.2, 0.5)}
+    said = json.loads(cli("compare", "a.npz", "b.npz", "--json", cwd=tmp_path, check=1)[0])
+    event = said["first_touch"]
+    assert (event["thing"], event["particles"], event["others"]) == ("ground", [0], 1)
+    assert event["a"] == pytest.approx(at[0.2]) and event["b"] == pytest.approx(at[0.5])
+    assert said["touch_a"] == pytest.approx(at[0.2])
+    # One that is wholly new there; and what cannot be known, is said.
+    out, _ = cli("compare", "a.npz", "b.npz", cwd=tmp_path, check=1)
+    assert "particle 0 touches ground" in out and "in that frame" in " ".join(out.split())
+    (tmp_path / "ball.toml").write_text(BALL.replace("0.05", "0.04"))
+    out, _ = cli("compare", "a.npz", "b.npz", cwd=tmp_path, check=1)
+    assert "touches are not known: the scene of a.npz is another one now" in " ".join(out.split())
+
+
+def test_what_touches_is_seen_in_positions():
+    """Walls, pairs and spheres, at exact contact; what is a hair away does not touch."""
+    x = np.array([[1.0, 5.0], [3.0, 5.0], [5.01, 5.0], [9.0, 9.0]])
+    world = World(size=(10.0, 10.0), gravity=(0.0, 0.0), walls=("left", "bottom"), collisions=True)
+    sphere = tc.Obstacle("sphere", {"centre": (7.01, 5.0), "radius": 1.0})
+    scene = Scene("x", world, Particles.build(x, radius=1.0), obstacles=(sphere,))
+    found = touching(scene, solids(scene), Moment(x, 0.0 * x, 0.0))
+    assert found.pairs.tolist() == [[0, 1]]
+    assert {name: ids.tolist() for name, ids in found.things.items()} == {
+        "obstacle 0": [2],
+        "left wall": [0],
+        "bottom wall": [3],
+    }
+
+
+# ------------------------------------------------------------------------------------------
+# What cannot be compared
+
+
+def test_what_cannot_be_compared_is_refused_in_a_line(swings, pool, cli, tmp_path):
+    other = recorded(pool(hanging(1.0, 1.0, 1.0)), tmp_path / "other.npz", 3)
+    odd = recorded(pool(library.build("oscillator"), dt=0.35), tmp_path / "odd.npz", 2)
+    (tmp_path / "cut.npz").write_bytes(swings[1.0].read_bytes()[:-400])
+    np.savez(tmp_path / "foreign.npz", position=np.zeros(3))
+    saved = dict(np.load(swings[1.0]))
+    np.savez(tmp_path / "short.npz", **{**saved, "time": saved["time"][:5]})
+    np.savez(tmp_path / "back.npz", **{**saved, "time": saved["time"][::-1]})
+    Trajectory(tmp_path / "empty.npz").save()
+    for name, words in {
+        "other.npz": "not of the same particles: scenes 'oscillator' and 'hanging', 2 particles",
+        "odd.npz": "no frame at the same time",
+        "cut.npz": "cut.npz: is not a saved trajectory",
+        "foreign.npz": "foreign.npz: is not a saved trajectory: it has no 'frame'",
+        "short.npz": "its 'time' is float64 (5,)",
+        "back.npz": "its times do not grow",
+        "empty.npz": "has no frame",
+        "nowhere.npz": "there is no such file",
+    }.items():
+        with pytest.raises(InputError, match=".") as refused:
+            tc.compare(swings[1.0], tmp_path / name)
+        assert words in str(refused.value) and "\n" not in str(refused.value)
+    assert odd != other
+    for words, said in {
+        (swings[1.0],): "name two recordings",
+        (swings[1.0], other, "--substeps", "2"): "--substeps: only with --events",
+        (swings[1.0], other, "--within", "-1%"): "--within must be a number, or one with %",
+        (swings[1.0], swings[1.0], "--picture", "x.gif"): "must end with .png or .svg",
+        ("--events", "no.jsonl", "--substeps", "2"): "there is no such file",
+    }.items():
+        _, error = cli("compare", *words, check=2)
+        assert said in error and error.count("\n") == 1
+
+
+# ------------------------------------------------------------------------------------------
+# A session run again
+
+LOG = """{"header": {"scene": "cloth", "window": [400, 300], "dt": 1.0, "method": "verlet", \
+"arguments": ["--columns", "6", "--rows", "4", "--spacing", "30", "--break-force", "inf"]}}
+{"frame": 3, "event": "move", "pos": [200.0, 60.0]}
+{"frame": 4, "event": "move", "pos": [206.0, 62.0]}
+{"frame": 5, "event": "set", "name": "substeps", "value": 1}
+"""
+
+
+def test_a_session_is_run_again_at_a_finer_step(cli, tmp_path):
+    """The pointer pushes at the same times; the distances of three runs show the method's order."""
+    log = tmp_path / "session.jsonl"
+    log.write_text(LOG)
+    words = ["compare", "--events", log, "--dt", "0.5", "--precision", "f32", "--order"]
+    kept = tmp_path / "kept"
+    out, _ = cli(*words, "--frames", 30, "--within", "5%", "--json", "--keep", kept)
+    said = json.loads(out)
+    assert said["settings_a"]["substeps"] == 1 and said["settings_b"]["substeps"] == 2
+    assert said["settings_b"]["method"] == "verlet" and said["frames_b"] == 30
+    assert said["time"] == list(range(1, 31)) and said["parted"] is None
+    assert abs(said["order"] - 2) < 0.2  # of Verlet's scheme
+    finest = tc.compare(kept / "a.npz", kept / "c.npz")
+    assert said["own_error_relative"] == pytest.approx(finest.error, rel=0.15)
+    assert any("substeps (first in frame 5)" in note for note in said["notes"])
+    _, error = cli("compare", "--events", log, check=2)
+    assert "say what the other run has" in error
+    _, error = cli("compare", "box", "--events", log, "--substeps", 2, check=2)
+    assert "is of scene 'cloth', not of 'box'" in error
