@@ -139,6 +139,24 @@ def test_the_first_break_is_named(pool, tmp_path):
     assert (third.spring, third.a, third.b, third.others) == (2, breaks[3], None, 0)
 
 
+def test_what_comes_later_is_not_broken_before(pool, tmp_path):
+    """A mass and its spring that come in frame 3 of both, and break in frame 5 of A."""
+    path = recorded(pool(hanging(9.0, 9.0, 9.0)), tmp_path / "a.npz", 6)
+    saved = tc.load_trajectory(path)
+    for array in (saved.position[:2], saved.velocity[:2], saved.start[None]):
+        array[:, 5] = np.nan
+    alive = saved.spring_alive.copy()
+    alive[:2, 2] = False
+    b = replace(saved, spring_alive=alive)
+    alive = alive.copy()
+    alive[4:, 2] = False
+    found = tc.compare(replace(saved, spring_alive=alive), b)
+    event = found.first_break
+    assert (event.spring, event.a, event.b) == (2, 5.0, None)
+    assert found.break_a == 5.0 and found.break_b is None
+    assert found.difference.frame_a == 5 and not found.rms.any()
+
+
 BALL = """
 name = "ball"
 [world]

@@ -52,7 +52,9 @@ def draw(found: Comparison, kind: str) -> bytes:
     limit = found.limit / scale
     axes.axhline(limit, color="0.5", lw=1, ls=":", label=f"limit, {limit_of(found)}")
     low = max(min(seen.min(initial=limit), limit) / 3, LEAST)
-    axes.set(yscale="log", ylim=(low, 3 * max(seen.max(initial=limit), limit)))
+    top = 2 * max(seen.max(initial=limit), limit)
+    top *= (top / low) ** 0.3  # room for words
+    axes.set(yscale="log", ylim=(low, top))
     span = (min(0.0, float(found.time[0])), float(found.time[-1]))
     axes.set_xlim(*span)
     axes.set_xlabel("time (the scene's)")

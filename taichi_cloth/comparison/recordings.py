@@ -83,8 +83,17 @@ class Recording:
         return Samples(
             x=np.concatenate([self.start[None], saved.position[frames]]),
             v=np.concatenate([np.zeros_like(self.start)[None], saved.velocity[frames]]),
-            alive=np.concatenate([whole, saved.spring_alive[frames]]),
+            alive=np.concatenate([whole, self._unbroken()[frames]]),
         )
+
+    def _unbroken(self) -> np.ndarray:
+        """Which springs hold, or are still to come with a particle that is, (k, springs) bool."""
+        saved = self.saved
+        began = saved.position[0] if saved.start is None else saved.start
+        later = np.isnan(began).any(axis=1)[saved.spring].any(axis=1)
+        came: np.ndarray = np.logical_or.accumulate(saved.spring_alive, axis=0)
+        unbroken: np.ndarray = saved.spring_alive | (later & ~came)
+        return unbroken
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,8 @@ def _show_runs(found: Comparison, to: Console) -> None:
     lines = [("", found.a, found.b)]
     lines += [(name, _word(of_a.get(name)), _word(of_b.get(name))) for name in differ]
     console.print_table(to, "A beside B", ["", "A", "B"], lines)
-    alike = [f"{name} {_word(of_a[name])}" for name in names if name not in differ]
+    shared = [name for name in names if name not in (*differ, "scene_hash")]
+    alike = [f"{name} {_word(of_a[name])}" for name in shared]
     console.say(to, f"both: {', '.join(alike)}")
 
 
@@ -65,7 +66,7 @@ def _show_distances(found: Comparison, to: Console) -> None:
     for k in sorted({k for k in chosen | set(happens) if 0 <= k < len(found.time)}):
         rms, largest = found.rms[k], found.max[k]
         lines.append((
-            f"{found.time[k]:g}", str(found.frame_a[k]), str(found.frame_b[k]),
+            f"{found.time[k]:.5g}", str(found.frame_a[k]), str(found.frame_b[k]),
             f"{rms:.3g}", percent(rms / found.scale), f"{largest:.3g}",
             percent(largest / found.scale), str(found.farthest[k]) if largest else "",
             "; ".join(happens.get(k, [])),
@@ -109,7 +110,7 @@ def findings(found: Comparison) -> list[str]:
         k = int(found.rms.argmax())
         said.append(
             f"they stay together: never farther apart (rms) than {percent(found.rms[k] / scale)} "
-            f"({found.rms[k]:.3g}), at time {found.time[k]:g}; the limit is {limit}"
+            f"({found.rms[k]:.3g}), at time {found.time[k]:.5g}; the limit is {limit}"
         )
     else:
         said.append(f"they part at time {found.parted:g}: first with an rms distance above {limit}")
@@ -139,7 +140,7 @@ def _first_difference(first: Difference) -> str:
     frames = f"frame {first.frame_a}"
     if first.frame_a != first.frame_b:
         frames += f" of A and {first.frame_b} of B"
-    said = f"the first difference: {first.what}, {frames} (time {first.time:g})"
+    said = f"the first difference: {first.what}, {frames} (time {first.time:.5g})"
     if first.particle is None:
         return said
     return f"{said}: particle {first.particle}, {first.distance:.3g} apart"
@@ -160,7 +161,7 @@ def _of_events(found: Comparison) -> list[str]:
             said.append(f"the first of the {things} that differ: {in_words(event)}{others}{where}")
         elif a is not None or b is not None:
             said.append(
-                f"all {things} are the same; the first is at time {a if b is None else b:g}"
+                f"all {things} are the same; the first is at time {a if b is None else b:.5g}"
             )
     return said
 
@@ -170,12 +171,14 @@ def in_words(event: Event) -> str:
     if event.kind == "break":
         ends = " and ".join(map(str, event.particles))
         what = f"spring {event.spring} (particles {ends}) breaks"
+    elif len(event.particles) > 1:
+        what = f"particles {event.particles[0]} and {event.particles[1]} touch"
     else:
         what = f"particle {event.particles[0]} touches {event.thing}"
     a, b = event.a, event.b
     if a is None or b is None:
-        return f"{what} only in {'A' if b is None else 'B'}, at time {event.time:g}"
-    return f"{what} at time {a:g} in A, {b:g} in B"
+        return f"{what} only in {'A' if b is None else 'B'}, at time {event.time:.5g}"
+    return f"{what} at time {a:.5g} in A, {b:.5g} in B"
 
 
 def in_short(event: Event) -> str:
@@ -184,6 +187,8 @@ def in_short(event: Event) -> str:
     run = "A" if a < b else "B"
     if event.kind == "break":
         return f"spring {event.spring} breaks in {run}"
+    if len(event.particles) > 1:
+        return f"{event.particles[0]} and {event.particles[1]} touch in {run}"
     return f"{event.particles[0]} touches {event.thing} in {run}"
 
 
