@@ -89,7 +89,8 @@ def test_commands_run_one_after_the_other(tmp_path):
 def test_commands_on_files_run_one_after_the_other(cli, tmp_path):
     """In one folder: what is saved, recorded and replayed, and the README's own scene file."""
     save_scenes(tmp_path)
-    lines = [line for line in command_lines() if any(word in line for word in QUICK)]
+    quick = [line for line in command_lines() if any(word in line for word in QUICK)]
+    lines = [line for line in quick if " run " in line]
     assert len(lines) == 6
     for line in lines:
         cli(*shlex.split(line)[1:], "--execution", "serial", "--topology", "graph", cwd=tmp_path)
