@@ -277,10 +277,14 @@ def test_a_window_in_slow_motion_lags_by_a_frame_and_pauses_where_it_is():
 
 @pytest.mark.usefixtures("device")
 def test_a_log_is_that_of_the_run_one_kept(tmp_path):
-    """Back five frames, a look around, another way on with a cut: the log has no step back."""
+    """Back five frames, a look around, another way on with a cut: the log has no step back.
+
+    What was put there meanwhile is gone, and the trajectory goes on without it.
+    """
     scene = build("cloth", columns=12, rows=9)
     sim = Simulation(scene, topology="graph", execution="serial")
-    turns = [gust(k) for k in range(12)]
+    turns = [gust(k) for k in range(10)] + [press("n")]
+    turns += [[Event("press", pos=(400.0, 500.0), button="left")], gust(0)]
     turns += [press("left") for _ in range(7)] + [press(".") for _ in range(2)]
     turns += [press("left"), [Event("move", pos=(260.0, 140.0))], press("c")]
     turns += [
@@ -298,6 +302,7 @@ def test_a_log_is_that_of_the_run_one_kept(tmp_path):
     assert 12 <= sim.frame <= 18
     frames = tc.load_trajectory(kept).frame
     np.testing.assert_array_equal(frames, np.arange(1, sim.frame + 1))
+    assert sim.particle_count == len(scene.particles)
     again = Simulation(scene, topology="graph", execution="serial")
     replay = tc.load_events(log)
     assert any(event.kind == "cut" for events in replay.by_frame.values() for event in events)

@@ -153,6 +153,10 @@ class Trajectory:
     def rewind(self, frame: int) -> None:
         """Forget the frames after `frame`, from which the simulation goes on another way."""
         self._frames = [noted for noted in self._frames if noted.number <= frame]
+        last = self._frames[-1] if self._frames else None
+        # Particles that came since then are no part of it.
+        self._shape = (len(last.position) if last else 0, self._shape[1])
+        self._springs = self._springs[: len(last.alive) if last else 0]
 
     def save(self, meta: dict[str, Any] | None = None) -> None:
         """Write the file. May be called twice; only the first call writes.
