@@ -124,7 +124,7 @@ FILMED = "drape --spin 120"
 FILM_FLAGS = "--frames 150 --size 960x720 --no-status"
 ANIMATION = ROOT / "docs" / "images" / "drape.webp"
 EVERY, FRAME_MS = 2, 33  # frames of the film that are kept, and how long each is shown
-MIDDLE = (100, 140, 880, 620)  # pixels of the film: left, top, right, bottom of what is kept
+MIDDLE = (40, 90, 920, 631)  # pixels of the film: left, top, right, bottom of what is kept
 FILM_WIDTH, FILM_QUALITY = 720, 80
 
 
