@@ -57,9 +57,10 @@ ROOMS = {
     "stability": {*BASE, "console", "limits", "runtime", "simulation"},
     "trade": {*BASE, "console", "limits", "measuring", "runtime", "simulation"},
     "comparison": {"console", "files", "scene", "settings", "trade"},
+    "error_meter": {"measuring", "runtime", "scene", "simulation", "trade"},
     "benchmarks": {*BASE, "console", "measuring", "runtime", "simulation", "trade", "ui"},
-    "cli": {*BASE, "benchmarks", "comparison", "console", "limits", "measuring", "runtime"}
-    | {"simulation", "ui"},
+    "cli": {*BASE, "benchmarks", "comparison", "console", "error_meter", "limits", "measuring"}
+    | {"runtime", "simulation", "ui"},
     "__main__": {"cli"},
 }
 

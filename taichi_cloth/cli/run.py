@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy
 
 from taichi_cloth import runtime
-from taichi_cloth.cli import run_files, run_notes, run_options
+from taichi_cloth.cli import run_files, run_meter, run_notes, run_options
 from taichi_cloth.cli.run_scenes import Run, Wanted, Window
 from taichi_cloth.errors import InputError, RunFailure
 from taichi_cloth.scene.model import Scene
@@ -116,7 +116,10 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
         run_notes.note_passing(source, run.of.scene)
         run_notes.note_reset(files.recordings, view)
     begin = time.perf_counter()
-    with run_files.kept(source, sim, device, files):
+    with (
+        run_files.kept(source, sim, device, files),
+        run_meter.measured(sim, options, waits=not view.visible) as waited,
+    ):
         summary = app.run(
             sim,
             view,
@@ -130,7 +133,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
             **_of_frames(options, view),
         )
     if not options.quiet:
-        print(run_notes.last_line(sim, summary, time.perf_counter() - begin), flush=True)
+        print(run_notes.last_line(sim, summary, time.perf_counter() - begin, waited()), flush=True)
     return summary.frames
 
 

@@ -87,15 +87,18 @@ def _first_line(sim: Simulation, device: Device, view: View) -> str:
     )
 
 
-def last_line(sim: Simulation, summary: Summary, seconds: float) -> str:
-    """Frames, time a frame, steps a second, and the execution path."""
+def last_line(sim: Simulation, summary: Summary, seconds: float, waited: float) -> str:
+    """Frames, time a frame, steps a second, and the execution path.
+
+    waited: seconds of the frames in which the run waited for the error meter.
+    """
     frames = summary.frames
     if not frames:
         return f"0 frames in {seconds:.2f} s"
     done = f"{frames} frame{'s' * (frames > 1)} in {seconds:.2f} s"
     if frames == 1:
         return done
-    a_frame = summary.simulate / (frames - 1)
+    a_frame = (summary.simulate - waited) / (frames - 1)
     return (
         f"{done}: {1e3 * a_frame:.3g} ms a frame to simulate after the first, "
         f"{sim.substeps / a_frame:.4g} steps/s, {sim.execution} {sim.topology}"

@@ -43,12 +43,13 @@ class Worker:
     """A process as its parent sees it.
 
     folder: where it saves arrays; environment: variables that it gets besides this process's own.
+    niceness: by how much all of its threads give way to others, where the system knows that.
     """
 
-    def __init__(self, folder: Path, environment: dict[str, str]):
+    def __init__(self, folder: Path, environment: dict[str, str], niceness: int = 0):
         self._complaints = tempfile.TemporaryFile("w+", dir=folder)  # noqa: SIM115
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "taichi_cloth.measuring.worker", str(folder)],
+            [sys.executable, "-m", "taichi_cloth.measuring.worker", str(folder), str(niceness)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._complaints,
@@ -105,11 +106,14 @@ class Worker:
                 stream.close()
 
 
-def main(folder: Path) -> None:
+def main(folder: Path, niceness: int = 0) -> None:
     """Serve requests until standard input ends.
 
-    folder: temporary, of the parent, which removes it where it can.
+    folder: temporary, of the parent, which removes it where it can. niceness: see `Worker`.
     """
+    # Before there is another thread: each has a niceness of its own, that of who started it.
+    if niceness and hasattr(os, "nice"):
+        os.nice(niceness)
     # Libraries greet on standard output: the answers keep it for themselves.
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
@@ -154,4 +158,4 @@ def _answer(request: dict[str, Any], objects: dict[str, Any], file: Path) -> dic
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), int(sys.argv[2]))

@@ -212,6 +212,11 @@ class RunOptions(Options):
     )
     status: bool = setting(True, "the status in the window, in pictures and films", bool)
     meters: bool = setting(False, "show meters in the window, in pictures and films")
+    error_meter: bool = setting(
+        False,
+        "measure how wrong each second is: another process makes it again at a finer step (a "
+        "headless run waits for that)",
+    )
     text_size: float | None = setting(
         None,
         "size of the text in windows, pictures and films, in parts of the usual (default: 1; in a "

@@ -14,12 +14,14 @@ from taichi_cloth.scene.holding import Hold
 from taichi_cloth.scene.penetration import overlapping
 from taichi_cloth.settings import accepted
 from taichi_cloth.simulation import editing
+from taichi_cloth.simulation.acts import act
 from taichi_cloth.simulation.part import Part
 
 
 class Changes(Part):
     """The part of a `Simulation` that changes its numbers, motion, springs and particles."""
 
+    @act
     def set(
         self,
         *,
@@ -67,6 +69,7 @@ class Changes(Part):
         chosen = accepted.selection("unpin: particles", particles, count, "particle")
         self.set(fixed=False, particles=chosen)
 
+    @act
     def add_spring(self, i: int, j: int, **numbers: float | None) -> int:
         """Tie particles i and j by a spring; return its index.
 
@@ -79,6 +82,7 @@ class Changes(Part):
         self._edit(now, edited)
         return index
 
+    @act
     def cut(self, springs: ArrayLike) -> None:
         """Let springs be gone at once, by indices or a mask (s,). They count as broken."""
         chosen = accepted.selection("cut: springs", springs, self.spring_count, "spring")
@@ -88,6 +92,7 @@ class Changes(Part):
         now = self.storage.snapshot()
         self._edit(now, editing.with_cut(now, chosen, self.steps))
 
+    @act
     def remove(self, particles: ArrayLike) -> np.ndarray:
         """Remove particles, by indices or a mask (n,), with all springs at them.
 
@@ -102,6 +107,7 @@ class Changes(Part):
 
     # --- what a mouse does --------------------------------------------------------------------
 
+    @act
     def prepare_tools(self) -> None:
         """Compile what mouse tools need beside the scene, if that is not done: for some seconds.
 
@@ -114,6 +120,7 @@ class Changes(Part):
         now = self.storage.snapshot()
         self._edit(now, replace(now, scene=now.scene.with_world(tools=True)))
 
+    @act
     def prepare_balls(self) -> None:
         """Let particles collide from now on, so that what is thrown does not pass through them.
 
@@ -168,8 +175,13 @@ class Changes(Part):
         more = added_mass(self._module, network, self.dt / self.substeps, chosen, k, c)
         offset = self.storage.positions()[chosen] - at
         mass = network.particles.mass[chosen]
-        self.storage.grab(Hold(chosen, offset, at, k, c, mass), mass + more)
+        self._hold(Hold(chosen, offset, at, k, c, mass), mass + more)
         return k, c
+
+    @act
+    def _hold(self, hold: Hold, mass: np.ndarray) -> None:
+        """Hold particles, which weigh `mass` (m,) meanwhile: as the step of who grabbed needs."""
+        self.storage.grab(hold, mass)
 
     def hold_strength(self, particles: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Stiffness and damping with which `grab` holds particles by itself, (m,) each."""
@@ -178,6 +190,7 @@ class Changes(Part):
         k, c = strength(self.network(), self.dt, chosen)
         return k, c
 
+    @act
     def drag(self, place: ArrayLike) -> None:
         """Take what is held to another `place` of the pointer, (dim,); without a hold: nothing."""
         dim = self.scene.world.dim
@@ -187,6 +200,7 @@ class Changes(Part):
             held.place[:] = place
             self.storage.drag(place)
 
+    @act
     def let_go(self) -> None:
         """Hold nothing any more: what was held goes on with the velocity that it has."""
         if self.held() is not None:

@@ -15,6 +15,7 @@ from taichi_cloth.runtime import current_device
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings import accepted
 from taichi_cloth.simulation import saved
+from taichi_cloth.simulation.acts import act
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.engine import Engine
 from taichi_cloth.simulation.part import Part
@@ -98,6 +99,7 @@ class Checkpoints(Part):
             engine={"_owner": self} | {name: getattr(self, name) for name in Engine.ENGINE},
         )
 
+    @act
     def restore(self, checkpoint: Checkpoint) -> None:
         """Go back, or on, to a checkpoint: what follows has the same bits as it had from there.
 

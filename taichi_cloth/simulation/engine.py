@@ -8,6 +8,7 @@ from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.state import FORCES
 from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import SOLVER_SETTINGS
+from taichi_cloth.simulation.acts import act
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import solver_settings
@@ -41,6 +42,7 @@ class Engine(Part):
         *("_preferred", "_requested", "_watch", "held_up", "_unprepared"),
     )
 
+    @act
     def set_solver(self, tolerance: float | None = None, iterations: int | None = None) -> None:
         """From now on solve steps to a relative residual, or with so many sweeps; absent: as now.
 
@@ -53,6 +55,7 @@ class Engine(Part):
         self.solver |= {name: value for name, value in given.items() if value is not None}
         self.storage.set_numbers(self._numbers())
 
+    @act
     def set_method(self, method: str) -> None:
         """Go on with another method: where particles are, time, what broke and all else stays.
 

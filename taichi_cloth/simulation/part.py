@@ -12,6 +12,7 @@ from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation import autotune, diagnostics
+from taichi_cloth.simulation.acts import Listener
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import Numbers
@@ -23,6 +24,7 @@ class Part(ABC):
     """A part of a `Simulation`: what it may use of the others.
 
     scene: as it was given, with what tools switched on in its world; _given: without.
+    listener: who is told of acts and frames (`acts.py`); None: nobody.
     _module: the method's declaration. _auto: what chooses the substeps with dt "auto", else None.
     _requested: topology and execution as asked for; _preferred: the topology of the next load.
     _watch: what times launches. _engines: of methods that the run had, by name (`Engine.ENGINE`).
@@ -45,6 +47,7 @@ class Part(ABC):
     topology: str
     storage: Storage
     held_up: tuple[float, float] | None
+    listener: Listener | None = None
     _module: Method
     _launcher: Launcher
     _auto: AutoSubsteps | None

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels.forces import blow
 from taichi_cloth.settings import accepted
+from taichi_cloth.simulation.acts import act
 from taichi_cloth.simulation.part import Part
 
 ORIGINAL_REACH = blow.REACH  # world units: how far the pointer blows where nothing else is said
@@ -53,6 +54,7 @@ class Pushes(Part):
         along = along / largest  # so that no square overflows
         self._push(origin, along / np.linalg.norm(along), displacement, reach)
 
+    @act
     def hold(self, force: ArrayLike) -> None:
         """Push every particle with a constant force of its own, (n, dim), until the next push.
 
@@ -62,6 +64,7 @@ class Pushes(Part):
         shape = self.particle_count, self.scene.world.dim
         self.storage.hold(accepted.array("hold: force", force, shape, "particles, dimensions"))
 
+    @act
     def _push(
         self,
         origin: np.ndarray,

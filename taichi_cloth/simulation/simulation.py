@@ -24,6 +24,7 @@ from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import PATHS, TOPOLOGIES
 from taichi_cloth.simulation import autotune, diagnosis
 from taichi_cloth.simulation.accounts import Accounts
+from taichi_cloth.simulation.acts import act
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.changes import Changes
 from taichi_cloth.simulation.checkpoint import Checkpoints
@@ -41,6 +42,7 @@ from taichi_cloth.simulation.pushes import Pushes
 from taichi_cloth.simulation.readings import Readings
 from taichi_cloth.simulation.showing import Showing
 from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.start import Starts
 from taichi_cloth.simulation.storage.storage import Storage
 
 # Particles in a pack on CPUs: 8 fill the widest vectors there are in f64, half of one in f32, where
@@ -49,7 +51,7 @@ LANES = 8
 MOST_LANES = 64  # more fill no vector, and take minutes to compile
 
 
-class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Engine, Showing):
+class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engine, Showing):
     """One scene, integrated by one method on the device that `runtime.start` started.
 
     scene: validated here (InputError), against the device's precision, too. method: a name out of
@@ -137,6 +139,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Engine, Showi
             return self._lanes or 1
         return self._lanes or min(LANES, module.lanes or LANES)
 
+    @act
     def load_scene(self, scene: Scene, dt: float | None = None, substeps: int = 1) -> None:
         """Take another scene, from its start; method, settings, topology and execution stay.
 
@@ -160,6 +163,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Engine, Showi
 
     # --- the clock -------------------------------------------------------------------------
 
+    @act
     def reset(self) -> None:
         """Back to the start of the scene as it was given.
 
@@ -183,12 +187,15 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Engine, Showi
         while frames > 0:
             # A push lasts one frame, and what breaks may change the next; else they share a launch.
             follows = self._auto is not None and self._auto.follows(self.storage)
-            batch = 1 if self.storage.pushed or follows else min(frames, self._frames_per_launch())
+            single = self.storage.pushed or follows or self.listener is not None
+            batch = 1 if single else min(frames, self._frames_per_launch())
             passed = self._advance_together(batch)
             self.frame += passed
             if passed < batch:
                 self._fail()
             self.storage.end_push()
+            if self.listener is not None:
+                self.listener.after_frame()
             if self._auto and follows:
                 chosen = self._auto.after_frame(self.storage, self.substeps)
                 if chosen != self.substeps:
@@ -275,6 +282,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Engine, Showi
         """Whether it chooses its substeps by itself (dt "auto")."""
         return self._auto is not None
 
+    @act
     def set_step(self, dt: float | None = None, substeps: int | None = None) -> None:
         """From now on take frames of `dt`, in `substeps` steps each; absent: as they are.
 
@@ -318,6 +326,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Engine, Showi
         self.topology = self.storage.topology  # the graph, while there is no regular grid
         self.storage.mark_new_springs(self.steps)
 
+    @act
     def load_as(self, topology: str, path: str, x: np.ndarray, v: np.ndarray) -> None:
         """Put all particles at x with v, (n, dim), stored in a topology, to be run on a path.
 
@@ -335,6 +344,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Engine, Showi
 
     # --- clicks ----------------------------------------------------------------------------
 
+    @act
     def spawn(
         self,
         position: ArrayLike,

@@ -42,14 +42,20 @@ def conditions(scene: Scene, options: ComparisonOptions) -> RunConditions:
             f"--topology lanes: the springs of scene '{scene.name}' form no regular grid; "
             "use --topology graph"
         )
-    stored, run = options.topology, options.execution
-    if stored == "auto":
-        stored = "lanes" if has_grid and n >= settings.FEW_PARTICLES else "graph"
-    if run == "auto":
-        one = options.threads == 1 or (options.threads is None and n < settings.SERIAL_BEST)
-        run = "serial" if one else "parallel"
+    best = best_for(scene, options.threads)
+    stored = best[0] if options.topology == "auto" else options.topology
+    run = best[1] if options.execution == "auto" else options.execution
     budget, patience = (0.06, 5.0) if options.quick else (0.3, 20.0)
     return RunConditions(stored, run, options.threads, budget, patience)
+
+
+def best_for(scene: Scene, threads: int | None) -> tuple[str, str]:
+    """Topology and execution that suit a scene by its size, on so many threads (None: all)."""
+    n = len(scene.particles)
+    large = n >= settings.FEW_PARTICLES
+    lanes = large and bool(adjacency.find_grids(scene.springs.between, n))
+    one = threads == 1 or (threads is None and n < settings.SERIAL_BEST)
+    return "lanes" if lanes else "graph", "serial" if one else "parallel"
 
 
 def without_mouse(scene: Scene) -> Scene:

@@ -147,11 +147,11 @@ def disturbed(scene: Scene, size: float, seed: int = 0) -> Scene:
     return replace(scene, particles=replace(particles, position=moved))
 
 
-def coarsest(scene: Scene, dt: float) -> int:
-    """Substeps of the coarsest of the fine runs."""
+def coarsest(scene: Scene, dt: float, resolution: float = RESOLUTION) -> int:
+    """Substeps of the coarsest of the fine runs; resolution: steps in 1 / omega."""
     bounds = any_geometry(Network.from_scene(scene))
     rate = max(math.sqrt(bounds.omega2), bounds.damping, 1.0 / dt)
-    return 1 << max(0, int(np.ceil(np.log2(RESOLUTION * dt * rate))))
+    return 1 << max(0, int(np.ceil(np.log2(resolution * dt * rate))))
 
 
 def limit_horizon(scene: Scene, run: Samples, other: Samples) -> Horizon:

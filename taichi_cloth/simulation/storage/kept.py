@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -118,3 +118,12 @@ class KeptFields:
             (used.get(room, room), blocks * used.get(room, room)) for room, blocks in self._groups
         ]
         return spans, np.array(rows, np.int32), np.array(begins, np.int32)
+
+
+def with_own_hold(taken: Snapshot) -> Snapshot:
+    """The same state, with a copy of where the mouse holds it: that follows the pointer."""
+    held = taken.scene.world.held
+    if held is None:
+        return taken
+    own = replace(held, place=held.place.copy())
+    return replace(taken, scene=taken.scene.with_world(held=own))

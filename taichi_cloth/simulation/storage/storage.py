@@ -25,10 +25,9 @@ from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 from taichi_cloth.scene.holding import Hold
 from taichi_cloth.simulation.numbers import Numbers
-from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.storage.download import Download
 from taichi_cloth.simulation.storage.handling import Handling
-from taichi_cloth.simulation.storage.kept import Kept
+from taichi_cloth.simulation.storage.kept import Kept, with_own_hold
 from taichi_cloth.simulation.storage.loading import Loading
 
 
@@ -91,7 +90,7 @@ class Storage(Loading, Download, Handling):
         """All that later steps depend on, as it is now."""
         now = self._now
         return Kept(
-            taken=_with_own_hold(self._taken),
+            taken=with_own_hold(self._taken),
             fields=now.container.kept.read(self._launcher, now.placement, self._patches()),
             topology=self.topology,
             spec=now.container.spec,
@@ -110,12 +109,12 @@ class Storage(Loading, Download, Handling):
         loaded = kept.loaded
         mine = loaded is not None and loaded.of() is self
         if mine and self._loaded is not None and loaded.number == self._now.number:
-            self._taken = _with_own_hold(kept.taken)
+            self._taken = with_own_hold(kept.taken)
             self.set_numbers(numbers)
             self.loads += 1  # for who compares two moments
         else:
             if mine:
-                self._taken = _with_own_hold(kept.taken)
+                self._taken = with_own_hold(kept.taken)
                 self._placements, self.solids = loaded.placements, loaded.solids
                 self._fill(loaded.container, loaded.placement, path, numbers)
             else:
@@ -129,7 +128,7 @@ class Storage(Loading, Download, Handling):
 
     def _load_like(self, kept: Kept, path: str, numbers: Numbers) -> None:
         """Load what was kept of another storage, stored as it was there."""
-        self.take(_with_own_hold(kept.taken))
+        self.take(with_own_hold(kept.taken))
         placement, topology = self._find_placement(kept.topology)
         threads = self._launcher.device.threads
         like = replace(kept.spec, threads=threads)
@@ -181,15 +180,6 @@ class Storage(Loading, Download, Handling):
         where = self._now.placement, self._patches()
         kept = self._now.container.kept
         kept.write(self._launcher, *where, kept.read(self._launcher, *where))
-
-
-def _with_own_hold(taken: Snapshot) -> Snapshot:
-    """The same state, with a copy of where the mouse holds it: that follows the pointer."""
-    held = taken.scene.world.held
-    if held is None:
-        return taken
-    own = replace(held, place=held.place.copy())
-    return replace(taken, scene=taken.scene.with_world(held=own))
 
 
 def _difference(here: Specialization, there: Specialization) -> str:

@@ -1,0 +1,201 @@
+"""The error meter as the run sees it: it notes windows, and hands them to a process of its own."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taichi_cloth.error_meter.verdict import Verdict, percent
+from taichi_cloth.error_meter.window import ENDS, FEW, FRAMES, STRIDE, Window
+from taichi_cloth.measuring.worker import Worker, WorkerFailed
+from taichi_cloth.trade import reference
+
+if TYPE_CHECKING:
+    from taichi_cloth.scene.model import Scene
+    from taichi_cloth.simulation.simulation import Simulation
+
+JUDGE = "taichi_cloth.error_meter.judge:started"
+NICE = 19  # of the process: the run goes first
+LEAST = FRAMES // 4  # frames of a window that is judged where something ended it
+PATIENCE, WAITING = 10.0, 60.0  # seconds for a window's references: in a window, and where it waits
+MOST_LOST = 3  # processes that may end before no other one is started
+
+
+class ErrorMeter:
+    """Measures how wrong the last second of a simulation was, again and again.
+
+    Each window begins anew from what the run shows, so it measures what a second adds, and not
+    where chaos leads. Nothing of the run is changed. While the process is busy no window is noted.
+
+    sim: whose listener it is until `close`. waits: whether the run waits for each window's verdict;
+    else it goes on. tell: called with each verdict, in another thread unless it waits.
+    last: the latest verdict, None until there is one. ghost: the reference's positions at its end.
+    """
+
+    def __init__(
+        self,
+        sim: Simulation,
+        *,
+        waits: bool = False,
+        tell: Callable[[Verdict], None] | None = None,
+        patience: float | None = None,
+    ) -> None:
+        self._sim, self._waits, self._tell = sim, waits, tell
+        self._patience = patience or (WAITING if waits else PATIENCE)
+        self._folder = tempfile.TemporaryDirectory(prefix="taichi-cloth-error-")
+        self._worker: Worker | None = None
+        self._known: Scene | None = None  # what the process has
+        self._task: threading.Thread | None = None
+        self._window: Window | None = None
+        self._closed, self._lost = False, 0
+        self.verdicts: list[Verdict] = []
+        self.skipped = 0  # frames that were made while the process was busy
+        self.waited = 0.0  # seconds that the run waited for verdicts
+        self.last: Verdict | None = None
+        self.ghost: np.ndarray | None = None
+        self.refused = _refusal(sim)
+        if not self.refused:
+            sim.listener = self
+            self._open()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a window is being judged."""
+        return self._task is not None and self._task.is_alive()
+
+    @property
+    def age(self) -> int:
+        """How many frames ago the window of the last verdict ended."""
+        last = self.last
+        return 0 if last is None else self._sim.frame - last.first - last.frames
+
+    # --- what the simulation tells ---------------------------------------------------------
+
+    def before_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
+        """Note what is done, or end the window before it."""
+        if self._window is None:
+            return
+        if name in ENDS:
+            self._end()
+        else:
+            self._window.note_act(name, args, given)
+
+    def after_frame(self) -> None:
+        """Note a frame; a whole window is handed on, and another one begins."""
+        if self._window is not None:
+            self._window.note_frame(self._sim)
+            if self._window.frames >= FRAMES:
+                self._end()
+        elif self.busy:
+            self.skipped += 1
+        if self._window is None and not self.busy:
+            self._open()
+
+    def _open(self) -> None:
+        """Begin a window, if there is anything that can move."""
+        if not self.refused and not self._closed and not self._sim.fixed().all():
+            self._window = Window.opened(self._sim)
+
+    def _end(self) -> None:
+        """Hand the window on, unless it is too short to say anything."""
+        window, self._window = self._window, None
+        if window is None or window.frames < LEAST:
+            return
+        if self._waits:
+            begin = time.perf_counter()
+            self._judge(window)
+            self.waited += time.perf_counter() - begin
+        else:
+            self._task = threading.Thread(target=self._judge, args=(window,), daemon=True)
+            self._task.start()
+
+    # --- in a thread, unless the run waits -------------------------------------------------
+
+    def _judge(self, window: Window) -> None:
+        """Ask the process; the verdict is the last one from then on."""
+        try:
+            verdict = self._ask(window)
+        except (WorkerFailed, OSError) as failure:
+            if self._closed:
+                return
+            self._give_up_worker()
+            self._lost += 1
+            verdict = Verdict(window.first, window.frames, trouble=str(failure))
+            if self._lost >= MOST_LOST:
+                self.refused = f"its process failed {self._lost} times: {failure}"
+        self.last = verdict
+        self.verdicts.append(verdict)
+        if self._tell and not self._closed:
+            self._tell(verdict)
+
+    def _ask(self, window: Window) -> Verdict:
+        folder = Path(self._folder.name)
+        if self._worker is None:
+            self._known = None
+            self._worker = Worker(folder, {"OMP_NUM_THREADS": "1"}, niceness=NICE)
+            threads = None if self._waits else 1
+            self._worker.ask(make=JUDGE, **{"as": "judge", "with": {"threads": threads}})
+        file, ghost = folder / "window.pickle", folder / "ghost.npy"
+        window.write(file, self._known)
+        self._known = window.start.snapshot.scene
+        given = {"file": str(file), "patience": self._patience, "ghost": str(ghost)}
+        answer = self._worker.ask(of="judge", do="measure", **{"with": given})
+        verdict = Verdict(**answer["result"])
+        self.ghost = np.load(ghost) if verdict.known else None
+        return verdict
+
+    def _give_up_worker(self) -> None:
+        if self._worker is not None:
+            self._worker.close()
+        self._worker = None
+
+    # --- the end ---------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """End the process, and listen no more. May be called twice."""
+        self._closed = True
+        if self._sim.listener is self:
+            self._sim.listener = None
+        self._window = None
+        worker = self._worker
+        if worker is not None:
+            worker.kill()
+        if self._task is not None:
+            self._task.join()
+        self._give_up_worker()
+        with suppress(OSError):
+            self._folder.cleanup()
+
+    def summary(self) -> str:
+        """What all verdicts come to, in a line."""
+        if self.refused:
+            return f"error: not measured: {self.refused}"
+        known = [verdict.relative for verdict in self.verdicts if verdict.known]
+        if not known:
+            if self.verdicts:
+                return f"error: no second was measured: {self.verdicts[-1].trouble}"
+            return f"error: not measured: no {LEAST} frames in a row in which anything can move"
+        count = f"{len(known)} of {len(self.verdicts)} windows" if len(known) > 1 else "1 window"
+        median, most = float(np.median(known)), max(known)
+        sure = sum(verdict.known and not verdict.trouble for verdict in self.verdicts)
+        unsure = "" if sure == len(known) else f", {len(known) - sure} of them not sure"
+        skipped = f"; {self.skipped} frames passed unmeasured" if self.skipped else ""
+        return (
+            f"error a second: {percent(median)} in the middle, {percent(most)} at most, over "
+            f"{count}{unsure}{skipped}"
+        )
+
+
+def _refusal(sim: Simulation) -> str:
+    """Why a scene cannot be measured; "": it can."""
+    most = reference.SAMPLES // (FRAMES // STRIDE + 1) // sim.scene.world.dim
+    if sim.particle_count > max(most, FEW):
+        return f"the scene has {sim.particle_count} particles, and at most {most} can be followed"
+    return ""

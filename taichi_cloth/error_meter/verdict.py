@@ -1,0 +1,108 @@
+"""What is said of a window: how wrong it was, what made it so, and how far one may look ahead."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from taichi_cloth.error_meter.window import FRAMES
+
+MILLIONTH = 1e-6  # of the scale: the disturbance whose growth is watched
+THIRD = 1 / 3  # of the error: what two references may differ by
+GREW = math.e  # times in a window: below that a disturbance is not seen to grow
+FOREVER = 60.0  # seconds that nobody waits for
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The error of a window, by the definition of `trade`: lengths in the scene's units.
+
+    first, frames: which frames it is of. error: the root of the mean square distance of a particle
+    from the reference, over all particles and the ends of all frames. scale: the largest
+    displacement of a particle in the reference, what errors are parts of. apart: what the two
+    finest references differ by; substeps: of the finest one. solver: how far the window's settings
+    are from themselves with a solver that converged, in f64, None where there is no solver.
+    rounding: how far what was shown is from the same in f64, None where that was f64.
+    growth: the rate at which a disturbance of a millionth grew [1 / frame], 0 where it did not.
+    seconds: that it took. trouble: why there is no error, or why it is not sure; "": it is.
+    """
+
+    first: int
+    frames: int
+    precision: str = ""
+    error: float = math.nan
+    scale: float = math.nan
+    apart: float = math.nan
+    substeps: int = 0
+    solver: float | None = None
+    rounding: float | None = None
+    growth: float = 0.0
+    seconds: float = 0.0
+    trouble: str = ""
+
+    @property
+    def known(self) -> bool:
+        """Whether there is an error at all."""
+        return math.isfinite(self.error) and self.scale > 0
+
+    @property
+    def relative(self) -> float:
+        """The error in parts of the scale."""
+        return self.error / self.scale
+
+    @property
+    def ahead(self) -> float:
+        """Seconds in which a millionth of the scale grows to the error; infinite: it does not."""
+        if self.relative <= MILLIONTH:
+            return 0.0
+        if self.growth <= 0:
+            return math.inf
+        return math.log(self.relative / MILLIONTH) / self.growth / FRAMES
+
+    @property
+    def span(self) -> str:
+        """The time that it is of, in words."""
+        if self.frames == FRAMES:
+            return "the last second"
+        return f"{self.frames / FRAMES:.2g} s"
+
+    def describe(self, in_metres: bool) -> str:
+        """All of it in a line; in_metres: whether the scene's lengths are metres."""
+        if not self.known:
+            return f"error over {self.span} not known: {self.trouble}"
+        parts = []
+        if self.solver is not None:
+            parts.append(f"solver {self._part(self.solver)}")
+        if self.rounding is not None:
+            parts.append(f"{self.precision} {self._part(self.rounding)}")
+        of_which = f", of which {', '.join(parts)}" if parts else ""
+        whole = f"error over {self.span}: {self._part(self.error)}"
+        length = length_in_words(self.error, in_metres)
+        unsure = f"; not sure: {self.trouble}" if self.trouble else ""
+        return f"{whole} ({length}){of_which}; {self.foresight()}{unsure}"
+
+    def foresight(self) -> str:
+        """How far the future can be trusted, in words."""
+        if not self.growth:
+            return "disturbances do not grow"
+        if self.ahead > FOREVER:
+            return f"a millionth takes over {FOREVER:.0f} s to grow to it"
+        return f"a millionth grows to it in {self.ahead:.2g} s"
+
+    def _part(self, length: float) -> str:
+        return percent(length / self.scale)
+
+
+def percent(part: float) -> str:
+    """A part as a percentage in two digits."""
+    return f"{100 * part:.2g} %" if 100 * part >= 1e-3 or part == 0 else "under 0.001 %"
+
+
+def length_in_words(length: float, in_metres: bool) -> str:
+    """A length in two digits with its unit, where it has one."""
+    if not in_metres:
+        return f"{length:.2g}"
+    for unit, size in (("m", 1.0), ("cm", 1e-2), ("mm", 1e-3)):
+        if length >= size:
+            return f"{length / size:.2g} {unit}"
+    return f"{length / 1e-6:.2g} um"

@@ -1,0 +1,59 @@
+"""Where a run stands, for another simulation to begin from: of any method, step and precision."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_cloth.limits.precision import refuse_unholdable
+from taichi_cloth.runtime import current_device
+from taichi_cloth.simulation.numbers import checked_step, runaway_speed
+from taichi_cloth.simulation.part import Part
+from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.storage.kept import with_own_hold
+
+
+@dataclass(frozen=True)
+class Start:
+    """A state between two frames, in float64, without what the method keeps from step to step.
+
+    snapshot: scene, positions, velocities and marks of springs. time, steps: of the clock. force:
+    what pushes each particle until the next push, (n, dim); None: nothing does.
+    """
+
+    snapshot: Snapshot
+    time: float
+    steps: int
+    force: np.ndarray | None
+
+
+class Starts(Part):
+    """The part of a `Simulation` that says where it stands, and begins where another one stood.
+
+    Unlike a checkpoint it goes on with other bits: methods compute what they keep anew, and other
+    settings are what it is for.
+    """
+
+    def start(self) -> Start:
+        """Where it stands now."""
+        snapshot = with_own_hold(self.storage.snapshot())
+        return Start(snapshot, self.time, self.steps, self.storage.held())
+
+    def begin_from(self, start: Start, dt: float, substeps: int) -> None:
+        """Go on from there with a step of one's own; `reset` then goes to the start of its scene.
+
+        InputError where the device's precision cannot hold its numbers.
+        """
+        scene = start.snapshot.scene
+        step = checked_step(dt, substeps)
+        refuse_unholdable(scene, current_device().precision)
+        self.scene = self._given = scene
+        self._engines.clear()
+        self.dt, self.substeps = step
+        self.frame, self._since = 0, (0, start.time, start.steps)
+        self._work[:], self._counted = 0, (0, start.steps)
+        self.speed_limit = runaway_speed(scene, self.dt)
+        self._store(start.snapshot)
+        if start.force is not None:
+            self.storage.hold(start.force)

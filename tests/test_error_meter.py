@@ -1,0 +1,230 @@
+"""The error meter: windows made again to the bit, errors as `trade` has them, its process."""
+
+import os
+import re
+import signal
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from cloths import mixed
+from commands import command
+
+from taichi_cloth.error_meter import meter as meters
+from taichi_cloth.error_meter.judge import Judge, _Plan
+from taichi_cloth.error_meter.meter import ErrorMeter
+from taichi_cloth.error_meter.verdict import Verdict
+from taichi_cloth.error_meter.window import FRAMES, Window
+from taichi_cloth.scene import library
+from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.trade import errors, ode
+
+pytestmark = pytest.mark.usefixtures("device")
+
+
+@pytest.fixture(scope="module")
+def torn():
+    """A cloth that flies apart, with all that springs and particles can have."""
+    scene = mixed(2, mouse="blow").with_world(tools=True)
+    return Simulation(scene, topology="graph", execution="serial", substeps=2)
+
+
+@pytest.fixture(scope="module")
+def judge(device):
+    return Judge(1)
+
+
+class Here(ErrorMeter):
+    """An error meter that judges nothing: it keeps its windows."""
+
+    def __init__(self, sim):
+        self.windows = []
+        super().__init__(sim)
+
+    def _judge(self, window):
+        self.windows.append(window)
+
+
+def act(sim, frame):
+    """What a user may do in a second, before a frame."""
+    if frame % 7 == 3:
+        sim.blow((150.0, 120.0), (3.0, -2.0))
+    if frame == 5:
+        sim.grab([8, 9], sim.positions()[8], 0.4)
+    if 5 < frame < 20:
+        sim.drag(sim.held().place + (0.5, -0.25))
+    if frame == 20:
+        sim.let_go()
+    if frame == 22:
+        sim.set(stiffness=0.3, springs=[1, 2], gravity=(0.0, 0.05))
+    if frame == 25:
+        sim.spawn((100.0, 100.0), (1.0, 0.0), tied_to=3)
+        sim.cut([4, 5])
+    if frame == 30:
+        sim.pin([11])
+        sim.add_spring(0, 13)
+
+
+def run(sim, frames=FRAMES):
+    for frame in range(frames):
+        act(sim, frame)
+        sim.advance()
+
+
+def test_it_changes_no_bit_and_a_window_is_made_again_to_the_bit(torn, judge):
+    """With all that can be done in it: the same steps in f64 are where the run was."""
+    run(torn)
+    state = torn.positions(), torn.velocities(), torn.springs_alive()
+    assert not state[2].all() and torn.particle_count > len(torn.scene.particles)
+
+    torn.reset()
+    meter = Here(torn)
+    try:
+        run(torn)
+        for one, other in zip(
+            state, (torn.positions(), torn.velocities(), torn.springs_alive()), strict=True
+        ):
+            np.testing.assert_array_equal(one, other)
+        (window,) = meter.windows
+        assert window.frames == FRAMES and len(window.acts) > 20
+
+        torn.advance()  # a window that begins with broken springs and particles that were added
+        torn.blow((150.0, 120.0), (3.0, -2.0))
+        torn.advance(FRAMES - 1)
+        (_, second) = meter.windows
+        for of in (window, second):
+            plan = _Plan(of.method, of.substeps, of.solver, of.start)
+            np.testing.assert_array_equal(judge._run(of, plan).x, of.shown)
+    finally:
+        meter.close()
+    assert torn.listener is None
+
+
+def test_windows_end_where_another_run_begins(torn):
+    """Those that are too short say nothing, and what is done in none is not noted."""
+    torn.reset()
+    meter = Here(torn)
+    try:
+        torn.advance(10)
+        torn.reset()
+        torn.advance(30)
+        torn.set_step(substeps=4)
+        torn.advance(20)
+        torn.remove([0])
+        torn.advance(FRAMES + 1)
+        assert [(w.first, w.frames, w.substeps[0]) for w in meter.windows] == [
+            (1, 29, 2),
+            (31, 19, 4),
+            (51, FRAMES, 4),
+        ]
+    finally:
+        meter.close()
+        torn.set_step(substeps=2)
+
+
+def test_errors_are_those_of_trade(judge, tmp_path):
+    """Beside SciPy's solution of a chain; where a disturbance grows, and where it does not."""
+    scene = library.build("chain")
+    sim = Simulation(scene, topology="graph", execution="serial")
+    meter = Here(sim)
+    sim.advance(FRAMES)
+    meter.close()
+    (window,) = meter.windows
+    window.write(tmp_path / "window.pickle", None)
+    found = judge.measure(str(tmp_path / "window.pickle"), 60.0, str(tmp_path / "ghost.npy"))
+    verdict = Verdict(**found)
+    times = np.arange(FRAMES + 1) * sim.dt
+    smooth = ode.solve(scene, times, 60.0)
+    none = np.zeros((FRAMES + 1, 0), bool)
+    apart = errors.distance(
+        errors.Samples(np.array(window.shown), smooth.v, none),
+        errors.Samples(smooth.x, smooth.v, none),
+        ~scene.particles.fixed,
+    )
+    assert not verdict.trouble
+    assert verdict.error == pytest.approx(apart.trajectory, rel=1e-3)
+    ghost = np.load(tmp_path / "ghost.npy")
+    np.testing.assert_allclose(ghost, smooth.x[-1], atol=1e-2 * verdict.error)
+    assert verdict.solver is None and verdict.rounding is None and 0 < verdict.ahead < 20
+    # In no time nothing is made again.
+    verdict = Verdict(**judge.measure(str(tmp_path / "window.pickle"), 1e-9, ""))
+    assert not verdict.known and "too large" in verdict.describe(in_metres=False)
+
+
+def test_parts_of_the_error_are_told_apart(judge, tmp_path):
+    """A solver that stops early, and positions that are rounded: each has its own share."""
+    sim = Simulation(library.build("chain"), "xpbd", topology="graph", iterations=2)
+    window = Window.opened(sim)
+    for _ in range(FRAMES):
+        sim.advance()
+        window.note_frame(sim)
+    noise = np.random.default_rng(0).normal(size=np.shape(window.shown)) * 0.01
+    rounded = replace(window, precision="f32", shown=list(np.array(window.shown) + noise))
+    rounded.write(tmp_path / "window.pickle", None)
+    found = judge.measure(str(tmp_path / "window.pickle"), 60.0, str(tmp_path / "ghost.npy"))
+    verdict = Verdict(**found)
+    assert verdict.rounding == pytest.approx(0.01 * np.sqrt(2), rel=0.1)
+    sim.set_solver(iterations=256)
+    sim.reset()
+    exact = [sim.positions()]
+    for _ in range(FRAMES):
+        sim.advance()
+        exact.append(sim.positions())
+    free = ~sim.fixed()
+    square = ((np.array(exact) - np.array(window.shown))[1:, free] ** 2).sum(axis=2)
+    assert verdict.solver == pytest.approx(np.sqrt(square.mean()), rel=1e-3)
+    assert verdict.rounding < verdict.solver
+    said = verdict.describe(in_metres=True)
+    assert re.match(r"error over the last second: [\d.]+ % \([\d.]+ m\), of which solver", said)
+
+
+def test_a_process_that_ends_is_said_and_leaves_nothing(monkeypatch):
+    """It is started again, some times; the run goes on; the folder goes, too."""
+    sim = Simulation(library.build("chain"), topology="graph", execution="serial")
+    told = []
+    meter = ErrorMeter(sim, tell=told.append)
+    began = []
+
+    def killed(worker, **request):
+        if "do" in request:
+            began.append(worker)
+            os.kill(worker._process.pid, signal.SIGKILL)
+        return asked(worker, **request)
+
+    asked = meters.Worker.ask
+    monkeypatch.setattr(meters.Worker, "ask", killed)
+    try:
+        while len(told) < meters.MOST_LOST:
+            sim.advance()
+        sim.advance(2 * FRAMES)
+    finally:
+        meter.close()
+    assert len(told) == meters.MOST_LOST and not meter.busy
+    assert all("its process ended" in verdict.describe(False) for verdict in told)
+    assert "not measured: its process failed 3 times" in meter.summary()
+    assert all(worker._process.returncode == -signal.SIGKILL for worker in began)
+    assert not os.path.exists(meter._folder.name)
+
+
+def test_what_cannot_be_measured_is_said():
+    """Scenes with too many particles, and those in which nothing can move, start no process."""
+    world = SimpleNamespace(dim=2)
+    many = SimpleNamespace(particle_count=10**6, scene=SimpleNamespace(world=world))
+    assert "1000000 particles" in ErrorMeter(many).summary()
+    sim = Simulation(library.build("box", particles=0), topology="graph")
+    meter = ErrorMeter(sim, waits=True)
+    sim.advance(FRAMES + 5)
+    meter.close()
+    assert meter.last is None and "anything can move" in meter.summary()
+
+
+def test_a_headless_run_says_each_second_and_all_of_them():
+    output, _ = command("run", "chain", "--headless", "--frames", "130", "--error-meter")
+    lines = output.splitlines()
+    told = [line for line in lines if line.startswith("frame ")]
+    assert [line.partition(":")[0] for line in told] == ["frame 60", "frame 120"]
+    for line in told:
+        said = r"last second: 0\.\d+ % \(0\.\d+\), of which f32 .* %; a millionth grows to it in"
+        assert re.search(said, line)
+    assert any(re.match(r"error a second: 0\.\d+ % .* over 2 of 2 windows$", x) for x in lines)
