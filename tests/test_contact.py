@@ -10,7 +10,7 @@ from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import WALLS, ParticleDefaults, Particles, Scene, World
 from taichi_cloth.scene.scatter import VELOCITY_HIGH, VELOCITY_LOW
 from taichi_cloth.simulation.simulation import Simulation
-from taichi_cloth.simulation.storage.upload import inner_box
+from taichi_cloth.simulation.storage.boxes import inner_box
 
 PATHS = ["serial", "parallel"]
 

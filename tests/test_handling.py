@@ -4,6 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+import small
 from inside import state_of
 from selection import mostly_thorough
 
@@ -322,6 +323,67 @@ def test_cuts_without_a_load_are_those_with_one(method, topology, made, monkeypa
         ends.append(end(sim))
     for a, b in zip(*ends, strict=True):
         assert a.tobytes() == b.tobytes()
+
+
+PIN_WAYS = [
+    (scene, method, topology)
+    for scene in ("cloth", "drape", "flag")
+    for method in ("symplectic_euler", "verlet", "xpbd", "vbd", "implicit_euler")
+    for topology in ("graph", "lanes")
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "method", "topology"), mostly_thorough(PIN_WAYS, [PIN_WAYS[0], PIN_WAYS[5]])
+)
+def test_pins_in_place_are_those_of_a_load(name, method, topology, made, monkeypatch):
+    """Bits of springs that break, of what is held, of bending where it is clamped, of pairs."""
+    if name == "cloth":
+        sim, pulled = made(method, topology), [0.0, 400.0]
+    else:
+        scene = small.build(name).with_world(tools=True)
+        how = {"topology": topology, "execution": "serial", "lanes": 2, "substeps": 24}
+        sim, pulled = Simulation(scene, method, **how), [0.0, 0.5, 0.0]
+    middle = sim.particle_count // 2
+    ends = []
+    for direct in (True, False):
+        if not direct:
+            monkeypatch.setattr(Storage, "change_particles", lambda self, *how: False)
+        sim.reset()
+        sim.advance(5)
+        loads = sim.storage.loads
+        numbers = sim.storage.layout
+        sim.pin([middle, middle + 1])
+        sim.set(particles=[middle + 2], mass=3.0, velocities=pulled)
+        sim.advance(2)
+        sim.grab([middle + 4], sim.positions()[middle + 4])
+        sim.drag(sim.positions()[middle + 4] + pulled)
+        sim.advance(3)
+        sim.unpin([middle])
+        sim.advance(4)
+        assert sim.storage.loads == loads + 3 and sim.storage.layout is numbers
+        sim.let_go()
+        ends.append((*end(sim), sim.forces()))
+    for a, b in zip(*ends, strict=True):
+        assert a.tobytes() == b.tobytes()
+
+
+def test_a_checkpoint_goes_back_over_a_pin(made):
+    sim = made()
+    sim.advance(3)
+    before = sim.checkpoint()
+    sim.advance(3)
+    ahead = end(sim)
+    sim.pin([20])
+    after = sim.checkpoint()
+    sim.advance(3)
+    pinned = end(sim)
+    for checkpoint, ends, fixed in ((before, ahead, False), (after, pinned, True)):
+        sim.restore(checkpoint)
+        assert sim.fixed()[20] == fixed
+        sim.advance(3)
+        for a, b in zip(ends, end(sim), strict=True):
+            assert a.tobytes() == b.tobytes()
 
 
 def test_a_pin_takes_the_inverse_mass_and_gives_it_back(made):

@@ -353,27 +353,31 @@ def load_stencils(
     start: ti.types.ndarray(),
     slots: ti.types.ndarray(),
     weights: ti.types.ndarray(),
-    k: ti.types.ndarray(),
     rows: ti.types.ndarray(),
     of: ti.types.ndarray(),
     row_weights: ti.types.ndarray(),
 ):
     """Load the listed stencils, after `load_half_springs`.
 
-    start: (m + 1,); slots, weights: (q,), their particles; k: (m,). rows: (rows + 1,), where the
-    parts of each compressed row begin; of, row_weights: (q,), each part's stencil and weight.
+    start: (m + 1,); slots, weights: (q,), their particles. rows: (rows + 1,), where the parts of
+    each compressed row begin; of, row_weights: (q,), each part's stencil and weight.
     """
     for _ in range(1):
-        state.n_stencils[None] = k.shape[0]
+        state.n_stencils[None] = start.shape[0] - 1
     for m in range(start.shape[0]):
         state.stencil_start[m] = start[m]
-    for m in range(k.shape[0]):
-        state.stencil_k[m] = k[m]
     for e in range(slots.shape[0]):
         state.stencil_slot[e], state.stencil_weight[e] = slots[e], weights[e]
         state.row_stencil[e], state.row_weight[e] = of[e], row_weights[e]
     for p in range(rows.shape[0]):
         state.row_stencils[p] = rows[p]
+
+
+@ti.kernel
+def load_stencil_numbers(state: ti.template(), k: ti.types.ndarray()):
+    """Load what multiplies the curvature vectors of the listed stencils, (m,)."""
+    for m in range(k.shape[0]):
+        state.stencil_k[m] = k[m]
 
 
 @ti.kernel

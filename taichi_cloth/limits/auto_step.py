@@ -70,6 +70,10 @@ class SubstepController:
         self._moving = None if moving is None else Bounds(*moving)
         self._geometry.recall(memory["vectors"])
 
+    def expect_faster(self) -> None:
+        """Let no last answer stand: what comes may have faster modes than rough bounds tell."""
+        self._moving = None
+
     def choose(self, network: Network) -> int:
         """The substeps of a frame of this network."""
         rough = step_within(self._method, gershgorin(network))

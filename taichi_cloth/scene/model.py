@@ -14,6 +14,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -470,4 +471,23 @@ class Scene:
 
     def with_world(self, **changes: Any) -> Scene:
         """This scene with some of its world's values changed."""
-        return replace(self, world=replace(self.world, **changes))
+        return self.with_parts(world=replace(self.world, **changes))
+
+    def with_parts(self, **parts: Any) -> Scene:
+        """This scene with other parts, by name; what was worked out of those that stay is kept."""
+        changed = replace(self, **parts)
+        for name, inputs in DERIVED.items():
+            if name in vars(self) and all(of(self) is of(changed) for of in inputs):
+                vars(changed)[name] = vars(self)[name]
+        return changed
+
+
+# What a scene works out once, and of what: `Scene.with_parts`.
+DERIVED = {
+    "spheres": [
+        *map(attrgetter, ("particles.position", "particles.radius", "particles.thickness")),
+        *map(attrgetter, ("springs.between", "springs.rest_length")),
+        *map(attrgetter, ("triangles", "world.collisions")),
+    ],
+    "stencil_sides": [attrgetter("stencils"), attrgetter("springs.between")],
+}

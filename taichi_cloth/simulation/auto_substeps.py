@@ -8,7 +8,7 @@ from typing import Any
 from taichi_cloth.kernels.forces import act_on_triangles as acts_by_speed
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.limits.auto_step import SubstepController
-from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.snapshot import Snapshot, same_but_own
 from taichi_cloth.simulation.storage.storage import Storage
 
 
@@ -38,11 +38,18 @@ class AutoSubsteps:
             return self._controller.choose_in_motion(grown.network())
         return self._controller.choose(Snapshot.at_start(grown.scene, grown.marks).network())
 
-    def after_edit(self, edited: Snapshot) -> int:
-        """The substeps of a state that is changed by hand; as `before_spawn`, but with nothing
-        remembered, and where it refuses nothing is changed.
+    def after_edit(self, now: Snapshot, edited: Snapshot) -> int:
+        """The substeps of a state that is changed by hand from `now`; as `before_spawn`, but where
+        it refuses nothing is changed.
+
+        What is remembered serves only where particles' own numbers change and springs stay.
         """
         tried = AutoSubsteps(*self._method)
+        if same_but_own(now, edited):
+            tried.recall(self.memory())
+            mine, theirs = now.scene.particles, edited.scene.particles
+            if (mine.fixed & ~theirs.fixed).any() or (mine.mass > theirs.mass).any():
+                tried._controller.expect_faster()
         chosen = tried.before_spawn(edited)
         vars(self).update(vars(tried))
         return chosen

@@ -71,16 +71,16 @@ def with_values(now: Snapshot, given: Mapping[str, Any], selection: Selection) -
     tied = _springs(now, selection, bool(of_springs))
     scene, x, v = now.scene, now.x, now.v
     if of_world:
-        scene = replace(scene, world=_world(scene.world, of_world))
+        scene = scene.with_parts(world=_world(scene.world, of_world))
     if "friction" in of_world:
-        scene = replace(scene, obstacles=_rubbing(scene.obstacles, of_world["friction"]))
+        scene = scene.with_parts(obstacles=_rubbing(scene.obstacles, of_world["friction"]))
     if of_particles:
         x, v = _motion(now, of_particles, chosen)
-        scene = replace(scene, particles=_with_columns(scene.particles, of_particles, chosen))
+        scene = scene.with_parts(particles=_with_columns(scene.particles, of_particles, chosen))
     if of_springs:
-        scene = replace(scene, springs=_with_numbers(scene.springs, of_springs, tied, x))
+        scene = scene.with_parts(springs=_with_numbers(scene.springs, of_springs, tied, x))
     if OF_STENCILS in given:
-        scene = replace(scene, stencils=_with_bending(scene, given[OF_STENCILS]))
+        scene = scene.with_parts(stencils=_with_bending(scene, given[OF_STENCILS]))
     return Snapshot(scene, x, v, now.marks)
 
 

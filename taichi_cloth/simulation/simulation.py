@@ -406,12 +406,15 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         clock = self._since, self.dt, self.substeps, self.speed_limit
         auto, pushed, held = copy.copy(self._auto), self.storage.pushed, self.storage.held()
         try:
-            refuse_unholdable(edited.scene, self._launcher.device.precision)
+            refuse_unholdable(edited.scene, self._launcher.device.precision, now.scene)
             if self._auto:
-                chosen = self._auto.after_edit(edited)
+                chosen = self._auto.after_edit(now, edited)
                 if chosen != self.substeps:
                     self._change_step(self.dt, chosen)
-            self._store(edited)
+            if self.storage.change_particles(now, edited, self._numbers()):
+                self.storage.mark_new_springs(self.steps)
+            else:
+                self._store(edited)
         except InputError:
             self._since, self.dt, self.substeps, self.speed_limit = clock
             self._auto = auto

@@ -12,9 +12,9 @@ from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.state import State
 from taichi_cloth.runtime import Device
+from taichi_cloth.simulation.storage.boxes import Real
 from taichi_cloth.simulation.storage.kept import KeptFields
 from taichi_cloth.simulation.storage.surfaces import free_with
-from taichi_cloth.simulation.storage.upload import Real
 
 SPAWN_CAPACITY = 16384  # room for clicks before the fields must grow: some 10 MB
 

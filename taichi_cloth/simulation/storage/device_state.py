@@ -17,11 +17,12 @@ from taichi_cloth.scene.solids import Solid, solids
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import Numbers
 from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.storage.boxes import Real
 from taichi_cloth.simulation.storage.containers import Container
 from taichi_cloth.simulation.storage.layouts import Layout
 from taichi_cloth.simulation.storage.placement import Placement, Placements
 from taichi_cloth.simulation.storage.surfaces import Surfaces
-from taichi_cloth.simulation.storage.upload import Real, Upload
+from taichi_cloth.simulation.storage.upload import Upload
 
 
 @dataclass(frozen=True)

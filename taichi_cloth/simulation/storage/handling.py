@@ -80,7 +80,7 @@ class Handling(DeviceState):
             self._launch_hold(hold, weights, 1)
             self.drag(hold.place)
         particles = replace(scene.particles, mass=weights)
-        changed = replace(scene, world=replace(scene.world, held=hold), particles=particles)
+        changed = scene.with_parts(world=replace(scene.world, held=hold), particles=particles)
         self._taken = replace(self._taken, scene=changed)
         self._altered = True
 

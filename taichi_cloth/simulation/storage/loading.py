@@ -13,7 +13,7 @@ from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.solids import solids
 from taichi_cloth.simulation.numbers import Numbers
-from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.snapshot import Snapshot, same_but_own
 from taichi_cloth.simulation.storage import containers, requirements
 from taichi_cloth.simulation.storage.containers import Container
 from taichi_cloth.simulation.storage.device_state import DeviceState, Loaded
@@ -89,16 +89,36 @@ class Loading(DeviceState):
             placements=self._placements,
             solids=self.solids,
         )
-        self._drawn_springs = None
         upload = self._upload()
         upload.numbers(numbers)
         upload.all()
+        self._end_load(container)
+
+    def _end_load(self, container: Container) -> None:
+        """Forget what was before a load: accounts, pushes, what is drawn and what methods keep."""
+        self._drawn_springs = None
         if container.spec.accounts_contacts:
             container.state.accounting[None] = 0
         if "blow" in container.spec.terms and not self.pushed:
             self._launcher.launch(blow.clear_push, container.state)
             self._held = False
         self._altered = True
+
+    def change_particles(self, now: Snapshot, edited: Snapshot, numbers: Numbers) -> bool:
+        """Go from `now`, what is on the device, to an edited state with the same bits as by a load,
+        where nothing differs but the motion of particles and their numbers that are `snapshot.OWN`.
+
+        False, with nothing done, where more does. InputError as in `load`.
+        """
+        if edited.scene.springs is not self.scene.springs or not same_but_own(now, edited):
+            return False
+        self._taken, self.pushed, self.loads = edited, False, self.loads + 1
+        self._loaded = replace(self._now, number=self.loads, numbers=numbers)
+        upload = self._upload()
+        upload.numbers(numbers)
+        upload.particles_again()
+        self._end_load(self._now.container)
+        return True
 
     def _make_room(
         self, placement: Placement, topology: str, like: Specialization | None = None

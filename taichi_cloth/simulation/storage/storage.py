@@ -163,6 +163,7 @@ class Storage(Loading, Download, Handling):
             nothing = np.zeros(1, np.int32), np.zeros((1, columns), self.real)
             found.append(partial(self._launch, transfer.load_particles, *nothing))
         if self.scene.world.tools:
+            found.append(self._prepare_edit)
             nobody = np.zeros(0, np.int32), np.zeros((0, 2), np.int32)
             found.append(partial(self._launch_cut, *nobody, 0))
             if self.scene.world.held is None:
@@ -174,6 +175,10 @@ class Storage(Loading, Download, Handling):
             rows = np.zeros((1, len(NUMBERS)), self.real)  # of no spring, until the next load
             found.append(partial(self._launch, transfer.load_spring_numbers, rows))
         return found
+
+    def _prepare_edit(self) -> None:
+        """Compile what an edit reads of the state."""
+        self.snapshot()
 
     def _prepare_return(self) -> None:
         """Compile what goes back to a checkpoint, by going back to the present."""

@@ -13,22 +13,21 @@ import numpy as np
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import clock, faces, poses, surfaces, transfer
-from taichi_cloth.kernels.collision_grid import ALONE, MOST_BINS, most_cells
+from taichi_cloth.kernels.collision_grid import most_cells
 from taichi_cloth.kernels.forces import device_fields, has_tractions
 from taichi_cloth.kernels.obstacles.contract import FAR, SIZES
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import GONE
-from taichi_cloth.scene.model import Particles, Springs, World
+from taichi_cloth.scene.model import Springs
 from taichi_cloth.scene.solids import Solid, elements, held, met_by_faces
 from taichi_cloth.scene.triangles import corner_shares, springs_of_sides
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import Numbers
 from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.storage import adjacency, layouts
+from taichi_cloth.simulation.storage.boxes import Real, collision_grid, inner_box
 from taichi_cloth.simulation.storage.placement import Placement, Placements
-
-Real = type[np.floating]  # the device's precision: np.float32 or np.float64
 
 
 @dataclass(frozen=True)
@@ -103,12 +102,7 @@ class Upload:
     def all(self) -> None:
         """Fill everything but `numbers`, which come first."""
         self._cells()
-        if len(self.snapshot.x):  # a kernel takes no empty array
-            self._particles()
-            if "summed_springs" in self.needs:
-                self._summed_springs()
-            if self.spec.halo and "spring_colours" in self.needs:
-                self._launch(transfer.load_halo_numbers)
+        self._of_particles()
         if self.spec.springs:
             self._graph()
         if self.spec.links:
@@ -124,6 +118,31 @@ class Upload:
             self.launcher.launch(faces.load_rows, self.state)
         if self.spec.thick:
             self._closer_pairs()
+        self._bending()
+
+    def particles_again(self) -> None:
+        """Fill all that depends on the motion of particles, their masses and which are fixed, once
+        everything is there; with the bits that `all` leaves.
+        """
+        self._of_particles()
+        self._bending()
+        if self.spec.thick:  # lists of pairs are made anew, as after a load
+            self.state.outdated[None], self.state.overfull[None] = 1, 0
+
+    def _of_particles(self) -> None:
+        """The particles themselves, and what is summed up for them."""
+        if len(self.snapshot.x):  # a kernel takes no empty array
+            self._particles()
+            if "summed_springs" in self.needs:
+                self._summed_springs()
+            if self.spec.halo and "spring_colours" in self.needs:
+                self._launch(transfer.load_halo_numbers)
+
+    def _bending(self) -> None:
+        """What stencils pull with, which depends on what is fixed."""
+        if self.spec.stencils:
+            k = self._stencil_numbers(self.placement.graph_stencils)
+            self.launcher.launch(transfer.load_stencil_numbers, self.state, k)
         if self.spec.lines:
             places, k = self.placement.line_places, self._stencil_numbers(self.placement.lines)
             self._launch(transfer.load_lines, places, k)
@@ -336,7 +355,6 @@ class Upload:
             listed.start.astype(np.int32),
             slots.astype(np.int32),
             listed.weight.astype(self.real),
-            self._stencil_numbers(mine),
             rows.astype(np.int32),
             listed.owner[order].astype(np.int32),
             listed.weight[order].astype(self.real),
@@ -438,54 +456,6 @@ def _low(values: np.ndarray, real: Real) -> np.ndarray:
     with np.errstate(all="ignore"):
         low = values - values.astype(real)
     return np.where(np.isfinite(low), low, 0.0)  # `values` themselves are refused
-
-
-def collision_grid(world: World, radii: np.ndarray, most: int) -> dict[str, Any]:
-    """The numbers of the collision grid (`kernels.collision_grid`), by the names of their fields.
-
-    most: cells that it may have. Along rows a cell is at least as wide as the largest particle,
-    across them twice that: then few rows lie near a particle. The grid wraps around, so where the
-    world has more cells than the container holds, it is made smaller: far particles then share a
-    cell, at the cost of comparisons. Cells are wide enough that their coordinates are whole numbers
-    of 32 bits.
-    """
-    size, count = np.array(world.size), len(radii)
-    largest = float(size.max())
-    radius = float(radii.max(initial=0.0))
-    # Points never meet: of cells as many as there may be.
-    width = max(2.0 * radius or largest / most ** (1 / world.dim), largest / 2**24)
-    widths = np.full(world.dim, 2.01 * width)
-    widths[0] = width
-    # About as many cells as fit into the world.
-    bits = np.maximum(np.round(np.log2(size / widths)), 0.0).astype(int)
-    widths = np.maximum(size / 2.0**bits, widths)
-    while 2.0 ** bits.sum() > most:
-        bits[bits.argmax()] -= 1
-    if count <= ALONE:
-        bits[:] = 0
-    cells = int(bits.sum())
-    bins = min(int(np.log2(max(count // 64, 1))), cells, int(np.log2(MOST_BINS)))
-    return {
-        "grid_bits": bits,
-        "per_cell": 1.0 / widths,
-        "bins": 2**bins,
-        "bin_bits": cells - bins,
-        "largest_radius": radius,
-    }
-
-
-def inner_box(world: World, particles: Particles, real: Real) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner of where every particle is past no wall, each of shape (dim,).
-
-    The largest radius and a few roundings lie between it and the walls: kernels compare positions
-    with it before they ask exactly. Where particles are as large as the world it is inside out.
-    """
-    radius = particles.radius.max(initial=0.0)
-    roundings = 4.0 * float(np.finfo(real).eps)
-    at_low, at_high = (
-        radius + roundings * (np.abs(corner) + radius) for corner in (world.low, world.high)
-    )
-    return world.low + at_low, world.high - at_high
 
 
 def _starts(colours: np.ndarray) -> np.ndarray:

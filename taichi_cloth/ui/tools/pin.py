@@ -42,8 +42,10 @@ def _unpin(sim: Simulation, values: Mapping[str, Any]) -> None:
 
 def _free_color(sim: Simulation) -> np.ndarray:
     """The colour that most free particles have."""
-    colors, counts = np.unique(sim.colors()[~sim.fixed()], axis=0, return_counts=True)
-    found: np.ndarray = colors[counts.argmax()] if len(colors) else np.array(PARTICLE_COLOR)
+    colors = sim.colors()[~sim.fixed()]
+    codes = colors.astype(np.int64) @ (256**2, 256, 1)  # a number each, which sorts quickly
+    _, first, counts = np.unique(codes, return_index=True, return_counts=True)
+    found: np.ndarray = colors[first[counts.argmax()]] if len(colors) else np.array(PARTICLE_COLOR)
     return found
 
 
