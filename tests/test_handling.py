@@ -345,7 +345,8 @@ def test_pins_in_place_are_those_of_a_load(name, method, topology, made, monkeyp
     else:
         scene = small.build(name).with_world(tools=True)
         if name == "flag":  # bending alone, which lies along lines of grids in lanes
-            scene = replace(scene.with_world(ground=None, more={}), obstacles=())
+            scene = scene.with_world(ground=None, friction=0.0, more={})
+            scene = replace(scene, obstacles=())
         how = {"topology": topology, "execution": "serial", "lanes": 2, "substeps": 24}
         sim, pulled = Simulation(scene, method, **how), [0.0, 0.5, 0.0]
     middle = sim.particle_count // 2
@@ -356,7 +357,6 @@ def test_pins_in_place_are_those_of_a_load(name, method, topology, made, monkeyp
         sim.reset()
         sim.advance(5)
         loads = sim.storage.loads
-        numbers = sim.storage.layout
         sim.pin([middle, middle + 1])
         sim.set(particles=[middle + 2], mass=3.0, velocities=pulled)
         sim.advance(2)
@@ -365,7 +365,7 @@ def test_pins_in_place_are_those_of_a_load(name, method, topology, made, monkeyp
         sim.advance(3)
         sim.unpin([middle])
         sim.advance(4)
-        assert sim.storage.loads == loads + 3 and sim.storage.layout is numbers
+        assert sim.storage.loads == loads + 3
         sim.let_go()
         ends.append((*end(sim), sim.forces()))
     for a, b in zip(*ends, strict=True):
@@ -373,18 +373,14 @@ def test_pins_in_place_are_those_of_a_load(name, method, topology, made, monkeyp
 
 
 def test_a_checkpoint_goes_back_over_a_pin(made):
-    sim = made()
-    sim.advance(3)
-    before = sim.checkpoint()
-    sim.advance(3)
-    ahead = end(sim)
-    sim.pin([20])
-    after = sim.checkpoint()
-    sim.advance(3)
-    pinned = end(sim)
-    for checkpoint, ends, fixed in ((before, ahead, False), (after, pinned, True)):
+    sim, moments = made(), []
+    for chosen in ([], [20]):
+        sim.pin(chosen)
+        checkpoint = sim.checkpoint()
+        sim.advance(3)
+        moments.append((checkpoint, end(sim)))
+    for checkpoint, ends in moments:
         sim.restore(checkpoint)
-        assert sim.fixed()[20] == fixed
         sim.advance(3)
         for a, b in zip(ends, end(sim), strict=True):
             assert a.tobytes() == b.tobytes()
@@ -478,9 +474,8 @@ def test_a_ball_is_thrown_along_the_line_of_sight_or_refused():
 
 
 @pytest.mark.thorough
-def test_a_ball_makes_a_scene_collide_on_the_graph_and_time_goes_back_over_it():
-    """Lanes with collisions take a minute to compile; how a run was asked for decides nothing, so
-    that a log's replay, which asks for the lanes that it had, does the same."""
+def test_a_ball_makes_a_scene_collide_on_the_graph():
+    """However a run was asked for, so that a replay, which asks for its lanes, does the same."""
     x = CLOTH.particles.position
     ball = {"pos": [x[:, 0].mean(), x[:, 1].min() + 40], "velocity": [0.5, 4.0]}
     ball |= {"radius": 16.0, "mass": 50.0}
@@ -499,5 +494,4 @@ def test_a_ball_makes_a_scene_collide_on_the_graph_and_time_goes_back_over_it():
         assert a.tobytes() == b.tobytes()
     sim.advance(30)
     free = sim.positions()
-    hit = np.abs(ends[0][0][: len(x)] - free).max(axis=1) > 1.0
-    assert hit.any(), "the ball meets the cloth"
+    assert np.abs(ends[0][0][: len(x)] - free).max() > 1.0, "the ball meets the cloth"

@@ -124,7 +124,8 @@ class Changes(Part):
     def prepare_balls(self) -> None:
         """Let particles collide from now on, so that what is thrown does not pass through them.
 
-        Compiles for some seconds, where y points up for longer: there they rest on each other.
+        Compiles for some seconds. Where y points up they rest on each other. What collides is then
+        on the graph, in logs too: with collisions lanes compile for a minute, and gain little.
         InputError in a scene whose particles overlap from its start, which would burst.
         """
         world = self.scene.world
@@ -141,7 +142,7 @@ class Changes(Part):
             changes["contact"] = "resting"
         self.scene = self.scene.with_world(**changes)
         now = self.storage.snapshot()
-        self._edit(now, replace(now, scene=now.scene.with_world(**changes)))
+        self._edit(now, replace(now, scene=now.scene.with_world(**changes)), topology="graph")
 
     def grab(
         self,

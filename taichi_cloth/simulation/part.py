@@ -105,5 +105,14 @@ class Part(ABC):
         """What the device is told of the run's settings."""
 
     @abstractmethod
-    def _edit(self, now: Snapshot, edited: Snapshot, left: np.ndarray | None = None) -> None:
-        """Go on from an edited state; left: which of the particles are left, all where absent."""
+    def _edit(
+        self,
+        now: Snapshot,
+        edited: Snapshot,
+        left: np.ndarray | None = None,
+        topology: str | None = None,
+    ) -> None:
+        """Go on from an edited state; left: which of the particles are left, all where absent.
+
+        topology: in which it is stored from now on; absent: as it is.
+        """

@@ -317,6 +317,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
     def _store(self, snapshot: Snapshot) -> None:
         """Put a state on the device; the first time, choose how it is run."""
         self._unprepared = [] if self._unprepared else self._unprepared
+        before = self.storage.state if self.storage.topology else None
         self.storage.take(snapshot)
         if not self.execution:  # at the start, and under another method
             choice = autotune.choose(*self._requested, self._prediction())
@@ -325,6 +326,11 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         self.storage.load(self._preferred, self.execution, self._numbers())
         self.topology = self.storage.topology  # the graph, while there is no regular grid
         self.storage.mark_new_springs(self.steps)
+        if self._watch and before not in (None, self.storage.state):
+            # The next launch compiles: what it takes is no loss by threads that wait.
+            choice = autotune.choose(self.topology, self.execution, self._prediction())
+            choice = replace(choice, forced=self._watch.choice.forced)
+            self._watch = autotune.Watch(choice, self.substeps)
 
     @act
     def load_as(self, topology: str, path: str, x: np.ndarray, v: np.ndarray) -> None:
@@ -396,14 +402,22 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
 
     # --- changes while it runs: see `Changes` ------------------------------------------------
 
-    def _edit(self, now: Snapshot, edited: Snapshot, left: np.ndarray | None = None) -> None:
+    def _edit(
+        self,
+        now: Snapshot,
+        edited: Snapshot,
+        left: np.ndarray | None = None,
+        topology: str | None = None,
+    ) -> None:
         """Go on from an edited state; left: which of the particles are left, all where absent.
 
+        topology: in which it is stored from now on; absent: as it is.
         InputError where the device or dt "auto" refuses it; all is then as it was.
         """
         if left is None and same(now, edited):
             return
         clock = self._since, self.dt, self.substeps, self.speed_limit
+        preferred, self._preferred = self._preferred, topology or self._preferred
         auto, pushed, held = copy.copy(self._auto), self.storage.pushed, self.storage.held()
         try:
             refuse_unholdable(edited.scene, self._launcher.device.precision, now.scene)
@@ -417,7 +431,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
                 self._store(edited)
         except InputError:
             self._since, self.dt, self.substeps, self.speed_limit = clock
-            self._auto = auto
+            self._auto, self._preferred = auto, preferred
             self._store(now)
             if held is not None:
                 self.storage.hold_again(held, pushed)
