@@ -22,7 +22,7 @@ import numpy as np
 from taichi_cloth import console
 from taichi_cloth.cli import run_options
 from taichi_cloth.comparison.compare import Comparison, compare
-from taichi_cloth.console import Tell, percent
+from taichi_cloth.console import percent
 from taichi_cloth.errors import InputError, RunFailure, nearest
 from taichi_cloth.files import trajectory
 from taichi_cloth.files.events import Recorder
@@ -77,7 +77,7 @@ def run(source: SceneSource, options: CompareOptions, within: str) -> tuple[Comp
             for k, (name, plan, file) in enumerate(zip(names, plans, files, strict=True)):
                 words = [*source.words(), "--events", str(plan.log), "--frames", str(frames)]
                 tell(f"run {name.upper()}", k, len(plans))
-                failed[name] = _run([*words, *plan.words], file, tell)
+                failed[name] = _run(name.upper(), [*words, *plan.words], file)
         for name, why in failed.items():
             if why:
                 about.notes.append(f"{name.upper()} failed, and is compared up to there: {why}")
@@ -189,10 +189,12 @@ def _folder(keep: str | None) -> Iterator[Path]:
     yield Path(keep)
 
 
-def _run(words: Sequence[str], file: Path, tell: Tell) -> str | None:
+def _run(name: str, words: Sequence[str], file: Path) -> str | None:
     """Run a scene headless into a recording; None, or how it failed with frames to show for it.
 
-    Raises InputError where it is refused, RunFailure where it has no frame.
+    name: what the run is called.
+
+    Raises InputError where it is refused, RunFailure where it has no frame but the start.
     """
     command = [sys.executable, "-m", "taichi_cloth", "run", *words, "--headless", "--quiet"]
     done = subprocess.run(
@@ -205,9 +207,9 @@ def _run(words: Sequence[str], file: Path, tell: Tell) -> str | None:
     if done.returncode == InputError.exit_status:
         raise InputError(why)
     with contextlib.suppress(InputError):
-        if done.returncode == RunFailure.exit_status and len(trajectory.load(file).frame):
+        if done.returncode == RunFailure.exit_status and (trajectory.load(file).frame > 0).any():
             return why
-    raise RunFailure(why)
+    raise RunFailure(f"run {name} failed at once, and nothing can be compared: {why}")
 
 
 def _changes(options: CompareOptions) -> str:

@@ -75,8 +75,7 @@ def distance(a: Samples, b: Samples, free: np.ndarray) -> Distance:
 
 def squares(a: Samples, b: Samples, free: np.ndarray) -> np.ndarray:
     """Square of the distance of each free particle at each sample, (frames + 1, free)."""
-    square: np.ndarray = ((a.x[:, free] - b.x[:, free]) ** 2).sum(axis=2)
-    return square
+    return _square_length(a.x[:, free] - b.x[:, free])
 
 
 def rms_by_frame(a: Samples, b: Samples, free: np.ndarray) -> np.ndarray:
@@ -94,7 +93,7 @@ def max_by_frame(a: Samples, b: Samples, free: np.ndarray) -> np.ndarray:
 def displacement(samples: Samples, free: np.ndarray) -> float:
     """Largest distance of a free particle from where it began."""
     moved = samples.x[:, free] - samples.x[:1, free]
-    return float(np.sqrt(_largest((moved**2).sum(axis=2))))
+    return float(np.sqrt(_largest(_square_length(moved))))
 
 
 def extent(samples: Samples, free: np.ndarray, diagonal: float) -> tuple[float, str]:
@@ -106,6 +105,14 @@ def extent(samples: Samples, free: np.ndarray, diagonal: float) -> tuple[float, 
     if largest > 0:
         return largest, "the largest displacement"
     return diagonal, "the world's diagonal, as nothing moves"
+
+
+def _square_length(d: np.ndarray) -> np.ndarray:
+    """Square of the lengths of vectors (..., dim), by component: NumPy is slow along short axes."""
+    square: np.ndarray = np.square(d[..., 0])
+    for axis in range(1, d.shape[-1]):
+        square = square + np.square(d[..., axis])
+    return square
 
 
 def _mean(square: np.ndarray, axis: int | None = None) -> Any:
