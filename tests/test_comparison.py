@@ -253,7 +253,8 @@ def test_what_cannot_be_compared_is_refused_in_a_line(swings, pool, cli, tmp_pat
 # A session run again
 
 LOG = """{"header": {"scene": "cloth", "window": [400, 300], "dt": 1.0, "method": "verlet", \
-"arguments": ["--columns", "6", "--rows", "4", "--spacing", "30", "--break-force", "inf"]}}
+"precision": "f64", "arguments": ["--columns", "6", "--rows", "4", "--spacing", "30", \
+"--break-force", "inf"]}}
 {"frame": 3, "event": "move", "pos": [200.0, 60.0]}
 {"frame": 4, "event": "move", "pos": [206.0, 62.0]}
 {"frame": 5, "event": "set", "name": "substeps", "value": 1}
@@ -264,11 +265,12 @@ def test_a_session_is_run_again_at_a_finer_step(cli, tmp_path):
     """The pointer pushes at the same times; the distances of three runs show the method's order."""
     log = tmp_path / "session.jsonl"
     log.write_text(LOG)
-    words = ["compare", "--events", log, "--dt", "0.5", "--precision", "f32", "--order"]
+    words = ["compare", "--events", log, "--dt", "0.5", "--order"]
     kept = tmp_path / "kept"
     out, _ = cli(*words, "--frames", 30, "--within", "5%", "--json", "--keep", kept)
     said = json.loads(out)
     assert said["settings_a"]["substeps"] == 1 and said["settings_b"]["substeps"] == 2
+    assert said["settings_a"]["precision"] == said["settings_b"]["precision"] == "f64"
     assert said["settings_b"]["method"] == "verlet" and said["frames_b"] == 30
     assert said["time"] == list(range(1, 31)) and said["parted"] is None
     assert abs(said["order"] - 2) < 0.2  # of Verlet's scheme

@@ -28,7 +28,7 @@ from taichi_cloth.files import trajectory
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.options import PROGRAM, CompareOptions, RunOptions, flag
+from taichi_cloth.settings.options import PRECISIONS, PROGRAM, CompareOptions, RunOptions, flag
 
 if TYPE_CHECKING:
     from taichi_cloth.ui.interaction import Log
@@ -132,13 +132,14 @@ def _planned(
         about.notes.append(f"--dt {options.dt:g}: {substeps} steps in each frame of {frame:g}")
     if substeps is not None:
         words += ["--substeps", str(substeps)]
-    for name in ("method", "precision"):
-        if name in options.given:
-            words += [flag(name), str(getattr(options, name))]
+    if options.method is not None:
+        words += ["--method", options.method]
+    precision = _precision(path, log)
+    of_a, of_b = (["--precision", p] for p in (precision, options.precision or precision))
     fixed = {"substeps"} if substeps is not None else set()
     fixed |= options.given & {"method"}
     other = _without_sets(path, log, fixed, folder, about)
-    plans = [Planned(path, []), Planned(other, words)]
+    plans = [Planned(path, of_a), Planned(other, [*words, *of_b])]
     if options.order and substeps is not None:
         ratio = substeps / int(log.header.get("substeps", 1))
         finest = round(substeps * ratio)
@@ -147,8 +148,16 @@ def _planned(
                 "--order: needs a log of fixed steps, and finer ones in B; give more --substeps"
             )
         at = words.index("--substeps") + 1
-        plans.append(Planned(other, [*words[:at], str(finest), *words[at + 1 :]]))
+        plans.append(Planned(other, [*words[:at], str(finest), *words[at + 1 :], *of_b]))
     return plans
+
+
+def _precision(path: Path, log: Log) -> str:
+    """The precision that a session was recorded in; logs of earlier versions do not say it."""
+    said: str = log.header.get("precision", RunOptions.precision)
+    if said not in PRECISIONS:
+        raise InputError(f"{path} line 1: unknown precision '{said}'; {nearest(said, PRECISIONS)}")
+    return said
 
 
 def _without_sets(path: Path, log: Log, fixed: set[str], folder: Path, about: About) -> Path:

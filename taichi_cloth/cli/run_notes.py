@@ -189,7 +189,7 @@ def note_differences(recorded: Mapping[str, Any], present: Mapping[str, Any]) ->
     """Say on standard error where a replay's settings are not those of the recording."""
     notes = [
         f"{key} {present[key]} (recorded: {recorded[key]})"
-        for key in ("scene", "dt", "substeps", "method", "topology")
+        for key in ("scene", "dt", "substeps", "method", "topology", "precision")
         if key in recorded and key in present and recorded[key] != present[key]
     ]
     words = [shlex.join(header.get("arguments", ())) for header in (present, recorded)]

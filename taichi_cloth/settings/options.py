@@ -400,9 +400,7 @@ class CompareOptions(Options):
         metavar="X",
     )
     method: str | None = setting(None, "B: time-integration method", str, metavar="NAME")
-    precision: str | None = setting(
-        None, "B: floating-point numbers (A: f32)", str, choices=PRECISIONS
-    )
+    precision: str | None = setting(None, "B: floating-point numbers", str, choices=PRECISIONS)
     frames: int | None = setting(
         None,
         "frames to run (default: 60 past the log's last event)",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taichi_cloth import runtime
 from taichi_cloth.console import progress
 from taichi_cloth.errors import RunFailure
 from taichi_cloth.files.events import Recorder
@@ -43,6 +44,7 @@ def log_header(
         **({"dt": "auto"} if sim.follows else {"dt": sim.dt, "substeps": sim.substeps}),
         "method": sim.method,
         "topology": sim.topology,
+        "precision": runtime.current_device().precision,
         **({"tools": True} if sim.scene.world.tools else {}),
     }
 
