@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.simulation.storage.storage import Storage
 from taichi_cloth.ui import app, picking
 from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.camera_moves import CameraMoves
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.tools import throw
@@ -452,6 +454,18 @@ def test_drags_on_empty_space_move_the_camera_and_z_goes_back():
     controls.apply(Event("press", pos=(30.0, 30.0), button="right"), replayed=True)
     controls.apply(Event("move", pos=(90.0, 30.0)), replayed=True)
     assert camera.pose == poses[0]
+
+
+def test_what_flew_off_is_not_framed():
+    """A few of many; two that are far from each other are what there is."""
+    x = np.random.default_rng(5).uniform([200, 100, -50], [400, 300, 50], (200, 3))
+    for stray, place in ((3, x), (0, x), (0, np.array([[0.0, 0.0, 0.0], [500.0, 300.0, 0.0]]))):
+        seen = np.concatenate([place, np.full((stray, 3), 1e5) * np.arange(1, stray + 1)[:, None]])
+        fake = SimpleNamespace(positions=lambda x=seen: x, radii=lambda: np.ones(1))
+        camera = Camera((600.0, 400.0, 500.0))
+        camera.pose = CameraMoves(camera).framing(fake)
+        pixels = camera.project(place)[0] / (600, 400)
+        assert (pixels > 0).all() and (pixels < 1).all() and np.ptp(pixels, axis=0).max() > 0.8
 
 
 def test_a_ball_is_thrown_along_the_line_of_sight_or_refused():

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 DEGREES_A_PIXEL = 0.1  # while ctrl is held
 DEGREES_A_DRAG = 0.3  # a pixel that is dragged
 ZOOM_STEP = 1.1  # factor a wheel notch or key press
+STRAY = 0.02  # share of the particles at each end of an axis that may have flown off
+FAR = 1.0  # in diagonals of the box of all others: what is farther from it has
 MOST_POSES = 100  # that one can go back
 
 
@@ -75,12 +77,17 @@ class CameraMoves:
         self.drags, self._last = None, ""
 
     def framing(self, sim: Simulation) -> tuple[float, ...] | None:
-        """The pose in which all particles that there are fill the picture; None: there are none."""
+        """The pose in which the particles that there are fill the picture; None: there are none.
+
+        A few that flew off, such as pieces of a torn net, do not count.
+        """
         x = sim.positions()
         x, radius = x[np.isfinite(x).all(axis=1)], sim.radii().max(initial=0.0)
         if len(x) == 0:
             return None
-        return self._camera.framed(x, radius)
+        low, high = np.quantile(x, [STRAY, 1 - STRAY], axis=0)
+        room = FAR * float(np.linalg.norm(high - low)) + radius
+        return self._camera.framed(x[((x >= low - room) & (x <= high + room)).all(axis=1)], radius)
 
     def to(self, pose: tuple[float, ...]) -> None:
         """Take a pose."""

@@ -38,6 +38,7 @@ REFRESH = 0.2  # seconds between looks at what was set elsewhere, as by a tool
 TWICE = 0.35  # seconds within which two clicks are a double click
 NOTCH = 0.02  # of a slider's length that an arrow key moves
 TYPED = frozenset(string.digits + ".-e")
+CHANGING = frozenset({"left", "right", "return", "delete", "backspace"})
 SCENE, METHOD = "scene", "method"  # rows that unfold
 MOST_BLOCKS = 500  # pictures of rows that are kept
 FOOT = 4  # lines of the foot at least
@@ -214,9 +215,10 @@ class SettingsPanel:
     def take(self, event: Event, rect: Rect, height: int) -> bool:
         """React to the pointer in the panel, and to keys where it has the keyboard."""
         if event.key is not None:
-            if event.kind == "press":
+            used = self._uses(event.key)
+            if used and event.kind == "press":
                 self._key(event.key, rect)
-            return False
+            return used
         if event.pos is None:
             return False
         if event.kind == "wheel":
@@ -261,6 +263,19 @@ class SettingsPanel:
         if row is not None and row.setting is not None:
             first, wide = rows.track(rect.width, height)
             self._set(row.setting, rows.at(row.setting, (pos[0] - rect.x - first) / wide))
+
+    def _uses(self, key: str) -> bool:
+        """Whether a key means something to the chosen row; all others are the window's."""
+        row = self._row(self._chosen)
+        if row is None or key in ("escape", "up", "down"):
+            return True
+        if row.option or row.name == SCENE:
+            return key in ("left", "right", "return")
+        if row.setting is None:
+            return False
+        typed = row.setting.kind in (live.NUMBER, live.COUNT) and key in TYPED
+        begins = key != "e" or bool(self._typed)  # no number begins with it
+        return key in CHANGING or (typed and begins)
 
     def _key(self, key: str, rect: Rect) -> None:
         names = [placed.row.name for placed in self._rows if placed.row.name]
