@@ -11,6 +11,7 @@ import pytest
 from cloths import mixed
 from commands import command
 
+from taichi_cloth.cli.run_meter import MeasuredErrors
 from taichi_cloth.error_meter import meter as meters
 from taichi_cloth.error_meter.judge import Judge, _Plan
 from taichi_cloth.error_meter.meter import ErrorMeter
@@ -19,6 +20,8 @@ from taichi_cloth.error_meter.window import FRAMES, Window
 from taichi_cloth.scene import library
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.trade import errors, ode
+from taichi_cloth.ui.chrome.layout import Rect
+from taichi_cloth.ui.chrome.meters import Meters
 
 pytestmark = pytest.mark.usefixtures("device")
 
@@ -217,6 +220,30 @@ def test_what_cannot_be_measured_is_said():
     sim.advance(FRAMES + 5)
     meter.close()
     assert meter.last is None and "anything can move" in meter.summary()
+
+
+def test_a_window_says_it_in_a_row_of_its_meters(torn):
+    """Switched on by its key; what was measured before the run went back is not shown."""
+    torn.reset()
+    measured = MeasuredErrors(torn, waits=False, told=False)
+    shown = Meters(torn, windowed=False, errors=measured)
+    rect = Rect(0, 0, 320, 900)
+    assert "error" not in shown.panel(rect, 16).words
+    assert shown.switch_error()
+    assert "error\nmeasuring\nframe 0 of 60" in shown.panel(rect, 16).words
+    meter = measured._meter
+    known = Verdict(0, FRAMES, "f32", 0.3, 10.0, 100.0, solver=0.01, rounding=0.001, growth=0.1)
+    meter.recent.append(known)
+    meter.recent.append(replace(known, first=60, trouble="two references differ"))
+    reading = measured.reading()
+    assert reading.value == "3 % (0.3)"
+    assert reading.details[:3] == ("solver 0.1 %", "f32 0.01 %", "holds 1.7 s")
+    np.testing.assert_allclose(reading.relative, 0.03)
+    resting = replace(known, scale=1e-4, error=1e-6)
+    assert resting.describe(False) == "error over the last second: 1e-06; nothing moves"
+    torn.reset()
+    assert measured.reading().value == "measuring"
+    assert not shown.switch_error() and torn.listener is None
 
 
 def test_a_headless_run_says_each_second_and_all_of_them():

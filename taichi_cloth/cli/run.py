@@ -118,7 +118,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
     begin = time.perf_counter()
     with (
         run_files.kept(source, sim, device, files),
-        run_meter.measured(sim, options, waits=not view.visible) as waited,
+        run_meter.measured(sim, options, waits=not view.visible) as errors,
     ):
         summary = app.run(
             sim,
@@ -130,10 +130,12 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
             about={"arguments": source.flags()},
             device=device.describe(),
             scenes=window.scenes,
+            errors=errors,
             **_of_frames(options, view),
         )
     if not options.quiet:
-        print(run_notes.last_line(sim, summary, time.perf_counter() - begin, waited()), flush=True)
+        seconds = time.perf_counter() - begin
+        print(run_notes.last_line(sim, summary, seconds, errors.waited), flush=True)
     return summary.frames
 
 

@@ -71,7 +71,8 @@ class Judge:
         for what parts the error. ghost: the file of the reference's last positions.
         """
         window, begin = self._read(file), time.perf_counter()
-        verdict = Verdict(window.first, window.frames, window.precision)
+        size = float(np.linalg.norm(window.start.snapshot.scene.world.size))
+        verdict = Verdict(window.first, window.frames, window.precision, size=size)
         try:
             verdict = self._verdict(window, verdict, patience, Path(ghost))
         except TooSlow:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taichi_cloth.error_meter.verdict import Verdict, percent
-from taichi_cloth.error_meter.window import ENDS, FEW, FRAMES, STRIDE, Window
+from taichi_cloth.error_meter.window import ENDS, FEW, FRAMES, LEAVES, STRIDE, Window
 from taichi_cloth.measuring.worker import Worker, WorkerFailed
 from taichi_cloth.trade import reference
 
@@ -36,7 +36,8 @@ class ErrorMeter:
 
     sim: whose listener it is until `close`. waits: whether the run waits for each window's verdict;
     else it goes on. tell: called with each verdict, in another thread unless it waits.
-    last: the latest verdict, None until there is one. ghost: the reference's positions at its end.
+    verdicts: all of them; recent: those since the run last went elsewhere, as by a reset.
+    ghost: the reference's positions at the end of the last one's window.
     """
 
     def __init__(
@@ -58,7 +59,8 @@ class ErrorMeter:
         self.verdicts: list[Verdict] = []
         self.skipped = 0  # frames that were made while the process was busy
         self.waited = 0.0  # seconds that the run waited for verdicts
-        self.last: Verdict | None = None
+        self.recent: list[Verdict] = []
+        self._judged: Window | None = None  # whose verdict is of what the run shows now
         self.ghost: np.ndarray | None = None
         self.refused = _refusal(sim)
         if not self.refused:
@@ -71,19 +73,33 @@ class ErrorMeter:
         return self._task is not None and self._task.is_alive()
 
     @property
+    def last(self) -> Verdict | None:
+        """The latest verdict; None: the run was elsewhere then, or there is none."""
+        return self.recent[-1] if self.recent else None
+
+    @property
     def age(self) -> int:
         """How many frames ago the window of the last verdict ended."""
         last = self.last
         return 0 if last is None else self._sim.frame - last.first - last.frames
 
+    def progress(self) -> str:
+        """What it is doing, in words."""
+        if self.busy:
+            return "made again; compiling first" if self.last is None else "made again"
+        window = self._window
+        return f"frame {window.frames} of {FRAMES}" if window else "nothing can move"
+
     # --- what the simulation tells ---------------------------------------------------------
 
     def before_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
         """Note what is done, or end the window before it."""
+        if name in LEAVES:
+            self.recent, self._judged = [], None
         if self._window is None:
             return
         if name in ENDS:
-            self._end()
+            self._end(shown=name not in LEAVES)
         else:
             self._window.note_act(name, args, given)
 
@@ -103,11 +119,15 @@ class ErrorMeter:
         if not self.refused and not self._closed and not self._sim.fixed().all():
             self._window = Window.opened(self._sim)
 
-    def _end(self) -> None:
-        """Hand the window on, unless it is too short to say anything."""
+    def _end(self, shown: bool = True) -> None:
+        """Hand the window on, unless it is too short to say anything.
+
+        shown: whether the run goes on from what it showed.
+        """
         window, self._window = self._window, None
         if window is None or window.frames < LEAST:
             return
+        self._judged = window if shown else None
         if self._waits:
             begin = time.perf_counter()
             self._judge(window)
@@ -130,7 +150,8 @@ class ErrorMeter:
             verdict = Verdict(window.first, window.frames, trouble=str(failure))
             if self._lost >= MOST_LOST:
                 self.refused = f"its process failed {self._lost} times: {failure}"
-        self.last = verdict
+        if self._judged is window:
+            self.recent.append(verdict)
         self.verdicts.append(verdict)
         if self._tell and not self._closed:
             self._tell(verdict)
@@ -177,14 +198,16 @@ class ErrorMeter:
         """What all verdicts come to, in a line."""
         if self.refused:
             return f"error: not measured: {self.refused}"
-        known = [verdict.relative for verdict in self.verdicts if verdict.known]
+        known = [v.relative for v in self.verdicts if v.known and not v.resting]
         if not known:
+            if any(verdict.known for verdict in self.verdicts):
+                return "error: nothing moved"
             if self.verdicts:
                 return f"error: no second was measured: {self.verdicts[-1].trouble}"
             return f"error: not measured: no {LEAST} frames in a row in which anything can move"
         count = f"{len(known)} of {len(self.verdicts)} windows" if len(known) > 1 else "1 window"
         median, most = float(np.median(known)), max(known)
-        sure = sum(verdict.known and not verdict.trouble for verdict in self.verdicts)
+        sure = sum(v.known and not (v.resting or v.trouble) for v in self.verdicts)
         unsure = "" if sure == len(known) else f", {len(known) - sure} of them not sure"
         skipped = f"; {self.skipped} frames passed unmeasured" if self.skipped else ""
         return (

@@ -10,6 +10,7 @@ from taichi_cloth.error_meter.window import FRAMES
 MILLIONTH = 1e-6  # of the scale: the disturbance whose growth is watched
 THIRD = 1 / 3  # of the error: what two references may differ by
 GREW = math.e  # times in a window: below that a disturbance is not seen to grow
+REST = 1e-4  # of the world: what moves by less within a window does not move for the eye
 FOREVER = 60.0  # seconds that nobody waits for
 
 
@@ -19,9 +20,10 @@ class Verdict:
 
     first, frames: which frames it is of. error: the root of the mean square distance of a particle
     from the reference, over all particles and the ends of all frames. scale: the largest
-    displacement of a particle in the reference, what errors are parts of. apart: what the two
-    finest references differ by; substeps: of the finest one. solver: how far the window's settings
-    are from themselves with a solver that converged, in f64, None where there is no solver.
+    displacement of a particle in the reference, what errors are parts of; size: of the world, its
+    diagonal. apart: what the two finest references differ by; substeps: of the finest one.
+    solver: how far the window's settings are from themselves with a solver that converged, in f64,
+    None where there is no solver.
     rounding: how far what was shown is from the same in f64, None where that was f64.
     growth: the rate at which a disturbance of a millionth grew [1 / frame], 0 where it did not.
     seconds: that it took. trouble: why there is no error, or why it is not sure; "": it is.
@@ -32,6 +34,7 @@ class Verdict:
     precision: str = ""
     error: float = math.nan
     scale: float = math.nan
+    size: float = 0.0
     apart: float = math.nan
     substeps: int = 0
     solver: float | None = None
@@ -49,6 +52,11 @@ class Verdict:
     def relative(self) -> float:
         """The error in parts of the scale."""
         return self.error / self.scale
+
+    @property
+    def resting(self) -> bool:
+        """Whether nothing moved in it, for the eye: no part of that says anything."""
+        return self.known and self.scale < REST * self.size
 
     @property
     def ahead(self) -> float:
@@ -70,16 +78,34 @@ class Verdict:
         """All of it in a line; in_metres: whether the scene's lengths are metres."""
         if not self.known:
             return f"error over {self.span} not known: {self.trouble}"
-        parts = []
-        if self.solver is not None:
-            parts.append(f"solver {self._part(self.solver)}")
-        if self.rounding is not None:
-            parts.append(f"{self.precision} {self._part(self.rounding)}")
+        if self.resting:
+            length = length_in_words(self.error, in_metres)
+            return f"error over {self.span}: {length}; nothing moves"
+        parts = self._parts()
         of_which = f", of which {', '.join(parts)}" if parts else ""
         whole = f"error over {self.span}: {self._part(self.error)}"
         length = length_in_words(self.error, in_metres)
         unsure = f"; not sure: {self.trouble}" if self.trouble else ""
         return f"{whole} ({length}){of_which}; {self.foresight()}{unsure}"
+
+    def in_short(self, in_metres: bool) -> tuple[str, tuple[str, ...]]:
+        """The same for a meter: its value, and details, the most important first."""
+        if self.resting:
+            return length_in_words(self.error, in_metres), ("nothing moves",)
+        value = f"{self._part(self.error)} ({length_in_words(self.error, in_metres)})"
+        ahead = "no growth" if not self.growth else f"holds {self.ahead:.2g} s"
+        if self.ahead > FOREVER:
+            ahead = f"holds over {FOREVER:.0f} s"
+        return value, (*self._parts(), ahead, *(["not sure"] if self.trouble else []))
+
+    def _parts(self) -> list[str]:
+        """What made the error, in words."""
+        parts = []
+        if self.solver is not None:
+            parts.append(f"solver {self._part(self.solver)}")
+        if self.rounding is not None:
+            parts.append(f"{self.precision} {self._part(self.rounding)}")
+        return parts
 
     def foresight(self) -> str:
         """How far the future can be trusted, in words."""
@@ -95,7 +121,7 @@ class Verdict:
 
 def percent(part: float) -> str:
     """A part as a percentage in two digits."""
-    return f"{100 * part:.2g} %" if 100 * part >= 1e-3 or part == 0 else "under 0.001 %"
+    return f"{100 * part:.2g} %" if 100 * part >= 1e-3 or part == 0 else "<0.001 %"
 
 
 def length_in_words(length: float, in_metres: bool) -> str:

@@ -24,6 +24,8 @@ STRIDE = 5
 ENDS = frozenset(
     ("reset", "restore", "load_scene", "load_as", "remove", "set_step", "set_solver", "set_method")
 )
+# Those after which it does not go on from what it showed.
+LEAVES = frozenset(("reset", "restore", "load_scene", "load_as"))
 
 
 @dataclass

@@ -18,6 +18,7 @@ from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import rescue
+from taichi_cloth.ui.chrome.errors import Errors
 from taichi_cloth.ui.interaction import Log
 from taichi_cloth.ui.log_window import event_window
 from taichi_cloth.ui.loop import Loop
@@ -70,6 +71,7 @@ def run(
     seed: int = 0,
     device: str | None = None,
     scenes: Scenes | None = None,
+    errors: Errors | None = None,
 ) -> Summary:
     """Run `sim` in `view` until `frames` are done, the user quits, or (without both) for ever.
 
@@ -92,6 +94,7 @@ def run(
         the next choice); None: what suits the scene.
     seed: of the tools' random numbers; a log's header overrides it.
     device: from `Device.describe()`, for the status; absent: of the device that was started.
+    errors: what measures the error of what is seen (`a`), shown by the meters; None: nothing.
     scenes: what a window may go on with: the run ends once the user opened one of them. None: none.
 
     A SimulationFailure pauses a window with a banner until R. Without a window, or where the user
@@ -110,6 +113,7 @@ def run(
             sim, view, replay=replay, recorder=recorder, trajectory=trajectory,
             on_frame=on_frame, film=film_file, shutter=shutter, about=about, paused=paused,
             status=status, meters=meters, show=show, seed=seed, device=device, scenes=scenes,
+            errors=errors,
         )  # fmt: skip
         bar = stack.enter_context(_progress(frames, not (quiet or view.visible)))
         stack.enter_context(rescue.saving(lambda: loop.finish(picture_file)))

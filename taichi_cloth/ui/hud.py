@@ -208,6 +208,7 @@ def help_lines(
         *(["d\tdraw surface, springs, particles"] if len(scene.triangles) else []),
         *(["e\tcolours of strain"] if len(scene.springs) else []),
         "m\tmeters: the last 10 seconds",
+        "a\thow wrong the last second was",
         "h\tmore of the status, or none",
         "s\tsave a picture",
         "v\tfilm, until v again",

@@ -84,6 +84,7 @@ COMMANDS = {
     "x": "export",
     "l": "timeline",
     "m": "meters",
+    "a": "error",
     "o": "settings",
     **dict.fromkeys(HELP_KEYS, "help"),
     "escape": "quit",

@@ -21,6 +21,7 @@ from taichi_cloth.ui import hud, style
 from taichi_cloth.ui.chrome import messages
 from taichi_cloth.ui.chrome.chrome import Chrome, Contents
 from taichi_cloth.ui.chrome.contract import Part
+from taichi_cloth.ui.chrome.errors import Errors
 from taichi_cloth.ui.chrome.layout import Layout, Rect
 from taichi_cloth.ui.chrome.meters import Meters
 from taichi_cloth.ui.chrome.timeline_row import TimelineRow
@@ -72,9 +73,9 @@ class Loop:
         device: str | None,
         about: Mapping[str, Any] | None = None,
         scenes: Scenes | None = None,
+        errors: Errors | None = None,
     ):
-        self.sim, self.view = sim, view
-        self._about = about
+        self.sim, self.view, self._about = sim, view, about
         self._scenes = scenes or Scenes(fixed=OWNED)
         self._opening = ""  # the name of the scene that is made ready
         self.left = False  # whether another scene goes on in the window
@@ -96,7 +97,7 @@ class Loop:
         self._looks = PlaneMoves(sim.scene.world) if view.camera is None else None
         self._pace = Pace()
         self._depiction = Depiction(sim, show)
-        self._meters = Meters(sim, windowed=view.visible)
+        self._meters = Meters(sim, windowed=view.visible, errors=errors)
         self._schedule = Schedule()
         parts: list[Part] = [self._meters]
         self._costs: RunningCosts | None = None
@@ -131,8 +132,7 @@ class Loop:
         self._status = Status(sim, device or runtime.current_device().describe(), self._meter)
         self._started: float | None = None
         self._simulate = self._draw = 0.0
-        self.frames = 0
-        self.quit = False
+        self.frames, self.quit = 0, False
 
     # One turn
 
@@ -344,6 +344,9 @@ class Loop:
             self._shutter.keep(".checkpoint.npz", lambda path: now.save(path, self._about))
         elif command == "export" and self._travel:
             self._shutter.keep(".seconds.npz", self._travel.timeline.export)
+        elif command == "error":
+            if self._meters.switch_error() and not self._chrome.is_open("meters"):
+                self._obey("meters")
         elif self._chrome.toggle(command):
             if command == self._meters.name:
                 self._meters.restart()

@@ -11,6 +11,7 @@ import numpy as np
 
 from taichi_cloth.simulation.history import SECONDS, History
 from taichi_cloth.ui import style
+from taichi_cloth.ui.chrome.errors import ErrorReading
 from taichi_cloth.ui.chrome.graphs import Curve, Line
 from taichi_cloth.ui.text import Color
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
 
 SIMULATE, DRAW, WAIT = (110, 160, 235), (196, 140, 226), (54, 62, 80)
+ERROR = (236, 160, 120)
 CHANGE, WORK, BY_HAND = (92, 102, 124), (110, 160, 235), (196, 140, 226)
 PARTS = ((226, 120, 120), (126, 200, 138), (110, 160, 235))  # x, y, z
 FRAME = 1000.0 / 60.0  # ms that a frame of a window may take
@@ -58,13 +60,14 @@ class Meter:
 class Source:
     """What meters are made of. frames: rows of (simulate, draw, wait) [s]; None: not measured.
 
-    now: the second of what is kept.
+    now: the second of what is kept. error: of what is seen; None: nobody measures it.
     """
 
     sim: Simulation
     gauges: Gauges
     frames: History | None
     now: float
+    error: ErrorReading | None = None
 
 
 def number(value: float) -> str:
@@ -124,6 +127,19 @@ def frame_time(of: Source) -> Meter | None:
         (0.0, 1.2 * FRAME),
         label=lambda value: f"{value:.0f} ms",
     )
+
+
+def error(of: Source) -> Meter | None:
+    """How wrong each second is, while somebody measures it."""
+    found = of.error
+    if found is None:
+        return None
+    details = tuple((words, style.MUTED) for words in found.details)
+    curve = Curve(found.age, 100 * found.relative, ERROR)
+    return Meter(
+        "error", found.value, found.state, details, (curve,), (), (0.0, 0.0),
+        label=lambda value: f"{value:.3g} %",
+    )  # fmt: skip
 
 
 def margin(of: Source) -> Meter | None:
@@ -265,4 +281,4 @@ def momentum(of: Source) -> Meter | None:
 
 
 # The most important first: those stay where room is scarce.
-ALL = (frame_time, margin, energy, strain, penetration, broken, momentum)
+ALL = (frame_time, error, margin, energy, strain, penetration, broken, momentum)

@@ -11,6 +11,7 @@ from taichi_cloth.simulation.history import ROWS, SECONDS, History
 from taichi_cloth.ui import style, text
 from taichi_cloth.ui.chrome import graphs, instruments
 from taichi_cloth.ui.chrome.contract import COLUMN
+from taichi_cloth.ui.chrome.errors import Errors
 from taichi_cloth.ui.chrome.instruments import Meter, Source
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.inputs import Event
@@ -34,13 +35,15 @@ class Meters:
 
     sim: whose they are. windowed: whether they keep to a small part of the time, and measure what a
     frame takes; without a window all follows from the frames, so that each run of the same has the
-    same pictures.
+    same pictures. errors: what measures the error of what is seen, when asked to; None: nothing.
     """
 
     name, label, key, place, focused = "meters", "meters", "m", COLUMN, False
 
-    def __init__(self, sim: Simulation, *, windowed: bool = True) -> None:
-        self._sim, self._windowed = sim, windowed
+    def __init__(
+        self, sim: Simulation, *, windowed: bool = True, errors: Errors | None = None
+    ) -> None:
+        self._sim, self._windowed, self._errors = sim, windowed, errors
         self._gauges: Gauges | None = None
         self._times = History(SECONDS, ROWS, 3) if windowed else None
         self._now = 0.0  # seconds that frames took, pauses left out
@@ -52,6 +55,13 @@ class Meters:
         self._gauges, self._now, self._drawn = None, 0.0, None
         if self._times is not None:
             self._times.clear()
+
+    def switch_error(self) -> bool:
+        """Begin to measure the error of what is seen, or end; whether it is measured now."""
+        self._drawn = None
+        if self._errors is not None:
+            self._errors.switch()
+        return self._errors is not None and self._errors.on
 
     def _reading(self) -> Gauges:
         """The gauges, from now on."""
@@ -90,7 +100,8 @@ class Meters:
         gauges = self._reading()
         if gauges.state is None:
             gauges.after_frame(self._now)
-        source = Source(self._sim, gauges, self._times, self._now)
+        error = self._errors.reading() if self._errors and self._errors.on else None
+        source = Source(self._sim, gauges, self._times, self._now, error)
         made = [meter for meter in (make(source) for make in instruments.ALL) if meter]
         panel = drawn(made, rect, height)
         self._drawn, self._due = (state, panel), now + REDRAWN

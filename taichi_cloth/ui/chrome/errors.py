@@ -1,0 +1,41 @@
+"""What the meters are told of the error of what is seen. Who measures it is said from above."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from taichi_cloth.ui import style
+from taichi_cloth.ui.text import Color
+
+
+@dataclass(frozen=True)
+class ErrorReading:
+    """The error of the last second that was measured, in words, and those before.
+
+    value: now; details: what it comes from, and how old it is; state: the colour of both that says
+    whether it is sure. age, relative: of the ends of each second [s], the oldest first, and its
+    error in parts of the motion, (k,).
+    """
+
+    value: str
+    details: tuple[str, ...]
+    state: Color = style.MUTED
+    age: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    relative: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+
+class Errors(Protocol):
+    """Measures the error of each second, while it is switched on."""
+
+    @property
+    def on(self) -> bool:
+        """Whether it measures."""
+
+    def switch(self) -> None:
+        """Begin to measure, or end."""
+
+    def reading(self) -> ErrorReading:
+        """What there is to say now."""
