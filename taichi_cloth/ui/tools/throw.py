@@ -32,6 +32,8 @@ LARGER = 1.3  # times the radius of particles that clicks make, in a scene of no
 CROSSING = 45  # frames in which a ball in space goes as far as the eye is from what it looks at
 DRAGGED = 12  # frames in which a ball in a plane goes as far as the pointer was dragged
 
+LOOKS = 200  # along a line of sight that misses the box
+
 
 @dataclass
 class _Memory:
@@ -60,10 +62,10 @@ def _release(hand: Hand, memory: _Memory, event: Event) -> Events:
     radius, mass = _size(sim)
     if hand.camera:
         eye, along = hand.camera.ray(hand.window.to_world(start))
-        begin = _entry(eye, along, world.low + radius, world.high - radius)
-        if begin is None:
-            hand.notice = "the line of sight misses the scene's box: aim inside it"
-            return None
+        box = world.low + radius, world.high - radius
+        begin = _entry(eye, along, *box)
+        if begin is None:  # what is aimed at has left the box, or hangs out of it
+            begin, along = _from_beside(eye, along, hand.camera.distance, *box)
         velocity = along * (hand.camera.distance / (CROSSING * sim.dt))
     else:
         begin = hand.place(start)
@@ -98,6 +100,20 @@ def _entry(
         return None
     place: np.ndarray = np.clip(eye + max(first, 0.0) * along, low, high)
     return place
+
+
+def _from_beside(
+    eye: np.ndarray, along: np.ndarray, distance: float, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where a ball begins in a box that the line of sight misses, and which way it goes: to what is
+    seen at a distance, from the first of the places that are nearest to the way there.
+    """
+    way = eye + along * np.linspace(0.0, distance, LOOKS)[:, None]
+    near = np.clip(way, low, high)
+    off = np.linalg.norm(way - near, axis=1)
+    begin: np.ndarray = near[int((off <= 1.01 * off.min()).argmax())]
+    towards = way[-1] - begin
+    return begin, towards / np.linalg.norm(towards)
 
 
 def _draw(hand: Hand, memory: _Memory) -> Marks | None:
