@@ -456,6 +456,17 @@ def test_drags_on_empty_space_move_the_camera_and_z_goes_back():
     assert camera.pose == poses[0]
 
 
+def test_links_of_a_chain_find_room_where_faces_meet_obstacles():
+    """Larger fields would compile everything anew, at each click of the chain."""
+    scene = library.build("curtain", columns=9).with_world(tools=True)
+    sim = Simulation(scene, topology="graph", execution="serial")
+    fields, above = sim.storage.state, scene.world.high - 0.1
+    for link in range(3):
+        tied = None if link == 0 else sim.particle_count - 1
+        sim.spawn(above - [0.05 * link, 0, 0], tied_to=tied, mass=1e-3, radius=0.01)
+    assert sim.storage.state is fields
+
+
 def test_what_flew_off_is_not_framed():
     """A few of many; two that are far from each other are what there is."""
     x = np.random.default_rng(5).uniform([200, 100, -50], [400, 300, 50], (200, 3))

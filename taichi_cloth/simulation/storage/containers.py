@@ -17,6 +17,7 @@ from taichi_cloth.simulation.storage.kept import KeptFields
 from taichi_cloth.simulation.storage.surfaces import free_with
 
 SPAWN_CAPACITY = 16384  # room for clicks before the fields must grow: some 10 MB
+TIES = 1024  # room for springs of clicks among what obstacles meet, where they meet faces
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,7 @@ def with_room_to_spare(
         particles=factor * needed.particles + room,
         springs=factor * needed.springs + room,
         packs=factor * needed.packs + room,
+        elements=factor * needed.elements + (TIES if takes_clicks and needed.elements else 0),
         closer=max(needed.closer, 16 * factor * needed.particles) if thick else 0,
         patches=factor * needed.patches,
     )
