@@ -111,6 +111,16 @@ def test_stiffness_by_kind_is_that_of_its_links_alone():
     assert by_name["stiffness"].read(sim) == 2.0
 
 
+@pytest.mark.thorough
+def test_another_method_is_on_the_graph_however_lanes_came_about():
+    """A replay asks for the lanes that its run had chosen by itself."""
+    sim = Simulation(cloth(8, 6), topology="lanes", execution="serial")
+    sim.set_method("verlet")
+    assert sim.topology == "graph"
+    sim.set_method("symplectic_euler")
+    assert sim.topology == "lanes"
+
+
 @pytest.mark.parametrize(
     "method", mostly_thorough([m for m in methods.METHODS if m != "symplectic_euler"], ["verlet"])
 )

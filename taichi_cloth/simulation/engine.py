@@ -61,9 +61,10 @@ class Engine(Part):
 
         Settings that the new method takes stay as they were, where the old one took them, too; what
         it keeps from step to step is computed anew. With dt "auto" the substeps are chosen for it.
-        It compiles the method's kernels, as at a start, but on the graph, unless lanes were asked
-        for: those of lanes may take a minute, and which are there would be the machine's matter. A
-        method that the run had before compiles nothing.
+        It compiles the method's kernels, as at a start, but on the graph: those of lanes may take a
+        minute, and which are there would be the machine's matter. However lanes came about: a
+        log's replay asks for those that its run had chosen. A method that the run had before
+        compiles nothing.
         InputError for an unknown one, and for one that dt "auto" refuses; all is then as it was.
         """
         accepted.word("--method", method, methods.METHODS)
@@ -111,5 +112,4 @@ class Engine(Part):
         self.storage = Storage(module, self._lanes_for(module), self._launcher, now, accounts)
         self.execution = self.topology = ""  # `_store` chooses them
         self._watch = self.held_up = self._unprepared = None
-        wanted, path = self._requested
-        self._requested = ("graph" if wanted == "auto" else wanted), path
+        self._requested = "graph", self._requested[1]
