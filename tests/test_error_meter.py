@@ -229,7 +229,7 @@ def test_a_window_says_it_in_a_row_of_its_meters(torn):
     shown = Meters(torn, windowed=False, errors=measured)
     rect = Rect(0, 0, 320, 900)
     assert "error" not in shown.panel(rect, 16).words
-    assert shown.switch_error()
+    assert shown.switch_error().startswith("measuring") and shown.measures
     assert "error\nmeasuring\nframe 0 of 60" in shown.panel(rect, 16).words
     meter = measured._meter
     known = Verdict(0, FRAMES, "f32", 0.3, 10.0, 100.0, solver=0.01, rounding=0.001, growth=0.1)
@@ -243,7 +243,8 @@ def test_a_window_says_it_in_a_row_of_its_meters(torn):
     assert resting.describe(False) == "error over the last second: 1e-06; nothing moves"
     torn.reset()
     assert measured.reading().value == "measuring"
-    assert not shown.switch_error() and torn.listener is None
+    assert shown.switch_error() == "error meter: off" and torn.listener is None
+    assert "alone" in Meters(torn).switch_error()
 
 
 def test_a_headless_run_says_each_second_and_all_of_them():

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from taichi_cloth.error_meter.window import FRAMES
 
 MILLIONTH = 1e-6  # of the scale: the disturbance whose growth is watched
-THIRD = 1 / 3  # of the error: what two references may differ by
+# Of the error, what two references may differ by: what is aimed at, and above what it is not sure.
+AIM, THIRD = 1 / 5, 1 / 3
 GREW = math.e  # times in a window: below that a disturbance is not seen to grow
 REST = 1e-4  # of the world: what moves by less within a window does not move for the eye
 FOREVER = 60.0  # seconds that nobody waits for

@@ -131,8 +131,7 @@ class Loop:
         self._meter = hud.Meter()
         self._status = Status(sim, device or runtime.current_device().describe(), self._meter)
         self._started: float | None = None
-        self._simulate = self._draw = 0.0
-        self.frames, self.quit = 0, False
+        self._simulate, self._draw, self.frames, self.quit = 0.0, 0.0, 0, False
 
     # One turn
 
@@ -345,7 +344,8 @@ class Loop:
         elif command == "export" and self._travel:
             self._shutter.keep(".seconds.npz", self._travel.timeline.export)
         elif command == "error":
-            if self._meters.switch_error() and not self._chrome.is_open("meters"):
+            self._controls.tell(self._meters.switch_error())
+            if self._meters.measures and not self._chrome.is_open("meters"):
                 self._obey("meters")
         elif self._chrome.toggle(command):
             if command == self._meters.name:

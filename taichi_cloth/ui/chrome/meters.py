@@ -56,12 +56,18 @@ class Meters:
         if self._times is not None:
             self._times.clear()
 
-    def switch_error(self) -> bool:
-        """Begin to measure the error of what is seen, or end; whether it is measured now."""
-        self._drawn = None
-        if self._errors is not None:
-            self._errors.switch()
+    @property
+    def measures(self) -> bool:
+        """Whether the error of what is seen is measured."""
         return self._errors is not None and self._errors.on
+
+    def switch_error(self) -> str:
+        """Begin to measure the error of what is seen, or end; what to tell the user."""
+        if self._errors is None:
+            return "the error is measured in windows of taichi-cloth run alone"
+        self._errors.switch()
+        self._drawn = None
+        return "measuring how wrong each second is" if self.measures else "error meter: off"
 
     def _reading(self) -> Gauges:
         """The gauges, from now on."""
