@@ -456,9 +456,10 @@ def test_drags_on_empty_space_move_the_camera_and_z_goes_back():
     assert camera.pose == poses[0]
 
 
-def test_links_of_a_chain_find_room_where_faces_meet_obstacles():
-    """Larger fields would compile everything anew, at each click of the chain."""
-    scene = library.build("curtain", columns=9).with_world(tools=True)
+@pytest.mark.parametrize("name", ["curtain", "pull"])
+def test_what_is_clicked_finds_room_where_faces_meet_obstacles_and_cloths_are_thick(name):
+    """Larger fields would compile everything anew, at each click of a chain."""
+    scene = library.build(name).with_world(tools=True)
     sim = Simulation(scene, topology="graph", execution="serial")
     fields, above = sim.storage.state, scene.world.high - 0.1
     for link in range(3):

@@ -18,6 +18,7 @@ from taichi_cloth.simulation.storage.surfaces import free_with
 
 SPAWN_CAPACITY = 16384  # room for clicks before the fields must grow: some 10 MB
 TIES = 1024  # room for springs of clicks among what obstacles meet, where they meet faces
+PATCHES = 32  # room for patches of clicked particles, where cloths have a thickness
 
 
 @dataclass(frozen=True)
@@ -76,5 +77,5 @@ def with_room_to_spare(
         packs=factor * needed.packs + room,
         elements=factor * needed.elements + (TIES if takes_clicks and needed.elements else 0),
         closer=max(needed.closer, 16 * factor * needed.particles) if thick else 0,
-        patches=factor * needed.patches,
+        patches=factor * needed.patches + (PATCHES if takes_clicks and needed.patches else 0),
     )
