@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import threading
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -208,6 +209,28 @@ def test_a_process_that_ends_is_said_and_leaves_nothing(monkeypatch):
     assert "not measured: its process failed 3 times" in meter.summary()
     assert all(worker._process.returncode == -signal.SIGKILL for worker in began)
     assert not os.path.exists(meter._folder.name)
+
+
+def test_one_that_ends_before_its_process_does_not_wait_for_it(monkeypatch):
+    """Closed while its thread starts the process, it ends that before anything is asked of it."""
+    sim = Simulation(library.build("chain"), topology="graph", execution="serial")
+    meter, asked, begun = ErrorMeter(sim), [], threading.Event()
+
+    class Late(meters.Worker):
+        def __init__(self, *given, **named):
+            begun.wait()
+            super().__init__(*given, **named)
+
+        def ask(self, **request):
+            asked.append(request)
+            return super().ask(**request)
+
+    monkeypatch.setattr(meters, "Worker", Late)
+    sim.advance(FRAMES)
+    monkeypatch.setattr(meter._task, "join", lambda of=meter._task.join: (begun.set(), of()))
+    meter.close()
+    assert not asked and not meter.busy and not meter.verdicts
+    assert "before the first second was made again" in meter.summary()
 
 
 def test_what_cannot_be_measured_is_said():

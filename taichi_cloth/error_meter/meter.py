@@ -55,7 +55,7 @@ class ErrorMeter:
         self._known: Scene | None = None  # what the process has
         self._task: threading.Thread | None = None
         self._window: Window | None = None
-        self._closed, self._lost = False, 0
+        self._closed, self._lost, self._asked = False, 0, 0
         self.verdicts: list[Verdict] = []
         self.skipped = 0  # frames that were made while the process was busy
         self.waited = 0.0  # seconds that the run waited for verdicts
@@ -127,7 +127,7 @@ class ErrorMeter:
         window, self._window = self._window, None
         if window is None or window.frames < LEAST:
             return
-        self._judged = window if shown else None
+        self._judged, self._asked = window if shown else None, self._asked + 1
         if self._waits:
             begin = time.perf_counter()
             self._judge(window)
@@ -161,6 +161,8 @@ class ErrorMeter:
         if self._worker is None:
             self._known = None
             self._worker = Worker(folder, {"OMP_NUM_THREADS": "1"}, niceness=NICE)
+            if self._closed:  # by whom saw no process to end yet
+                raise WorkerFailed("closed")
             threads = None if self._waits else 1
             self._worker.ask(make=JUDGE, **{"as": "judge", "with": {"threads": threads}})
         file, ghost = folder / "window.pickle", folder / "ghost.npy"
@@ -204,6 +206,8 @@ class ErrorMeter:
                 return "error: nothing moved"
             if self.verdicts:
                 return f"error: no second was measured: {self.verdicts[-1].trouble}"
+            if self._asked:
+                return "error: not measured: it ended before the first second was made again"
             return f"error: not measured: no {LEAST} frames in a row in which anything can move"
         count = f"{len(known)} of {len(self.verdicts)} windows" if len(known) > 1 else "1 window"
         median, most = float(np.median(known)), max(known)
