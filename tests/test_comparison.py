@@ -241,7 +241,7 @@ def test_what_cannot_be_compared_is_refused_in_a_line(swings, pool, cli, tmp_pat
     for words, said in {
         (swings[1.0],): "name two recordings",
         (swings[1.0], other, "--substeps", "2"): "--substeps: only with --events",
-        (swings[1.0], other, "--within", "-1%"): "--within must be a number, or one with %",
+        (swings[1.0], other, "--within", "-1%"): "--within must be a number above 0, or one with %",
         (swings[1.0], swings[1.0], "--picture", "x.gif"): "must end with .png or .svg",
         ("--events", "no.jsonl", "--substeps", "2"): "there is no such file",
     }.items():

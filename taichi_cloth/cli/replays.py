@@ -128,7 +128,13 @@ def _planned(
     words: list[str] = []
     substeps = options.substeps
     if options.dt is not None:
-        substeps = max(1, math.ceil(frame / options.dt - 1e-9))
+        steps = frame / options.dt
+        if steps > MOST_SUBSTEPS:
+            raise InputError(
+                f"--dt {options.dt:g}: makes {steps:.3g} steps in each frame of {frame:g}; at most "
+                f"{MOST_SUBSTEPS} can be"
+            )
+        substeps = max(1, math.ceil(steps - 1e-9))
         about.notes.append(f"--dt {options.dt:g}: {substeps} steps in each frame of {frame:g}")
     if substeps is not None:
         words += ["--substeps", str(substeps)]

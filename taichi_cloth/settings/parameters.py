@@ -140,7 +140,7 @@ def error_limit(flag: str, given: str) -> tuple[float, bool]:
     """A limit of an error, 'X' or 'X%': the number, of which 1 is 100 %, and whether it had a %."""
     text = given.strip()
     number = text.removesuffix("%")
-    value = positive(flag, number, "a number, or one with %, such as 1%", given)
+    value = positive(flag, number, "a number above 0, or one with %, such as 1%", given)
     return (value / 100, True) if number != text else (value, False)
 
 
