@@ -277,6 +277,11 @@ def test_a_session_is_run_again_at_a_finer_step(cli, tmp_path):
     finest = tc.compare(kept / "a.npz", kept / "c.npz")
     assert said["own_error_relative"] == pytest.approx(finest.error, rel=0.15)
     assert any("substeps (first in frame 5)" in note for note in said["notes"])
+    # By the last of several steps an error would be that of no run.
+    log.write_text(LOG.replace('"value": 1', '"value": 8'))
+    out, _ = cli(*words[:-1], "--frames", 8, "--json", check=1)
+    said = json.loads(out)
+    assert "own_error" not in said and "changes its steps" in said["notes"][-1]
     _, error = cli("compare", "--events", log, check=2)
     assert "say what the other run has" in error
     _, error = cli("compare", "box", "--events", log, "--substeps", 2, check=2)

@@ -85,7 +85,10 @@ def run(source: SceneSource, options: CompareOptions, within: str) -> tuple[Comp
         found = compare(files[0], files[1], within=within)
         finer = compare(files[1], files[2], within=within) if options.order else None
     found = replace(found, a=f"{path} as recorded", b=f"{path}, {_changes(options)}")
-    _estimate(found, finer, about)
+    if not _changes_step(log):
+        _estimate(found, finer, about)
+    elif options.given & {"substeps", "dt"}:
+        about.notes.append("A's own error is not estimated: the session itself changes its steps")
     return found, about
 
 
@@ -231,6 +234,19 @@ def _changes(options: CompareOptions) -> str:
     """What B has that A has not, in words."""
     given = {name: getattr(options, name) for name in FINER if name in options.given}
     return ", ".join(f"{name} {value}" for name, value in given.items())
+
+
+def _changes_step(log: Log) -> bool:
+    """Whether a session takes other steps, or another method, than those it began with."""
+    from taichi_cloth.ui.interaction import SET
+
+    began = {"substeps": 1, "dt": None, "method": None, **log.header}
+    sets = (event.fields() for events in log.by_frame.values() for event in events
+            if event.kind == SET.name)  # fmt: skip
+    return any(
+        of["name"] in ("substeps", "dt", "method") and of["value"] != began[of["name"]]
+        for of in sets
+    )
 
 
 def _estimate(found: Comparison, finer: Comparison | None, about: About) -> None:
