@@ -261,6 +261,7 @@ LOG = """{"header": {"scene": "cloth", "window": [400, 300], "dt": 1.0, "method"
 """
 
 
+@pytest.mark.thorough
 def test_a_session_is_run_again_at_a_finer_step(cli, tmp_path):
     """The pointer pushes at the same times; the distances of three runs show the method's order."""
     log = tmp_path / "session.jsonl"

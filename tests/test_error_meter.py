@@ -156,6 +156,7 @@ def test_errors_are_those_of_trade(judge, tmp_path):
     assert not verdict.known and "too large" in verdict.describe(in_metres=False)
 
 
+@pytest.mark.thorough
 def test_parts_of_the_error_are_told_apart(judge, tmp_path):
     """A solver that stops early, and positions that are rounded: each has its own share."""
     sim = Simulation(library.build("chain"), "xpbd", topology="graph", iterations=2)

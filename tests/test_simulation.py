@@ -202,6 +202,7 @@ def test_blow_pushes_by_distance_and_displacement(pool, topology):
     assert (sim.velocities()[3] == 0).all()
 
 
+@pytest.mark.parametrize("topology", ["graph", as_thorough("lanes")])
 def test_blow_in_space_reaches_along_the_ray(pool, topology):
     world = World(size=(200.0,) * 3, gravity=(0.0,) * 3, mouse="blow", walls=SIDES)
     x = [[50.0, 50.0, -40.0], [50.0, 60.0, 40.0], [50.0, 100.0, 0.0], [30.0, 50.0, 0.0]]
@@ -212,6 +213,7 @@ def test_blow_in_space_reaches_along_the_ray(pool, topology):
     np.testing.assert_allclose(sim.velocities()[:, 0], [0.1, 0.08, 0.0, 0.06], atol=1e-12)
 
 
+@pytest.mark.parametrize("topology", ["graph", as_thorough("lanes")])
 def test_a_blow_of_some_reach_moves_what_has_a_mass_as_the_original_moves_one(pool, topology):
     """A tenth of the pointer's velocity in a frame right under it, none where its reach ends."""
     world = World(size=(4.0,) * 3, gravity=(0.0,) * 3, mouse="blow", up="y", walls=(), dt=1 / 60)
