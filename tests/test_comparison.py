@@ -287,3 +287,6 @@ def test_a_session_is_run_again_at_a_finer_step(cli, tmp_path):
     assert "say what the other run has" in error
     _, error = cli("compare", "box", "--events", log, "--substeps", 2, check=2)
     assert "is of scene 'cloth', not of 'box'" in error
+    log.write_text(LOG.replace('"substeps", "value": 1', '"dt", "value": 2.0'))
+    _, error = cli("compare", "--events", log, "--dt", "0.5", check=2)
+    assert "sets its frame time itself; use --substeps" in error

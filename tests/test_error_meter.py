@@ -18,6 +18,7 @@ from taichi_cloth.error_meter.judge import Judge, _Plan
 from taichi_cloth.error_meter.meter import ErrorMeter
 from taichi_cloth.error_meter.verdict import Verdict
 from taichi_cloth.error_meter.window import FRAMES, Window
+from taichi_cloth.errors import InputError
 from taichi_cloth.scene import library
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.trade import errors, ode
@@ -113,6 +114,8 @@ def test_windows_end_where_another_run_begins(torn):
         torn.advance(10)
         torn.reset()
         torn.advance(30)
+        with pytest.raises(InputError):  # as without a meter
+            torn.set(mass=(1.0 for _ in range(2)))
         torn.set_step(substeps=4)
         torn.advance(20)
         torn.remove([0])

@@ -131,6 +131,8 @@ def _planned(
     words: list[str] = []
     substeps = options.substeps
     if options.dt is not None:
+        if "dt" in _set_to(log):
+            raise InputError(f"--dt: the session {path} sets its frame time itself; use --substeps")
         steps = frame / options.dt
         if steps > MOST_SUBSTEPS:
             raise InputError(
@@ -238,15 +240,21 @@ def _changes(options: CompareOptions) -> str:
 
 def _changes_step(log: Log) -> bool:
     """Whether a session takes other steps, or another method, than those it began with."""
+    began = {"substeps": 1, "dt": None, "method": None, **log.header}
+    found = _set_to(log)
+    return any(set(found.get(name, ())) - {began[name]} for name in ("substeps", "dt", "method"))
+
+
+def _set_to(log: Log) -> dict[str, list[Any]]:
+    """The values that a session gives to each setting."""
     from taichi_cloth.ui.interaction import SET
 
-    began = {"substeps": 1, "dt": None, "method": None, **log.header}
-    sets = (event.fields() for events in log.by_frame.values() for event in events
-            if event.kind == SET.name)  # fmt: skip
-    return any(
-        of["name"] in ("substeps", "dt", "method") and of["value"] != began[of["name"]]
-        for of in sets
-    )
+    found: dict[str, list[Any]] = {}
+    for event in (event for events in log.by_frame.values() for event in events):
+        if event.kind == SET.name:
+            fields = event.fields()
+            found.setdefault(fields["name"], []).append(fields["value"])
+    return found
 
 
 def _estimate(found: Comparison, finer: Comparison | None, about: About) -> None:

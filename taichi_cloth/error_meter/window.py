@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -71,8 +72,10 @@ class Window:
 
     def note_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
         """Take note of an act before it is done: as bytes, since arguments may be written to."""
-        act = pickle.dumps((name, args, dict(given)), pickle.HIGHEST_PROTOCOL)
-        self.acts.setdefault(self.frames, []).append(act)
+        # What cannot be pickled is a mistake, which the act itself refuses as without a meter.
+        with suppress(pickle.PicklingError, TypeError, AttributeError):
+            act = pickle.dumps((name, args, dict(given)), pickle.HIGHEST_PROTOCOL)
+            self.acts.setdefault(self.frames, []).append(act)
 
     def note_frame(self, sim: Simulation) -> None:
         """Take note of a frame that was made."""
