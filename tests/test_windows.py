@@ -661,12 +661,15 @@ def display():
 
 
 class Window:
-    """A running probe window and the hands on it."""
+    """A running probe window and the hands on it.
 
-    def __init__(self, display, caches, folder, kind, mouse, dim):
+    before: what its program does first.
+    """
+
+    def __init__(self, display, caches, folder, kind, mouse, dim, before=""):
         self.env = {**os.environ, **caches, "DISPLAY": display}
         self.log, self.image = folder / "log.jsonl", folder / "last.png"
-        program = textwrap.dedent(PROGRAM)
+        program = before + textwrap.dedent(PROGRAM)
         self.process = subprocess.Popen(
             [sys.executable, "-c", program, kind, mouse, str(dim), self.log, self.image],
             env=self.env,
@@ -726,8 +729,8 @@ def window(request, display, caches, tmp_path):
         pytest.skip("GGUI needs Vulkan")
     opened = []
 
-    def open_window(mouse, dim):
-        opened.append(Window(display, caches, tmp_path, request.param, mouse, dim))
+    def open_window(mouse, dim, before=""):
+        opened.append(Window(display, caches, tmp_path, request.param, mouse, dim, before))
         return opened[-1]
 
     yield open_window
@@ -1018,6 +1021,24 @@ def test_a_window_destroyed_from_outside_ends_the_run_with_its_files(window, dis
     w.ask("windowclose", w.id)
     assert w.process.wait(20) == 0
     assert w.image.exists() and w.log.exists()
+
+
+UNSEEN = """
+from taichi_cloth.ui.views.ggui import GguiView
+GguiView._was_destroyed = lambda self: False
+"""
+
+
+@needs_x
+@pytest.mark.thorough
+@pytest.mark.parametrize("window", ["ggui"], indirect=True)
+def test_a_window_destroyed_while_vulkan_draws_ends_the_run_with_its_files(window, capfd):
+    """It goes after it was looked whether it is there: Taichi aborts."""
+    w = window("none", 2, UNSEEN)
+    w.ask("windowclose", w.id)
+    assert w.process.wait(20) == 0
+    assert w.image.exists() and w.log.exists()
+    assert "note: the window was destroyed; its files hold" in capfd.readouterr().err
 
 
 @needs_x

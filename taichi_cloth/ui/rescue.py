@@ -1,8 +1,8 @@
-"""Saving what a run made where the window's driver ends the process, as its connection was cut.
+"""Saving what a run made where the window's driver ends the process, as its window is gone.
 
-A connection that breaks while Vulkan draws makes Taichi abort, in the middle of C++ that no
-exception of Python can leave. What must be saved is registered with `saving`; the signal that
-ends the process saves it first.
+A connection that breaks while Vulkan draws, or a window that another program destroys then, makes
+Taichi abort, in the middle of C++ that no exception of Python can leave. What must be saved is
+registered with `saving`; the signal that ends the process saves it first.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Guard:
                 save()
         except Exception as error:  # nothing is above us that could handle it
             print(f"{PROGRAM}: error: {error}", file=sys.stderr)
-        print(f"{PROGRAM}: error: {failure}", file=sys.stderr)
+        print(f"{PROGRAM}: {'error' if status else 'note'}: {failure}", file=sys.stderr)
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)

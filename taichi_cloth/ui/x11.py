@@ -43,6 +43,15 @@ class ConnectionCut(RunFailure):
         )
 
 
+class WindowDestroyed(RunFailure):
+    """Another program destroyed the window while Vulkan drew in it: the run ends as if closed."""
+
+    exit_status = 0
+
+    def __init__(self) -> None:
+        super().__init__("the window was destroyed; its files hold the run until then")
+
+
 @dataclass(frozen=True)
 class Input:
     """One thing the user did in the window, as X says it.
@@ -219,7 +228,7 @@ def _widen(x: ctypes.CDLL, display: int) -> None:
 
 
 def keep(window: object) -> None:
-    """Never give this window back: its connection is cut, and drivers would end the process."""
+    """Never give this window back: it is gone, and drivers would end the process."""
     ctypes.pythonapi.Py_IncRef(ctypes.py_object(window))
 
 

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth import runtime
+from taichi_cloth.errors import RunFailure
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui import drawing, rescue, shaders, x11
+from taichi_cloth.ui import descriptor_pools, drawing, rescue, shaders, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.composer import Composer
@@ -46,9 +47,10 @@ class GguiView:
         self._had_settings = SETTINGS.exists()
         with x11.opening() as displays:
             self._window = shaders.open_window(title, size, visible=visible)
+        descriptor_pools.limit()
         self._composer = Composer(self._window, world)
         self._tap = x11.connect(title, displays) if visible else None
-        self._guard = rescue.Guard(self._cut) if self._tap else None
+        self._guard = rescue.Guard(self._gone) if self._tap else None
         self._listens = bool(self._tap and self._tap.listen())
         self._pointer: tuple[float, float] | None = None
         self._held: set[str] = set()
@@ -204,6 +206,16 @@ class GguiView:
         x11.keep(self._window)
         self._forget()
         return x11.ConnectionCut()
+
+    def _gone(self) -> RunFailure | None:
+        """Why Vulkan cannot draw any more; None: the window is there."""
+        failure = self._cut()
+        if failure is not None or self._tap is None or self.closed or not self._tap.is_gone():
+            return failure
+        self.closed = True
+        x11.keep(self._window)
+        self._forget()
+        return x11.WindowDestroyed()
 
     def close(self) -> None:
         """Give the window back. May be called twice."""
