@@ -103,7 +103,7 @@ def test_it_changes_no_bit_and_a_window_is_made_again_to_the_bit(torn, judge):
             np.testing.assert_array_equal(judge._run(of, plan).x, of.shown)
     finally:
         meter.close()
-    assert torn.listener is None
+    assert not torn.listeners
 
 
 def test_windows_end_where_another_run_begins(torn):
@@ -270,7 +270,7 @@ def test_a_window_says_it_in_a_row_of_its_meters(torn):
     assert resting.describe(False) == "error over the last second: 1e-06; nothing moves"
     torn.reset()
     assert measured.reading().value == "measuring"
-    assert shown.switch_error() == "error meter: off" and torn.listener is None
+    assert shown.switch_error() == "error meter: off" and not torn.listeners
     assert "alone" in Meters(torn).switch_error()
 
 

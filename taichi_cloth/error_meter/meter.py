@@ -15,6 +15,7 @@ import numpy as np
 from taichi_cloth.error_meter.verdict import Verdict, percent
 from taichi_cloth.error_meter.window import ENDS, FEW, FRAMES, LEAVES, STRIDE, Window
 from taichi_cloth.measuring.worker import Worker, WorkerFailed
+from taichi_cloth.simulation.acts import Listener
 from taichi_cloth.trade import reference
 
 if TYPE_CHECKING:
@@ -28,13 +29,13 @@ PATIENCE, WAITING = 10.0, 60.0  # seconds for a window's references: in a window
 MOST_LOST = 3  # processes that may end before no other one is started
 
 
-class ErrorMeter:
+class ErrorMeter(Listener):
     """Measures how wrong the last second of a simulation was, again and again.
 
     Each window begins anew from what the run shows, so it measures what a second adds, and not
     where chaos leads. Nothing of the run is changed. While the process is busy no window is noted.
 
-    sim: whose listener it is until `close`. waits: whether the run waits for each window's verdict;
+    sim: which it listens to until `close`. waits: whether the run waits for each window's verdict;
     else it goes on. tell: called with each verdict, in another thread unless it waits.
     verdicts: all of them; recent: those since the run last went elsewhere, as by a reset.
     ghost: the reference's positions at the end of the last one's window.
@@ -64,7 +65,7 @@ class ErrorMeter:
         self.ghost: np.ndarray | None = None
         self.refused = _refusal(sim)
         if not self.refused:
-            sim.listener = self
+            sim.listeners += (self,)
             self._open()
 
     @property
@@ -184,8 +185,8 @@ class ErrorMeter:
     def close(self) -> None:
         """End the process, and listen no more. May be called twice."""
         self._closed = True
-        if self._sim.listener is self:
-            self._sim.listener = None
+        others = (listener for listener in self._sim.listeners if listener is not self)
+        self._sim.listeners = tuple(others)
         self._window = None
         worker = self._worker
         if worker is not None:

@@ -24,7 +24,7 @@ class Part(ABC):
     """A part of a `Simulation`: what it may use of the others.
 
     scene: as it was given, with what tools switched on in its world; _given: without.
-    listener: who is told of acts and frames (`acts.py`); None: nobody.
+    listeners: who is told of acts and frames (`acts.py`), in this order.
     _module: the method's declaration. _auto: what chooses the substeps with dt "auto", else None.
     _requested: topology and execution as asked for; _preferred: the topology of the next load.
     _watch: what times launches. _engines: of methods that the run had, by name (`Engine.ENGINE`).
@@ -47,7 +47,7 @@ class Part(ABC):
     topology: str
     storage: Storage
     held_up: tuple[float, float] | None
-    listener: Listener | None = None
+    listeners: tuple[Listener, ...] = ()
     _module: Method
     _launcher: Launcher
     _auto: AutoSubsteps | None

@@ -187,15 +187,15 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         while frames > 0:
             # A push lasts one frame, and what breaks may change the next; else they share a launch.
             follows = self._auto is not None and self._auto.follows(self.storage)
-            single = self.storage.pushed or follows or self.listener is not None
+            single = self.storage.pushed or follows or bool(self.listeners)
             batch = 1 if single else min(frames, self._frames_per_launch())
             passed = self._advance_together(batch)
             self.frame += passed
             if passed < batch:
                 self._fail()
             self.storage.end_push()
-            if self.listener is not None:
-                self.listener.after_frame()
+            for listener in self.listeners:
+                listener.after_frame()
             if self._auto and follows:
                 chosen = self._auto.after_frame(self.storage, self.substeps)
                 if chosen != self.substeps:
