@@ -290,15 +290,17 @@ def three_digits(number: float) -> str:
     return f"{number:.0f}" if abs(number) >= 100 else f"{number:.3g}"
 
 
-def percent(part: float | None) -> str:
-    """A part as a percentage of three digits; tiny ones with an exponent."""
+def percent(part: float | None, digits: int = 3) -> str:
+    """A part as a percentage of so many digits; tiny ones with an exponent."""
     if part is None:
         return ""
     if part == 0:
         return "0 %"
     if part >= 1:
         return f"{100 * part:.0f} %" if part < 1e4 else f"{100 * part:.0e} %"
-    return f"{100 * part:.3g} %" if part >= 1e-5 else f"{100 * part:.1e} %"
+    if part < 1e-5:
+        return f"{100 * part:.{max(digits - 2, 0)}e} %"
+    return f"{100 * part:.{digits}g} %"
 
 
 # ------------------------------------------------------------------------------------------

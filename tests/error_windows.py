@@ -94,7 +94,7 @@ def compared(name, given, count, seed, meter):
         of = [row[k] for row in made]
         windows = windows_of(starts, setting, [row.frames for row in of])
         for row, window in zip(of, windows, strict=True):
-            verdict = meter._ask(window)
+            verdict, _ = meter._ask(window)
             yield setting, row.error_trajectory_relative, verdict.relative, not verdict.trouble
             print(
                 f"{name}: {setting.method}, {row.frames} frames: "

@@ -14,10 +14,11 @@ from commands import command
 
 from taichi_cloth.cli.run_meter import MeasuredErrors
 from taichi_cloth.error_meter import meter as meters
+from taichi_cloth.error_meter.ghost import Ghost
 from taichi_cloth.error_meter.judge import Judge, _Plan
 from taichi_cloth.error_meter.meter import ErrorMeter
 from taichi_cloth.error_meter.verdict import Verdict
-from taichi_cloth.error_meter.window import FRAMES, Window
+from taichi_cloth.error_meter.window import FRAMES, GHOST, WINDOW, Window
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene import library
 from taichi_cloth.simulation.simulation import Simulation
@@ -138,9 +139,8 @@ def test_errors_are_those_of_trade(judge, tmp_path):
     sim.advance(FRAMES)
     meter.close()
     (window,) = meter.windows
-    window.write(tmp_path / "window.pickle", None)
-    found = judge.measure(str(tmp_path / "window.pickle"), 60.0, str(tmp_path / "ghost.npy"))
-    verdict = Verdict(**found)
+    window.write(tmp_path / WINDOW, None)
+    verdict = Verdict(**judge.measure(str(tmp_path), 60.0))
     times = np.arange(FRAMES + 1) * sim.dt
     smooth = ode.solve(scene, times, 60.0)
     none = np.zeros((FRAMES + 1, 0), bool)
@@ -151,11 +151,13 @@ def test_errors_are_those_of_trade(judge, tmp_path):
     )
     assert not verdict.trouble
     assert verdict.error == pytest.approx(apart.trajectory, rel=1e-3)
-    ghost = np.load(tmp_path / "ghost.npy")
-    np.testing.assert_allclose(ghost, smooth.x[-1], atol=1e-2 * verdict.error)
+    ghost = Ghost.read(tmp_path / GHOST, window)
+    for frame in (0, 30, FRAMES):
+        there = window.shown[frame] + ghost.at(window.first + frame)
+        np.testing.assert_allclose(there, smooth.x[frame], atol=1e-2 * verdict.error)
     assert verdict.solver is None and verdict.rounding is None and 0 < verdict.ahead < 20
     # In no time nothing is made again.
-    verdict = Verdict(**judge.measure(str(tmp_path / "window.pickle"), 1e-9, ""))
+    verdict = Verdict(**judge.measure(str(tmp_path), 1e-9))
     assert not verdict.known and "too large" in verdict.describe(in_metres=False)
 
 
@@ -169,9 +171,8 @@ def test_parts_of_the_error_are_told_apart(judge, tmp_path):
         window.note_frame(sim)
     noise = np.random.default_rng(0).normal(size=np.shape(window.shown)) * 0.01
     rounded = replace(window, precision="f32", shown=list(np.array(window.shown) + noise))
-    rounded.write(tmp_path / "window.pickle", None)
-    found = judge.measure(str(tmp_path / "window.pickle"), 60.0, str(tmp_path / "ghost.npy"))
-    verdict = Verdict(**found)
+    rounded.write(tmp_path / WINDOW, None)
+    verdict = Verdict(**judge.measure(str(tmp_path), 60.0))
     assert verdict.rounding == pytest.approx(0.01 * np.sqrt(2), rel=0.1)
     sim.set_solver(iterations=256)
     sim.reset()

@@ -57,7 +57,7 @@ ROOMS = {
     "stability": {*BASE, "console", "limits", "runtime", "simulation"},
     "trade": {*BASE, "console", "limits", "measuring", "runtime", "simulation"},
     "comparison": {"console", "files", "scene", "settings", "trade"},
-    "error_meter": {"measuring", "runtime", "scene", "simulation", "trade"},
+    "error_meter": {"console", "measuring", "runtime", "scene", "simulation", "trade"},
     "benchmarks": {*BASE, "console", "measuring", "runtime", "simulation", "trade", "ui"},
     "cli": {*BASE, "benchmarks", "comparison", "console", "error_meter", "limits", "measuring"}
     | {"runtime", "simulation", "ui"},

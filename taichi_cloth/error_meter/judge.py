@@ -17,10 +17,12 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth import runtime
+from taichi_cloth.error_meter import ghost
 from taichi_cloth.error_meter.verdict import AIM, GREW, MILLIONTH, THIRD, Verdict
-from taichi_cloth.error_meter.window import Window
+from taichi_cloth.error_meter.window import GHOST, STAGE, WINDOW, Window
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.simulation.prediction import slow_to_compile
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.start import Start
@@ -63,18 +65,22 @@ class Judge:
         self._sims: dict[str, Simulation] = {}
         self._scene: Scene | None = None
         self._until = math.inf
+        self._folder = Path()
+        # Between which particles springs broke: in the last run, and in the reference.
+        self._broke = self._torn = np.zeros((0, 2), np.int64)
 
-    def measure(self, file: str, patience: float, ghost: str) -> dict[str, Any]:
-        """The verdict on a window in a file, as a dictionary.
+    def measure(self, folder: str, patience: float) -> dict[str, Any]:
+        """The verdict on the window in a folder, as a dictionary; the reference is put there, too.
 
         patience: seconds that the references may take, compiling left out; as many again are there
-        for what parts the error. ghost: the file of the reference's last positions.
+        for what parts the error.
         """
-        window, begin = self._read(file), time.perf_counter()
+        self._folder = Path(folder)
+        window, begin = self._read(self._folder / WINDOW), time.perf_counter()
         size = float(np.linalg.norm(window.start.snapshot.scene.world.size))
         verdict = Verdict(window.first, window.frames, window.precision, size=size)
         try:
-            verdict = self._verdict(window, verdict, patience, Path(ghost))
+            verdict = self._verdict(window, verdict, patience)
         except TooSlow:
             trouble = f"the scene is too large to make it again in {patience:g} s"
             verdict = replace(verdict, trouble=trouble)
@@ -82,24 +88,30 @@ class Judge:
             verdict = replace(verdict, trouble=f"the reference fails: {failure}")
         return asdict(replace(verdict, seconds=time.perf_counter() - begin))
 
-    def _read(self, file: str) -> Window:
-        parts = pickle.loads(Path(file).read_bytes())
+    def _tell(self, stage: str) -> None:
+        """Have the parent know what is done now."""
+        (self._folder / STAGE).write_text(stage)
+
+    def _read(self, file: Path) -> Window:
+        parts = pickle.loads(file.read_bytes())
         start, snapshot = parts["start"], parts["start"]["snapshot"]
         if snapshot["scene"] is not None:
             self._scene = snapshot["scene"]
         taken = Snapshot(**{**snapshot, "scene": self._scene})
         return Window(**{**parts, "start": Start(**{**start, "snapshot": taken})})
 
-    def _verdict(self, window: Window, verdict: Verdict, patience: float, ghost: Path) -> Verdict:
+    def _verdict(self, window: Window, verdict: Verdict, patience: float) -> Verdict:
         free = ~window.start.snapshot.scene.particles.fixed
         shown = _samples(np.asarray(window.shown, np.float64))
         method = reference.fine_method()
         substeps = reference.coarsest(window.start.snapshot.scene, window.dt, RESOLUTION)
 
         def run(substeps: int, start: Start = window.start) -> errors.Samples:
+            self._tell(f"the reference in {substeps} steps a frame")
             return self._run(window, _Plan(method, [substeps] * window.frames, {}, start))
 
-        self._compile(window, _Plan(method, [substeps] * window.frames, {}, window.start))
+        plan = _Plan(method, [substeps] * window.frames, {}, window.start)
+        self._compile(window, plan, "the reference")
         self._until = time.perf_counter() + patience
         coarsest = run(substeps)
         scale, _ = reference.extent(window.start.snapshot.scene, coarsest)
@@ -109,7 +121,7 @@ class Judge:
         if apart > THIRD * error:
             what = f"two references differ by {apart / scale:.1e} of the motion"
             verdict = replace(verdict, trouble=f"{what}, and {patience:g} s allow no finer one")
-        np.save(ghost, finest.x[-1])
+        ghost.write(self._folder / GHOST, finest.x, shown.x, self._torn)
         self._until = time.perf_counter() + patience
         with suppress(TooSlow):
             other = run(substeps, _disturbed(window.start, MILLIONTH * scale))
@@ -131,12 +143,13 @@ class Judge:
         It is refined until that is a fifth of the error, or nothing but round-off: across contacts
         and breaks it is about what the finer one is wrong by, else far more.
         """
-        finest, apart = coarsest, math.inf
+        finest, apart, self._torn = coarsest, math.inf, self._broke
         with suppress(TooSlow):
             while True:
                 finer = run(substeps * FINER)
                 apart = errors.distance(finer, finest, free).trajectory
                 finest, substeps = finer, substeps * FINER
+                self._torn = self._broke
                 error = errors.distance(shown, finest, free).trajectory
                 scale = errors.displacement(finest, free) or 1.0
                 if apart <= AIM * error or apart <= reference.ENOUGH * scale:
@@ -151,23 +164,27 @@ class Judge:
         exact = settings.converged(settings.Setting(window.method, window.dt, 1))
         if exact is None and window.precision == "f64":
             return verdict
-        self._compile(window, plan)
+        self._compile(window, plan, f"{window.method} in f64")
         same = shown
         if window.precision != "f64":
+            self._tell("what rounding does")
             same = self._run(window, plan)
             rounding = errors.distance(shown, same, free).trajectory
             verdict = replace(verdict, rounding=rounding)
         if exact is not None:
             given = {"tolerance": exact.tolerance, "iterations": exact.iterations}
             solver = {name: value for name, value in given.items() if value is not None}
+            self._tell("what the solver leaves")
             converged = self._run(window, replace(plan, solver={**plan.solver, **solver}))
             verdict = replace(verdict, solver=errors.distance(same, converged, free).trajectory)
         return verdict
 
     # --- runs ------------------------------------------------------------------------------
 
-    def _compile(self, window: Window, plan: _Plan) -> None:
+    def _compile(self, window: Window, plan: _Plan, what: str) -> None:
         """Have all kernels ready by a frame, which does not count for the patience."""
+        if plan.method not in self._sims:
+            self._tell(f"compiling {what}")
         before, self._until = self._until, math.inf
         begin = time.perf_counter()
         self._run(window, replace(plan, substeps=plan.substeps[:1]))
@@ -179,11 +196,13 @@ class Judge:
         sim = self._sims.get(plan.method)
         if sim is None:
             stored, run = conditions.best_for(scene, self._threads)
+            if stored in slow_to_compile(scene):
+                stored = "graph"
             sim = Simulation(scene, plan.method, topology=stored, execution=run)
             self._sims[plan.method] = sim
         sim.solver.update({k: v for k, v in plan.solver.items() if k in sim.claims.settings})
         sim.begin_from(plan.start, window.dt, plan.substeps[0])
-        x = [sim.positions()]
+        x, springs = [sim.positions()], sim.drawn_springs()
         for frame, substeps in enumerate(plan.substeps):
             if time.perf_counter() > self._until:
                 raise TooSlow
@@ -195,6 +214,7 @@ class Judge:
             sim.advance()
             if (frame + 1) % window.stride == 0:
                 x.append(sim.positions()[:count])
+        self._broke = _missing(springs, sim.drawn_springs())
         return _samples(np.array(x))
 
 
@@ -202,6 +222,13 @@ def _samples(x: np.ndarray) -> errors.Samples:
     """Positions (samples, n, dim) as samples; nobody asks for what else these have."""
     count = len(x)
     return errors.Samples(x, np.zeros((count, 0, 0)), np.ones((count, 0), bool))
+
+
+def _missing(before: np.ndarray, now: np.ndarray) -> np.ndarray:
+    """The pairs of particles (k, 2) of those before (s, 2) that are not among those of now."""
+    left = set(map(tuple, now.tolist()))
+    gone = [pair for pair in map(tuple, before.tolist()) if pair not in left]
+    return np.array(gone, np.int64).reshape(-1, 2)
 
 
 def _disturbed(start: Start, size: float) -> Start:

@@ -12,8 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taichi_cloth.error_meter.verdict import Verdict, percent
-from taichi_cloth.error_meter.window import ENDS, FEW, FRAMES, LEAVES, STRIDE, Window
+from taichi_cloth.console import percent
+from taichi_cloth.error_meter.ghost import Ghost
+from taichi_cloth.error_meter.verdict import DIGITS, Verdict
+from taichi_cloth.error_meter.window import (
+    ENDS,
+    FEW,
+    FRAMES,
+    GHOST,
+    LEAVES,
+    STAGE,
+    STRIDE,
+    WINDOW,
+    Window,
+)
 from taichi_cloth.measuring.worker import Worker, WorkerFailed
 from taichi_cloth.simulation.acts import Listener
 from taichi_cloth.trade import reference
@@ -26,6 +38,7 @@ JUDGE = "taichi_cloth.error_meter.judge:started"
 NICE = 19  # of the process: the run goes first
 LEAST = FRAMES // 4  # frames of a window that is judged where something ended it
 PATIENCE, WAITING = 10.0, 60.0  # seconds for a window's references: in a window, and where it waits
+SLOW = 3.0  # seconds: what takes longer says for how long it does
 MOST_LOST = 3  # processes that may end before no other one is started
 
 
@@ -38,7 +51,7 @@ class ErrorMeter(Listener):
     sim: which it listens to until `close`. waits: whether the run waits for each window's verdict;
     else it goes on. tell: called with each verdict, in another thread unless it waits.
     verdicts: all of them; recent: those since the run last went elsewhere, as by a reset.
-    ghost: the reference's positions at the end of the last one's window.
+    ghost: of the last verdict that knows an error, while the run is the one it is of.
     """
 
     def __init__(
@@ -62,7 +75,8 @@ class ErrorMeter(Listener):
         self.waited = 0.0  # seconds that the run waited for verdicts
         self.recent: list[Verdict] = []
         self._judged: Window | None = None  # whose verdict is of what the run shows now
-        self.ghost: np.ndarray | None = None
+        self.ghost: Ghost | None = None
+        self._returned = False  # whether the run may go another way than the ghost's
         self.refused = _refusal(sim)
         if not self.refused:
             sim.listeners += (self,)
@@ -86,10 +100,14 @@ class ErrorMeter(Listener):
 
     def progress(self) -> str:
         """What it is doing, in words."""
-        if self.busy:
-            return "made again; compiling first" if self.last is None else "made again"
         window = self._window
-        return f"frame {window.frames} of {FRAMES}" if window else "nothing can move"
+        if not self.busy:
+            return f"frame {window.frames} of {FRAMES}" if window else "nothing can move"
+        with suppress(OSError):
+            stage = Path(self._folder.name) / STAGE
+            since = time.time() - stage.stat().st_mtime
+            return stage.read_text() + (f": {since:.0f} s" if since >= SLOW else "")
+        return "starting its process"
 
     # --- what the simulation tells ---------------------------------------------------------
 
@@ -97,6 +115,10 @@ class ErrorMeter(Listener):
         """Note what is done, or end the window before it."""
         if name in LEAVES:
             self.recent, self._judged = [], None
+        if name == "restore":
+            self._returned = True
+        elif name in LEAVES or name == "remove":
+            self.ghost = None
         if self._window is None:
             return
         if name in ENDS:
@@ -106,6 +128,8 @@ class ErrorMeter(Listener):
 
     def after_frame(self) -> None:
         """Note a frame; a whole window is handed on, and another one begins."""
+        if self._returned and self.ghost is not None:
+            self._follow(self.ghost)
         if self._window is not None:
             self._window.note_frame(self._sim)
             if self._window.frames >= FRAMES:
@@ -114,6 +138,12 @@ class ErrorMeter(Listener):
             self.skipped += 1
         if self._window is None and not self.busy:
             self._open()
+
+    def _follow(self, ghost: Ghost) -> None:
+        """Forget a ghost where the run, which went back, goes another way than it did then."""
+        if not ghost.is_of(self._sim.frame, self._sim.drawn_positions()):
+            self.ghost = None
+        self._returned = self._sim.frame <= ghost.end
 
     def _open(self) -> None:
         """Begin a window, if there is anything that can move."""
@@ -141,8 +171,9 @@ class ErrorMeter(Listener):
 
     def _judge(self, window: Window) -> None:
         """Ask the process; the verdict is the last one from then on."""
+        ghost = None
         try:
-            verdict = self._ask(window)
+            verdict, ghost = self._ask(window)
         except (WorkerFailed, OSError) as failure:
             if self._closed:
                 return
@@ -153,11 +184,12 @@ class ErrorMeter(Listener):
                 self.refused = f"its process failed {self._lost} times: {failure}"
         if self._judged is window:
             self.recent.append(verdict)
+            self.ghost, self._returned = ghost or self.ghost, False
         self.verdicts.append(verdict)
         if self._tell and not self._closed:
             self._tell(verdict)
 
-    def _ask(self, window: Window) -> Verdict:
+    def _ask(self, window: Window) -> tuple[Verdict, Ghost | None]:
         folder = Path(self._folder.name)
         if self._worker is None:
             self._known = None
@@ -166,14 +198,12 @@ class ErrorMeter(Listener):
                 raise WorkerFailed("closed")
             threads = None if self._waits else 1
             self._worker.ask(make=JUDGE, **{"as": "judge", "with": {"threads": threads}})
-        file, ghost = folder / "window.pickle", folder / "ghost.npy"
-        window.write(file, self._known)
+        window.write(folder / WINDOW, self._known)
         self._known = window.start.snapshot.scene
-        given = {"file": str(file), "patience": self._patience, "ghost": str(ghost)}
+        given = {"folder": str(folder), "patience": self._patience}
         answer = self._worker.ask(of="judge", do="measure", **{"with": given})
         verdict = Verdict(**answer["result"])
-        self.ghost = np.load(ghost) if verdict.known else None
-        return verdict
+        return verdict, Ghost.read(folder / GHOST, window) if verdict.known else None
 
     def _give_up_worker(self) -> None:
         if self._worker is not None:
@@ -216,7 +246,8 @@ class ErrorMeter(Listener):
         unsure = "" if sure == len(known) else f", {len(known) - sure} of them not sure"
         skipped = f"; {self.skipped} frames passed unmeasured" if self.skipped else ""
         return (
-            f"error a second: {percent(median)} in the middle, {percent(most)} at most, over "
+            f"error a second: {percent(median, DIGITS)} in the middle, "
+            f"{percent(most, DIGITS)} at most, over "
             f"{count}{unsure}{skipped}"
         )
 

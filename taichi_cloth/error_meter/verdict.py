@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from taichi_cloth.console import percent
 from taichi_cloth.error_meter.window import FRAMES
 
 MILLIONTH = 1e-6  # of the scale: the disturbance whose growth is watched
@@ -12,6 +13,7 @@ MILLIONTH = 1e-6  # of the scale: the disturbance whose growth is watched
 AIM, THIRD = 1 / 5, 1 / 3
 GREW = math.e  # times in a window: below that a disturbance is not seen to grow
 REST = 1e-4  # of the world: what moves by less within a window does not move for the eye
+DIGITS = 2  # of percentages: a reference is no better known than by a fifth
 FOREVER = 60.0  # seconds that nobody waits for
 
 
@@ -117,12 +119,7 @@ class Verdict:
         return f"a millionth grows to it in {self.ahead:.2g} s"
 
     def _part(self, length: float) -> str:
-        return percent(length / self.scale)
-
-
-def percent(part: float) -> str:
-    """A part as a percentage in two digits."""
-    return f"{100 * part:.2g} %" if 100 * part >= 1e-3 or part == 0 else "<0.001 %"
+        return percent(length / self.scale, DIGITS)
 
 
 def length_in_words(length: float, in_metres: bool) -> str:

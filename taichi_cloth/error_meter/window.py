@@ -28,6 +28,9 @@ ENDS = frozenset(
 # Those after which it does not go on from what it showed.
 LEAVES = frozenset(("reset", "restore", "load_scene", "load_as"))
 
+# In the folder that meter and judge share: a window, its ghost, and what the judge is doing.
+WINDOW, GHOST, STAGE = "window.pickle", "ghost.npz", "stage.txt"
+
 
 @dataclass
 class Window:
