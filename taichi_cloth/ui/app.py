@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -13,17 +13,12 @@ import numpy as np
 from taichi_cloth import runtime
 from taichi_cloth.console import progress
 from taichi_cloth.errors import RunFailure
-from taichi_cloth.files.events import Recorder
-from taichi_cloth.files.recordings import Recordings
-from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import rescue
-from taichi_cloth.ui.chrome.errors import Errors
 from taichi_cloth.ui.interaction import Log
 from taichi_cloth.ui.log_window import event_window
 from taichi_cloth.ui.loop import Loop
-from taichi_cloth.ui.scenes import Scenes
-from taichi_cloth.ui.shutter import Shutter
+from taichi_cloth.ui.request import Request
 from taichi_cloth.ui.summary import Summary
 from taichi_cloth.ui.views.contract import View
 
@@ -50,81 +45,36 @@ def log_header(
     }
 
 
-def run(
-    sim: Simulation,
-    view: View,
-    *,
-    frames: int | None = None,
-    replay: Log | None = None,
-    recorder: Recorder | None = None,
-    trajectory: Trajectory | Recordings | None = None,
-    on_frame: Callable[[Simulation], object] | None = None,
-    film: str | None = None,
-    image: str | None = None,
-    pictures: str | None = None,
-    about: Mapping[str, Any] | None = None,
-    paused: bool = False,
-    quiet: bool = False,
-    status: bool = True,
-    meters: bool = False,
-    show: frozenset[str] | None = None,
-    seed: int = 0,
-    device: str | None = None,
-    scenes: Scenes | None = None,
-    errors: Errors | None = None,
-) -> Summary:
+def run(sim: Simulation, view: View, **asked: Any) -> Summary:
     """Run `sim` in `view` until `frames` are done, the user quits, or (without both) for ever.
 
     Each turn polls the user's events, records and applies them, advances one frame, and draws
     it. A window shows at most 60 frames a second, and catches up no more than one that was late.
 
-    replay: a log; its events of frame f (0-based, counted over resets) are applied
-        before that frame is advanced. Until its last event the user's mouse is ignored.
-    recorder: made with `log_header`; every applied event is written.
-    trajectory: is shown every frame; recordings: it and an export. Saving them is the caller's.
-    on_frame: called before each frame; the run ends where it returns False.
-    film, image: paths of a film of the run and of a picture of its last frame; the view must
-        draw pictures for them. Refused paths raise InputError before anything is run.
-    pictures: the folder of what the keys s, v, w and x save; None: the current one.
-    about: what the key w notes in a checkpoint beside the state, as `Checkpoint.save` takes it.
-    paused: start paused (a window only). quiet: no progress bar, and no word of pictures.
-    status: whether the status is shown from the start (`h` shows more of it, or none).
-    meters: whether they are shown from the start (`m` shows and hides them).
-    show: what is drawn of cloths from the start, words of `settings.options.SHOWN` (`d` goes on to
-        the next choice); None: what suits the scene.
-    seed: of the tools' random numbers; a log's header overrides it.
-    device: from `Device.describe()`, for the status; absent: of the device that was started.
-    errors: what measures the error of what is seen (`a`), shown by the meters; None: nothing.
-    scenes: what a window may go on with: the run ends once the user opened one of them. None: none.
+    asked: what a `Request` has, which explains it.
 
     A SimulationFailure pauses a window with a banner until R. Without a window, or where the user
     quits at the banner, it is raised once film and image are saved with the last good frame; so is
     the ConnectionCut of a window whose connection to the display is cut.
     """
+    request = Request(**asked)
     with ExitStack() as stack:
-        picture_file = films.Image(image) if image else None
+        picture_file = films.Image(request.image) if request.image else None
         if picture_file:
             stack.callback(picture_file.discard)
-        film_file = films.Film(film) if film else None
+        film_file = films.Film(request.film) if request.film else None
         if film_file:
             stack.callback(film_file.discard)
-        shutter = Shutter(sim.scene.name, pictures, quiet=quiet)
-        loop = Loop(
-            sim, view, replay=replay, recorder=recorder, trajectory=trajectory,
-            on_frame=on_frame, film=film_file, shutter=shutter, about=about, paused=paused,
-            status=status, meters=meters, show=show, seed=seed, device=device, scenes=scenes,
-            errors=errors,
-        )  # fmt: skip
-        bar = stack.enter_context(_progress(frames, not (quiet or view.visible)))
+        loop = Loop(sim, view, request, film_file)
+        shown = not (request.quiet or view.visible)
+        bar = stack.enter_context(_progress(request.frames, shown))
         stack.enter_context(rescue.saving(lambda: loop.finish(picture_file)))
         failure: RunFailure | None = None
         try:
             loop.begin()
-            while not (view.closed or loop.quit or loop.left) and loop.frames < (
-                frames or math.inf
-            ):
+            while not loop.ended and loop.state.frames < (request.frames or math.inf):
                 loop.turn()
-                bar(loop.frames)
+                bar(loop.state.frames)
         except RunFailure as error:
             failure = error
         except KeyboardInterrupt:
@@ -132,7 +82,7 @@ def run(
             loop.finish(picture_file)
             raise
         loop.finish(picture_file)
-        failure = failure or loop.failure
+        failure = failure or loop.state.failure
         if failure:
             raise failure
         return loop.summary()
@@ -145,12 +95,7 @@ def pixels_of(
 
     status, show: as for `run`.
     """
-    loop = Loop(
-        sim, view, replay=None, recorder=None, trajectory=None, on_frame=None, film=None,
-        shutter=Shutter(""), paused=False, status=status, meters=False, show=show, seed=0,
-        device=None,
-    )  # fmt: skip
-    return loop.pixels()
+    return Loop(sim, view, Request(status=status, show=show)).pixels()
 
 
 @contextmanager

@@ -1,0 +1,196 @@
+"""What a run shows: the world as its view shows it, and around it what is written of the run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from taichi_cloth import runtime
+from taichi_cloth.settings.options import PROGRAM
+from taichi_cloth.ui import hud
+from taichi_cloth.ui.chrome import messages
+from taichi_cloth.ui.chrome.chrome import Chrome, Contents
+from taichi_cloth.ui.chrome.contract import Part
+from taichi_cloth.ui.chrome.layout import Layout
+from taichi_cloth.ui.chrome.meters import Meters
+from taichi_cloth.ui.chrome.timeline_row import TimelineRow
+from taichi_cloth.ui.chrome.toolbar import Button
+from taichi_cloth.ui.controls import Controls
+from taichi_cloth.ui.depiction import Depiction
+from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.log_window import LogWindow
+from taichi_cloth.ui.pointer import Pointer
+from taichi_cloth.ui.request import Request
+from taichi_cloth.ui.run_state import RunState
+from taichi_cloth.ui.status import Status
+from taichi_cloth.ui.takes import Takes
+from taichi_cloth.ui.text import Panel
+from taichi_cloth.ui.travel import Travel
+from taichi_cloth.ui.views.contract import Picture, View
+
+if TYPE_CHECKING:
+    from taichi_cloth.simulation.running_costs import RunningCosts
+    from taichi_cloth.simulation.simulation import Simulation
+    from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
+
+
+class Presentation:
+    """Makes the pictures of a run, and knows what is open in them.
+
+    sim, view: what is shown, and where. request: what was asked of the run. state: where it is.
+    controls: the tool in hand and the pointer. window: the log's. takes: the films.
+    travel: through the last seconds; None: without a window. go_to: shows one of their frames.
+
+    depiction: of the world. meter: of the rates. meters, chrome: around the world. settings: the
+    panel, and costs: what it says frames take; both None without a window.
+    """
+
+    def __init__(
+        self,
+        sim: Simulation,
+        view: View,
+        request: Request,
+        state: RunState,
+        controls: Controls,
+        window: LogWindow,
+        takes: Takes,
+        travel: Travel | None,
+        go_to: Callable[[int], None],
+    ) -> None:
+        self._sim, self._view, self._state, self._takes = sim, view, state, takes
+        self._controls, self._window = controls, window
+        self._saves = request.trajectory is not None
+        self.depiction = Depiction(sim, request.show)
+        self.meter = hud.Meter()
+        device = request.device or runtime.current_device().describe()
+        self._status = Status(sim, device, self.meter)
+        self.meters = Meters(sim, windowed=view.visible, errors=request.errors)
+        parts: list[Part] = [self.meters]
+        self.costs: RunningCosts | None = None
+        self.settings: SettingsPanel | None = None
+        if travel:
+            parts.append(TimelineRow(travel.timeline, go_to, lambda: state.pace.slowness))
+        if view.visible:
+            from taichi_cloth.simulation.running_costs import RunningCosts  # which needs Taichi
+            from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
+
+            self.costs = RunningCosts()
+            self.settings = SettingsPanel(sim, controls, self.costs, request.scenes)
+            parts.insert(0, self.settings)
+        opened = request.scenes.beside
+        self.chrome = Chrome(
+            windowed=view.visible,
+            status=request.status,
+            parts=parts,
+            text=view.text_size,
+            opened=opened,
+        )
+        if request.meters and not self.chrome.is_open("meters") and opened is None:
+            self.chrome.toggle("meters")
+        self._buttons: tuple[Button, ...] = ()
+        self._show_help = False
+
+    def title(self) -> str:
+        """What a window's title says: the scene, and what it is doing."""
+        word = self._state.word(self._takes.shutter.state).text.partition(":")[0]
+        return f"{self._sim.scene.name}, {word} - {PROGRAM}"
+
+    def hurry(self) -> None:
+        """Have the status say the next frame's rates."""
+        self._status.hurry()
+
+    def take(self, event: Event) -> Event | None:
+        """What an event means that may be for what is around the world; None: nothing more."""
+        return self.chrome.take(event, self.arranged(), self._buttons)
+
+    def obey(self, command: str) -> bool:
+        """Do a command that changes what is shown; whether it is one."""
+        if command == "status":
+            self.chrome.next_status()
+        elif command == "show":
+            self.depiction.show_next()
+        elif command == "strain":
+            self.depiction.strain = not self.depiction.strain
+        elif command == "help":
+            self._show_help = not self._show_help
+        elif command == "error":
+            self._controls.tell(self.meters.switch_error())
+            if self.meters.measures and not self.chrome.is_open("meters"):
+                self.obey("meters")
+        elif self.chrome.toggle(command):
+            if command == self.meters.name:
+                self.meters.restart()
+        else:
+            return False
+        return True
+
+    @property
+    def glides(self) -> bool:
+        """Whether pictures between frames are drawn: films take frames, and tools at rest, too."""
+        state = self._state
+        return state.pace.slowness > 1 and not state.stopped and not self._takes.filming
+
+    def picture(self, *, now: bool = False) -> Picture:
+        """What is drawn. now: the present frame, also in slow motion."""
+        part = self._state.pace.part if self.glides and not now else 1.0
+        picture = self.depiction.picture(self._controls.marks(), part)
+        layout = self.arranged()
+        return replace(
+            picture,
+            overlay=(*self.chrome.overlay(layout, self._contents()), *self._legend(layout)),
+            pointer=self._pointer(),
+        )
+
+    def arranged(self) -> Layout:
+        """Where everything is in the view as it is now; the view draws the world in its room."""
+        layout = self.chrome.layout(self._view.size)
+        self._view.room = layout.world
+        return layout
+
+    def _legend(self, layout: Layout) -> tuple[Panel, ...]:
+        """What the colours mean, where they mean anything."""
+        if not self.depiction.strain:
+            return ()
+        meanings = self.depiction.strained.legend()
+        return (messages.legend(meanings, layout.world, layout.text),)
+
+    def _contents(self) -> Contents:
+        """What is written around the world."""
+        sim, state, tool = self._sim, self._state, self._controls.tool
+        windowed, shutter = self._view.visible, self._takes.shutter
+        banner: str | None = None
+        keys: tuple[str, ...] = ()
+        if state.failure is not None:
+            banner = f"Stopped: {state.failure}\nr goes back to the start, escape quits"
+        if self._show_help:
+            keys = hud.help_lines(sim.scene, self._view.has_wheel, tool, saves=self._saves)
+        opens = self.chrome.buttons()
+        self._buttons = hud.buttons(
+            sim.scene, tool, opens, paused=state.paused, strain=self.depiction.strain
+        )
+        rows = self._status.rows(
+            time.perf_counter() if windowed else state.frames / hud.FRAME_RATE,
+            state=state.word(shutter.state) if windowed else None,
+            moving=not state.stopped and state.pace.slowness == 1,
+            tool=tool.name if tool else None,
+            notice=self._controls.notice,
+            urgent=shutter.notice,
+        )
+        return Contents(rows, self._buttons, keys, banner)
+
+    def _pointer(self) -> Pointer | None:
+        """The pointer, where a log or a film shows it, and a window's cursor does not.
+
+        GGUI's is hidden while a button is held.
+        """
+        place, camera = self._controls.pointer, self._view.camera
+        if place is None:
+            return None
+        place, ring = self._window.shown(place), self._controls.ring()
+        if ring is not None:
+            nearness = camera.focal_length / camera.distance if camera else 1.0
+            ring *= self._window.here.scale * nearness
+        cross = self._controls.pressed or self._state.replaying or not self._view.visible
+        return Pointer(place, ring, cross) if cross or ring is not None else None

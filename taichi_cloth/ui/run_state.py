@@ -1,0 +1,67 @@
+"""Where a run in a view is: what it does or waits for, and the word that a window has for that."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from taichi_cloth.errors import SimulationFailure
+from taichi_cloth.ui import style
+from taichi_cloth.ui.text import Word
+from taichi_cloth.ui.timeline import Pace
+
+
+@dataclass
+class RunState:
+    """Where a run is.
+
+    paused: whether frames wait for the user. log_end: the last frame for which the log that is
+    replayed has an event; -1: there is none. frames: advanced so far, counted over resets.
+    step: whether one frame is due although the run is paused. pace: how slow the motion is.
+    quit: whether the user ended it. left: whether another scene goes on in the window.
+    compiling: whether a window stands still for a compiler. opening: the name of the scene that is
+    made ready ("": none). failure: for which a window stands still until r.
+    """
+
+    paused: bool = False
+    log_end: int = -1
+    frames: int = 0
+    step: bool = False
+    quit: bool = False
+    left: bool = False
+    compiling: bool = False
+    opening: str = ""
+    failure: SimulationFailure | None = None
+    pace: Pace = field(default_factory=Pace)
+
+    @property
+    def replaying(self) -> bool:
+        """Whether the log still has events for this frame or a later one."""
+        return self.frames <= self.log_end
+
+    @property
+    def stopped(self) -> bool:
+        """Whether no frame comes by itself."""
+        return self.paused or self.failure is not None
+
+    def due(self) -> bool:
+        """Whether this turn advances a frame, of those that slow motion spaces out; ask once."""
+        due = self.step or (not self.paused and self.pace.turn())
+        self.step = False
+        return due and self.failure is None
+
+    def word(self, recording: str | None) -> Word:
+        """What a window is doing; recording: what it says while a film is being made."""
+        if self.opening:
+            return Word(f"opening {self.opening}: compiling takes a moment, once", style.WARN)
+        if self.failure is not None:
+            return Word("stopped", style.BAD)
+        if recording is not None:
+            return Word(recording + (", paused" if self.paused else ""), style.RECORDING)
+        if self.compiling:
+            return Word("compiling, the window waits", style.WARN)
+        if self.paused:
+            return Word("paused", style.WARN)
+        if self.frames == 0:
+            return Word("starting: compiling takes a moment, once", style.WARN)
+        state = "replaying" if self.replaying else "playing"
+        return Word(", ".join(filter(None, (state, self.pace.words))), style.GOOD)
