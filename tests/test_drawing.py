@@ -253,6 +253,8 @@ def test_a_floor_is_below_what_stands_on_it():
     lit = image[y - 3 : y + 3, x - 3 : x + 3].mean(axis=(0, 1))
     assert (lit > np.array(style.WORLD) + 5).all()
     np.testing.assert_allclose(image[2, 80], style.WORLD, atol=2)  # above the horizon
+    below = pixels(picture_of(sheet(9.0), ground=0.6), camera(rot_x=-20))
+    np.testing.assert_allclose(below, np.broadcast_to(style.WORLD, below.shape), atol=2)
 
 
 @pytest.mark.parametrize("size", [(2.0, 1.0, 3.0), (40.0, 90.0, 10.0)])

@@ -23,6 +23,7 @@ from taichi_cloth.ui.camera_moves import CameraMoves
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.tools import throw
+from taichi_cloth.ui.tools.contract import Hand
 from taichi_cloth.ui.views.none import NullView
 from taichi_cloth.ui.window_map import WindowMap
 
@@ -478,6 +479,16 @@ def test_what_flew_off_is_not_framed():
         camera.pose = CameraMoves(camera).framing(fake)
         pixels = camera.project(place)[0] / (600, 400)
         assert (pixels > 0).all() and (pixels < 1).all() and np.ptp(pixels, axis=0).max() > 0.8
+
+
+@pytest.mark.parametrize("name", ["oscillator", "chain", "cloth"])
+def test_a_ball_is_larger_than_what_it_is_thrown_at(name):
+    scene, tool = library.build(name), throw.TOOL
+    hand = Hand(SimpleNamespace(scene=scene, dt=1.0), None, WindowMap.of(scene.world, WINDOW))
+    memory = tool.remember(0)
+    tool.press(hand, memory, Event("press", pos=(300.0, 200.0), button="left"))
+    (ball,) = tool.release(hand, memory, Event("release", pos=(310.0, 200.0), button="left"))
+    assert ball.values["radius"] >= 1.3 * scene.particles.radius.max()
 
 
 def test_a_ball_is_thrown_along_the_line_of_sight_or_refused():

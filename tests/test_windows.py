@@ -108,6 +108,8 @@ class FakeSimulation:
     def drawn_positions(self):
         return np.array(self.x).reshape(-1, self.scene.world.dim)
 
+    positions = drawn_positions
+
     def radii(self):
         return np.full(len(self.x), 30.0)
 
@@ -593,6 +595,33 @@ def test_planes_are_zoomed_and_moved_and_logs_need_not_know_it():
         near = WindowMap.of(world, (600, 400), None, Look((300.0, 200.0), 2.0))
         np.testing.assert_allclose(near.to_world([300, 200]), whole.to_world([300, 200]))
         assert near.scale == 2 * whole.scale
+
+
+def test_a_window_says_that_nothing_is_in_view_and_f_frames_it():
+    scene = Scene("fake", world("blow"), Particles.build([[300.0, 200.0], [320.0, 260.0]]))
+    sim, f = FakeSimulation(scene), press(key="f")
+    anew = press(key="tab")  # after which the status is written anew, as it is now and then
+    view, looks = Script([anew], [anew], [f, anew], [anew], [f, anew], []), []
+    draw = view.draw
+    view.draw = lambda picture: (looks.append(view.look), draw(picture))
+
+    def falls(sim):
+        if sim.frame == 1:
+            sim.x = [place + [0.0, 9000.0] for place in scene.particles.position]
+        if sim.frame == 3:
+            sim.x = list(scene.particles.position)
+
+    app.run(sim, view, on_frame=falls, device="test")
+    lost = [hud.LOST in words(picture) for picture in view.pictures]
+    assert lost == [False, False, True, False, True, False]
+    assert looks[2] is None is looks[5]
+    assert looks[3].middle == (310.0, 9230.0) and looks[3].zoom == 1.0
+    for dim, there in (2, [300.0, 200.0]), (3, [300.0, 200.0, 0.0]):  # in space the camera counts
+        room = WindowMap.of(world("blow", dim), (600, 400))
+        camera = camera_of_world(world("blow", dim))
+        point = np.array([there, [9e9] * dim, [np.nan] * dim])
+        pixels, _, _ = camera.project(point) if camera else (point, 0, 0)
+        assert room.shows(pixels, np.ones(3)).tolist() == [True, False, False]
 
 
 def test_a_click_on_a_button_is_its_key_and_the_bar_is_no_world():

@@ -90,6 +90,19 @@ class Camera:
         return camera
 
     @property
+    def eye(self) -> np.ndarray:
+        """Where it is, shape (3,), world units."""
+        place: np.ndarray = np.array([0.0, 0.0, -self.distance]) @ self.rotation() + self.centre
+        return place
+
+    def is_above(self, height: float) -> bool:
+        """Whether it is above a floor at this height. From below none is drawn: it would hide all
+        that stands on it, and be one plane with the undersides of that.
+        """
+        above = float(self.eye[1]) - height
+        return above > 0 if self.y_up else above < 0
+
+    @property
     def nearest_drawn(self) -> float:
         """The depth from which on things are drawn, world units."""
         return self.distance / 50
@@ -138,10 +151,9 @@ class Camera:
     def ray(self, pixel: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """The line of sight through `pixel` (2,): eye (3,) and unit direction (3,), world axes."""
         rotation = self.rotation()
-        eye = np.array([0.0, 0.0, -self.distance]) @ rotation + self.centre
         slope = (np.asarray(pixel, np.float64) - self.middle) / self.focal_length
         direction = np.array([slope[0], slope[1], 1.0]) @ rotation
-        return eye, direction / np.linalg.norm(direction)
+        return self.eye, direction / np.linalg.norm(direction)
 
     def rotate(self, dx_deg: float, dy_deg: float) -> None:
         """Add `dx_deg` to `rot_y` and `dy_deg` to `rot_x`, degrees (kept within -180..180)."""

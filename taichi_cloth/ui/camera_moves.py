@@ -77,17 +77,9 @@ class CameraMoves:
         self.drags, self._last = None, ""
 
     def framing(self, sim: Simulation) -> tuple[float, ...] | None:
-        """The pose in which the particles that there are fill the picture; None: there are none.
-
-        A few that flew off, such as pieces of a torn net, do not count.
-        """
-        x = sim.positions()
-        x, radius = x[np.isfinite(x).all(axis=1)], sim.radii().max(initial=0.0)
-        if len(x) == 0:
-            return None
-        low, high = np.quantile(x, [STRAY, 1 - STRAY], axis=0)
-        room = FAR * float(np.linalg.norm(high - low)) + radius
-        return self._camera.framed(x[((x >= low - room) & (x <= high + room)).all(axis=1)], radius)
+        """The pose in which the particles that there are fill the picture; None: there are none."""
+        x, radius = gathered(sim)
+        return self._camera.framed(x, radius) if len(x) else None
 
     def to(self, pose: tuple[float, ...]) -> None:
         """Take a pose."""
@@ -101,3 +93,17 @@ class CameraMoves:
         self.end()
         if self._poses:
             *self._poses, self._camera.pose = self._poses
+
+
+def gathered(sim: Simulation) -> tuple[np.ndarray, float]:
+    """Where particles are, (n, dim), and the largest radius, world units.
+
+    A few that flew off, such as pieces of a torn net, are left out.
+    """
+    x, radius = sim.positions(), float(sim.radii().max(initial=0.0))
+    x = x[np.isfinite(x).all(axis=1)]
+    if len(x) == 0:
+        return x, radius
+    low, high = np.quantile(x, [STRAY, 1 - STRAY], axis=0)
+    room = FAR * float(np.linalg.norm(high - low)) + radius
+    return x[((x >= low - room) & (x <= high + room)).all(axis=1)], radius

@@ -222,7 +222,7 @@ class Composer:
             self._scene.point_light(light * (away * camera.distance), (strength,) * 3)
 
         bright = float(brightness(style.LIGHT)) if picture.has_surfaces else 1.0
-        if picture.ground is not None:
+        if picture.ground is not None and camera.is_above(picture.ground):
             self._floor_3d(picture.ground, camera)
         ends, color = drawing.scenery(self._world, camera)
         ends = self._seen(camera, ends.reshape(-1, 3)).reshape(-1, 2, 3)

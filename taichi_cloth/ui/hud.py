@@ -24,6 +24,9 @@ REFRESH = 0.2  # seconds between changes of the rates: faster cannot be read
 # Beside the rates, where the execution was asked for and threads only wait.
 HELD_UP = Word("threads wait for another program", style.WARN, 4)
 
+# Where no particle is in the picture.
+LOST = "nothing is in view: f frames what there is, r goes back to the start"
+
 
 class Meter:
     """Measures frames: how long they take to simulate and to draw, and how many a second."""
@@ -195,7 +198,10 @@ def help_lines(
             "f\tfill the picture with what there is",
         ]
     else:
-        lines += ["drag right or middle\tmove the picture", "f\tall of the world again"]
+        lines += [
+            "drag right or middle\tmove the picture",
+            "f\tall of the world, or of what left it",
+        ]
     lines.append("z\tback to the view before")
     lines += [
         "o\tsettings, live",

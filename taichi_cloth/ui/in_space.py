@@ -37,11 +37,13 @@ def lights(count: int) -> np.ndarray:
     return np.array([*lights, [0.0, 0.0, 0.0, style.AMBIENT]], np.float32)
 
 
-def floor(height: float, camera: Camera) -> Floor:
-    """The floor at this height, as it is drawn."""
+def floor(height: float | None, camera: Camera) -> Floor | None:
+    """The floor at this height, as it is drawn; None: there is none to be seen."""
+    if height is None or not camera.is_above(height):
+        return None
     side, reach = surfaces.floor_tiles(camera.radius)
     up, along, across = camera.rotation()[:, [1, 0, 2]].T
-    eye = np.array([0.0, 0.0, -camera.distance]) @ camera.rotation() + camera.centre
+    eye = camera.eye
     bright = surfaces.brightness(up)
     return Floor(
         above=float(eye[1] - height),

@@ -64,7 +64,7 @@ class Loop:
             reruns = request.on_frame is None
             self._travel = Travel(sim, self._controls, view.camera, recorder, trajectory, reruns)
         # In space the camera moves, which logs know.
-        self._looks = PlaneMoves(sim.scene.world) if view.camera is None else None
+        self._looks = PlaneMoves(sim) if view.camera is None else None
         self._shown = Presentation(
             sim, view, request, state, self._controls, self._window, self._takes, self._travel,
             self._go_to,

@@ -1,27 +1,36 @@
 """How the user looks at a 2-D world: pan, zoom, all of it again, and back to the look before.
 
+Where nothing is in the world any more, all of it is what there is.
+
 That is the window's alone: logs have positions as if all of the world were seen, so a replay needs
 to know nothing of it.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from taichi_cloth.scene.model import World
-from taichi_cloth.ui.camera_moves import MOST_POSES, ZOOM_STEP
+from taichi_cloth.ui.camera import FILLED
+from taichi_cloth.ui.camera_moves import MOST_POSES, ZOOM_STEP, gathered
 from taichi_cloth.ui.inputs import BACK_KEY, FARTHER_KEYS, FRAME_KEY, NEARER_KEYS, Event
 from taichi_cloth.ui.window_map import Look, WindowMap
+
+if TYPE_CHECKING:
+    from taichi_cloth.simulation.simulation import Simulation
 
 PANS = "middle", "right"  # the buttons whose drags pan; the left one is the tools'
 ZOOMS = 0.25, 400.0  # between which one may zoom: a quarter of the picture; a pixel fills it
 
 
 class PlaneMoves:
-    """Moves a look at a world. look: the present one; None: all of the world is seen."""
+    """Moves a look at a simulation's world. look: the present one; None: all of it is seen."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, sim: Simulation) -> None:
         self.look: Look | None = None
+        self._sim, world = sim, sim.scene.world
         self._whole = Look((float(world.size[0]) / 2, float(world.size[1]) / 2), 1.0)
         self._before: list[Look | None] = []
         self._dragged: tuple[float, float] | None = None  # where the pointer was, window pixels
@@ -56,10 +65,17 @@ class PlaneMoves:
             self._zoom(-1, middle, here)
         elif key == FRAME_KEY:
             self._note()
-            self.look = None
+            self.look = self._framing(here)
         elif key == BACK_KEY and self._before:
             self.look = self._before.pop()
             self._zooming = False
+
+    def _framing(self, here: WindowMap) -> Look | None:
+        """All of the world, or all particles where none is in it."""
+        whole, (x, radius) = replace(here, look=None), gathered(self._sim)
+        if not len(x) or whole.shows(x, np.full(len(x), radius)).any():
+            return None
+        return here.looking_at(x, FILLED)
 
     def _note(self) -> None:
         """Remember the look before a move."""
@@ -73,7 +89,8 @@ class PlaneMoves:
         self._zooming = True
         now = self.look or self._whole
         wanted = now.zoom * ZOOM_STEP ** float(np.clip(notches, -100, 100))
-        zoom = float(np.clip(wanted, *ZOOMS))
+        # What is framed may be seen from farther.
+        zoom = float(np.clip(wanted, min(ZOOMS[0], now.zoom), ZOOMS[1]))
         under = (pixel - here.offset) / here.scale
         x, y = under + (np.array(now.middle) - under) * (now.zoom / zoom)
         self.look = Look((float(x), float(y)), zoom)

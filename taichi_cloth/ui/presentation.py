@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from taichi_cloth import runtime
 from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.ui import hud
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.running_costs import RunningCosts
     from taichi_cloth.simulation.simulation import Simulation
     from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
+
+SAMPLE = 200  # particles of which one is nearly always in the picture
 
 
 class Presentation:
@@ -177,8 +181,24 @@ class Presentation:
             tool=tool.name if tool else None,
             notice=self._controls.notice,
             urgent=shutter.notice,
+            in_view=self._in_view,
         )
         return Contents(rows, self._buttons, keys, banner)
+
+    def _in_view(self) -> bool:
+        """Whether any particle is in the picture, or there is none at all."""
+        place, radius, camera = self._sim.drawn_positions(), self._sim.radii(), self._view.camera
+        few = slice(None, None, 1 + len(place) // SAMPLE)  # nearly always one of them is
+        here = self._window.here
+        for some in few, slice(None):
+            points, reach, near = place[some], radius[some], -np.inf
+            depth = np.zeros(len(points))
+            if camera:
+                near = camera.nearest_drawn
+                points, reach, depth = camera.project(points, reach)
+            if (here.shows(points, reach) & (depth > near)).any():
+                return True
+        return not len(place)
 
     def _pointer(self) -> Pointer | None:
         """The pointer, where a log or a film shows it, and a window's cursor does not.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -31,6 +32,7 @@ class Status:
     _notice_until: float = 0.0
     _held_up: tuple[float, float] | None = None
     _held_up_until: float = 0.0
+    _lost: bool = False
 
     def hurry(self) -> None:
         """Have the rates read anew for the next frame."""
@@ -45,13 +47,14 @@ class Status:
         tool: str | None,
         notice: str | None,
         urgent: str | None = None,
+        in_view: Callable[[], bool] | None = None,
     ) -> tuple[Row, ...]:
         """The status of the frame that `sim` is at.
 
         now: seconds, of a clock that without a window goes with the frames, so that the same run
         has the same pictures. state: of a window, in a word; None without one. moving: whether
         frames come, at full speed. tool: the one in hand. notice: what was last told. urgent: what
-        is told before.
+        is told before. in_view: says whether any particle is.
         """
         if notice != self._notice:
             self._notice, self._notice_until = notice, now + NOTICE_SECONDS
@@ -63,11 +66,13 @@ class Status:
                 self._rates = hud.rates(self.meter) if moving else ()
                 if now < self._held_up_until:
                     self._rates += (hud.HELD_UP,)
+                self._lost = in_view is not None and not in_view()
+        told = notice if now < self._notice_until else hud.LOST if self._lost else None
         return hud.status_rows(
             self.sim,
             self.device,
             state=state,
             tool=tool,
             rates=self._rates,
-            notice=urgent or (self._notice if now < self._notice_until else None),
+            notice=urgent or told,
         )

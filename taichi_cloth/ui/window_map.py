@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -89,6 +89,32 @@ class WindowMap:
     def _turned(self, points: np.ndarray) -> np.ndarray:
         """`points` (..., 2) with y counted from the other end, where it points up."""
         return points * [1, -1] + [0, self.world[1]] if self.y_up else points
+
+    def shows(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """Which discs around world points (n, 2) reach into the room, (n,) bool."""
+        room, pixels = self._room, self.to_window(points)
+        reach = self.scale * np.asarray(radius, np.float64)[:, None]
+        low, high = (
+            np.array([room.x, room.y]),
+            np.array([room.x + room.width, room.y + room.height]),
+        )
+        with np.errstate(invalid="ignore"):  # what is not finite is nowhere
+            inside = (pixels + reach >= low) & (pixels - reach <= high)
+        return np.asarray(inside.all(axis=1))
+
+    def looking_at(self, points: np.ndarray, filled: float) -> Look:
+        """The look that has world points (n, 2) in the middle of the room, never nearer than the
+        whole world is seen.
+
+        filled: share of the room that they may fill.
+        """
+        whole, places = replace(self, look=None), self._turned(np.asarray(points, np.float64))
+        low, high = places.min(axis=0), places.max(axis=0)
+        room = np.array([self._room.width, self._room.height])
+        with np.errstate(divide="ignore"):
+            zoom = float((filled * room / (whole.scale * (high - low))).min())
+        x, y = (low + high) / 2
+        return Look((float(x), float(y)), min(zoom, 1.0))
 
     def to_canvas(self, pixels: ArrayLike) -> np.ndarray:
         """Window `pixels` (..., 2) in Taichi's canvas coordinates: 0..1, y up."""

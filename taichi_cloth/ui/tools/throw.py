@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 COLOR = (236, 118, 52)
 SIZE = 1 / 24  # of the picture's shorter side: the ball's radius
-HEAVY = 50.0  # times the mass of a particle that the scene has
-LARGER = 1.3  # times the radius of particles that clicks make, in a scene of nothing else
+LARGER = 1.3  # times the radius of a particle that the scene has, at least
+HEAVY = 50.0  # times the mass of such a particle
 CROSSING = 45  # frames in which a ball in space goes as far as the eye is from what it looks at
 DRAGGED = 12  # frames in which a ball in a plane goes as far as the pointer was dragged
 
@@ -79,12 +79,10 @@ def _release(hand: Hand, memory: _Memory, event: Event) -> Events:
 
 
 def _size(sim: Simulation) -> tuple[float, float]:
-    """Radius and mass of a ball: by the picture and by a particle that the scene has."""
+    """Radius and mass of a ball: by the picture, and larger and heavier than a usual particle."""
     scene = sim.scene
     other = {**vars(scene.particle_defaults), **usual(sim)}
-    radius = SIZE * min(scene.world.size[:2])
-    if not len(scene.particles):  # then particles are as large as clicks make them
-        radius = max(radius, LARGER * other["radius"])
+    radius = max(SIZE * min(scene.world.size[:2]), LARGER * other["radius"])
     return radius, HEAVY * other["mass"]
 
 

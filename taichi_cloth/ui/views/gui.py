@@ -292,7 +292,7 @@ class GuiView:
             meshes=meshes if keep else [*still.meshes, *meshes],
             balls=self._balls(picture, position, shown),
             lines=lines,
-            floor=None if picture.ground is None else in_space.floor(picture.ground, camera),
+            floor=in_space.floor(picture.ground, camera),
             still=still if keep else None,
         )
         painter.draw(self._frame, _pointer(picture.pointer))
