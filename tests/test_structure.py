@@ -58,9 +58,10 @@ ROOMS = {
     "trade": {*BASE, "console", "limits", "measuring", "runtime", "simulation"},
     "comparison": {"console", "files", "scene", "settings", "trade"},
     "error_meter": {"console", "measuring", "runtime", "scene", "simulation", "trade"},
+    "post_mortem": {"files", "kernels", "limits", "runtime", "scene", "settings", "simulation"},
     "benchmarks": {*BASE, "console", "measuring", "runtime", "simulation", "trade", "ui"},
     "cli": {*BASE, "benchmarks", "comparison", "console", "error_meter", "limits", "measuring"}
-    | {"runtime", "simulation", "ui"},
+    | {"post_mortem", "runtime", "simulation", "ui"},
     "__main__": {"cli"},
 }
 

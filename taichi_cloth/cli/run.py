@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy
 
 from taichi_cloth import runtime
-from taichi_cloth.cli import run_files, run_meter, run_notes, run_options
+from taichi_cloth.cli import run_files, run_meter, run_notes, run_options, run_report
 from taichi_cloth.cli.run_scenes import Run, Wanted, Window
 from taichi_cloth.errors import InputError, RunFailure
 from taichi_cloth.scene.model import Scene
@@ -119,6 +119,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
     with (
         run_files.kept(source, sim, device, files),
         run_meter.measured(sim, options, waits=not view.visible) as errors,
+        run_report.written(sim, options, source.words(), files.report),
     ):
         summary = app.run(
             sim,

@@ -31,12 +31,14 @@ if TYPE_CHECKING:
 class RunFiles:
     """What a run writes beside pictures.
 
-    recorder: of its log. ending: the file of the checkpoint that it ends with.
+    recorder: of its log. ending: the file of the checkpoint that it ends with. report: that was
+    asked for.
     """
 
     recorder: Recorder | None
     recordings: Recordings
     ending: PendingFile | None
+    report: PendingFile | None = None
 
 
 @contextlib.contextmanager
@@ -64,7 +66,10 @@ def begun(scene: Scene, options: RunOptions) -> Iterator[RunFiles]:
         ending = PendingFile(options.checkpoint) if options.checkpoint else None
         if ending:
             unfinished.callback(ending.discard)
-        yield RunFiles(recorder, Recordings(trajectory, export), ending)
+        report = PendingFile(options.report) if options.report else None
+        if report:
+            unfinished.callback(report.discard)
+        yield RunFiles(recorder, Recordings(trajectory, export), ending, report)
 
 
 def _export(scene: Scene, options: RunOptions) -> Export | None:

@@ -25,7 +25,7 @@ def consistent(options: RunOptions) -> RunOptions:
             raise InputError(f"--headless and --view {options.view} exclude each other; give one")
         options = replace(options, view="none")
     written: dict[str, str] = {}
-    for name in ("record", "save", "export", "image", "video", "checkpoint"):
+    for name in ("record", "save", "export", "image", "video", "checkpoint", "report"):
         path = getattr(options, name)
         if path is None:
             continue

@@ -22,6 +22,7 @@ from taichi_cloth.error_meter.verdict import AIM, GREW, MILLIONTH, THIRD, Verdic
 from taichi_cloth.error_meter.window import GHOST, STAGE, WINDOW, Window
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.simulation.acts import do_again
 from taichi_cloth.simulation.prediction import slow_to_compile
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.simulation.snapshot import Snapshot
@@ -206,9 +207,8 @@ class Judge:
         for frame, substeps in enumerate(plan.substeps):
             if time.perf_counter() > self._until:
                 raise TooSlow
-            for name, args, given in map(pickle.loads, window.acts.get(frame, ())):
-                with suppress(InputError):  # which the run refused, too
-                    getattr(sim, name)(*args, **given)
+            for act in window.acts.get(frame, ()):
+                do_again(sim, act)
             if substeps != sim.substeps:
                 sim.set_step(substeps=substeps)
             sim.advance()

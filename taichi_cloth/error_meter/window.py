@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +12,7 @@ import numpy as np
 
 from taichi_cloth.runtime import current_device
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.simulation.acts import noted
 from taichi_cloth.simulation.start import Start
 
 if TYPE_CHECKING:
@@ -75,9 +75,8 @@ class Window:
 
     def note_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
         """Take note of an act before it is done: as bytes, since arguments may be written to."""
-        # What cannot be pickled is a mistake, which the act itself refuses as without a meter.
-        with suppress(pickle.PicklingError, TypeError, AttributeError):
-            act = pickle.dumps((name, args, dict(given)), pickle.HIGHEST_PROTOCOL)
+        act = noted(name, args, given)
+        if act is not None:
             self.acts.setdefault(self.frames, []).append(act)
 
     def note_frame(self, sim: Simulation) -> None:

@@ -194,6 +194,12 @@ class RunOptions(Options):
         str,
         metavar="DIR|FILE",
     )
+    report: str | None = setting(
+        None,
+        "write what led to the end into one page (a run that fails has one beside its other files)",
+        str,
+        metavar="FILE.html",
+    )
     every: int = setting(1, "save and export every Nth frame only", minimum=1, metavar="N")
     image: str | None = setting(None, "save the last frame as a picture", str, metavar="FILE.png")
     video: str | None = setting(None, "save all frames as a film", str, metavar="FILE.mp4|gif")

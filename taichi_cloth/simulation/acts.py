@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import pickle
+from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from functools import wraps
 from typing import Any, TypeVar, cast
+
+from taichi_cloth.errors import InputError
 
 Method = TypeVar("Method", bound=Callable[..., Any])
 
@@ -27,25 +31,50 @@ class Listener:
 
 
 def act(method: Method) -> Method:
-    """A method of a `Part` that acts on the state, told to the listeners of its simulation.
+    """A method of a `Part` that acts on the state, told to the listeners and noted in its past.
 
     Acts that it does itself are a part of it, and not told.
     """
 
     @wraps(method)
     def told(self: Any, *args: Any, **given: Any) -> Any:
-        listeners = self.listeners
-        if not listeners:
+        listeners, past = self.listeners, self.past
+        if not listeners and past is None:
             return method(self, *args, **given)
         for listener in listeners:
             listener.before_act(method.__name__, args, given)
-        self.listeners = ()
+        if past is not None:
+            past.act(self.frame, method.__name__, args, given)
+        self.listeners, self.past = (), None
         try:
             result = method(self, *args, **given)
         finally:
-            self.listeners = listeners
+            self.listeners, self.past = listeners, past
+        if past is not None:
+            past.acted(self, method.__name__, args, given)
         for listener in listeners:
             listener.after_act(method.__name__, args, given)
         return result
 
     return cast(Method, told)
+
+
+def noted(name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> bytes | None:
+    """An act as bytes, since arguments may be written to later; None: it cannot be.
+
+    That is a mistake of the caller's, which the act itself refuses.
+    """
+    with suppress(pickle.PicklingError, TypeError, AttributeError):
+        return pickle.dumps((name, args, dict(given)), pickle.HIGHEST_PROTOCOL)
+    return None
+
+
+def do_again(sim: Any, act: bytes, but: Collection[str] = ()) -> None:
+    """Do what `noted` made bytes of to a simulation, but for acts of some names.
+
+    What the run refused is refused again.
+    """
+    name, args, given = pickle.loads(act)
+    if name not in but:
+        with suppress(InputError):
+            getattr(sim, name)(*args, **given)

@@ -85,7 +85,7 @@ class Checkpoints(Part):
         It takes a fraction of a millisecond, and changes nothing. What is pushed or held goes with
         it; what a window or its tools remember does not.
         """
-        return Checkpoint(
+        made = Checkpoint(
             frame=self.frame,
             time=self.time,
             name=self.scene.name,
@@ -98,6 +98,9 @@ class Checkpoints(Part):
             kept=self.storage.keep(),
             engine={"_owner": self} | {name: getattr(self, name) for name in Engine.ENGINE},
         )
+        if self.past is not None:
+            self.past.offer(self, made)
+        return made
 
     @act
     def restore(self, checkpoint: Checkpoint) -> None:

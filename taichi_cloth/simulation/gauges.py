@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -86,10 +87,11 @@ class Gauges:
     """Reads a simulation after its frames; keeps the last `SECONDS` of what it read.
 
     paced: whether reading keeps to its share of the time, as in a window; else it follows from the
-    frames alone. clock: what time is told by.
+    frames alone, each gauge being read in `every` so manieth one. clock: what time is told by.
 
     states: rows of (total, change, work, by hand, doubt, scale of energy, |momentum|, each part of
     it, strain, borne, broken). margins: rows of (reach, used). depths: of (deepest penetration,).
+    mode: the one that sets the margin.
     """
 
     def __init__(
@@ -97,9 +99,10 @@ class Gauges:
         sim: Simulation,
         *,
         paced: bool = True,
+        every: Mapping[str, int] = MappingProxyType(EVERY),
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        self._sim, self._paced, self._clock = sim, paced, clock
+        self._sim, self._paced, self._every, self._clock = sim, paced, every, clock
         dim = sim.scene.world.dim
         self.states = History(SECONDS, ROWS, 10 + dim)
         self.margins, self.depths = (History(SECONDS, ROWS, k) for k in (2, 1))
@@ -118,7 +121,7 @@ class Gauges:
         self._method = methods.load(self._sim.method)
         start = self._sim.scene
         self._full = strain.allowed(start.particles.position, start.springs)
-        self._mode = FastestMode(self._method)
+        self.mode = FastestMode(self._method)
         self._moment: tuple[int, Moment] | None = None
         self._pushed: tuple[np.ndarray, np.ndarray] | None = None
         self._hold: tuple[Hold, np.ndarray] | None = None  # with its place at the last frame
@@ -181,7 +184,7 @@ class Gauges:
 
     def _is_due(self, name: str) -> bool:
         if not self._paced:
-            return self._frames % EVERY[name] == 0
+            return self._frames % self._every[name] == 0
         return self._clock() >= self._due[name]
 
     @contextmanager
@@ -227,7 +230,7 @@ class Gauges:
         sim = self._sim
         step, stable = sim.dt / sim.substeps, sim.claims.stability_limit
         more = AT_FIRST if self.margin is None else IMPROVEMENTS
-        found = self._mode.follow(self._present().network, step, more)
+        found = self.mode.follow(self._present().network, step, more)
         limit = Limit(math.inf) if found is None else found.limit
         error = 0.0 if found is None else found.error
         self.margin = Margin(step, limit, error, math.isinf(stable), limit.dt == 0)

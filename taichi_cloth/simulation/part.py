@@ -16,6 +16,7 @@ from taichi_cloth.simulation.acts import Listener
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import Numbers
+from taichi_cloth.simulation.past import Past
 from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.storage.storage import Storage
 
@@ -24,7 +25,7 @@ class Part(ABC):
     """A part of a `Simulation`: what it may use of the others.
 
     scene: as it was given, with what tools switched on in its world; _given: without.
-    listeners: who is told of acts and frames (`acts.py`), in this order.
+    listeners: who is told of acts and frames (`acts.py`), in this order. past: what led here.
     _module: the method's declaration. _auto: what chooses the substeps with dt "auto", else None.
     _requested: topology and execution as asked for; _preferred: the topology of the next load.
     _watch: what times launches. _engines: of methods that the run had, by name (`Engine.ENGINE`).
@@ -48,6 +49,7 @@ class Part(ABC):
     storage: Storage
     held_up: tuple[float, float] | None
     listeners: tuple[Listener, ...] = ()
+    past: Past | None
     _module: Method
     _launcher: Launcher
     _auto: AutoSubsteps | None

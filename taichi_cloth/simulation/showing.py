@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
@@ -22,13 +24,29 @@ class Artist(Protocol):
         """Pixels (h, w, 3) uint8 as a file."""
 
 
+class Examiner(Protocol):
+    """What writes reports of simulations, in the words of `taichi_cloth.post_mortem.reporting`."""
+
+    def report(
+        self, sim: Any, path: str | Path, draw: Callable[[], np.ndarray] | None, seconds: float
+    ) -> Any:
+        """The page at a path, and what was found out."""
+
+
 _artist: Callable[[], Artist] | None = None
+_examiner: Callable[[], Examiner] | None = None
 
 
 def drawn_by(artist: Callable[[], Artist]) -> None:
     """Say who draws; `artist` is called when something is first to be drawn."""
     global _artist
     _artist = artist
+
+
+def examined_by(examiner: Callable[[], Examiner]) -> None:
+    """Say who writes reports; `examiner` is called when the first one is asked for."""
+    global _examiner
+    _examiner = examiner
 
 
 def _called() -> Artist:
@@ -53,6 +71,21 @@ class Showing:
         Raises InputError for a number of frames or a size that makes no sense.
         """
         return _called().shown(self, frames, **how)
+
+    def report(self, path: str | Path, *, pictures: bool = True, seconds: float = 20.0) -> Any:
+        """Write what led here into one HTML file, and return it.
+
+        Of a run that failed: the frames before, h omega, energy and strain over time, the cause in
+        words with its proof, and the cheapest setting that survives, found by running it. Of one
+        that did not: how it stands. The simulation is as it was afterwards, to the bit.
+
+        pictures: whether frames are drawn. seconds: that the trials may take, and going back as
+        many. What it returns has `cause` and `search`, with the setting that survives as `best`.
+        InputError where the file cannot be written.
+        """
+        assert _examiner is not None, "the package's __init__ says who examines"
+        draw = partial(_called().picture, self) if pictures else None
+        return _examiner().report(self, path, draw, seconds)
 
     def _repr_png_(self) -> bytes:
         """The present frame, as notebooks show a value that ends a cell."""

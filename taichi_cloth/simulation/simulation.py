@@ -37,6 +37,7 @@ from taichi_cloth.simulation.numbers import (
     runaway_speed,
     solver_settings,
 )
+from taichi_cloth.simulation.past import Past
 from taichi_cloth.simulation.prediction import Prediction
 from taichi_cloth.simulation.pushes import Pushes
 from taichi_cloth.simulation.readings import Readings
@@ -131,6 +132,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         self.frame, self._counted = 0, (0, 0)
         self._since = 0, 0.0, 0
         self._work = np.zeros(len(WORK), np.int64)
+        self.past = Past()
         self.reset()
 
     def _lanes_for(self, module: Method) -> int:
@@ -194,6 +196,8 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             if passed < batch:
                 self._fail()
             self.storage.end_push()
+            if self.past is not None:
+                self.past.after_frames(self)
             for listener in self.listeners:
                 listener.after_frame()
             if self._auto and follows:
@@ -263,7 +267,10 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             cause, remedy = diagnosis.likely_cause(
                 self.network(), self.method, self.dt, self.substeps, self.storage.real.__name__
             )
-        raise SimulationFailure(particle, self.frame + 1, what, cause, remedy)
+        failure = SimulationFailure(particle, self.frame + 1, what, cause, remedy)
+        if self.past is not None:
+            self.past.failure = failure
+        raise failure
 
     @property
     def time(self) -> float:

@@ -55,5 +55,7 @@ class Starts(Part):
         self._work[:], self._counted = 0, (0, start.steps)
         self.speed_limit = runaway_speed(scene, self.dt)
         self._store(start.snapshot)
+        if self.past is not None:
+            self.past.forget()
         if start.force is not None:
             self.storage.hold(start.force)

@@ -1,0 +1,262 @@
+"""The last frames of a run, made again from its past: what was so in each of them.
+
+The frame that failed is made again step by step, as far as it goes. What is read is what the meters
+of a window read (`simulation.gauges`).
+"""
+
+from __future__ import annotations
+
+import math
+import pickle
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from taichi_cloth.errors import SimulationFailure
+from taichi_cloth.limits.eigenmodes import Limit
+from taichi_cloth.limits.network import Network
+from taichi_cloth.limits.tracking import Shares
+from taichi_cloth.runtime import current_device
+from taichi_cloth.simulation.acts import do_again
+from taichi_cloth.simulation.gauges import Gauges
+from taichi_cloth.simulation.past import SPAN, Past, Place, Settings, go_to
+
+if TYPE_CHECKING:
+    from taichi_cloth.simulation.simulation import Simulation
+
+LARGE = 20_000  # particles above which fewer frames are read
+MOST_STEPS = 128  # parts of the failed frame that are looked at
+FEW = 10  # frames of which one is read where time is up, but for the last ones
+BATCH = 50  # frames that are made at once on the way to those that are read
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What was so at one moment.
+
+    time: the scene's. frame: how many were done; part: of the frame that failed, how much, else 0.
+    total, moving: the whole energy, and that of motion and springs. drift: what of it came from
+    nothing; work, by_hand: from forces without a potential, and from what was done. reach: h omega;
+    used: the part of the stable step that is used. limit: the stable step, and what sets it;
+    shares: what that is made of. strain, spring, ends: the largest, and whose. speed, fastest: the
+    largest, and whose. broken: springs that are.
+    """
+
+    time: float
+    frame: int
+    part: float
+    total: float
+    moving: float
+    drift: float
+    work: float
+    by_hand: float
+    reach: float
+    used: float
+    limit: Limit
+    shares: Shares | None
+    strain: float
+    spring: int
+    ends: tuple[int, int]
+    speed: float
+    fastest: int
+    broken: int
+
+
+@dataclass(frozen=True)
+class Act:
+    """Something that was done, before the frame after so many."""
+
+    frame: int
+    name: str
+
+
+@dataclass(frozen=True)
+class Trace:
+    """The last frames of a run.
+
+    settings: that it had at the end. samples: in order of time. failure: with which it ended; None:
+    it did not. before: the network where the trace begins; last: where it ends, of the last good
+    frame, with what was done since. push: what pushes particles then, (n, dim); None: nothing does.
+    acts: what was done in it. whole: whether it begins at the scene's start. depth: the deepest
+    penetration there; None: nothing can touch. unconverged: of the steps of the run, how many
+    missed their tolerance; steps: how many it did. outcome: of the last solution, "" without one.
+    pictures: of some of its frames, (frame, (h, w, 3) uint8).
+    """
+
+    scene: str
+    settings: Settings
+    follows: bool
+    precision: str
+    speed_limit: float
+    failure: SimulationFailure | None
+    samples: list[Sample]
+    before: Network
+    last: Network
+    push: np.ndarray | None
+    acts: list[Act]
+    whole: bool
+    depth: float | None
+    unconverged: int
+    steps: int
+    outcome: str
+    pictures: list[tuple[int, np.ndarray]] = field(default_factory=list)
+
+    @property
+    def h(self) -> float:
+        """The step."""
+        return self.settings.dt / self.settings.substeps
+
+
+def traced(
+    sim: Simulation,
+    seconds: float,
+    draw: Callable[[], np.ndarray] | None = None,
+    pictures: int = 6,
+) -> Trace:
+    """The last frames of a simulation, which is as it was afterwards.
+
+    seconds: that going back may take; where there is no way in that time, the trace is of the
+    present state alone. draw: makes a picture of the simulation as it is; None: there are none.
+    """
+    past, end = sim.past, sim.frame
+    failure = past.failure if past is not None else None
+    if failure is not None and failure.frame != end + 1:
+        failure = None
+    reader = _Reader(sim, failure, draw, seconds)
+    if past is None:
+        past = Past()
+    with np.errstate(all="ignore"), past.resting(sim):
+        return reader.read(past, end, pictures)
+
+
+class _Reader:
+    """Reads a simulation on its way from a place of its past."""
+
+    def __init__(
+        self,
+        sim: Simulation,
+        failure: SimulationFailure | None,
+        draw: Callable[[], np.ndarray] | None,
+        seconds: float,
+    ) -> None:
+        self._sim, self._failure, self._draw = sim, failure, draw
+        self._until = time.perf_counter() + seconds
+        self._settings = Settings.of(sim)
+        self._speed_limit = sim.speed_limit
+        self._work, self._outcome = sim.work(), ""
+        if "tolerance" in sim.claims.settings:
+            self._outcome = sim.solution().outcome
+        self._samples: list[Sample] = []
+        self._pictures: list[tuple[int, np.ndarray]] = []
+
+    def read(self, past: Past, end: int, pictures: int) -> Trace:
+        """The trace up to the frame `end`, and what is left of the one after it."""
+        sim, here = self._sim, self._sim.checkpoint()
+        span = SPAN if sim.particle_count <= LARGE else SPAN // 4
+        place = self._start(past, end, span)
+        if place is None:
+            sim.restore(here)
+            first, acts = end, {}
+        else:
+            first, acts = sim.frame, past.acts_since(place)
+        self._gauges = Gauges(sim, paced=False, every={"state": 1, "margin": 1, "depth": 1})
+        before = sim.network()
+        wanted = {first + round(k * (end - first) / max(pictures - 1, 1)) for k in range(pictures)}
+        self._look(0.0, pictured=first in wanted)
+        for frame in range(first, end):
+            for act in acts.get(frame, ()):
+                do_again(sim, act)
+            self._gauges.before_frame()
+            sim.advance()
+            pictured = frame + 1 in wanted
+            late = time.perf_counter() > self._until and frame < end - FEW
+            if pictured or not late or frame % FEW == 0:
+                self._look(0.0, pictured=pictured)
+        depth, push = self._gauges.depth, None
+        if self._failure is not None:
+            if place is not None:
+                for act in acts.get(end, ()):
+                    do_again(sim, act)
+            push = sim.storage.held()
+            last = sim.network()
+            self._steps()
+        else:
+            last = sim.network()
+        told = [Act(frame, _name(act)) for frame, of in acts.items() for act in of]
+        return Trace(
+            sim.scene.name, self._settings, sim.follows, current_device().precision,
+            self._speed_limit, self._failure, self._samples, before, last, push,
+            [act for act in told if act.frame >= first],
+            place is not None and place.checkpoint is None and first == place.frame,
+            depth, self._work.unconverged, self._work.steps, self._outcome, self._pictures,
+        )  # fmt: skip
+
+    def _start(self, past: Past, end: int, span: int) -> Place | None:
+        """Go to where the trace begins: the place it is reached from; None: there is none."""
+        places = past.places()
+        early = [place for place in places if place.frame <= end - span]
+        place = early[-1] if early else (places[0] if places else None)
+        if place is None:
+            return None
+        sim, acts = self._sim, past.acts_since(place)
+        go_to(sim, place)
+        while sim.frame < end - span:
+            for act in acts.pop(sim.frame, ()):
+                do_again(sim, act)
+            stops = [frame for frame in acts if frame > sim.frame]
+            sim.advance(min([end - span - sim.frame, BATCH, *(s - sim.frame for s in stops)]))
+            if time.perf_counter() > self._until and sim.frame < end - span:
+                return None
+        return place
+
+    def _steps(self) -> None:
+        """The frame that failed, step by step as far as it goes."""
+        sim, n = self._sim, self._settings.substeps
+        self._gauges.before_frame()
+        self._look(1e-9)
+        if sim.follows:
+            return
+        parts = min(n, MOST_STEPS)
+        with suppress(SimulationFailure):
+            for k in range(parts):
+                steps = (k + 1) * n // parts - k * n // parts
+                sim.set_step(self._settings.dt * steps / n, steps)
+                sim.advance()
+                self._look((k + 1) / parts)
+                if not self._samples[-1].speed <= self._speed_limit:
+                    break
+
+    def _look(self, part: float, pictured: bool = False) -> None:
+        """Read the present state. part: of the frame that failed."""
+        sim = self._sim
+        with suppress(np.linalg.LinAlgError, ValueError):  # of numbers that overflow
+            self._gauges.after_frame(sim.time)
+        state, margin, v = self._gauges.state, self._gauges.margin, sim.velocities()
+        if state is None or margin is None:
+            return
+        speed = np.sqrt((v * v).sum(axis=1))
+        fastest = int(np.where(np.isnan(speed), np.inf, speed).argmax()) if len(speed) else -1
+        energy, frame = state.booked.energy, self._samples[-1].frame if part else sim.frame
+        h = self._settings.dt / self._settings.substeps
+        limit = margin.limit
+        self._samples.append(
+            Sample(
+                sim.time, frame, part, energy.total, energy.kinetic + energy.elastic,
+                state.booked.drift, state.booked.work, state.booked.by_hand,
+                h * (math.sqrt(limit.omega2) or limit.damping),
+                margin.used * h / margin.step if math.isfinite(margin.used) else margin.used,
+                limit, self._gauges.mode.shares, state.strain, state.spring, state.ends,
+                float(speed[fastest]) if fastest >= 0 else 0.0, fastest, state.broken,
+            )
+        )  # fmt: skip
+        if pictured and self._draw is not None:
+            self._pictures.append((sim.frame, self._draw()))
+
+
+def _name(act: bytes) -> str:
+    name: str = pickle.loads(act)[0]
+    return name.lstrip("_")
