@@ -132,6 +132,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
             device=device.describe(),
             scenes=window.scenes,
             errors=errors,
+            examiner=run_report.Examining(sim, source.words()),
             **_of_frames(options, view),
         )
     if not options.quiet:

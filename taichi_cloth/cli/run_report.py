@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.settings.options import RunOptions
+from taichi_cloth.simulation.past import Settings
 
 if TYPE_CHECKING:
     from taichi_cloth.post_mortem.examine import PostMortem
     from taichi_cloth.simulation.simulation import Simulation
+    from taichi_cloth.ui.chrome.why import Finding
 
+PATIENCE = 5.0  # seconds that a window waits for the trials
+OWN = ("method", "dt", "substeps")  # settings of every run, in the order in which they are set
 # Beside what a report is put that nobody asked for: what the run writes.
 BESIDE = ("save", "record", "checkpoint", "export", "image", "video")
 
@@ -40,6 +46,57 @@ def written(
         raise
     if file is not None:
         _write(sim, file, words, options, None)
+
+
+class Examining:
+    """Finds out for a window why its run failed. words: the scene as after `run`."""
+
+    def __init__(self, sim: Simulation, words: Sequence[str]) -> None:
+        self._sim, self._words = sim, words
+
+    def examine(self, tell: Callable[[str], None]) -> Finding | None:
+        """What there is to say; tell: called with what is being tried."""
+        from taichi_cloth.post_mortem.examine import examine, flags
+
+        now = Settings.of(self._sim)
+
+        def trying(settings: Settings) -> None:
+            tell(f"trying {' '.join(flags(settings, now)) or 'it again'}")
+
+        return _finding(examine(self._sim, words=self._words, seconds=PATIENCE, tell=trying))
+
+
+def _finding(found: PostMortem) -> Finding:
+    """What a window says of a post-mortem."""
+    from taichi_cloth.kernels import methods
+    from taichi_cloth.ui.chrome.why import Finding
+
+    trace, best, failure = found.trace, found.search.best, found.trace.failure
+    title = f"frame {failure.frame}: particle {failure.particle} {failure.what}" if failure else ""
+    limit = methods.load(trace.settings.method).claims.stability_limit
+    samples = trace.samples
+    settings: dict[str, Any] = {}
+    if best is not None:
+        pairs = {
+            name: (getattr(best.settings, name), getattr(trace.settings, name)) for name in OWN
+        }
+        if best.settings.method == trace.settings.method:  # a new one takes its defaults
+            had = trace.settings.solver
+            pairs |= {name: (value, had.get(name)) for name, value in best.settings.solver.items()}
+        settings = {name: value for name, (value, before) in pairs.items() if value != before}
+    columns = {
+        name: np.array([getattr(sample, of) for sample in samples])
+        for name, of in (
+            *(("time", "time"), ("reach", "reach")),
+            *(("energy", "moving"), ("created", "drift")),
+        )
+    }
+    remedy = f"{found.remedy}: {found.search.says}" if best else found.search.says
+    return Finding(
+        title, found.cause.says, found.cause.proof, found.cause.numerical, remedy, settings,
+        back=(failure.frame - 1 if failure else samples[-1].frame) - samples[0].frame,
+        limit=limit if 0 < limit < np.inf else None, **columns,
+    )  # fmt: skip
 
 
 def _beside(options: RunOptions) -> PendingFile | None:

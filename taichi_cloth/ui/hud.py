@@ -215,6 +215,7 @@ def help_lines(
         *(["e\tcolours of strain"] if len(scene.springs) else []),
         "m\tmeters: the last 10 seconds",
         "a\thow wrong the last second was",
+        "k\twhy a run stopped; u: go on with what survives",
         "h\tmore of the status, or none",
         "s\tsave a picture",
         "v\tfilm, until v again",

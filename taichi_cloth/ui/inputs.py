@@ -86,11 +86,13 @@ COMMANDS = {
     "m": "meters",
     "a": "error",
     "o": "settings",
+    "k": "why",
+    "u": "survive",
     **dict.fromkeys(HELP_KEYS, "help"),
     "escape": "quit",
 }
 # Those that act on the window alone: they work while a log is replayed, too.
-WINDOW_KEYS = COMMANDS.keys() - {"space", "r"}
+WINDOW_KEYS = COMMANDS.keys() - {"space", "r", "u"}
 FRAME_KEY, BACK_KEY = "f", "z"  # of the camera: what there is fills the picture; its pose before
 DRAGS = {"left": "orbit", "right": "pan"}  # what moves the camera by which button
 NEARER_KEYS, FARTHER_KEYS = ("+", "=", "up"), ("-", "down")

@@ -173,12 +173,41 @@ class Loop:
             state.failure = error
             self._shown.hurry()
             self._shown.meter.interrupt()
+            self._examine()
             return
         state.frames += 1
         if request.trajectory is not None:
             request.trajectory.record(self.sim)
         if self._travel:
             self._travel.note(state.frames)
+
+    def _examine(self) -> None:
+        """Find out why the run failed, which takes a moment, and open what says so."""
+        examiner = self._request.examiner
+        if examiner is None:
+            return
+
+        def tell(words: str) -> None:
+            self.state.examining = words
+            self._shown.hurry()
+            self._show_now()
+
+        tell("looking for the cause")
+        self._shown.open_finding(examiner.examine(tell))
+        self.state.examining = ""
+        self._shown.hurry()
+
+    def _survive(self) -> None:
+        """Go back some frames, and on with the setting that survived."""
+        finding, settings = self._shown.why.finding, self._shown.settings
+        if finding is None or not finding.settings or settings is None:
+            self._controls.tell("u goes on with a setting that survives, where a run has failed")
+            return
+        self._go_to(self.state.frames - finding.back)
+        settings.given.update(finding.settings)
+        self._give_settings()
+        self.state.paused = False
+        self._shown.close_finding()
 
     def _go_to(self, frame: int) -> None:
         """Go back, or on, to one of the frames of the last seconds, and pause there."""
@@ -277,6 +306,8 @@ class Loop:
             self._shown.meter.interrupt()
         elif command == "reset":
             self._reset()
+        elif command == "survive":
+            self._survive()
         elif command == "picture":
             self._shutter.press()
         elif command == "film":
@@ -299,6 +330,7 @@ class Loop:
         self.sim.reset()
         self._controls.reset(hud.reset_notice(saved) if saved else None)
         self.state.failure = None
+        self._shown.close_finding()
         self._shown.meter.restart()
         self._shown.meters.restart()
 

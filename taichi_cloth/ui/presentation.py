@@ -19,6 +19,7 @@ from taichi_cloth.ui.chrome.layout import Layout
 from taichi_cloth.ui.chrome.meters import Meters
 from taichi_cloth.ui.chrome.timeline_row import TimelineRow
 from taichi_cloth.ui.chrome.toolbar import Button
+from taichi_cloth.ui.chrome.why import Finding, Why
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.depiction import Depiction
 from taichi_cloth.ui.inputs import Event
@@ -48,7 +49,7 @@ class Presentation:
     travel: through the last seconds; None: without a window. go_to: shows one of their frames.
 
     depiction: of the world. meter: of the rates. meters, chrome: around the world. settings: the
-    panel, and costs: what it says frames take; both None without a window.
+    panel, and costs: what it says frames take; both None without a window. why: why it stopped.
     """
 
     def __init__(
@@ -71,6 +72,7 @@ class Presentation:
         device = request.device or runtime.current_device().describe()
         self._status = Status(sim, device, self.meter)
         self.meters = Meters(sim, windowed=view.visible, errors=request.errors)
+        self.why = Why()
         parts: list[Part] = [self.meters]
         self.costs: RunningCosts | None = None
         self.settings: SettingsPanel | None = None
@@ -83,6 +85,7 @@ class Presentation:
             self.costs = RunningCosts()
             self.settings = SettingsPanel(sim, controls, self.costs, request.scenes)
             parts.insert(0, self.settings)
+            parts.append(self.why)
         opened = request.scenes.beside
         self.chrome = Chrome(
             windowed=view.visible,
@@ -130,6 +133,19 @@ class Presentation:
             return False
         return True
 
+    def open_finding(self, finding: Finding | None) -> None:
+        """Show why the run stopped, and the frames before, to go through."""
+        self.why.finding = finding
+        for name in (self.why.name, "timeline") if finding else ():
+            if not self.chrome.is_open(name):
+                self.chrome.toggle(name)
+
+    def close_finding(self) -> None:
+        """The run goes on: what was found out is over."""
+        if self.why.finding is not None and self.chrome.is_open(self.why.name):
+            self.chrome.toggle(self.why.name)
+        self.why.finding = None
+
     @property
     def glides(self) -> bool:
         """Whether pictures between frames are drawn: films take frames, and tools at rest, too."""
@@ -168,6 +184,8 @@ class Presentation:
         keys: tuple[str, ...] = ()
         if state.failure is not None:
             banner = f"Stopped: {state.failure}\nr goes back to the start, escape quits"
+            if self.why.finding is not None and self.chrome.is_open(self.why.name):
+                banner = f"Stopped: {self.why.finding.title}"
         if self._show_help:
             keys = hud.help_lines(sim.scene, self._view.has_wheel, tool, saves=self._saves)
         opens = self.chrome.buttons()

@@ -10,6 +10,7 @@ from taichi_cloth.files.events import Recorder
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.ui.chrome.errors import Errors
+from taichi_cloth.ui.chrome.why import Examiner
 from taichi_cloth.ui.interaction import Log
 from taichi_cloth.ui.scenes import OWNED, Scenes
 
@@ -39,6 +40,7 @@ class Request:
     seed: of the tools' random numbers; a log's header overrides it.
     device: from `Device.describe()`, for the status; None: of the device that was started.
     errors: what measures the error of what is seen (`a`), shown by the meters; None: nothing.
+    examiner: what finds out why a window's run failed (`k`, `u`); None: nothing does.
     scenes: what a window may go on with: the run ends once the user opened one of them.
     """
 
@@ -59,6 +61,7 @@ class Request:
     seed: int = 0
     device: str | None = None
     errors: Errors | None = None
+    examiner: Examiner | None = None
     scenes: Scenes = field(default_factory=lambda: Scenes(fixed=OWNED))
 
     @property

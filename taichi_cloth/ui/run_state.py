@@ -19,7 +19,8 @@ class RunState:
     step: whether one frame is due although the run is paused. pace: how slow the motion is.
     quit: whether the user ended it. left: whether another scene goes on in the window.
     compiling: whether a window stands still for a compiler. opening: the name of the scene that is
-    made ready ("": none). failure: for which a window stands still until r.
+    made ready ("": none). failure: for which a window stands still until r. examining: what is
+    being found out of it ("": nothing).
     """
 
     paused: bool = False
@@ -31,6 +32,7 @@ class RunState:
     compiling: bool = False
     opening: str = ""
     failure: SimulationFailure | None = None
+    examining: str = ""
     pace: Pace = field(default_factory=Pace)
 
     @property
@@ -54,7 +56,7 @@ class RunState:
         if self.opening:
             return Word(f"opening {self.opening}: compiling takes a moment, once", style.WARN)
         if self.failure is not None:
-            return Word("stopped", style.BAD)
+            return Word(f"stopped: {self.examining}" if self.examining else "stopped", style.BAD)
         if recording is not None:
             return Word(recording + (", paused" if self.paused else ""), style.RECORDING)
         if self.compiling:
