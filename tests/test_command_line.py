@@ -323,7 +323,7 @@ def test_scene_parameters_and_files_run(cli, tmp_path):
         "[world]\nsize = [10, 10]\n[[particles]]\nposition = [1, 1]"
     )
     out, _ = cli("run", "drop.toml", "--headless", "--frames", 1, cwd=tmp_path)
-    assert out.startswith("drop: 1 particles, 0 springs")
+    assert out.startswith("drop: 1 particle, 0 springs")
 
 
 @pytest.mark.parametrize(

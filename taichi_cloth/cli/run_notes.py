@@ -77,12 +77,15 @@ def note_reset(recordings: Recordings, view: View) -> None:
 
 def _first_line(sim: Simulation, device: Device, view: View) -> str:
     """Scene, method, dt, substeps, device, execution path and view."""
-    steps = f"{sim.substeps} substep{'s' * (sim.substeps > 1)}"
+    particles, springs = (
+        counted(sim.particle_count, "particle"),
+        counted(sim.spring_count, "spring"),
+    )
     width, height = view.size
     window = f"window {view.name} {width}x{height}" if view.visible else "headless"
     return (
-        f"{sim.scene.name}: {sim.particle_count} particles, {sim.spring_count} springs; "
-        f"{sim.method}, dt {sim.dt:g}, {steps}; "
+        f"{sim.scene.name}: {particles}, {springs}; "
+        f"{sim.method}, dt {sim.dt:g}, {counted(sim.substeps, 'substep')}; "
         f"{device.describe()}, {sim.execution} {sim.topology}; {window}"
     )
 

@@ -146,8 +146,8 @@ def status_rows(
     broken = sim.spring_count - alive
     names = (Word(f"frame {sim.frame}", style.MUTED, 8), Word(f"time {sim.time:.6g}", style.INK, 3))
     counts = (
-        Word(f"{sim.particle_count} particles", style.INK, 4),
-        Word(f"{alive} springs, {broken} broken", style.INK, 4),
+        Word(counted(sim.particle_count, "particle"), style.INK, 4),
+        Word(f"{counted(alive, 'spring')}, {broken} broken", style.INK, 4),
     )
     settings = _settings(sim, device, windowed=state is not None)
     if state is None:
