@@ -366,7 +366,8 @@ def test_both_views_draw_the_same_surfaces(tmp_path):
         place, faces, color = sheet(0.3, n=20)
         place[:, 2] += 0.1 * np.sin(9 * place[:, 0])
         picture = picture_of((place, faces, color), solids=solid, ground=0.4)
-        ggui = GguiView(WORLD, (240, 240), "", visible=False)
+        ggui = GguiView(World((5.0, 4.0), (0.0, 0.0)), (240, 240), "", visible=False)
+        ggui.turn_to(WORLD, camera())  # a window that goes on from a plane draws no other picture
         for turn in (20, 160):
             ggui.camera = camera(rot_x=20, rot_y=turn)
             ggui.draw(picture)

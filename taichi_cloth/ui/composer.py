@@ -43,19 +43,18 @@ SPHERES = ((10.0, 1), (45.0, 2), (math.inf, 3))  # up to this radius in pixels: 
 
 
 class Composer:
-    """Draws pictures of a world into a GGUI window, up to where it is shown.
+    """Draws pictures of worlds into a GGUI window, up to where it is shown.
 
     window: a ti.ui.Window. What does not change from picture to picture is kept.
     """
 
-    def __init__(self, window: Any, world: World):
+    def __init__(self, window: Any):
         import taichi as ti
         from taichi.ui.utils import get_field_info
 
         self._info: Any = get_field_info
         self._canvas, self._scene = window.get_canvas(), window.get_scene()
         self._eye: Any = ti.ui.Camera()
-        self._world = world
         # What is drawn together: each draw costs 0.1 ms, and Mesa's software Vulkan never gives the
         # 130 to 220 bytes back that it needs to know of one.
         self._flat, self._solid = Triangles(), Triangles()
@@ -68,9 +67,11 @@ class Composer:
         self._panel_vertices = lru_cache(maxsize=16)(self._panel_vertices_anew)
         self._written = lru_cache(maxsize=2)(self._written_anew)
 
-    def compose(self, picture: Picture, camera: Camera | None, window: WindowMap) -> None:
+    def compose(
+        self, picture: Picture, world: World, camera: Camera | None, window: WindowMap
+    ) -> None:
         """Draw a picture. camera: of a world in space. window: where the world is in the window."""
-        self._map = window
+        self._world, self._map = world, window
         if camera:
             self._compose_3d(picture, camera)
         else:

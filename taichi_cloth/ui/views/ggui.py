@@ -48,7 +48,7 @@ class GguiView:
         with x11.opening() as displays:
             self._window = shaders.open_window(title, size, visible=visible)
         descriptor_pools.limit()
-        self._composer = Composer(self._window, world)
+        self._composer = Composer(self._window)
         self._tap = x11.connect(title, displays) if visible else None
         self._guard = rescue.Guard(self._gone) if self._tap else None
         self._listens = bool(self._tap and self._tap.listen())
@@ -172,7 +172,7 @@ class GguiView:
 
     def _compose(self, picture: Picture) -> None:
         window = WindowMap.of(self.world, self.size, self.room, self.look)
-        self._composer.compose(picture, self.camera, window)
+        self._composer.compose(picture, self.world, self.camera, window)
 
     def grab(self) -> np.ndarray:
         """The frame drawn last, (height, width, 3) uint8, row 0 on top."""
