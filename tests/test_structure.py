@@ -57,11 +57,12 @@ ROOMS = {
     "stability": {*BASE, "console", "limits", "runtime", "simulation"},
     "trade": {*BASE, "console", "limits", "measuring", "runtime", "simulation"},
     "comparison": {"console", "files", "scene", "settings", "trade"},
+    "beside": {"comparison", "kernels", "scene", "settings", "simulation", "trade"},
     "error_meter": {"console", "measuring", "runtime", "scene", "simulation", "trade"},
     "post_mortem": {"files", "kernels", "limits", "runtime", "scene", "settings", "simulation"},
     "benchmarks": {*BASE, "console", "measuring", "runtime", "simulation", "trade", "ui"},
-    "cli": {*BASE, "benchmarks", "comparison", "console", "error_meter", "limits", "measuring"}
-    | {"post_mortem", "runtime", "simulation", "ui"},
+    "cli": {*BASE, "benchmarks", "beside", "comparison", "console", "error_meter", "limits"}
+    | {"measuring", "post_mortem", "runtime", "simulation", "ui"},
     "__main__": {"cli"},
 }
 

@@ -76,6 +76,7 @@ def run(source: SceneSource, options: CompareOptions, within: str) -> tuple[Comp
             failed = {}
             for k, (name, plan, file) in enumerate(zip(names, plans, files, strict=True)):
                 words = [*source.words(), "--events", str(plan.log), "--frames", str(frames)]
+                words += ["--beside", "none"] * ("beside" in log.header)
                 tell(f"run {name.upper()}", k, len(plans))
                 failed[name] = _run(name.upper(), [*words, *plan.words], file)
         for name, why in failed.items():

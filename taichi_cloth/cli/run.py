@@ -12,9 +12,17 @@ from typing import TYPE_CHECKING, Any
 import numpy
 
 from taichi_cloth import runtime
-from taichi_cloth.cli import run_files, run_meter, run_notes, run_options, run_report
+from taichi_cloth.cli import (
+    run_beside,
+    run_files,
+    run_meter,
+    run_notes,
+    run_options,
+    run_report,
+)
 from taichi_cloth.cli.run_scenes import Run, Wanted, Window
 from taichi_cloth.errors import InputError, RunFailure
+from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import (
@@ -40,6 +48,7 @@ def main(source: SceneSource, options: RunOptions) -> int:
     Everything that can be refused is refused before Taichi starts, and leaves no file.
     """
     options = run_options.consistent(options)
+    run_beside.asked(options)
     if options.dt == "auto" and "substeps" in options.given:
         raise InputError("--substeps: --dt auto chooses them; give one of the two")
     scene = source.build()
@@ -68,6 +77,8 @@ def _simulate(first: Wanted, log: Log | None, resumed: saved.Saved | None) -> in
     """Run a checked scene on the device, and those that the user opens in its window; return the
     exit status.
     """
+    from taichi_cloth.ui.opening import opens_window
+
     # Numbers that overflow are the watchdog's to report, in one line.
     numpy.seterr(all="ignore")
     options, scene = first.options, first.scene
@@ -76,9 +87,12 @@ def _simulate(first: Wanted, log: Log | None, resumed: saved.Saved | None) -> in
     )
     sim = _resumed(scene, options, resumed) if resumed else _begun(scene, options, log)
     run_notes.note_inside(sim, options)
+    beside = run_beside.begun(
+        sim, options, partial(_simulation, sim.scene), paced=opens_window(options.view)
+    )
     failure: RunFailure | None = None
     with contextlib.closing(_view(scene, options)) as view, Window(first, view, _ready) as window:
-        now: Run | None = Run(first, sim, log)
+        now: Run | None = Run(first, sim, log, beside)
         if log:
             window.scenes.fixed = "a log is replayed here, and that is of this scene"
         while now is not None:
@@ -101,23 +115,25 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
     """Run a scene in a view until it ends, and finish its files; return how many frames it made."""
     from taichi_cloth.ui import app
 
-    view, sim, log = window.view, run.sim, run.log
+    view, sim, log, beside = window.view, run.sim, run.log, run.beside
     source, options, files = run.of.source, run.of.options, run.of.files
     seed = _seed(options, log)
     if log:
         log.header["seed"] = seed
-        present = run_files.header(source, app.log_header(sim, view, seed))
+        present = run_files.header(source, app.log_header(sim, view, seed), beside)
         run_notes.note_differences(log.header, present)
     if files.recorder:
         header = app.log_header(sim, view, seed, replay=log)
-        files.recorder.write_header(run_files.header(source, header))
+        files.recorder.write_header(run_files.header(source, header, beside))
     if not options.quiet:
         run_notes.announce(sim, device, view)
+        if beside:
+            print(f"beside it: {beside.names()[1]}", flush=True)
         run_notes.note_passing(source, run.of.scene)
         run_notes.note_reset(files.recordings, view)
     begin = time.perf_counter()
     with (
-        run_files.kept(source, sim, device, files),
+        run_files.kept(source, sim, device, files, beside.sim if beside else None),
         run_meter.measured(sim, options, waits=not view.visible) as errors,
         run_report.written(sim, options, source.words(), files.report),
     ):
@@ -126,7 +142,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
             view,
             replay=log,
             recorder=files.recorder,
-            trajectory=files.recordings if files.recordings else None,
+            trajectory=_noted(run),
             seed=seed,
             about={"arguments": source.flags()},
             device=device.describe(),
@@ -137,14 +153,30 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
         )
     if not options.quiet:
         seconds = time.perf_counter() - begin
-        print(run_notes.last_line(sim, summary, seconds, errors.waited), flush=True)
+        along = beside.twin.later[1] if beside else 0.0
+        print(run_notes.last_line(sim, summary, seconds, errors.waited + along), flush=True)
+        for line in beside.findings(summary.frames) if beside else ():
+            print(line, flush=True)
     return summary.frames
+
+
+def _noted(run: Run) -> Recordings | None:
+    """What notes the frames of a run, and of one beside it."""
+    files = run.of.files
+    if not files.recordings:
+        return None
+    if run.beside is None:
+        return files.recordings
+    return run_beside.BothRecordings(files.recordings, files.beside, run.beside.sim)
 
 
 def _ended(run: Run) -> RunFailure | None:
     """Say what there is to say of a run that ended; the failure that it ended with, if any."""
     try:
         run_notes.check_converged(run.sim, run.of.options)
+        if run.beside:
+            run_notes.check_converged(run.beside.sim, run.of.options)
+            run.beside.check()
     except RunFailure as failure:
         return failure
     if not run.of.options.quiet:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy
 
+from taichi_cloth.cli import run_beside
 from taichi_cloth.errors import InputError, RunFailure, SimulationFailure
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.files.exports import Export
@@ -31,13 +32,14 @@ if TYPE_CHECKING:
 class RunFiles:
     """What a run writes beside pictures.
 
-    recorder: of its log. ending: the file of the checkpoint that it ends with. report: that was
-    asked for.
+    recorder: of its log. ending: the file of the checkpoint that it ends with. beside: what is
+    noted of a second run. report: that was asked for.
     """
 
     recorder: Recorder | None
     recordings: Recordings
     ending: PendingFile | None
+    beside: Recordings
     report: PendingFile | None = None
 
 
@@ -54,12 +56,9 @@ def begun(scene: Scene, options: RunOptions) -> Iterator[RunFiles]:
     if options.video:
         film.Film(options.video).discard()
     with contextlib.ExitStack() as unfinished:
-        trajectory = Trajectory(options.save, options.every) if options.save else None
-        if trajectory:
-            unfinished.callback(trajectory.discard)
-        export = _export(scene, options)
-        if export:
-            unfinished.callback(export.discard)
+        recordings, beside = _recordings(scene, options, unfinished), Recordings(None, None)
+        if run_beside.asked(options):
+            beside = _recordings(scene, run_beside.files_of(options), unfinished)
         recorder = Recorder(options.record) if options.record else None
         if recorder:
             unfinished.callback(recorder.discard)
@@ -69,7 +68,18 @@ def begun(scene: Scene, options: RunOptions) -> Iterator[RunFiles]:
         report = PendingFile(options.report) if options.report else None
         if report:
             unfinished.callback(report.discard)
-        yield RunFiles(recorder, Recordings(trajectory, export), ending, report)
+        yield RunFiles(recorder, recordings, ending, beside, report)
+
+
+def _recordings(scene: Scene, options: RunOptions, unfinished: contextlib.ExitStack) -> Recordings:
+    """What `--save` and `--export` ask for; it is discarded by `unfinished`."""
+    trajectory = Trajectory(options.save, options.every) if options.save else None
+    if trajectory:
+        unfinished.callback(trajectory.discard)
+    export = _export(scene, options)
+    if export:
+        unfinished.callback(export.discard)
+    return Recordings(trajectory, export)
 
 
 def _export(scene: Scene, options: RunOptions) -> Export | None:
@@ -86,8 +96,10 @@ def kept(
     sim: Simulation,
     device: Device,
     written: RunFiles,
+    beside: Simulation | None = None,
 ) -> Iterator[None]:
-    """Finish log, trajectory, export and checkpoint however the run ends.
+    """Finish log, trajectory, export and checkpoint however the run ends, and those of a second
+    run beside it.
 
     A failed one has its last frame.
     """
@@ -96,6 +108,7 @@ def kept(
     recorder, recordings, ending = written.recorder, written.recordings, written.ending
     failure: KeyboardInterrupt | RunFailure | InputError | None = None
     began = sim.scene  # which the user may change
+    second = beside.scene if beside else None
 
     def finish() -> None:
         with contextlib.ExitStack() as files:  # each is tried, also where a disk is full
@@ -106,12 +119,19 @@ def kept(
 
                 now, about = sim.checkpoint(), {"arguments": source.flags()}
                 files.callback(saved.into, ending, vars(now), about)
+            if written.beside.export:
+                files.callback(written.beside.export.save)
+            if written.beside.trajectory and beside and second:
+                about_second = _meta(source, second, beside, device)
+                files.callback(written.beside.trajectory.save, about_second)
             if recordings.export:
                 files.callback(recordings.export.save)
             if recordings.trajectory:
                 files.callback(recordings.trajectory.save, _meta(source, began, sim, device))
             if isinstance(failure, SimulationFailure):
                 recordings.record(sim, last=True)
+                if beside:
+                    written.beside.record(beside, last=True)
 
     try:
         with rescue.saving(finish):
@@ -127,9 +147,14 @@ def kept(
         raise failure
 
 
-def header(source: SceneSource, header: dict[str, Any]) -> dict[str, Any]:
-    """A log's header with the flags that gave its scene parameters and assignments."""
-    return {**header, "arguments": source.flags()} if source.flags() else header
+def header(
+    source: SceneSource, header: dict[str, Any], beside: run_beside.Beside | None
+) -> dict[str, Any]:
+    """A log's header with the flags that gave its scene parameters and assignments, and what a
+    second run beside it has.
+    """
+    more: dict[str, Any] = {"beside": beside.text()} if beside else {}
+    return {**header, **more, "arguments": source.flags()} if source.flags() else {**header, **more}
 
 
 def _meta(source: SceneSource, began: Scene, sim: Simulation, device: Device) -> dict[str, Any]:

@@ -93,7 +93,7 @@ def _first_line(sim: Simulation, device: Device, view: View) -> str:
 def last_line(sim: Simulation, summary: Summary, seconds: float, waited: float) -> str:
     """Frames, time a frame, steps a second, and the execution path.
 
-    waited: seconds of the frames in which the run waited for the error meter.
+    waited: seconds of the frames in which it waited for the error meter, or for a run beside it.
     """
     frames = summary.frames
     if not frames:
@@ -192,7 +192,7 @@ def note_differences(recorded: Mapping[str, Any], present: Mapping[str, Any]) ->
     """Say on standard error where a replay's settings are not those of the recording."""
     notes = [
         f"{key} {present[key]} (recorded: {recorded[key]})"
-        for key in ("scene", "dt", "substeps", "method", "topology", "precision")
+        for key in ("scene", "dt", "substeps", "method", "topology", "precision", "beside")
         if key in recorded and key in present and recorded[key] != present[key]
     ]
     words = [shlex.join(header.get("arguments", ())) for header in (present, recorded)]

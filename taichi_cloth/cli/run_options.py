@@ -24,6 +24,8 @@ def consistent(options: RunOptions) -> RunOptions:
         if options.view not in ("auto", "none"):
             raise InputError(f"--headless and --view {options.view} exclude each other; give one")
         options = replace(options, view="none")
+    if options.beside is not None and options.resume is not None:
+        raise InputError("--beside and --resume exclude each other: a checkpoint is of one run")
     written: dict[str, str] = {}
     for name in ("record", "save", "export", "image", "video", "checkpoint", "report"):
         path = getattr(options, name)
@@ -39,7 +41,7 @@ def as_recorded(options: RunOptions, header: Mapping[str, Any]) -> RunOptions:
     """The options with the recording's dt, substeps and so on where none are given."""
     recorded = {
         name: header[name]
-        for name in ("dt", "substeps", "method", "topology")
+        for name in ("dt", "substeps", "method", "topology", "beside")
         if name in header and name not in options.given
     }
     if recorded.get("dt") == "auto" and "substeps" in options.given:

@@ -22,12 +22,17 @@ from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import RunOptions, flag
 
 if TYPE_CHECKING:
+    from taichi_cloth.cli.run_beside import Beside
     from taichi_cloth.simulation.simulation import Simulation
     from taichi_cloth.ui.interaction import Log
     from taichi_cloth.ui.views.contract import View
 
 # Of one scene alone: its steps, what solves them, the layout of its springs, what it begins with.
-OF_ONE_SCENE = ("method", "dt", "substeps", "tolerance", "iterations", "topology", "resume")
+OF_ONE_SCENE = (
+    *("method", "dt", "substeps", "tolerance", "iterations", "topology"),
+    "resume",
+    "beside",
+)
 WRITTEN = ("record", "save", "export", "checkpoint", "video", "image")  # files, one of each a scene
 
 
@@ -43,11 +48,15 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Run:
-    """A scene that is ready to run, in a simulation. log: what is replayed."""
+    """A scene that is ready to run, in a simulation. log: what is replayed.
+
+    beside: a second run under the same mouse.
+    """
 
     of: Wanted
     sim: Simulation
     log: Log | None
+    beside: Beside | None = None
 
 
 class Window:

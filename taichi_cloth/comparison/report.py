@@ -166,8 +166,8 @@ def _of_events(found: Comparison) -> list[str]:
     return said
 
 
-def in_words(event: Event) -> str:
-    """An event, and when each run has it."""
+def in_words(event: Event, names: tuple[str, str] = ("A", "B")) -> str:
+    """An event, and when each run has it; names: of the runs."""
     if event.kind == "break":
         ends = " and ".join(map(str, event.particles))
         what = f"spring {event.spring} (particles {ends}) breaks"
@@ -177,14 +177,14 @@ def in_words(event: Event) -> str:
         what = f"particle {event.particles[0]} touches {event.thing}"
     a, b = event.a, event.b
     if a is None or b is None:
-        return f"{what} only in {'A' if b is None else 'B'}, at time {event.time:.5g}"
-    return f"{what} at time {a:.5g} in A, {b:.5g} in B"
+        return f"{what} only in {names[b is not None]}, at time {event.time:.5g}"
+    return f"{what} at time {a:.5g} in {names[0]}, {b:.5g} in {names[1]}"
 
 
-def in_short(event: Event) -> str:
-    """An event in a word or two, with the run that has it first."""
+def in_short(event: Event, names: tuple[str, str] = ("A", "B")) -> str:
+    """An event in a word or two, with the run that has it first; names: of the runs."""
     a, b = (math.inf if time is None else time for time in (event.a, event.b))
-    run = "A" if a < b else "B"
+    run = names[0] if a < b else names[1]
     if event.kind == "break":
         return f"spring {event.spring} breaks in {run}"
     if len(event.particles) > 1:

@@ -113,46 +113,36 @@ def _seen_later(runs: list[_Run], code: int, frame: int, others: int, in_a: bool
     return FirstTouch(particle, thing, seen[0], seen[1], others)
 
 
-class _Run:
-    """A run's scene, and what touches in its frames as numbers.
+class Contacts:
+    """What touches in runs of a scene, as numbers that several runs share.
 
-    samples: at `times`, (frames + 1,). things: names that all runs share, to which a scene's are
-    added. A particle i on thing t is t n + i; the pair i, j is -(i n + j) - 1.
+    things: names of what is touched, which these runs share, to which a scene's are added. A
+    particle i on thing t is t n + i; the pair i, j is -(i n + j) - 1.
+
+    possible: whether anything can touch.
     """
 
-    def __init__(
-        self, scene: Scene, samples: Samples, times: np.ndarray, things: list[str]
-    ) -> None:
+    def __init__(self, scene: Scene, things: list[str]) -> None:
         self._scene, self._things = scene, things
         self._solids: list[Solid] = solids(scene)
-        self.can_touch = touches(scene, self._solids)
+        self.possible = touches(scene, self._solids)
         self._n = len(scene.particles)
-        self._samples, self._times = samples, times
 
-    def _moment(self, frame: int) -> Moment:
-        x, v = self._samples.x[frame], self._samples.v[frame]
-        return Moment(x[: self._n], v[: self._n], float(self._times[frame]))
+    def moment(self, x: np.ndarray, v: np.ndarray, time: float) -> Moment:
+        """Positions and velocities (n or more, dim) at a time, of the scene's own particles."""
+        return Moment(x[: self._n], v[: self._n], time)
 
-    def codes(self, frame: int) -> np.ndarray:
-        """What touches at the end of a frame, or bounced within it, ascending."""
-        if not self.can_touch:
+    def codes(self, now: Moment, before: Moment | None) -> np.ndarray:
+        """What touches now, or bounced since a frame before, ascending."""
+        if not self.possible:
             return np.zeros(0, np.int64)
-        before = self._moment(frame - 1) if frame else None
-        found = touching(self._scene, self._solids, self._moment(frame), before)
+        found = touching(self._scene, self._solids, now, before)
         codes = [-(found.pairs @ np.array([self._n, 1])) - 1]
         for name, particles in found.things.items():
             if name not in self._things:
                 self._things.append(name)
             codes.append(self._things.index(name) * self._n + particles)
         return np.unique(np.concatenate(codes).astype(np.int64))
-
-    def first(self, frame: int, code: int | None = None) -> int | None:
-        """The first frame from `frame` on in which anything, or `code`, touches; None: in none."""
-        for later in range(frame, len(self._times)):
-            found = self.codes(later)
-            if len(found) if code is None else code in found:
-                return later
-        return None
 
     def words(self, code: int) -> tuple[int, str]:
         """The particle of a code, and what it touches."""
@@ -161,3 +151,31 @@ class _Run:
             return i, f"particle {j}"
         thing, particle = divmod(code, self._n)
         return particle, self._things[thing]
+
+
+class _Run:
+    """A run's scene, and what touches in its frames. samples: at `times`, (frames + 1,)."""
+
+    def __init__(
+        self, scene: Scene, samples: Samples, times: np.ndarray, things: list[str]
+    ) -> None:
+        self._contacts = Contacts(scene, things)
+        self.can_touch, self.words = self._contacts.possible, self._contacts.words
+        self._samples, self._times = samples, times
+
+    def _moment(self, frame: int) -> Moment:
+        x, v = self._samples.x[frame], self._samples.v[frame]
+        return self._contacts.moment(x, v, float(self._times[frame]))
+
+    def codes(self, frame: int) -> np.ndarray:
+        """What touches at the end of a frame, or bounced within it, ascending."""
+        before = self._moment(frame - 1) if frame else None
+        return self._contacts.codes(self._moment(frame), before)
+
+    def first(self, frame: int, code: int | None = None) -> int | None:
+        """The first frame from `frame` on in which anything, or `code`, touches; None: in none."""
+        for later in range(frame, len(self._times)):
+            found = self.codes(later)
+            if len(found) if code is None else code in found:
+                return later
+        return None

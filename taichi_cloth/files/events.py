@@ -166,7 +166,7 @@ def _check_header(header: dict[str, Any]) -> None:
         raise InputError(f"window must be [width, height] in pixels, is {show(window)}")
     if seed != 0 and not _is_count(seed):
         raise InputError(f"seed must be a whole number from 0, is {show(seed)}")
-    for key in ("scene", "method", "topology", "precision"):
+    for key in ("scene", "method", "topology", "precision", "beside"):
         if not isinstance(header.get(key, ""), str):
             raise InputError(f"{key} must be a name, is {show(header[key])}")
     arguments = header.get("arguments", [])

@@ -218,6 +218,13 @@ class RunOptions(Options):
     )
     status: bool = setting(True, "the status in the window, in pictures and films", bool)
     meters: bool = setting(False, "show meters in the window, in pictures and films")
+    beside: str | None = setting(
+        None,
+        "run the scene a second time beside the first, under the same mouse, with these settings; "
+        "none: without the second one that a log has",
+        str,
+        metavar="KEY=VALUE,...",
+    )
     error_meter: bool = setting(
         False,
         "measure how wrong each second is: another process makes it again at a finer step (a "

@@ -1,0 +1,207 @@
+"""The second of two runs: it goes along with the first, and has done to it what that one has."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from taichi_cloth.beside.given import OF_RUN, Given, steps_in, value_of
+from taichi_cloth.beside.watch import Watch
+from taichi_cloth.errors import InputError, SimulationFailure, nearest
+from taichi_cloth.simulation import live
+from taichi_cloth.simulation.acts import Listener
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from taichi_cloth.simulation.simulation import Simulation
+
+SELECTIONS = ("particles", "springs", "kind")  # what `Simulation.set` takes beside changes
+
+
+@dataclass(frozen=True)
+class Own:
+    """A setting of the scene that the second run has for itself.
+
+    name: of `simulation.live`. value: which. changes: what `Simulation.set` was given for it. now:
+    whether these depend on what else is set now, as one part of a vector does.
+    """
+
+    name: str
+    value: live.Value
+    changes: Mapping[str, Any]
+    now: bool
+
+    @property
+    def names(self) -> set[str]:
+        """What it changes, by the names of `Simulation.set`."""
+        return set(self.changes) - set(SELECTIONS)
+
+
+class Twin(Listener):
+    """A second simulation of a scene that goes along with a first one, in other settings.
+
+    Whatever is done to the first is done to it, and it makes a frame where that one made one; what
+    the two are given to differ in stays as it is. What one holds with the mouse is held in both by
+    the same springs, and weighs in each what its own steps need. It fails for itself: then it
+    stands still at its last good frame until a reset, and the first goes on.
+
+    first: to which it listens until `close`. sim: the second, at its start. given: in what they
+    differ. restore: nothing is done with, as each run has checkpoints of its own.
+
+    watch: their distance, and what differs first. spent: seconds that its last frame took; took:
+    with the watch. later: (spent, took) of all frames but the first, which compiles.
+    """
+
+    def __init__(self, first: Simulation, sim: Simulation, given: Given) -> None:
+        self.first, self.sim, self.given = first, sim, given
+        self._own = [_taken(sim, name, text) for name, text in given.scene.items()]
+        if self._own:  # from the start, so that a reset goes there
+            dt, substeps = (None, 1) if sim.follows else (sim.dt, sim.substeps)
+            with _told_as_beside():
+                sim.load_scene(sim.storage.scene, dt, substeps)
+        self._failure: SimulationFailure | None = None
+        self.spent = self.took = 0.0
+        self.later = 0.0, 0.0
+        self._compiled = False
+        self.watch = Watch(first, sim)
+        first.listeners += (self,)
+
+    def close(self) -> None:
+        """Listen no more."""
+        others = (listener for listener in self.first.listeners if listener is not self)
+        self.first.listeners = tuple(others)
+
+    def check_differs(self) -> None:
+        """InputError where it has the first one's settings in all that was given."""
+        a, b = self.first, self.sim
+        values: dict[str, list[Any]] = {
+            "dt": [(sim.follows, sim.substeps) for sim in (a, b)],
+            "substeps": [(sim.follows, sim.substeps) for sim in (a, b)],
+            **{
+                name: [sim.solver.get(name) for sim in (a, b)]
+                for name in ("tolerance", "iterations")
+            },
+        }
+        for name in self.given.run:
+            left, right = values.get(name) or [getattr(sim, name) for sim in (a, b)]
+            if left != right:
+                return
+        for own in self._own:
+            if live.setting(a, own.name).read(a) != live.setting(b, own.name).read(b):
+                return
+        raise InputError(
+            f"--beside {self.given}: the first run has that, too; give another setting"
+        )
+
+    @property
+    def failure(self) -> SimulationFailure | None:
+        """Why it stands still; None: it does not."""
+        return self._failure if self.sim.frame < self.first.frame else None
+
+    # --- what the first one tells ----------------------------------------------------------
+
+    def before_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
+        """Refuse what this one could not follow."""
+        if name == "load_scene":
+            raise InputError("a run that has another one beside it keeps its scene")
+        if name == "set_step" and self.sim.follows and not self.first.follows:
+            dt = args[0] if args else given.get("dt")
+            if dt is not None and dt != self.first.dt:
+                raise InputError("the run beside has dt auto, so the frame time cannot be set")
+
+    def after_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
+        """Do the same to this one; InputError where it refuses."""
+        with _told_as_beside():
+            self._follow(name, args, given)
+        if name == "reset":
+            self._failure = None
+            self.watch.restart()
+
+    def _follow(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
+        if name == "restore":  # whoever goes back takes both along
+            return
+        if name == "_hold":  # each has to weigh what its own steps need
+            hold = args[0]
+            self.sim.grab(hold.particles, hold.place, hold.stiffness, hold.damping)
+        elif name == "set_step":
+            self._set_step(*args, **given)
+        elif name == "set_method":
+            if "method" not in self.given.run:
+                self.sim.set_method(*args, **given)
+        elif name == "set_solver":
+            self._set_solver(*args, **given)
+        else:
+            getattr(self.sim, name)(*args, **given)
+            changed = {"collisions"} if name == "prepare_balls" else set(given)
+            if name in ("set", "prepare_balls"):
+                self._keep_own(changed - set(SELECTIONS))
+
+    def _set_step(self, dt: float | None = None, substeps: int | None = None) -> None:
+        if self.sim.follows:
+            return
+        longest = self.given.run.get("dt")
+        if longest is not None:
+            substeps = steps_in(self.first.dt, longest)
+        elif "substeps" in self.given.run:
+            substeps = None
+        self.sim.set_step(dt, substeps)
+
+    def _set_solver(self, tolerance: float | None = None, iterations: int | None = None) -> None:
+        given: dict[str, Any] = {"tolerance": tolerance, "iterations": iterations}
+        mine = set(self.sim.claims.settings) - set(self.given.run)
+        self.sim.set_solver(**{name: given[name] for name in mine})
+
+    def _keep_own(self, changed: set[str]) -> None:
+        """Give it its own settings again, of which the first one's were changed."""
+        for own in self._own:
+            if own.now and own.names & changed:
+                live.apply(self.sim, own.name, own.value)
+            elif own.names & changed:
+                self.sim.set(**own.changes)
+
+    def after_frame(self) -> None:
+        """Make a frame, too, and look how far the two are apart."""
+        begin = time.perf_counter()
+        if self.sim.frame == self.first.frame - 1:
+            try:
+                self.sim.advance(1)
+            except SimulationFailure as failure:
+                self._failure = failure
+        self.spent = time.perf_counter() - begin
+        if self.sim.frame == self.first.frame:
+            self.watch.note()
+        self.took = time.perf_counter() - begin
+        if self._compiled:
+            self.later = self.later[0] + self.spent, self.later[1] + self.took
+        self._compiled = True
+
+
+def _taken(sim: Simulation, name: str, text: str) -> Own:
+    """Give a simulation at its start a setting of its own; InputError where that cannot be."""
+    known = {one.name: one for one in live.settings_of(sim)}
+    if name not in known:
+        hint = nearest(name, [*OF_RUN, *known])
+        raise InputError(f"--beside {name}: '{sim.scene.name}' has no such setting; {hint}")
+    setting = known[name]
+    try:
+        if setting.changes is None:
+            raise InputError(setting.fixed or "cannot be set")
+        value = value_of(setting, text)
+        changes = dict(setting.changes(sim, value))
+        sim.set(**changes)
+    except InputError as error:
+        raise InputError(f"--beside {name}={text}: {error}") from None
+    return Own(name, value, changes, now=setting.group == "world")
+
+
+@contextmanager
+def _told_as_beside() -> Iterator[None]:
+    """Have what the second run refuses say that it was that one."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"the run beside: {error}") from None

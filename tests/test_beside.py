@@ -1,0 +1,223 @@
+"""Two runs beside each other: the same in equal settings, apart by what theory says in others."""
+
+import json
+
+import numpy as np
+import pytest
+from test_comparison import swing
+
+import taichi_cloth as tc
+from taichi_cloth.beside.given import Given, read
+from taichi_cloth.beside.twin import Twin
+from taichi_cloth.comparison.compare import compare
+from taichi_cloth.errors import InputError
+from taichi_cloth.files.trajectory import Trajectory
+from taichi_cloth.scene import library
+from taichi_cloth.simulation import live
+
+
+def pull_about(sim):
+    """All that tools, panel and scripts do, a frame after each."""
+    sim.blow((150.0, 120.0), (6.0, -4.0))
+    yield
+    sim.grab([40, 41], (200.0, 130.0))
+    yield
+    for step in range(6):
+        sim.drag((200.0 + 12.0 * step, 130.0 + 6.0 * step))
+        yield
+    sim.let_go()
+    sim.cut([12, 30])
+    yield
+    sim.pin([50])
+    sim.spawn((300.0, 200.0), (1.0, -2.0), tied_to=20)
+    yield
+    sim.unpin([50])
+    sim.add_spring(3, 40)
+    live.apply(sim, "stiffness", 0.3)
+    live.apply(sim, "gravity.y", 0.2)
+    yield
+    sim.set_step(substeps=2)
+    sim.hold(np.full((sim.particle_count, 2), 0.02))
+    yield
+    yield
+
+
+@pytest.fixture(scope="module")
+def pair(pool):
+    """Two simulations of one small cloth that tears."""
+    scene = library.build("cloth", columns=12, rows=8).with_world(tools=True)
+    return pool(scene), pool(scene, another=True)
+
+
+def test_equal_settings_are_never_apart(pair):
+    """Through everything that can be done, back in time, and from the start again."""
+    first, second = pair
+    twin = Twin(first, second, Given())
+    try:
+        with pytest.raises(InputError, match="has that, too"):
+            twin.check_differs()
+        for _ in pull_about(first):
+            first.advance()
+            assert np.array_equal(first.positions(), second.positions())
+            assert np.array_equal(first.springs_alive(), second.springs_alive())
+            assert twin.watch.now.max == 0.0 and twin.watch.first is None
+        assert not first.springs_alive().all()
+        kept = first.checkpoint(), second.checkpoint()
+        first.advance(3)
+        after, rows = second.positions(), twin.watch.last(3)
+        first.restore(kept[0])
+        second.restore(kept[1])
+        first.advance(3)
+        assert np.array_equal(second.positions(), after) and twin.watch.last(3) == rows
+        with pytest.raises(InputError, match="outside"):  # which neither does
+            first.spawn((-1e4, 0.0))
+        assert second.particle_count == first.particle_count
+        first.reset()
+        assert second.frame == 0 and twin.watch.now is None
+        assert np.array_equal(first.positions(), second.positions())
+    finally:
+        twin.close()
+    first.advance()
+    assert second.frame == 0
+
+
+def test_their_distance_is_the_phase_error_of_the_oscillator(pool, tmp_path):
+    """By closed forms of symplectic Euler, and by `compare` of what both recorded."""
+    scene, times = library.build("oscillator"), np.arange(1.0, 61.0)
+    given = read("dt=0.4")  # so three steps in each frame
+    first, second = pool(scene), pool(scene, substeps=3, another=True)
+    twin = Twin(first, second, given)
+    files = [Trajectory(tmp_path / name) for name in ("a.npz", "b.npz")]
+    try:
+        for _ in times:
+            first.advance()
+            for file, sim in zip(files, (first, second), strict=True):
+                file.record(sim)
+        apart = np.abs(swing(1.0, times) - swing(1 / 3, times))
+        rows = twin.watch.last(60)
+        assert np.allclose([row.rms for row in rows], apart, rtol=1e-9, atol=1e-9)
+        for file in files:
+            file.save({"scene": scene.name})
+        found = compare(tmp_path / "a.npz", tmp_path / "b.npz")
+        assert np.array_equal(found.rms, [row.rms for row in rows])
+        assert np.array_equal(found.max, [row.max for row in rows])
+        assert found.scale == twin.watch.scale
+        assert found.distance.trajectory == pytest.approx(twin.watch.distance().trajectory)
+        first.set_step(substeps=2)  # theirs are no longer than they were told
+        assert (first.substeps, second.substeps) == (2, 3)
+        first.set_step(dt=0.5)
+        assert (second.dt, second.substeps) == (0.5, 2)
+    finally:
+        twin.close()
+
+
+def test_what_differs_first_is_what_compare_names(pair, tmp_path):
+    """A cloth that tears under a pull, in another stiffness, which a change leaves alone."""
+    first, second = pair
+    first.reset()
+    second.reset()
+    twin = Twin(first, second, read("stiffness=0.2"))
+    files = [Trajectory(tmp_path / name) for name in ("a.npz", "b.npz")]
+    try:
+        for frame in range(40):
+            if frame == 5:
+                first.grab([60], first.positions()[60])
+            first.drag(first.scene.particles.position[60] + [4.0 * frame, 6.0 * frame])
+            if frame == 20:
+                live.apply(first, "stiffness", 0.4)
+                live.apply(first, "damping", 0.01)
+            first.advance()
+            for file, sim in zip(files, (first, second), strict=True):
+                file.record(sim)
+        stiffness = live.setting(second, "stiffness").read(second)
+        assert stiffness == 0.2 and live.setting(second, "damping").read(second) == 0.01
+        for file in files:
+            file.save({"scene": first.scene.name})
+        found = compare(tmp_path / "a.npz", tmp_path / "b.npz", scene=first.scene)
+        for name in ("first_break", "first_touch"):
+            theirs, ours = getattr(found, name), getattr(twin.watch, name)
+            assert (theirs is None) == (ours is None)
+            if theirs is not None:
+                assert theirs.particles == ours.particles and theirs.time == ours.time
+                assert theirs.spring == ours.spring
+        assert found.first_break is not None
+        first.reset()
+        assert live.setting(second, "stiffness").read(second) == 0.2
+    finally:
+        twin.close()
+
+
+EVENTS = [
+    (3, {"event": "move", "pos": [180.0, 140.0]}),
+    (4, {"event": "move", "pos": [200.0, 150.0]}),
+    (6, {"event": "cut", "springs": [20, 21]}),
+    (8, {"event": "grab", "particle": 30, "pos": [150, 150], "stiffness": [0.4], "damping": [0.0]}),
+    (9, {"event": "drag", "pos": [170.0, 190.0]}),
+    (14, {"event": "let_go"}),
+    (15, {"event": "set", "name": "stiffness", "value": 0.4}),
+    (16, {"event": "pin", "particle": 25}),
+    (18, {"event": "press", "key": "r"}),
+    (20, {"event": "cut", "springs": [40]}),
+]
+
+
+def test_a_log_replays_both_to_the_bit(cli, tmp_path):
+    """Each run has the bits that it has alone; what differs is said."""
+    log, words = tmp_path / "log.jsonl", ("run", "cloth", "--columns", "8", "--rows", "6")
+    lines = [{"header": {"scene": "cloth", "window": [600, 400]}}]
+    lines += [{"frame": frame, **event} for frame, event in EVENTS]
+    log.write_text("\n".join(map(json.dumps, lines)))
+    both = ("--headless", "--frames", "30", "--events")
+    once, again = tmp_path / "once.jsonl", [tmp_path / name for name in ("a", "b", "l", "r")]
+    a, b, left, right = (str(path) + ".npz" for path in again)
+    beside = ("--beside", "method=rk4,substeps=2")
+    out, _ = cli(*words, *both, log, *beside, "--record", once, "--save", a)
+    assert "beside it: rk4, 2 substeps" in out and "apart" in out
+    header = json.loads(once.read_text().splitlines()[0])["header"]
+    assert header["beside"].startswith("method=rk4,substeps=2,topology=")
+    cli(*words, *both, once, "--save", b)
+    topology = header["beside"].rpartition("=")[2]
+    cli(*words, *both, once, "--beside", "none", "--save", left)
+    alone = ("--beside", "none", "--method", "rk4", "--substeps", "2", "--topology", topology)
+    cli(*words, *both, once, *alone, "--save", right)
+    second = [path.replace(".npz", "-beside.npz") for path in (a, b)]
+    assert compare(a, b).identical and compare(a, left).identical
+    assert compare(*second).identical and compare(second[0], right).identical
+    assert not compare(a, second[0]).identical
+    assert tc.load_trajectory(a).meta["method"] == "symplectic_euler"
+    assert tc.load_trajectory(second[0]).meta["method"] == "rk4"
+
+
+def test_a_second_run_that_fails_stops_alone(cli):
+    """It is said, and the run fails; the first one has gone on to its end."""
+    words = ("run", "cloth", "--columns", "8", "--rows", "6", "--headless", "--frames", "60")
+    out, said = cli(*words, "--beside", "method=explicit_euler,stiffness=50", check=3)
+    assert "60 frames" in out and "the run beside stopped" in said
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ("rk4", "is no KEY=VALUE"),
+        ("method=rk5", "did you mean 'rk4'"),
+        ("substeps=0", "at least 1"),
+        ("substeps=2,substeps=3", "given twice"),
+        ("dt=0.1,substeps=2", "exclude each other"),
+        ("precision=f64", "compare --events FILE.jsonl --precision f64"),
+        ("frames=3", "give --frames"),
+    ],
+)
+def test_what_makes_no_second_run_is_refused(given, says):
+    with pytest.raises(InputError, match=says):
+        read(given)
+
+
+def test_what_the_scene_refuses_is_refused(cli):
+    words = ("run", "cloth", "--columns", "4", "--rows", "3", "--headless", "--frames", "2")
+    for given, says in (
+        ("metod=rk4", "did you mean 'method'"),
+        ("substeps=1", "the first run has that, too"),
+        ("stiffness=soft", "must be a number, is 'soft'"),
+        ("collisions=2", "must be on or off"),
+    ):
+        assert says in cli(*words, "--beside", given, check=2)[1]
