@@ -22,7 +22,7 @@ class Mesh:
 
     place: (n, 3) vertices [world units]. normal: (n, 3), of any length. corner: (m, 3) int32.
     front, back: (n, 3) colours 0..1 of the vertices, seen from where their triangles go round
-    counterclockwise, and from behind.
+    counterclockwise, and from behind. veil: 1 where one sees through it, else 0.
     """
 
     place: np.ndarray
@@ -30,15 +30,20 @@ class Mesh:
     corner: np.ndarray
     front: np.ndarray
     back: np.ndarray
+    veil: int = 0
 
 
 @dataclass(frozen=True)
 class Balls:
-    """Spheres. centre: (k, 3) and radius: (k,) world units; color: (k, 3) 0..1, all float32."""
+    """Spheres. centre: (k, 3) and radius: (k,) world units; color: (k, 3) 0..1, all float32.
+
+    veil: as of a `Mesh`.
+    """
 
     centre: np.ndarray = field(default_factory=NO_VECTORS.copy)
     radius: np.ndarray = field(default_factory=NO_NUMBERS.copy)
     color: np.ndarray = field(default_factory=NO_VECTORS.copy)
+    veil: int = 0
 
 
 @dataclass(frozen=True)
@@ -117,7 +122,7 @@ class Rasterizer:
         background: tuple[float, float, float],
         *,
         meshes: list[Mesh],
-        balls: Balls,
+        balls: list[Balls],
         lines: list[Lines],
         floor: Floor | None = None,
         still: Still | None = None,
@@ -143,7 +148,7 @@ class Rasterizer:
         lens: np.ndarray,
         lights: np.ndarray,
         meshes: list[Mesh],
-        balls: Balls,
+        balls: list[Balls],
         lines: list[Lines],
     ) -> None:
         """Draw things before what is there."""
@@ -151,11 +156,14 @@ class Rasterizer:
         for stage in (0, 1):
             for m in meshes:
                 if len(m.corner):
+                    colors = m.front, m.back
                     raster.triangles(
-                        stage, *target, m.place, m.normal, m.corner, m.front, m.back, lens, lights
+                        stage, *target, m.place, m.normal, m.corner, *colors, lens, lights, m.veil
                     )
-            if len(balls.centre):
-                raster.balls(stage, *target, balls.centre, balls.radius, balls.color, lens, lights)
+            for b in balls:
+                if len(b.centre):
+                    shape = b.centre, b.radius, b.color
+                    raster.balls(stage, *target, *shape, lens, lights, b.veil)
             for line in lines:
                 if len(line.color):
                     wide = np.float32(self._samples) * line.width
@@ -178,6 +186,6 @@ class Rasterizer:
         if wanted != self._wanted or still is not self._still:
             raster.lay_floor(*self._drawn[:2], lens, background, numbers)
             if still is not None:
-                self._put(lens, lights, still.meshes, Balls(), still.lines)
+                self._put(lens, lights, still.meshes, [], still.lines)
             raster.lay(self._samples, *self._drawn, *self._behind, self._laid)
             self._wanted, self._still = wanted, still

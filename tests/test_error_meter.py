@@ -12,6 +12,7 @@ import pytest
 from cloths import mixed
 from commands import command
 
+from taichi_cloth.cli import run_meter
 from taichi_cloth.cli.run_meter import MeasuredErrors
 from taichi_cloth.error_meter import meter as meters
 from taichi_cloth.error_meter.ghost import Ghost
@@ -23,8 +24,14 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.scene import library
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.trade import errors, ode
+from taichi_cloth.ui import style
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.chrome.meters import Meters
+from taichi_cloth.ui.depiction import Depiction
+from taichi_cloth.ui.ghosts import Ghosts
+from taichi_cloth.ui.views.contract import Picture
+from taichi_cloth.ui.views.gui import GuiView
+from taichi_cloth.ui.window_map import WindowMap
 
 pytestmark = pytest.mark.usefixtures("device")
 
@@ -131,34 +138,120 @@ def test_windows_end_where_another_run_begins(torn):
         torn.set_step(substeps=2)
 
 
-def test_errors_are_those_of_trade(judge, tmp_path):
-    """Beside SciPy's solution of a chain; where a disturbance grows, and where it does not."""
-    scene = library.build("chain")
+@pytest.fixture(scope="module")
+def chain(judge, tmp_path_factory):
+    """A chain after a second: the simulation, its window, the verdict, and SciPy's solution."""
+    scene, folder = library.build("chain"), tmp_path_factory.mktemp("chain")
     sim = Simulation(scene, topology="graph", execution="serial")
     meter = Here(sim)
     sim.advance(FRAMES)
     meter.close()
     (window,) = meter.windows
-    window.write(tmp_path / WINDOW, None)
-    verdict = Verdict(**judge.measure(str(tmp_path), 60.0))
-    times = np.arange(FRAMES + 1) * sim.dt
-    smooth = ode.solve(scene, times, 60.0)
+    window.write(folder / WINDOW, None)
+    verdict = Verdict(**judge.measure(str(folder), 60.0))
+    smooth = ode.solve(scene, np.arange(FRAMES + 1) * sim.dt, 60.0)
+    return SimpleNamespace(sim=sim, window=window, verdict=verdict, smooth=smooth, folder=folder)
+
+
+def test_errors_are_those_of_trade(chain, judge, tmp_path):
+    """Beside SciPy's solution of a chain; where a disturbance grows, and where it does not."""
+    window, verdict, smooth = chain.window, chain.verdict, chain.smooth
     none = np.zeros((FRAMES + 1, 0), bool)
     apart = errors.distance(
         errors.Samples(np.array(window.shown), smooth.v, none),
         errors.Samples(smooth.x, smooth.v, none),
-        ~scene.particles.fixed,
+        ~chain.sim.fixed(),
     )
     assert not verdict.trouble
     assert verdict.error == pytest.approx(apart.trajectory, rel=1e-3)
-    ghost = Ghost.read(tmp_path / GHOST, window)
-    for frame in (0, 30, FRAMES):
-        there = window.shown[frame] + ghost.at(window.first + frame)
-        np.testing.assert_allclose(there, smooth.x[frame], atol=1e-2 * verdict.error)
     assert verdict.solver is None and verdict.rounding is None and 0 < verdict.ahead < 20
     # In no time nothing is made again.
+    window.write(tmp_path / WINDOW, None)
     verdict = Verdict(**judge.measure(str(tmp_path), 1e-9))
     assert not verdict.known and "too large" in verdict.describe(in_metres=False)
+
+
+def test_the_ghost_is_where_the_reference_is(chain):
+    """SciPy's solution, at each frame of its window; then by as much aside as at its end."""
+    sim, window = chain.sim, chain.window
+    ghost = Ghost.read(chain.folder / GHOST, window)
+    for frame in (0, 30, FRAMES):
+        there = window.shown[frame] + ghost.at(frame)
+        np.testing.assert_allclose(there, chain.smooth.x[frame], atol=1e-2 * chain.verdict.error)
+    np.testing.assert_array_equal(ghost.at(FRAMES + 40), ghost.at(FRAMES))
+    assert replace(ghost, first=1).at(0) is None
+    thinned = replace(ghost, stride=10, shown=window.shown[::10], away=ghost.away[::10])
+    mean = (ghost.at(30) + ghost.at(40)) / 2
+    np.testing.assert_allclose(thinned.at(35), mean, rtol=1e-5)
+    # In a picture: pale there, and only there.
+    measured = MeasuredErrors(sim, waits=False, told=False)
+    measured._meter = SimpleNamespace(ghost=ghost, refused="", close=lambda: None)
+    depiction = Depiction(sim, errors=measured)
+    view = GuiView(sim.scene.world, (900, 300), "", visible=False)
+
+    def pale():
+        view.draw(depiction.picture())
+        return (view.grab() == style.GHOST_ON_WORLD).all(axis=2)
+
+    try:
+        assert measured.ghost() is None and not pale().any()
+        measured.next_ghost()
+        reading = measured.ghost()
+        times = run_meter.magnification(ghost)
+        assert times > 1 and reading.words.endswith(f"at this frame, difference x{times:g}")
+        seen, window_map = pale(), WindowMap.of(sim.scene.world, (900, 300))
+        place = sim.positions() + times * (chain.smooth.x[-1] - sim.positions())
+        place[:, 1] += 0.5 * sim.radii()  # beside the springs, which are drawn over it
+        columns, rows = np.round(window_map.to_window(place)).astype(int).T
+        apart = np.linalg.norm(place[:, None] - sim.positions(), axis=2)
+        far = (apart > 1.2 * sim.radii()).all(axis=1)
+        assert far.any() and seen[rows[far], columns[far]].all()
+        measured.next_ghost()
+        assert "true size" in measured.ghost().words and pale().sum() < seen.sum()
+        sim.advance(30)
+        assert "as 0.5 s ago" in measured.ghost().words
+        assert measured.next_ghost() == "ghost: off" and not pale().any()
+    finally:
+        view.close()
+        sim.reset()
+        sim.advance(FRAMES)
+
+
+def test_a_ghost_goes_with_the_run_it_is_of(chain):
+    """Back in the same run it stays; where that goes another way, it is forgotten."""
+    sim = chain.sim
+    meter = Here(sim)
+    try:
+        there = sim.checkpoint()
+        sim.reset()
+        meter.ghost = ghost = Ghost.read(chain.folder / GHOST, chain.window)
+        start = sim.checkpoint()
+        sim.advance(FRAMES + 5)
+        sim.restore(start)
+        sim.advance(20)
+        assert meter.ghost is ghost
+        sim.pin([3])
+        sim.advance(2)
+        assert meter.ghost is None
+        meter.ghost = ghost
+        sim.reset()
+        assert meter.ghost is None
+    finally:
+        meter.close()
+        sim.restore(there)
+
+
+def test_a_ghost_has_no_springs_that_broke_in_the_reference():
+    """Nor triangles with such a side, nor what came after its second began."""
+    picture = Picture(
+        np.zeros((6, 2), np.float32), np.ones(6), np.zeros((6, 3), np.uint8),
+        np.array([[0, 1], [2, 1], [2, 3], [4, 5]]),
+        triangles=np.array([[0, 1, 2], [1, 3, 2], [3, 4, 5]]),
+    )  # fmt: skip
+    away = np.ones((5, 2), np.float32)
+    made = Ghosts().of(picture, away, np.array([[1, 0]]))
+    assert made.segments.tolist() == [[2, 1], [2, 3]] and made.triangles.tolist() == [[1, 3, 2]]
+    assert made.position.tolist() == away.tolist() and made.as_spheres.tolist() == [True] * 5
 
 
 @pytest.mark.thorough
@@ -257,7 +350,7 @@ def test_a_window_says_it_in_a_row_of_its_meters(torn):
     shown = Meters(torn, windowed=False, errors=measured)
     rect = Rect(0, 0, 320, 900)
     assert "error" not in shown.panel(rect, 16).words
-    assert shown.switch_error().startswith("measuring") and shown.measures
+    assert shown.switch("error").startswith("measuring") and shown.measures
     assert "error\nmeasuring\nframe 0 of 60" in shown.panel(rect, 16).words
     meter = measured._meter
     known = Verdict(0, FRAMES, "f32", 0.3, 10.0, 100.0, solver=0.01, rounding=0.001, growth=0.1)
@@ -265,14 +358,14 @@ def test_a_window_says_it_in_a_row_of_its_meters(torn):
     meter.recent.append(replace(known, first=60, trouble="two references differ"))
     reading = measured.reading()
     assert reading.value == "3 % (0.3)"
-    assert reading.details[:3] == ("solver 0.1 %", "f32 0.01 %", "holds 1.7 s")
+    assert reading.details[:4] == ("not sure", "solver 0.1 %", "f32 0.01 %", "holds 1.7 s")
     np.testing.assert_allclose(reading.relative, 0.03)
     resting = replace(known, scale=1e-4, error=1e-6)
     assert resting.describe(False) == "error over the last second: 1e-06; nothing moves"
     torn.reset()
     assert measured.reading().value == "measuring"
-    assert shown.switch_error() == "error meter: off" and not torn.listeners
-    assert "alone" in Meters(torn).switch_error()
+    assert shown.switch("error") == "error meter: off" and not torn.listeners
+    assert "nothing measures errors" in Meters(torn).switch("error")
 
 
 def test_a_headless_run_says_each_second_and_all_of_them():

@@ -10,6 +10,7 @@ from PIL import Image
 
 import taichi_cloth as tc
 from taichi_cloth.scene import library
+from taichi_cloth.ui import app
 
 CLOTH = library.build("cloth", columns=4, rows=3)
 
@@ -56,6 +57,18 @@ def test_a_script_runs_what_it_shows(pool, capsys):
     tc.show(sim, view="none", frames=1, on_frame=cut)
     assert not sim.springs_alive()[0]
     assert sim.show(frames=1, view="none").frames == 1  # no notebook: the same
+
+
+def test_windows_of_scripts_measure_errors(pool, monkeypatch):
+    """When asked to, by a key; until then nobody listens."""
+    sim = pool(CLOTH)
+    monkeypatch.setattr(app, "run", lambda sim, view, **asked: asked["errors"])
+    errors = tc.show(sim, view="none", frames=1)
+    assert not errors.on and not sim.listeners
+    errors.switch()
+    assert errors.on and sim.listeners
+    errors.close()
+    assert not sim.listeners
 
 
 @pytest.mark.parametrize(

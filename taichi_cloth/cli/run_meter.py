@@ -11,14 +11,20 @@ import numpy as np
 
 from taichi_cloth.settings.options import RunOptions
 from taichi_cloth.ui import style
-from taichi_cloth.ui.chrome.errors import ErrorReading
+from taichi_cloth.ui.chrome.errors import ErrorReading, GhostReading
 
 if TYPE_CHECKING:
+    from taichi_cloth.error_meter.ghost import Ghost
     from taichi_cloth.error_meter.meter import ErrorMeter
     from taichi_cloth.error_meter.verdict import Verdict
     from taichi_cloth.simulation.simulation import Simulation
 
 SECOND = 60.0  # frames
+NO_GHOST, MAGNIFIED, TRUE = range(3)  # how the reference is drawn
+# Of what the particles span: how far a magnified ghost is away at most, and what nobody sees.
+APART, UNSEEN = 0.06, 0.002
+# What is smaller than the last one shows is nothing that one should look at.
+TIMES = [n * 10.0**power for power in range(4) for n in (1, 2, 5)] + [1e4]
 MOST_SHOWN = 20  # seconds that were measured, in a graph of ten
 
 
@@ -33,7 +39,45 @@ class MeasuredErrors:
         self._sim, self._waits, self._told = sim, waits, told
         self._meter: ErrorMeter | None = None
         self.waited = 0.0
+        self._ghost = NO_GHOST
         self._in_metres = bool(sim.scene.world.up)
+
+    def next_ghost(self) -> str:
+        """Show the reference as a ghost, magnified, then in its true size, then no more; what to
+        tell the user. It switches the meter on.
+        """
+        if not self.on:
+            self.switch()
+        found = self._meter.ghost if self._meter else None
+        plain = found is not None and magnification(found) == 1.0
+        if self._ghost == MAGNIFIED and not plain:
+            self._ghost = TRUE
+            return "ghost: in its true size; y: off"
+        self._ghost = MAGNIFIED if self._ghost == NO_GHOST else NO_GHOST
+        if self._ghost == NO_GHOST:
+            return "ghost: off"
+        return "ghost: where the last second ends with finer steps, its distance magnified"
+
+    def ghost(self) -> GhostReading | None:
+        """The ghost of the present frame; None: it is not asked for."""
+        meter = self._meter
+        if meter is None or self._ghost == NO_GHOST:
+            return None
+        if meter.refused:
+            return GhostReading(f"no ghost: {meter.refused}")
+        found, now = meter.ghost, self._sim.frame
+        if found is None:
+            return GhostReading(f"ghost: waits for a measured second ({meter.progress()})")
+        away = found.at(now)
+        if away is None:
+            return GhostReading(f"ghost: known of frames {found.start} to {found.end}")
+        times = magnification(found) if self._ghost == MAGNIFIED else 1.0
+        old = (now - found.end) / SECOND
+        when = f"as {old:.1f} s ago" if old > 0 else "at this frame"
+        size = f"difference x{times:g}" if times > 1 else "true size"
+        small = ", too small to see" if times * found.largest < UNSEEN * found.extent else ""
+        words = f"ghost: the reference {when}, {size}{small}"
+        return GhostReading(words, np.float32(times) * away, found.torn)
 
     @property
     def on(self) -> bool:
@@ -85,12 +129,27 @@ class MeasuredErrors:
         return ErrorReading(value, (*details, age), state, ages, relative)
 
 
+def of(sim: Simulation) -> MeasuredErrors:
+    """The error meter of a window that a script opens, off at first."""
+    return MeasuredErrors(sim, waits=False, told=False)
+
+
+def magnification(ghost: Ghost) -> float:
+    """1, 2, 5, 10, 20 ...: how many times as far away a ghost is best drawn."""
+    times = APART * ghost.extent / ghost.largest if ghost.largest > 0 else 1.0
+    return max((n for n in TIMES if n <= times), default=1.0)
+
+
 @contextlib.contextmanager
 def measured(sim: Simulation, options: RunOptions, *, waits: bool) -> Iterator[MeasuredErrors]:
     """The error meter of a run, which is on from the start if the options ask for it."""
-    errors = MeasuredErrors(sim, waits=waits, told=options.error_meter and not options.quiet)
+    errors = MeasuredErrors(
+        sim, waits=waits, told=(options.error_meter or options.ghost) and not options.quiet
+    )
     if options.error_meter:
         errors.switch()
+    if options.ghost:
+        errors.next_ghost()
     try:
         yield errors
     finally:

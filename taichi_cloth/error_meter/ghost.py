@@ -10,6 +10,7 @@ import numpy as np
 from taichi_cloth.error_meter.window import Window
 
 # Of the numbers in the displacements of a window: of more, those of its end alone are kept.
+MOST_OF = 0.99  # of the particles: a torn one that flies off does not count
 MOST_NUMBERS = 6_000_000
 
 
@@ -20,7 +21,8 @@ class Ghost:
     first, frames, stride: as of its `Window`. shown: what was shown, (n, dim) each, at its start
     and at each `stride`th frame. away: from there to the reference, (samples, n, dim) float32, at
     the same moments, or at the last alone. torn: (k, 2), between which particles springs broke in
-    the reference.
+    the reference. largest: how far nearly all particles are away at most, at the end. extent: of
+    all that was shown then.
     """
 
     first: int
@@ -29,13 +31,18 @@ class Ghost:
     shown: list[np.ndarray]
     away: np.ndarray
     torn: np.ndarray
+    largest: float
+    extent: float
 
     @classmethod
     def read(cls, path: Path, window: Window) -> Ghost:
         """That of a window out of the file that `write` made."""
         with np.load(path) as parts:
-            settings = window.first, window.frames, window.stride
-            return cls(*settings, window.shown, parts["away"], parts["torn"])
+            away, torn = parts["away"], parts["torn"]
+        far = np.sqrt(np.einsum("ij,ij->i", away[-1], away[-1]))
+        extent = float(np.linalg.norm(np.ptp(window.shown[-1], axis=0)))
+        settings = window.first, window.frames, window.stride
+        return cls(*settings, window.shown, away, torn, float(np.quantile(far, MOST_OF)), extent)
 
     @property
     def end(self) -> int:

@@ -121,6 +121,7 @@ class Judge:
         verdict = replace(verdict, error=error, scale=scale, apart=apart, substeps=finest_substeps)
         if apart > THIRD * error:
             what = f"two references differ by {apart / scale:.1e} of the motion"
+            what = what if math.isfinite(apart) else "nothing tells what the reference is worth"
             verdict = replace(verdict, trouble=f"{what}, and {patience:g} s allow no finer one")
         ghost.write(self._folder / GHOST, finest.x, shown.x, self._torn)
         self._until = time.perf_counter() + patience

@@ -131,11 +131,13 @@ def triangles(
     back: rows,
     lens: numbers,
     lights: rows,
+    veil: ti.i32,
 ):
     """Draw triangles (m, 3) of the vertices (n, 3), which have normals (n, 3).
 
     front, back: (n, 3) colours of the vertices, seen from the side that their normals look to
     (counterclockwise), and from the other one.
+    veil: 1 where one sees through it: only each second pixel is drawn, as on a chessboard; else 0.
     """
     for t in range(corner.shape[0]):
         p, q, r = corner[t, 0], corner[t, 1], corner[t, 2]
@@ -167,7 +169,7 @@ def triangles(
                         x = i + 0.5 - u[0]
                         second, third = second_x * x + second_y * y, third_x * x + third_y * y
                         first = 1.0 - second - third
-                        if ti.min(first, second, third) >= EDGE:
+                        if ti.min(first, second, third) >= EDGE and ((i + j) & veil) == 0:
                             # One over the depth is linear on the screen.
                             z = 1.0 / (first * u[2] + second * v[2] + third * w[2])
                             if ti.static(stage == 0):
@@ -208,8 +210,9 @@ def balls(
     rgb: rows,
     lens: numbers,
     lights: rows,
+    veil: ti.i32,
 ):
-    """Draw spheres: centre (k, 3), radius (k,), colour (k, 3)."""
+    """Draw spheres: centre (k, 3), radius (k,), colour (k, 3). veil: as for `triangles`."""
     for s in range(centre.shape[0]):
         c = _vector(centre, s)
         if c[2] > lens[3]:
@@ -229,7 +232,7 @@ def balls(
                     nearest = d.dot(c) / size2  # where the line of sight is nearest to the middle
                     away = nearest * d - c
                     inside = r * r - away.dot(away)
-                    if inside >= 0.0:
+                    if inside >= 0.0 and ((i + j) & veil) == 0:
                         z = nearest - ti.sqrt(inside / size2)
                         if z > lens[3]:
                             if ti.static(stage == 0):

@@ -230,6 +230,11 @@ class RunOptions(Options):
         "measure how wrong each second is: another process makes it again at a finer step (a "
         "headless run waits for that)",
     )
+    ghost: bool = setting(
+        False,
+        "draw where finer steps would be as a ghost, its distance magnified; measures as "
+        "--error-meter does",
+    )
     text_size: float | None = setting(
         None,
         "size of the text in windows, pictures and films, in parts of the usual (default: 1; in a "

@@ -1,4 +1,4 @@
-"""A simulation that shows itself. Who draws it is said from above: nothing here knows a window."""
+"""A simulation that shows itself. Who draws, measures, examines it is said from above."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ class Examiner(Protocol):
 
 _artist: Callable[[], Artist] | None = None
 _examiner: Callable[[], Examiner] | None = None
+_measurer: Callable[[Any], Any] | None = None
 
 
 def drawn_by(artist: Callable[[], Artist]) -> None:
@@ -47,6 +48,20 @@ def examined_by(examiner: Callable[[], Examiner]) -> None:
     """Say who writes reports; `examiner` is called when the first one is asked for."""
     global _examiner
     _examiner = examiner
+
+
+def measured_by(measurer: Callable[[Any], Any]) -> None:
+    """Say who measures the errors of what a window shows; `measurer` is called with a simulation,
+    and returns a `taichi_cloth.ui.chrome.errors.Errors` that is to be closed.
+    """
+    global _measurer
+    _measurer = measurer
+
+
+def measured(sim: Any) -> Any:
+    """What measures the errors of a simulation when it is asked to."""
+    assert _measurer is not None, "the package's __init__ says who measures"
+    return _measurer(sim)
 
 
 def _called() -> Artist:

@@ -20,6 +20,7 @@ from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.surfaces import Topology, brightness, floor
 from taichi_cloth.ui.text import Panel
 from taichi_cloth.ui.vertices import (
+    ALPHA,
     POSITION,
     RADIUS,
     STRIDE,
@@ -33,7 +34,7 @@ from taichi_cloth.ui.vertices import (
     quads,
     vertices,
 )
-from taichi_cloth.ui.views.contract import Picture
+from taichi_cloth.ui.views.contract import Ghost, Picture
 from taichi_cloth.ui.window_map import WindowMap
 
 SMOOTH_LINES = 12_000  # so many lines in space have smooth edges, which take long to draw
@@ -58,12 +59,14 @@ class Composer:
         # What is drawn together: each draw costs 0.1 ms, and Mesa's software Vulkan never gives the
         # 130 to 220 bytes back that it needs to know of one.
         self._flat, self._solid = Triangles(), Triangles()
-        self._spheres: SphereMeshes | None = None
+        self._spheres: dict[str, SphereMeshes] = {}
         self._spring_colors = Cached(style.spring_colors)
         self._lines, self._discs = Cached(_flat_lines), Cached(disc_vertices)
+        self._ghost_lines, self._ghost_colors = Cached(_ghost_lines), Cached(_ghost_colors)
         self._line_meshes: dict[str, LineMesh] = {}
-        self._topologies = Cached(Topology.build), Cached(Topology.build)
-        self._surfaces: list[SurfaceMesh | None] = [None, None]  # of the picture; of its solids
+        # Of the picture; of its solids; of its ghost.
+        self._topologies = tuple(Cached(Topology.build) for _ in range(3))
+        self._surfaces: list[SurfaceMesh | None] = [None, None, None]
         self._panel_vertices = lru_cache(maxsize=16)(self._panel_vertices_anew)
         self._written = lru_cache(maxsize=2)(self._written_anew)
 
@@ -87,6 +90,8 @@ class Composer:
         window, (_, height) = self._map, self._size
         self._canvas.set_background_color(style.unit(style.WORLD))
         self._surround()
+        if picture.ghost is not None:
+            self._ghost_2d(picture.ghost)
         place = window.world_to_canvas(picture.position)
         shown = drawing.are_numbers(place)
         if picture.solids is not None:
@@ -107,6 +112,29 @@ class Composer:
             vertex = self._discs(radius, color, window.scale, height)
             vertex[..., :2] = place
             self._circles(vertex.reshape(-1, STRIDE))
+
+    def _ghost_2d(self, ghost: Ghost) -> None:
+        """Draw a ghost in a plane, in a colour that seems to be seen through."""
+        window, height = self._map, self._size[1]
+        place = window.world_to_canvas(ghost.position)
+        shown = drawing.are_numbers(place)
+        color = np.array(style.unit(style.GHOST_ON_WORLD))
+        faces = drawing.between_shown(ghost.triangles, shown)
+        if len(faces):
+            vertex = vertices(np.tile(color, (faces.size, 1)))
+            vertex[:, :2] = place.take(faces.reshape(-1), axis=0)
+            self._triangles(vertex, np.arange(len(vertex), dtype=np.int32))
+        segments = drawing.between_shown(ghost.segments, shown)
+        if len(segments):
+            wide = drawing.line_width(window.room.height if window.room else height)
+            lines = self._ghost_lines(len(segments), wide)
+            self._lines_2d(lines, place.take(segments.reshape(-1), axis=0))
+        seen = shown & ghost.as_spheres
+        if seen.any():
+            vertex = vertices(np.tile(color, (int(seen.sum()), 1)))
+            radius = np.maximum(ghost.radius[seen] * window.scale, drawing.SMALLEST_DISC)
+            vertex[:, :2], vertex[:, RADIUS] = place[seen], radius / height
+            self._circles(vertex)
 
     def _lines_of_plane(self, picture: Picture, place: np.ndarray, shown: np.ndarray) -> None:
         """Draw the walls and springs of a 2-D world.
@@ -242,6 +270,8 @@ class Composer:
             self._spheres_3d(centre, radius, color, centre[:, 2] + camera.distance, focal)
         if len(segments):  # last: where their edges fade, one sees what is behind
             self._springs_3d(picture, camera, segments, position, bright)
+        if picture.ghost is not None:
+            self._ghost_3d(picture.ghost, camera, bright)
         self._draw_meshes()
         self._canvas.scene(self._scene)
 
@@ -329,10 +359,11 @@ class Composer:
         color: np.ndarray,
         normal: np.ndarray | None,
     ) -> None:
-        """Draw the surface of the picture (number 0) or of its solids (1)."""
+        """Draw the surface of the picture (number 0), of its solids (1) or of its ghost (2)."""
         mesh = self._surfaces[number]
         if mesh is None or len(mesh.vertex) != 2 * len(position):
             mesh = self._surfaces[number] = SurfaceMesh.build(len(position))
+            mesh.vertex[:, ALPHA] = style.GHOST_SHARE if number == 2 else 1.0
         corners = mesh.fill(
             topology,
             camera,
@@ -371,6 +402,30 @@ class Composer:
             self._info(vertex), self._info(None), True, (1.0, 1.0, 1.0), width, count, 0, count, 0
         )
 
+    def _ghost_3d(self, ghost: Ghost, camera: Camera, bright: float) -> None:
+        """Draw a ghost in space, a little behind where it is."""
+        position = self._seen(camera, ghost.position)
+        position *= 1 + drawing.LIFTED
+        position[:, 2] += drawing.LIFTED * camera.distance
+        shown = drawing.are_numbers(position)
+        shown &= position[:, 2] + camera.distance > camera.nearest_drawn
+        color = self._ghost_colors(len(position))
+        if len(ghost.triangles):
+            topology = self._topologies[2](ghost.triangles).of_shown(shown)
+            self._surface_3d(2, topology, camera, position, color, ghost.normals)
+        segments = drawing.between_shown(ghost.segments, shown)
+        if len(segments):
+            ends, pale = position.take(segments, axis=0), color[segments[:, 0]] / 255
+            wide = drawing.spring_width(self._size[1])
+            self._smooth_lines("ghost", ends, pale, wide, camera, bright)
+        seen = shown & ghost.as_spheres
+        if seen.any():
+            focal = camera.focal_length * self._map.scale
+            centre, depth = position[seen], position[seen, 2] + camera.distance
+            self._spheres_3d(
+                centre, ghost.radius[seen], color[seen], depth, focal, "ghost", style.GHOST_SHARE
+            )
+
     def _spheres_3d(
         self,
         centre: np.ndarray,
@@ -378,8 +433,10 @@ class Composer:
         color: np.ndarray,
         depth: np.ndarray,
         focal: float,
+        name: str = "particles",
+        opacity: float = 1.0,
     ) -> None:
-        """Draw shaded spheres.
+        """Draw shaded spheres; those of a name keep their meshes.
 
         centre: (k, 3) camera axes, world units. radius: (k,) world units. color: (k, 3) uint8.
         depth: (k,) from the eye, world units. focal: pixels per unit of x/z slope.
@@ -389,9 +446,10 @@ class Composer:
         if len(centre) * (10 * 4**level + 2) > MESH_VERTICES:
             self._particles_3d(centre, radius, color, depth)
             return
-        meshes = self._spheres
+        meshes = self._spheres.get(name)
         if meshes is None or (meshes.count, meshes.level) != (len(centre), level):
-            meshes = self._spheres = SphereMeshes.build(len(centre), level)
+            meshes = self._spheres[name] = SphereMeshes.build(len(centre), level)
+            meshes.vertex[:, :, ALPHA] = opacity
         meshes.fill(centre, radius, color)
         self._mesh_3d(meshes.vertex.reshape(-1, STRIDE), meshes.index)
 
@@ -411,6 +469,16 @@ class Composer:
         white = (1.0, 1.0, 1.0)
         self._draw_meshes()
         self._scene.scene.particles(self._info(vertex), True, True, white, 1.0, len(vertex), 0)
+
+
+def _ghost_colors(count: int) -> np.ndarray:
+    """The colours of a ghost's particles, (count, 3) uint8."""
+    return np.tile(np.array(style.GHOST, np.uint8), (count, 1))
+
+
+def _ghost_lines(count: int, width: float) -> FlatLines:
+    """So many springs of a ghost in a plane, of a width in pixels."""
+    return FlatLines.build(np.tile(style.unit(style.GHOST_ON_WORLD), (count, 1)), width)
 
 
 def _flat_lines(

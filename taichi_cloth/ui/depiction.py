@@ -9,9 +9,12 @@ import numpy as np
 
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import STRAIN
-from taichi_cloth.ui import shown
+from taichi_cloth.ui import shown, style
 from taichi_cloth.ui.between import Between
+from taichi_cloth.ui.chrome.errors import Errors
+from taichi_cloth.ui.chrome.messages import Meanings
 from taichi_cloth.ui.drawing import Cached
+from taichi_cloth.ui.ghosts import Ghosts
 from taichi_cloth.ui.solids import Solids
 from taichi_cloth.ui.strained import Strained
 from taichi_cloth.ui.tools.contract import Marks
@@ -25,11 +28,14 @@ class Depiction:
     """Makes pictures of a simulation; what has not changed is kept from one to the next.
 
     show: what is drawn of cloths, words of `settings.options.SHOWN`; None: what suits the scene.
+    errors: who knows where the reference is, which is drawn as a ghost when asked for.
     strain: whether springs and surfaces have the colours of what they bear.
     strained: these colours. between: what pictures between two frames are made from.
     """
 
-    def __init__(self, sim: Simulation, show: frozenset[str] | None = None) -> None:
+    def __init__(
+        self, sim: Simulation, show: frozenset[str] | None = None, errors: Errors | None = None
+    ) -> None:
         show = show or frozenset()
         self.strain = STRAIN in show
         self.show = show - {STRAIN} or shown.default_for(sim.scene)
@@ -41,6 +47,12 @@ class Depiction:
         self._surface_colors = Cached(shown.surface_colors)
         self._solids = Solids()
         self.between = Between()
+        self._errors, self._ghosts = errors, Ghosts()
+
+    @property
+    def ghostly(self) -> bool:
+        """Whether the reference is shown as a ghost, where it is known."""
+        return self._errors is not None and self._errors.ghost() is not None
 
     def show_next(self) -> None:
         """Go on to the next choice of what is drawn of cloths."""
@@ -80,7 +92,18 @@ class Depiction:
             solids=self._solids.of(sim, sim.time if part >= 1 else between.time(sim, part)),
             ground=sim.scene.world.ground if sim.scene.world.dim == 3 else None,
         )
+        reading = self._errors.ghost() if self._errors else None
+        if reading is not None and reading.away is not None:
+            made = replace(made, ghost=self._ghosts.of(made, reading.away, reading.torn))
         return made if marks is None else _with_marks(made, marks)
+
+    def legends(self) -> list[Meanings]:
+        """What the colours mean, where they mean anything."""
+        found = [self.strained.legend()] if self.strain else []
+        reading = self._errors.ghost() if self._errors else None
+        if reading is not None:
+            found.append(((reading.words, style.GHOST),))
+        return found
 
 
 def _drawn_radius(radius: np.ndarray, largest: float) -> np.ndarray:

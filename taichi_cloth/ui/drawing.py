@@ -13,6 +13,7 @@ from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.views.contract import Picture
 
 LIFTED = 1e-3  # by this share of the way to the eye springs are seen before their surface
+SMALLEST_DISC = 0.8  # pixels of its radius
 RIM = 0.45  # of a disc's colour is that of its rim
 AXES_LENGTH = 0.16  # in radii of what the camera frames
 TABLES = (np.ndarray, Particles, Springs)  # whose equality is no single truth
@@ -118,7 +119,7 @@ def disc_layers(
 
     radius: (n,) world units. color: (n, 3) uint8. scale: pixels per world unit.
     """
-    radius, color = np.maximum(radius * scale, 0.8), color / 255
+    radius, color = np.maximum(radius * scale, SMALLEST_DISC), color / 255
     return (radius, RIM * color), (np.maximum(radius - 1.2, 0.6 * radius), color)
 
 

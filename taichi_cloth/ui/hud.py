@@ -110,6 +110,7 @@ def buttons(
     *,
     paused: bool,
     strain: bool = False,
+    ghost: bool = False,
 ) -> tuple[Button, ...]:
     """The tool bar's: tools that have a key, then at the right end `opens`, what can be opened."""
     found = [
@@ -123,6 +124,7 @@ def buttons(
         found.append(Button("d", "draw", right=True))
     if len(scene.springs):
         found.append(Button("e", "strain", chosen=strain, right=True))
+    found.append(Button("y", "ghost", chosen=ghost, right=True))
     found += [Button("h", "status", right=True), Button("tab", "keys", right=True)]
     return tuple(found)
 
@@ -216,6 +218,7 @@ def help_lines(
         "m\tmeters: the last 10 seconds",
         "a\thow wrong the last second was",
         "k\twhy a run stopped; u: go on with what survives",
+        "y\tghost: where finer steps would be",
         "h\tmore of the status, or none",
         "s\tsave a picture",
         "v\tfilm, until v again",

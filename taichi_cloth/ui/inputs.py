@@ -85,6 +85,7 @@ COMMANDS = {
     "l": "timeline",
     "m": "meters",
     "a": "error",
+    "y": "ghost",
     "o": "settings",
     "k": "why",
     "u": "survive",

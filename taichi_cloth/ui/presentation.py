@@ -29,7 +29,6 @@ from taichi_cloth.ui.request import Request
 from taichi_cloth.ui.run_state import RunState
 from taichi_cloth.ui.status import Status
 from taichi_cloth.ui.takes import Takes
-from taichi_cloth.ui.text import Panel
 from taichi_cloth.ui.travel import Travel
 from taichi_cloth.ui.views.contract import Picture, View
 
@@ -67,7 +66,7 @@ class Presentation:
         self._sim, self._view, self._state, self._takes = sim, view, state, takes
         self._controls, self._window = controls, window
         self._saves = request.trajectory is not None
-        self.depiction = Depiction(sim, request.show)
+        self.depiction = Depiction(sim, request.show, request.errors)
         self.meter = hud.Meter()
         device = request.device or runtime.current_device().describe()
         self._status = Status(sim, device, self.meter)
@@ -122,8 +121,8 @@ class Presentation:
             self.depiction.strain = not self.depiction.strain
         elif command == "help":
             self._show_help = not self._show_help
-        elif command == "error":
-            self._controls.tell(self.meters.switch_error())
+        elif command in ("error", "ghost"):
+            self._controls.tell(self.meters.switch(command))
             if self.meters.measures and not self.chrome.is_open("meters"):
                 self.obey("meters")
         elif self.chrome.toggle(command):
@@ -157,24 +156,15 @@ class Presentation:
         part = self._state.pace.part if self.glides and not now else 1.0
         picture = self.depiction.picture(self._controls.marks(), part)
         layout = self.arranged()
-        return replace(
-            picture,
-            overlay=(*self.chrome.overlay(layout, self._contents()), *self._legend(layout)),
-            pointer=self._pointer(),
-        )
+        around = self.chrome.overlay(layout, self._contents())
+        legends = messages.legends(self.depiction.legends(), layout.world, layout.text)
+        return replace(picture, overlay=(*around, *legends), pointer=self._pointer())
 
     def arranged(self) -> Layout:
         """Where everything is in the view as it is now; the view draws the world in its room."""
         layout = self.chrome.layout(self._view.size)
         self._view.room = layout.world
         return layout
-
-    def _legend(self, layout: Layout) -> tuple[Panel, ...]:
-        """What the colours mean, where they mean anything."""
-        if not self.depiction.strain:
-            return ()
-        meanings = self.depiction.strained.legend()
-        return (messages.legend(meanings, layout.world, layout.text),)
 
     def _contents(self) -> Contents:
         """What is written around the world."""
@@ -190,8 +180,9 @@ class Presentation:
             keys = hud.help_lines(sim.scene, self._view.has_wheel, tool, saves=self._saves)
         opens = self.chrome.buttons()
         self._buttons = hud.buttons(
-            sim.scene, tool, opens, paused=state.paused, strain=self.depiction.strain
-        )
+            sim.scene, tool, opens, paused=state.paused, strain=self.depiction.strain,
+            ghost=self.depiction.ghostly,
+        )  # fmt: skip
         rows = self._status.rows(
             time.perf_counter() if windowed else state.frames / hud.FRAME_RATE,
             state=state.word(shutter.state) if windowed else None,

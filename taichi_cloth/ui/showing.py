@@ -15,6 +15,7 @@ import numpy as np
 from taichi_cloth.errors import InputError
 from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import HEADLESS_FRAMES, PROGRAM, SHOWN, shown_parts
+from taichi_cloth.simulation import showing
 from taichi_cloth.ui import app, views
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.framing import camera_of, window_of
@@ -68,7 +69,7 @@ def show(
         camera=camera or camera_of(sim.scene),
         status=status,
     )
-    with closing(opened):
+    with closing(opened), closing(showing.measured(sim)) as errors:
         if frames is None and not opened.visible:
             frames = HEADLESS_FRAMES
         return app.run(
@@ -79,6 +80,7 @@ def show(
             paused=paused,
             status=status,
             show=_parts(parts),
+            errors=errors,
         )
 
 

@@ -20,6 +20,8 @@ PAPER = (19, 22, 30)
 BUTTON, CHOSEN = (36, 41, 54), (56, 92, 150)  # of the tool bar; the one in use
 BANNER_PAPER = (132, 28, 36)
 BANNER_INK = (255, 240, 238)
+GHOST, GHOST_SHARE = (150, 205, 255), 0.5  # so much of it is seen, and so much what is behind it
+GHOST_ON_WORLD = tuple(round((a + b) / 2) for a, b in zip(GHOST, WORLD, strict=True))
 RECORDING = (232, 64, 64)
 
 AMBIENT = 0.38  # share of a sphere's colour that needs no light

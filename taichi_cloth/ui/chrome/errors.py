@@ -27,6 +27,20 @@ class ErrorReading:
     relative: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
+@dataclass(frozen=True)
+class GhostReading:
+    """The reference of a second that was measured, beside what is seen.
+
+    words: what it is, and how old. away: by how much it is away from the first n particles, (n,
+    dim) [world], as it is drawn; None: there is none to draw. torn: (k, 2), between which particles
+    it has no springs.
+    """
+
+    words: str
+    away: np.ndarray | None = None
+    torn: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+
+
 class Errors(Protocol):
     """Measures the error of each second, while it is switched on."""
 
@@ -39,3 +53,11 @@ class Errors(Protocol):
 
     def reading(self) -> ErrorReading:
         """What there is to say now."""
+
+    def next_ghost(self) -> str:
+        """Show the reference as a ghost, magnified, then in its true size, then no more; what to
+        tell the user. It switches the meter on.
+        """
+
+    def ghost(self) -> GhostReading | None:
+        """The ghost of the present frame; None: it is not asked for."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -9,6 +10,8 @@ import numpy as np
 from taichi_cloth.ui import style, text
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.text import Panel
+
+Meanings = tuple[tuple[str, text.Color], ...]  # of colours, in words
 
 SMALLEST = 8  # pixels of text that is shrunk to fit
 
@@ -33,11 +36,22 @@ def keys(lines: tuple[str, ...], room: Rect, height: int) -> Panel:
     return Panel(left, top, pixels, "\n".join(lines))
 
 
+def legends(rows: list[Meanings], room: Rect, height: int) -> tuple[Panel, ...]:
+    """What colours mean, at the lower left of the world's room, a row above the other."""
+    panels: list[Panel] = []
+    for row in rows:
+        panels.append(_legend(row, room, height))
+        room = replace(room, height=panels[-1].y - room.y)
+    return tuple(panels)
+
+
 @lru_cache(maxsize=4)
-def legend(meanings: tuple[tuple[str, text.Color], ...], room: Rect, height: int) -> Panel:
-    """What colours mean, at the lower left of the world's room: words, each beside its colour."""
+def _legend(meanings: Meanings, room: Rect, height: int) -> Panel:
+    """One row of them: words, each beside its colour; in smaller letters where they are many."""
     gap, box = round(0.6 * height), round(0.7 * height)
     widths = [box + gap // 2 + round(text.length(words, height)) for words, _ in meanings]
+    if sum(widths) + gap * (len(widths) + 1) > room.width and height > SMALLEST:
+        return _legend(meanings, room, height - 1)
     pixels = np.empty((round(1.8 * height), sum(widths) + gap * (len(widths) + 1), 3), np.uint8)
     pixels[:] = style.PAPER
     x, top = gap, (len(pixels) - box) // 2

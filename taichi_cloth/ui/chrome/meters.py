@@ -61,12 +61,16 @@ class Meters:
         """Whether the error of what is seen is measured."""
         return self._errors is not None and self._errors.on
 
-    def switch_error(self) -> str:
-        """Begin to measure the error of what is seen, or end; what to tell the user."""
+    def switch(self, command: str) -> str:
+        """Begin to measure the error of what is seen, or end ("error"), or go on to the next way to
+        show the reference ("ghost"); what to tell the user.
+        """
         if self._errors is None:
-            return "the error is measured in windows of taichi-cloth run alone"
-        self._errors.switch()
+            return "nothing measures errors here"
         self._drawn = None
+        if command == "ghost":
+            return self._errors.next_ghost()
+        self._errors.switch()
         return "measuring how wrong each second is" if self.measures else "error meter: off"
 
     def _reading(self) -> Gauges:

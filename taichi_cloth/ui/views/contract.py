@@ -20,6 +20,22 @@ from taichi_cloth.ui.window_map import Look
 
 
 @dataclass(frozen=True)
+class Ghost:
+    """What is drawn pale, a little behind where it is, so that it is seen where it differs.
+
+    position: (n, dim) of the picture's first n particles [world]. radius: (n,) [world].
+    segments: (s, 2), triangles: (m, 3), as_spheres: (n,) bool, normals: (n, 3), as in a `Picture`.
+    """
+
+    position: np.ndarray
+    radius: np.ndarray
+    segments: np.ndarray
+    triangles: np.ndarray
+    as_spheres: np.ndarray
+    normals: np.ndarray | None
+
+
+@dataclass(frozen=True)
 class Picture:
     """One frame's contents, as NumPy arrays.
 
@@ -34,6 +50,7 @@ class Picture:
     solids: the surfaces of obstacles. ground: the height of a floor; None: there is none.
     overlay: what is laid over the frame, in this order.
     pointer: the pointer, where it is drawn.
+    ghost: what is drawn pale behind all of it; None: nothing.
 
     Radius, color, segments and triangles are the same objects as before while they are equal, so
     that a view need not prepare them anew (`drawing.Cached`).
@@ -52,6 +69,7 @@ class Picture:
     ground: float | None = None
     overlay: tuple[Panel, ...] = ()
     pointer: Pointer | None = None
+    ghost: Ghost | None = None
 
     @property
     def color_in_surfaces(self) -> np.ndarray:

@@ -17,7 +17,7 @@ from taichi_cloth import painter
 from taichi_cloth.painter import Shapes
 from taichi_cloth.rasterizer import Balls, Lines, Mesh, Rasterizer, Still
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui import drawing, in_space, pointer, style, surfaces, x11
+from taichi_cloth.ui import drawing, in_space, pointer, style, surfaces, veiled, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.drawing import Cached
@@ -56,6 +56,7 @@ class GuiView:
         self._springs, self._discs = Cached(_prepared_springs), Cached(_prepared_discs)
         self._faces = Cached(_prepared_faces), Cached(_prepared_faces)
         self._topologies = Cached(Topology.build), Cached(Topology.build)
+        self._veils = veiled.Veils()
         self._sides_of, self._solids_color = Cached(_sides), Cached(_floats)
         self._spring_colors = Cached(style.spring_colors)
         self._rasterizers: dict[int, Rasterizer] = {}  # by samples
@@ -240,6 +241,8 @@ class GuiView:
         """What is painted of a plane: walls, solids, surfaces, springs, particles."""
         walls = window.walls(self.world.walls)
         found = [painter.lines(walls[:, 0], walls[:, 1], 1.5, style.packed_one(style.WALL))]
+        if picture.ghost is not None:
+            found += veiled.shapes(picture.ghost, window, drawing.line_width(self._room_height))
         if picture.solids is not None:
             faces = picture.solids.triangles
             corner = window.to_window(picture.solids.vertex).take(faces, axis=0)
@@ -273,6 +276,7 @@ class GuiView:
         position = camera.rotate_points(picture.position) + eye
         shown = drawing.are_numbers(position)
         segments = drawing.between_shown(picture.segments, shown)
+        balls, ghost = [self._balls(picture, position, shown)], picture.ghost
         still, keep = self._standing(camera, picture.solids), True
         if still is not self._stood:  # it changes with each frame, or did so just now
             self._stood, keep = still, False
@@ -281,6 +285,10 @@ class GuiView:
         focal = camera.focal_length * self._map.scale
         if len(segments):
             lines.append(self._spring_lines(picture, segments, position, focal / camera.distance))
+        if ghost is not None:
+            width = drawing.spring_width(self.size[1])
+            of_mesh, of_balls, of_lines = self._veils.of(ghost, camera, width)
+            meshes, balls, lines = meshes + of_mesh, balls + of_balls, lines + of_lines
         x, y = self._map.to_window(camera.middle)
         self._fitting_rasterizer(picture).draw(
             self._frame,
@@ -290,7 +298,7 @@ class GuiView:
             in_space.lights(2 if picture.has_surfaces else 1),
             style.unit(style.WORLD),
             meshes=meshes if keep else [*still.meshes, *meshes],
-            balls=self._balls(picture, position, shown),
+            balls=balls,
             lines=lines,
             floor=in_space.floor(picture.ground, camera),
             still=still if keep else None,
@@ -361,8 +369,8 @@ class GuiView:
         if picture.as_spheres is not None:
             shown = shown & picture.as_spheres
         centre, radius = position[shown], picture.radius[shown]
-        color = picture.color[shown] / 255
-        return Balls(*(np.ascontiguousarray(a, np.float32) for a in (centre, radius, color)))
+        centre = np.ascontiguousarray(centre, np.float32)
+        return Balls(centre, np.asarray(radius, np.float32), _floats(picture.color[shown]))
 
     def _scenery(self, camera: Camera, eye: np.ndarray) -> Lines:
         """The world's edges and axes, cut, so that a line stays one where its end is behind us."""
