@@ -129,4 +129,4 @@ def length_in_words(length: float, in_metres: bool) -> str:
     for unit, size in (("m", 1.0), ("cm", 1e-2), ("mm", 1e-3)):
         if length >= size:
             return f"{length / size:.2g} {unit}"
-    return f"{length / 1e-6:.2g} um"
+    return f"{float(f'{length / 1e-6:.2g}'):g} um"
