@@ -63,7 +63,7 @@ def events_of(scene, rng):
     if len(scene.springs) > 100:
         cut = rng.choice(len(scene.springs), 3, replace=False)
         yield 40, "cut", {"springs": sorted(int(s) for s in cut)}
-    yield 45, "pin", {"particles": [int(rng.choice(free))]}
+    yield 45, "pin", {"particle": [int(rng.choice(free))]}
 
 
 def write_log(path, sim, source, rng):
