@@ -59,10 +59,11 @@ ROOMS = {
     "comparison": {"console", "files", "scene", "settings", "trade"},
     "beside": {"comparison", "kernels", "scene", "settings", "simulation", "trade"},
     "error_meter": {"console", "measuring", "runtime", "scene", "simulation", "trade"},
+    "budgets": {"error_meter", "kernels", "limits", "runtime", "settings", "simulation"},
     "post_mortem": {"files", "kernels", "limits", "runtime", "scene", "settings", "simulation"},
     "benchmarks": {*BASE, "console", "measuring", "runtime", "simulation", "trade", "ui"},
-    "cli": {*BASE, "benchmarks", "beside", "comparison", "console", "error_meter", "limits"}
-    | {"measuring", "post_mortem", "runtime", "simulation", "ui"},
+    "cli": {*BASE, "benchmarks", "beside", "budgets", "comparison", "console", "error_meter"}
+    | {"limits", "measuring", "post_mortem", "runtime", "simulation", "ui"},
     "__main__": {"cli"},
 }
 

@@ -14,6 +14,7 @@ import numpy
 from taichi_cloth import runtime
 from taichi_cloth.cli import (
     run_beside,
+    run_budget,
     run_files,
     run_meter,
     run_notes,
@@ -47,7 +48,7 @@ def main(source: SceneSource, options: RunOptions) -> int:
 
     Everything that can be refused is refused before Taichi starts, and leaves no file.
     """
-    options = run_options.consistent(options)
+    options = run_budget.checked(run_options.consistent(options))
     run_beside.asked(options)
     if options.dt == "auto" and "substeps" in options.given:
         raise InputError("--substeps: --dt auto chooses them; give one of the two")
@@ -58,6 +59,8 @@ def main(source: SceneSource, options: RunOptions) -> int:
     from taichi_cloth.ui import interaction
 
     log = interaction.load(options.events) if options.events else None
+    if log and options.hold:
+        log = run_budget.without_its_steps(log)
     if log:
         options = run_options.as_recorded(options, log.header)
         if log.header.get("scene") == scene.name and log.header.get("arguments"):
@@ -136,6 +139,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
         run_files.kept(source, sim, device, files, beside.sim if beside else None),
         run_meter.measured(sim, options, waits=not view.visible) as errors,
         run_report.written(sim, options, source.words(), files.report),
+        run_budget.held(sim, options, errors, windowed=view.visible) as budget,
     ):
         summary = app.run(
             sim,
@@ -149,6 +153,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
             scenes=window.scenes,
             errors=errors,
             examiner=run_report.Examining(sim, source.words()),
+            budget=budget,
             **_of_frames(options, view),
         )
     if not options.quiet:
@@ -204,10 +209,13 @@ def _begun(scene: Scene, options: RunOptions, log: Log | None) -> Simulation:
     """
     from taichi_cloth.ui.opening import opens_window
 
-    if log is not None:
-        return _simulation(scene.with_world(tools=bool(log.header.get("tools", False))), options)
     ready = opens_window(options.view) and len(scene.particles) <= MOST_WITH_TOOLS
-    return _simulation(scene.with_world(tools=True) if ready else scene, options)
+    if log is not None:
+        ready = bool(log.header.get("tools", False))
+    sim = _simulation(scene.with_world(tools=True) if ready else scene, options)
+    if options.hold:
+        run_budget.begin_stable(sim)
+    return sim
 
 
 def _simulation(scene: Scene, options: RunOptions) -> Simulation:
@@ -216,7 +224,7 @@ def _simulation(scene: Scene, options: RunOptions) -> Simulation:
     return Simulation(
         scene,
         method=options.method,
-        dt=options.dt,
+        dt=None if options.hold and options.dt == "auto" else options.dt,
         substeps=options.substeps,
         execution=options.execution,
         topology=options.topology,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -83,6 +83,18 @@ class MeasuredErrors:
     def on(self) -> bool:
         """Whether it measures."""
         return self._meter is not None
+
+    @property
+    def verdicts(self) -> Sequence[Verdict]:
+        """What was measured since it was switched on."""
+        return self._meter.verdicts if self._meter else ()
+
+    def measure_orders(self) -> str:
+        """Measure the order of each second, too; why nothing can be measured, "": it can."""
+        if self._meter is None:
+            return "the error meter is off"
+        self._meter.orders = True
+        return self._meter.refused
 
     def switch(self) -> None:
         """Begin to measure, or end."""

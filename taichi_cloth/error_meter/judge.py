@@ -69,17 +69,23 @@ class Judge:
         self._folder = Path()
         # Between which particles springs broke: in the last run, and in the reference.
         self._broke = self._torn = np.zeros((0, 2), np.int64)
+        self._orders = False
 
-    def measure(self, folder: str, patience: float) -> dict[str, Any]:
+    def measure(self, folder: str, patience: float, order: bool = False) -> dict[str, Any]:
         """The verdict on the window in a folder, as a dictionary; the reference is put there, too.
 
         patience: seconds that the references may take, compiling left out; as many again are there
-        for what parts the error.
+        for what parts the error. order: whether the window's own order is measured, too.
         """
         self._folder = Path(folder)
         window, begin = self._read(self._folder / WINDOW), time.perf_counter()
         size = float(np.linalg.norm(window.start.snapshot.scene.world.size))
-        verdict = Verdict(window.first, window.frames, window.precision, size=size)
+        own = window.substeps[0] if len(set(window.substeps)) == 1 else 0
+        verdict = Verdict(
+            window.first, window.frames, window.precision, size=size, method=window.method,
+            own_substeps=own,
+        )  # fmt: skip
+        self._orders = order and own > 0
         try:
             verdict = self._verdict(window, verdict, patience)
         except TooSlow:
@@ -129,6 +135,8 @@ class Judge:
             other = run(substeps, _disturbed(window.start, MILLIONTH * scale))
             grown = errors.rms_by_frame(coarsest, other, free)
             verdict = replace(verdict, growth=_rate(grown) / window.stride)
+            if self._orders:
+                verdict = self._ordered(window, verdict, finest, free)
             verdict = self._parted(window, verdict, shown, free)
         return verdict
 
@@ -157,6 +165,24 @@ class Judge:
                 if apart <= AIM * error or apart <= reference.ENOUGH * scale:
                     break
         return finest, substeps, apart
+
+    def _ordered(
+        self, window: Window, verdict: Verdict, finest: errors.Samples, free: np.ndarray
+    ) -> Verdict:
+        """The verdict with the order that the window's own method shows in it.
+
+        Its settings are run in f64, and with twice as many substeps.
+        """
+        plan = _Plan(window.method, window.substeps, window.solver, window.start)
+        self._compile(window, plan, "its order")
+        twice = replace(plan, substeps=[2 * n for n in plan.substeps])
+        coarse, fine = (
+            errors.distance(self._run(window, one), finest, free).trajectory
+            for one in (plan, twice)
+        )
+        if not min(coarse, fine) > 0:
+            return verdict
+        return replace(verdict, order=math.log2(coarse / fine))
 
     def _parted(
         self, window: Window, verdict: Verdict, shown: errors.Samples, free: np.ndarray

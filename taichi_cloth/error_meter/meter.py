@@ -50,6 +50,7 @@ class ErrorMeter(Listener):
 
     sim: which it listens to until `close`. waits: whether the run waits for each window's verdict;
     else it goes on. tell: called with each verdict, in another thread unless it waits.
+    orders: whether the order of each window is measured, too.
     verdicts: all of them; recent: those since the run last went elsewhere, as by a reset.
     ghost: of the last verdict that knows an error, while the run is the one it is of.
     """
@@ -61,8 +62,9 @@ class ErrorMeter(Listener):
         waits: bool = False,
         tell: Callable[[Verdict], None] | None = None,
         patience: float | None = None,
+        orders: bool = False,
     ) -> None:
-        self._sim, self._waits, self._tell = sim, waits, tell
+        self._sim, self._waits, self._tell, self.orders = sim, waits, tell, orders
         self._patience = patience or (WAITING if waits else PATIENCE)
         self._folder = tempfile.TemporaryDirectory(prefix="taichi-cloth-error-")
         self._worker: Worker | None = None
@@ -200,7 +202,7 @@ class ErrorMeter(Listener):
             self._worker.ask(make=JUDGE, **{"as": "judge", "with": {"threads": threads}})
         window.write(folder / WINDOW, self._known)
         self._known = window.start.snapshot.scene
-        given = {"folder": str(folder), "patience": self._patience}
+        given = {"folder": str(folder), "patience": self._patience, "order": self.orders}
         answer = self._worker.ask(of="judge", do="measure", **{"with": given})
         verdict = Verdict(**answer["result"])
         return verdict, Ghost.read(folder / GHOST, window) if verdict.known else None

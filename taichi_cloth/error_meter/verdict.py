@@ -28,6 +28,8 @@ class Verdict:
     solver: how far the window's settings are from themselves with a solver that converged, in f64,
     None where there is no solver.
     rounding: how far what was shown is from the same in f64, None where that was f64.
+    method, own_substeps: the window's; 0 where it had several numbers of them. order: by which its
+    error falls with twice as many, None where nobody asked, or it cannot be told.
     growth: the rate at which a disturbance of a millionth grew [1 / frame], 0 where it did not.
     seconds: that it took. trouble: why there is no error, or why it is not sure; "": it is.
     """
@@ -45,6 +47,9 @@ class Verdict:
     growth: float = 0.0
     seconds: float = 0.0
     trouble: str = ""
+    method: str = ""
+    own_substeps: int = 0
+    order: float | None = None
 
     @property
     def known(self) -> bool:

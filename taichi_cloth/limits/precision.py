@@ -129,6 +129,17 @@ def _motion(
     )
 
 
+def most_substeps(scene: Scene, acceleration: np.ndarray, dt: float, precision: str) -> int:
+    """The most substeps of a frame whose motion a precision resolves, as `unresolved` has it.
+
+    acceleration: (n, dim), at the start. dt: time of a frame.
+    """
+    p = scene.particles
+    start = p.position, p.velocity, acceleration, p.fixed, dt
+    found = stall(*start, bits=_BITS[precision], sums="x")
+    return max(1, int(min(dt / (HALF_BITS * found.dt), 1e9))) if found.dt > 0 else 10**9
+
+
 # Binary digits of a coordinate or velocity.
 _BITS = {"f32": 24, "compensated": 47, "f64": 53}
 

@@ -235,6 +235,13 @@ class RunOptions(Options):
         "draw where finer steps would be as a ghost, its distance magnified; measures as "
         "--error-meter does",
     )
+    hold: str | None = setting(
+        None,
+        "choose the substeps while it runs: the most with which frames are in time (60fps, 12ms), "
+        "or the fewest with which each second's error is at most this (1%)",
+        str,
+        metavar="60fps|1%",
+    )
     text_size: float | None = setting(
         None,
         "size of the text in windows, pictures and films, in parts of the usual (default: 1; in a "

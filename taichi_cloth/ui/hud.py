@@ -137,12 +137,14 @@ def status_rows(
     tool: str | None = None,
     rates: Sequence[Word] = (),
     notice: str | None = None,
+    budget: Word | None = None,
 ) -> tuple[Row, ...]:
     """The status of the frame that `sim` is at: counts, time; then settings and backend.
 
     device: from `Device.describe()`. state: of a window, such as "playing"; None without one, whose
     pictures say nothing that may be otherwise in the next run of the same. tool: the one in hand.
     rates: how fast a window runs. notice: what is told in the place of the first row's words.
+    budget: what is held.
     """
     alive = len(sim.drawn_springs())
     broken = sim.spring_count - alive
@@ -152,6 +154,8 @@ def status_rows(
         Word(f"{counted(alive, 'spring')}, {broken} broken", style.INK, 4),
     )
     settings = _settings(sim, device, windowed=state is not None)
+    if budget is not None:
+        settings = (settings[0], budget, *settings[1:])
     if state is None:
         first = Row((Word(sim.scene.name, style.INK), *counts), (*names,))
         return first, Row(settings)

@@ -89,6 +89,7 @@ class Loop:
 
     def turn(self) -> None:
         """Events, at most one frame, draw, and the wait until the next frame is due."""
+        began = time.perf_counter()
         self._entitle()
         self._take_events()
         if self.ended:
@@ -109,6 +110,9 @@ class Loop:
         self._draw += draw
         if advanced:
             self._note_cost(simulate, draw)
+            if self._request.budget:
+                rest = time.perf_counter() - began - simulate
+                self._request.budget.after_frame(simulate, rest)
         if seen:
             self.sim.prepare_click()
             self._schedule.wait(self.state.stopped)
@@ -162,6 +166,8 @@ class Loop:
             if state.replaying and self._travel.away:
                 state.frames = self._travel.go(self._travel.timeline.frames.stop - 1)
             self._travel.go_on()
+        if request.budget:
+            request.budget.before_frame(self._controls.set)
         self._controls.before_frame(replayed=state.replaying)
         if self._shown.chrome.is_open("meters"):
             self._shown.meters.before_frame()

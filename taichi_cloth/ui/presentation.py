@@ -65,7 +65,7 @@ class Presentation:
     ) -> None:
         self._sim, self._view, self._state, self._takes = sim, view, state, takes
         self._controls, self._window = controls, window
-        self._saves = request.trajectory is not None
+        self._saves, self._budget = request.trajectory is not None, request.budget
         self.depiction = Depiction(sim, request.show, request.errors)
         self.meter = hud.Meter()
         device = request.device or runtime.current_device().describe()
@@ -82,7 +82,7 @@ class Presentation:
             from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
 
             self.costs = RunningCosts()
-            self.settings = SettingsPanel(sim, controls, self.costs, request.scenes)
+            self.settings = SettingsPanel(sim, controls, self.costs, request.scenes, request.budget)
             parts.insert(0, self.settings)
             parts.append(self.why)
         opened = request.scenes.beside
@@ -190,6 +190,7 @@ class Presentation:
             tool=tool.name if tool else None,
             notice=self._controls.notice,
             urgent=shutter.notice,
+            budget=self._budget.status() if self._budget else None,
             in_view=self._in_view,
         )
         return Contents(rows, self._buttons, keys, banner)

@@ -47,6 +47,7 @@ class Status:
         tool: str | None,
         notice: str | None,
         urgent: str | None = None,
+        budget: Word | None = None,
         in_view: Callable[[], bool] | None = None,
     ) -> tuple[Row, ...]:
         """The status of the frame that `sim` is at.
@@ -54,7 +55,7 @@ class Status:
         now: seconds, of a clock that without a window goes with the frames, so that the same run
         has the same pictures. state: of a window, in a word; None without one. moving: whether
         frames come, at full speed. tool: the one in hand. notice: what was last told. urgent: what
-        is told before. in_view: says whether any particle is.
+        is told before. budget: what is held. in_view: says whether any particle is.
         """
         if notice != self._notice:
             self._notice, self._notice_until = notice, now + NOTICE_SECONDS
@@ -74,5 +75,6 @@ class Status:
             state=state,
             tool=tool,
             rates=self._rates,
+            budget=budget,
             notice=urgent or told,
         )

@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taichi_cloth.errors import InputError
 from taichi_cloth.simulation import live
 from taichi_cloth.simulation.engine import compiles_in_background
 from taichi_cloth.simulation.setting_costs import SettingCosts
 from taichi_cloth.ui import style, text
 from taichi_cloth.ui.chrome import settings_rows as rows
+from taichi_cloth.ui.chrome.budget import HOLD, OFF, Budget
 from taichi_cloth.ui.chrome.contract import COLUMN
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.chrome.settings_rows import OPEN, Placed, Row
@@ -40,8 +42,10 @@ NOTCH = 0.02  # of a slider's length that an arrow key moves
 TYPED = frozenset(string.digits + ".-e")
 CHANGING = frozenset({"left", "right", "return", "delete", "backspace"})
 SCENE, METHOD = "scene", "method"  # rows that unfold
+UNFOLDING = (SCENE, METHOD, HOLD)
 MOST_BLOCKS = 500  # pictures of rows that are kept
 FOOT = 4  # lines of the foot at least
+NOTHING_HELD = "nothing is held: click, and choose"
 HINT = "click a setting; twice: the scene's own value; ~ is predicted, ? unknown"
 
 
@@ -49,15 +53,21 @@ class SettingsPanel:
     """The panel; what it sets goes through the controls, which log it.
 
     sim: whose settings. frames: what its frames took. scenes: what the window may go on with.
+    budget: what the run may be kept to; None: nothing.
     given: what was set since the last `flush`, by name; of several values the last one counts.
     """
 
     name, label, key, place = "settings", "settings", "o", COLUMN
 
     def __init__(
-        self, sim: Simulation, controls: Controls, frames: RunningCosts, scenes: Scenes
+        self,
+        sim: Simulation,
+        controls: Controls,
+        frames: RunningCosts,
+        scenes: Scenes,
+        budget: Budget | None = None,
     ) -> None:
-        self._sim, self._controls, self._scenes = sim, controls, scenes
+        self._sim, self._controls, self._scenes, self._budget = sim, controls, scenes, budget
         self._costs = SettingCosts(sim, frames)
         self._rows: list[Placed] = []
         self._read_at, self._shape = -np.inf, (0, 0)
@@ -113,6 +123,7 @@ class SettingsPanel:
     def _found(self) -> Iterator[Row]:
         """The rows as they are now."""
         yield from self._of_scene()
+        yield from self._of_budget()
         group = ""
         for one, value in self._settings():
             if one.group != group:
@@ -142,10 +153,22 @@ class SettingsPanel:
                 changed=name == here, button=button,
             )  # fmt: skip
 
+    def _of_budget(self) -> Iterator[Row]:
+        budget = self._budget
+        if budget is None:
+            return
+        yield Row(
+            HOLD, HOLD, rows.marked(budget.chosen), fixed=bool(budget.fixed),
+            changed=budget.chosen != OFF,
+        )  # fmt: skip
+        for word in budget.words if self._unfolded == HOLD else ():
+            now = word == budget.chosen
+            yield Row(f"{HOLD}:{word}", word, "now" if now else "", option=word, changed=now)
+
     def _note(self) -> tuple[str, str]:
         """What is said at the foot: what the chosen row is and costs, or what was refused."""
         row, notice = self._row(self._chosen), self._controls.notice
-        key = (row, notice, self._costs.looks)
+        key = (row, notice, self._costs.looks, self._budget.why if self._budget else "")
         if self._noted is None or self._noted[0] != key:
             first, second = self._said(row) if row else (self._costs.frame, HINT)
             self._noted = key, (first, notice or second)
@@ -153,6 +176,8 @@ class SettingsPanel:
 
     def _said(self, row: Row) -> tuple[str, str]:
         one, about = row.setting, self._scenes.about
+        if self._budget and row.name.partition(":")[0] == HOLD:
+            return self._budget.fixed or self._budget.why or NOTHING_HELD, self._budget.about
         if row.name == SCENE:
             return self._scenes.fixed or "click, choose one, open it", about.get(
                 self._sim.scene.name, ""
@@ -246,11 +271,11 @@ class SettingsPanel:
         self._choose(row.name)
         one = row.setting
         if row.option:
-            if one is not None or before == row.name:
+            if one is not None or before == row.name or row.name.startswith(HOLD):
                 self._take_option(row)
         elif twice and one is not None:
             self._set(one, one.own)
-        elif row.name in (SCENE, METHOD):
+        elif row.name in UNFOLDING:
             self._unfold("" if self._unfolded == row.name else row.name)
         elif one is not None and rows.is_on_slider(placed, y - placed.top, height):
             self._dragged = row.name
@@ -269,7 +294,7 @@ class SettingsPanel:
         row = self._row(self._chosen)
         if row is None or key in ("escape", "up", "down"):
             return True
-        if row.option or row.name == SCENE:
+        if row.option or row.name in (SCENE, HOLD):
             return key in ("left", "right", "return")
         if row.setting is None:
             return False
@@ -286,7 +311,7 @@ class SettingsPanel:
             step = 1 if key == "down" else -1
             self._choose(names[(names.index(row.name) + step) % len(names)])
             self._show(rect)
-        elif row.option or row.name == SCENE:
+        elif row.option or row.name in (SCENE, HOLD):
             self._key_of_choice(key, row)
             self._show(rect)
         elif row.setting is not None:
@@ -343,8 +368,22 @@ class SettingsPanel:
         """Set a choice to one of its words, or ask for that scene."""
         if row.setting is not None:
             self._set(row.setting, row.option)
+        elif self._budget and row.name.startswith(HOLD):
+            self._hold(row.option)
         elif row.option != self._sim.scene.name:
             self._wanted = row.option
+
+    def _hold(self, word: str) -> None:
+        """Keep the run to another budget, or tell why not."""
+        assert self._budget is not None
+        self._unfold("")
+        self._choose(HOLD)
+        self._controls.tell(None)
+        try:
+            self._budget.choose(word)
+        except InputError as error:
+            self._controls.tell(str(error))
+        self._read_at = -np.inf
 
     def _set(self, one: Setting, value: Value) -> None:
         """Give a setting a value before the next frame, if that is another one."""
@@ -363,6 +402,9 @@ class SettingsPanel:
         self._controls.tell(None)
         for name, value in given.items():
             self._controls.set(name, value)
+            if self._budget and name == "substeps" and self._budget.chosen != OFF:
+                self._budget.by_hand()
+                self._controls.tell("nothing is held any more: the substeps were set")
         self._costs.hurry()
         self._read_at = -np.inf
 
@@ -384,7 +426,8 @@ class SettingsPanel:
 
     def _unfold(self, name: str) -> None:
         """List the words of a choice, in the place of those of another one; "": of none."""
-        if name != SCENE or not self._scenes.fixed:
+        fixed = {SCENE: self._scenes.fixed, HOLD: self._budget.fixed if self._budget else ""}
+        if not fixed.get(name):
             self._unfolded, self._read_at = name, -np.inf
             self._read(*self._shape)
 

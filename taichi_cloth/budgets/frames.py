@@ -1,0 +1,189 @@
+"""A frame's time as a budget: the most substeps with which frames are in time.
+
+A frame's work is a + b substeps to simulate, and what does not depend on these: drawing, events. Of
+each of the last frames it is told what it would have taken with other substeps, so what is chosen
+is that with which as many as are wanted would have been in time. Frames that would have been late
+with the fewest substeps, too, are none of the scene's (a busy machine's, or drawing's) and do not
+count, unless they are most of them.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_cloth.budgets.choice import RUNGS, Choice, Limits, steps_in_words
+
+LATELY = 120  # frames that are looked at
+WARM = 3  # frames after a change, which compile or fill caches, and say nothing
+FEW, ENOUGH = 20, 90  # frames with the present substeps before there may be fewer, or more
+AT_FIRST = 40  # before there may be more for the first times
+IN_TIME = 0.97  # of the frames, with what is chosen; and with what is kept:
+KEPT = 0.955
+DOWN, UP = 0.92, 0.80  # of the time: what is aimed at where there have to be fewer, or may be more
+RELEASED = 600  # frames for which what was too much is not tried again; each time twice as many
+MOST_RELEASED = 32 * RELEASED
+FORGOTTEN = 1800  # frames after which a time with other substeps says nothing any more
+STEEPEST = 2.0  # times: at most so many more substeps at once, while the law is a guess
+FLATTEST = 0.2  # of what a step takes on average: the least that another one may
+NEAR = 9  # frames, of which the median is what is usual now
+MOST_OWN = 1.5  # times what is usual now: what is above held a frame up, whatever its substeps
+TYPICAL = 25.0  # percentile of the times of a scene with some substeps: others are the machine's
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What a frame took, seconds. rest: all but to simulate."""
+
+    substeps: int
+    simulate: float
+    rest: float
+
+    @property
+    def whole(self) -> float:
+        """All of it."""
+        return self.simulate + self.rest
+
+
+class FrameTimes:
+    """What the last frames took, and what they would with other substeps.
+
+    budget: seconds of a frame.
+    """
+
+    def __init__(self, budget: float) -> None:
+        self.budget = budget
+        self._frames: deque[Frame] = deque(maxlen=LATELY)
+        self._levels: dict[int, tuple[float, int]] = {}  # typical seconds, and at which frame
+        self._count = self._since = 0  # frames in all, and with the present substeps
+        self._present = 0
+        self._changes = 0
+        self._too_many: dict[int, tuple[int, int]] = {}  # until which frame; for how many frames
+
+    def note(self, frame: Frame) -> None:
+        """A frame was made."""
+        self._count += 1
+        if frame.substeps != self._present:
+            self._present, self._since = frame.substeps, 0
+            self._changes += 1
+        self._since += 1
+        if self._since <= WARM:
+            return
+        self._frames.append(frame)
+        if self._since % 10 == 0 or self._since == FEW:
+            lately = [f.simulate for f in self._frames if f.substeps == self._present]
+            self._levels[self._present] = float(np.percentile(lately, TYPICAL)), self._count
+
+    @property
+    def slope(self) -> tuple[float, bool]:
+        """b in parts of what the average step takes, and whether it was measured."""
+        here = self._levels.get(self._present)
+        others = [
+            (n, seconds)
+            for n, (seconds, when) in self._levels.items()
+            if n != self._present and self._count - when < FORGOTTEN
+        ]
+        if here is None or here[0] <= 0 or not others:
+            return 1.0, False
+        n, seconds = min(others, key=lambda level: abs(np.log(level[0] / self._present)))
+        b = (here[0] - seconds) / (self._present - n) / (here[0] / self._present)
+        return float(np.clip(b, FLATTEST, 1.0)), True
+
+    def would_take(self, substeps: int) -> np.ndarray:
+        """What the last frames would have taken with other substeps, seconds (k,)."""
+        simulate = np.array([f.simulate for f in self._frames])
+        rest = np.array([f.rest for f in self._frames])
+        had = np.array([f.substeps for f in self._frames], float)
+        slope, _ = self.slope
+        offset = (1 / slope - 1) * self._present  # a / b, in substeps
+        each = simulate / (offset + had)
+        own = np.minimum(each, MOST_OWN * _local(each))
+        taken: np.ndarray = own * (offset + substeps) + (each - own) * (offset + had) + rest
+        return taken
+
+    def most_within(self) -> int | None:
+        """The most substeps with which frames are in time; None: nothing is measured."""
+        if len(self._frames) < FEW:
+            return None
+        fits = [n for n in RUNGS if self.in_time(n, 1) >= IN_TIME]
+        return fits[-1] if fits else 1
+
+    def in_time(self, substeps: int, least: int, part: float = 1.0) -> float:
+        """The part of the scene's own frames that would have taken at most so much of the time."""
+        own = self.would_take(least) <= self.budget
+        if own.mean() < 0.5:
+            own[:] = True
+        return float((self.would_take(substeps)[own] <= part * self.budget).mean())
+
+    def choose(self, now: int, limits: Limits) -> Choice:
+        """The substeps of the next frame, where those of the last were `now`."""
+        rungs, least = limits.rungs(), limits.least
+        chosen = min(max(now, least), max(limits.most, least))
+        if now == chosen and now == self._present and self._since >= FEW + WARM:
+            if self.in_time(now, least) < KEPT:
+                chosen = self._fewer(now, [n for n in rungs if n < now], least)
+            elif self._since >= (AT_FIRST if self._changes <= 4 else ENOUGH) + WARM:
+                chosen = self._more(now, [n for n in rungs if n > now], least)
+        return self._said(chosen, limits)
+
+    def _fewer(self, now: int, rungs: list[int], least: int) -> int:
+        """As many of the rungs below as would do."""
+        if not rungs:
+            return now
+        _, lasted = self._too_many.get(now, (0, RELEASED // 2))
+        lasts = min(2 * lasted, MOST_RELEASED)
+        self._too_many[now] = self._count + lasts, lasts
+        fit = [n for n in rungs if self.in_time(n, least, DOWN) >= IN_TIME]
+        return fit[-1] if fit else rungs[0]
+
+    def _more(self, now: int, rungs: list[int], least: int) -> int:
+        """As many of the rungs above as have room, of which none was too much a short while ago."""
+        chosen, measured = now, self.slope[1]
+        for n in rungs:
+            far = not measured and n > STEEPEST * now
+            if self._barred(n) or far or self.in_time(n, least, UP) < IN_TIME:
+                break
+            chosen = n
+        return chosen
+
+    def _said(self, chosen: int, limits: Limits) -> Choice:
+        steps = steps_in_words(chosen)
+        of = f"of {1e3 * self.budget:.3g} ms"
+        if len(self._frames) < FEW:
+            return Choice(chosen, f"{steps}: nothing measured yet", "measuring")
+        takes = f"{self._milliseconds(chosen):.2g}"
+        if chosen == limits.least and self.in_time(chosen, chosen) < KEPT:
+            rest = 1e3 * float(np.median([f.rest for f in self._frames]))
+            way = "fewer are not stable" if chosen > 1 else "there are no fewer"
+            if rest > 1e3 * self.budget / 2:
+                way = f"drawing takes {rest:.2g}"
+            why = f"{steps}: {takes} ms {of}, more than there is: {way}"
+            return Choice(chosen, why, f"{takes} {of}", met=False)
+        finer = next((n for n in limits.rungs() if n > chosen), None)
+        why = f"{steps}: {takes} ms {of}"
+        if finer is None:
+            why += f"; no more: {limits.why_most}"
+        else:
+            late = ", and was too much a while ago" if self._barred(finer) else ""
+            why += f"; next finer, {finer}, would take {self._milliseconds(finer):.2g}{late}"
+        return Choice(chosen, why, f"{takes} {of}")
+
+    def _milliseconds(self, substeps: int) -> float:
+        """What all frames but the slowest would take with so many substeps."""
+        return 1e3 * float(np.percentile(self.would_take(substeps), 100 * IN_TIME))
+
+    def _barred(self, n: int) -> bool:
+        """Whether so many substeps were too much a short while ago."""
+        return any(n >= m and until > self._count for m, (until, _) in self._too_many.items())
+
+
+def _local(values: np.ndarray) -> np.ndarray:
+    """The median of each value (k,) and those just before it."""
+    if len(values) == 0:
+        return values
+    padded = np.pad(values, (NEAR - 1, 0), mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, NEAR)
+    median: np.ndarray = np.median(windows, axis=1)
+    return median

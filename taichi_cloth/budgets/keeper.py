@@ -1,0 +1,172 @@
+"""Keeps a simulation to a goal: what it measures, the limits of its steps, and what it chooses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from taichi_cloth.budgets.choice import RUNGS, Choice, Limits
+from taichi_cloth.budgets.frames import Frame, FrameTimes
+from taichi_cloth.budgets.goal import Goal
+from taichi_cloth.budgets.seconds import Second, SecondErrors
+from taichi_cloth.errors import InputError
+from taichi_cloth.kernels import methods
+from taichi_cloth.kernels.forces import act_on_triangles as acts_by_speed
+from taichi_cloth.limits.auto_step import SubstepController
+from taichi_cloth.limits.precision import most_substeps
+from taichi_cloth.runtime import current_device
+from taichi_cloth.simulation.diagnostics import acceleration_at_start
+
+if TYPE_CHECKING:
+    from taichi_cloth.error_meter.verdict import Verdict
+    from taichi_cloth.simulation.simulation import Simulation
+
+LOOK = 15  # frames between looks at what is broken
+OFTEN = 5  # frames between choices by time
+MOVED = 60  # frames after which a limit that depends on speeds is found anew
+LONGEST = 0.1  # seconds of a frame: no error is worth slower ones
+
+
+class Keeper:
+    """Chooses a simulation's substeps for a goal, before each frame.
+
+    It is told what frames took, and which seconds were measured; what it chooses follows from that.
+    """
+
+    def __init__(self, sim: Simulation, goal: Goal) -> None:
+        self.goal, self._sim = goal, sim
+        self._stable = StableSteps(sim)
+        self._resolved = self._stable.resolved()
+        self._verdicts = 0  # that were looked at
+        self._broken: list[tuple[int, int]] = []  # (frame, springs broken), at some of the last
+        self.choice: Choice | None = None
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin to measure: at the start, and where the method is another one."""
+        self._method, self._due = self._sim.method, True
+        self._times = FrameTimes(self.goal.seconds or LONGEST)
+        self._errors = SecondErrors(self.goal.error or 1.0, self._sim.claims.order)
+
+    def frame(self, simulate: float, rest: float) -> None:
+        """A frame was made: seconds to simulate it, and for all else but waiting."""
+        self._times.note(Frame(self._sim.substeps, simulate, rest))
+
+    def choose(self, verdicts: Sequence[Verdict]) -> Choice:
+        """The substeps of the next frame; verdicts: all of the error meter's, if there is one."""
+        if self._sim.method != self._method:
+            self._begin()
+        self._look()
+        for verdict in verdicts[self._verdicts :]:
+            self._note(verdict)
+        self._verdicts = len(verdicts)
+        now = self._sim.substeps
+        known = self.choice is not None and self.choice.substeps == now
+        changed = self._stable.changed()
+        by_time = self.goal.seconds is not None
+        due = self._due or changed or (by_time and self._sim.frame % OFTEN == 0)
+        if self.choice is not None and known and not due:
+            return self.choice
+        self._due = False
+        self.choice = (self._times if by_time else self._errors).choose(now, self._limits())
+        return self.choice
+
+    def _look(self) -> None:
+        """See whether springs broke."""
+        frame = self._sim.frame
+        if frame % LOOK == 0 and (not self._broken or self._broken[-1][0] != frame):
+            broken = self._sim.storage.count_broken()
+            if self._broken and broken > self._broken[-1][1]:
+                self._errors.tear()
+                self._due = True
+            self._broken = [*self._broken[-200:], (frame, broken)]
+
+    def _note(self, verdict: Verdict) -> None:
+        """Take a verdict for what it says of the present method."""
+        if verdict.resting or verdict.method != self._sim.method:
+            return
+        first, end = verdict.first, verdict.first + verdict.frames
+        within = [count for frame, count in self._broken if first - LOOK <= frame <= end + LOOK]
+        scale = verdict.scale if verdict.known else 1.0
+        self._errors.note(
+            Second(
+                verdict.own_substeps,
+                verdict.relative if verdict.known else 0.0,
+                (verdict.rounding or 0.0) / scale,
+                verdict.order,
+                verdict.trouble or ("" if verdict.known else "nothing was measured"),
+            ),
+            torn=bool(within) and max(within) > min(within),
+        )
+        self._due = True
+
+    def _limits(self) -> Limits:
+        least, most, why = self._stable.least(), RUNGS[-1], "there are no more"
+        resolved = self._resolved
+        if resolved < most:
+            most, why = resolved, f"{current_device().precision} does not follow smaller steps"
+        if self.goal.seconds is not None:
+            best = self._errors.best()
+            if best is not None and best < most:
+                most, why = (
+                    max(1, round(best)),
+                    "with more, rounding would be above the error of the steps",
+                )
+        else:
+            fits = self._times.most_within()
+            if fits is not None and fits < most:
+                most, why = fits, f"frames would take more than {1e3 * LONGEST:g} ms"
+        return Limits(least, max(most, least), why)
+
+
+class StableSteps:
+    """Between which substeps a simulation's steps are stable, and followed by its precision."""
+
+    def __init__(self, sim: Simulation) -> None:
+        self._sim = sim
+        self._of: tuple[object, ...] | None = None
+        self._mass, self._fixed = np.zeros(0), np.zeros(0, bool)
+        self._least, self._frame = 1, 0
+
+    def _now(self) -> tuple[object, ...]:
+        """What the limit depends on, beside masses and what is fixed: what breaks widens it."""
+        sim, scene = self._sim, self._sim.storage.scene
+        return sim.method, sim.dt, id(scene.springs), id(scene.stencils), str(scene.world.more)
+
+    def changed(self) -> bool:
+        """Whether the limit may be tighter than it was.
+
+        What is held weighs as much more as its step needs, and is as it was when it is let go.
+        """
+        sim = self._sim
+        if self._of is None or self._now() != self._of:
+            return True
+        if acts_by_speed(sim.storage.scene) and sim.frame >= self._frame + MOVED:
+            return True
+        particles = sim.storage.scene.particles
+        if particles.mass is self._mass or sim.held() is not None:
+            return False
+        lighter = len(particles) != len(self._mass) or (particles.mass < self._mass).any()
+        return bool(lighter or (self._fixed & ~particles.fixed).any())
+
+    def least(self) -> int:
+        """The fewest substeps that are stable, as `--dt auto` finds them."""
+        if self.changed():
+            sim, scene = self._sim, self._sim.storage.scene
+            self._of, self._frame = self._now(), sim.frame
+            self._mass, self._fixed = scene.particles.mass, scene.particles.fixed
+            controller = SubstepController(sim.method, methods.load(sim.method), sim.dt)
+            moving = acts_by_speed(scene)
+            try:
+                choose = controller.choose_in_motion if moving else controller.choose
+                self._least = choose(sim.network())
+            except InputError:  # no step is stable: what there is is kept
+                self._least = sim.substeps
+        return self._least
+
+    def resolved(self) -> int:
+        """The most substeps whose motion the precision follows."""
+        scene, precision = self._sim.scene, current_device().precision
+        return most_substeps(scene, acceleration_at_start(scene), self._sim.dt, precision)

@@ -1,0 +1,173 @@
+"""The error of each second as a budget: the fewest substeps with which it is small enough.
+
+Each second that was measured says how many substeps it would have taken, by e ~ h^p: p is the order
+that was measured in that second where finer steps are asked for, and at least the method's claim
+where coarser ones are, so that what is not known makes steps finer. What is chosen is enough for
+the worst of the last seconds, with a margin: a second to come may be worse.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_cloth.budgets.choice import Choice, Limits, steps_in_words
+
+LATELY = 16  # seconds that are looked at
+MARGIN = 0.6  # of the error that is wanted: what is aimed at
+FIRST = 8  # times the fewest: until a second was measured
+UNSEEN = 2  # times as many while springs tear, until a second was measured in which they do
+FARTHEST = 4.0  # times: by how much a single second may ask for more
+LOWEST, HELPLESS = (
+    0.5,
+    0.25,
+)  # orders: what is counted on at least; below which finer steps don't help
+PATIENCE = 4  # seconds with as many substeps before there may be fewer, at least half
+UNSURE = 3  # seconds in a row without a sure error: then there is none to keep to
+
+
+@dataclass(frozen=True)
+class Second:
+    """What was measured of a second (or less).
+
+    substeps: that it had. error: in parts of its motion; rounding: what rounding made of it. order:
+    that its own method has shown in it; None: unknown. trouble: why it is not sure; "": it is.
+    """
+
+    substeps: int
+    error: float
+    rounding: float = 0.0
+    order: float | None = None
+    trouble: str = ""
+
+
+class SecondErrors:
+    """The errors of the last seconds, and what they would be with other substeps.
+
+    goal: the error that each may have. claimed: the order of the method.
+    """
+
+    def __init__(self, goal: float, claimed: int) -> None:
+        self.goal, self.claimed = goal, claimed
+        self._lately: deque[Second] = deque(maxlen=LATELY)
+        self._since = 0  # seconds with the present substeps
+        self._alarm = self._torn = False
+
+    def note(self, second: Second, torn: bool) -> None:
+        """A second was measured; torn: whether springs broke in it."""
+        before = self._lately[-1].substeps if self._lately else 0
+        self._since = self._since + 1 if second.substeps == before else 1
+        self._lately.append(second)
+        if torn:
+            self._torn, self._alarm = True, False
+
+    def tear(self) -> None:
+        """Springs break: which no second may have shown yet."""
+        self._alarm = not self._torn
+
+    @property
+    def sure(self) -> list[Second]:
+        """Those whose errors are known."""
+        return [second for second in self._lately if not second.trouble]
+
+    def would_be(self, second: Second, substeps: float) -> float:
+        """The error of a second with other substeps, on the safe side."""
+        ratio = second.substeps / substeps
+        steps = max(second.error - second.rounding, 0.0)
+        by: float = ratio ** self._order(second, ratio > 1)
+        return float(steps * by + second.rounding)
+
+    def _order(self, second: Second, coarser: bool) -> float:
+        measured = 1.0 if second.order is None else second.order
+        if coarser:
+            return max(measured, float(self.claimed))
+        return min(max(measured, LOWEST), float(self.claimed))
+
+    def needs(self, second: Second) -> float:
+        """The substeps that a second would have taken, for what is aimed at."""
+        n, aim = second.substeps, MARGIN * self.goal - second.rounding
+        steps = second.error - second.rounding
+        if steps <= 0 or aim <= 0:
+            return n
+        ratio = steps / aim
+        if ratio > 1 and second.order is not None and second.order < HELPLESS:
+            return n
+        more: float = ratio ** (1 / self._order(second, ratio < 1))
+        return n * min(more, FARTHEST)
+
+    def best(self) -> float | None:
+        """The substeps with which steps and rounding together are wrong by least; None: unknown.
+
+        The error of steps falls by h^p, that of rounding grows as the root of their number.
+        """
+        found = []
+        for second in self.sure:
+            steps = second.error - second.rounding
+            p = self._order(second, False)
+            if second.rounding > 0 and steps > 0:
+                ratio = p * steps / (0.5 * second.rounding)
+                found.append(second.substeps * ratio ** (1 / (p + 0.5)))
+        return float(np.median(found)) if found else None
+
+    def choose(self, now: int, limits: Limits) -> Choice:
+        """The substeps from now on, where there are `now` as many."""
+        sure, goal = self.sure, f"{100 * self.goal:g} %"
+        if not sure:
+            if len(self._lately) >= UNSURE:
+                return self._undefined(now, limits)
+            first = limits.at_least(max(FIRST * limits.least, now if self._lately else 0))
+            chosen = first or limits.rungs()[-1]
+            return Choice(
+                chosen, f"{steps_in_words(chosen)} until a second is measured", "measuring"
+            )
+        if len(self._lately) >= UNSURE and all(s.trouble for s in list(self._lately)[-UNSURE:]):
+            return self._undefined(now, limits)
+        needed = max(map(self.needs, sure)) * (UNSEEN if self._alarm else 1)
+        wanted = limits.at_least(needed) or limits.rungs()[-1]
+        floor = now
+        if self._since >= PATIENCE and not self._lately[-1].trouble:
+            floor = limits.at_least(now / 2) or now
+        chosen = max(wanted, min(floor, limits.rungs()[-1]), limits.least)
+        return self._said(chosen, limits, goal)
+
+    def _undefined(self, now: int, limits: Limits) -> Choice:
+        chosen = limits.at_least(now) or limits.rungs()[-1]
+        trouble = self._lately[-1].trouble
+        why = f"{steps_in_words(chosen)}: no error to keep to: {trouble}"
+        return Choice(chosen, why, "error not known", met=False)
+
+    def _said(self, chosen: int, limits: Limits, goal: str) -> Choice:
+        sure, steps = self.sure, steps_in_words(chosen)
+        worst = max(self.would_be(second, chosen) for second in sure)
+        seconds = "the second" if len(sure) == 1 else f"{len(sure)} seconds"
+        why = f"{steps}: at most {_percent(worst)} in {seconds} measured"
+        short = f"{_percent(worst)} of {goal}"
+        rounding = max(second.rounding for second in sure)
+        if rounding > MARGIN * self.goal:
+            why = f"{steps}: rounding alone makes {_percent(rounding)}; use --precision f64"
+            return Choice(chosen, why, short, met=False)
+        if worst > self.goal:
+            helpless = any(s.error > self.goal and self.needs(s) <= s.substeps for s in sure)
+            way = "finer steps bring it no nearer: chance decides what touches or breaks"
+            if not helpless:
+                way = limits.why_most
+            return Choice(chosen, f"{why}, above {goal}: {way}", short, met=False)
+        cheaper = [n for n in limits.rungs() if n < chosen]
+        if self._alarm:
+            why += f"; {UNSEEN} times as many while springs tear, which none of them shows"
+        elif not cheaper:
+            why += "; fewer are not stable" if limits.least > 1 else "; there are no fewer"
+        else:
+            other = max(self.would_be(second, cheaper[-1]) for second in sure)
+            beyond = other > MARGIN * self.goal
+            aimed = (
+                f", and {_percent(MARGIN * self.goal)} is aimed at" if beyond else ", tried next"
+            )
+            why += f"; next cheaper, {cheaper[-1]}, would make {_percent(other)}{aimed}"
+        return Choice(chosen, why, short)
+
+
+def _percent(part: float) -> str:
+    return f"{100 * part:.2g} %"

@@ -1,0 +1,183 @@
+"""Budgets of ``taichi-cloth run``: `--hold`, and the row of the panel that chooses one."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from taichi_cloth.budgets import goal as goals
+from taichi_cloth.cli.run_meter import MeasuredErrors
+from taichi_cloth.errors import InputError
+from taichi_cloth.settings.options import RunOptions
+from taichi_cloth.ui import style
+from taichi_cloth.ui.chrome.budget import OFF
+from taichi_cloth.ui.text import Word
+
+if TYPE_CHECKING:
+    from taichi_cloth.budgets.keeper import Keeper
+    from taichi_cloth.simulation.live import Value
+    from taichi_cloth.simulation.simulation import Simulation
+    from taichi_cloth.ui.interaction import Log
+
+UNSEEN = (
+    "--hold {}: a headless run has no frames to be in time for; hold an error, such as 1%, or open "
+    "a window"
+)
+USUAL = ("60fps", "30fps", "1%", "0.1%")  # what the panel offers
+
+
+class HeldBudget:
+    """What a run is kept to, nothing at first: for the command line, and for a window's panel.
+
+    errors: of the same run; an error is held by them, so they are switched on for one. windowed:
+    whether frames are drawn, in whose time there is a sense. told: whether changes are printed.
+    """
+
+    about = "keeps to frames a second, or to an error of each second, by the substeps"
+
+    def __init__(
+        self, sim: Simulation, errors: MeasuredErrors, *, windowed: bool, told: bool
+    ) -> None:
+        self._sim, self._errors = sim, errors
+        self._windowed, self._told = windowed, told
+        self._keeper: Keeper | None = None
+        self._frames = self._in_time = 0
+        self._substeps: list[int] = []
+        self.chosen = OFF
+        self.fixed = "--dt auto chooses the substeps" if sim.follows else ""
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """What may be chosen; what was asked for in other words is one of them."""
+        more = () if self.chosen in (OFF, *USUAL) else (self.chosen,)
+        return (OFF, *USUAL, *more)
+
+    @property
+    def why(self) -> str:
+        """What it chose last, and why."""
+        choice = self._keeper.choice if self._keeper else None
+        return f"{self._sim.method}, {choice.why}" if choice else ""
+
+    def status(self) -> Word | None:
+        """What the status says of it."""
+        if self._keeper is None:
+            return None
+        choice = self._keeper.choice
+        said = f"hold {self.chosen}" + (f": {choice.short}" if choice else "")
+        return Word(said, style.GOOD if choice is None or choice.met else style.WARN, 1)
+
+    def choose(self, word: str) -> None:
+        """Hold something else from now on."""
+        if word == OFF:
+            self._keeper, self.chosen = None, OFF
+            return
+        from taichi_cloth.budgets.keeper import Keeper
+
+        goal = goals.read(word, "hold")
+        if self.fixed:
+            raise InputError(f"hold: {self.fixed}")
+        if goal.seconds is not None and not self._windowed:
+            raise InputError(UNSEEN.format(word))
+        if goal.error is not None:
+            self._measure(word)
+        self._keeper, self.chosen = Keeper(self._sim, goal), goal.words
+
+    def _measure(self, word: str) -> None:
+        """Have errors measured."""
+        if not self._errors.on:
+            self._errors.switch()
+        refused = self._errors.measure_orders()
+        if refused:
+            raise InputError(f"--hold {word}: the error cannot be measured: {refused}")
+
+    def by_hand(self) -> None:
+        """The user set the substeps: hold nothing any more."""
+        self._keeper, self.chosen = None, OFF
+
+    def before_frame(self, give: Callable[[str, Value], None]) -> None:
+        """Choose for the next frame."""
+        if self._keeper is None:
+            return
+        choice = self._keeper.choose(self._errors.verdicts)
+        if choice.substeps == self._sim.substeps:
+            return
+        give("substeps", choice.substeps)
+        if self._told:
+            print(f"frame {self._sim.frame}: hold {self.chosen}: {self.why}", flush=True)
+
+    def after_frame(self, simulate: float, rest: float) -> None:
+        """Note what a frame took."""
+        if self._keeper is None:
+            return
+        if self._windowed:  # else nothing follows from what this machine takes
+            self._keeper.frame(simulate, rest)
+        self._frames += 1
+        seconds = self._keeper.goal.seconds
+        self._in_time += seconds is not None and simulate + rest <= seconds
+        self._substeps.append(self._sim.substeps)
+
+    def summary(self) -> str:
+        """What all of it came to, in a line; "": nothing was held at the end."""
+        if self._keeper is None or not self._frames:
+            return ""
+        goal, least, most = self._keeper.goal, min(self._substeps), max(self._substeps)
+        how = f"{least} to {most}" if most > least else f"{least}"
+        if goal.seconds is not None:
+            held = f"{100 * self._in_time / self._frames:.3g} % of {self._frames} frames"
+        else:
+            known = [v for v in self._errors.verdicts if v.known and not (v.resting or v.trouble)]
+            kept = sum(v.relative <= (goal.error or 0.0) for v in known)
+            held = f"{kept} of {len(known)} windows that were measured"
+        return f"hold {goal.words}: held in {held}, by {how} substeps; now {self.why}"
+
+
+@contextlib.contextmanager
+def held(
+    sim: Simulation, options: RunOptions, errors: MeasuredErrors, *, windowed: bool
+) -> Iterator[HeldBudget]:
+    """The budget of a run, which is kept from the start if the options ask for one."""
+    told = options.hold is not None and not options.quiet
+    budget = HeldBudget(sim, errors, windowed=windowed, told=told)
+    if options.hold is not None:
+        budget.choose(options.hold)
+    yield budget
+    said = budget.summary()
+    if said and not options.quiet:
+        print(said, flush=True)
+
+
+def checked(options: RunOptions) -> RunOptions:
+    """The options of a run; refuses a budget that cannot be kept."""
+    if options.hold is None:
+        return options
+    if goals.read(options.hold).seconds is not None and options.view == "none":
+        raise InputError(UNSEEN.format(options.hold))
+    if options.dt == "auto" and "dt" in options.given:
+        raise InputError("--hold and --dt auto both choose the substeps; give one of the two")
+    return options
+
+
+def begin_stable(sim: Simulation) -> None:
+    """Have a simulation begin with the fewest substeps that are stable, where it has fewer."""
+    from taichi_cloth.budgets.keeper import StableSteps
+
+    least = StableSteps(sim).least()
+    if least > sim.substeps:
+        sim.set_step(substeps=least)
+
+
+def without_its_steps(log: Log) -> Log:
+    """A log without its own changes of the substeps, in whose place a budget chooses them."""
+    from taichi_cloth.ui.interaction import SET
+
+    kept = {
+        frame: [
+            event
+            for event in events
+            if event.kind != SET.name or event.fields().get("name") != "substeps"
+        ]
+        for frame, events in log.by_frame.items()
+    }
+    return replace(log, by_frame=kept)

@@ -1,0 +1,47 @@
+"""What a window is told of a budget that its run is kept to. Who keeps it is said from above."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol
+
+from taichi_cloth.ui.text import Word
+
+if TYPE_CHECKING:
+    from taichi_cloth.simulation.live import Value
+
+HOLD = "hold"  # the name of the panel's row
+OFF = "off"
+
+
+class Budget(Protocol):
+    """Keeps a run to a frame's time or to an error, while one is chosen.
+
+    words: what may be chosen, `OFF` first. chosen: which is. fixed: why none can be; "": one can.
+    why: what it chose last, and why, in a sentence. about: what a word means.
+    """
+
+    chosen: str
+    fixed: str
+    about: str
+
+    @property
+    def words(self) -> tuple[str, ...]: ...
+
+    @property
+    def why(self) -> str: ...
+
+    def status(self) -> Word | None:
+        """What the status says of it; None: nothing is held."""
+
+    def choose(self, word: str) -> None:
+        """Hold something else from now on; InputError where that cannot be."""
+
+    def by_hand(self) -> None:
+        """The user set what it sets: hold nothing any more."""
+
+    def before_frame(self, give: Callable[[str, Value], None]) -> None:
+        """Choose for the next frame; `give` sets a setting by its name, and logs that."""
+
+    def after_frame(self, simulate: float, rest: float) -> None:
+        """A frame took so many seconds to simulate, and for all else but waiting."""

@@ -1,0 +1,234 @@
+"""Budgets: what is chosen for a frame's time and for an error, from what was measured alone; and
+that a budgeted run's log replays to the same bits."""
+
+import json
+
+import numpy as np
+import pytest
+
+from taichi_cloth.budgets import seconds
+from taichi_cloth.budgets.choice import RUNGS, Limits
+from taichi_cloth.budgets.frames import Frame, FrameTimes
+from taichi_cloth.budgets.goal import read
+from taichi_cloth.budgets.keeper import OFTEN, StableSteps
+from taichi_cloth.budgets.seconds import Second, SecondErrors
+from taichi_cloth.cli.main import main
+from taichi_cloth.errors import InputError
+from taichi_cloth.files.trajectory import load
+from taichi_cloth.limits.precision import most_substeps, unresolved
+from taichi_cloth.scene import library
+from taichi_cloth.simulation.diagnostics import acceleration_at_start
+from taichi_cloth.simulation.simulation import Simulation
+
+
+def held(times, cost, count, limits, now=1):
+    """The substeps of `count` frames whose simulation takes cost(substeps, frame) seconds."""
+    taken = []
+    for frame in range(count):
+        if frame % OFTEN == 0:
+            now = times.choose(int(now), limits).substeps
+        taken.append(now)
+        times.note(Frame(now, *cost(now, frame)))
+    return np.array(taken)
+
+
+def noisy(a, b, draw, seed, noise=0.2):
+    """A frame's cost with noise of a fifth, and one frame in forty that the machine holds up."""
+    rng = np.random.default_rng(seed)
+
+    def cost(substeps, frame):
+        late = 0.03 if rng.random() < 1 / 40 else 0.0
+        factor = np.clip(rng.normal(1.0, noise / 2, 2), 1 - noise, 1 + noise)
+        return (a + b * substeps) * factor[0] + late, draw * factor[1]
+
+    return cost
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "draw"), [(2e-4, 3e-4, 5e-3), (1e-3, 2e-3, 2e-3), (1e-5, 2e-5, 6e-3)]
+)
+def test_a_time_budget_takes_about_the_most_that_fits(a, b, draw):
+    """Within two rungs of what fits, in time in 95 % of the frames, and without fluttering."""
+    for seed in range(2):
+        cost = noisy(a, b, draw, seed)
+        taken = held(FrameTimes(1 / 60), cost, 3600, Limits())
+        fits = (0.85 / 60 - draw * 1.1 - a) / (b * 1.1)
+        best = max(n for n in RUNGS if n <= fits)
+        near = RUNGS[max(RUNGS.index(best) - 2, 0)], RUNGS[RUNGS.index(best) + 2]
+        assert near[0] <= taken[-1] <= near[1]
+        again = [sum(cost(n, 0)) <= 1 / 60 for n in taken[600:]]
+        assert np.mean(again) > 0.95
+        assert (np.diff(taken[900:]) != 0).sum() <= 3
+
+
+def test_a_time_budget_follows_the_scene():
+    """A scene that takes four times as long gets fewer substeps within a second, and more again."""
+    times = FrameTimes(1 / 60)
+    quick, slow = noisy(1e-4, 4e-4, 4e-3, 1), noisy(4e-4, 16e-4, 4e-3, 2)
+    first = held(times, quick, 900, Limits())
+    second = held(times, slow, 600, Limits(), first[-1])
+    third = held(times, quick, 5400, Limits(), second[-1])
+    assert first[-1] >= 16 and second[60:].max() <= 8 and second[-1] >= 4
+    assert third[-1] >= 16
+    late = [sum(slow(n, 0)) > 1 / 60 for n in second]
+    assert np.mean(late) < 0.1
+
+
+def test_a_time_budget_never_leaves_its_limits_and_says_what_is_in_the_way():
+    """Neither below the stable steps, however slow, nor above what the precision follows."""
+    times = FrameTimes(1 / 60)
+    taken = held(times, noisy(1e-3, 8e-3, 4e-3, 3), 600, Limits(least=3, most=8))
+    assert taken.min() == taken[-1] == 3
+    choice = times.choose(3, Limits(least=3, most=8))
+    assert not choice.met and "fewer are not stable" in choice.why
+    times = FrameTimes(1 / 60)
+    taken = held(times, noisy(1e-5, 1e-5, 4e-3, 4), 1200, Limits(most=48, why_most="f32"))
+    assert taken.max() == taken[-1] == 48
+    assert times.choose(48, Limits(most=48, why_most="f32")).why.endswith("no more: f32")
+    times = FrameTimes(1 / 60)
+    held(times, noisy(1e-4, 1e-4, 0.02, 5), 300, Limits())
+    assert "drawing takes" in times.choose(1, Limits()).why
+
+
+def test_a_time_budget_says_what_the_next_would_take():
+    times = FrameTimes(1 / 60)
+    held(times, lambda n, _: (1e-3 * n, 1e-3), 600, Limits())
+    assert times.choose(12, Limits()).why == (
+        "12 substeps: 13 ms of 16.7 ms; next finer, 14, would take 15"
+    )
+
+
+def second_of(n, c, p, rng, noise=1.5):
+    """A second whose error is about c n^-p, by up to a factor of noise."""
+    error = c * n ** -float(p) * noise ** rng.uniform(-1, 1)
+    return Second(n, error, order=p + rng.normal(0, 0.05))
+
+
+@pytest.mark.parametrize(("c", "p"), [(0.02, 1), (0.3, 1), (0.5, 2), (1e-4, 1)])
+def test_an_error_budget_takes_about_the_fewest_that_meet_it(c, p):
+    """In 95 % of the seconds within the goal, and not finer than that takes with its margins."""
+    rng, goal, now = np.random.default_rng(1), 0.01, 2
+    errors, taken, kept = SecondErrors(goal, p), [], []
+    for _ in range(120):
+        now = errors.choose(now, Limits(least=2)).substeps
+        second = second_of(now, c, p, rng)
+        errors.note(second, torn=False)
+        taken.append(now)
+        kept.append(second.error <= goal)
+    assert np.mean(kept) >= 0.95
+    fewest = max(2.0, (c * 1.5 / goal) ** (1 / p))
+    assert taken[-1] <= 1.3 * max(2.0, (c * 1.5 / (seconds.MARGIN * goal)) ** (1 / p)) + 1
+    assert taken[-1] >= fewest * 0.99
+    assert (np.diff(taken[30:]) != 0).sum() <= 6
+    assert min(taken) >= 2
+
+
+def test_an_error_budget_is_finer_while_springs_tear_that_no_second_showed():
+    errors = SecondErrors(0.01, 1)
+    for _ in range(6):
+        errors.note(Second(4, 0.005, order=1.0), torn=False)
+    calm = errors.choose(4, Limits()).substeps
+    errors.tear()
+    assert calm == 4 and errors.choose(calm, Limits()).substeps == 7  # 2 * 4 * 0.5 % / 0.6 %
+    assert "tear" in errors.choose(calm, Limits()).why
+    errors.note(Second(8, 0.002, order=1.0), torn=True)
+    errors.tear()  # which a second has shown by now
+    assert "tear" not in errors.choose(8, Limits()).why
+
+
+def test_an_error_budget_says_what_is_in_the_way():
+    """Rounding, limits, chance, and that there is no error at all."""
+    errors = SecondErrors(0.01, 1)
+    errors.note(Second(4, 0.02, rounding=0.015, order=1.0), torn=False)
+    assert not errors.choose(4, Limits()).met
+    assert "rounding alone makes 1.5 %" in errors.choose(4, Limits()).why
+    errors = SecondErrors(0.01, 1)
+    errors.note(Second(4, 0.2, order=1.0), torn=False)
+    choice = errors.choose(4, Limits(most=8, why_most="frames would take more than 100 ms"))
+    assert choice.substeps == 8 and not choice.met and choice.why.endswith("more than 100 ms")
+    errors = SecondErrors(0.01, 1)
+    errors.note(Second(4, 0.2, order=0.02), torn=False)
+    choice = errors.choose(4, Limits())
+    assert choice.substeps == 4 and "finer steps bring it no nearer" in choice.why
+    errors = SecondErrors(0.01, 1)
+    for _ in range(3):
+        errors.note(Second(4, 0.2, trouble="two references differ"), torn=False)
+    choice = errors.choose(4, Limits())
+    assert choice.substeps == 4 and "no error to keep to: two references differ" in choice.why
+
+
+def test_measured_rounding_bounds_what_a_time_budget_takes():
+    """With more substeps than its rounding allows a run would be less accurate, not more."""
+    errors = SecondErrors(1.0, 1)
+    assert errors.best() is None
+    errors.note(Second(10, 0.011, rounding=0.001, order=1.0), torn=False)
+    n = np.arange(1.0, 2000.0)
+    total = 0.01 * 10 / n + 0.001 * np.sqrt(n / 10)
+    assert errors.best() == pytest.approx(n[total.argmin()], rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("fast", "--hold must be frames a second such as 60fps"),
+        ("0fps", "--hold must be frames a second"),
+        ("1e9fps", "1 ms to 10 s"),
+        ("80%", "at most 50%"),
+        ("-1%", "must be a number above 0"),
+        ("1", "or an error such as 1%"),
+    ],
+)
+def test_bad_goals_are_refused_in_one_line(given, said):
+    with pytest.raises(InputError, match=".*") as refused:
+        read(given)
+    assert said in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_goals_are_read():
+    assert read("60 FPS").seconds == pytest.approx(1 / 60)
+    assert read("12ms").seconds == pytest.approx(0.012)
+    assert read("0.5%").error == pytest.approx(0.005)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--hold", "60fps", "--headless"], "a headless run has no frames to be in time for"),
+        (["--hold", "1%", "--dt", "auto", "--headless"], "--hold and --dt auto both choose"),
+    ],
+)
+def test_budgets_that_cannot_be_kept_are_refused_in_one_line(words, said, capsys):
+    assert main(["run", "chain", *words]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+
+
+def test_the_fewest_substeps_are_those_of_dt_auto_and_the_most_are_resolved(device):
+    sim = Simulation(library.build("cloth"))
+    stable = StableSteps(sim)
+    assert stable.least() == Simulation(library.build("cloth"), dt="auto").substeps
+    assert not stable.changed()
+    sim.set(stiffness=4.0)
+    assert stable.changed() and stable.least() == 4
+    scene, a = sim.scene, acceleration_at_start(sim.scene)
+    most = most_substeps(scene, a, sim.dt, "f32")
+    assert unresolved(scene, a, sim.dt, most, "f32") is None
+    assert unresolved(scene, a, sim.dt, most + 1, "f32") is not None
+
+
+@pytest.mark.thorough
+def test_a_budgeted_run_replays_to_the_same_bits(tmp_path):
+    """An error is held by a meter that the run waits for; its log has what was chosen."""
+    log, one, other = (tmp_path / name for name in ("log.jsonl", "one.npz", "other.npz"))
+    words = ["run", "chain", "--headless", "--quiet", "--frames", "400"]
+    assert main([*words, "--hold", "0.1%", "--record", str(log), "--save", str(one)]) == 0
+    chosen = [json.loads(line) for line in log.read_text().splitlines()[1:]]
+    assert len({event["value"] for event in chosen if event["event"] == "set"}) > 1
+    assert main([*words, "--events", str(log), "--save", str(other)]) == 0
+    assert (load(one).position == load(other).position).all()
+
+
+def test_limits_offer_rungs_between_them():
+    assert Limits(least=9, most=20).rungs() == [9, 10, 12, 14, 16, 20]
+    assert Limits(least=30, most=3).rungs() == [30]
+    assert Limits(least=2).at_least(2.5) == 3
