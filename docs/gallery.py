@@ -1,7 +1,7 @@
-"""Makes docs/gallery.md and its pictures: `python docs/gallery.py [SCENE ...] [animation]`.
+"""Makes docs/gallery.md and its pictures: `python docs/gallery.py [SCENE ...] [tour] [animation]`.
 
 Without words it makes all of them anew. Each picture is made by the command that stands beside it,
-in the folder of the repository; `animation` is README's.
+in the folder of the repository; `tour` is the first of docs/tour.md, `animation` is README's.
 """
 
 from __future__ import annotations
@@ -119,6 +119,10 @@ def smallest(picture: Image.Image, to: Path) -> None:
             return
 
 
+# The tour's first picture: what its first command shows, once it has come to rest.
+TOUR = "cloth --frames 300 --no-status --size 960x640"
+FIRST_OF_TOUR = ROOT / "docs" / "images" / "tour.webp"
+
 # README's animation.
 FILMED = "drape --spin 120"
 FILM_FLAGS = "--frames 150 --size 960x720 --no-status"
@@ -150,13 +154,16 @@ def main(words: list[str]) -> None:
     PICTURES.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        for name in words or [*ENTRIES, "animation"]:
+        for name in words or [*ENTRIES, "tour", "animation"]:
+            made = folder / f"{name}.png"
             if name == "animation":
                 animate(folder)
-                continue
-            made = folder / f"{name}.png"
-            run(command(name, str(made)))
-            smallest(Image.open(made), PICTURES / f"{name}.webp")
+            elif name == "tour":
+                run(f"taichi-cloth run {TOUR} --headless --image {made}")
+                smallest(Image.open(made), FIRST_OF_TOUR)
+            else:
+                run(command(name, str(made)))
+                smallest(Image.open(made), PICTURES / f"{name}.webp")
     PAGE.write_text(page())
 
 

@@ -163,7 +163,8 @@ def status_rows(
     hand = (Word(tool, style.KEY_INK, 1),) if tool else ()
     left = (state, Word(notice, style.KEY_INK)) if notice else (*title, *hand, *counts)
     hints = (Word("h more", style.MUTED, 9), Word("tab keys", style.MUTED, 9))
-    return Row(left, (*rates, *hints)), Row((*settings,), names)
+    pace = rates or names[:1]  # where time stands still, which frame is seen
+    return Row(left, (*pace, *hints)), Row((*settings,), names)
 
 
 def _settings(sim: Simulation, device: str, *, windowed: bool) -> tuple[Word, ...]:
