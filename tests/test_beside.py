@@ -1,19 +1,30 @@
 """Two runs beside each other: the same in equal settings, apart by what theory says in others."""
 
 import json
+import os
+import subprocess
+import time
 
 import numpy as np
 import pytest
+from commands import PROGRAM
+from screens import needs_x, virtual_screen
 from test_comparison import swing
 
 import taichi_cloth as tc
+from taichi_cloth import runtime
 from taichi_cloth.beside.given import Given, read
 from taichi_cloth.beside.twin import Twin
+from taichi_cloth.cli.run_beside import Beside
 from taichi_cloth.comparison.compare import compare
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene import library
 from taichi_cloth.simulation import live
+from taichi_cloth.ui import app
+from taichi_cloth.ui.clipping import Edge, clipped
+from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.views.none import NullView
 
 
 def pull_about(sim):
@@ -221,3 +232,157 @@ def test_what_the_scene_refuses_is_refused(cli):
         ("collisions=2", "must be on or off"),
     ):
         assert says in cli(*words, "--beside", given, check=2)[1]
+
+
+# ------------------------------------------------------------------------------------------
+# Windows
+
+
+class Hands(NullView):
+    """A window of 1000 x 700 pixels in which prepared turns of events happen."""
+
+    visible = True
+
+    def __init__(self, sim, turns):
+        super().__init__(sim.scene.world, (1000, 700))
+        self.turns, self.pictures = turns, []
+
+    def poll(self):
+        return self.turns(self) if callable(self.turns) else []
+
+    def draw(self, picture):
+        self.pictures.append(picture)
+
+
+def test_the_mouse_in_either_half_acts_on_both(pair):
+    """It takes what one sees there; the pointer is in both, and what differs is said."""
+    first, second = pair
+    first.reset()
+    second.reset()
+    twin = Twin(first, second, read("stiffness=0.2"))
+    events, taken = [], []
+
+    def turns(view):
+        frame = first.frame
+        if frame == 0:
+            return [Event("move", pos=(20.0, 300.0)), Event("press", key="g")]
+        if frame == 30:
+            half = view.pictures[-1].beside
+            apart = half.room.x - view.room.x
+            assert half.room.width == view.room.width and apart > view.room.width
+            # The particle of the right run that is now farthest from where the left one has it.
+            away = np.linalg.norm(second.positions() - first.positions(), axis=1)
+            taken.append(int(np.where(second.fixed(), 0, away).argmax()))
+            scale = view.room.width / first.scene.world.size[0]
+            top = view.room.y + (view.room.height - scale * first.scene.world.size[1]) / 2
+            x, y = scale * second.positions()[taken[0]] + [half.room.x, top]
+            return [Event("move", pos=(x, y)), Event("press", pos=(x, y), button="left")]
+        if frame == 40:
+            return [
+                Event("move", pos=(300.0, 690.0)),
+                Event("release", pos=(300.0, 690.0), button="left"),
+            ]
+        return []
+
+    class Recorded:
+        def write(self, frame, event):
+            events.append(event)
+
+        def rewind(self, frame):
+            pass
+
+    try:
+        view = Hands(first, turns)
+        app.run(first, view, frames=45, recorder=Recorded(), beside=Beside(twin), meters=True)
+    finally:
+        twin.close()
+    (grab,) = [event for event in events if event.kind == "grab"]
+    assert list(grab.values["particle"]) == taken
+    assert [event.kind for event in events].count("let_go") == 1
+    held = view.pictures[-8]  # still held
+    said = "\n".join(panel.words for panel in held.overlay)
+    assert "symplectic euler, 1 substep, stiffness 0.5" in said
+    assert "symplectic euler, 1 substep, stiffness 0.2" in said
+    assert "ms a frame" in said and "distance" in said and "largest" in said
+    assert held.pointer is not None and held.beside.picture.pointer is not None
+    apart = held.beside.room.x - view.room.x
+    assert np.allclose(held.beside.picture.pointer.place - held.pointer.place, [apart, 0])
+    assert not np.array_equal(held.position, held.beside.picture.position)
+
+
+def test_triangles_are_cut_where_the_other_world_begins():
+    """Both parts have the area of the whole, on their own sides, and colours change evenly."""
+    rng = np.random.default_rng(3)
+    vertex = rng.uniform(-1.0, 1.0, (300, 4))
+    vertex[:, 2] = 2 * vertex[:, 0] - vertex[:, 1]
+    index = rng.permutation(300).astype(np.int32)
+
+    def area(vertex, index):
+        a, b, c = vertex[index.reshape(-1, 3), :2].transpose(1, 0, 2)
+        (x, y), (u, v) = (b - a).T, (c - a).T
+        return 0.5 * (x * v - y * u)
+
+    total = 0.0
+    for right in (False, True):
+        edge = Edge(0.2, right=right)
+        some, corners = clipped(vertex, index, edge.beyond(vertex[:, 0]))
+        used = some[corners]
+        assert (edge.beyond(used[:, 0]) <= 1e-12).all()
+        assert np.allclose(used[:, 2], 2 * used[:, 0] - used[:, 1])
+        total += area(some, corners).sum()
+    assert total == pytest.approx(area(vertex, index).sum())
+    same, corners = clipped(vertex, index, Edge(2.0, right=False).beyond(vertex[:, 0]))
+    assert same is vertex and corners is index
+
+
+@needs_x
+@pytest.mark.parametrize("kind", ["ggui", "gui"])
+def test_a_real_window_shows_both(kind, caches, tmp_path):
+    """What is pulled in the right half is seen in both, and a replay has it to the bit."""
+    if kind == "ggui" and not runtime.vulkan_available():
+        pytest.skip("GGUI needs Vulkan")
+    from PIL import Image
+
+    log, image, saved = (tmp_path / name for name in ("log.jsonl", "last.png", "a.npz"))
+    given = ["run", "cloth", "--columns", "8", "--rows", "6", "--beside", "substeps=3"]
+    ways = ["--topology", "graph", "--view", kind, "--size", "1000x640", "--seed", "1"]
+    files = ["--record", log, "--image", image, "--save", saved]
+    with virtual_screen() as name:
+        env = {**os.environ, **caches, "DISPLAY": name}
+        said = subprocess.Popen(
+            [*PROGRAM, *map(str, (*given, *ways, *files))],
+            env=env,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+        def ask(*words):
+            done = subprocess.run(["xdotool", *map(str, words)], env=env, capture_output=True)
+            time.sleep(0.15)
+            return done.stdout.split()
+
+        end = time.time() + 180
+        while not (found := ask("search", "--onlyvisible", "--name", "cloth, playing")):
+            assert said.poll() is None and time.time() < end
+        to = ("mousemove", "--window", found[0].decode())
+        ask(*to, 750, 250)
+        ask("key", "g")
+        ask("mousedown", 1)
+        for step in range(8):
+            ask(*to, 750 + 12 * step, 250 + 16 * step)
+        ask("mouseup", 1)
+        ask("key", "Escape")
+        assert "beside it: symplectic euler, 3 substeps" in said.communicate(timeout=60)[0]
+        assert said.returncode == 0
+    events = [json.loads(line) for line in log.read_text().splitlines()]
+    assert events[0]["header"]["beside"] == "substeps=3,topology=graph"
+    assert {"grab", "drag", "let_go"} <= {event.get("event") for event in events}
+    pixels = np.asarray(Image.open(image).convert("RGB")).astype(int)
+    green = (pixels[:, :, 1] > 150) & (pixels[:, :, 0] < 90)
+    assert all(half.sum() > 200 for half in (green[:, :495], green[:, 505:]))
+    frames = str(tc.load_trajectory(saved).frame[-1])
+    again = tmp_path / "b.npz"
+    replay = ["run", "cloth", "--headless", "--events", log, "--frames", frames, "--save", again]
+    subprocess.run([*PROGRAM, *map(str, replay)], env={**os.environ, **caches}, check=True)
+    for one, other in ((saved, again), (tmp_path / "a-beside.npz", tmp_path / "b-beside.npz")):
+        assert compare(one, other).identical

@@ -27,13 +27,15 @@ class Own:
     """A setting of the scene that the second run has for itself.
 
     name: of `simulation.live`. value: which. changes: what `Simulation.set` was given for it. now:
-    whether these depend on what else is set now, as one part of a vector does.
+    whether these depend on what else is set now, as one part of a vector does. times: whether it
+    is a factor of what each spring or particle has in the scene.
     """
 
     name: str
     value: live.Value
     changes: Mapping[str, Any]
     now: bool
+    times: bool
 
     @property
     def names(self) -> set[str]:
@@ -52,14 +54,15 @@ class Twin(Listener):
     first: to which it listens until `close`. sim: the second, at its start. given: in what they
     differ. restore: nothing is done with, as each run has checkpoints of its own.
 
-    watch: their distance, and what differs first. spent: seconds that its last frame took; took:
-    with the watch. later: (spent, took) of all frames but the first, which compiles.
+    own: settings of the scene that it has for itself. watch: their distance, and what differs
+    first. spent: seconds that its last frame took; took: with the watch. later: (spent, took) of
+    all frames but the first, which compiles.
     """
 
     def __init__(self, first: Simulation, sim: Simulation, given: Given) -> None:
         self.first, self.sim, self.given = first, sim, given
-        self._own = [_taken(sim, name, text) for name, text in given.scene.items()]
-        if self._own:  # from the start, so that a reset goes there
+        self.own = [_taken(sim, name, text) for name, text in given.scene.items()]
+        if self.own:  # from the start, so that a reset goes there
             dt, substeps = (None, 1) if sim.follows else (sim.dt, sim.substeps)
             with _told_as_beside():
                 sim.load_scene(sim.storage.scene, dt, substeps)
@@ -90,8 +93,8 @@ class Twin(Listener):
             left, right = values.get(name) or [getattr(sim, name) for sim in (a, b)]
             if left != right:
                 return
-        for own in self._own:
-            if live.setting(a, own.name).read(a) != live.setting(b, own.name).read(b):
+        for own in self.own:
+            if live.setting(a, own.name).read(a) != own.value:
                 return
         raise InputError(
             f"--beside {self.given}: the first run has that, too; give another setting"
@@ -157,7 +160,7 @@ class Twin(Listener):
 
     def _keep_own(self, changed: set[str]) -> None:
         """Give it its own settings again, of which the first one's were changed."""
-        for own in self._own:
+        for own in self.own:
             if own.now and own.names & changed:
                 live.apply(self.sim, own.name, own.value)
             elif own.names & changed:
@@ -195,7 +198,8 @@ def _taken(sim: Simulation, name: str, text: str) -> Own:
         sim.set(**changes)
     except InputError as error:
         raise InputError(f"--beside {name}={text}: {error}") from None
-    return Own(name, value, changes, now=setting.group == "world")
+    times = setting.unit == live.TIMES
+    return Own(name, value, changes, now=setting.group == "world", times=times)
 
 
 @contextmanager

@@ -152,6 +152,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
             device=device.describe(),
             scenes=window.scenes,
             errors=errors,
+            beside=beside,
             examiner=run_report.Examining(sim, source.words()),
             budget=budget,
             **_of_frames(options, view),
@@ -248,6 +249,7 @@ def _view(scene: Scene, options: RunOptions) -> View:
         camera=camera_of(scene),
         status=options.status,
         text_size=options.text_size,
+        pair=run_beside.asked(options) is not None,
     )
 
 

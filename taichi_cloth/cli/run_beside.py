@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -82,19 +82,21 @@ class Beside:
 
     def names(self) -> tuple[str, str]:
         """What the two are called, by what they differ in."""
-        first, second = (self._name(sim) for sim in (self.twin.first, self.sim))
-        return first, second
-
-    def _name(self, sim: Simulation) -> str:
         from taichi_cloth.simulation import live
 
+        first, own = self.twin.first, self.twin.own
+        theirs = [live.setting(first, one.name).read(first) for one in own]
+        return self._name(first, theirs), self._name(self.sim, [one.value for one in own])
+
+    def _name(self, sim: Simulation, values: Sequence[object]) -> str:
+        """The name of one of them. values: those of the scene's settings that the two differ in."""
         words = [sim.method.replace("_", " "), counted(sim.substeps, "substep")]
         run = self.twin.given.run
         words += [f"{name} {value:g}" for name, value in sim.solver.items() if name in run]
         words += [getattr(sim, name) for name in ("topology", "execution") if name in run]
-        for name in self.twin.given.scene:
-            value = live.setting(sim, name).read(sim)
-            words.append(f"{name.replace('_', ' ')} {_written(value)}")
+        for one, value in zip(self.twin.own, values, strict=True):
+            times = "x" * one.times
+            words.append(f"{one.name.replace('_', ' ')} {times}{_written(value)}")
         return ", ".join(words)
 
     def stopped(self) -> str:

@@ -30,7 +30,10 @@ from taichi_cloth.ui.vertices import (
     SurfaceMesh,
     Triangles,
     disc_vertices,
+    flat_lines,
     floor_vertices,
+    ghost_colors,
+    ghost_lines,
     quads,
     vertices,
 )
@@ -61,8 +64,8 @@ class Composer:
         self._flat, self._solid = Triangles(), Triangles()
         self._spheres: dict[str, SphereMeshes] = {}
         self._spring_colors = Cached(style.spring_colors)
-        self._lines, self._discs = Cached(_flat_lines), Cached(disc_vertices)
-        self._ghost_lines, self._ghost_colors = Cached(_ghost_lines), Cached(_ghost_colors)
+        self._lines, self._discs = Cached(flat_lines), Cached(disc_vertices)
+        self._ghost_lines, self._ghost_colors = Cached(ghost_lines), Cached(ghost_colors)
         self._line_meshes: dict[str, LineMesh] = {}
         # Of the picture; of its solids; of its ghost.
         self._topologies = tuple(Cached(Topology.build) for _ in range(3))
@@ -74,11 +77,27 @@ class Composer:
         self, picture: Picture, world: World, camera: Camera | None, window: WindowMap
     ) -> None:
         """Draw a picture. camera: of a world in space. window: where the world is in the window."""
+        self.put(picture, world, camera, window)
+        self.show(picture, camera)
+        self.over(picture, window)
+
+    def put(self, picture: Picture, world: World, camera: Camera | None, window: WindowMap) -> None:
+        """Draw a picture's world."""
         self._world, self._map = world, window
         if camera:
             self._compose_3d(picture, camera)
         else:
             self._compose_2d(picture)
+
+    def show(self, picture: Picture, camera: Camera | None) -> None:
+        """After all that is in space, have it seen by the camera."""
+        if camera:
+            self._look(picture, camera)
+            self._canvas.scene(self._scene)
+
+    def over(self, picture: Picture, window: WindowMap) -> None:
+        """Draw what lies over a picture's world."""
+        self._map = window
         self._compose_overlay(picture)
         self._draw_triangles()
 
@@ -233,7 +252,8 @@ class Composer:
         pixels[:, RADIUS] = 0.5 / size[1]
         return self._rectangle_vertices(corners[~single], color[~single]), pixels
 
-    def _compose_3d(self, picture: Picture, camera: Camera) -> None:
+    def _look(self, picture: Picture, camera: Camera) -> None:
+        """Have the eye and the lights where they are."""
         _, h = self._size
         focal = camera.focal_length * self._map.scale
         self._canvas.set_background_color(style.unit(style.WORLD))
@@ -250,6 +270,9 @@ class Composer:
         for light, strength in lights:
             self._scene.point_light(light * (away * camera.distance), (strength,) * 3)
 
+    def _compose_3d(self, picture: Picture, camera: Camera) -> None:
+        _, h = self._size
+        focal = camera.focal_length * self._map.scale
         bright = float(brightness(style.LIGHT)) if picture.has_surfaces else 1.0
         if picture.ground is not None and camera.is_above(picture.ground):
             self._floor_3d(picture.ground, camera)
@@ -273,7 +296,6 @@ class Composer:
         if picture.ghost is not None:
             self._ghost_3d(picture.ghost, camera, bright)
         self._draw_meshes()
-        self._canvas.scene(self._scene)
 
     def _seen(self, camera: Camera, points: np.ndarray) -> np.ndarray:
         """World points (n, 3) in camera axes, moved aside with their depth, so that what is looked
@@ -469,27 +491,3 @@ class Composer:
         white = (1.0, 1.0, 1.0)
         self._draw_meshes()
         self._scene.scene.particles(self._info(vertex), True, True, white, 1.0, len(vertex), 0)
-
-
-def _ghost_colors(count: int) -> np.ndarray:
-    """The colours of a ghost's particles, (count, 3) uint8."""
-    return np.tile(np.array(style.GHOST, np.uint8), (count, 1))
-
-
-def _ghost_lines(count: int, width: float) -> FlatLines:
-    """So many springs of a ghost in a plane, of a width in pixels."""
-    return FlatLines.build(np.tile(style.unit(style.GHOST_ON_WORLD), (count, 1)), width)
-
-
-def _flat_lines(
-    color: np.ndarray,
-    segments: np.ndarray,
-    given: tuple[int, int, int] | np.ndarray | None,
-    walls: int,
-    width: float,
-) -> FlatLines:
-    """Walls and then springs, of a width in pixels; for the rest `spring_colors`."""
-    springs = style.spring_colors(color, segments, given)
-    return FlatLines.build(
-        np.concatenate([np.tile(style.unit(style.WALL), (walls, 1)), springs]), width
-    )

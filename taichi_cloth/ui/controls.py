@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -241,11 +242,16 @@ class Controls:
         if self.tool is not None and not (self._moves and self._moves.drags):
             self._use(self.tool.motion, before, now, replayed=replayed)
 
-    def marks(self) -> Marks | None:
-        """What the tool in hand draws beside the scene."""
+    def look_at(self, sim: Simulation | None) -> None:
+        """Have the pointer find what it is over in another run of the scene; None: in its own."""
+        self._hand.other = sim
+
+    def marks(self, sim: Simulation | None = None) -> Marks | None:
+        """What the tool in hand draws beside the scene; sim: of another run of it."""
         if self.tool is None or self.tool.draw is None:
             return None
-        return self.tool.draw(self._hand, self._remembered(self.tool))
+        hand = self._hand if sim is None else replace(self._hand, sim=sim)
+        return self.tool.draw(hand, self._remembered(self.tool))
 
     def _use(self, slot: Callable[..., Events] | None, *what: object, replayed: bool) -> None:
         """Call a slot of the tool in hand; log and apply the events that it makes."""

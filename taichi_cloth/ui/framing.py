@@ -95,16 +95,20 @@ def _bounded(scene: Scene) -> Iterator[np.ndarray]:
 
 
 def window_of(
-    world: World, parts: Parts = NOTHING, screen: tuple[int, int] | None = None
+    world: World,
+    parts: Parts = NOTHING,
+    screen: tuple[int, int] | None = None,
+    worlds: int = 1,
 ) -> tuple[int, int]:
     """The window (width, height) in pixels that a world is shown in unless a size is given.
 
     parts: what is open around the world. screen: its size in pixels; None: nobody says it.
+    worlds: how many are shown beside each other.
     A camera that frames what there is fills any window; all others keep the world's aspect.
     """
     framed = world.dim == 3 and (points_up(world) or Camera.original(world.size) is None)
     return default_window(
-        None if framed else world.size,
+        None if framed else (worlds * world.size[0], *world.size[1:]),
         around=lambda height: height - arrange((height, height), parts).world.height,
         screen=screen or SCREEN,
     )

@@ -138,6 +138,7 @@ def status_rows(
     rates: Sequence[Word] = (),
     notice: str | None = None,
     budget: Word | None = None,
+    found: Word | None = None,
 ) -> tuple[Row, ...]:
     """The status of the frame that `sim` is at: counts, time; then settings and backend.
 
@@ -145,6 +146,7 @@ def status_rows(
     pictures say nothing that may be otherwise in the next run of the same. tool: the one in hand.
     rates: how fast a window runs. notice: what is told in the place of the first row's words.
     budget: what is held.
+    found: what differs first in a run beside it.
     """
     alive = len(sim.drawn_springs())
     broken = sim.spring_count - alive
@@ -156,12 +158,13 @@ def status_rows(
     settings = _settings(sim, device, windowed=state is not None)
     if budget is not None:
         settings = (settings[0], budget, *settings[1:])
+    more = (found,) if found else ()
     if state is None:
-        first = Row((Word(sim.scene.name, style.INK), *counts), (*names,))
+        first = Row((Word(sim.scene.name, style.INK), *more, *counts), (*names,))
         return first, Row(settings)
     title = (state, Word(sim.scene.name, style.INK, 2))
     hand = (Word(tool, style.KEY_INK, 1),) if tool else ()
-    left = (state, Word(notice, style.KEY_INK)) if notice else (*title, *hand, *counts)
+    left = (state, Word(notice, style.KEY_INK)) if notice else (*title, *hand, *more, *counts)
     hints = (Word("h more", style.MUTED, 9), Word("tab keys", style.MUTED, 9))
     pace = rates or names[:1]  # where time stands still, which frame is seen
     return Row(left, (*pace, *hints)), Row((*settings,), names)

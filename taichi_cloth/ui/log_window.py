@@ -23,10 +23,15 @@ class LogWindow:
 
     What the user does is applied and recorded in the log's window, so that resizing spoils no
     replay. size: (width, height) of that.
+
+    right: where a second world is drawn beside the view's own; None: there is none. side: in which
+    of the two the pointer is, or was as its button went down: 0 or 1.
     """
 
     def __init__(self, sim: Simulation, view: View, replay: Log | None) -> None:
         self._sim, self._view = sim, view
+        self.right: Rect | None = None
+        self.side, self._held = 0, False
         self.size = event_window(sim.scene.world, view, replay)
 
     @property
@@ -38,6 +43,23 @@ class LogWindow:
     @property
     def _there(self) -> WindowMap:
         return WindowMap.of(self._sim.scene.world, self.size)
+
+    def on_first(self, event: Event) -> Event:
+        """An event where the second of two worlds is as one at the same place of the first."""
+        if self.right is None or event.pos is None:
+            return event
+        if not self._held:
+            self.side = int(event.pos[0] >= self.right.x)
+        if event.button is not None:
+            self._held = event.kind == "press"
+        x, y = event.pos
+        return replace(event, pos=(x - self.side * self.apart, y))
+
+    @property
+    def apart(self) -> int:
+        """How far the second world is beside the first, window pixels."""
+        left = self._view.room or Rect(0, 0, *self._view.size)
+        return self.right.x - left.x if self.right else 0
 
     def taken(self, event: Event) -> Event:
         """An event of the view as one of the log's window."""

@@ -11,7 +11,6 @@ import numpy as np
 from taichi_cloth.errors import InputError, RunFailure, SimulationFailure
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import hud
-from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.inputs import COMMANDS, KEYS, WINDOW_KEYS, Event
 from taichi_cloth.ui.interaction import LogEvent
@@ -62,7 +61,10 @@ class Loop:
         self._travel: Travel | None = None
         if view.visible:
             reruns = request.on_frame is None
-            self._travel = Travel(sim, self._controls, view.camera, recorder, trajectory, reruns)
+            beside = request.beside.sim if request.beside else None
+            self._travel = Travel(
+                sim, self._controls, view.camera, recorder, trajectory, reruns, beside
+            )
         # In space the camera moves, which logs know.
         self._looks = PlaneMoves(sim) if view.camera is None else None
         self._shown = Presentation(
@@ -98,7 +100,7 @@ class Loop:
         simulate = self._advance_timed() if due else 0.0
         advanced = due and self.state.failure is None and not self.state.quit
         if not self._shown.glides:
-            self._shown.depiction.between.forget()
+            self._shown.forget()
         begin = time.perf_counter()
         self._takes.turn(advanced)
         seen = self.view.visible
@@ -115,6 +117,8 @@ class Loop:
                 self._request.budget.after_frame(simulate, rest)
         if seen:
             self.sim.prepare_click()
+            if self._request.beside:
+                self._request.beside.sim.prepare_click()
             self._schedule.wait(self.state.stopped)
 
     def _note_cost(self, simulate: float, draw: float) -> None:
@@ -125,11 +129,12 @@ class Loop:
         if shown.chrome.is_open("meters"):
             shown.meters.frame(simulate, draw, self._schedule.waited)
         if shown.costs:
-            shown.costs.note(self.sim, simulate)
+            beside = self._request.beside
+            shown.costs.note(self.sim, simulate - (beside.took if beside else 0.0))
 
     def _take(self, pixels: np.ndarray) -> None:
         """Put the frame (h, w, 3) uint8 into the films and the picture that want it."""
-        self._takes.take(pixels, self.view.room or Rect(0, 0, *self.view.size))
+        self._takes.take(pixels, self._shown.arranged().world)
 
     def _entitle(self) -> None:
         """Have the window's title say the scene and what it is doing."""
@@ -147,7 +152,7 @@ class Loop:
         if self._started is None:
             self._started = begin
         if self._shown.glides:
-            self._shown.depiction.between.leave(self.sim)
+            self._shown.leave()
         self._advance()
         simulate = time.perf_counter() - begin
         if self.state.frames > 1:  # the first compiles
@@ -171,6 +176,7 @@ class Loop:
         self._controls.before_frame(replayed=state.replaying)
         if self._shown.chrome.is_open("meters"):
             self._shown.meters.before_frame()
+        begin = time.perf_counter()
         try:
             self.sim.advance(1)
         except SimulationFailure as error:
@@ -181,6 +187,8 @@ class Loop:
             self._shown.meter.interrupt()
             self._examine()
             return
+        if self._shown.pair:
+            self._shown.pair.note(time.perf_counter() - begin)
         state.frames += 1
         if request.trajectory is not None:
             request.trajectory.record(self.sim)
@@ -249,6 +257,9 @@ class Loop:
 
     def _take_event(self, event: Event) -> None:
         """Apply and record what the user did to the world, and obey what follows."""
+        event = self._window.on_first(event)
+        if self._request.beside:
+            self._controls.look_at(self._request.beside.sim if self._window.side else None)
         logged = self._window.taken(event)
         if self._looks:
             taken = self._looks.take(event, self._window.here, free=self._moves_look(logged))

@@ -11,6 +11,7 @@ from taichi_cloth.ui import surroundings, views
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.chrome.layout import arrange, at_start
 from taichi_cloth.ui.framing import window_of
+from taichi_cloth.ui.halves import halves
 from taichi_cloth.ui.views.contract import View, ViewKind
 
 
@@ -46,6 +47,7 @@ def open_view(
     camera: Camera | None = None,
     status: bool = True,
     text_size: float | None = None,
+    pair: bool = False,
 ) -> View:
     """Open a view of `world`; `runtime.start` must have been called unless kind is "none".
 
@@ -58,6 +60,7 @@ def open_view(
     status: whether there will be a status beside the world.
     text_size: of what is written there, in parts of the usual; None: as large as the screen's user
         wants all text (`surroundings.Equipment.scale`), in a picture as usual.
+    pair: whether two worlds are shown beside each other.
 
     Raises InputError where the kind that was asked for cannot be had.
     """
@@ -75,14 +78,15 @@ def open_view(
         screen = surroundings.equipment() if visible else None
         text_size = text_size or (screen.scale if screen else 1.0)
         parts = at_start(windowed=visible, status=status, text=text_size)
-        chosen_size = size or window_of(world, parts, screen.size if screen else None)
+        chosen_size = size or window_of(world, parts, screen.size if screen else None, 1 + pair)
         view = chosen.open(world, chosen_size, title, visible=visible)
     except RuntimeError as error:  # of Taichi: a display or driver that fails after all
         reason = str(error).strip().partition("\n")[0]
         raise InputError(f"--view {kind}: the window could not open: {reason}") from None
     view.camera = camera or view.camera
     view.text_size = text_size
-    view.room = arrange(view.size, parts).world
+    layout = arrange(view.size, parts)
+    view.room = halves(layout.world, layout.text).left if pair else layout.world
     return view
 
 

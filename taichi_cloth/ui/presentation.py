@@ -22,6 +22,7 @@ from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.chrome.why import Finding, Why
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.depiction import Depiction
+from taichi_cloth.ui.halves import Pair, halves
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.log_window import LogWindow
 from taichi_cloth.ui.pointer import Pointer
@@ -47,8 +48,9 @@ class Presentation:
     controls: the tool in hand and the pointer. window: the log's. takes: the films.
     travel: through the last seconds; None: without a window. go_to: shows one of their frames.
 
-    depiction: of the world. meter: of the rates. meters, chrome: around the world. settings: the
-    panel, and costs: what it says frames take; both None without a window. why: why it stopped.
+    depiction: of the world. pair: of a second run beside it; None: there is none. meter: of the
+    rates. meters, chrome: around the world. settings: the panel, and costs: what it says frames
+    take; both None without a window. why: why it stopped.
     """
 
     def __init__(
@@ -67,10 +69,12 @@ class Presentation:
         self._controls, self._window = controls, window
         self._saves, self._budget = request.trajectory is not None, request.budget
         self.depiction = Depiction(sim, request.show, request.errors)
+        second = request.beside
+        self.pair = Pair(second, self.depiction, windowed=view.visible) if second else None
         self.meter = hud.Meter()
         device = request.device or runtime.current_device().describe()
         self._status = Status(sim, device, self.meter)
-        self.meters = Meters(sim, windowed=view.visible, errors=request.errors)
+        self.meters = Meters(sim, windowed=view.visible, errors=request.errors, beside=second)
         self.why = Why()
         parts: list[Part] = [self.meters]
         self.costs: RunningCosts | None = None
@@ -158,12 +162,45 @@ class Presentation:
         layout = self.arranged()
         around = self.chrome.overlay(layout, self._contents())
         legends = messages.legends(self.depiction.legends(), layout.world, layout.text)
-        return replace(picture, overlay=(*around, *legends), pointer=self._pointer())
+        picture = replace(picture, overlay=(*around, *legends), pointer=self._pointer())
+        return self._with_second(picture, layout, part) if self.pair else picture
+
+    def _with_second(self, picture: Picture, layout: Layout, part: float) -> Picture:
+        """A picture with the second run beside the first."""
+        pair, cut = self.pair, halves(layout.world, layout.text)
+        assert pair is not None
+        first = second = picture.pointer
+        if self._controls.pointer is not None:  # it is seen in both, also where the cursor is not
+            at = first or Pointer(self._window.shown(self._controls.pointer), None, False)
+            first = replace(at, cross=at.cross or self._window.side == 1)
+            second = replace(
+                at,
+                place=at.place + [self._window.apart, 0],
+                cross=at.cross or self._window.side == 0,
+            )
+        half = pair.half(cut.right, self._controls.marks(pair.sim), part, second)
+        overlay = (*pair.panels(cut, layout.text), *picture.overlay)
+        return replace(picture, overlay=overlay, pointer=first, beside=half)
+
+    def leave(self) -> None:
+        """The frame that is seen is left for the next."""
+        self.depiction.between.leave(self._sim)
+        if self.pair:
+            self.pair.leave()
+
+    def forget(self) -> None:
+        """There is no frame that was left."""
+        self.depiction.between.forget()
+        if self.pair:
+            self.pair.forget()
 
     def arranged(self) -> Layout:
         """Where everything is in the view as it is now; the view draws the world in its room."""
         layout = self.chrome.layout(self._view.size)
         self._view.room = layout.world
+        if self.pair:
+            cut = halves(layout.world, layout.text)
+            self._view.room, self._window.right = cut.left, cut.right
         return layout
 
     def _contents(self) -> Contents:
@@ -192,6 +229,7 @@ class Presentation:
             urgent=shutter.notice,
             budget=self._budget.status() if self._budget else None,
             in_view=self._in_view,
+            found=self.pair.second.finding() if self.pair else None,
         )
         return Contents(rows, self._buttons, keys, banner)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
+from taichi_cloth.ui.chrome.beside import Second
 from taichi_cloth.ui.chrome.budget import Budget
 from taichi_cloth.ui.chrome.errors import Errors
 from taichi_cloth.ui.chrome.why import Examiner
@@ -43,6 +44,7 @@ class Request:
     errors: what measures the error of what is seen (`a`), shown by the meters; None: nothing.
     budget: what keeps the run to a frame's time or an error, as it is chosen; None: nothing.
     examiner: what finds out why a window's run failed (`k`, `u`); None: nothing does.
+    beside: a second run of the scene, which goes along and is shown beside it; None: there is none.
     scenes: what a window may go on with: the run ends once the user opened one of them.
     """
 
@@ -64,6 +66,7 @@ class Request:
     device: str | None = None
     errors: Errors | None = None
     budget: Budget | None = None
+    beside: Second | None = None
     examiner: Examiner | None = None
     scenes: Scenes = field(default_factory=lambda: Scenes(fixed=OWNED))
 

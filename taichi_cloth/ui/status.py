@@ -49,6 +49,7 @@ class Status:
         urgent: str | None = None,
         budget: Word | None = None,
         in_view: Callable[[], bool] | None = None,
+        found: Word | None = None,
     ) -> tuple[Row, ...]:
         """The status of the frame that `sim` is at.
 
@@ -56,6 +57,7 @@ class Status:
         has the same pictures. state: of a window, in a word; None without one. moving: whether
         frames come, at full speed. tool: the one in hand. notice: what was last told. urgent: what
         is told before. budget: what is held. in_view: says whether any particle is.
+        found: what differs first in a run beside it.
         """
         if notice != self._notice:
             self._notice, self._notice_until = notice, now + NOTICE_SECONDS
@@ -77,4 +79,5 @@ class Status:
             rates=self._rates,
             budget=budget,
             notice=urgent or told,
+            found=found,
         )

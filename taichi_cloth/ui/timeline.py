@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
+
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.exports import Export
 from taichi_cloth.files.recordings import Recordings
@@ -40,11 +42,15 @@ class Remembers(Protocol):
 
 @dataclass(frozen=True)
 class _Kept:
-    """A frame with its checkpoint, and what the window remembered then."""
+    """A frame with the checkpoints of its runs, and what the window remembered then."""
 
     frame: int
-    checkpoint: Checkpoint
+    checkpoints: tuple[Checkpoint, ...]
     memory: Any
+
+    def arrays(self) -> list[np.ndarray]:
+        """The arrays of its checkpoints, some of which others share."""
+        return [array for checkpoint in self.checkpoints for array in checkpoint.arrays()]
 
 
 class Timeline:
@@ -60,6 +66,7 @@ class Timeline:
     seconds, most_bytes: what is kept at most.
     spacing: seconds of work after which a frame that can be run again has a checkpoint all the
     same: it costs as much as drawing at 60 frames a second. clock: that tells these seconds.
+    beside: another run, which goes along with the first, and goes back with it.
 
     at: the frame that was gone back to; None: the run is where it has come to.
     """
@@ -73,7 +80,9 @@ class Timeline:
         most_bytes: int = MOST_BYTES,
         spacing: float = 0.0,
         clock: Callable[[], float] = time.perf_counter,
+        beside: Simulation | None = None,
     ) -> None:
+        self._runs = (sim,) if beside is None else (sim, beside)
         self._sim, self._remembers, self._rerun = sim, remembers, rerun
         self._span, self._most = max(1, round(seconds * FRAME_RATE)), most_bytes
         self._spacing, self._clock = spacing if rerun else 0.0, clock
@@ -101,7 +110,7 @@ class Timeline:
         due = frame % self._every == 0 and now - self._held_at >= self._spacing
         if due or not self._kept or frame in self._set:
             self._held_at = now
-            self._hold(_Kept(frame, self._sim.checkpoint(), self._remembers.memory()))
+            self._hold(self._now(frame))
         while self._kept and frame - self._kept[0].frame > self._span and len(self._kept) > 1:
             self._drop(0)
         while self._bytes > self._most and len(self._kept) > 2:
@@ -113,16 +122,26 @@ class Timeline:
         if event.kind == "set":  # which may compile: the frame after it is not run again
             self._set.add(frame + 1)
 
+    def _now(self, frame: int) -> _Kept:
+        """The present frame, of this number."""
+        checkpoints = tuple(sim.checkpoint() for sim in self._runs)
+        return _Kept(frame, checkpoints, self._remembers.memory())
+
+    def _restore(self, kept: _Kept) -> None:
+        for sim, checkpoint in zip(self._runs, kept.checkpoints, strict=True):
+            sim.restore(checkpoint)
+        self._remembers.recall(kept.memory)
+
     def _hold(self, kept: _Kept) -> None:
         self._kept.append(kept)
-        for array in kept.checkpoint.arrays():
+        for array in kept.arrays():
             if self._holders[id(array)] == 0:
                 self._bytes += array.nbytes
             self._holders[id(array)] += 1
 
     def _drop(self, at: int) -> None:
         dropped = self._kept.pop(at)
-        for array in dropped.checkpoint.arrays():
+        for array in dropped.arrays():
             self._holders[id(array)] -= 1
             if self._holders[id(array)] == 0:
                 del self._holders[id(array)]
@@ -173,8 +192,7 @@ class Timeline:
             return self.frame
         frame = min(max(frame, frames[0]), frames[-1])
         if self.at is None and frame != self._last:
-            memory = self._remembers.memory()
-            self._present = _Kept(self._last, self._sim.checkpoint(), memory)
+            self._present = self._now(self._last)
         if frame != self.frame:
             self._put_back(frame)
         return frame
@@ -189,8 +207,7 @@ class Timeline:
         else:
             place = bisect.bisect_right([kept.frame for kept in self._kept], frame) - 1
             kept, self.at = self._kept[place], frame
-        self._sim.restore(kept.checkpoint)
-        self._remembers.recall(kept.memory)
+        self._restore(kept)
         for between in range(kept.frame, frame):
             assert self._rerun is not None  # else each frame has its checkpoint
             self._rerun(between, self._events.get(between, []))
@@ -257,13 +274,12 @@ class Timeline:
     def _visiting(self) -> Iterator[None]:
         """Go where one likes meanwhile; then everything is as it was, also what was done there."""
         before = self.at, self._present, self._untouched
-        here = _Kept(self.frame, self._sim.checkpoint(), self._remembers.memory())
+        here = self._now(self.frame)
         try:
             yield
         finally:
             self.at, self._present, self._untouched = before
-            self._sim.restore(here.checkpoint)
-            self._remembers.recall(here.memory)
+            self._restore(here)
 
 
 # --- slow motion -----------------------------------------------------------------------------

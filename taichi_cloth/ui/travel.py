@@ -30,7 +30,7 @@ class Travel:
 
     sim, controls: what goes back. camera: of a 3-D scene; it stays where the user has it.
     recorder, trajectory: what forgets. reruns: whether events alone make the frames, so that a
-    frame without a checkpoint can be run again.
+    frame without a checkpoint can be run again. beside: another run, which goes along.
     """
 
     def __init__(
@@ -41,11 +41,16 @@ class Travel:
         recorder: Recorder | None,
         trajectory: Trajectory | Recordings | None,
         reruns: bool = True,
+        beside: Simulation | None = None,
     ) -> None:
         self._sim, self._controls, self._camera = sim, controls, camera
         self._recorder, self._trajectory = recorder, trajectory
         self.timeline = Timeline(
-            sim, controls, self._rerun if reruns else None, spacing=CHECKPOINT_SPACING
+            sim,
+            controls,
+            self._rerun if reruns else None,
+            spacing=CHECKPOINT_SPACING,
+            beside=beside,
         )
         self._looked: list[LogEvent] = []  # events in the past that may not have to be kept
         self._quiet = False

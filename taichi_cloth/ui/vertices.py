@@ -319,3 +319,27 @@ def floor_vertices(
     vertex[:, ALPHA] = opacity.reshape(-1)
     index = 4 * np.arange(len(corner), dtype=np.int32)[:, None] + np.array([0, 1, 2, 0, 2, 3])
     return vertex, index.astype(np.int32).reshape(-1)
+
+
+def ghost_colors(count: int) -> np.ndarray:
+    """The colours of a ghost's particles, (count, 3) uint8."""
+    return np.tile(np.array(style.GHOST, np.uint8), (count, 1))
+
+
+def ghost_lines(count: int, width: float) -> FlatLines:
+    """So many springs of a ghost in a plane, of a width in pixels."""
+    return FlatLines.build(np.tile(style.unit(style.GHOST_ON_WORLD), (count, 1)), width)
+
+
+def flat_lines(
+    color: np.ndarray,
+    segments: np.ndarray,
+    given: tuple[int, int, int] | np.ndarray | None,
+    walls: int,
+    width: float,
+) -> FlatLines:
+    """Walls and then springs, of a width in pixels; for the rest `spring_colors`."""
+    springs = style.spring_colors(color, segments, given)
+    return FlatLines.build(
+        np.concatenate([np.tile(style.unit(style.WALL), (walls, 1)), springs]), width
+    )

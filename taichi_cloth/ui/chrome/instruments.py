@@ -11,6 +11,7 @@ import numpy as np
 
 from taichi_cloth.simulation.history import SECONDS, History
 from taichi_cloth.ui import style
+from taichi_cloth.ui.chrome.beside import DistanceReading
 from taichi_cloth.ui.chrome.errors import ErrorReading
 from taichi_cloth.ui.chrome.graphs import Curve, Line
 from taichi_cloth.ui.text import Color
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 SIMULATE, DRAW, WAIT = (110, 160, 235), (196, 140, 226), (54, 62, 80)
 ERROR = (236, 160, 120)
+RMS, LARGEST = (236, 196, 96), (120, 112, 96)  # of the distance to a run beside it
 CHANGE, WORK, BY_HAND = (92, 102, 124), (110, 160, 235), (196, 140, 226)
 PARTS = ((226, 120, 120), (126, 200, 138), (110, 160, 235))  # x, y, z
 FRAME = 1000.0 / 60.0  # ms that a frame of a window may take
@@ -60,7 +62,8 @@ class Meter:
 class Source:
     """What meters are made of. frames: rows of (simulate, draw, wait) [s]; None: not measured.
 
-    now: the second of what is kept. error: of what is seen; None: nobody measures it.
+    now: the second of what is kept. error: of what is seen; None: nobody measures it. apart:
+    how far a run beside it is; None: there is none.
     """
 
     sim: Simulation
@@ -68,6 +71,7 @@ class Source:
     frames: History | None
     now: float
     error: ErrorReading | None = None
+    apart: DistanceReading | None = None
 
 
 def number(value: float) -> str:
@@ -138,6 +142,22 @@ def error(of: Source) -> Meter | None:
     curve = Curve(found.age, 100 * found.relative, ERROR)
     return Meter(
         "error", found.value, found.state, details, (curve,), (), (0.0, 0.0),
+        label=lambda value: f"{value:.3g} %",
+    )  # fmt: skip
+
+
+def distance(of: Source) -> Meter | None:
+    """How far a second run is apart from the first."""
+    found = of.apart
+    if found is None:
+        return None
+    words = ((found.details[:1], RMS), (found.details[1:], LARGEST))
+    details = tuple((word, color) for some, color in words for word in some)
+    curves = (
+        Curve(found.age, 100 * found.largest, LARGEST), Curve(found.age, 100 * found.rms, RMS)
+    )  # fmt: skip
+    return Meter(
+        "distance", found.value, found.state, details, curves, (), (0.0, 0.01),
         label=lambda value: f"{value:.3g} %",
     )  # fmt: skip
 
@@ -281,4 +301,4 @@ def momentum(of: Source) -> Meter | None:
 
 
 # The most important first: those stay where room is scarce.
-ALL = (frame_time, error, margin, energy, strain, penetration, broken, momentum)
+ALL = (frame_time, distance, error, margin, energy, strain, penetration, broken, momentum)

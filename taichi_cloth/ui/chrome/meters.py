@@ -10,6 +10,7 @@ import numpy as np
 from taichi_cloth.simulation.history import ROWS, SECONDS, History
 from taichi_cloth.ui import style, text
 from taichi_cloth.ui.chrome import graphs, instruments
+from taichi_cloth.ui.chrome.beside import Second
 from taichi_cloth.ui.chrome.contract import COLUMN
 from taichi_cloth.ui.chrome.errors import Errors
 from taichi_cloth.ui.chrome.instruments import Meter, Source
@@ -36,14 +37,20 @@ class Meters:
     sim: whose they are. windowed: whether they keep to a small part of the time, and measure what a
     frame takes; without a window all follows from the frames, so that each run of the same has the
     same pictures. errors: what measures the error of what is seen, when asked to; None: nothing.
+    beside: a second run; None: there is none.
     """
 
     name, label, key, place, focused = "meters", "meters", "m", COLUMN, False
 
     def __init__(
-        self, sim: Simulation, *, windowed: bool = True, errors: Errors | None = None
+        self,
+        sim: Simulation,
+        *,
+        windowed: bool = True,
+        errors: Errors | None = None,
+        beside: Second | None = None,
     ) -> None:
-        self._sim, self._windowed, self._errors = sim, windowed, errors
+        self._sim, self._windowed, self._errors, self._beside = sim, windowed, errors, beside
         self._gauges: Gauges | None = None
         self._times = History(SECONDS, ROWS, 3) if windowed else None
         self._now = 0.0  # seconds that frames took, pauses left out
@@ -111,7 +118,8 @@ class Meters:
         if gauges.state is None:
             gauges.after_frame(self._now)
         error = self._errors.reading() if self._errors and self._errors.on else None
-        source = Source(self._sim, gauges, self._times, self._now, error)
+        apart = self._beside.reading() if self._beside else None
+        source = Source(self._sim, gauges, self._times, self._now, error, apart)
         made = [meter for meter in (make(source) for make in instruments.ALL) if meter]
         panel = drawn(made, rect, height)
         self._drawn, self._due = (state, panel), now + REDRAWN

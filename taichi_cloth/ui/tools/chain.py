@@ -58,7 +58,7 @@ def _press(hand: Hand, memory: _Memory, event: Event) -> Events:
             hand.notice = f"the chain goes on from particle {hit}"
             return None
         return [ToolEvent("tie", {"particles": [before, hit]})]
-    through = None if begins else sim.positions()[before]
+    through = None if begins else hand.seen.positions()[before]
     place = hand.place(event.pos, through)
     if not np.all((place >= world.low) & (place <= world.high)):
         hand.notice = OUTSIDE

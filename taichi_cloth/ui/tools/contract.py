@@ -83,6 +83,7 @@ class Hand:
     pointer: (2,) window pixels, where the pointer is; None before it moved.
     held: the names of the keys that are down, out of "ctrl" and the tool's modifiers.
     notice: what to tell the user about what was done last; None: nothing.
+    other: another run of the scene, beside the first, that the pointer is over; None: it is not.
     """
 
     sim: Simulation
@@ -91,6 +92,12 @@ class Hand:
     pointer: np.ndarray | None = None
     held: set[str] = field(default_factory=set)
     notice: str | None = None
+    other: Simulation | None = None
+
+    @property
+    def seen(self) -> Simulation:
+        """The run that the pointer is over, in which it finds particles and springs."""
+        return self.other or self.sim
 
     def place(
         self, pixel: tuple[float, float] | np.ndarray, through: np.ndarray | None = None
@@ -128,7 +135,7 @@ class Hand:
         self, pixel: tuple[float, float], among: np.ndarray | None, near: float
     ) -> int | None:
         at = np.array(pixel, np.float64)
-        return picking.particle_at(self.sim, self.camera, self.window, at, among, near)
+        return picking.particle_at(self.seen, self.camera, self.window, at, among, near)
 
     @property
     def in_pixels(self) -> bool:

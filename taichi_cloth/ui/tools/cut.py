@@ -33,7 +33,7 @@ def _motion(hand: Hand, memory: _Memory, before: np.ndarray, now: np.ndarray) ->
     if memory.last is None:
         return None
     start, memory.last = memory.last, now
-    crossed = picking.springs_across(hand.sim, hand.camera, hand.window, start, now)
+    crossed = picking.springs_across(hand.seen, hand.camera, hand.window, start, now)
     if len(crossed) == 0:
         return None
     return [ToolEvent("cut", {"springs": crossed.tolist()})]

@@ -60,12 +60,12 @@ def _press(hand: Hand, memory: _Memory, event: Event) -> Events:
     particle = hand.particle_near(event.pos, ~hand.sim.fixed())
     if particle is None:
         return None
-    memory.through = hand.sim.positions()[particle]
+    memory.through = hand.seen.positions()[particle]
     held = [particle]
     if "shift" in hand.held:
         reach = hand.reach()
         radius = ORIGINAL_PATCH if reach is None else PATCH * reach
-        patch = picking.particles_within(hand.sim, hand.camera, memory.through, radius)
+        patch = picking.particles_within(hand.seen, hand.camera, memory.through, radius)
         held = [particle, *(int(other) for other in patch if other != particle)]
     k, c = hand.sim.hold_strength(held)
     place = hand.place(event.pos, memory.through)

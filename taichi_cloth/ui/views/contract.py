@@ -49,7 +49,7 @@ class Picture:
     as_spheres: (n,) bool, which particles are drawn as spheres or discs; None: all.
     solids: the surfaces of obstacles. ground: the height of a floor; None: there is none.
     overlay: what is laid over the frame, in this order.
-    pointer: the pointer, where it is drawn.
+    pointer: the pointer, where it is drawn. beside: a second world; None: there is none.
     ghost: what is drawn pale behind all of it; None: nothing.
 
     Radius, color, segments and triangles are the same objects as before while they are equal, so
@@ -70,6 +70,7 @@ class Picture:
     overlay: tuple[Panel, ...] = ()
     pointer: Pointer | None = None
     ghost: Ghost | None = None
+    beside: Half | None = None
 
     @property
     def color_in_surfaces(self) -> np.ndarray:
@@ -80,6 +81,18 @@ class Picture:
     def has_surfaces(self) -> bool:
         """Whether there is anything besides springs and particles."""
         return len(self.triangles) > 0 or self.solids is not None or self.ground is not None
+
+
+@dataclass(frozen=True)
+class Half:
+    """A second world beside that of a picture, seen by the same camera.
+
+    picture: of it, without an overlay. room: the part of the window that it is drawn in, as large
+    as that of the first one, the view's `room`, and at its right.
+    """
+
+    picture: Picture
+    room: Rect
 
 
 class View(Protocol):

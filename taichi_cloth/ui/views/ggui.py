@@ -21,6 +21,7 @@ from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.composer import Composer
 from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import BUTTON_NAMES, BUTTONS, Event, fewest_moves, key_name
+from taichi_cloth.ui.pair_composer import PairComposer
 from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
 from taichi_cloth.ui.window_map import Look, WindowMap
 
@@ -49,6 +50,7 @@ class GguiView:
             self._window = shaders.open_window(title, size, visible=visible)
         descriptor_pools.limit()
         self._composer = Composer(self._window)
+        self._pair: PairComposer | None = None  # of two worlds beside each other
         self._tap = x11.connect(title, displays) if visible else None
         self._guard = rescue.Guard(self._gone) if self._tap else None
         self._listens = bool(self._tap and self._tap.listen())
@@ -172,7 +174,12 @@ class GguiView:
 
     def _compose(self, picture: Picture) -> None:
         window = WindowMap.of(self.world, self.size, self.room, self.look)
-        self._composer.compose(picture, self.world, self.camera, window)
+        if picture.beside is None:
+            self._composer.compose(picture, self.world, self.camera, window)
+            return
+        if self._pair is None:
+            self._pair = PairComposer(self._window)
+        self._pair.compose(picture, picture.beside, self.world, self.camera, window)
 
     def grab(self) -> np.ndarray:
         """The frame drawn last, (height, width, 3) uint8, row 0 on top."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -26,7 +27,7 @@ from taichi_cloth.ui.inputs import BUTTON_NAMES, Event, fewest_moves, key_name
 from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.surfaces import Solid, Topology
 from taichi_cloth.ui.text import Panel
-from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
+from taichi_cloth.ui.views.contract import Half, Picture, ViewKind, no_display
 from taichi_cloth.ui.window_map import Look, WindowMap
 
 SETTLED = 0.2  # seconds a new size must last before the window follows it
@@ -65,6 +66,8 @@ class GuiView:
         self._seen_from: tuple[float, ...] = ()  # then
         self._turning = False
         self._samples, self._drawn, self._quickest = SAMPLES, 0, np.inf
+        self._adapts = visible  # whether it draws with fewer samples where that takes too long
+        self._halves: list[GuiView] = []  # draw two worlds beside each other
         self._wanted: tuple[tuple[int, int], float] | None = None
         self._open(size)
 
@@ -98,6 +101,7 @@ class GuiView:
     def turn_to(self, world: World, camera: Camera | None) -> None:
         """Show another world from now on; camera: of a 3-D one."""
         self.world, self.camera, self.look = world, camera, None
+        self._halves = []
         self._rasterizers = {}  # how finely it is drawn is found out anew
         self._samples, self._drawn, self._quickest = SAMPLES, 0, np.inf
 
@@ -197,7 +201,9 @@ class GuiView:
         """Draw and present one frame."""
         if self.closed:
             return
-        if self.camera:
+        if picture.beside is not None:
+            self._draw_halves(picture, picture.beside)
+        elif self.camera:
             begin = time.perf_counter()
             self._compose_3d(picture, self.camera)
             self._look_at(time.perf_counter() - begin)
@@ -209,6 +215,23 @@ class GuiView:
             if sys.platform == "darwin":
                 self._gui.img[:] = _turned(self._frame).reshape(-1)
             self._gui.show()
+
+    def _draw_halves(self, picture: Picture, half: Half) -> None:
+        """Have two worlds drawn in memory, each as wide as its room, and put beside each other."""
+        room = self.room or Rect(0, 0, *self.size)
+        if [view.size for view in self._halves] != [(half.room.width, self.size[1])] * 2:
+            size = half.room.width, self.size[1]
+            self._halves = [GuiView(self.world, size, "", visible=False) for _ in range(2)]
+        for view, some, place in zip(
+            self._halves, (picture, half.picture), (room, half.room), strict=True
+        ):
+            view.camera, view.look = self.camera, self.look
+            view.room, view._adapts = replace(place, x=0), self.visible
+            pointer = some.pointer and replace(
+                some.pointer, place=some.pointer.place - np.array([place.x, 0.0])
+            )
+            view.draw(replace(some, overlay=(), beside=None, pointer=pointer))
+            self._frame[:, place.x : place.x + place.width] = view._frame
 
     def grab(self) -> np.ndarray:
         """The frame drawn last, (height, width, 3) uint8, row 0 on top."""
@@ -307,7 +330,7 @@ class GuiView:
 
     def _fitting_rasterizer(self, picture: Picture) -> Rasterizer:
         """The one to draw with: a window's floor, made anew as one turns it, has fewer samples."""
-        coarse = self.visible and self._turning and picture.ground is not None
+        coarse = self._adapts and self._turning and picture.ground is not None
         samples = 1 if coarse else self._samples
         if samples not in self._rasterizers:
             self._rasterizers[samples] = Rasterizer(self.size, samples)
@@ -315,7 +338,7 @@ class GuiView:
 
     def _look_at(self, seconds: float) -> None:
         """Draw with fewer samples in a window whose scene takes too long with more."""
-        if not self.visible or self._samples == 1 or self._turning:
+        if not self._adapts or self._samples == 1 or self._turning:
             return
         self._drawn, self._quickest = self._drawn + 1, min(self._quickest, seconds)
         if self._drawn == LOOKED_AT:
