@@ -182,7 +182,7 @@ CASES = [
     Failing("thrown", "symplectic_euler", thrown(1e8), FRAME, 8, 20, SPEED),
     Failing(
         "set_velocity", "symplectic_euler", shaken(), FRAME, 8, 60, SPEED,
-        acts={10: lambda sim: sim.set(particles=[4], velocity=[1e9, 0, 0])},
+        acts={10: lambda sim: sim.set(particles=[4], velocities=[[1e9, 0, 0]])},
     ),
     Failing(
         "blown", "symplectic_euler", shaken(), FRAME, 8, 60, PUSH,
@@ -194,8 +194,8 @@ CASES = [
     ),
     Failing("gravity_of_1e10", "symplectic_euler", with_gravity(1e10), FRAME, 8, 60, PUSH),
     Failing(
-        "pin_moved_far", "symplectic_euler", pinned(1e5), FRAME, 32, 60, ENERGY,
-        acts={12: lambda sim: sim.set(particles=[0], position=[999.0, 999.0, 999.0])},
+        "pin_moved_far", "symplectic_euler", pinned(1e8), FRAME, 2048, 30, ENERGY,
+        acts={5: lambda sim: sim.set(particles=[0], positions=[[999.0, 999.0, 499.0]])},
     ),
     Failing(
         "set_mass", "symplectic_euler", shaken(), FRAME, 8, 100, STEP, acts={30: heavier},
@@ -273,17 +273,29 @@ def main(words):
     np.seterr(all="ignore")
     runtime.start("cpu", precision, threads=1)
     runner, results = Runner(seconds=15.0), []
-    for case in sorted(CASES, key=lambda case: (case.room, case.method)):
+    for case in sorted(CASES, key=lambda case: (case.room != "springs", case.room, case.method)):
         if not words or any(word in case.name for word in words):
             results.append(runner.run(case))
             print(json.dumps(results[-1]), flush=True)
-    failing = [r for r in results if r["failed"]]
-    print(
-        f"{len(failing)} failed: the cause is right in {sum(r['right'] for r in failing)}, the "
-        f"setting survives in {sum(r['survives'] for r in failing)}; "
-        f"{len(results) - len(failing)} did not: right in "
-        f"{sum(r['right'] for r in results if not r['failed'])}"
-    )
+    print(table(results))
+
+
+def table(results):
+    """How many were right, by cause, for a document."""
+    head = "| cause | runs | cause right | setting survives |\n|---|---|---|---|\n"
+    rows = []
+    for group in (True, False):
+        chosen = [r for r in results if bool(r["failed"]) == group]
+        for kind in dict.fromkeys(r["kind"] for r in chosen):
+            rows.append(_row(kind, [r for r in chosen if r["kind"] == kind], group))
+        if chosen:
+            rows.append(_row("**all that fail**" if group else "**go on**", chosen, group))
+    return head + "\n".join(rows)
+
+
+def _row(name, of, failing):
+    survive = sum(r["survives"] for r in of) if failing else ""
+    return f"| {name} | {len(of)} | {sum(r['right'] for r in of)} | {survive} |"
 
 
 if __name__ == "__main__":

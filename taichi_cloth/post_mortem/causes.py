@@ -427,7 +427,7 @@ def _inverse_masses(trace: Trace, ends: np.ndarray) -> np.ndarray:
 
 def _spring(trace: Trace, number: int) -> str:
     """A spring with the numbers that make it fast: "spring 17 (stiffness 1e6, ...)"."""
-    for network in (trace.before, trace.last):
+    for network in (trace.last, trace.before):
         at = np.flatnonzero(network.number == number)
         if number >= 0 and len(at):
             springs = network.springs

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,7 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.limits.auto_step import MOST, substeps_needed
 from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
 from taichi_cloth.limits.network import Network
-from taichi_cloth.post_mortem.causes import ENERGY, PUSH, SPEED, Cause
+from taichi_cloth.post_mortem.causes import ENERGY, PUSH, RANGE, SPEED, Cause
 from taichi_cloth.post_mortem.trace import Trace
 from taichi_cloth.runtime import current_device
 from taichi_cloth.settings.options import SOLVER_SETTINGS
@@ -31,10 +32,12 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
 
 AFTER = 60  # frames past the one that failed, for which a setting has to hold
+SHORT = 2000  # frames of a run that is made again though nobody knows how long one takes
 MOST_TRIES = 12
 EXPLICIT, IMPLICIT = "symplectic_euler", "implicit_euler"
+RIGID = "xpbd"  # for what is stiffer than equations can be solved for
 SETTINGS = frozenset(("set_step", "set_method", "set_solver"))  # acts that a trial leaves out
-SHORTER = 1000  # times, at most, that a frame is made
+SHORTER = 1 << 16  # times, at most, that a frame is made
 
 
 @dataclass(frozen=True)
@@ -79,15 +82,15 @@ def search(
     place = _place(past, sim, seconds)
     if place is None:
         return Search([], None, "where the run came from is not known, so nothing could be tried")
-    until = time.perf_counter() + seconds
     trials: list[Trial] = []
     with np.errstate(all="ignore"), past.resting(sim):
         tries = _Tries(sim, past, place, trace.failure.frame)
+        tries.until = time.perf_counter() + seconds
         for settings in _wanted(trace, cause, trials, sim):
-            if trials and (time.perf_counter() > until or len(trials) >= MOST_TRIES):
+            if trials and (time.perf_counter() > tries.until or len(trials) >= MOST_TRIES):
                 break
             tell(settings)
-            trials.append(tries.run(settings, until if trials else math.inf))
+            trials.append(tries.run(settings, bounded=bool(trials)))
     survived = [trial for trial in trials if trial.survived]
     best = min(survived, key=lambda trial: trial.seconds / trial.settings.dt, default=None)
     return Search(trials, best, _words(trials, best, place, trace))
@@ -98,39 +101,37 @@ def _place(past: Past, sim: Simulation, seconds: float) -> Place | None:
     places = past.places()
     if not places:
         return None
-    begin = time.perf_counter()
-    with past.resting(sim):
-        go_to(sim, places[-1])
-        try:
-            sim.advance()
-        except SimulationFailure:
-            return places[0]
+    frames, a_frame = sim.frame - places[0].frame, 0.0
+    with past.resting(sim), suppress(SimulationFailure):
+        go_to(sim, places[0])
+        sim.advance()  # compiles
         begin = time.perf_counter()
-        try:
-            sim.advance()
-        except SimulationFailure:
-            return places[0]
-    a_frame = time.perf_counter() - begin
-    frames = sim.frame - places[0].frame
-    return places[0] if 10 * a_frame * frames < seconds else places[min(1, len(places) - 1)]
+        sim.advance()
+        a_frame = time.perf_counter() - begin
+    near = 10 * a_frame * frames < seconds and (a_frame > 0 or frames < SHORT)
+    return places[0] if near else places[min(1, len(places) - 1)]
 
 
 # --- a trial ---------------------------------------------------------------------------------
 
 
 class _Tries:
-    """Runs a simulation from a place with other settings, and the same acts."""
+    """Runs a simulation from a place with other settings, and the same acts.
+
+    until: when no more frames are made, by the clock; what compiles does not count.
+    """
 
     def __init__(self, sim: Simulation, past: Past, place: Place, failed: int) -> None:
         self._sim, self._place, self._acts = sim, place, past.acts_since(place)
-        self._first, self._last = place.frame, failed + AFTER
+        self._first, self._failed = place.frame, failed
+        self.until = math.inf
 
-    def run(self, settings: Settings, until: float) -> Trial:
-        """Try one; until: when no more frames are made, by the clock."""
+    def run(self, settings: Settings, *, bounded: bool) -> Trial:
+        """Try one; bounded: whether it ends where there is no more time."""
         sim, done, spent = self._sim, 0, 0.0
-        wanted, says = self._last - self._first, ""
+        says = ""
         scaled = self._place.settings.dt / settings.dt  # of frames, where they are shorter
-        wanted = math.ceil(wanted * scaled)
+        wanted = math.ceil((self._failed - self._first) * scaled) + AFTER
         try:
             go_to(sim, self._place, settings)
             first = sim.frame
@@ -140,9 +141,11 @@ class _Tries:
                         do_again(sim, act, SETTINGS)
                 begin = time.perf_counter()
                 sim.advance()
-                spent += (time.perf_counter() - begin) * (done > 0)
+                took = time.perf_counter() - begin
+                spent += took * (done > 0)
+                self.until += took * (done == 0)
                 done = sim.frame - first
-                if time.perf_counter() > until:
+                if bounded and time.perf_counter() > self.until:
                     says = "there was no time for more"
                     break
             if sim.work().mostly_unconverged:
@@ -165,17 +168,18 @@ def _wanted(trace: Trace, cause: Cause, trials: list[Trial], sim: Simulation) ->
     """What to try next, by what came of the trials so far."""
     now = trace.settings
     if cause.kind in (SPEED, PUSH, ENERGY):
-        yield from _shorter_frames(trace, trials)
+        yield from _shorter_frames(trace, cause, trials)
         return
     own = methods.load(now.method).claims.stability_limit
     first = now if own > 0 else replace(now, method=EXPLICIT, solver={})
     if math.isinf(own):
         yield from _harder(now, trials)
-    else:
+    elif cause.kind != RANGE:
         yield from _finer(trace, first, trials)
     best = _cheapest(trials)
     solver = {"tolerance": SOLVER_SETTINGS["tolerance"]}
-    other = [replace(now, method=IMPLICIT, solver=solver, substeps=n) for n in (1, 2, 4, 8)]
+    counts = (1,) if cause.kind == RANGE else (1, 2, 4, 8)
+    other = [replace(now, method=IMPLICIT, solver=solver, substeps=n) for n in counts]
     if math.isinf(own):
         other = [s for s in other if now.method != IMPLICIT]
         stable = _stable(trace, EXPLICIT, trace.before)
@@ -186,8 +190,10 @@ def _wanted(trace: Trace, cause: Cause, trials: list[Trial], sim: Simulation) ->
             yield settings
             if trials[-1].survived:
                 return
+    if _cheapest(trials) is None and now.method != RIGID:
+        yield replace(now, method=RIGID, solver={"iterations": SOLVER_SETTINGS["iterations"]})
     if _cheapest(trials) is None:
-        yield from _shorter_frames(trace, trials)
+        yield from _shorter_frames(trace, cause, trials)
 
 
 def _cheapest(trials: list[Trial]) -> Trial | None:
@@ -224,10 +230,14 @@ def _harder(now: Settings, trials: list[Trial]) -> Iterator[Settings]:
             return
 
 
-def _shorter_frames(trace: Trace, trials: list[Trial]) -> Iterator[Settings]:
-    """Frames of less time: what is lost is what crosses the world too often in one of them."""
+def _shorter_frames(trace: Trace, cause: Cause, trials: list[Trial]) -> Iterator[Settings]:
+    """Frames of less time: what is lost is what crosses the world too often in one of them.
+
+    A speed that is there is so as much less often; what a force gives within one falls, too.
+    """
     speed = max((s.speed for s in trace.samples if math.isfinite(s.speed)), default=0.0)
-    factor = max(2.0, 2 ** math.ceil(math.log2(max(2.0 * speed / trace.speed_limit, 2.0))))
+    times = max(2.0 * speed / trace.speed_limit, 2.0)
+    factor = 2 ** math.ceil(math.log2(math.sqrt(times) if cause.kind == PUSH else times))
     while factor <= SHORTER and len(trials) < MOST_TRIES:
         yield replace(trace.settings, dt=trace.settings.dt / factor)
         if trials[-1].survived:
@@ -259,16 +269,14 @@ def _cost(sim: Simulation, settings: Settings) -> float:
 
 
 def _words(trials: list[Trial], best: Trial | None, place: Place, trace: Trace) -> str:
-    """What came of it, in a sentence."""
+    """What came of it, in a clause."""
     whence = "the start" if place.checkpoint is None else f"frame {place.frame}"
     if best is None:
         last = f"; the last of {len(trials)}: {trials[-1].says}" if trials else ""
         return f"no setting that was tried survives from {whence}{last}"
     shorter = best.settings.dt < trace.settings.dt
-    slower = ", in which less time passes" if shorter else ""
+    slower = ", in each of which less time passes" if shorter else ""
     return (
-        f"run from {whence} with the same events, it survives {best.frames} frames{slower}, "
-        f"{AFTER} past the failure"
-        if not shorter
-        else f"run from {whence} with the same events, it survives {best.frames} frames{slower}"
+        f"run from {whence} with the same events, it survives {best.frames} frames, {AFTER} past "
+        f"the failure{slower}"
     )

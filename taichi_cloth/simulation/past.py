@@ -21,7 +21,7 @@ SPAN = 120  # frames before the present one that the ring reaches back, at least
 APART = 15  # frames between its checkpoints, at least
 MOST_BYTES = 64 << 20  # of checkpoints; of larger states there are two
 MOST_OF_ACTS = 16 << 20
-SOON = 2.0  # seconds, within which a run is quickly made again from its start
+SOON = 10.0  # seconds, within which a run is quickly made again from its start
 SHARE = 0.01  # of the time, that checkpoints made for the ring alone may take
 # Acts that make another run of it, from the start of its scene or from a checkpoint.
 BEGIN = frozenset(("reset", "load_scene", "restore"))
@@ -74,7 +74,7 @@ class Past:
         self.origin: Place | None = None
         self.ring: list[Place] = []
         self._bytes, self._dropped = 0, 0
-        self._next = math.inf
+        self._next, self._compiled = math.inf, False
 
     @property
     def whole(self) -> bool:
@@ -124,8 +124,10 @@ class Past:
         now = self._clock()
         if now < self._next:
             return
+        first = not self._compiled
         sim.checkpoint()  # which offers itself
-        self._next = self._clock() + (self._clock() - now) / SHARE
+        self._compiled = True
+        self._next = self._clock() + (0.0 if first else self._clock() - now) / SHARE
 
     def _wants(self, frame: int) -> bool:
         last = self.ring[-1] if self.ring else self.origin
@@ -167,8 +169,8 @@ class Past:
     @contextmanager
     def resting(self, sim: Any) -> Iterator[None]:
         """Go where one likes meanwhile; then the run is as it was, to the bit, and so is this."""
-        here, listeners = sim.checkpoint(), sim.listeners
-        sim.past, sim.listeners = None, ()
+        listeners, sim.past, sim.listeners = sim.listeners, None, ()
+        here = sim.checkpoint()
         try:
             yield
         finally:

@@ -76,6 +76,7 @@ class Loop:
             self._controls.tell(request.scenes.said)
         self._started: float | None = None
         self._simulate, self._draw = 0.0, 0.0
+        self._resume = 0  # the frame from which a run that failed may go on with what survives
 
     # One turn
 
@@ -207,7 +208,9 @@ class Loop:
             self._show_now()
 
         tell("looking for the cause")
-        self._shown.open_finding(examiner.examine(tell))
+        finding = examiner.examine(tell)
+        self._resume = self.state.frames - (finding.back if finding else 0)
+        self._shown.open_finding(finding)
         self.state.examining = ""
         self._shown.hurry()
 
@@ -217,7 +220,7 @@ class Loop:
         if finding is None or not finding.settings or settings is None:
             self._controls.tell("u goes on with a setting that survives, where a run has failed")
             return
-        self._go_to(self.state.frames - finding.back)
+        self._go_to(self._resume)
         settings.given.update(finding.settings)
         self._give_settings()
         self.state.paused = False

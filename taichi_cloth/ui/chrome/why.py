@@ -109,7 +109,9 @@ def _lines(finding: Finding | None) -> list[tuple[str, Color]]:
         (finding.remedy, style.GOOD if finding.settings else style.WARN),
     ]
     if finding.settings:
-        lines.append((f"{APPLY_KEY}: go on with it from {finding.back} frames ago", style.KEY_INK))
+        lines.append(
+            (f"{APPLY_KEY}: go on with it from {finding.back} frames before", style.KEY_INK)
+        )
     return [*lines, ("left, right: the frames before   r: begin anew", style.MUTED)]
 
 

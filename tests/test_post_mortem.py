@@ -1,0 +1,156 @@
+"""Why a run failed, and what survives: named, tried, written, and shown, with no bit changed."""
+
+import re
+from html.parser import HTMLParser
+
+import failing_runs
+import numpy as np
+import pytest
+from failing_runs import CASES, Runner
+from test_timeline import Script, press
+
+from taichi_cloth.cli.run_report import Examining
+from taichi_cloth.errors import InputError, SimulationFailure
+from taichi_cloth.post_mortem.causes import STEP
+from taichi_cloth.scene.library import build
+from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.ui import app
+from taichi_cloth.ui.inputs import Event
+
+pytestmark = pytest.mark.usefixtures("device")
+
+
+class Parts(HTMLParser):
+    """What a page is made of, and the addresses that it would load."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.tags, self.addresses, self.open = [], [], []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.addresses += [value for name, value in attrs if name in ("src", "href", "xlink:href")]
+        if tag not in ("meta", "img", "br"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        self.open = self.open[:-1] if self.open[-1:] == [tag] else self.open
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def runner():
+    return Runner(seconds=10.0)
+
+
+QUICK = ("stiff_spring/symplectic_euler", "blown", "tearing")
+FEW = [case for case in CASES if case.name in QUICK]
+
+
+@pytest.mark.parametrize("case", FEW, ids=lambda case: case.name)
+def test_the_cause_is_named_and_the_setting_survives(runner, case):
+    """Numerics, what somebody did, and physics: told apart; nothing of the run is changed."""
+    said = runner.run(case)
+    assert said["right"] and said["survives"] and said["same"], said
+
+
+def test_a_report_has_all_in_one_file(tmp_path):
+    """What was done comes again: spring 5 is named, which was made stiff at frame 20."""
+    sim = Simulation(failing_runs.shaken()(), dt=1 / 60, substeps=4, topology="graph")
+    sim.advance(20)
+    sim.set(springs=[5], stiffness=1e7)
+    with pytest.raises(SimulationFailure):
+        sim.advance(100)
+    before = sim.positions(), sim.frame
+    found = sim.report(tmp_path / "a.html", seconds=5.0)
+    np.testing.assert_array_equal(before[0], sim.positions())
+    assert (sim.frame, sim.substeps) == (before[1], 4)
+    assert found.cause.kind == STEP and found.cause.spring == 5 and found.cause.numerical
+    assert "`set` at frame 20" in found.cause.proof
+    page = (tmp_path / "a.html").read_text()
+    parts = Parts(page)
+    assert parts.open == [] and parts.tags.count("img") >= 3 and "svg" in parts.tags
+    assert all(address.startswith(("data:image/png", "#")) for address in parts.addresses)
+    assert not re.search(r"<script|<link|@import|url\(http", page)
+    assert found.command in page and "spring 5 (stiffness 1e+07, inverse mass 10)" in page
+    # What survives there does so for a user who takes it.
+    sim.reset()
+    sim.set_step(substeps=found.search.best.settings.substeps)
+    sim.advance(20)
+    sim.set(springs=[5], stiffness=1e7)
+    sim.advance(60)
+    assert "nothing went wrong" in sim.report(tmp_path / "b.html", pictures=False).cause.says
+    with pytest.raises(InputError):
+        sim.report(tmp_path / "nowhere" / "c.html")
+
+
+def test_what_is_kept_for_it_changes_no_bit():
+    """Checkpoints after each few frames, or none: the same positions; and not too many are kept."""
+    ends = []
+    for keeps in (False, True):
+        sim = Simulation(build("cloth", columns=12, rows=9), topology="graph", execution="serial")
+        sim.past.keeps = keeps
+        sim.past._next = 0.0
+        sim.past._clock = lambda: 0.0
+        for k in range(300):
+            if k % 40 == 0:
+                sim.blow([200.0 + k, 150.0], [3.0, 1.0])
+            sim.advance()
+        ends.append(sim.positions())
+        assert (len(sim.past.ring) > 4) == keeps and len(sim.past.ring) < 12
+    np.testing.assert_array_equal(*ends)
+
+
+def test_a_window_stays_and_goes_on_with_what_survives():
+    """The panel opens, a frame back is seen, and u plays on from before with other substeps."""
+    scene = build("cloth", columns=12, rows=9)
+    sim = Simulation(scene, dt=1.9, topology="graph", execution="serial")
+    seen = []
+
+    class Seen(Script):
+        def draw(self, picture):
+            seen.append("\n".join(panel.words for panel in picture.overlay))
+
+    turns = [*[[]] * 60, press("left"), [], press("u"), *[[]] * 60]
+    app.run(sim, Seen(scene.world, turns), quiet=True, examiner=Examining(sim, ["cloth"]))
+    assert any("Numerics: the step is too long" in words for words in seen)
+    assert sim.substeps > 1 and sim.dt == 1.9 and sim.frame > 40
+    assert np.isfinite(sim.positions()).all() and sim.springs_alive().all()
+    with pytest.raises(SimulationFailure):  # who quits at the panel is told as before
+        sim.reset()
+        sim.set_step(substeps=1)
+        app.run(sim, Script(scene.world, [*[[]] * 60, [Event("press", key="escape")]]), quiet=True)
+
+
+def test_a_run_that_fails_leaves_its_report(cli, tmp_path):
+    """Beside what it saves, or where it was asked for; the error is one line as before."""
+    saved = tmp_path / "run.npz"
+    words = "run", "cloth", "--headless", "--columns", 12, "--rows", 9, "--dt", 1.9
+    out, err = cli(*words, "--save", saved, check=3)
+    assert err.count("error:") == 1 and f"report: {tmp_path / 'run.report.html'}" in out
+    assert "cause: the step is too long for spring" in out
+    assert saved.exists() and "taichi-cloth run cloth --columns 12" in (
+        (tmp_path / "run.report.html").read_text()
+    )
+    cli(*words[:-2], "--frames", 30, "--report", tmp_path / "good.html")
+    assert "nothing went wrong" in (tmp_path / "good.html").read_text()
+    _, err = cli(*words, "--report", tmp_path / "no" / "x.html", check=2)
+    assert "there is no folder" in err
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        *("good.html", "run.npz", "run.report.html")
+    ]
+
+
+@pytest.mark.thorough
+def test_of_all_failing_runs_nearly_all_are_right(runner):
+    """In 95 of 100 the cause is right, in 95 the setting survives; physics is never numerics."""
+    said = [runner.run(case) for case in CASES]
+    failed = [one for one in said if one["failed"]]
+    assert len(failed) >= 40
+    assert sum(one["right"] for one in failed) >= 0.95 * len(failed)
+    assert sum(one["survives"] for one in failed) >= 0.95 * len(failed)
+    assert all(one["right"] for one in said if not one["failed"])
