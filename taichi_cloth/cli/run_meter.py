@@ -24,7 +24,7 @@ NO_GHOST, MAGNIFIED, TRUE = range(3)  # how the reference is drawn
 # Of what the particles span: how far a magnified ghost is away at most, and what nobody sees.
 APART, UNSEEN = 0.06, 0.002
 # What is smaller than the last one shows is nothing that one should look at.
-TIMES = [n * 10.0**power for power in range(4) for n in (1, 2, 5)] + [1e4]
+TIMES = [n * 10.0**power for power in range(3) for n in (1, 2, 5)] + [1e3]
 MOST_SHOWN = 20  # seconds that were measured, in a graph of ten
 
 

@@ -104,7 +104,10 @@ class ErrorMeter(Listener):
         """What it is doing, in words."""
         window = self._window
         if not self.busy:
-            return f"frame {window.frames} of {FRAMES}" if window else "nothing can move"
+            if window:
+                return f"frame {window.frames} of {FRAMES}"
+            fixed = self._sim.fixed().all()
+            return "nothing can move" if fixed else "begins with the next frame"
         with suppress(OSError):
             stage = Path(self._folder.name) / STAGE
             since = time.time() - stage.stat().st_mtime

@@ -104,7 +104,7 @@ class Verdict:
         ahead = "no growth" if not self.growth else f"holds {self.ahead:.2g} s"
         if self.ahead > FOREVER:
             ahead = f"holds over {FOREVER:.0f} s"
-        return value, (*(["not sure"] if self.trouble else []), *self._parts(), ahead)
+        return value, (*self._parts(), ahead, *(["not sure"] if self.trouble else []))
 
     def _parts(self) -> list[str]:
         """What made the error, in words."""
