@@ -252,6 +252,13 @@ def test_a_ghost_has_no_springs_that_broke_in_the_reference():
     made = Ghosts().of(picture, away, np.array([[1, 0]]))
     assert made.segments.tolist() == [[2, 1], [2, 3]] and made.triangles.tolist() == [[1, 3, 2]]
     assert made.position.tolist() == away.tolist() and made.as_spheres.tolist() == [True] * 5
+    # Of many there are pins, from some of them to where the ghost is.
+    many = np.random.default_rng(0).random((9000, 2)).astype(np.float32)
+    picture = replace(picture, position=many, radius=np.ones(9000), color=np.zeros((9000, 3)))
+    pins = Ghosts().of(picture, np.full((9000, 2), 0.5, np.float32), made.segments[:0])
+    feet, heads = pins.position[pins.segments].swapaxes(0, 1)
+    np.testing.assert_allclose(heads - feet, 0.5, rtol=1e-6)
+    assert pins.over and 250 < len(heads) == pins.as_spheres.sum() < 350
 
 
 @pytest.mark.thorough

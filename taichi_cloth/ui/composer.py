@@ -109,8 +109,9 @@ class Composer:
         window, (_, height) = self._map, self._size
         self._canvas.set_background_color(style.unit(style.WORLD))
         self._surround()
-        if picture.ghost is not None:
-            self._ghost_2d(picture.ghost)
+        ghost = picture.ghost
+        if ghost is not None and not ghost.over:
+            self._ghost_2d(ghost)
         place = window.world_to_canvas(picture.position)
         shown = drawing.are_numbers(place)
         if picture.solids is not None:
@@ -131,13 +132,15 @@ class Composer:
             vertex = self._discs(radius, color, window.scale, height)
             vertex[..., :2] = place
             self._circles(vertex.reshape(-1, STRIDE))
+        if ghost is not None and ghost.over:
+            self._ghost_2d(ghost)
 
     def _ghost_2d(self, ghost: Ghost) -> None:
         """Draw a ghost in a plane, in a colour that seems to be seen through."""
         window, height = self._map, self._size[1]
         place = window.world_to_canvas(ghost.position)
         shown = drawing.are_numbers(place)
-        color = np.array(style.unit(style.GHOST_ON_WORLD))
+        color = np.array(style.unit(ghost.flat_color))
         faces = drawing.between_shown(ghost.triangles, shown)
         if len(faces):
             vertex = vertices(np.tile(color, (faces.size, 1)))
@@ -146,7 +149,7 @@ class Composer:
         segments = drawing.between_shown(ghost.segments, shown)
         if len(segments):
             wide = drawing.line_width(window.room.height if window.room else height)
-            lines = self._ghost_lines(len(segments), wide)
+            lines = self._ghost_lines(len(segments), wide, ghost.flat_color)
             self._lines_2d(lines, place.take(segments.reshape(-1), axis=0))
         seen = shown & ghost.as_spheres
         if seen.any():

@@ -19,7 +19,7 @@ from taichi_cloth.ui.window_map import WindowMap
 
 def shapes(ghost: Ghost, window: WindowMap, width: float) -> list[Shapes]:
     """A ghost in a plane, in a colour that seems to be seen through; width: of lines, pixels."""
-    place, color = window.to_window(ghost.position), style.packed_one(style.GHOST_ON_WORLD)
+    place, color = window.to_window(ghost.position), style.packed_one(ghost.flat_color)
     shown = drawing.are_numbers(place)
     corner = place[drawing.between_shown(ghost.triangles, shown)]
     first, second = place[drawing.between_shown(ghost.segments, shown)].swapaxes(0, 1)

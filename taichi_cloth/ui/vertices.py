@@ -326,9 +326,9 @@ def ghost_colors(count: int) -> np.ndarray:
     return np.tile(np.array(style.GHOST, np.uint8), (count, 1))
 
 
-def ghost_lines(count: int, width: float) -> FlatLines:
+def ghost_lines(count: int, width: float, color: tuple[int, ...]) -> FlatLines:
     """So many springs of a ghost in a plane, of a width in pixels."""
-    return FlatLines.build(np.tile(style.unit(style.GHOST_ON_WORLD), (count, 1)), width)
+    return FlatLines.build(np.tile(style.unit(color), (count, 1)), width)
 
 
 def flat_lines(

@@ -10,6 +10,7 @@ import numpy as np
 
 from taichi_cloth import runtime
 from taichi_cloth.scene.model import World
+from taichi_cloth.ui import style
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.inputs import Event
@@ -25,6 +26,7 @@ class Ghost:
 
     position: (n, dim) of the picture's first n particles [world]. radius: (n,) [world].
     segments: (s, 2), triangles: (m, 3), as_spheres: (n,) bool, normals: (n, 3), as in a `Picture`.
+    over: whether a plane has it over its own things, and not under them.
     """
 
     position: np.ndarray
@@ -33,6 +35,12 @@ class Ghost:
     triangles: np.ndarray
     as_spheres: np.ndarray
     normals: np.ndarray | None
+    over: bool = False
+
+    @property
+    def flat_color(self) -> tuple[int, ...]:
+        """The colour in a plane: over things its own, under them as if one saw through it."""
+        return style.GHOST if self.over else style.GHOST_ON_WORLD
 
 
 @dataclass(frozen=True)

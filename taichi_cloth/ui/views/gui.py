@@ -264,8 +264,11 @@ class GuiView:
         """What is painted of a plane: walls, solids, surfaces, springs, particles."""
         walls = window.walls(self.world.walls)
         found = [painter.lines(walls[:, 0], walls[:, 1], 1.5, style.packed_one(style.WALL))]
+        veil: list[Shapes] = []
         if picture.ghost is not None:
-            found += veiled.shapes(picture.ghost, window, drawing.line_width(self._room_height))
+            width = drawing.line_width(self._room_height)
+            veil = veiled.shapes(picture.ghost, window, width)
+            found += [] if picture.ghost.over else veil
         if picture.solids is not None:
             faces = picture.solids.triangles
             corner = window.to_window(picture.solids.vertex).take(faces, axis=0)
@@ -291,7 +294,7 @@ class GuiView:
             place, radius, color = drawing.shown_particles(place, picture, shown)
             for disc in self._discs(radius, color, window.scale):
                 found.append(painter.discs(place, *disc))
-        return found
+        return [*found, *veil] if picture.ghost and picture.ghost.over else found
 
     def _compose_3d(self, picture: Picture, camera: Camera) -> None:
         """Draw what there is with a depth buffer, and the pointer over it."""
