@@ -74,6 +74,19 @@ class Hand:
         return Event(kind, pos=pos, button=None if kind == "move" else "left")
 
 
+def noting(file):
+    """Have what each frame of a budget took written to a file: substeps, simulate, rest [s]."""
+    from taichi_cloth.cli.run_budget import HeldBudget
+
+    after_frame = HeldBudget.after_frame
+
+    def noted(self, simulate, rest):
+        file.write(f"{self._sim.substeps} {simulate:.6f} {rest:.6f}\n")
+        after_frame(self, simulate, rest)
+
+    HeldBudget.after_frame = noted
+
+
 def scripted(frames, seed):
     """Have views that are opened from now on be used by the script."""
     before = opening.open_view
@@ -93,4 +106,6 @@ if __name__ == "__main__":
 
     seed, frames = int(sys.argv[1]), int(sys.argv[2])
     scripted(frames, seed)
-    sys.exit(main(["run", *sys.argv[3:], "--frames", str(frames)]))
+    with open(sys.argv[3], "w") as file:
+        noting(file)
+        sys.exit(main(["run", *sys.argv[4:], "--frames", str(frames)]))

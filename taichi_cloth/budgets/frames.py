@@ -3,8 +3,8 @@
 A frame's work is a + b substeps to simulate, and what does not depend on these: drawing, events. Of
 each of the last frames it is told what it would have taken with other substeps, so what is chosen
 is that with which as many as are wanted would have been in time. Frames that would have been late
-with the fewest substeps, too, are none of the scene's (a busy machine's, or drawing's) and do not
-count, unless they are most of them.
+with the fewest substeps, too, are a busy machine's, or drawing's: few of them count, as no choice
+is better for them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ FEW, ENOUGH = 20, 90  # frames with the present substeps before there may be few
 AT_FIRST = 40  # before there may be more for the first times
 IN_TIME = 0.97  # of the frames, with what is chosen; and with what is kept:
 KEPT = 0.955
-DOWN, UP = 0.92, 0.80  # of the time: what is aimed at where there have to be fewer, or may be more
+DOWN, UP = 0.94, 0.92  # of the time: what is aimed at where there have to be fewer, or may be more
+USUALLY = 0.85  # of the time: what half of the frames may take, where there may be more
+NOT_OURS = 0.02  # of the frames: that are late with the fewest, too, and count
 RELEASED = 600  # frames for which what was too much is not tried again; each time twice as many
 MOST_RELEASED = 32 * RELEASED
 FORGOTTEN = 1800  # frames after which a time with other substeps says nothing any more
@@ -111,11 +113,16 @@ class FrameTimes:
         return fits[-1] if fits else 1
 
     def in_time(self, substeps: int, least: int, part: float = 1.0) -> float:
-        """The part of the scene's own frames that would have taken at most so much of the time."""
-        own = self.would_take(least) <= self.budget
-        if own.mean() < 0.5:
-            own[:] = True
-        return float((self.would_take(substeps)[own] <= part * self.budget).mean())
+        """The part of the frames that would have taken at most so much of the time.
+
+        Of those that the fewest substeps would not have had in time, only few count.
+        """
+        always = self.late(least)
+        return 1.0 - max(self.late(substeps, part) - always, 0.0) - min(always, NOT_OURS)
+
+    def late(self, substeps: int, part: float = 1.0) -> float:
+        """The part of the frames that would have taken more than so much of the time."""
+        return float((self.would_take(substeps) > part * self.budget).mean())
 
     def choose(self, now: int, limits: Limits) -> Choice:
         """The substeps of the next frame, where those of the last were `now`."""
@@ -143,7 +150,9 @@ class FrameTimes:
         chosen, measured = now, self.slope[1]
         for n in rungs:
             far = not measured and n > STEEPEST * now
-            if self._barred(n) or far or self.in_time(n, least, UP) < IN_TIME:
+            usual = self._usual(n) <= 1e3 * USUALLY * self.budget
+            fits = usual and self.in_time(n, least, UP) >= IN_TIME
+            if self._barred(n) or far or not fits:
                 break
             chosen = n
         return chosen
@@ -153,26 +162,40 @@ class FrameTimes:
         of = f"of {1e3 * self.budget:.3g} ms"
         if len(self._frames) < FEW:
             return Choice(chosen, f"{steps}: nothing measured yet", "measuring")
-        takes = f"{self._milliseconds(chosen):.2g}"
-        if chosen == limits.least and self.in_time(chosen, chosen) < KEPT:
-            rest = 1e3 * float(np.median([f.rest for f in self._frames]))
-            way = "fewer are not stable" if chosen > 1 else "there are no fewer"
-            if rest > 1e3 * self.budget / 2:
-                way = f"drawing takes {rest:.2g}"
-            why = f"{steps}: {takes} ms {of}, more than there is: {way}"
-            return Choice(chosen, why, f"{takes} {of}", met=False)
+        short, late = f"{self._usual(chosen):.2g} {of}", self.late(chosen)
+        why = f"{steps}: {self._usual(chosen):.2g} ms {of}"
+        if late > 1 - KEPT:
+            short += f", {100 * late:.0f} % late"
+            why += f", {100 * late:.2g} % late"
+            if chosen > limits.least:
+                why += (
+                    f", and {100 * self.late(limits.least):.2g} % with the fewest, {limits.least}"
+                )
+            else:
+                why += f": {self._in_the_way(chosen)}"
+            return Choice(chosen, why, short, met=False)
         finer = next((n for n in limits.rungs() if n > chosen), None)
-        why = f"{steps}: {takes} ms {of}"
         if finer is None:
             why += f"; no more: {limits.why_most}"
         else:
-            late = ", and was too much a while ago" if self._barred(finer) else ""
-            why += f"; next finer, {finer}, would take {self._milliseconds(finer):.2g}{late}"
-        return Choice(chosen, why, f"{takes} {of}")
+            why += f"; next finer, {finer}, would take {self._usual(finer):.2g}"
+            late = self.late(finer, UP)
+            if self._barred(finer):
+                why += ", and was late a while ago"
+            elif late > 1 - IN_TIME:
+                why += f", {100 * late:.2g} % nearly late or late"
+        return Choice(chosen, why, short)
 
-    def _milliseconds(self, substeps: int) -> float:
-        """What all frames but the slowest would take with so many substeps."""
-        return 1e3 * float(np.percentile(self.would_take(substeps), 100 * IN_TIME))
+    def _in_the_way(self, least: int) -> str:
+        """Why there are not fewer substeps, or what else takes the time."""
+        rest = float(np.median([f.rest for f in self._frames]))
+        if rest > self.budget / 2:
+            return f"drawing takes {1e3 * rest:.2g}"
+        return "fewer are not stable" if least > 1 else "there are no fewer"
+
+    def _usual(self, substeps: int) -> float:
+        """What half of the frames would take with so many substeps, in milliseconds."""
+        return 1e3 * float(np.median(self.would_take(substeps)))
 
     def _barred(self, n: int) -> bool:
         """Whether so many substeps were too much a short while ago."""
