@@ -188,6 +188,8 @@ class FrameTimes:
 
     def _in_the_way(self, least: int) -> str:
         """Why there are not fewer substeps, or what else takes the time."""
+        if self._usual(least) <= 1e3 * USUALLY * self.budget:
+            return "other programs hold these up"
         rest = float(np.median([f.rest for f in self._frames]))
         if rest > self.budget / 2:
             return f"drawing takes {1e3 * rest:.2g}"
