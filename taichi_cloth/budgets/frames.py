@@ -106,11 +106,12 @@ class FrameTimes:
         return taken
 
     def most_within(self) -> int | None:
-        """The most substeps with which frames are in time; None: nothing is measured."""
+        """The most substeps that half of the frames have time for, drawn or not; None: unknown."""
         if len(self._frames) < FEW:
             return None
-        fits = [n for n in RUNGS if self.in_time(n, 1) >= IN_TIME]
-        return fits[-1] if fits else 1
+        rest = np.array([f.rest for f in self._frames])
+        takes = (float(np.median(self.would_take(n) - rest)) for n in RUNGS)
+        return max((n for n, t in zip(RUNGS, takes, strict=True) if t <= self.budget), default=1)
 
     def in_time(self, substeps: int, least: int, part: float = 1.0) -> float:
         """The part of the frames that would have taken at most so much of the time.

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
 
 LOOK = 15  # frames between looks at what is broken
-OFTEN = 5  # frames between choices by time
+OFTEN = 10  # frames between choices by time
 MOVED = 60  # frames after which a limit that depends on speeds is found anew
 LONGEST = 0.1  # seconds of a frame: no error is worth slower ones
 
@@ -117,7 +117,7 @@ class Keeper:
         else:
             fits = self._times.most_within()
             if fits is not None and fits < most:
-                most, why = fits, f"frames would take more than {1e3 * LONGEST:g} ms"
+                most, why = fits, f"frames would take more than {1e3 * LONGEST:g} ms to simulate"
         return Limits(least, max(most, least), why)
 
 

@@ -3,27 +3,27 @@
 Each second that was measured says how many substeps it would have taken, by e ~ h^p: p is the order
 that was measured in that second where finer steps are asked for, and at least the method's claim
 where coarser ones are, so that what is not known makes steps finer. What is chosen is enough for
-the worst of the last seconds, with a margin: a second to come may be worse.
+the worst of the last seconds but one in twenty, with a margin: a second to come may be worse.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from taichi_cloth.budgets.choice import Choice, Limits, steps_in_words
 
-LATELY = 16  # seconds that are looked at
+LATELY = 20  # seconds that are looked at
+MISSED = 0.05  # of these, which may ask for more than is chosen
 MARGIN = 0.6  # of the error that is wanted: what is aimed at
 FIRST = 8  # times the fewest: until a second was measured
 UNSEEN = 2  # times as many while springs tear, until a second was measured in which they do
 FARTHEST = 4.0  # times: by how much a single second may ask for more
-LOWEST, HELPLESS = (
-    0.5,
-    0.25,
-)  # orders: what is counted on at least; below which finer steps don't help
+LOWEST = 0.6  # order that is counted on at least
+HELPLESS = 0.4  # order below which finer steps are no help
 PATIENCE = 4  # seconds with as many substeps before there may be fewer, at least half
 UNSURE = 3  # seconds in a row without a sure error: then there is none to keep to
 
@@ -124,13 +124,18 @@ class SecondErrors:
             )
         if len(self._lately) >= UNSURE and all(s.trouble for s in list(self._lately)[-UNSURE:]):
             return self._undefined(now, limits)
-        needed = max(map(self.needs, sure)) * (UNSEEN if self._alarm else 1)
+        needed = self._worst(map(self.needs, sure)) * (UNSEEN if self._alarm else 1)
         wanted = limits.at_least(needed) or limits.rungs()[-1]
         floor = now
         if self._since >= PATIENCE and not self._lately[-1].trouble:
             floor = limits.at_least(now / 2) or now
         chosen = max(wanted, min(floor, limits.rungs()[-1]), limits.least)
         return self._said(chosen, limits, goal)
+
+    def _worst(self, values: Iterable[float]) -> float:
+        """The largest but those few that may be missed."""
+        found = sorted(values)
+        return found[-1 - int(MISSED * len(found))]
 
     def _undefined(self, now: int, limits: Limits) -> Choice:
         chosen = limits.at_least(now) or limits.rungs()[-1]
@@ -140,9 +145,11 @@ class SecondErrors:
 
     def _said(self, chosen: int, limits: Limits, goal: str) -> Choice:
         sure, steps = self.sure, steps_in_words(chosen)
-        worst = max(self.would_be(second, chosen) for second in sure)
+        worst = self._worst(self.would_be(second, chosen) for second in sure)
+        kept = len(sure) - int(MISSED * len(sure))
         seconds = "the second" if len(sure) == 1 else f"{len(sure)} seconds"
-        why = f"{steps}: at most {_percent(worst)} in {seconds} measured"
+        of = seconds if kept == len(sure) else f"{kept} of {seconds}"
+        why = f"{steps}: at most {_percent(worst)} in {of} measured"
         short = f"{_percent(worst)} of {goal}"
         rounding = max(second.rounding for second in sure)
         if rounding > MARGIN * self.goal:
@@ -160,7 +167,7 @@ class SecondErrors:
         elif not cheaper:
             why += "; fewer are not stable" if limits.least > 1 else "; there are no fewer"
         else:
-            other = max(self.would_be(second, cheaper[-1]) for second in sure)
+            other = self._worst(self.would_be(second, cheaper[-1]) for second in sure)
             beyond = other > MARGIN * self.goal
             aimed = (
                 f", and {_percent(MARGIN * self.goal)} is aimed at" if beyond else ", tried next"
