@@ -123,6 +123,14 @@ def test_an_error_budget_takes_about_the_fewest_that_meet_it(c, p):
     assert min(taken) >= 2
 
 
+def test_an_error_budget_gets_coarser_only_by_what_was_measured_since():
+    errors = SecondErrors(0.01, 1)
+    for _ in range(seconds.PATIENCE):
+        errors.note(Second(16, 1e-4, order=1.0), torn=True)
+    assert errors.choose(16, Limits()).substeps == 8
+    assert errors.choose(8, Limits()).substeps == 8  # asked once more, as when springs break
+
+
 def test_an_error_budget_is_finer_while_springs_tear_that_no_second_showed():
     errors = SecondErrors(0.01, 1)
     for _ in range(6):

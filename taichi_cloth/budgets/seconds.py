@@ -127,7 +127,8 @@ class SecondErrors:
         needed = self._worst(map(self.needs, sure)) * (UNSEEN if self._alarm else 1)
         wanted = limits.at_least(needed) or limits.rungs()[-1]
         floor = now
-        if self._since >= PATIENCE and not self._lately[-1].trouble:
+        last = self._lately[-1]
+        if self._since >= PATIENCE and last.substeps == now and not last.trouble:
             floor = limits.at_least(now / 2) or now
         chosen = max(wanted, min(floor, limits.rungs()[-1]), limits.least)
         return self._said(chosen, limits, goal)
