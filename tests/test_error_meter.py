@@ -225,11 +225,15 @@ def test_a_ghost_goes_with_the_run_it_is_of(chain):
         there = sim.checkpoint()
         sim.reset()
         meter.ghost = ghost = Ghost.read(chain.folder / GHOST, chain.window)
-        start = sim.checkpoint()
-        sim.advance(FRAMES + 5)
-        sim.restore(start)
         sim.advance(20)
-        assert meter.ghost is ghost
+        middle = sim.checkpoint()
+        sim.advance(FRAMES - 15)
+        meter.recent = [Verdict(0, 15, error=1.0, scale=9.0), chain.verdict]
+        assert meter.last is chain.verdict
+        sim.restore(middle)
+        assert meter.last is meter.recent[0] and meter.age == 5
+        sim.advance(20)
+        assert meter.ghost is ghost and meter.recent == [meter.last]
         sim.pin([3])
         sim.advance(2)
         assert meter.ghost is None
@@ -360,9 +364,10 @@ def test_a_window_says_it_in_a_row_of_its_meters(torn):
     assert shown.switch("error").startswith("measuring") and shown.measures
     assert "error\nmeasuring\nframe 0 of 60" in shown.panel(rect, 16).words
     meter = measured._meter
-    known = Verdict(0, FRAMES, "f32", 0.3, 10.0, 100.0, solver=0.01, rounding=0.001, growth=0.1)
+    now = torn.frame - FRAMES
+    known = Verdict(now, FRAMES, "f32", 0.3, 10.0, 100.0, 0.1, 8, 0.01, 0.001, growth=0.1)
     meter.recent.append(known)
-    meter.recent.append(replace(known, first=60, trouble="two references differ"))
+    meter.recent.append(replace(known, trouble="two references differ"))
     reading = measured.reading()
     assert reading.value == "3 % (0.3)"
     assert reading.details[:3] == ("solver 0.1 %", "f32 0.01 %", "holds 1.7 s")

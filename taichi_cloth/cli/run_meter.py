@@ -56,7 +56,7 @@ class MeasuredErrors:
         self._ghost = MAGNIFIED if self._ghost == NO_GHOST else NO_GHOST
         if self._ghost == NO_GHOST:
             return "ghost: off"
-        return "ghost: where the last second ends with finer steps, its distance magnified"
+        return "ghost: where the last second ends with finer steps"
 
     def ghost(self) -> GhostReading | None:
         """The ghost of the present frame; None: it is not asked for."""
@@ -130,8 +130,8 @@ class MeasuredErrors:
         age = f"{meter.age / SECOND:.0f} s old"
         if not last.known:
             return ErrorReading("not known", (age, last.trouble), style.WARN)
-        shown = [verdict for verdict in meter.recent[-MOST_SHOWN:] if verdict.known]
-        ends = np.array([verdict.first + verdict.frames for verdict in shown])
+        shown = [verdict for verdict in meter.shown[-MOST_SHOWN:] if verdict.known]
+        ends = np.array([verdict.end for verdict in shown])
         begins = np.array([verdict.first for verdict in shown])
         now = self._sim.frame
         ages = np.column_stack([now - begins, now - ends - 1e-3]).ravel() / SECOND

@@ -91,14 +91,19 @@ class ErrorMeter(Listener):
 
     @property
     def last(self) -> Verdict | None:
-        """The latest verdict; None: the run was elsewhere then, or there is none."""
-        return self.recent[-1] if self.recent else None
+        """The latest verdict before what is shown; None: the run was elsewhere then, or none is."""
+        return self.shown[-1] if self.shown else None
+
+    @property
+    def shown(self) -> list[Verdict]:
+        """The recent verdicts up to the frame that is shown, where the run may have gone back."""
+        return [verdict for verdict in self.recent if verdict.end <= self._sim.frame]
 
     @property
     def age(self) -> int:
         """How many frames ago the window of the last verdict ended."""
         last = self.last
-        return 0 if last is None else self._sim.frame - last.first - last.frames
+        return 0 if last is None else self._sim.frame - last.end
 
     def progress(self) -> str:
         """What it is doing, in words."""
@@ -119,10 +124,12 @@ class ErrorMeter(Listener):
     def before_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
         """Note what is done, or end the window before it."""
         if name in LEAVES:
-            self.recent, self._judged = [], None
+            self._judged = None
         if name == "restore":
             self._returned = True
-        elif name in LEAVES or name == "remove":
+        elif name in LEAVES:
+            self.recent, self.ghost = [], None
+        elif name == "remove":
             self.ghost = None
         if self._window is None:
             return
@@ -133,8 +140,8 @@ class ErrorMeter(Listener):
 
     def after_frame(self) -> None:
         """Note a frame; a whole window is handed on, and another one begins."""
-        if self._returned and self.ghost is not None:
-            self._follow(self.ghost)
+        if self._returned:
+            self._follow()
         if self._window is not None:
             self._window.note_frame(self._sim)
             if self._window.frames >= FRAMES:
@@ -144,11 +151,13 @@ class ErrorMeter(Listener):
         if self._window is None and not self.busy:
             self._open()
 
-    def _follow(self, ghost: Ghost) -> None:
-        """Forget a ghost where the run, which went back, goes another way than it did then."""
-        if not ghost.is_of(self._sim.frame, self._sim.drawn_positions()):
+    def _follow(self) -> None:
+        """Forget what is of another run than this one, which went back and may go another way."""
+        frame, ghost = self._sim.frame, self.ghost
+        self.recent = [verdict for verdict in self.recent if verdict.end < frame]
+        if ghost is not None and not ghost.is_of(frame, self._sim.drawn_positions()):
             self.ghost = None
-        self._returned = self._sim.frame <= ghost.end
+        self._returned = self.ghost is not None and frame <= self.ghost.end
 
     def _open(self) -> None:
         """Begin a window, if there is anything that can move."""

@@ -52,6 +52,11 @@ class Verdict:
     order: float | None = None
 
     @property
+    def end(self) -> int:
+        """The frame that it ends at."""
+        return self.first + self.frames
+
+    @property
     def known(self) -> bool:
         """Whether there is an error at all."""
         return math.isfinite(self.error) and self.scale > 0
