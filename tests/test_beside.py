@@ -365,11 +365,11 @@ def test_a_real_window_shows_both(kind, caches, tmp_path):
         while not (found := ask("search", "--onlyvisible", "--name", "cloth, playing")):
             assert said.poll() is None and time.time() < end
         to = ("mousemove", "--window", found[0].decode())
-        ask(*to, 750, 250)
+        ask(*to, 665, 230)
         ask("key", "g")
         ask("mousedown", 1)
         for step in range(8):
-            ask(*to, 750 + 12 * step, 250 + 16 * step)
+            ask(*to, 665 + 14 * step, 230 + 16 * step)
         ask("mouseup", 1)
         ask("key", "Escape")
         assert "beside it: symplectic euler, 3 substeps" in said.communicate(timeout=60)[0]

@@ -93,7 +93,10 @@ class Beside:
         words = [sim.method.replace("_", " "), counted(sim.substeps, "substep")]
         run = self.twin.given.run
         words += [f"{name} {value:g}" for name, value in sim.solver.items() if name in run]
-        words += [getattr(sim, name) for name in ("topology", "execution") if name in run]
+        both = self.twin.first, self.sim
+        for name in ("topology", "execution"):  # which a log notes, also where they are the same
+            if name in run and len({getattr(other, name) for other in both}) > 1:
+                words.append(getattr(sim, name))
         for one, value in zip(self.twin.own, values, strict=True):
             times = "x" * one.times
             words.append(f"{one.name.replace('_', ' ')} {times}{_written(value)}")

@@ -56,7 +56,7 @@ class Pair:
         self._depiction = Depiction(second.sim, depiction.show)
         self._costs: deque[tuple[float, float]] = deque(maxlen=LATELY)
         self._said: tuple[str, str] = ("", "")
-        self._until_said = 0
+        self._until_said, self._compiled = 0, False
         self._panel = lru_cache(maxsize=4)(_names_panel)
 
     @property
@@ -65,7 +65,10 @@ class Pair:
         return self.second.sim
 
     def note(self, simulate: float) -> None:
-        """Take note of the seconds that both took to make a frame."""
+        """Take note of the seconds that both took to make a frame; the first one compiles."""
+        if not self._compiled:
+            self._compiled = True
+            return
         self._costs.append((max(simulate - self.second.took, 0.0), self.second.spent))
         self._until_said -= 1
         if self._windowed and self._until_said <= 0:
