@@ -204,6 +204,7 @@ def test_a_second_run_that_fails_stops_alone(cli):
     words = ("run", "cloth", "--columns", "8", "--rows", "6", "--headless", "--frames", "60")
     out, said = cli(*words, "--beside", "method=explicit_euler,stiffness=50", check=3)
     assert "60 frames" in out and "the run beside stopped" in said
+    assert "in parts of the largest displacement in the right run" in out
 
 
 @pytest.mark.parametrize(

@@ -92,13 +92,14 @@ class Watch:
     @property
     def scale(self) -> float:
         """What parts are of [length]: the largest displacement in the second run, or its box."""
-        now = self.now
-        return now.scale if now and now.scale > 0 else self._diagonal()
+        last = self._rows.get(min(sim.frame for sim in self._runs))
+        return last.scale if last and last.scale > 0 else self._diagonal()
 
     @property
     def scale_is(self) -> str:
         """What that is, in words."""
-        moved = self.now is not None and self.now.scale > 0
+        last = self._rows.get(min(sim.frame for sim in self._runs))
+        moved = last is not None and last.scale > 0
         return "the largest displacement" if moved else "the world's diagonal, as nothing moves"
 
     def distance(self) -> Distance:

@@ -123,7 +123,7 @@ class Beside:
     def finding(self) -> Word | None:
         """What differed first, in short."""
         if self.stopped():
-            return Word(f"right stopped: {self.twin.failure}", style.BAD, 1)
+            return Word(f"right stopped in frame {self.sim.frame + 1}", style.BAD, 1)
         event = self.twin.watch.first
         if event is None:
             return None
