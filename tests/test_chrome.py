@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from taichi_cloth import load_trajectory
+from taichi_cloth.cli.run_budget import HeldBudget
+from taichi_cloth.cli.run_meter import MeasuredErrors
 from taichi_cloth.kernels import methods
 from taichi_cloth.scene import library
 from taichi_cloth.simulation.checkpoint import Checkpoint
@@ -28,10 +30,11 @@ RECT, HEIGHT = Rect(500, 20, 300, 560), 12
 class Hands:
     """A panel with the pointer and the keys on it."""
 
-    def __init__(self, sim, scenes=None):
+    def __init__(self, sim, scenes=None, budget=None):
         self.noted = []
-        controls = Controls(sim, None, (800, 600), note=self.noted.append)
-        self.panel = SettingsPanel(sim, controls, RunningCosts(), scenes or Scenes())
+        self.controls = Controls(sim, None, (800, 600), note=self.noted.append)
+        scenes = scenes or Scenes()
+        self.panel = SettingsPanel(sim, self.controls, RunningCosts(), scenes, budget)
         self.look()
 
     def look(self):
@@ -92,6 +95,30 @@ def test_settings_are_set_by_mouse_and_keys_and_noted(sim):
     assert (sim.storage.scene.springs.stiffness == 300.0).all()
     hands.keys("delete", "escape")
     assert not hands.panel.focused
+
+
+def test_a_budget_is_chosen_from_a_list_and_ends_where_substeps_are_set_by_hand(sim):
+    errors = MeasuredErrors(sim, waits=False, told=False)
+    budget = HeldBudget(sim, errors, windowed=True, told=False)
+    hands = Hands(sim, budget=budget)
+    assert hands.look()[1] == "hold \u2039 off \u203a" and budget.status() is None
+    hands.press(hands.place("hold"))
+    assert hands.look()[2:5] == ["off now", "60fps", "30fps"]
+    hands.press(hands.place("hold:60fps"))
+    assert budget.chosen == "60fps" and hands.look()[1] == "hold \u2039 60fps \u203a"
+    sim.set(stiffness=8.0)  # which is unstable with one
+    budget.before_frame(hands.controls.set)
+    assert sim.substeps == 4 and [e.fields()["name"] for e in hands.noted] == ["substeps"]
+    assert "nothing measured yet" in "".join(hands.look()[-4:])
+    for _ in range(60):
+        budget.after_frame(1e-3 * sim.substeps, 2e-3)
+    budget.before_frame(hands.controls.set)
+    assert budget.status().text.startswith("hold 60fps: ")
+    hands.press(hands.place("substeps"))
+    hands.keys("7", "return")
+    assert sim.substeps == 7 and budget.chosen == "off"
+    assert hands.controls.notice == "nothing is held any more: the substeps were set"
+    sim.set_step(substeps=1)
 
 
 def test_scenes_and_methods_are_chosen_from_lists_that_say_what_each_is_and_costs(sim):
