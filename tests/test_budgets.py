@@ -171,7 +171,7 @@ def test_measured_rounding_bounds_what_a_time_budget_takes():
     assert errors.best() is None
     errors.note(Second(10, 0.011, rounding=0.001, order=1.0), torn=False)
     n = np.arange(1.0, 2000.0)
-    total = 0.01 * 10 / n + 0.001 * np.sqrt(n / 10)
+    total = 0.01 * 10 / n + 0.001 * n / 10
     assert errors.best() == pytest.approx(n[total.argmin()], rel=0.02)
 
 

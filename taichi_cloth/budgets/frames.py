@@ -24,6 +24,7 @@ IN_TIME = 0.97  # of the frames, with what is chosen; and with what is kept:
 KEPT = 0.955
 DOWN, UP = 0.94, 0.92  # of the time: what is aimed at where there have to be fewer, or may be more
 USUALLY = 0.85  # of the time: what half of the frames may take, where there may be more
+SAME = 0.005  # of the frames: so many more that are late are no difference
 NOT_OURS = 0.02  # of the frames: that are late with the fewest, too, and count
 RELEASED = 600  # frames for which what was too much is not tried again; each time twice as many
 MOST_RELEASED = 32 * RELEASED
@@ -143,8 +144,9 @@ class FrameTimes:
         _, lasted = self._too_many.get(now, (0, RELEASED // 2))
         lasts = min(2 * lasted, MOST_RELEASED)
         self._too_many[now] = self._count + lasts, lasts
-        fit = [n for n in rungs if self.in_time(n, least, DOWN) >= IN_TIME]
-        return fit[-1] if fit else rungs[0]
+        found = [self.in_time(n, least, DOWN) for n in rungs]
+        enough = min(IN_TIME, found[0] - SAME)  # what is late anyway asks for no fewer
+        return max(n for n, part in zip(rungs, found, strict=True) if part >= enough)
 
     def _more(self, now: int, rungs: list[int], least: int) -> int:
         """As many of the rungs above as have room, of which none was too much a short while ago."""

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 LOOK = 15  # frames between looks at what is broken
 OFTEN = 10  # frames between choices by time
 MOVED = 60  # frames after which a limit that depends on speeds is found anew
+ANEW = 2.0  # times: by how much what is measured differs from what is known, to be taken for it
 LONGEST = 0.1  # seconds of a frame: no error is worth slower ones
 
 
@@ -49,6 +50,7 @@ class Keeper:
         self._method, self._due = self._sim.method, True
         self._times = FrameTimes(self.goal.seconds or LONGEST)
         self._errors = SecondErrors(self.goal.error or 1.0, self._sim.claims.order)
+        self._useful: int | None = None  # the most substeps that are, once that is measured
 
     def frame(self, simulate: float, rest: float) -> None:
         """A frame was made: seconds to simulate it, and for all else but waiting."""
@@ -102,18 +104,22 @@ class Keeper:
         )
         self._due = True
 
+    def _best(self) -> int | None:
+        """The most substeps that are of use, as measured; it stays where it differs by little."""
+        found, known = self._errors.best(), self._useful
+        if found is not None and not (known and known / ANEW <= found <= known * ANEW):
+            self._useful = Limits(most=max(1, int(found))).rungs()[-1]
+        return self._useful
+
     def _limits(self) -> Limits:
         least, most, why = self._stable.least(), RUNGS[-1], "there are no more"
         resolved = self._resolved
         if resolved < most:
             most, why = resolved, f"{current_device().precision} does not follow smaller steps"
         if self.goal.seconds is not None:
-            best = self._errors.best()
+            best = self._best()
             if best is not None and best < most:
-                most, why = (
-                    max(1, round(best)),
-                    "with more, rounding would be above the error of the steps",
-                )
+                most, why = best, "with more, rounding would outweigh the error of the steps"
         else:
             fits = self._times.most_within()
             if fits is not None and fits < most:

@@ -100,15 +100,15 @@ class SecondErrors:
     def best(self) -> float | None:
         """The substeps with which steps and rounding together are wrong by least; None: unknown.
 
-        The error of steps falls by h^p, that of rounding grows as the root of their number.
+        The error of steps falls by h^p; that of rounding grows with their number.
         """
         found = []
         for second in self.sure:
             steps = second.error - second.rounding
             p = self._order(second, False)
             if second.rounding > 0 and steps > 0:
-                ratio = p * steps / (0.5 * second.rounding)
-                found.append(second.substeps * ratio ** (1 / (p + 0.5)))
+                ratio = p * steps / second.rounding
+                found.append(second.substeps * ratio ** (1 / (p + 1)))
         return float(np.median(found)) if found else None
 
     def choose(self, now: int, limits: Limits) -> Choice:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from taichi_cloth.budgets import goal as goals
 from taichi_cloth.cli.run_meter import MeasuredErrors
 from taichi_cloth.errors import InputError
+from taichi_cloth.runtime import current_device
 from taichi_cloth.settings.options import RunOptions
 from taichi_cloth.ui import style
 from taichi_cloth.ui.chrome.budget import OFF
@@ -31,8 +32,9 @@ USUAL = ("60fps", "30fps", "1%", "0.1%")  # what the panel offers
 class HeldBudget:
     """What a run is kept to, nothing at first: for the command line, and for a window's panel.
 
-    errors: of the same run; an error is held by them, so they are switched on for one. windowed:
-    whether frames are drawn, in whose time there is a sense. told: whether changes are printed.
+    errors: of the same run, which are switched on: an error is held by them, and of the substeps
+    for which there is time they say how many are of use. windowed: whether frames are drawn, in
+    whose time there is a sense. told: whether changes are printed.
     """
 
     about = "keeps to frames a second, or to an error of each second, by the substeps"
@@ -82,6 +84,8 @@ class HeldBudget:
             raise InputError(UNSEEN.format(word))
         if goal.error is not None:
             self._measure(word)
+        elif not self._errors.on and current_device().precision != "f64":
+            self._errors.switch()  # which finds how many substeps rounding allows
         self._keeper, self.chosen = Keeper(self._sim, goal), goal.words
 
     def _measure(self, word: str) -> None:
