@@ -95,7 +95,9 @@ def _finding(found: PostMortem) -> Finding:
     return Finding(
         title, found.cause.says, found.cause.proof, found.cause.numerical, remedy, settings,
         back=(failure.frame - 1 if failure else samples[-1].frame) - samples[0].frame,
-        limit=limit if 0 < limit < np.inf else None, **columns,
+        whole=trace.whole and not trace.acts,
+        limit=limit if 0 < limit < np.inf else None,
+        **columns,
     )  # fmt: skip
 
 

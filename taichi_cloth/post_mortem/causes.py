@@ -59,7 +59,7 @@ def cause_of(trace: Trace) -> Cause:
     with np.errstate(all="ignore"):
         if trace.failure is None:
             return _of_running(trace)
-        for look in (_range, _speed, _push, _energy, _solver, _limit, _contact):
+        for look in (_range, _speed, _push, _energy, _solver, _limit, _contact, _gravity):
             found = look(trace)
             if found is not None:
                 return found
@@ -156,7 +156,7 @@ def _speed(trace: Trace) -> Cause | None:
 def _push(trace: Trace) -> Cause | None:
     """A force from outside that is enough for such a speed within a frame."""
     free = ~trace.last.particles.fixed
-    world, dt = trace.last.world, trace.settings.dt
+    dt = trace.settings.dt
     limit = min(trace.speed_limit, math.sqrt(WATCHED))
     if trace.push is not None and free.any():
         gained = np.linalg.norm(trace.push, axis=1) / trace.last.particles.mass * dt
@@ -170,14 +170,20 @@ def _push(trace: Trace) -> Cause | None:
                 f"{limit:.3g} it is lost",
                 particle=at,
             )
-    gravity = float(np.linalg.norm(world.gravity)) * dt
-    if free.any() and not gravity < limit:
-        return Cause(
-            PUSH,
-            "gravity alone makes particles too fast within a frame",
-            f"it gives a speed of {gravity:.3g} within a frame; at {limit:.3g} particles are lost",
-        )
     return None
+
+
+def _gravity(trace: Trace) -> Cause | None:
+    """Gravity that is enough for such a speed within a frame, where nothing holds against it."""
+    gravity = float(np.linalg.norm(trace.last.world.gravity)) * trace.settings.dt
+    limit = min(trace.speed_limit, math.sqrt(WATCHED))
+    if trace.last.particles.fixed.all() or gravity < limit:
+        return None
+    return Cause(
+        PUSH,
+        "gravity alone makes particles too fast within a frame",
+        f"it gives a speed of {gravity:.3g} within a frame; at {limit:.3g} particles are lost",
+    )
 
 
 def _energy(trace: Trace) -> Cause | None:

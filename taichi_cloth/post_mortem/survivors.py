@@ -128,22 +128,17 @@ class _Tries:
 
     def run(self, settings: Settings, *, bounded: bool) -> Trial:
         """Try one; bounded: whether it ends where there is no more time."""
-        sim, done, spent = self._sim, 0, 0.0
-        says = ""
+        sim, spent, says = self._sim, 0.0, ""
         scaled = self._place.settings.dt / settings.dt  # of frames, where they are shorter
         wanted = math.ceil((self._failed - self._first) * scaled) + AFTER
+        first = done = 0
         try:
-            go_to(sim, self._place, settings)
-            first = sim.frame
-            while done < wanted:
-                for frame in self._due(done, scaled):
-                    for act in self._acts.get(frame, ()):
-                        do_again(sim, act, SETTINGS)
+            first = self._begin(settings, scaled)
+            done = sim.frame - first
+            while done < wanted and not sim.work().mostly_unconverged:
                 begin = time.perf_counter()
-                sim.advance()
-                took = time.perf_counter() - begin
-                spent += took * (done > 0)
-                self.until += took * (done == 0)
+                self._advance(done, scaled)
+                spent += time.perf_counter() - begin
                 done = sim.frame - first
                 if bounded and time.perf_counter() > self.until:
                     says = "there was no time for more"
@@ -152,8 +147,25 @@ class _Tries:
                 says = sim.describe_convergence()
         except (SimulationFailure, InputError) as failure:
             says = str(failure)
-        a_frame = spent / max(done - 1, 1)
-        return Trial(settings, not says, done, wanted, a_frame, says)
+        return Trial(settings, not says, done, wanted, spent / max(done - 1, 1), says)
+
+    def _begin(self, settings: Settings, scaled: float) -> int:
+        """Go to the place and make a first frame, which compiles; the number of frames there."""
+        begin = time.perf_counter()
+        try:
+            go_to(self._sim, self._place, settings)
+            first: int = self._sim.frame
+            self._advance(0, scaled)
+        finally:
+            self.until += time.perf_counter() - begin
+        return first
+
+    def _advance(self, done: int, scaled: float) -> None:
+        """Make the frame after so many, with what was done before it."""
+        for frame in self._due(done, scaled):
+            for act in self._acts.get(frame, ()):
+                do_again(self._sim, act, SETTINGS)
+        self._sim.advance()
 
     def _due(self, done: int, scaled: float) -> range:
         """The frames of the run whose acts come before the next one of the trial."""

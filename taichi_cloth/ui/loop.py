@@ -220,7 +220,10 @@ class Loop:
         if finding is None or not finding.settings or settings is None:
             self._controls.tell("u goes on with a setting that survives, where a run has failed")
             return
-        self._go_to(self._resume)
+        if finding.whole:  # which the timeline does not reach
+            self._take_event(Event("press", key="r"))
+        else:
+            self._go_to(self._resume)
         settings.given.update(finding.settings)
         self._give_settings()
         self.state.paused = False

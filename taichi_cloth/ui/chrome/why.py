@@ -32,9 +32,9 @@ class Finding:
     title: when and how it stopped. cause, proof: why. numerical: whether another setting would not
     have it. remedy: what survives, or why nothing does. settings: what that is, by the names of
     `simulation.live`; empty: there is none. back: how many frames before the last one to go on
-    from. time: of each reading, (k,), the scene's; reach, energy, created: h omega, the energy of
-    motion and springs, and what of it came from nothing, (k,). limit: of h omega; None: there is
-    none.
+    from; whole: whether that is the start. time: of each reading, (k,), the scene's; reach, energy,
+    created: h omega, the energy of motion and springs, and what of it came from nothing, (k,).
+    limit: of h omega; None: there is none.
     """
 
     title: str
@@ -44,6 +44,7 @@ class Finding:
     remedy: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     back: int = 0
+    whole: bool = False
     time: np.ndarray = field(default_factory=lambda: np.zeros(0))
     reach: np.ndarray = field(default_factory=lambda: np.zeros(0))
     energy: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -109,9 +110,8 @@ def _lines(finding: Finding | None) -> list[tuple[str, Color]]:
         (finding.remedy, style.GOOD if finding.settings else style.WARN),
     ]
     if finding.settings:
-        lines.append(
-            (f"{APPLY_KEY}: go on with it from {finding.back} frames before", style.KEY_INK)
-        )
+        where = "the start" if finding.whole else f"{finding.back} frames before"
+        lines.append((f"{APPLY_KEY}: go on with it from {where}", style.KEY_INK))
     return [*lines, ("left, right: the frames before   r: begin anew", style.MUTED)]
 
 
