@@ -53,9 +53,9 @@ def pull_about(sim):
     yield
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def pair(pool):
-    """Two simulations of one small cloth that tears."""
+    """Two simulations of one small cloth that tears, at its start."""
     scene = library.build("cloth", columns=12, rows=8).with_world(tools=True)
     return pool(scene), pool(scene, another=True)
 

@@ -70,7 +70,8 @@ class Watch:
         self._first_frame: list[dict[int, int]] = [{}, {}]  # of each touch, in each run
         self._before: tuple[int, list[Moment]] | None = None
         self._looked, self._least, self.touches_unknown = 0, np.inf, ""
-        self._look_for_touches(0)
+        self._held: list[tuple[np.ndarray, np.ndarray] | None] = [None, None]
+        self._look_for_touches(0, [sim.positions() for sim in self._runs])
 
     # --- what there is to say --------------------------------------------------------------
 
@@ -133,26 +134,35 @@ class Watch:
 
     def note(self) -> None:
         """Measure the frame that both have made."""
-        row, alive = self._measured()
+        places = [sim.positions() for sim in self._runs]
+        alive = [self._holding(run) for run in (0, 1)]
+        row = self._measured(places, alive)
         known = self._rows.get(row.frame)
         if known is not None and known.mark == row.mark:
-            self._remember_moments()
+            if not self._touches_over(row.frame):
+                self._remember_moments(places)
             return
         if row.frame <= self._last:
             self._forget(row.frame)
         row = replace(row, scale=max(row.scale, self._scale_before(row.frame)))
         self._rows[row.frame], self._last = row, row.frame
         self._look_for_breaks(row, alive)
-        self._look_for_touches(row.frame)
+        self._look_for_touches(row.frame, places)
 
-    def _measured(self) -> tuple[Apart, list[np.ndarray]]:
-        first, second = self._runs
-        x, y = first.positions(), second.positions()
+    def _holding(self, run: int) -> np.ndarray:
+        """Which springs of a run hold, (s,) bool: read anew where that changed."""
+        segments, known = self._runs[run].drawn_springs(), self._held[run]
+        if known is None or known[0] is not segments:
+            known = self._held[run] = segments, self._runs[run].springs_alive()
+        return known[1]
+
+    def _measured(self, places: list[np.ndarray], alive: list[np.ndarray]) -> Apart:
+        """How far both are apart where they are now; alive: which springs of each hold."""
+        (x, y), first = places, self._runs[0]
         if len(y) > len(self._start):  # those that came: they begin where they are seen first
             self._start = np.concatenate([self._start, y[len(self._start) :]])
         free = np.ones(len(y), bool)
         free[: len(self._fixed)] = ~self._fixed
-        alive = [sim.springs_alive() for sim in self._runs]
         a, b = (_samples(points[None]) for points in (x, y))
         square = np.nan_to_num(errors.squares(a, b, free)[0], nan=-1.0)
         moved = errors.displacement(_samples(np.stack([self._start[: len(y)], y])), free)
@@ -166,7 +176,7 @@ class Watch:
             farthest=int(np.flatnonzero(free)[square.argmax()]) if free.any() else 0,
             count=int((square >= 0).sum()), scale=moved,
             mark=(float(x.sum()), float(y.sum()), *(float(held.sum()) for held in alive)),
-        ), alive  # fmt: skip
+        )  # fmt: skip
 
     def _scale_before(self, frame: int) -> float:
         row = self._rows.get(frame - 1)
@@ -199,15 +209,20 @@ class Watch:
             self._break = Event("break", ends, spring, "", of_a, of_b, len(differ) - 1)
             self._broke_at = row.frame
 
-    def _look_for_touches(self, frame: int) -> None:
-        over = self._touch is not None and (
+    def _touches_over(self, frame: int) -> bool:
+        """Whether nobody looks for touches any more."""
+        found = self._touch is not None and (
             None not in (self._touch.a, self._touch.b) or frame > self._touched_at + PATIENCE
         )
-        if over or self.touches_unknown or not any(of.possible for of in self._contacts):
+        none = not any(contacts.possible for contacts in self._contacts)
+        return found or none or bool(self.touches_unknown)
+
+    def _look_for_touches(self, frame: int, places: list[np.ndarray]) -> None:
+        if self._touches_over(frame):
             return
         begin = time.perf_counter()
         before = self._before
-        moments = self._remember_moments()
+        moments = self._remember_moments(places)
         earlier = before[1] if before and before[0] == frame - 1 else [None, None]
         codes = [
             contacts.codes(now, then)
@@ -223,10 +238,10 @@ class Watch:
             cost = f"{1e3 * self._least:.0f} ms a frame"
             self.touches_unknown = f"looking for touches would take {cost}"
 
-    def _remember_moments(self) -> list[Moment]:
+    def _remember_moments(self, places: list[np.ndarray]) -> list[Moment]:
         moments = [
-            contacts.moment(sim.positions(), sim.velocities(), sim.time)
-            for contacts, sim in zip(self._contacts, self._runs, strict=True)
+            contacts.moment(x, sim.velocities(), sim.time)
+            for contacts, x, sim in zip(self._contacts, places, self._runs, strict=True)
         ]
         self._before = self.frame, moments
         return moments
