@@ -211,8 +211,7 @@ CASES = [
     Failing(
         "one_sweep", "xpbd", extremes.hung_net, 100.0, 1, 100, SOLVER, solver={"iterations": 1}
     ),
-    Failing("overlapping_crowd", "symplectic_euler", crowd, FRAME, 2, 200, CONTACT, room="contact",
-            survivable=False),
+    Failing("overlapping_crowd", "symplectic_euler", crowd, FRAME, 2, 200, CONTACT, room="contact"),
     Failing("tearing", "symplectic_euler", torn, FRAME, 16, 120, TEARING, fails=False),
     Failing("tearing/verlet", "verlet", torn, FRAME, 16, 120, TEARING, fails=False),
     Failing("buckling", "symplectic_euler", column, FRAME, 16, 120, BUCKLING, fails=False),
