@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from commands import PROGRAM
 from screens import needs_x, virtual_screen
+from selection import as_thorough, thorough
 from test_comparison import swing
 
 import taichi_cloth as tc
@@ -172,6 +173,7 @@ EVENTS = [
 ]
 
 
+@thorough
 def test_a_log_replays_both_to_the_bit(cli, tmp_path):
     """Each run has the bits that it has alone; what differs is said."""
     log, words = tmp_path / "log.jsonl", ("run", "cloth", "--columns", "8", "--rows", "6")
@@ -337,7 +339,7 @@ def test_triangles_are_cut_where_the_other_world_begins():
 
 
 @needs_x
-@pytest.mark.parametrize("kind", ["ggui", "gui"])
+@pytest.mark.parametrize("kind", ["ggui", as_thorough("gui")])
 def test_a_real_window_shows_both(kind, caches, tmp_path):
     """What is pulled in the right half is seen in both, and a replay has it to the bit."""
     if kind == "ggui" and not runtime.vulkan_available():
