@@ -13,6 +13,7 @@ from taichi_cloth.simulation.history import History
 from taichi_cloth.simulation.strain import CLOTHS, allowed, borne, lengths, strains
 from taichi_cloth.ui import strained, style, text
 from taichi_cloth.ui.chrome import graphs, instruments, meters
+from taichi_cloth.ui.chrome.beside import DistanceReading
 from taichi_cloth.ui.chrome.errors import ErrorReading
 from taichi_cloth.ui.chrome.instruments import Source
 from taichi_cloth.ui.chrome.layout import Parts, Rect, arrange
@@ -21,7 +22,10 @@ from taichi_cloth.ui.chrome.meters import Meters
 
 @pytest.fixture(scope="module")
 def source(device):
-    """All meters of a cloth that has run for 3 seconds, with frame times and errors made up."""
+    """All meters of a cloth that has run for 3 seconds.
+
+    Frame times, errors and the distance of a second run are made up.
+    """
     from taichi_cloth.simulation.simulation import Simulation
 
     sim = Simulation(build("cloth", columns=8, rows=6), "symplectic_euler", topology="graph")
@@ -35,7 +39,9 @@ def source(device):
         gauges.after_frame(frame / 60)
     said = "0.8 % (0.3)", ("solver 0.1 %", "f32 0.01 %", "holds 4.2 s", "1 s old"), style.INK
     error = ErrorReading(*said, np.array([2.0, 1.0, 1.0, 0.0]), np.array([0.01, 0.01, 0.02, 0.02]))
-    return Source(sim, gauges, times, 179 / 60, error)
+    said = "0.22 % (0.08)", ("mean 0.3 %", "largest 0.6 %"), style.INK
+    apart = DistanceReading(*said, error.age, error.relative, 2 * error.relative)
+    return Source(sim, gauges, times, 179 / 60, error, apart)
 
 
 def test_a_column_is_legible_and_cheap_at_every_size(source):

@@ -40,7 +40,7 @@ def draw(hand, pegs):
 TOOL = Tool(
     name="peg",
     help="tie the nearest particle to where you click",
-    key="y",
+    key="7",
     actions=lambda scene: ("left click\\ttie the nearest particle to here",),
     remember=lambda seed: [],
     buttons=("left",),
@@ -68,9 +68,9 @@ class Hands(NullView):
     visible = True
     pictures = []
     turns = [
-        [Event("move", pos=(300.0, 200.0)), Event("press", key="f1"), Event("press", key="y")],
+        [Event("move", pos=(300.0, 200.0)), Event("press", key="f1"), Event("press", key="7")],
         [Event("press", pos=(310.0, 250.0), button="left")],
-        [Event("move", pos=(320.0, 200.0)), Event("press", key="y")],
+        [Event("move", pos=(320.0, 200.0)), Event("press", key="7")],
         [Event("move", pos=(330.0, 200.0))],
         [Event("move", pos=(345.0, 210.0)), Event("press", pos=(310.0, 250.0), button="left")],
     ]
@@ -96,7 +96,7 @@ assert len(live[0]) == 13 and live[2][-1, 1] == 12
 assert [len(picture.position) for picture in hands.pictures[1:5]] == [12, 14, 13, 13]
 keys = [" ".join(part.words for part in one.overlay) for one in hands.pictures[1:4]]
 assert "move the mouse" not in keys[1] and "to here" in keys[1]
-assert all("y\\ttie the nearest" in lines for lines in keys) and "move the mouse" in keys[2]
+assert all("7\\ttie the nearest" in lines for lines in keys) and "move the mouse" in keys[2]
 log = load_events("log.jsonl")
 (tied,) = [e for events in log.by_frame.values() for e in events if e.kind == "peg"]
 assert tied.values["at"] == (310.0, 250.0) and tied.values["particle"] == live[2][-1, 0]
@@ -138,9 +138,9 @@ def test_one_file_adds_a_tool_whose_log_replays_to_the_bit(package):
         ("    press=press,\n", "", "press is missing"),
         ('buttons=("left",)', "buttons=()", "press is never called"),
         ('name="peg"', 'name="pole"', "name must be the file's"),
-        ('key="y"', 'key="r"', "key must be a letter that has no other meaning"),
-        ('    key="y",\n', "", "the tool could never be used"),
-        ('key="y"', 'mouse="peg"', "scenes know no 'peg'"),
+        ('key="7"', 'key="r"', "key must be a letter or digit that has no other meaning"),
+        ('    key="7",\n', "", "the tool could never be used"),
+        ('key="7"', 'mouse="peg"', "scenes know no 'peg'"),
         ("press=press", "press=True", "press must be a function"),
         ('LoggedEvent("peg"', 'LoggedEvent("move"', "'move' is the mouse's"),
         ("TOOL =", "TOOLS =", "declares no TOOL = Tool(...)"),
@@ -162,7 +162,7 @@ def test_no_two_tools_claim_the_same_mouse_key_or_event(tmp_path, monkeypatch):
         (tmp_path / f"{name}.py").write_text(PEG.replace('name="peg"', f'name="{name}"'))
         monkeypatch.delitem(sys.modules, f"{tools.__name__}.{name}", raising=False)
     monkeypatch.setattr(tools, "__path__", [str(tmp_path)])
-    with pytest.raises(TypeError, match=r"tools/pole.py: peg.py has key 'y', too"):
+    with pytest.raises(TypeError, match=r"tools/pole.py: peg.py has key '7', too"):
         tools.load_all.__wrapped__()
 
 

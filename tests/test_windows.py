@@ -709,7 +709,7 @@ class Window:
         # Without a window manager, keys go to the window under the pointer.
         self.point(10, 390)
 
-    def wait(self, done, seconds=10):
+    def wait(self, done, seconds=60):
         end = time.time() + seconds
         while not done():
             assert self.process.poll() is None, "the window's process ended"

@@ -190,7 +190,7 @@ class Tool(Generic[M]):
     name: the file's name, and the word for it in the tool bar: a short one.
     help: what it does, in one line of the key list.
     mouse: the scenes' word `[world] mouse` for which it is what the pointer does from the start.
-    key: the letter that takes it up, and puts it away again.
+    key: the letter or digit that takes it up, and puts it away again.
     modifiers: keys that mean something to it while they are held, and nothing else meanwhile.
     actions: a scene's lines of the key list, "mouse or key<tab>what it does".
     remember: makes what the tool remembers from its first use to a reset, from the run's seed.
@@ -244,10 +244,12 @@ class Tool(Generic[M]):
             )
         if self.key is not None and (
             len(self.key) != 1
-            or self.key not in string.ascii_lowercase
+            or self.key not in string.ascii_lowercase + string.digits
             or self.key in (*COMMANDS, FRAME_KEY, BACK_KEY)
         ):
-            raise ValueError(f"key must be a letter that has no other meaning, is {self.key!r}")
+            raise ValueError(
+                f"key must be a letter or digit that has no other meaning, is {self.key!r}"
+            )
         for key in self.modifiers:
             if key not in KEYS - {"ctrl"} or COMMANDS.get(key, "pause") != "pause":
                 raise ValueError(f"modifiers: {key!r} is no key, or has another meaning")
