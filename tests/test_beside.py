@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from commands import PROGRAM
 from screens import needs_x, virtual_screen
-from selection import as_thorough, thorough
+from selection import thorough
 from test_comparison import swing
 
 import taichi_cloth as tc
@@ -338,8 +338,9 @@ def test_triangles_are_cut_where_the_other_world_begins():
     assert same is vertex and corners is index
 
 
+@thorough
 @needs_x
-@pytest.mark.parametrize("kind", ["ggui", as_thorough("gui")])
+@pytest.mark.parametrize("kind", ["ggui", "gui"])
 def test_a_real_window_shows_both(kind, caches, tmp_path):
     """What is pulled in the right half is seen in both, and a replay has it to the bit."""
     if kind == "ggui" and not runtime.vulkan_available():

@@ -466,7 +466,7 @@ def let_work(process, seconds):
 
 @pytest.mark.parametrize(
     ("number", "status"),
-    [(signal.SIGINT, 130), as_thorough((signal.SIGTERM, 143)), (signal.SIGHUP, 129)],
+    [(signal.SIGINT, 130), as_thorough((signal.SIGTERM, 143)), as_thorough((signal.SIGHUP, 129))],
 )
 def test_an_interrupted_run_keeps_its_files(tmp_path, number, status):
     process = subprocess.Popen(

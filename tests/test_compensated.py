@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from selection import as_thorough, mostly_thorough
+from selection import as_thorough, mostly_thorough, thorough
 from short_steps import COARSE, FINE, ends
 
 from taichi_cloth import runtime
@@ -16,10 +16,6 @@ CASES = [
     ("chain", "symplectic_euler", "graph", "serial"),
     *(("cloth", "symplectic_euler", *way) for way in WAYS),
     ("cloth", "rk4", "lanes", "parallel"),  # stages with low parts of their own, read by neighbours
-]
-BY_DEFAULT = [
-    *(c for c in CASES if c[1] in ("verlet", "rk4") and c[2:] == ("graph", "serial")),
-    ("cloth", "symplectic_euler", "lanes", "parallel"),
 ]
 
 
@@ -35,11 +31,11 @@ def errors(case, found, exact):
     return [error(found[name], exact[name]) for name in names]
 
 
-@pytest.mark.parametrize("cases", [BY_DEFAULT, as_thorough((CASES,))], ids=["some", "all"])
-def test_errors_stay_below_1e_7_under_32_times_more_steps(cases, pool, cli):
-    exact = ends(cases, pool)
-    found = cli.call("short_steps:ends_in", precision="compensated", cases=cases)
-    for case in cases:
+@thorough
+def test_errors_stay_below_1e_7_under_32_times_more_steps(pool, cli):
+    exact = ends(CASES, pool)
+    found = cli.call("short_steps:ends_in", precision="compensated", cases=CASES)
+    for case in CASES:
         assert max(errors(case, found, exact)) < 5e-8, case
 
 

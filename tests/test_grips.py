@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from selection import mostly_thorough
+from selection import mostly_thorough, thorough
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
@@ -45,7 +45,8 @@ def pulled(**bar):
     )
 
 
-@pytest.mark.parametrize("method", mostly_thorough(methods.METHODS, default=["verlet"]))
+@thorough
+@pytest.mark.parametrize("method", methods.METHODS)
 def test_a_cloth_that_goes_with_its_bar_is_at_rest_for_it(pool, method):
     scene = pulled(velocity=ALONG)
     moving = np.tile(ALONG, (12, 1))

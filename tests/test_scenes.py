@@ -13,7 +13,7 @@ from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.solids import held, solids
 
 # What takes long to compile, with all that moves, touches and bends.
-LONG = ("pull", "twist", "stack", "curtain", "shirt")
+LONG = ("pull", "twist", "stack", "curtain", "shirt", "drape")
 
 
 @pytest.mark.parametrize(

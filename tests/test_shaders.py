@@ -7,7 +7,7 @@ import sys
 import textwrap
 
 import pytest
-from selection import as_thorough
+from selection import thorough
 
 from taichi_cloth import runtime
 from taichi_cloth.ui import shaders
@@ -70,8 +70,9 @@ PICTURES = """
 """
 
 
+@thorough
 @needs_vulkan
-@pytest.mark.parametrize("scene", [as_thorough("cloth"), "warp"])
+@pytest.mark.parametrize("scene", ["cloth", "warp"])
 def test_pictures_are_those_of_taichis_own_shaders(tmp_path, scene):
     """Of lines and balls, in a plane and in space, as meshes and as what GGUI has for them."""
     program = PICTURES.replace("SCENE", scene)

@@ -210,7 +210,7 @@ def test_every_method_moves_a_grid_the_same_to_the_last_bit(method, pool):
     [
         as_thorough((mixed(), {"lanes": 2})),
         as_thorough((mixed(2), {"execution": "parallel", "lanes": 2})),
-        (mixed(2, collisions=True), {"execution": "parallel", "lanes": 2}),
+        as_thorough((mixed(2, collisions=True), {"execution": "parallel", "lanes": 2})),
         as_thorough((mixed(collisions=True), {"lanes": 1})),
     ],
 )

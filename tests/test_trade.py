@@ -908,6 +908,7 @@ def test_tune_does_not_print_what_its_confirmation_refuses(cli):
     assert told.endswith("methods, or ask for a larger --error\n")
 
 
+@thorough
 def test_tune_confirms_its_choice_and_prints_the_command_that_uses_it(cli, tmp_path):
     chosen = ["--methods", "symplectic_euler", "--precisions", "f64", "--substeps", "1,32,512"]
     out, told = cli("tune", "oscillator", *chosen, "--error", "0.5%", "--quick", "--json")

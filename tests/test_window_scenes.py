@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from commands import PROGRAM, command
 from screens import needs_x, virtual_screen
-from selection import as_thorough
+from selection import thorough
 
 from taichi_cloth import load_trajectory, runtime
 from taichi_cloth.cli import run_scenes
@@ -109,8 +109,9 @@ class Hands:
         return out
 
 
+@thorough
 @needs_x
-@pytest.mark.parametrize("kind", ["ggui", as_thorough("gui")])
+@pytest.mark.parametrize("kind", ["ggui", "gui"])
 def test_a_window_goes_on_with_another_scene_and_both_logs_replay(kind, caches, tmp_path):
     if kind == "ggui" and not runtime.vulkan_available():
         pytest.skip("GGUI needs Vulkan")

@@ -19,6 +19,7 @@ import pytest
 from commands import PROGRAM as PROGRAM_LINE
 from commands import command
 from screens import end_server, needs_x, virtual_screen
+from selection import as_thorough
 
 from taichi_cloth import runtime
 from taichi_cloth.files import trajectory as trajectories
@@ -291,7 +292,7 @@ def test_every_scene_lists_its_keys(mouse):
 # What is drawn
 
 
-@pytest.mark.parametrize("topology", ["lanes", "graph"])
+@pytest.mark.parametrize("topology", [as_thorough("lanes"), "graph"])
 def test_what_is_drawn_is_the_simulations(topology, pool):
     sim = pool(library.build("cloth"), topology=topology, execution="parallel")
     x, whole = sim.drawn_positions(), sim.drawn_springs()
@@ -751,11 +752,13 @@ class Window:
         assert self.process.wait(20) == 0
 
 
-@pytest.fixture(params=["ggui", "gui"])
+# By default one kind: ti.GUI where GGUI cannot be.
+KINDS = ["ggui", as_thorough("gui")] if runtime.vulkan_available() else ["gui"]
+
+
+@pytest.fixture(params=KINDS)
 def window(request, display, caches, tmp_path):
     """Opens one probe window of each kind."""
-    if request.param == "ggui" and not runtime.vulkan_available():
-        pytest.skip("GGUI needs Vulkan")
     opened = []
 
     def open_window(mouse, dim, before=""):
