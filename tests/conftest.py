@@ -22,6 +22,15 @@ def device():
     return runtime.start("cpu", "f64", threads=2)
 
 
+@pytest.fixture(autouse=True)
+def keeps_the_device(device):
+    """No test starts another device in this process: those after it would compute on that one."""
+    yield
+    from taichi_cloth import runtime
+
+    assert runtime.still_runs(device), "the test started a device: it needs a process of its own"
+
+
 @pytest.fixture(scope="session")
 def pool(device):
     """Simulations that compile once for all tests: pool(scene, method, ...) -> one at its start."""

@@ -225,14 +225,14 @@ def test_the_fewest_substeps_are_those_of_dt_auto_and_the_most_are_resolved(devi
 
 
 @pytest.mark.thorough
-def test_a_budgeted_run_replays_to_the_same_bits(tmp_path):
+def test_a_budgeted_run_replays_to_the_same_bits(tmp_path, cli):
     """An error is held by a meter that the run waits for; its log has what was chosen."""
     log, one, other = (tmp_path / name for name in ("log.jsonl", "one.npz", "other.npz"))
     words = ["run", "chain", "--headless", "--quiet", "--frames", "400"]
-    assert main([*words, "--hold", "0.1%", "--record", str(log), "--save", str(one)]) == 0
+    cli(*words, "--hold", "0.1%", "--record", log, "--save", one)
     chosen = [json.loads(line) for line in log.read_text().splitlines()[1:]]
     assert len({event["value"] for event in chosen if event["event"] == "set"}) > 1
-    assert main([*words, "--events", str(log), "--save", str(other)]) == 0
+    cli(*words, "--events", log, "--save", other)
     assert (load(one).position == load(other).position).all()
 
 
