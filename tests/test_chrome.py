@@ -184,6 +184,13 @@ def test_what_is_refused_is_said_and_leaves_all_as_it_was(sim):
     hands.release()
     hands.keys("0", "return")
     assert sim.substeps == 1 and "substeps" in hands.look()[-1]
+    for name in ("substeps", "stiffness"):  # a whole number, and one
+        for typed in ("9e999", "1-2"):
+            hands.press((hands.place(name)[0], hands.place(name)[1] - 14))
+            for key in (*typed, "return"):
+                hands.panel.take(Event("press", key=key), RECT, HEIGHT)
+            assert f"{name}: {typed} is no number" in hands.look()[-1]
+    assert not hands.panel.given
 
 
 def test_a_panel_that_is_too_long_is_scrolled_and_draws_inside(sim):

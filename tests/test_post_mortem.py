@@ -11,6 +11,7 @@ from test_timeline import Script, press
 
 from taichi_cloth.cli.run_report import Examining
 from taichi_cloth.errors import InputError, SimulationFailure
+from taichi_cloth.files.events import Log
 from taichi_cloth.post_mortem.causes import STEP
 from taichi_cloth.scene.library import build
 from taichi_cloth.simulation.simulation import Simulation
@@ -106,7 +107,9 @@ def test_what_is_kept_for_it_changes_no_bit():
 
 
 def test_a_window_stays_and_goes_on_with_what_survives():
-    """The panel opens, a frame back is seen, and u plays on from before with other substeps."""
+    """The panel opens, a frame back is seen, and u plays on from before with other substeps; also
+    where a log is replayed, which goes on past the failure.
+    """
     scene = build("cloth", columns=12, rows=9)
     sim = Simulation(scene, dt=1.9, topology="graph", execution="serial")
     seen = []
@@ -116,7 +119,9 @@ def test_a_window_stays_and_goes_on_with_what_survives():
             seen.append("\n".join(panel.words for panel in picture.overlay))
 
     turns = [*[[]] * 60, press("left"), [], press("u"), *[[]] * 60]
-    app.run(sim, Seen(scene.world, turns), quiet=True, examiner=Examining(sim, ["cloth"]))
+    log = Log(by_frame={500: [Event("move", pos=(1.0, 1.0))]})
+    view, examiner = Seen(scene.world, turns), Examining(sim, ["cloth"])
+    app.run(sim, view, quiet=True, examiner=examiner, replay=log)
     assert any("Numerics: the step is too long" in words for words in seen)
     assert sim.substeps > 1 and sim.dt == 1.9 and sim.frame > 40
     assert np.isfinite(sim.positions()).all() and sim.springs_alive().all()

@@ -184,6 +184,7 @@ class Loop:
             if not self.view.visible:
                 raise
             state.failure = error
+            self._end_replay()
             self._shown.hurry()
             self._shown.meter.interrupt()
             self._examine()
@@ -195,6 +196,11 @@ class Loop:
             request.trajectory.record(self.sim)
         if self._travel:
             self._travel.note(state.frames)
+
+    def _end_replay(self) -> None:
+        """Give the mouse back: what a log has for later belongs to a run that did not fail here."""
+        self._log.clear()
+        self.state.log_end = -1
 
     def _examine(self) -> None:
         """Find out why the run failed, which takes a moment, and open what says so."""

@@ -8,6 +8,7 @@ digits and return set a number, backspace takes one away, delete goes back to th
 
 from __future__ import annotations
 
+import math
 import operator
 import string
 import time
@@ -343,13 +344,16 @@ class SettingsPanel:
             self._typed += key
 
     def _enter(self, one: Setting) -> None:
-        """Set what was typed."""
+        """Set what was typed, or tell that it is no number."""
         typed, self._typed = self._typed, ""
         try:
-            number = float(typed)
+            number = float(typed or "nan")
         except ValueError:
-            return
-        self._set(one, round(number) if one.kind == live.COUNT else number)
+            number = math.nan
+        if math.isfinite(number):
+            self._set(one, round(number) if one.kind == live.COUNT else number)
+        elif typed:
+            self._controls.tell(f"{one.label}: {typed} is no number that it can have")
 
     def _step(self, one: Setting, way: int) -> None:
         """The next or the last word, the other way of a switch, a notch of a slider."""
