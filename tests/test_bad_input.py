@@ -4,12 +4,16 @@ Cases run `cli.main` in this process: they are refused before Taichi starts.
 """
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from taichi_cloth.cli import run_files
 from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
+from taichi_cloth.files.events import Recorder
+from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.limits.precision import refuse_unholdable, unresolved
 from taichi_cloth.scene import library, scenefile
 from taichi_cloth.scene.checks import validate
@@ -75,6 +79,11 @@ COMMAND_LINES = [
     ("run --pictures missing", "--pictures missing: there is no such folder; make it first"),
     ("run --video x.avi", "must end in .mp4 or .gif"),
     ("run --save x.npz --record ./x.npz", "would write the same file"),
+    ("run --save x.npz --report x.npz", "--save and --report would write the same file"),
+    ("run --save x.npz --export x-beside.npz --beside substeps=2", "--save of --beside would"),
+    ("run fine.toml --record fine.toml", "--record fine.toml: would overwrite the scene"),
+    ("run --events fine.toml --save ./fine.toml", "would overwrite --events"),
+    ("run --resume fine.toml --save fine.toml", "would overwrite --resume"),
     ("run --save x.npz --record y.jsonl --image missing/x.png", "there is no folder"),
 ]
 
@@ -91,6 +100,16 @@ def test_command_lines(arguments, says, tmp_path, monkeypatch, capsys):
     assert out == "" and error.startswith("taichi-cloth: error: ")
     assert error.count("\n") == 1 and says in error
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_resumed_run_that_is_refused_leaves_no_file(tmp_path):
+    recorder, none = Recorder(tmp_path / "a.jsonl"), Recordings(None, None)
+    files = run_files.RunFiles(recorder, none, None, none)
+    resumed = SimpleNamespace(frame=30, scene=None)
+    with pytest.raises(InputError), run_files.kept(None, resumed, None, files):
+        raise InputError("a budget that it cannot have")
+    recorder.discard()
+    assert list(tmp_path.iterdir()) == []
 
 
 SCENE = """\

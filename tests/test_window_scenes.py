@@ -37,12 +37,13 @@ def test_the_next_scene_keeps_where_to_compute_and_has_files_of_its_own(tmp_path
     folder.mkdir()
     options = RunOptions.from_given(
         {"precision": "f64", "meters": True, "substeps": 4, "method": "rk4", "topology": "lanes",
-         "record": str(log), "export": str(folder), "save": "/dev/null"}
+         "record": str(log), "export": str(folder), "save": "/dev/null", "report": "a.html"}
     )  # fmt: skip
     there = run_scenes.options_of("box", options)
     assert (there.precision, there.meters) == ("f64", True)
     assert (there.substeps, there.method, there.topology) == (1, "symplectic_euler", "auto")
     assert (there.record, there.export) == (str(tmp_path / "a.b-box.jsonl"), f"{folder}-box")
+    assert there.report == "a-box.html"
     assert there.save == "/dev/null" and there.given == options.given - {
         "substeps", "method", "topology",
     }  # fmt: skip

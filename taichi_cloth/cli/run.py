@@ -49,7 +49,7 @@ def main(source: SceneSource, options: RunOptions) -> int:
     Everything that can be refused is refused before Taichi starts, and leaves no file.
     """
     options = run_budget.checked(run_options.consistent(options))
-    run_beside.asked(options)
+    run_options.check_inputs_stay(source, options)
     if options.dt == "auto" and "substeps" in options.given:
         raise InputError("--substeps: --dt auto chooses them; give one of the two")
     scene = source.build()

@@ -13,6 +13,7 @@ from taichi_cloth.beside import given as besides
 from taichi_cloth.beside.given import Given
 from taichi_cloth.console import percent
 from taichi_cloth.errors import InputError, RunFailure, counted
+from taichi_cloth.files.pending import is_device
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Recordable
 from taichi_cloth.settings.options import RunOptions
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
 
 NAMES = "the left run", "the right run"
+KEPT = ("save", "export")  # files that the second run has, too
 SECOND = 60.0  # frames
 SHOWN = 600  # frames of a graph of ten seconds
 
@@ -37,15 +39,15 @@ def asked(options: RunOptions) -> Given | None:
 
 
 def path_of(path: str) -> str:
-    """The file of the second run: NAME-beside.npz for NAME.npz."""
+    """The file of the second run: NAME-beside.npz for NAME.npz; a device takes both."""
     first = Path(path)
-    return str(first.with_name(f"{first.stem}-beside{first.suffix}"))
+    return path if is_device(first) else str(first.with_name(f"{first.stem}-beside{first.suffix}"))
 
 
 def files_of(options: RunOptions) -> RunOptions:
     """The options with the files of the second run."""
-    save, export = (path and path_of(path) for path in (options.save, options.export))
-    return replace(options, save=save, export=export)
+    paths = {name: getattr(options, name) for name in KEPT}
+    return replace(options, **{name: path and path_of(path) for name, path in paths.items()})
 
 
 class Beside:

@@ -107,7 +107,7 @@ def kept(
 
     recorder, recordings, ending = written.recorder, written.recordings, written.ending
     failure: KeyboardInterrupt | RunFailure | InputError | None = None
-    began = sim.scene  # which the user may change
+    began, first = sim.scene, sim.frame  # a user may change the scene
     second = beside.scene if beside else None
 
     def finish() -> None:
@@ -139,7 +139,7 @@ def kept(
     except (KeyboardInterrupt, RunFailure) as error:
         failure = error
     except InputError as error:
-        if sim.frame == 0:  # refused before anything was run
+        if sim.frame == first:  # refused before anything was run
             raise
         failure = error  # a disk is full: it may not be the one of the other files
     finish()

@@ -8,10 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taichi_cloth.cli import scene_command
+from taichi_cloth.cli import run_beside, scene_command
 from taichi_cloth.errors import InputError
+from taichi_cloth.files.pending import is_device
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.options import RunOptions, check_run, flag
+from taichi_cloth.settings.options import WRITES, RunOptions, check_run, flag
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation import saved
@@ -26,15 +27,42 @@ def consistent(options: RunOptions) -> RunOptions:
         options = replace(options, view="none")
     if options.beside is not None and options.resume is not None:
         raise InputError("--beside and --resume exclude each other: a checkpoint is of one run")
-    written: dict[str, str] = {}
-    for name in ("record", "save", "export", "image", "video", "checkpoint", "report"):
-        path = getattr(options, name)
-        if path is None:
-            continue
-        twin = written.setdefault(os.path.realpath(path), name)
-        if twin != name and os.path.isfile(path) | (not os.path.exists(path)):
-            raise InputError(f"--{twin} and --{name} would write the same file, {path}")
+    _check_written(options)
     return options
+
+
+def _check_written(options: RunOptions) -> None:
+    """Refuse two results in one file."""
+    results = [(flag(name), getattr(options, name)) for name in WRITES]
+    if run_beside.asked(options):
+        other, of = run_beside.files_of(options), "of --beside"
+        results += [(f"{flag(name)} {of}", getattr(other, name)) for name in run_beside.KEPT]
+    written: dict[str, str] = {}
+    for what, path in results:
+        if path is None or is_device(Path(path)) or os.path.isdir(path):
+            continue
+        twin = written.setdefault(os.path.realpath(path), what)
+        if twin != what:
+            raise InputError(f"{twin} and {what} would write the same file, {path}")
+
+
+def check_inputs_stay(source: SceneSource, options: RunOptions) -> None:
+    """Refuse to write a result over what the run is made of.
+
+    A log may be recorded anew, and a checkpoint made anew, where it was: the run goes on from them.
+    A mesh exported to its own name is not written over: it gets numbers.
+    """
+    made_of = [
+        (source.name if source.is_file else None, "the scene", "export"),
+        (options.events, "--events", "record"),
+        (options.resume, "--resume", "checkpoint"),
+    ]
+    for path, what, but in made_of:
+        for name in WRITES if path is not None else ():
+            result = getattr(options, name)
+            if name != but and result and os.path.realpath(result) == os.path.realpath(path):
+                says = f"would overwrite {what}; name another file"
+                raise InputError(f"{flag(name)} {result}: {says}")
 
 
 def as_recorded(options: RunOptions, header: Mapping[str, Any]) -> RunOptions:

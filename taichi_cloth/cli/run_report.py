@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taichi_cloth.errors import InputError, SimulationFailure
-from taichi_cloth.files.pending import PendingFile
-from taichi_cloth.settings.options import RunOptions
+from taichi_cloth.files.pending import PendingFile, is_device
+from taichi_cloth.settings.options import WRITES, RunOptions
 from taichi_cloth.simulation.past import Settings
 
 if TYPE_CHECKING:
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 PATIENCE = 5.0  # seconds that a window waits for the trials
 OWN = ("method", "dt", "substeps")  # settings of every run, in the order in which they are set
-# Beside what a report is put that nobody asked for: what the run writes.
-BESIDE = ("save", "record", "checkpoint", "export", "image", "video")
 
 
 @contextlib.contextmanager
@@ -102,8 +100,9 @@ def _finding(found: PostMortem) -> Finding:
 
 
 def _beside(options: RunOptions) -> PendingFile | None:
-    """Where a run that failed has its report."""
-    paths = [Path(path) for name in BESIDE if (path := getattr(options, name))]
+    """Where a run that failed has the report that nobody asked for: beside what it writes."""
+    given = [Path(path) for name in WRITES if (path := getattr(options, name))]
+    paths = [path for path in given if not is_device(path)]
     if not paths:
         return None
     with contextlib.suppress(InputError):

@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 from taichi_cloth.cli import run_files
 from taichi_cloth.cli.run_files import RunFiles
+from taichi_cloth.files.pending import is_device
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.options import RunOptions, flag
+from taichi_cloth.settings.options import WRITES, RunOptions, flag
 
 if TYPE_CHECKING:
     from taichi_cloth.cli.run_beside import Beside
@@ -33,7 +34,6 @@ OF_ONE_SCENE = (
     "resume",
     "beside",
 )
-WRITTEN = ("record", "save", "export", "checkpoint", "video", "image")  # files, one of each a scene
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def options_of(chosen: str, options: RunOptions) -> RunOptions:
     first is taken that no file has.
     """
     other: dict[str, Any] = {f.name: f.default for f in fields(options) if f.name in OF_ONE_SCENE}
-    for name in WRITTEN:
+    for name in WRITES:
         path = getattr(options, name)
         other[name] = None if path is None else beside(path, chosen)
     return replace(options, given=options.given - set(OF_ONE_SCENE), **other)
@@ -158,7 +158,7 @@ def options_of(chosen: str, options: RunOptions) -> RunOptions:
 def beside(path: str, scene: str) -> str:
     """A path like this one for a file of another scene; devices, such as /dev/null, take all."""
     given = Path(path)
-    if given.exists() and not (given.is_file() or given.is_dir()):
+    if is_device(given):
         return path
     number, name = 1, f"{given.stem}-{scene}"
     while any(given.parent.glob(f"{glob.escape(name)}[._]*")) or (given.parent / name).exists():
@@ -175,5 +175,5 @@ def left_behind(source: SceneSource, options: RunOptions) -> list[str]:
 
 def written(options: RunOptions) -> list[str]:
     """The files of a scene, each after the flag that asks for it."""
-    paths = {name: getattr(options, name) for name in WRITTEN}
+    paths = {name: getattr(options, name) for name in WRITES}
     return [f"{flag(name)} {path}" for name, path in paths.items() if path is not None]

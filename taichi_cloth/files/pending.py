@@ -102,6 +102,11 @@ class PendingFile:
                 os.unlink(self._temporary)
 
 
+def is_device(path: Path) -> bool:
+    """Whether it is neither a file nor a folder, such as /dev/null: it takes all that comes."""
+    return path.exists() and not (path.is_file() or path.is_dir())
+
+
 def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
     """Write a file that appears whole or not at all; raises InputError where it cannot."""
     PendingFile(path).fill(lambda file: file.write(content))

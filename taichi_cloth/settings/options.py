@@ -84,6 +84,8 @@ VIEWS = ("auto", "ggui", "gui", "none")
 STRAIN = "strain"  # drawn: the colours of what springs bear
 SHOWN = ("surface", "springs", "particles", STRAIN)  # what may be drawn of a cloth
 HEADLESS_FRAMES = 600
+# Options of a run that name a file, or a folder, which it writes.
+WRITES = ("save", "record", "checkpoint", "export", "image", "video", "report")
 WITHIN = "1%"  # how far apart two runs may be that are still together: most eyes see no less
 
 
