@@ -70,6 +70,10 @@ COMMAND_LINES = [
     ("run fine.toml --columns 3", "change the value in fine.toml"),
     ("run --events missing.jsonl", "there is no such file"),
     ("run --events broken.toml", "broken.toml line 1: is not JSON"),
+    ("run --events old.jsonl", "old.jsonl line 1: --method: unknown method 'rk5'"),
+    ("compare fine.toml .", "fine.toml: is no saved trajectory: it is no .npz archive"),
+    ("compare . fine.toml", ".: is a folder; name the saved trajectory in it"),
+    ("run --resume fine.toml", "fine.toml: is no checkpoint: it is no .npz archive"),
     ("run --save missing/x.npz", "there is no folder 'missing'"),
     ("run --save .", "is a folder"),
     ("run --record missing/x.jsonl", "there is no folder 'missing'"),
@@ -94,6 +98,7 @@ def test_command_lines(arguments, says, tmp_path, monkeypatch, capsys):
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
     (tmp_path / "broken.toml").write_text("[world]\nsize =")
     (tmp_path / "fine.toml").write_text("[world]\nsize = [10, 10]")
+    (tmp_path / "old.jsonl").write_text('{"header": {"method": "rk5"}}')
     before = sorted(tmp_path.iterdir())
     assert main(arguments.split()) == 2
     out, error = capsys.readouterr()

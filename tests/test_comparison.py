@@ -227,8 +227,8 @@ def test_what_cannot_be_compared_is_refused_in_a_line(swings, pool, cli, tmp_pat
     for name, words in {
         "other.npz": "not of the same particles: scenes 'oscillator' and 'hanging', 2 particles",
         "odd.npz": "no frame at the same time",
-        "cut.npz": "cut.npz: is not a saved trajectory",
-        "foreign.npz": "foreign.npz: is not a saved trajectory: it has no 'frame'",
+        "cut.npz": "cut.npz: is no saved trajectory",
+        "foreign.npz": "foreign.npz: is no saved trajectory: it has no 'frame'",
         "short.npz": "its 'time' is float64 (5,)",
         "back.npz": "its times do not grow",
         "empty.npz": "has no frame",

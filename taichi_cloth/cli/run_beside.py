@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -46,8 +46,9 @@ def path_of(path: str) -> str:
 
 def files_of(options: RunOptions) -> RunOptions:
     """The options with the files of the second run."""
-    paths = {name: getattr(options, name) for name in KEPT}
-    return replace(options, **{name: path and path_of(path) for name, path in paths.items()})
+    first = {name: getattr(options, name) for name in KEPT}
+    paths: dict[str, Any] = {name: path and path_of(path) for name, path in first.items()}
+    return replace(options, **paths)
 
 
 class Beside:

@@ -58,9 +58,11 @@ def check_inputs_stay(source: SceneSource, options: RunOptions) -> None:
         (options.resume, "--resume", "checkpoint"),
     ]
     for path, what, but in made_of:
-        for name in WRITES if path is not None else ():
+        for name in WRITES:
             result = getattr(options, name)
-            if name != but and result and os.path.realpath(result) == os.path.realpath(path):
+            if not (path and result) or name == but:
+                continue
+            if os.path.realpath(result) == os.path.realpath(path):
                 says = f"would overwrite {what}; name another file"
                 raise InputError(f"{flag(name)} {result}: {says}")
 
@@ -76,7 +78,10 @@ def as_recorded(options: RunOptions, header: Mapping[str, Any]) -> RunOptions:
         del recorded["dt"]  # substeps of the user's own: of the scene's frames, too
     if options.dt == "auto":
         recorded.pop("substeps", None)
-    return consistent(replace(options, **recorded))
+    try:
+        return consistent(replace(options, **recorded))
+    except InputError as error:
+        raise InputError(f"{options.events} line 1: {error}") from None
 
 
 def scene_as_recorded(

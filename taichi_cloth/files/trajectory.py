@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import operator
-import struct
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -14,13 +11,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from taichi_cloth.errors import InputError
+from taichi_cloth.files import archives
 from taichi_cloth.files.pending import PendingFile
 
-# What NumPy, zipfile and json raise for files that are something else, or damaged.
-UNREADABLE = (
-    *(OSError, ValueError, EOFError, AttributeError, TypeError, MemoryError, OverflowError),
-    *(RuntimeError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error),
-)
+_WHAT = "saved trajectory"
 _ARRAYS = ("frame", "time", "position", "velocity", "spring", "spring_alive", "meta")
 _LATER = ("start", "fixed")  # which files of earlier versions do not have
 
@@ -208,20 +202,16 @@ def _checked(path: str | Path) -> Path:
 def load(path: str | Path) -> Saved:
     """The trajectory saved at `path`. Raises InputError if there is none that can be read."""
     path = _checked(path)
+    arrays = archives.read(path, _WHAT)
+    missing = [name for name in _ARRAYS if name not in arrays]
+    if missing:
+        raise InputError(f"{path}: is no {_WHAT}: it has no '{missing[0]}'")
+    parts: dict[str, Any] = {n: arrays[n] for n in (*_ARRAYS, *_LATER) if n in arrays}
     try:
-        with np.load(path, allow_pickle=False) as file:
-            missing = [name for name in _ARRAYS if name not in file]
-            if missing:
-                raise InputError(f"{path}: is not a saved trajectory: it has no '{missing[0]}'")
-            names = (*_ARRAYS, *(name for name in _LATER if name in file))
-            arrays = {name: file[name] for name in names}
-        return _whole(Saved(**{**arrays, "meta": json.loads(str(arrays["meta"]))}), path)
-    except InputError:
-        raise
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
-    except UNREADABLE as error:
-        raise InputError(f"{path}: is not a saved trajectory: {error}") from None
+        parts["meta"] = json.loads(str(arrays["meta"]))
+    except (ValueError, RecursionError):
+        raise InputError(f"{path}: is no {_WHAT}: its 'meta' is no JSON") from None
+    return _whole(Saved(**parts), path)
 
 
 def _whole(saved: Saved, path: Path) -> Saved:
@@ -238,7 +228,7 @@ def _whole(saved: Saved, path: Path) -> Saved:
         kinds = "b" if name in ("spring_alive", "fixed") else "iuf"
         if array is not None and (array.shape != there or array.dtype.kind not in kinds):
             found = f"{array.dtype} {array.shape}"
-            raise InputError(f"{path}: is not a saved trajectory: its '{name}' is {found}")
+            raise InputError(f"{path}: is no {_WHAT}: its '{name}' is {found}")
     if not isinstance(saved.meta, dict):
-        raise InputError(f"{path}: is not a saved trajectory: its 'meta' is no object")
+        raise InputError(f"{path}: is no {_WHAT}: its 'meta' is no object")
     return saved

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -13,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.errors import InputError
+from taichi_cloth.files import archives
 from taichi_cloth.files.pending import PendingFile
-from taichi_cloth.files.trajectory import UNREADABLE
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.scene.holding import Hold
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
@@ -112,9 +111,8 @@ def into(file: PendingFile, parts: Mapping[str, Any], about: Mapping[str, Any]) 
 
 def read(path: Path) -> Saved:
     """The checkpoint in a file. InputError where there is none that can be read."""
+    arrays = archives.read(path, "checkpoint")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
         meta = json.loads(str(arrays.pop("meta")))
         version = meta["version"]
         if version != VERSION:
@@ -123,13 +121,9 @@ def read(path: Path) -> Saved:
                 "save it anew"
             )
         return Saved(_parts(meta, arrays), meta["about"])
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder; name the checkpoint in it") from None
     except InputError:
         raise
-    except (KeyError, *UNREADABLE, zipfile.BadZipFile) as error:
+    except (KeyError, ValueError, AttributeError, TypeError, OverflowError) as error:
         lacks = f"it has no {error}" if isinstance(error, KeyError) else str(error)
         raise InputError(f"{path}: is no checkpoint: {lacks}") from None
 
