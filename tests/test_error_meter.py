@@ -48,6 +48,12 @@ def judge(device):
     return Judge(1)
 
 
+def measured(judge, folder, patience):
+    """All that a judge says of the window in a folder."""
+    verdict = Verdict(**judge.measure(str(folder), patience))
+    return Verdict(**judge.part(patience)) if verdict.known else verdict
+
+
 class Here(ErrorMeter):
     """An error meter that judges nothing: it keeps its windows."""
 
@@ -148,7 +154,7 @@ def chain(judge, tmp_path_factory):
     meter.close()
     (window,) = meter.windows
     window.write(folder / WINDOW, None)
-    verdict = Verdict(**judge.measure(str(folder), 60.0))
+    verdict = measured(judge, folder, 60.0)
     smooth = ode.solve(scene, np.arange(FRAMES + 1) * sim.dt, 60.0)
     return SimpleNamespace(sim=sim, window=window, verdict=verdict, smooth=smooth, folder=folder)
 
@@ -167,8 +173,45 @@ def test_errors_are_those_of_trade(chain, judge, tmp_path):
     assert verdict.solver is None and verdict.rounding is None and 0 < verdict.ahead < 20
     # In no time nothing is made again.
     window.write(tmp_path / WINDOW, None)
-    verdict = Verdict(**judge.measure(str(tmp_path), 1e-9))
-    assert not verdict.known and "too large" in verdict.describe(in_metres=False)
+    verdict = measured(judge, tmp_path, 1e-9)
+    assert not verdict.known and "to make again" in verdict.describe(in_metres=False)
+
+
+class Shorter(Judge):
+    """A judge that makes fewer frames, or whose references part after some."""
+
+    def __init__(self, judge, most=FRAMES, parts=FRAMES):
+        super().__init__(1)
+        self._sims, self._most, self._parts = judge._sims, most, parts
+        self._rng = np.random.default_rng(0)
+
+    def _run(self, window, plan):
+        made = super()._run(window, plan).first(self._most)
+        made.x[self._parts + 1 :] += self._rng.normal(size=made.x[self._parts + 1 :].shape)
+        return made
+
+
+def test_what_no_reference_tells_is_left_out(chain, judge, tmp_path):
+    """Where time ends, or where references part: the error is that of the frames before."""
+    chain.window.write(tmp_path / WINDOW, None)
+    none = np.zeros((FRAMES + 1, 0), bool)
+    shown = errors.Samples(np.array(chain.window.shown), chain.smooth.v, none)
+    smooth = errors.Samples(chain.smooth.x, chain.smooth.v, none)
+    short = measured(Shorter(judge, most=24), tmp_path, 60.0)
+    assert short.judged == 24 and short.further == "60 s allow no more"
+    assert "error over the first 0.4 s of the last second: 1.8 %" in short.describe(True)
+    parted = measured(Shorter(judge, parts=40), tmp_path, 1.0)
+    assert 40 <= parted.judged <= 42 and parted.further == "further on references differ"
+    for verdict, frames in ((short, 24), (parted, 40)):
+        apart = errors.distance(shown.first(frames), smooth.first(frames), ~chain.sim.fixed())
+        assert not verdict.trouble and verdict.growth is not None
+        assert verdict.error == pytest.approx(apart.trajectory, rel=0.1)
+    assert Ghost.read(tmp_path / GHOST, chain.window).end == parted.judged
+    # Of too few frames nothing is said.
+    lost = measured(Shorter(judge, most=9), tmp_path, 60.0)
+    assert not lost.known and "to make again" in lost.trouble
+    unsure = measured(Shorter(judge, parts=9), tmp_path, 1.0)
+    assert unsure.judged == FRAMES and unsure.trouble.startswith("two references differ by")
 
 
 def test_the_ghost_is_where_the_reference_is(chain):
@@ -276,7 +319,7 @@ def test_parts_of_the_error_are_told_apart(judge, tmp_path):
     noise = np.random.default_rng(0).normal(size=np.shape(window.shown)) * 0.01
     rounded = replace(window, precision="f32", shown=list(np.array(window.shown) + noise))
     rounded.write(tmp_path / WINDOW, None)
-    verdict = Verdict(**judge.measure(str(tmp_path), 60.0))
+    verdict = measured(judge, tmp_path, 60.0)
     assert verdict.rounding == pytest.approx(0.01 * np.sqrt(2), rel=0.1)
     sim.set_solver(iterations=256)
     sim.reset()

@@ -39,10 +39,11 @@ class Ghost:
         """That of a window out of the file that `write` made."""
         with np.load(path) as parts:
             away, torn = parts["away"], parts["torn"]
+            shown = window.shown[: int(parts["samples"])]
         far = np.sqrt(np.einsum("ij,ij->i", away[-1], away[-1]))
-        extent = float(np.linalg.norm(np.ptp(window.shown[-1], axis=0)))
+        extent = float(np.linalg.norm(np.ptp(shown[-1], axis=0)))
         settings = window.first, window.frames, window.stride
-        return cls(*settings, window.shown, away, torn, float(np.quantile(far, MOST_OF)), extent)
+        return cls(*settings, shown, away, torn, float(np.quantile(far, MOST_OF)), extent)
 
     @property
     def end(self) -> int:
@@ -83,8 +84,9 @@ class Ghost:
 def write(path: Path, reference: np.ndarray, shown: np.ndarray, torn: np.ndarray) -> None:
     """Write what a ghost is read from.
 
-    reference, shown: positions, (samples, n, dim). torn: as of `Ghost`.
+    reference, shown: positions, (samples, n, dim): those that were judged. torn: as of `Ghost`.
     """
+    samples = len(reference)
     if reference.size > MOST_NUMBERS:
         reference, shown = reference[-1:], shown[-1:]
-    np.savez(path, away=(reference - shown).astype(np.float32), torn=torn)
+    np.savez(path, away=(reference - shown).astype(np.float32), torn=torn, samples=samples)

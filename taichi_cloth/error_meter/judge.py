@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import pickle
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -19,7 +18,15 @@ import numpy as np
 from taichi_cloth import runtime
 from taichi_cloth.error_meter import ghost
 from taichi_cloth.error_meter.verdict import AIM, GREW, MILLIONTH, THIRD, Verdict
-from taichi_cloth.error_meter.window import GHOST, STAGE, WINDOW, Window
+from taichi_cloth.error_meter.window import (
+    FRAMES,
+    GHOST,
+    LEAST,
+    STAGE,
+    WAITING,
+    WINDOW,
+    Window,
+)
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation.acts import do_again
@@ -48,6 +55,48 @@ class _Plan:
     start: Start
 
 
+@dataclass(frozen=True)
+class _Reference:
+    """A run at a fine step beside that of half as many, both with as many samples.
+
+    finest, before: both; substeps: of the former. sure: in how many samples from the start on they
+    differ by little enough, 0 where these are too few. springs: (s, 2) at each sample.
+    """
+
+    finest: errors.Samples
+    before: errors.Samples
+    substeps: int
+    sure: int
+    springs: list[np.ndarray]
+
+    @property
+    def worth(self) -> tuple[int, int]:
+        """How much of the window it can tell, and has."""
+        return self.sure, len(self.finest)
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """A window whose error is known, as what parts that needs it.
+
+    shown: what the run showed; finest, coarsest: the last reference, and the first, of `substeps`
+    a frame; as many samples of each as were judged.
+    """
+
+    window: Window
+    verdict: Verdict
+    shown: errors.Samples
+    finest: errors.Samples
+    coarsest: errors.Samples
+    substeps: int
+
+    @property
+    def free(self) -> np.ndarray:
+        """Which particles move, (n,) bool."""
+        free: np.ndarray = ~self.window.start.snapshot.scene.particles.fixed
+        return free
+
+
 def started(threads: int | None) -> Judge:
     """A judge in a process of its own, whose device this starts."""
     runtime.start("cpu", "f64", threads, fast_math=False)
@@ -67,17 +116,16 @@ class Judge:
         self._scene: Scene | None = None
         self._until = math.inf
         self._folder = Path()
-        # Between which particles springs broke: in the last run, and in the reference.
-        self._broke = self._torn = np.zeros((0, 2), np.int64)
-        self._orders = False
+        self._springs: list[np.ndarray] = []  # at each sample of the last run
+        self._measured: _Measured | None = None
 
-    def measure(self, folder: str, patience: float, order: bool = False) -> dict[str, Any]:
+    def measure(self, folder: str, patience: float) -> dict[str, Any]:
         """The verdict on the window in a folder, as a dictionary; the reference is put there, too.
 
-        patience: seconds that the references may take, compiling left out; as many again are there
-        for what parts the error. order: whether the window's own order is measured, too.
+        What the error comes from is left to `part`. patience: seconds that the references may take,
+        compiling left out.
         """
-        self._folder = Path(folder)
+        self._folder, self._measured = Path(folder), None
         window, begin = self._read(self._folder / WINDOW), time.perf_counter()
         size = float(np.linalg.norm(window.start.snapshot.scene.world.size))
         own = window.substeps[0] if len(set(window.substeps)) == 1 else 0
@@ -85,15 +133,31 @@ class Judge:
             window.first, window.frames, window.precision, size=size, method=window.method,
             own_substeps=own,
         )  # fmt: skip
-        self._orders = order and own > 0
         try:
             verdict = self._verdict(window, verdict, patience)
-        except TooSlow:
-            trouble = f"the scene is too large to make it again in {patience:g} s"
-            verdict = replace(verdict, trouble=trouble)
+        except TooSlow as slow:
+            verdict = replace(verdict, trouble=str(slow))
         except (SimulationFailure, InputError) as failure:
             verdict = replace(verdict, trouble=f"the reference fails: {failure}")
         return asdict(replace(verdict, seconds=time.perf_counter() - begin))
+
+    def part(self, patience: float, order: bool = False) -> dict[str, Any]:
+        """The same verdict with how disturbances grow, and with what made the error.
+
+        patience: seconds for that, compiling left out; what takes longer stays unknown. order:
+        whether the window's own order is measured, too.
+        """
+        measured, begin = self._measured, time.perf_counter()
+        if measured is None:
+            raise InputError("no error is known that could be parted")
+        verdict = measured.verdict
+        self._until = time.perf_counter() + patience
+        with suppress(TooSlow, SimulationFailure, InputError):
+            verdict = self._grown(measured, verdict)
+            if order and verdict.own_substeps:
+                verdict = self._ordered(measured, verdict)
+            verdict = self._parted(measured, verdict)
+        return asdict(replace(verdict, seconds=verdict.seconds + time.perf_counter() - begin))
 
     def _tell(self, stage: str) -> None:
         """Have the parent know what is done now."""
@@ -108,103 +172,135 @@ class Judge:
         return Window(**{**parts, "start": Start(**{**start, "snapshot": taken})})
 
     def _verdict(self, window: Window, verdict: Verdict, patience: float) -> Verdict:
-        free = ~window.start.snapshot.scene.particles.fixed
-        shown = _samples(np.asarray(window.shown, np.float64))
-        method = reference.fine_method()
-        substeps = reference.coarsest(window.start.snapshot.scene, window.dt, RESOLUTION)
-
-        def run(substeps: int, start: Start = window.start) -> errors.Samples:
-            self._tell(f"the reference in {substeps} steps a frame")
-            return self._run(window, _Plan(method, [substeps] * window.frames, {}, start))
-
-        plan = _Plan(method, [substeps] * window.frames, {}, window.start)
+        """The verdict with the error; TooSlow where too few frames can be made again in time."""
+        start, shown = window.start, _samples(np.asarray(window.shown, np.float64))
+        scene, method = start.snapshot.scene, reference.fine_method()
+        free = ~scene.particles.fixed
+        substeps = reference.coarsest(scene, window.dt, RESOLUTION)
+        plan = _Plan(method, [substeps] * window.frames, {}, start)
         self._compile(window, plan, "the reference")
-        self._until = time.perf_counter() + patience
-        coarsest = run(substeps)
-        scale, _ = reference.extent(window.start.snapshot.scene, coarsest)
-        finest, finest_substeps, apart = self._refined(run, coarsest, substeps, shown, free)
-        error = errors.distance(shown, finest, free).trajectory
-        verdict = replace(verdict, error=error, scale=scale, apart=apart, substeps=finest_substeps)
-        if apart > THIRD * error:
+        begin = time.perf_counter()
+        self._until = begin + patience / (1 + FINER)
+        coarsest = self._reference(window, plan)
+        least, made = _least(window), len(coarsest) - 1
+        if made < least:
+            took = (time.perf_counter() - begin) / max(made, 1) * least * (1 + FINER)
+            raise TooSlow(
+                f"{LEAST / FRAMES:g} s of it would take {took:.3g} s to make again at finer steps, "
+                f"and {patience:g} s are there: a smaller scene"
+                + ", or a headless run, which waits longer"
+                * (patience < WAITING)
+            )
+        self._until = begin + patience
+        found = self._refined(window, plan, coarsest, shown)
+        samples = found.sure or len(found.finest) - 1
+        finest, seen = found.finest.first(samples), shown.first(samples)
+        scale, _ = reference.extent(scene, finest)
+        error = errors.distance(seen, finest, free).trajectory
+        apart = errors.distance(found.before.first(samples), finest, free).trajectory
+        verdict = replace(
+            verdict, error=error, scale=scale, apart=apart, substeps=found.substeps,
+            judged=samples * window.stride,
+        )  # fmt: skip
+        if not found.sure:
             what = f"two references differ by {apart / scale:.1e} of the motion"
-            what = what if math.isfinite(apart) else "nothing tells what the reference is worth"
             verdict = replace(verdict, trouble=f"{what}, and {patience:g} s allow no finer one")
-        ghost.write(self._folder / GHOST, finest.x, shown.x, self._torn)
-        self._until = time.perf_counter() + patience
-        with suppress(TooSlow):
-            other = run(substeps, _disturbed(window.start, MILLIONTH * scale))
-            grown = errors.rms_by_frame(coarsest, other, free)
-            verdict = replace(verdict, growth=_rate(grown) / window.stride)
-            if self._orders:
-                verdict = self._ordered(window, verdict, finest, free)
-            verdict = self._parted(window, verdict, shown, free)
+        elif samples < made:
+            verdict = replace(verdict, further="further on references differ")
+        elif made < len(shown) - 1:
+            verdict = replace(verdict, further=f"{patience:g} s allow no more")
+        torn = _missing(found.springs[0], found.springs[samples])
+        ghost.write(self._folder / GHOST, finest.x, seen.x, torn)
+        self._measured = _Measured(
+            window, verdict, seen, finest, coarsest.first(samples), substeps
+        )  # fmt: skip
         return verdict
 
+    def _reference(self, window: Window, plan: _Plan) -> errors.Samples:
+        self._tell(f"the reference in {plan.substeps[0]} steps a frame")
+        return self._run(window, plan)
+
     def _refined(
-        self,
-        run: Callable[[int], errors.Samples],
-        coarsest: errors.Samples,
-        substeps: int,
-        shown: errors.Samples,
-        free: np.ndarray,
-    ) -> tuple[errors.Samples, int, float]:
-        """The reference, its substeps, and by how much it differs from the one before.
+        self, window: Window, plan: _Plan, coarsest: errors.Samples, shown: errors.Samples
+    ) -> _Reference:
+        """The reference, and how far it is one, in the time that there is.
 
-        It is refined until that is a fifth of the error, or nothing but round-off: across contacts
-        and breaks it is about what the finer one is wrong by, else far more.
+        It is refined until it differs from the one before by a fifth of the error, or by nothing
+        but round-off: across contacts and breaks that is about what the finer one is wrong by, else
+        far more. Chance, too, ends it: where disturbances grow, finer steps come no nearer to each
+        other, and what they share is a beginning. The longest of these is kept.
         """
-        finest, apart, self._torn = coarsest, math.inf, self._broke
-        with suppress(TooSlow):
-            while True:
-                finer = run(substeps * FINER)
-                apart = errors.distance(finer, finest, free).trajectory
-                finest, substeps = finer, substeps * FINER
-                self._torn = self._broke
-                error = errors.distance(shown, finest, free).trajectory
-                scale = errors.displacement(finest, free) or 1.0
-                if apart <= AIM * error or apart <= reference.ENOUGH * scale:
-                    break
-        return finest, substeps, apart
+        free = ~window.start.snapshot.scene.particles.fixed
+        least, best, before = _least(window), None, coarsest
+        while True:
+            plan = replace(plan, substeps=[FINER * n for n in plan.substeps])
+            begin = time.perf_counter()
+            frames = (len(before) - 1) * window.stride
+            finer = self._reference(window, replace(plan, substeps=plan.substeps[:frames]))
+            made, now = len(finer) - 1, time.perf_counter()
+            if made < least and best is not None:
+                return best
+            if made < 1:
+                raise TooSlow("the second reference takes too long")
+            before = before.first(made)
+            sure, enough = _agreement(shown.first(made), finer, before, free)
+            sure = sure if sure >= least else 0
+            found = _Reference(finer, before, plan.substeps[0], sure, self._springs)
+            best = found if best is None or found.worth >= best.worth else best
+            before = finer
+            more = int((self._until - now) / (FINER * (now - begin)) * made)  # finer ones of these
+            if enough or more < max(least, min(best.sure + 1, made)):
+                return best
 
-    def _ordered(
-        self, window: Window, verdict: Verdict, finest: errors.Samples, free: np.ndarray
-    ) -> Verdict:
+    def _grown(self, measured: _Measured, verdict: Verdict) -> Verdict:
+        """The verdict with how a disturbance of a millionth grows."""
+        start = _disturbed(measured.window.start, MILLIONTH * verdict.scale)
+        substeps = [measured.substeps] * verdict.judged
+        self._tell("how disturbances grow")
+        plan = _Plan(reference.fine_method(), substeps, {}, start)
+        other = self._whole(measured.window, plan)
+        apart = errors.rms_by_frame(measured.coarsest, other, measured.free)
+        return replace(verdict, growth=_rate(apart) / measured.window.stride)
+
+    def _ordered(self, measured: _Measured, verdict: Verdict) -> Verdict:
         """The verdict with the order that the window's own method shows in it.
 
         Its settings are run in f64, and with twice as many substeps.
         """
-        plan = _Plan(window.method, window.substeps, window.solver, window.start)
-        self._compile(window, plan, "its order")
+        plan = _own(measured)
+        self._compile(measured.window, plan, "its order")
         twice = replace(plan, substeps=[2 * n for n in plan.substeps])
         coarse, fine = (
-            errors.distance(self._run(window, one), finest, free).trajectory
+            errors.distance(
+                self._whole(measured.window, one), measured.finest, measured.free
+            ).trajectory
             for one in (plan, twice)
         )
         if not min(coarse, fine) > 0:
             return verdict
         return replace(verdict, order=math.log2(coarse / fine))
 
-    def _parted(
-        self, window: Window, verdict: Verdict, shown: errors.Samples, free: np.ndarray
-    ) -> Verdict:
+    def _parted(self, measured: _Measured, verdict: Verdict) -> Verdict:
         """The verdict with what solver and rounding made of the error."""
-        plan = _Plan(window.method, window.substeps, window.solver, window.start)
+        window, free, plan = measured.window, measured.free, _own(measured)
         exact = settings.converged(settings.Setting(window.method, window.dt, 1))
         if exact is None and window.precision == "f64":
             return verdict
         self._compile(window, plan, f"{window.method} in f64")
-        same = shown
+        same = measured.shown
         if window.precision != "f64":
             self._tell("what rounding does")
-            same = self._run(window, plan)
-            rounding = errors.distance(shown, same, free).trajectory
+            same = self._whole(window, plan)
+            rounding = errors.distance(measured.shown, same, free).trajectory
             verdict = replace(verdict, rounding=rounding)
         if exact is not None:
             given = {"tolerance": exact.tolerance, "iterations": exact.iterations}
             solver = {name: value for name, value in given.items() if value is not None}
             self._tell("what the solver leaves")
-            converged = self._run(window, replace(plan, solver={**plan.solver, **solver}))
-            verdict = replace(verdict, solver=errors.distance(same, converged, free).trajectory)
+            with suppress(TooSlow):
+                converged = self._whole(window, replace(plan, solver={**plan.solver, **solver}))
+                apart = errors.distance(same, converged, free).trajectory
+                verdict = replace(verdict, solver=apart)
         return verdict
 
     # --- runs ------------------------------------------------------------------------------
@@ -218,8 +314,15 @@ class Judge:
         self._run(window, replace(plan, substeps=plan.substeps[:1]))
         self._until = before + time.perf_counter() - begin
 
+    def _whole(self, window: Window, plan: _Plan) -> errors.Samples:
+        """All of a plan's frames; TooSlow where there is no time for them."""
+        made = self._run(window, plan)
+        if len(made) <= len(plan.substeps) // window.stride:
+            raise TooSlow(f"{plan.method} takes too long")
+        return made
+
     def _run(self, window: Window, plan: _Plan) -> errors.Samples:
-        """The window's frames and acts in another way; TooSlow where they take too long."""
+        """The window's frames and acts in another way: so many as there is time for."""
         scene, count = plan.start.snapshot.scene, len(plan.start.snapshot.x)
         sim = self._sims.get(plan.method)
         if sim is None:
@@ -230,10 +333,10 @@ class Judge:
             self._sims[plan.method] = sim
         sim.solver.update({k: v for k, v in plan.solver.items() if k in sim.claims.settings})
         sim.begin_from(plan.start, window.dt, plan.substeps[0])
-        x, springs = [sim.positions()], sim.drawn_springs()
+        x, self._springs = [sim.positions()], [sim.drawn_springs()]
         for frame, substeps in enumerate(plan.substeps):
             if time.perf_counter() > self._until:
-                raise TooSlow
+                break
             for act in window.acts.get(frame, ()):
                 do_again(sim, act)
             if substeps != sim.substeps:
@@ -241,8 +344,44 @@ class Judge:
             sim.advance()
             if (frame + 1) % window.stride == 0:
                 x.append(sim.positions()[:count])
-        self._broke = _missing(springs, sim.drawn_springs())
+                self._springs.append(sim.drawn_springs())
         return _samples(np.array(x))
+
+
+def _least(window: Window) -> int:
+    """How many samples of a window say something."""
+    return -(-LEAST // window.stride)
+
+
+def _own(measured: _Measured) -> _Plan:
+    """The window's own steps, as far as it was judged."""
+    window = measured.window
+    substeps = window.substeps[: measured.verdict.judged]
+    return _Plan(window.method, substeps, window.solver, window.start)
+
+
+def _agreement(
+    shown: errors.Samples, finer: errors.Samples, before: errors.Samples, free: np.ndarray
+) -> tuple[int, bool]:
+    """For how many samples two references differ by at most a third of the error, or by round-off;
+    and whether over all of them by so little that no finer one is needed.
+    """
+    apart, error = (
+        _trajectory(errors.rms_by_frame(other, finer, free)) for other in (before, shown)
+    )
+    rounding = reference.ENOUGH * (errors.displacement(finer, free) or 1.0)
+    good = np.flatnonzero((apart <= THIRD * error) | (apart <= rounding))
+    sure = int(good[-1]) + 1 if len(good) else 0
+    return sure, bool(apart[-1] <= AIM * error[-1] or apart[-1] <= rounding)
+
+
+def _trajectory(rms: np.ndarray) -> np.ndarray:
+    """The root of the mean square over the samples up to each, after the first, which is the start:
+    (samples + 1,) to (samples,).
+    """
+    count = np.arange(1, len(rms))
+    whole: np.ndarray = np.sqrt(np.cumsum(rms[1:] ** 2) / count)
+    return whole
 
 
 def _samples(x: np.ndarray) -> errors.Samples:

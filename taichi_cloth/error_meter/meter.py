@@ -20,9 +20,11 @@ from taichi_cloth.error_meter.window import (
     FEW,
     FRAMES,
     GHOST,
+    LEAST,
     LEAVES,
     STAGE,
     STRIDE,
+    WAITING,
     WINDOW,
     Window,
 )
@@ -36,8 +38,7 @@ if TYPE_CHECKING:
 
 JUDGE = "taichi_cloth.error_meter.judge:started"
 NICE = 19  # of the process: the run goes first
-LEAST = FRAMES // 4  # frames of a window that is judged where something ended it
-PATIENCE, WAITING = 10.0, 60.0  # seconds for a window's references: in a window, and where it waits
+PATIENCE = 10.0  # seconds that a window's references may take where the run goes on
 SLOW = 3.0  # seconds: what takes longer says for how long it does
 MOST_LOST = 3  # processes that may end before no other one is started
 
@@ -184,26 +185,45 @@ class ErrorMeter(Listener):
     # --- in a thread, unless the run waits -------------------------------------------------
 
     def _judge(self, window: Window) -> None:
-        """Ask the process; the verdict is the last one from then on."""
-        ghost = None
+        """Ask the process: for the error, and then for what it comes from."""
+        verdict = None
         try:
             verdict, ghost = self._ask(window)
+            if verdict.known:
+                self._show(window, verdict)
+                if self._judged is window:
+                    self.ghost = ghost
+                verdict = self._ask_parts()
         except (WorkerFailed, OSError) as failure:
-            if self._closed:
+            if not self._closed:
+                self._lose_worker(str(failure))
+            elif verdict is None:
                 return
-            self._give_up_worker()
-            self._lost += 1
-            verdict = Verdict(window.first, window.frames, trouble=str(failure))
-            if self._lost >= MOST_LOST:
-                self.refused = f"its process failed {self._lost} times: {failure}"
-        if self._judged is window:
-            self.recent.append(verdict)
-            self.ghost, self._returned = ghost or self.ghost, False
+            verdict = verdict or Verdict(window.first, window.frames, trouble=str(failure))
+        self._show(window, verdict)
         self.verdicts.append(verdict)
         if self._tell and not self._closed:
             self._tell(verdict)
 
+    def _lose_worker(self, why: str) -> None:
+        """The process ended: there will be another one, unless it was the last of many."""
+        self._give_up_worker()
+        self._lost += 1
+        if self._lost >= MOST_LOST:
+            self.refused = f"its process failed {self._lost} times: {why}"
+
+    def _show(self, window: Window, verdict: Verdict) -> None:
+        """Have a verdict as the last one, in place of what was known of the same window before."""
+        if self._judged is not window:
+            return
+        if self.recent and self.recent[-1].first == window.first:
+            self.recent[-1] = verdict
+        else:
+            self.recent.append(verdict)
+            self._returned = False
+
     def _ask(self, window: Window) -> tuple[Verdict, Ghost | None]:
+        """The error of a window, and its ghost."""
         folder = Path(self._folder.name)
         if self._worker is None:
             self._known = None
@@ -214,10 +234,17 @@ class ErrorMeter(Listener):
             self._worker.ask(make=JUDGE, **{"as": "judge", "with": {"threads": threads}})
         window.write(folder / WINDOW, self._known)
         self._known = window.start.snapshot.scene
-        given = {"folder": str(folder), "patience": self._patience, "order": self.orders}
+        given = {"folder": str(folder), "patience": self._patience}
         answer = self._worker.ask(of="judge", do="measure", **{"with": given})
         verdict = Verdict(**answer["result"])
         return verdict, Ghost.read(folder / GHOST, window) if verdict.known else None
+
+    def _ask_parts(self) -> Verdict:
+        """The verdict on the window that was measured last, with what its error comes from."""
+        assert self._worker is not None
+        given = {"patience": self._patience, "order": self.orders}
+        answer = self._worker.ask(of="judge", do="part", **{"with": given})
+        return Verdict(**answer["result"])
 
     def _give_up_worker(self) -> None:
         if self._worker is not None:

@@ -30,8 +30,10 @@ class Verdict:
     rounding: how far what was shown is from the same in f64, None where that was f64.
     method, own_substeps: the window's; 0 where it had several numbers of them. order: by which its
     error falls with twice as many, None where nobody asked, or it cannot be told.
-    growth: the rate at which a disturbance of a millionth grew [1 / frame], 0 where it did not.
+    growth: the rate at which a disturbance of a millionth grew [1 / frame], 0 where it did not,
+    None where there was no time to see.
     seconds: that it took. trouble: why there is no error, or why it is not sure; "": it is.
+    judged: how many of its frames, from the first on, that is said of; further: why not of all.
     """
 
     first: int
@@ -44,12 +46,14 @@ class Verdict:
     substeps: int = 0
     solver: float | None = None
     rounding: float | None = None
-    growth: float = 0.0
+    growth: float | None = None
     seconds: float = 0.0
     trouble: str = ""
     method: str = ""
     own_substeps: int = 0
     order: float | None = None
+    judged: int = 0
+    further: str = ""
 
     @property
     def end(self) -> int:
@@ -76,16 +80,17 @@ class Verdict:
         """Seconds in which a millionth of the scale grows to the error; infinite: it does not."""
         if self.relative <= MILLIONTH:
             return 0.0
-        if self.growth <= 0:
+        if not self.growth:
             return math.inf
         return math.log(self.relative / MILLIONTH) / self.growth / FRAMES
 
     @property
     def span(self) -> str:
         """The time that it is of, in words."""
-        if self.frames == FRAMES:
-            return "the last second"
-        return f"{self.frames / FRAMES:.2g} s"
+        whole = "the last second" if self.frames == FRAMES else f"{self.frames / FRAMES:.2g} s"
+        if self.further:
+            return f"the first {self.judged / FRAMES:.2g} s of {whole}"
+        return whole
 
     def describe(self, in_metres: bool) -> str:
         """All of it in a line; in_metres: whether the scene's lengths are metres."""
@@ -99,17 +104,24 @@ class Verdict:
         whole = f"error over {self.span}: {self._part(self.error)}"
         length = length_in_words(self.error, in_metres)
         unsure = f"; not sure: {self.trouble}" if self.trouble else ""
-        return f"{whole} ({length}){of_which}; {self.foresight()}{unsure}"
+        more = "".join(f"; {words}" for words in (self.foresight(), self.further) if words)
+        return f"{whole} ({length}){of_which}{more}{unsure}"
 
     def in_short(self, in_metres: bool) -> tuple[str, tuple[str, ...]]:
         """The same for a meter: its value, and details, the most important first."""
         if self.resting:
             return length_in_words(self.error, in_metres), ("nothing moves",)
         value = f"{self._part(self.error)} ({length_in_words(self.error, in_metres)})"
-        ahead = "no growth" if not self.growth else f"holds {self.ahead:.2g} s"
-        if self.ahead > FOREVER:
-            ahead = f"holds over {FOREVER:.0f} s"
-        return value, (*self._parts(), ahead, *(["not sure"] if self.trouble else []))
+        ahead = [f"holds {self.ahead:.2g} s"]
+        if self.growth is None:
+            ahead = []
+        elif not self.growth:
+            ahead = ["no growth"]
+        elif self.ahead > FOREVER:
+            ahead = [f"holds over {FOREVER:.0f} s"]
+        part = f"of the first {self.judged / FRAMES:.2g} s"
+        more, unsure = [part] * bool(self.further), ["not sure"] * bool(self.trouble)
+        return value, (*more, *self._parts(), *ahead, *unsure)
 
     def _parts(self) -> list[str]:
         """What made the error, in words."""
@@ -121,7 +133,9 @@ class Verdict:
         return parts
 
     def foresight(self) -> str:
-        """How far the future can be trusted, in words."""
+        """How far the future can be trusted, in words; "": nobody looked."""
+        if self.growth is None:
+            return ""
         if not self.growth:
             return "disturbances do not grow"
         if self.ahead > FOREVER:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
 
 FRAMES = 60  # a second of a window
+LEAST = FRAMES // 4  # frames of which an error says something
+WAITING = 60.0  # seconds that its references may take where the run waits for them
 FEW = 5000  # particles of which each frame is kept; of more each `STRIDE`th, which costs less
 STRIDE = 5
 # What ends a window, as what follows is another run: its clock, its settings, or who is who in it.
