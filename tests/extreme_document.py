@@ -9,8 +9,8 @@ import os
 import re
 import subprocess
 import sys
-import tempfile
 from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,8 @@ from extreme_cases import CASES, HEAVY_SAG, tr_bdf2_factor
 from extreme_worker import PRECISIONS
 
 from taichi_cloth.kernels import methods
+from taichi_cloth.sweeps import identity
+from taichi_cloth.sweeps.journal import kept, key_of
 
 HERE = Path(__file__).parent
 DOCUMENT = HERE.parent / "docs" / "extremes.md"
@@ -98,32 +100,44 @@ NOTES = """
 """
 
 
-def run_once(lines, what=()):
-    """Run cases in both precisions; the results, as JSON, are appended to the file `lines`.
+def run_once(journal, number, what=()):
+    """Run cases in both precisions; each result is kept in the journal as it comes.
 
-    what: of which cases, as `extreme_worker.py` takes it; none: all.
+    number: of this run; its cases that are finished are not run again. what: of which cases, as
+    `extreme_worker.py` takes it; none: all.
     """
-    workers = [
-        subprocess.Popen(
-            [sys.executable, HERE / "extreme_worker.py", precision, *what],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            env={**os.environ, "ENABLE_TAICHI_HEADER_PRINT": "0"},
-        )
-        for precision in PRECISIONS
-    ]
-    said = [worker.communicate()[0] for worker in workers]
-    assert not any(worker.returncode for worker in workers), "a worker ended early"
-    with lines.open("a") as file:
-        file.writelines(said)
+    finished = [json.loads(key) for key in journal.finished()]
+    workers = []
+    for precision in PRECISIONS:
+        but = [f"{m}/{name}" for n, p, m, name in finished if (n, p) == (number, precision)]
+        workers.append(_started(precision, what, but))
+    with ThreadPoolExecutor(len(workers)) as threads:
+        list(threads.map(lambda worker: _keep_all(worker, journal, number), workers))
+    assert not any(worker.wait() for worker in workers), "a worker ended early: --resume goes on"
 
 
-def results_of(lines):
+def _started(precision, what, but):
+    return subprocess.Popen(
+        [sys.executable, HERE / "extreme_worker.py", precision, *what, *(f"^{of}" for of in but)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        env={**os.environ, "ENABLE_TAICHI_HEADER_PRINT": "0"},
+    )
+
+
+def _keep_all(worker, journal, number):
+    for line in worker.stdout:
+        result = json.loads(line)
+        key = number, result["precision"], result["method"], result["case"]
+        journal.add(key_of(*key), result)
+
+
+def results_of(journal):
     """By (precision, case, method): the result of each run."""
     results = defaultdict(list)
-    for line in lines.read_text().splitlines():
-        result = json.loads(line)
+    for key in sorted(journal.finished(), key=lambda key: json.loads(key)[0]):
+        result = journal.get(key).result
         results[result["precision"], result["case"], result["method"]].append(result)
     return results
 
@@ -286,21 +300,21 @@ def main(arguments):
     parser.add_argument("--runs", type=int, default=1)
     parser.add_argument("--add", action="store_true", help="only cases that the page lacks")
     parser.add_argument("--machine", default="2 cores of a shared machine")
-    parser.add_argument("--results", type=Path, help="a file that runs are added to")
+    parser.add_argument("--folder", type=Path, default=HERE.parent / "build" / "extremes")
+    parser.add_argument("--resume", action="store_true", help="go on with the journal in --folder")
     options = parser.parse_args(arguments)
-    with tempfile.TemporaryDirectory() as folder:
-        results = options.results or Path(folder) / "results.jsonl"
-        if options.add:
-            before = DOCUMENT.read_text()
-            for _ in range(options.runs):
-                run_once(results, [f"/{name}" for name in lacking(before)])
-            DOCUMENT.write_text(with_added(before, results_of(results), options.runs))
-            return
+    before = DOCUMENT.read_text()
+    what = [f"/{name}" for name in lacking(before)] if options.add else []
+    options.folder.mkdir(parents=True, exist_ok=True)
+    known = {"command": "extremes", "of": " ".join(what) or "all", **identity.of_place()}
+    with kept(options.folder, known, options.resume) as journal:
         for number in range(1, options.runs + 1):
             print(f"run {number} of {options.runs}", file=sys.stderr, flush=True)
-            run_once(results)
-            DOCUMENT.write_text(page(results_of(results), options.machine))
-        DOCUMENT.write_text(page(results_of(results), options.machine))
+            run_once(journal, number, what)
+            if not options.add:
+                DOCUMENT.write_text(page(results_of(journal), options.machine))
+        if options.add:
+            DOCUMENT.write_text(with_added(before, results_of(journal), options.runs))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Runs extreme cases in one precision, and says what came of them.
 
-    python tests/extreme_worker.py f32|f64 [METHOD | METHOD/CASE | /CASE ...]
+    python tests/extreme_worker.py f32|f64 [METHOD | METHOD/CASE | /CASE | ^METHOD/CASE ...]
 
 Prints one result a line, as JSON, in the order of the methods.
 """
@@ -145,14 +145,20 @@ def applicable(method):
 def main(arguments):
     parser = argparse.ArgumentParser()
     parser.add_argument("precision", choices=PRECISIONS)
-    parser.add_argument("what", nargs="*", help="METHOD, METHOD/CASE or /CASE; all where absent")
+    parser.add_argument(
+        "what", nargs="*", help="METHOD, METHOD/CASE or /CASE; all where absent; ^: not this one"
+    )
     options = parser.parse_args(arguments)
+    but = {word[1:] for word in options.what if word.startswith("^")}
+    what = {word for word in options.what if not word.startswith("^")}
     np.seterr(over="ignore")  # of energies of what overflows
     runtime.start("cpu", options.precision, threads=1)
     for method in methods.METHODS:
         runner = None
         for name in CASES:
-            if options.what and not {method, f"{method}/{name}", f"/{name}"} & set(options.what):
+            if f"{method}/{name}" in but:
+                continue
+            if what and not {method, f"{method}/{name}", f"/{name}"} & what:
                 continue
             runner = runner or Runner(method)
             if runner.steps(CASES[name]) is not None:

@@ -47,6 +47,7 @@ ROOMS = {
     "front_end": set(),
     "runtime": {"front_end", "settings"},
     "scene": {"files", "kernels", "settings"},
+    "sweeps": {"measuring", "scene", "settings"},
     "limits": {"kernels", "scene"},
     "simulation": {*BASE, "limits", "runtime"},
     "rasterizer": {"kernels"},
@@ -54,14 +55,15 @@ ROOMS = {
     "ui": {*BASE, "console", "declarations", "painter", "rasterizer", "runtime", "simulation"}
     - {"kernels"},
     "explain": {*BASE, "console", "measuring", "runtime", "simulation"},
-    "stability": {*BASE, "console", "limits", "runtime", "simulation"},
-    "trade": {*BASE, "console", "limits", "measuring", "runtime", "simulation"},
+    "stability": {*BASE, "console", "limits", "runtime", "simulation", "sweeps"},
+    "trade": {*BASE, "console", "limits", "measuring", "runtime", "simulation"} | {"sweeps"},
     "comparison": {"console", "files", "scene", "settings", "trade"},
     "beside": {"comparison", "kernels", "scene", "settings", "simulation", "trade"},
     "error_meter": {"console", "measuring", "runtime", "scene", "simulation", "trade"},
     "budgets": {"error_meter", "kernels", "limits", "runtime", "settings", "simulation"},
     "post_mortem": {"files", "kernels", "limits", "runtime", "scene", "settings", "simulation"},
-    "benchmarks": {*BASE, "console", "measuring", "runtime", "simulation", "trade", "ui"},
+    "benchmarks": {*BASE, "console", "measuring", "runtime", "simulation", "sweeps", "trade"}
+    | {"ui"},
     "cli": {*BASE, "benchmarks", "beside", "budgets", "comparison", "console", "error_meter"}
     | {"limits", "measuring", "post_mortem", "runtime", "simulation", "ui"},
     "__main__": {"cli"},

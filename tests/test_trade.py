@@ -50,7 +50,7 @@ def read(folder):
     """The rows of a folder's CSV, numbers as numbers."""
 
     def value(name, text):
-        if name in ("method", "precision", "arch", "status", "command", "scene_hash"):
+        if name in ("method", "precision", "arch", "status", "command", "scene_hash", "timed_on"):
             return text
         if text in ("", "true", "false"):
             return {"": None, "true": True, "false": False}[text]
@@ -337,7 +337,7 @@ def test_files_keep_the_contract_and_say_the_same(oscillator):
     folder, printed, told = oscillator
     header = (folder / "trade.csv").read_text().splitlines()[0]
     assert header.startswith(CONTRACT + ",")
-    assert header.endswith(",command," + ",".join(OF_CONTACTS))
+    assert header.endswith(",command," + ",".join((*OF_CONTACTS, "timed_on")))
     table = read(folder)
     assert all(row[name] is None for row in table for name in OF_CONTACTS)  # nothing can touch
     assert len(table) == 12 and {row["precision"] for row in table} == {"f32", "f64"}
@@ -824,7 +824,7 @@ class MadeUpStudies:
         monkeypatch.setattr(tune.rows, "rows_of", lambda result, *_: result.rows)
 
     @contextlib.contextmanager
-    def measured(self, source, options, scene, chosen, how, closed=True, quiet=False):
+    def measured(self, source, options, scene, chosen, how, journal, closed=True, quiet=False):
         errors = self.of[0] if closed else self.of[1]
         if not closed:
             self.confirmed.append([setting.substeps for setting in chosen])

@@ -5,7 +5,7 @@ Flags of the command line are made from these declarations, so a setting is desc
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
@@ -46,9 +46,12 @@ class Options:
         """The options with these values, which were asked for, and defaults for the rest."""
         return cls(**values, given=frozenset(values))
 
-    def words(self) -> list[str]:
-        """The settings that were asked for, as one would write them after a command."""
-        names = [name for name in parameters_of(type(self)) if name in self.given]
+    def words(self, without: Container[str] = ()) -> list[str]:
+        """The settings that were asked for, as one would write them after a command, but those
+        `without`.
+        """
+        asked = (name for name in parameters_of(type(self)) if name in self.given)
+        names = [name for name in asked if name not in without]
         return flag_words({name: getattr(self, name) for name in names})
 
 
@@ -257,6 +260,11 @@ class RunOptions(Options):
     quiet: bool = setting(False, "print nothing but errors")
 
 
+def _resume() -> Any:
+    """The setting of a sweep that goes on where an earlier run of it ended."""
+    return setting(False, "go on with what an earlier run of the same command has finished")
+
+
 @dataclass(frozen=True)
 class StabilityOptions(Options):
     """Settings of the command `stability`."""
@@ -267,6 +275,7 @@ class StabilityOptions(Options):
     method: str | None = setting(
         None, "only this method (default: all that have a limit)", str, metavar="NAME"
     )
+    resume: bool = _resume()
     quiet: bool = setting(False, "print nothing but errors")
 
 
@@ -337,6 +346,7 @@ class ComparisonOptions(Options):
     threads: int | None = setting(
         None, "CPU threads (default: all)", int, minimum=1, maximum=1024, metavar="N"
     )
+    resume: bool = _resume()
 
 
 @dataclass(frozen=True)
@@ -351,6 +361,13 @@ class TradeOptions(ComparisonOptions):
 @dataclass(frozen=True)
 class TuneOptions(ComparisonOptions):
     """Settings of `tune`."""
+
+    output: str | None = setting(
+        None,
+        "folder of what is finished, until the end (default: ./tune-SCENE)",
+        str,
+        metavar="DIR",
+    )
 
     error: str | None = setting(
         None,

@@ -18,6 +18,8 @@ from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import StabilityOptions
 from taichi_cloth.stability import experiment, report
 from taichi_cloth.stability.experiment import Map, StepLimits, TellRun, claimed
+from taichi_cloth.sweeps.identity import of_scene
+from taichi_cloth.sweeps.journal import kept
 
 # How far a bisection is told to be: runs, about, each as long as WEIGHT of a map's.
 BISECTION = 10
@@ -29,7 +31,11 @@ def main(source: SceneSource, options: StabilityOptions) -> int:
     names = _methods(options.method)
     scene = source.build()
     folder = Path(options.output or f"stability-{scene.name}")
-    with folder_of_results(folder, report.FILES):
+    known = of_scene("stability", source, options, scene)
+    with (
+        folder_of_results(folder, report.FILES),
+        kept(folder, known, options.resume, options.quiet) as journal,
+    ):
         np.seterr(all="ignore")  # numbers that overflow are the watchdog's to report
         runtime.start("cpu", "f64")
         prepared = experiment.at_rest(scene)
@@ -40,17 +46,17 @@ def main(source: SceneSource, options: StabilityOptions) -> int:
         with _progress(limits, options.quiet) as tell:
             try:
                 for of_method in limits:
-                    experiment.measure(prepared, of_method, maps, tell)
+                    experiment.measure(prepared, of_method, maps, tell, journal)
             except KeyboardInterrupt as interrupt:
                 interrupted = interrupt
         stall = experiment.stall(scene)
         written = report.write(folder, scene, limits, maps, stall)
-    if not options.quiet:
-        report.show(scene, limits, stall, all_methods=options.method is None)
-        report.say_of_wind(experiment.drag_of_wind(scene) / scene.particles.mass)
-        console.say(console.output(), f"\nwritten: {', '.join(map(str, written))}")
-    if interrupted:
-        raise interrupted
+        if not options.quiet:
+            report.show(scene, limits, stall, all_methods=options.method is None)
+            report.say_of_wind(experiment.drag_of_wind(scene) / scene.particles.mass)
+            console.say(console.output(), f"\nwritten: {', '.join(map(str, written))}")
+        if interrupted:
+            raise interrupted
     return 0
 
 

@@ -32,9 +32,11 @@ from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
 from taichi_cloth.limits.eigenmodes import Limit, stable_step
 from taichi_cloth.limits.matrices import stiffness_and_damping
 from taichi_cloth.limits.network import Network
+from taichi_cloth.scene.fingerprint import scene_hash
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.sweeps.journal import Journal, key_of
 
 DISTURBANCE = 1e-6  # of a spring's length: so small that springs are linear
 NOISE = 1e-3  # of the disturbance
@@ -251,31 +253,71 @@ class Runs:
         return float(q @ (self._stiffness @ q) + p @ p)
 
 
-def measure(scene: Scene, limits: StepLimits, maps: list[Map], tell: TellRun) -> None:
+def measure(
+    scene: Scene, limits: StepLimits, maps: list[Map], tell: TellRun, journal: Journal
+) -> None:
     """Find the real limit of one method, and its maps, which are added to `maps`.
 
-    scene: `at_rest`. What is found stays in `limits` and `maps` however this ends.
+    scene: `at_rest`. What is found stays in `limits` and `maps` however this ends; journal: has
+    what an earlier run has found, a limit or a whole map each, and gets the rest.
     """
-    limit = limits.limit
-    if math.isinf(limit.dt):
+    name = limits.method
+    if math.isinf(limits.limit.dt):
         limits.dt_measured, limits.status = math.inf, "no limit: nothing can become unstable"
         return
-    runs = Runs(scene, limits.method)
-    seconds = runs.seconds_a_step()
-    look = _long_enough(methods.load(limits.method), limit, seconds)
-    try:
-        limits.dt_measured, limits.status = bisect(
-            runs, limit, look, lambda: tell(limits.method, "")
-        )
-    finally:
-        limits.runs, limits.steps = runs.runs, runs.steps
-    if claimed(limits.method) == 0:
+    runs = _Started(scene, name)
+    digest = scene_hash(scene)
+    found = journal.get(key_of("limit", digest, name))
+    if found is None:
+        seconds = _measure_limit(limits, runs.get(), tell)
+        values = {field: getattr(limits, field) for field in MEASURED}
+        journal.add(key_of("limit", digest, name), values | {"seconds": seconds})
+    else:
+        seconds = found.result["seconds"]
+        for field in MEASURED:
+            setattr(limits, field, found.result[field])
+    if claimed(name) == 0:
         return  # what grows there does so in 1e5 steps: too many for every point of a map
     mesh = MESH if seconds * MESH.points * MESH.look.steps < MAP_SECONDS else COARSE_MESH
     for kind, (factors, changed) in _changes(scene, mesh.columns).items():
-        drawn = Map(limits.method, kind)
+        found = journal.get(key_of("map", digest, name, kind))
+        if found is not None:
+            maps.append(Map(name, kind, **found.result))
+            continue
+        drawn = Map(name, kind)
         maps.append(drawn)
-        _fill_map(drawn, factors, mesh, changed, runs, tell)
+        _fill_map(drawn, factors, mesh, changed, runs.get(), tell)
+        values = {"factor": drawn.factor, "line": drawn.line, "points": drawn.points}
+        journal.add(key_of("map", digest, name, kind), values)
+
+
+MEASURED = ("dt_measured", "status", "runs", "steps")  # of a method's limits, by runs
+
+
+class _Started:
+    """The `Runs` of a method, which compile it where anything is to be run."""
+
+    def __init__(self, scene: Scene, name: str):
+        self._of = scene, name
+        self._runs: Runs | None = None
+
+    def get(self) -> Runs:
+        if self._runs is None:
+            self._runs = Runs(*self._of)
+        return self._runs
+
+
+def _measure_limit(limits: StepLimits, runs: Runs, tell: TellRun) -> float:
+    """Bisect; what is found is kept in `limits`, the seconds that a step takes are returned."""
+    seconds = runs.seconds_a_step()
+    look = _long_enough(methods.load(limits.method), limits.limit, seconds)
+    try:
+        limits.dt_measured, limits.status = bisect(
+            runs, limits.limit, look, lambda: tell(limits.method, "")
+        )
+    finally:
+        limits.runs, limits.steps = runs.runs, runs.steps
+    return seconds
 
 
 def _long_enough(method: Method, limit: Limit, seconds: float) -> Look:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,36 +16,50 @@ from taichi_cloth.scene.fingerprint import scene_hash
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import ARCHS, PROGRAM, ComparisonOptions, TradeOptions
+from taichi_cloth.sweeps.identity import PACKAGES, of_scene
+from taichi_cloth.sweeps.journal import Journal, kept
 from taichi_cloth.trade import plot, reference, report, rows, runner, settings
 from taichi_cloth.trade.conditions import RunConditions, conditions, without_mouse
 from taichi_cloth.trade.outcomes import Result
 
-PACKAGES = ("taichi-cloth", "taichi", "numpy", "scipy", "python")
 FILES = ("trade.csv", "trade.json", "trade.png", "trade.svg")
 
 
 def main(source: SceneSource, options: TradeOptions) -> int:
     """Measure, write the files, print the table; the exit status."""
-    to = console.output()
     scene, chosen, how = prepare(source, options)
     folder = Path(options.output or f"trade-{scene.name}")
-    with folder_of_results(folder, FILES):
-        with measured(source, options, scene, chosen, how) as result:
+    with (
+        folder_of_results(folder, FILES),
+        kept(folder, of_scene("trade", source, options, scene), options.resume) as journal,
+    ):
+        with measured(source, options, scene, chosen, how, journal) as result:
             if not result.outcomes:
                 # Before anything was finished.
                 raise result.interrupted or KeyboardInterrupt
             made = rows.rows_of(result, common(scene), run_words(source, how))
-        written = write(folder, source, options, result, made)
+        _show(folder, write(folder, source, options, result, made), result, made, len(chosen))
+        if result.interrupted:
+            raise result.interrupted
+        result.check_whole()
+    return 0
+
+
+def _show(
+    folder: Path,
+    written: Sequence[str],
+    result: Result,
+    made: Sequence[rows.Row],
+    chosen: int,
+) -> None:
+    """Print the table, what was written, and what to take; chosen: settings asked for."""
+    to = console.output()
     report.show(result, made, to)
     console.say(to, f"written: {folder}/ {', '.join(written)}")
     if result.interrupted:
-        kept = f"{len(made)} of {len(chosen)} settings were finished, and are kept"
-        console.say(to, f"interrupted: {kept}")
+        finished = f"{len(made)} of {chosen} settings were finished, and are kept"
+        console.say(to, f"interrupted: {finished}")
     report.show_front(result, made, to)
-    if result.interrupted:
-        raise result.interrupted
-    result.check_whole()
-    return 0
 
 
 def prepare(
@@ -77,13 +91,14 @@ def measured(
     scene: Scene,
     chosen: list[settings.Setting],
     how: RunConditions,
+    journal: Journal | None = None,
     closed: bool = True,
     quiet: bool = False,
 ) -> Iterator[Result]:
     """What a study found, with its samples as long as the context lasts.
 
-    How far it is shows on standard error, unless `quiet`. closed: whether the scene is the one
-    whose closed form is known, if there is one.
+    How far it is shows on standard error, unless `quiet`. journal: has what is finished already.
+    closed: whether the scene is the one whose closed form is known, if there is one.
     """
     frames = options.frames or reference.default_frames(scene)
     study = runner.Study(
@@ -92,6 +107,7 @@ def measured(
         frames,
         how,
         lambda times: reference.closed_form(source, scene, times) if closed else None,
+        journal,
     )
     try:
         with progress(shown=not quiet) as study.tell:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene.model import Scene
@@ -26,6 +27,18 @@ class RunConditions:
     budget: float = 0.3
     patience: float = 20.0
     solver_errors: bool = True
+
+    def of_trial(self, process: settings.Process) -> dict[str, Any]:
+        """How a trial in a process of these kinds runs its scene, as its class takes it."""
+        arch, precision, fast_math = process
+        return {
+            "arch": arch,
+            "precision": precision,
+            "fast_math": fast_math,
+            "threads": self.threads if arch == "cpu" else None,
+            "topology": self.topology,
+            "execution": "parallel" if arch != "cpu" else self.execution,
+        }
 
     def words(self) -> list[str]:
         """The flags of `run` that stand for it."""

@@ -21,9 +21,11 @@ LOST_REMEDY = "see that there is memory, and room for temporary files (TMPDIR), 
 
 @dataclass
 class Outcome:
-    """What came of a setting: its samples' file, its work, the seconds of each timed run.
+    """What came of a setting: its samples' file, its work, the seconds of each timed run, and the
+    name of the machine that they were taken on.
 
-    lost: whether it came to nothing because of the machine, such as a full disk.
+    lost: whether it came to nothing because of the machine, such as a full disk. sampled_in:
+    seconds that the run took of which there are samples.
     """
 
     setting: Setting
@@ -34,7 +36,9 @@ class Outcome:
     unconverged: int | None = None
     lost: bool = False
     seconds: list[float] = field(default_factory=list)
+    timed_on: str = ""
     about: dict[str, Any] = field(default_factory=dict)
+    sampled_in: float = 0.0
 
     @property
     def ok(self) -> bool:

@@ -35,7 +35,7 @@ class Row:
     below_floor: that it cannot tell this one. pareto: no other is both as cheap
     and as good. command: runs it again.
     penetration_max, contact_energy, first_touch_later: of contacts (`errors.Contacts`), in the
-    scene's units.
+    scene's units. timed_on: the name of the machine on which it was timed.
     """
 
     setting: Setting
@@ -79,6 +79,7 @@ class Row:
     penetration_max: float | None = None
     contact_energy: float | None = None
     first_touch_later: float | None = None
+    timed_on: str = ""
 
     @property
     def ok(self) -> bool:
@@ -112,7 +113,7 @@ COLUMNS = (
     *("scale", "order", "momentum_drift", "unconverged", "breaks", "breaks_agreeing"),
     *("first_break", "first_break_later", "wall_lower", "wall_upper", "repeats", "frames"),
     *("topology", "execution", "threads", "device", "scene_hash", "versions", "command"),
-    *("penetration_max", "contact_energy", "first_touch_later"),
+    *("penetration_max", "contact_energy", "first_touch_later", "timed_on"),
 )
 ABOUT = ("device", "threads", "topology", "execution")  # what the process of a setting tells
 
@@ -150,6 +151,7 @@ def rows_of(result: Result, common: Mapping[str, Any], command: Sequence[str]) -
                 wall_lower=times.lower,
                 wall_upper=times.upper,
                 repeats=len(outcome.seconds),
+                timed_on=outcome.timed_on,
             )
         made.append(row)
     made = [replace(row, order=order) for row, order in zip(made, _orders(made), strict=True)]

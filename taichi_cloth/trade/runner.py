@@ -6,16 +6,13 @@ Processes compile and compute side by side, but whenever one is timed the others
 from __future__ import annotations
 
 import contextlib
-import pickle
+import platform
 import queue
 import tempfile
 import threading
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,40 +20,28 @@ from taichi_cloth import runtime
 from taichi_cloth.console import Tell, tell_nobody
 from taichi_cloth.errors import InputError
 from taichi_cloth.measuring.timing import Quiet
-from taichi_cloth.measuring.worker import Worker, WorkerFailed
+from taichi_cloth.measuring.worker import WorkerFailed
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.sweeps.journal import Journal
 from taichi_cloth.trade import ode, reference, settings
 from taichi_cloth.trade.conditions import RunConditions
 from taichi_cloth.trade.errors import Samples
 from taichi_cloth.trade.outcomes import (
     LOST_REMEDY,
-    REFUSED,
     Outcome,
     Result,
     StudyFailure,
     failed_by,
 )
+from taichi_cloth.trade.process import Stopped, TrialProcess
+from taichi_cloth.trade.records import Records
 from taichi_cloth.trade.settings import Process, Setting
 
-TRIAL = "taichi_cloth.trade.trial:Trial"
 EXACT: Process = ("cpu", "f64", False)  # the process of the references
 MAKING = 4  # how much longer compiling a method takes than running a setting, about
 # Particles times steps times sweeps of a converged solver that are worth the wait: half a minute.
 CONVERGED_WORK = 1e9
 SWEEPS_TO_CONVERGE = 50  # of a solver that ends by its tolerance, about
-
-
-class Stopped(Exception):
-    """The study was interrupted: a thread ends."""
-
-
-@dataclass(frozen=True)
-class _RemoteTrial:
-    """A method's `Trial` in a worker, known there by the method's name; about: what it says."""
-
-    worker: Worker
-    method: str
-    about: dict[str, Any]
 
 
 class _Course:
@@ -88,7 +73,8 @@ class Study:
     """Runs settings of a scene, or of several that differ in numbers alone, compiled once.
 
     scenes: without a mouse. frames: the horizon asked for. how: what all runs share. closed: the
-    first scene's closed form at given times, or None. tell, to be set: shown what is done.
+    first scene's closed form at given times, or None. journal: has what is finished, and gets it;
+    without one it is kept as long as the study. tell, to be set: shown what is done.
     """
 
     def __init__(
@@ -98,6 +84,7 @@ class Study:
         frames: int,
         how: RunConditions,
         closed: Callable[[np.ndarray], Samples | None] = lambda times: None,
+        journal: Journal | None = None,
     ):
         self.settings, self.how = list(chosen), how
         self.tell: Tell = tell_nobody
@@ -107,16 +94,16 @@ class Study:
         self._wanted = set(self.settings)
         self._folder = tempfile.TemporaryDirectory(prefix="taichi-cloth-trade-")
         self.folder = Path(self._folder.name)
-        self._workers: list[Worker] = []
+        self._closes_journal = journal is None
+        self._records = Records(Journal(self.folder, {}) if journal is None else journal)
+        self._processes: list[TrialProcess] = []
         self._quiet, self._stop = Quiet(), threading.Event()
         self._news: queue.Queue[tuple[str, int]] = queue.Queue()
-        self._files = 0
-        self._lock = threading.Lock()
 
     def close(self) -> None:
         """End all processes and remove what they wrote."""
-        for worker in self._workers:
-            worker.close()
+        if self._closes_journal:
+            self._records.journal.discard()
         self._folder.cleanup()
 
     # --- the course of a study -----------------------------------------------------------
@@ -154,12 +141,10 @@ class Study:
             self._stop.set()
             for course in self._courses:
                 course.horizon_known.set()
-            for worker in list(self._workers):
-                worker.kill()
+            for process in list(self._processes):
+                process.kill()
         if isinstance(failure, WorkerFailed):
-            if str(failure).startswith(REFUSED):
-                raise InputError(str(failure).removeprefix(REFUSED))
-            raise StudyFailure(f"the process of the references: {failure}; {LOST_REMEDY}")
+            raise StudyFailure(f"a process of the study: {failure}; {LOST_REMEDY}")
         if failure:
             raise failure
         return [course.result(self.settings, self._dt, interrupted) for course in self._courses]
@@ -199,164 +184,113 @@ class Study:
 
         with contextlib.suppress(Stopped):
             for course in self._courses:
-                with self._quiet.working():
-                    course.smooth = ode.solve(course.scene, times, self.how.patience, tell)
+                course.smooth = self._records.solved(course.scene, times)
+                if course.smooth is None:
+                    with self._quiet.working():
+                        course.smooth = ode.solve(course.scene, times, self.how.patience, tell)
+                    self._records.keep_solution(course.scene, times, course.smooth)
                 self._news.put(("the differential equation is solved", MAKING))
 
-    def _run_group(self, process: Process, methods: dict[str, list[Setting]]) -> None:
+    def _run_group(self, kind: Process, methods: dict[str, list[Setting]]) -> None:
         """All of one process; the first one finds the references."""
-        worker = self._start()
-        try:
-            for number, (method, of) in enumerate(methods.items()):
-                finds_references = process == EXACT and number == 0
-                try:
-                    with self._quiet.working():
-                        trial = self._make(worker, method, process)
-                except WorkerFailed as failed:
-                    if finds_references or self._stop.is_set():
-                        raise
+        first = self._courses[0].scene
+        with TrialProcess(kind, first, self.how, self.folder, self._stop) as process:
+            self._processes.append(process)
+            process.tell_made = lambda method: self._news.put(
+                (f"{method}, {' '.join(kind[:2])}", MAKING)
+            )
+            try:
+                for number, (method, of) in enumerate(methods.items()):
+                    if kind == EXACT and number == 0:
+                        with self._quiet.working():
+                            for course in self._courses:
+                                self._find_references(process, method, course)
                     for course in self._courses:
-                        for setting in of:
-                            self._finish(course, failed_by(Outcome(setting), failed))
-                    if not worker.alive:
-                        worker = self._start()
-                    continue
-                if finds_references:
-                    with self._quiet.working():
-                        for course in self._courses:
-                            self._find_references(trial, course)
-                for course in self._courses:
-                    self._run_settings(trial, of, course)
-                if worker.alive:
-                    worker.ask(drop=method)
-                else:
-                    worker = self._start()
-        except (Stopped, WorkerFailed):
-            if not self._stop.is_set():
-                raise
+                        self._run_settings(process, of, course)
+                    if not process.drop(method):
+                        self._news.put((f"{method}, {' '.join(kind[:2])}", MAKING))
+            except (Stopped, WorkerFailed):
+                if not self._stop.is_set():
+                    raise
 
-    def _run_settings(self, trial: _RemoteTrial, of: list[Setting], course: _Course) -> None:
+    def _run_settings(self, process: TrialProcess, of: list[Setting], course: _Course) -> None:
         """Errors of all settings of one method, then, alone, their times."""
         course.horizon_known.wait()
         if self._stop.is_set() or course.horizon is None:
             raise Stopped
-        frames = course.horizon.frames
-        outcomes = []
+        scene, frames = course.scene, course.horizon.frames
         with self._quiet.working():
-            self._ask(trial, "load", scene=self._keep(course.scene))
-            for setting in of:
-                outcomes.append(self._sample(trial, setting, frames))
-        with self._quiet.alone():
-            for outcome in outcomes:
-                if outcome.ok and outcome.setting in self._wanted:
-                    self._time(trial, outcome, frames)
+            outcomes = [self._sample(process, scene, setting, frames) for setting in of]
+        wanted = [of for of in outcomes if of.ok and of.setting in self._wanted]
+        missing = [of for of in wanted if not self._records.timed(scene, of, frames)]
+        if missing:
+            with self._quiet.alone():
+                for outcome in missing:
+                    self._time(process, scene, outcome, frames)
         for outcome in outcomes:
             self._finish(course, outcome)
 
-    def _find_references(self, trial: _RemoteTrial, course: _Course) -> None:
+    def _find_references(self, process: TrialProcess, method: str, course: _Course) -> None:
         """The horizon, then fine runs within it."""
-        scene, method = course.scene, trial.method
+        scene = course.scene
         substeps = reference.coarsest(scene, self._dt)
 
-        def run(substeps: int, frames: int) -> Samples:
-            outcome = self._sample(trial, Setting(method, self._dt, substeps), frames)
-            if not outcome.ok:
-                failed = outcome.status.removeprefix("failed: ")
-                if outcome.lost:
-                    raise StudyFailure(f"the reference was lost: {failed}; {LOST_REMEDY}")
-                raise StudyFailure(
-                    f"the reference ({method} in f64, {substeps} substeps) fails: {failed}; "
-                    "use fewer --frames, a smaller --dt or softer springs"
-                )
-            return outcome.samples()
+        def run(substeps: int, frames: int, of: Scene = scene) -> Outcome:
+            outcome = self._sample(process, of, Setting(method, self._dt, substeps), frames)
+            _check_reference(outcome)
+            return outcome
 
-        self._ask(trial, "load", scene=self._keep(scene))
-        first = run(substeps, self._asked)
+        first = run(substeps, self._asked).samples()
         size = reference.DISTURBANCE * reference.extent(scene, first)[0]
-        other = reference.disturbed(scene, size)
-        self._ask(trial, "load", scene=self._keep(other))
-        second = run(substeps, self._asked)
-        self._ask(trial, "load", scene=self._keep(scene))
+        second = run(substeps, self._asked, reference.disturbed(scene, size)).samples()
         horizon = course.horizon = reference.limit_horizon(scene, first, second)
         course.horizon_known.set()
         self._news.put((horizon.describe(), MAKING // 2))
 
-        begin = last = time.perf_counter()
+        spent = last = 0.0
 
         def timed(substeps: int) -> Samples:
-            nonlocal last
-            last = time.perf_counter()
-            samples = run(substeps, horizon.frames)
+            nonlocal spent, last
+            outcome = run(substeps, horizon.frames)
+            spent, last = spent + outcome.sampled_in, outcome.sampled_in
+            samples = outcome.samples()
             course.fine.append((f"{method} in f64 with {substeps} substeps", samples))
             self._news.put((f"reference: {substeps} substeps", 0))
             return samples
 
         def enough(times_longer: float) -> bool:
-            now = time.perf_counter()
-            return now - begin + times_longer * (now - last) > self.how.patience
+            return spent + times_longer * last > self.how.patience
 
         reference.refine(timed, scene, substeps, enough)
         self._news.put(("the references are there", MAKING // 2))
 
     # --- one request each ----------------------------------------------------------------
 
-    def _start(self) -> Worker:
-        # Else libraries that start threads of their own would disturb what is timed.
-        worker = Worker(self.folder, {"OMP_NUM_THREADS": "1"})
-        with self._lock:
-            self._workers.append(worker)
-        if self._stop.is_set():
-            worker.kill()
-        return worker
-
-    def _make(self, worker: Worker, method: str, process: Process) -> _RemoteTrial:
-        arch, precision, fast_math = process
-        arguments = {
-            "scene": self._keep(self._courses[0].scene),
-            "method": method,
-            "arch": arch,
-            "precision": precision,
-            "fast_math": fast_math,
-            "threads": self.how.threads if arch == "cpu" else None,
-            "topology": self.how.topology,
-            "execution": "parallel" if arch != "cpu" else self.how.execution,
-        }
-        about = worker.ask(make=TRIAL, **{"as": method, "with": arguments})["result"]
-        self._news.put((f"{method}, {arch} {precision}", MAKING))
-        return _RemoteTrial(worker, method, about)
-
-    def _ask(self, trial: _RemoteTrial, do: str, **arguments: Any) -> Any:
-        """What a method of the trial answers; raises Stopped once the study is to end."""
-        if self._stop.is_set():
-            raise Stopped
-        try:
-            return trial.worker.ask(of=trial.method, do=do, **{"with": arguments})["result"]
-        except WorkerFailed:
-            if self._stop.is_set():
-                raise Stopped from None
-            raise
-
-    def _sample(self, trial: _RemoteTrial, setting: Setting, frames: int) -> Outcome:
+    def _sample(
+        self, process: TrialProcess, scene: Scene, setting: Setting, frames: int
+    ) -> Outcome:
         """A setting's samples and work; a run that fails is an outcome, too."""
-        outcome, file = Outcome(setting, about=trial.about), self._new_file(".npz")
+        outcome = self._records.sampled(scene, setting, frames)
+        if outcome is not None:
+            return outcome
+        file = self._records.journal.new_file(".npz")
         try:
-            found = self._ask(trial, "sample", **_step(setting), frames=frames, file=str(file))
+            found = process.ask(setting, scene, "sample", frames=frames, file=str(file))
         except WorkerFailed as failed:
-            return failed_by(outcome, failed)
-        outcome.file = file
-        outcome.status = found["failed"] or "ok"
-        outcome.force_evaluations = found["force_evaluations"]
-        outcome.sweeps, outcome.unconverged = found["sweeps"], found["unconverged"]
-        return outcome
+            outcome = failed_by(Outcome(setting, about=process.about(setting.method)), failed)
+            self._records.keep_failure(scene, setting, frames, outcome)
+            return outcome
+        about = process.about(setting.method)
+        return self._records.keep_sample(scene, setting, frames, found, about, file)
 
-    def _time(self, trial: _RemoteTrial, outcome: Outcome, frames: int) -> None:
+    def _time(self, process: TrialProcess, scene: Scene, outcome: Outcome, frames: int) -> None:
         budget = self.how.budget
         try:
-            outcome.seconds = self._ask(
-                trial, "time", **_step(outcome.setting), frames=frames, budget=budget
-            )
+            seconds = process.ask(outcome.setting, scene, "time", frames=frames, budget=budget)
         except WorkerFailed as failed:
             failed_by(outcome, failed)
+        else:
+            self._records.keep_times(scene, outcome, frames, seconds, platform.node())
 
     def _finish(self, course: _Course, outcome: Outcome) -> None:
         """Keep an outcome: of a setting that is compared, of a converged solver, or of both."""
@@ -366,18 +300,18 @@ class Study:
             course.converged[outcome.setting] = outcome
         self._news.put((outcome.setting.describe(), 1))
 
-    def _new_file(self, suffix: str) -> Path:
-        with self._lock:
-            self._files += 1
-            return self.folder / f"{self._files}{suffix}"
 
-    def _keep(self, scene: Scene) -> str:
-        file = self._new_file(".pickle")
-        file.write_bytes(pickle.dumps(scene))
-        return str(file)
-
-
-def _step(setting: Setting) -> dict[str, Any]:
-    given = {"tolerance": setting.tolerance, "iterations": setting.iterations}
-    solver = {name: value for name, value in given.items() if value is not None}
-    return {"dt": setting.dt, "substeps": setting.substeps, "solver": solver}
+def _check_reference(outcome: Outcome) -> None:
+    """Raise what a run of the reference failed by."""
+    if outcome.ok:
+        return
+    if outcome.status.startswith("refused: "):
+        raise InputError(outcome.status.removeprefix("refused: "))
+    failed = outcome.status.removeprefix("failed: ")
+    if outcome.lost:
+        raise StudyFailure(f"the reference was lost: {failed}; {LOST_REMEDY}")
+    setting = outcome.setting
+    raise StudyFailure(
+        f"the reference ({setting.method} in f64, {setting.substeps} substeps) fails: {failed}; "
+        "use fewer --frames, a smaller --dt or softer springs"
+    )

@@ -5,6 +5,7 @@ A setting's error and its time are measured apart, so that reading positions is 
 
 from __future__ import annotations
 
+import contextlib
 import pickle
 import time
 from pathlib import Path
@@ -55,6 +56,7 @@ class Trial:
             self._watched = Simulation(
                 made, method, topology="graph", execution=execution, accounts_contacts=True
             )
+        self._ran: set[str] = set()  # what was run here, so that it is compiled and warm
         self.about = {
             "device": device.describe(),
             "threads": device.threads if self._sim.execution == "parallel" else 1,
@@ -73,9 +75,12 @@ class Trial:
         """Run `frames` frames; the state at the start and after each goes to `file` (npz).
 
         Arrays are those of `errors.Samples`; rows of a run that fails end with its last good frame.
-        Returns its work, and `failed`, how it ended: also one most of whose
+        Returns its work, its seconds, and `failed`, how it ended: also one most of whose
         steps did not converge has failed.
         """
+        for of in {self._begin(dt, substeps, solver), self._watched}:
+            self._warm_up(f"compiled {id(of)}", of, 1)
+        start = time.perf_counter()
         sim, watched = self._begin(dt, substeps, solver), self._watched
         breaks = sim.scene.features().fracture
         shape = (frames + 1, sim.particle_count, sim.scene.world.dim)
@@ -110,13 +115,23 @@ class Trial:
         real = np.float32 if runtime.current_device().precision == "f32" else np.float64
         x, v = x[:done].astype(real), v[:done].astype(real)
         np.savez(file, x=x, v=v, alive=alive[:done], contacts=contacts[:done])
+        self._ran.add(_run_of(dt, substeps, solver))
         work = sim.work()
         return {
             "failed": failed,
             "force_evaluations": work.force_evaluations,
             "sweeps": work.sweeps,
             "unconverged": work.unconverged,
+            "sampled_in": time.perf_counter() - start,
         }
+
+    def _warm_up(self, key: str, sim: Simulation, frames: int) -> None:
+        """Compile, and run what is to be timed, where nothing like it was run here before."""
+        if key in self._ran:
+            return
+        self._ran.add(key)
+        with contextlib.suppress(SimulationFailure):
+            sim.advance(frames)
 
     def _contacts(self, deepest: float) -> list[float]:
         """What `errors.CONTACTS` names, until now; deepest: the first of it."""
@@ -134,9 +149,11 @@ class Trial:
         """Seconds of the whole run, several times, as many as fit into `budget` seconds (3 to 101,
         fewer where one run is longer than that).
 
-        The first run warmed up in `sample`, which compiled everything.
+        A first one, that of `sample` or one that is not counted, has compiled everything.
         """
         sim = self._begin(dt, substeps, solver, alone=True)
+        self._warm_up(_run_of(dt, substeps, solver), sim, frames)
+        sim.reset()
         seconds: list[float] = []
         while len(seconds) < MOST_REPEATS:
             if seconds:
@@ -160,6 +177,10 @@ class Trial:
             sim.solver.update(solver)
             sim.reset()
         return self._sim
+
+
+def _run_of(dt: float, substeps: int, solver: dict[str, Any]) -> str:
+    return f"{dt} {substeps} {solver}"
 
 
 def _start(arch: str, precision: str, fast_math: bool, threads: int | None) -> runtime.Device:

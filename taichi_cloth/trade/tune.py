@@ -11,6 +11,7 @@ import shlex
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,13 +19,17 @@ import numpy as np
 from taichi_cloth import console
 from taichi_cloth.console import duration
 from taichi_cloth.errors import InputError, RunFailure, clipped
+from taichi_cloth.files.pending import folder_of_results
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.penetration import touches
 from taichi_cloth.scene.solids import solids
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import PROGRAM, TuneOptions
 from taichi_cloth.settings.parameters import error_limit, positive
+from taichi_cloth.sweeps.identity import of_scene
+from taichi_cloth.sweeps.journal import Journal, kept
 from taichi_cloth.trade import command, rows
+from taichi_cloth.trade.conditions import RunConditions
 from taichi_cloth.trade.rows import Row
 from taichi_cloth.trade.settings import Setting
 
@@ -142,8 +147,40 @@ def main(source: SceneSource, options: TuneOptions) -> int:
                 f"--penetration: there is nothing that particles of scene '{scene.name}' can touch"
             )
     how = replace(how, solver_errors=False)
+    folder = Path(options.output or f"tune-{scene.name}")
+    known = of_scene("tune", source, options, scene)
+    with (
+        folder_of_results(folder, ()),
+        kept(folder, known, options.resume, quiet=options.json) as journal,
+    ):
+        tried = _tried(source, options, scene, chosen, how, target, journal)
+    if options.json:
+        print(json.dumps(_as_json(source, target, tried), indent=1))
+    else:
+        _show(scene.name, target, tried)
+    if tried[-1].held:
+        return 0
+    what = "the only setting that meets it" if len(tried) == 1 else f"all {len(tried)} that meet it"
+    said = f"{what} missed it from another start; {target.remedy()}"
+    print(f"{PROGRAM}: {target.describe()}: {said}", file=sys.stderr)
+    return 1
+
+
+def _tried(
+    source: SceneSource,
+    options: TuneOptions,
+    scene: Scene,
+    chosen: list[Setting],
+    how: RunConditions,
+    target: Target,
+    journal: Journal,
+) -> list[Attempt]:
+    """The settings that meet the target, as they were tried from another start.
+
+    Raises InputError where none meets it.
+    """
     quiet = options.json
-    with command.measured(source, options, scene, chosen, how, quiet=quiet) as result:
+    with command.measured(source, options, scene, chosen, how, journal, quiet=quiet) as result:
         if result.interrupted:
             raise result.interrupted
         result.check_whole()
@@ -154,26 +191,17 @@ def main(source: SceneSource, options: TuneOptions) -> int:
         made = rows.rows_of(result, command.common(scene), command.run_words(source, how))
         candidates = meeting(made, target)
         other = kicked(scene, result.reference.samples.v, options.seed)
-    options = replace(options, frames=result.horizon.asked)
+    again_options = replace(options, frames=result.horizon.asked)
 
     def measure_again(some: Sequence[Setting]) -> list[Row]:
-        with command.measured(source, options, other, list(some), how, False, quiet) as again:
+        of = source, again_options, other, list(some), how, journal, False, quiet
+        with command.measured(*of) as again:
             if again.interrupted:
                 raise again.interrupted
             again.check_whole()
             return rows.rows_of(again, command.common(other), [])
 
-    tried = confirm(candidates, target, measure_again)
-    if quiet:
-        print(json.dumps(_as_json(source, target, tried), indent=1))
-    else:
-        _show(scene.name, target, tried)
-    if tried[-1].held:
-        return 0
-    what = "the only setting that meets it" if len(tried) == 1 else f"all {len(tried)} that meet it"
-    said = f"{what} missed it from another start; {target.remedy()}"
-    print(f"{PROGRAM}: {target.describe()}: {said}", file=sys.stderr)
-    return 1
+    return confirm(candidates, target, measure_again)
 
 
 def confirm(

@@ -3,6 +3,7 @@
     python -m taichi_cloth.benchmarks.accuracy                             # all parts
     python -m taichi_cloth.benchmarks.accuracy costs stiff                 # these two
     python -m taichi_cloth.benchmarks.accuracy matrix --missing            # what it has no error of
+    python -m taichi_cloth.benchmarks.accuracy --resume                    # after a kill
     python -m taichi_cloth.benchmarks.accuracy --tables docs/accuracy.md   # measures nothing
 
 Each part's results are kept in `bench/results`, in this machine's file.
@@ -17,12 +18,15 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from taichi_cloth.errors import InputError, RunFailure, nearest
 from taichi_cloth.files.pending import write_whole
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import PROGRAM, TradeOptions, flag_words
+
+if TYPE_CHECKING:
+    from taichi_cloth.sweeps.journal import Journal
 
 COMMAND = "python -m taichi_cloth.benchmarks.accuracy"
 
@@ -88,16 +92,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--tables", metavar="FILE.md", help="fill its tables, draw its plots")
     parser.add_argument("--output", metavar="DIR", default="bench/results")
     parser.add_argument("--missing", action="store_true", help="matrix: keep the errors it has")
+    parser.add_argument("--resume", action="store_true", help="go on where a killed run was")
     given = parser.parse_args(arguments)
+    document = given.tables and Path(given.tables)
     try:
-        _run(given.parts, Path(given.output), given.tables and Path(given.tables), given.missing)
+        _run(given.parts, Path(given.output), document, given.missing, given.resume)
     except (InputError, RunFailure) as error:
         print(f"{COMMAND}: error: {error}", file=sys.stderr)
         return error.exit_status
     return 0
 
 
-def _run(words: Sequence[str], folder: Path, document: Path | None, missing: bool) -> None:
+def _run(
+    words: Sequence[str], folder: Path, document: Path | None, missing: bool, resume: bool
+) -> None:
     from taichi_cloth.benchmarks.accuracy import pictures, tables
     from taichi_cloth.measuring import machine
 
@@ -108,10 +116,9 @@ def _run(words: Sequence[str], folder: Path, document: Path | None, missing: boo
         raise InputError(f"--tables {document}: there is no such file")
     path = folder / f"{machine.file_name()}-accuracy.json"
     chosen = [part for part in PARTS if part in words] or ([] if document else list(PARTS))
-    kept = read(path)["matrix"]["data"] if missing else None
-    for part in chosen:
-        print(f"measuring: {part}", file=sys.stderr, flush=True)
-        keep(path, part, measure(part, **({"kept": kept} if part == "matrix" else {})))
+    if chosen:
+        kept = read(path)["matrix"]["data"] if missing else None
+        _measure_all(chosen, path, kept, resume)
     if document:
         results = read(path)
         text = document.read_text("utf-8")
@@ -121,12 +128,36 @@ def _run(words: Sequence[str], folder: Path, document: Path | None, missing: boo
                 write_whole(document.parent / "images" / f"{name}.png", content)
 
 
-def measure(part: str, **asked: Any) -> dict[str, Any]:
-    """A part's results, with what it takes to measure them again; asked: of its function."""
-    from taichi_cloth.measuring import machine
-    from taichi_cloth.trade.command import PACKAGES
+def _measure_all(
+    parts: Sequence[str], path: Path, of_matrix: dict[str, Any] | None, resume: bool
+) -> None:
+    """Measure parts, and put each into the file of results as soon as it is whole."""
+    from taichi_cloth.sweeps import identity, journal
 
-    command, data = _trade(part) if part in TRADES else _experiment(part, asked)
+    known = {"command": COMMAND, "parts": " ".join(parts), **identity.of_place()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with journal.kept(path.parent, known, resume) as finished:
+        for part in parts:
+            if finished.get(part):
+                continue
+            print(f"measuring: {part}", file=sys.stderr, flush=True)
+            keep(path, part, measure(part, finished, of_matrix))
+            finished.add(part, "kept")
+
+
+def measure(
+    part: str, journal: Journal | None = None, of_matrix: dict[str, Any] | None = None
+) -> dict[str, Any]:
+    """A part's results, with what it takes to measure them again.
+
+    journal: has what is finished of it, and gets the rest. of_matrix: results of the matrix, whose
+    errors are taken over.
+    """
+    from taichi_cloth.measuring import machine
+    from taichi_cloth.sweeps.identity import PACKAGES
+
+    asked = {"kept": of_matrix, "journal": journal} if part == "matrix" else {}
+    command, data = _trade(part, journal) if part in TRADES else _experiment(part, asked)
     about = machine.describe()
     return {
         "command": command,
@@ -148,14 +179,14 @@ def _experiment(part: str, asked: dict[str, Any]) -> tuple[str, Any]:
     return f"{COMMAND} {part}", function(**asked)
 
 
-def _trade(part: str) -> tuple[str, Any]:
+def _trade(part: str, journal: Journal | None) -> tuple[str, Any]:
     """The rows of `taichi-cloth trade`, what they were compared to, and the scale of errors."""
     from taichi_cloth.trade import command, rows
 
     source, asked = TRADES[part]
     options = TradeOptions.from_given(asked)
     scene, chosen, how = command.prepare(source, options)
-    with command.measured(source, options, scene, chosen, how) as result:
+    with command.measured(source, options, scene, chosen, how, journal) as result:
         made = rows.rows_of(result, command.common(scene), command.run_words(source, how))
         if result.interrupted:
             raise result.interrupted

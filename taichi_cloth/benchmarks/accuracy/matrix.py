@@ -28,6 +28,7 @@ from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import PRECISIONS, TOPOLOGIES
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.simulation.storage import adjacency
+from taichi_cloth.sweeps.journal import Journal, key_of
 from taichi_cloth.trade.errors import Samples, displacement, rms_by_frame
 from taichi_cloth.trade.reference import coarsest, fine_method
 
@@ -187,15 +188,19 @@ def matrix(
     topologies: Sequence[str] = TOPOLOGIES,
     budget: float = BUDGET,
     kept: Mapping[str, Any] | None = None,
+    journal: Journal | None = None,
 ) -> dict[str, Any]:
     """All cells, by scene, method, and "topology precision"; how each scene was run.
 
     A cell has an `error`, or says why it was `refused` or `not measured`. budget: seconds of the
     processor that a scene may take before its last cell. kept: earlier results, whose errors are
-    taken over where the scene is run as it was then.
+    taken over where the scene is run as it was then. journal: has the cells that are finished.
     """
     ways = [(topology, precision) for topology in sorted(topologies) for precision in precisions]
-    return {name: _row(name, names, ways, budget, (kept or {}).get(name, {})) for name in scenes}
+    return {
+        name: _row(name, names, ways, budget, (kept or {}).get(name, {}), journal)
+        for name in scenes
+    }
 
 
 def _row(
@@ -204,6 +209,7 @@ def _row(
     ways: Sequence[tuple[str, str]],
     budget: float,
     kept: Mapping[str, Any],
+    journal: Journal | None,
 ) -> dict[str, Any]:
     """The cells of a scene, and how it was run. ways: topologies with precisions."""
     cells: dict[str, dict[str, Any]] = {method: {} for method in names}
@@ -222,8 +228,13 @@ def _row(
         for topology, precision in ways:
             for method in sorted(names, key=lambda m: KINDS.index(_kind(m))):
                 earlier = has.get(method, {}).get(f"{topology} {precision}", {})
+                key = key_of("cell", name, method, topology, precision)
+                finished = journal.get(key) if journal else None
                 if "error" in earlier:
                     made = earlier
+                elif finished:
+                    made, took = finished.result
+                    spent += took
                 elif topology == "lanes" and not has_grid:
                     made = NO_GRID
                 elif slow & {(topology, KINDS[0]), (topology, _kind(method))}:
@@ -235,6 +246,8 @@ def _row(
                     asked = {"method": method, "topology": topology, "exact": exact}
                     made, took = processes[precision].cell(name=name, **asked)
                     spent += took
+                    if journal:
+                        journal.add(key, [made, took])
                 if made == TOO_SLOW:
                     slow.add((topology, _kind(method)))
                 cells[method][f"{topology} {precision}"] = made

@@ -1,0 +1,101 @@
+"""A study's journal: which runs of which settings are finished, and what came of them."""
+
+from __future__ import annotations
+
+from dataclasses import astuple
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_cloth.scene.fingerprint import scene_hash
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.sweeps.journal import Entry, Journal, key_of
+from taichi_cloth.trade.ode import SmoothTrajectory
+from taichi_cloth.trade.outcomes import Outcome
+from taichi_cloth.trade.settings import Setting
+
+
+class Records:
+    """What a journal has of a study's runs; frames: of a run."""
+
+    def __init__(self, journal: Journal):
+        self.journal = journal
+        self._hashes: dict[int, tuple[Scene, str]] = {}
+
+    # --- samples -------------------------------------------------------------------------
+
+    def sampled(self, scene: Scene, setting: Setting, frames: int) -> Outcome | None:
+        """What came of a setting, without its times; None where it was not run yet."""
+        entry = self.journal.get(self._key("sample", scene, setting, frames))
+        return None if entry is None else _outcome(setting, entry)
+
+    def keep_sample(
+        self,
+        scene: Scene,
+        setting: Setting,
+        frames: int,
+        found: dict[str, Any],
+        about: dict[str, Any],
+        file: Path,
+    ) -> Outcome:
+        """Keep what a `Trial` found, and its file."""
+        result = {name: of for name, of in found.items() if name != "failed"}
+        result |= {"status": found["failed"] or "ok", "about": about}
+        key = self._key("sample", scene, setting, frames)
+        return _outcome(setting, self.journal.add(key, result, file))
+
+    def keep_failure(self, scene: Scene, setting: Setting, frames: int, outcome: Outcome) -> None:
+        """Keep that a setting could not be run, unless the machine was at fault."""
+        if not outcome.lost:
+            key = self._key("sample", scene, setting, frames)
+            self.journal.add(key, {"status": outcome.status, "about": outcome.about})
+
+    # --- times ---------------------------------------------------------------------------
+
+    def timed(self, scene: Scene, outcome: Outcome, frames: int) -> bool:
+        """Whether the times of a setting are known; they are then the outcome's."""
+        entry = self.journal.get(self._key("time", scene, outcome.setting, frames))
+        if entry is not None:
+            outcome.seconds, outcome.timed_on = entry.result["seconds"], entry.result["host"]
+        return entry is not None
+
+    def keep_times(
+        self, scene: Scene, outcome: Outcome, frames: int, seconds: list[float], host: str
+    ) -> None:
+        """Keep the seconds of a setting's runs on a machine."""
+        key = self._key("time", scene, outcome.setting, frames)
+        self.journal.add(key, {"seconds": seconds, "host": host})
+        outcome.seconds, outcome.timed_on = seconds, host
+
+    # --- the differential equation -------------------------------------------------------
+
+    def solved(self, scene: Scene, times: np.ndarray) -> SmoothTrajectory | None:
+        """The smooth solution at these times; None where it was not computed yet."""
+        entry = self.journal.get(self._solution_key(scene, times))
+        if entry is None or entry.file is None:
+            return None
+        with np.load(entry.file) as file:
+            return SmoothTrajectory(file["x"], file["v"], **entry.result)
+
+    def keep_solution(self, scene: Scene, times: np.ndarray, solved: SmoothTrajectory) -> None:
+        """Keep the smooth solution."""
+        file = self.journal.new_file(".npz")
+        np.savez(file, x=solved.x, v=solved.v)
+        result = {"until": solved.until, "event": solved.event, "given_up": solved.given_up}
+        self.journal.add(self._solution_key(scene, times), result, file)
+
+    def _solution_key(self, scene: Scene, times: np.ndarray) -> str:
+        return key_of("smooth", self._hash(scene), len(times), float(times[-1]))
+
+    def _key(self, kind: str, scene: Scene, setting: Setting, frames: int) -> str:
+        return key_of(kind, self._hash(scene), *astuple(setting), frames)
+
+    def _hash(self, scene: Scene) -> str:
+        if id(scene) not in self._hashes:
+            self._hashes[id(scene)] = scene, scene_hash(scene)
+        return self._hashes[id(scene)][1]
+
+
+def _outcome(setting: Setting, entry: Entry) -> Outcome:
+    return Outcome(setting, file=entry.file, **entry.result)
