@@ -18,8 +18,16 @@ from taichi_cloth.kernels.packs import everywhere, folded, plus
 # Taichi hands a top-level CPU loop out in pieces of at least 512 iterations, one piece a thread.
 # A loop of 512 iterations a thread, of which one does the work, gives each thread its share.
 PIECE = 512
+# A top-level loop of at most so many rows runs on the processor's calling thread: to wake others
+# takes as long as some 10 000 rows, and milliseconds where other programs have the cores.
+SHORT = 20_000
 # The counter at which threads wait has a cache line to itself.
 COUNTER, COUNTER_SIZE = 32, 64
+
+
+def is_short(rows):
+    """Whether a top-level loop of so many rows, that a field has room for, is one thread's."""
+    return rows <= SHORT and ti.cfg.arch == ti.cpu
 
 
 @ti.func

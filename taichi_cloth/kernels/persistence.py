@@ -16,6 +16,7 @@ import taichi as ti
 
 from taichi_cloth.kernels.forces import device_fields, load
 from taichi_cloth.kernels.forces.contract import has
+from taichi_cloth.kernels.loops import is_short
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 
 
@@ -148,14 +149,14 @@ def in_use(state, packs, particles, springs, patches):
 def groups_of(fields):
     """What `copy_kept` goes through: for each room and number of blocks, a loop over the rows.
 
-    (room, number of the group, its fields: (field, kind, width, whether it has whole numbers,
-    number of the field)).
+    (room, blocks, number of the group, its fields: (field, kind, width, whether it has whole
+    numbers, number of the field)).
     """
     groups = {}
     for at, of in enumerate(fields):
         rows = groups.setdefault((of.room, of.blocks), [])
         rows.append((of.field, of.kind, of.width, of.whole, at))
-    return tuple((room, g, tuple(rows)) for g, ((room, _), rows) in enumerate(groups.items()))
+    return tuple((*of, g, tuple(rows)) for g, (of, rows) in enumerate(groups.items()))
 
 
 @ti.kernel
@@ -172,7 +173,9 @@ def copy_kept(
     rows: (groups, 2): how many rows of each block are in use, and of all blocks; begins: (fields,):
     where each begins in the array of real or of whole numbers.
     """
-    for room, g, fields in ti.static(state.kept_groups):
+    for room, blocks, g, fields in ti.static(state.kept_groups):
+        if ti.static(is_short(room * blocks)):
+            ti.loop_config(serialize=True)
         for i in range(rows[g, 1]):
             used = rows[g, 0]
             r = i // used * room + i % used

@@ -6,6 +6,7 @@ Arrays have the device's precision, or are int32. n: particles; s: springs on th
 import taichi as ti
 
 from taichi_cloth.kernels.grids import link_index
+from taichi_cloth.kernels.loops import is_short
 from taichi_cloth.kernels.packs import slot_number, slot_value
 from taichi_cloth.kernels.state import ALIVE
 
@@ -15,6 +16,8 @@ def read_vectors(
     spec: ti.template(), state: ti.template(), field: ti.template(), out: ti.types.ndarray()
 ):
     """Copy a field of vectors in packs to `out` (n, dim), in the order of the particles."""
+    if ti.static(is_short(state.slot.shape[0])):
+        ti.loop_config(serialize=True)
     for i in range(out.shape[0]):
         vector = slot_value(spec, field, state.slot[i])
         for axis in ti.static(range(spec.dim)):
@@ -77,9 +80,13 @@ def count_broken(spec: ti.template(), state: ti.template()) -> ti.i32:
     """The number of springs, on the graph and of grids, that are breaking or gone."""
     count = 0
     if ti.static(spec.fracture and spec.springs):
+        if ti.static(is_short(state.status.shape[0])):
+            ti.loop_config(serialize=True)
         for s in range(state.n_springs[None]):
             count += ti.cast(state.status[s] != ALIVE, ti.i32)
     if ti.static(spec.fracture and spec.kinds > 0):
+        if ti.static(is_short(state.link_status.shape[0])):
+            ti.loop_config(serialize=True)
         for i in range(state.n_packs[None]):
             for lane in ti.static(range(spec.lanes)):
                 for s in range(spec.kinds):
