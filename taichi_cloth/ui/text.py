@@ -69,12 +69,21 @@ def length(line: str, height: int) -> float:
     return sum(_advance(word, height) for word in words) + (len(words) - 1) * _advance(" ", height)
 
 
-def _write(share: np.ndarray, line: str, corner: tuple[float, float], height: int) -> None:
-    """Lay a line's ink, from its top left corner (x, y), onto share (h, w, 1)."""
+def _write(
+    share: np.ndarray,
+    line: str,
+    corner: tuple[float, float],
+    height: int,
+    origin: tuple[int, int] = (0, 0),
+) -> None:
+    """Lay a line's ink, from its top left corner (x, y), onto share (h, w, 1).
+
+    origin: where share begins.
+    """
     x, y = corner
     for word in line.split(" "):
         ink = _ink(word, height)
-        left, top = round(x) - 1, round(y)
+        left, top = round(x) - 1 - origin[0], round(y) - origin[1]
         under = share[top : top + len(ink), left : left + ink.shape[1]]
         np.maximum(under, ink[: under.shape[0], : under.shape[1]], out=under)
         x += _advance(word, height) + _advance(" ", height)
@@ -197,9 +206,13 @@ def write(
     pixels: np.ndarray, line: str, corner: tuple[float, float], height: int, color: Color
 ) -> None:
     """Write a line onto pixels (h, w, 3) uint8 from its top left corner (x, y); changes them."""
-    share = np.zeros((*pixels.shape[:2], 1), np.float32)
-    _write(share, line, (corner[0], corner[1] - _rise(height)), height)
-    _lay(pixels, share, color)
+    x, y = corner[0], corner[1] - _rise(height)
+    left, top = max(round(x) - 1, 0), max(round(y), 0)
+    # What it covers alone: a status has ten words, and is as wide as its window.
+    here = pixels[top : top + 2 * height, left : left + round(length(line, height)) + height]
+    share = np.zeros((*here.shape[:2], 1), np.float32)
+    _write(share, line, (x, y), height, (left, top))
+    _lay(here, share, color)
 
 
 def _lay(pixels: np.ndarray, share: np.ndarray, color: Color) -> None:
