@@ -64,10 +64,11 @@ class FrameTimes:
         self._present = 0
         self._changes = 0
         self._too_many: dict[int, tuple[int, int]] = {}  # until which frame; for how many frames
+        self._costs: tuple[float, np.ndarray, np.ndarray] | None = None  # of the last frames
 
     def note(self, frame: Frame) -> None:
         """A frame was made."""
-        self._count += 1
+        self._count, self._costs = self._count + 1, None
         if frame.substeps != self._present:
             self._present, self._since = frame.substeps, 0
             self._changes += 1
@@ -96,6 +97,14 @@ class FrameTimes:
 
     def would_take(self, substeps: int) -> np.ndarray:
         """What the last frames would have taken with other substeps, seconds (k,)."""
+        offset, each, besides = self._costs = self._costs or self._of_frames()
+        taken: np.ndarray = each * (offset + substeps) + besides
+        return taken
+
+    def _of_frames(self) -> tuple[float, np.ndarray, np.ndarray]:
+        """Of the last frames: a / b in substeps; b (k,); and what no substeps change (k,),
+        seconds.
+        """
         simulate = np.array([f.simulate for f in self._frames])
         rest = np.array([f.rest for f in self._frames])
         had = np.array([f.substeps for f in self._frames], float)
@@ -103,8 +112,7 @@ class FrameTimes:
         offset = (1 / slope - 1) * self._present  # a / b, in substeps
         each = simulate / (offset + had)
         own = np.minimum(each, MOST_OWN * _local(each))
-        taken: np.ndarray = own * (offset + substeps) + (each - own) * (offset + had) + rest
-        return taken
+        return offset, own, (each - own) * (offset + had) + rest
 
     def most_within(self) -> int | None:
         """The most substeps that half of the frames have time for, drawn or not; None: unknown."""
