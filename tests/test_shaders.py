@@ -36,6 +36,17 @@ def test_conditions_become_constants():
             shaders.fixed(wrong, (False, False))
 
 
+def test_what_corners_share_is_not_interpolated():
+    variable, other = (4 << 16 | 59, 5, 9, 1), (4 << 16 | 59, 5, 8, 3)
+    at, of_other = (4 << 16 | 71, 9, 30, 1), (4 << 16 | 71, 8, 30, 1)
+    given = module(of_other, at, variable, other)
+    flat = (3 << 16 | 71, 9, 14)
+    assert shaders.shared(given, 1) == module(of_other, at, flat, variable, other)
+    for wrong in (given[4:], module(of_other, other)):
+        with pytest.raises(ValueError):
+            shaders.shared(wrong, 1)
+
+
 def run(program, tmp_path):
     """What a program prints, in a process of its own: GGUI opens one window in each."""
     done = subprocess.run(
@@ -80,7 +91,10 @@ def test_pictures_are_those_of_taichis_own_shaders(tmp_path, scene):
     theirs = run(program.format(own="shaders._package = lambda source: None"), tmp_path)
     assert ours == theirs and len(set(ours)) == 2
     (folder,) = (tmp_path / "taichi-cloth").glob("shaders-*")
-    assert {path.name for path in (folder / "shaders").iterdir()} > set(shaders.BRANCHES)
+    assert {path.name for path in (folder / "shaders").iterdir()} > {
+        *shaders.BRANCHES,
+        *shaders.SHARED,
+    }
 
 
 @needs_vulkan

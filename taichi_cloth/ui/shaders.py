@@ -1,9 +1,10 @@
-"""Taichi's shaders for GGUI, without the branches that nothing drawn here takes.
+"""Taichi's shaders for GGUI, without what nothing drawn here needs and software takes time for.
 
 They branch on uniforms: whether each vertex has its own colour, or radius. Mesa's software Vulkan
 (seen in 22.3) puts uniforms into such shaders as constants and compiles them, anew at each draw of
 a scene: 1 ms, and 110 to 200 KB that it keeps. Here all vertices have their own, so the conditions
-are made constants in copies of the shaders; what is drawn stays the same.
+are made constants in copies of the shaders. Nor is the colour of what is flat interpolated, as all
+corners of a triangle, and all of a circle, have the same. What is drawn stays the same.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import importlib
 import os
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +31,13 @@ BRANCHES: dict[str, tuple[bool | None, ...]] = {
     "Triangles_vk_vert.spv": (False,),
     "Circles_vk_vert.spv": (False, False),
 }
+# Of each shader the location of its input that all corners share: the colour.
+SHARED = {"Triangles_vk_frag.spv": 1, "Circles_vk_frag.spv": 1}
 
 # SPIR-V: words of a module's head, which of them is the bound of its ids, and opcodes.
 HEAD, BOUND, MAGIC = 5, 3, 0x07230203
 TYPE_BOOL, CONSTANT_TRUE, CONSTANT_FALSE, BRANCH_CONDITIONAL = 20, 41, 42, 250
+VARIABLE, INPUT, DECORATE, LOCATION, FLAT = 59, 1, 71, 30, 14
 
 
 def open_window(title: str, size: tuple[int, int], *, visible: bool) -> Any:
@@ -57,6 +61,7 @@ def _package(source: Path) -> Path | None:
     try:
         files = {path.name: path.read_bytes() for path in sorted(source.glob("*.spv"))}
         files |= {name: fixed(files[name], held) for name, held in BRANCHES.items()}
+        files |= {name: shared(files[name], at) for name, at in SHARED.items()}
         digest = hashlib.sha256(b"".join(files.values())).hexdigest()[:16]
         folder = cache.folder() / f"shaders-{digest}"
         if not folder.is_dir():
@@ -86,19 +91,12 @@ def fixed(module: bytes, held: Sequence[bool | None]) -> bytes:
     held: of each conditional branch, in order, what it is to be; None: it is left. ValueError where
     the module has another number of branches, or is none.
     """
-    words = np.frombuffer(module, "<u4")
-    if len(words) < HEAD or words[0] != MAGIC:
-        raise ValueError("not a SPIR-V module")
-    bound = int(words[BOUND])
+    head, instructions = _read(module)
+    bound = int(head[BOUND])
     constants = {False: bound, True: bound + 1}
-    parts, branch, at = [words[:HEAD].copy()], 0, HEAD
-    parts[0][BOUND] = bound + len(constants)
-    while at < len(words):
-        code, length = int(words[at]) & 0xFFFF, int(words[at]) >> 16
-        if length == 0 or at + length > len(words):
-            raise ValueError("not a whole SPIR-V module")
-        instruction = words[at : at + length].copy()
-        at += length
+    head[BOUND] = bound + len(constants)
+    parts, branch = [head], 0
+    for code, instruction in instructions:
         if code == BRANCH_CONDITIONAL:
             value = held[branch] if branch < len(held) else None
             if value is not None:
@@ -112,3 +110,42 @@ def fixed(module: bytes, held: Sequence[bool | None]) -> bytes:
     if branch != len(held):
         raise ValueError(f"{branch} conditional branches instead of {len(held)}")
     return np.concatenate(parts).tobytes()
+
+
+def shared(module: bytes, location: int) -> bytes:
+    """A SPIR-V module of fragments, whose input at a location is that of a first corner.
+
+    ValueError where the module has no such input, or is none.
+    """
+    head, instructions = _read(module)
+    inputs = {int(i[2]) for code, i in instructions if code == VARIABLE and i[3] == INPUT}
+    parts, found = [head], False
+    for code, instruction in instructions:
+        parts.append(instruction)
+        placed = code == DECORATE and list(instruction[2:]) == [LOCATION, location]
+        if placed and int(instruction[1]) in inputs:
+            parts.append(np.array([3 << 16 | DECORATE, instruction[1], FLAT], "<u4"))
+            found = True
+    if not found:
+        raise ValueError(f"no input at location {location}")
+    return np.concatenate(parts).tobytes()
+
+
+def _read(module: bytes) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:
+    """A SPIR-V module's head, and its instructions with their opcodes, all as words that may be
+    changed; ValueError where it is none.
+    """
+    words = np.frombuffer(module, "<u4").copy()
+    if len(words) < HEAD or words[0] != MAGIC:
+        raise ValueError("not a SPIR-V module")
+    return words[:HEAD], list(_instructions(words))
+
+
+def _instructions(words: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    at = HEAD
+    while at < len(words):
+        code, length = int(words[at]) & 0xFFFF, int(words[at]) >> 16
+        if length == 0 or at + length > len(words):
+            raise ValueError("not a whole SPIR-V module")
+        yield code, words[at : at + length]
+        at += length
