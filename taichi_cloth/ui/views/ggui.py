@@ -29,6 +29,9 @@ NO_VULKAN = "GGUI needs Vulkan, which is not there (install a Vulkan driver, suc
 WHEEL = {4: 1.0, 5: -1.0}  # X's numbers of the wheel's buttons -> notches away from the user
 SETTINGS = Path("imgui.ini")  # of GGUI's text library, which we do not use
 ENTITLED = 0.25  # seconds after which a title is written again
+# Seconds after a look at whether the window is there in which `poll` does not look, too: each
+# waits for the X server, which reads the last picture at that time.
+LOOKED = 0.1
 
 
 class GguiView:
@@ -59,6 +62,7 @@ class GguiView:
         self._last: Picture | None = None
         self._fresh = False  # whether what was drawn last can still be taken from the window
         self._title, self._named = title, 0.0
+        self._looked = 0.0  # when the window was last known to be there
         self.has_wheel = self._listens
         self.closed = False
         self._size = size
@@ -94,7 +98,7 @@ class GguiView:
         """
         if self.closed or not self.visible:
             return []
-        if self._was_destroyed():
+        if time.perf_counter() > self._looked + LOOKED and self._was_destroyed():
             return []
         if not self._window.running:
             self.close()
@@ -169,6 +173,7 @@ class GguiView:
         if self.visible:
             if self._was_destroyed():  # Vulkan would end the process
                 return
+            self._looked = time.perf_counter()
             self._window.show()
         self._fresh = not self.visible
 
