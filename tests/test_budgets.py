@@ -13,6 +13,7 @@ from taichi_cloth.budgets.goal import read
 from taichi_cloth.budgets.keeper import OFTEN, StableSteps
 from taichi_cloth.budgets.seconds import Second, SecondErrors
 from taichi_cloth.cli.main import main
+from taichi_cloth.cli.run_budget import HeldBudget
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.trajectory import load
 from taichi_cloth.limits.precision import most_substeps, unresolved
@@ -222,6 +223,29 @@ def test_the_fewest_substeps_are_those_of_dt_auto_and_the_most_are_resolved(devi
     most = most_substeps(scene, a, sim.dt, "f32")
     assert unresolved(scene, a, sim.dt, most, "f32") is None
     assert unresolved(scene, a, sim.dt, most + 1, "f32") is not None
+
+
+class Errors:
+    """An error meter that measures nothing, and says whether it is on."""
+
+    on, verdicts = False, ()
+
+    def switch(self):
+        self.on = not self.on
+
+
+def test_a_time_budget_measures_errors_once_there_is_time_for_more(device):
+    """Where frames are late anyway, another process would only take processor time from them."""
+    sim, errors = Simulation(library.build("cloth"), substeps=2), Errors()
+    budget = HeldBudget(sim, errors, windowed=True, told=False)
+    budget.choose("60fps")
+    for frames, rest in ((90, 0.02), (240, 1e-3)):
+        assert not errors.on
+        for _ in range(frames):
+            budget.before_frame(lambda name, value: sim.set_step(substeps=value))
+            sim.advance(1)
+            budget.after_frame(1e-4 * sim.substeps, rest)
+    assert errors.on and sim.substeps > 2
 
 
 @pytest.mark.thorough

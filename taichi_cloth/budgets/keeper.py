@@ -75,6 +75,11 @@ class Keeper:
         self.choice = (self._times if by_time else self._errors).choose(now, self._limits())
         return self.choice
 
+    @property
+    def has_room(self) -> bool:
+        """Whether more substeps than the fewest were chosen."""
+        return self.choice is not None and self.choice.substeps > self._stable.least()
+
     def _look(self) -> None:
         """See whether springs broke."""
         frame = self._sim.frame

@@ -33,7 +33,8 @@ class HeldBudget:
     """What a run is kept to, nothing at first: for the command line, and for a window's panel.
 
     errors: of the same run, which are switched on: an error is held by them, and of the substeps
-    for which there is time they say how many are of use. windowed: whether frames are drawn, in
+    for which there is time they say how many are of use, once there is time for more than the
+    fewest: to measure takes processor time, too. windowed: whether frames are drawn, in
     whose time there is a sense. told: whether changes are printed.
     """
 
@@ -47,6 +48,7 @@ class HeldBudget:
         self._keeper: Keeper | None = None
         self._frames = self._in_time = 0
         self._substeps: list[int] = []
+        self._bounded = False  # whether what bounds the substeps is known, or being measured
         self.chosen = OFF
         self.fixed = "--dt auto chooses the substeps" if sim.follows else ""
 
@@ -84,9 +86,8 @@ class HeldBudget:
             raise InputError(UNSEEN.format(word))
         if goal.error is not None:
             self._measure(word)
-        elif not self._errors.on and current_device().precision != "f64":
-            self._errors.switch()  # which finds how many substeps rounding allows
         self._keeper, self.chosen = Keeper(self._sim, goal), goal.words
+        self._bounded = goal.error is not None or current_device().precision == "f64"
 
     def _measure(self, word: str) -> None:
         """Have errors measured."""
@@ -105,6 +106,10 @@ class HeldBudget:
         if self._keeper is None:
             return
         choice = self._keeper.choose(self._errors.verdicts)
+        if not self._bounded and self._keeper.has_room:
+            self._bounded = True
+            if not self._errors.on:
+                self._errors.switch()  # which finds how many substeps rounding allows
         if choice.substeps == self._sim.substeps:
             return
         give("substeps", choice.substeps)

@@ -113,13 +113,14 @@ class Loop:
         self._draw += draw
         if advanced:
             self._note_cost(simulate, draw)
-            if self._request.budget:
-                rest = time.perf_counter() - began - simulate
-                self._request.budget.after_frame(simulate, rest)
         if seen:
             self.sim.prepare_click()
             if self._request.beside:
                 self._request.beside.sim.prepare_click()
+        if advanced and self._request.budget:  # whose frame is all of this but the wait
+            rest = time.perf_counter() - began - simulate
+            self._request.budget.after_frame(simulate, rest)
+        if seen:
             self._schedule.wait(self.state.stopped)
 
     def _note_cost(self, simulate: float, draw: float) -> None:
