@@ -12,6 +12,7 @@ from taichi_cloth.budgets.frames import Frame, FrameTimes
 from taichi_cloth.budgets.goal import read
 from taichi_cloth.budgets.keeper import OFTEN, StableSteps
 from taichi_cloth.budgets.seconds import Second, SecondErrors
+from taichi_cloth.budgets.solver import PATIENCE, SolverErrors
 from taichi_cloth.cli.main import main
 from taichi_cloth.cli.run_budget import HeldBudget
 from taichi_cloth.errors import InputError
@@ -143,6 +144,42 @@ def test_an_error_budget_is_finer_while_springs_tear_that_no_second_showed():
     errors.note(Second(8, 0.002, order=1.0), torn=True)
     errors.tear()  # which a second has shown by now
     assert "tear" not in errors.choose(8, Limits()).why
+
+
+@pytest.mark.parametrize("first", [200, 2])
+def test_sweeps_leave_a_fair_part_of_the_error(first):
+    """What they leave falls with their number, with noise: it ends between the two parts."""
+    rng, now, solver, taken = np.random.default_rng(3), first, SolverErrors("iterations", "f32"), []
+    for _ in range(200):
+        before, now = now, solver.choose(now)
+        if now != before:
+            solver.changed()
+        solver.note(6.0 / now * 1.2 ** rng.uniform(-1, 1))
+        taken.append(now)
+    assert 12 <= taken[-1] <= 60 and (np.diff(taken[60:]) != 0).sum() <= 3
+
+
+def test_a_tolerance_is_tightened_at_once_and_loosened_by_half_decades():
+    tight, loose = SolverErrors("tolerance", "f32"), SolverErrors("tolerance", "f64")
+    tight.note(0.9)
+    assert tight.choose(1e-3) == 1e-4 and tight.work(1e-3, 1e-4) == pytest.approx(4 / 3)
+    tight.note(0.89)  # which was no help
+    assert tight.choose(1e-4) == 1e-4
+    for _ in range(PATIENCE):
+        assert loose.choose(1e-6) == 1e-6
+        loose.note(1e-3)
+    assert loose.choose(1e-6) == 3.2e-6
+    tight = SolverErrors("tolerance", "f32")
+    tight.note(5.0)
+    assert tight.choose(1e-6) == 1e-6  # f32 follows no smaller one
+
+
+def test_what_a_solver_leaves_asks_for_no_finer_steps():
+    errors = SecondErrors(0.01, 1)
+    errors.note(Second(8, 0.02, order=1.0, solver=0.016), torn=False)
+    assert errors.needs(errors.sure[0]) == pytest.approx(8 * 0.004 / 0.003)
+    errors.solve_otherwise()
+    assert errors.sure[0].error == pytest.approx(0.004)
 
 
 def test_an_error_budget_says_what_is_in_the_way():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 # Each is a quarter to a half more than the one before: what differs by less is not told apart from
 # noise, and is not worth another step.
@@ -38,12 +38,16 @@ class Limits:
 
 @dataclass(frozen=True)
 class Choice:
-    """The substeps that are chosen. why: in words; short: in few. met: whether the goal is."""
+    """The substeps that are chosen. why: in words; short: in few. met: whether the goal is.
+
+    solver: settings of what solves the steps, by name, where they are chosen, too.
+    """
 
     substeps: int
     why: str
     short: str
     met: bool = True
+    solver: dict[str, float] = field(default_factory=dict)
 
 
 def steps_in_words(count: int) -> str:

@@ -122,6 +122,13 @@ class FrameTimes:
         takes = (float(np.median(self.would_take(n) - rest)) for n in RUNGS)
         return max((n for n, t in zip(RUNGS, takes, strict=True) if t <= self.budget), default=1)
 
+    def too_slow(self, substeps: int) -> bool:
+        """Whether frames with so many substeps are late because they take long to simulate."""
+        if len(self._frames) < FEW or self.late(substeps) <= 1 - KEPT:
+            return False
+        rest = float(np.median([f.rest for f in self._frames]))
+        return self._usual(substeps) > 1e3 * USUALLY * self.budget and rest < self.budget / 2
+
     def in_time(self, substeps: int, least: int, part: float = 1.0) -> float:
         """The part of the frames that would have taken at most so much of the time.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +11,8 @@ import numpy as np
 from taichi_cloth.budgets.choice import RUNGS, Choice, Limits
 from taichi_cloth.budgets.frames import Frame, FrameTimes
 from taichi_cloth.budgets.goal import Goal
-from taichi_cloth.budgets.seconds import Second, SecondErrors
+from taichi_cloth.budgets.seconds import MARGIN, Second, SecondErrors
+from taichi_cloth.budgets.solver import SolverErrors
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.forces import act_on_triangles as acts_by_speed
@@ -31,7 +33,7 @@ LONGEST = 0.1  # seconds of a frame: no error is worth slower ones
 
 
 class Keeper:
-    """Chooses a simulation's substeps for a goal, before each frame.
+    """Chooses a simulation's substeps, and how far its solver goes, for a goal, before each frame.
 
     It is told what frames took, and which seconds were measured; what it chooses follows from that.
     """
@@ -51,6 +53,11 @@ class Keeper:
         self._times = FrameTimes(self.goal.seconds or LONGEST)
         self._errors = SecondErrors(self.goal.error or 1.0, self._sim.claims.order)
         self._useful: int | None = None  # the most substeps that are, once that is measured
+        # A method takes one setting of its solver, or none.
+        self._solvers = [
+            SolverErrors(name, current_device().precision) for name in self._sim.claims.settings
+        ]
+        self._solved_so = self._sim.frame  # since which frame
 
     def frame(self, simulate: float, rest: float) -> None:
         """A frame was made: seconds to simulate it, and for all else but waiting."""
@@ -72,8 +79,31 @@ class Keeper:
         if self.choice is not None and known and not due:
             return self.choice
         self._due = False
-        self.choice = (self._times if by_time else self._errors).choose(now, self._limits())
-        return self.choice
+        limits = self._limits()
+        choice = (self._times if by_time else self._errors).choose(now, limits)
+        for solver in self._solvers:
+            choice = self._solved(solver, choice, now, limits)
+        self.choice = choice
+        return choice
+
+    def _solved(self, solver: SolverErrors, choice: Choice, now: int, limits: Limits) -> Choice:
+        """A choice with how far the solver goes: the larger part of the error comes first."""
+        name, was = solver.name, self._sim.solver[solver.name]
+        chosen = solver.choose(was)
+        if self.goal.seconds is not None:
+            if now == choice.substeps == limits.least and self._times.too_slow(now):
+                chosen = solver.looser(was)  # all that could make frames shorter
+            elif (work := solver.work(was, chosen)) > 1:  # the same time for fewer substeps
+                fewer = [n for n in limits.rungs() if n * work <= choice.substeps]
+                chosen = chosen if fewer else was
+                steps = fewer[-1] if fewer else choice.substeps
+                choice = replace(choice, substeps=steps)
+        if chosen != was:
+            solver.changed()
+            self._errors.solve_otherwise()
+            self._times = FrameTimes(self.goal.seconds or LONGEST)
+            self._solved_so = self._sim.frame
+        return replace(choice, solver={**choice.solver, name: chosen})
 
     @property
     def has_room(self) -> bool:
@@ -97,6 +127,11 @@ class Keeper:
         first, end = verdict.first, verdict.first + verdict.frames
         within = [count for frame, count in self._broken if first - LOOK <= frame <= end + LOOK]
         scale = verdict.scale if verdict.known else 1.0
+        left = (verdict.solver or 0.0) / scale if first >= self._solved_so else 0.0
+        whole = MARGIN * self.goal.error if self.goal.error else verdict.relative
+        for solver in self._solvers:
+            if verdict.known and not verdict.trouble and first >= self._solved_so and whole > 0:
+                solver.note(left / whole)
         self._errors.note(
             Second(
                 verdict.own_substeps,
@@ -104,6 +139,7 @@ class Keeper:
                 (verdict.rounding or 0.0) / scale,
                 verdict.order,
                 verdict.trouble or ("" if verdict.known else "nothing was measured"),
+                left,
             ),
             torn=bool(within) and max(within) > min(within),
         )

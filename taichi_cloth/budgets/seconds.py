@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,8 +32,9 @@ UNSURE = 3  # seconds in a row without a sure error: then there is none to keep 
 class Second:
     """What was measured of a second (or less).
 
-    substeps: that it had. error: in parts of its motion; rounding: what rounding made of it. order:
-    that its own method has shown in it; None: unknown. trouble: why it is not sure; "": it is.
+    substeps: that it had. error: in parts of its motion; rounding: what rounding made of it, and
+    solver what is left where equations are not solved to the end. order: that its own method has
+    shown in it; None: unknown. trouble: why it is not sure; "": it is.
     """
 
     substeps: int
@@ -41,6 +42,12 @@ class Second:
     rounding: float = 0.0
     order: float | None = None
     trouble: str = ""
+    solver: float = 0.0
+
+    @property
+    def steps(self) -> float:
+        """The part of the error that finer steps make smaller."""
+        return max(self.error - self.rounding - self.solver, 0.0)
 
 
 class SecondErrors:
@@ -67,6 +74,12 @@ class SecondErrors:
         """Springs break: which no second may have shown yet."""
         self._alarm = not self._torn
 
+    def solve_otherwise(self) -> None:
+        """From now on the solver leaves something else, which the next second shows."""
+        others = [replace(s, error=s.error - s.solver, solver=0.0) for s in self._lately]
+        self._lately = deque(others, maxlen=LATELY)
+        self._since = 0
+
     @property
     def sure(self) -> list[Second]:
         """Those whose errors are known."""
@@ -75,9 +88,9 @@ class SecondErrors:
     def would_be(self, second: Second, substeps: float) -> float:
         """The error of a second with other substeps, on the safe side."""
         ratio = second.substeps / substeps
-        steps = max(second.error - second.rounding, 0.0)
         by: float = ratio ** self._order(second, ratio > 1)
-        return float(steps * by + second.rounding)
+        solver = second.solver * max(by, 1.0)  # larger steps are harder to solve
+        return float(second.steps * by + solver + second.rounding)
 
     def _order(self, second: Second, coarser: bool) -> float:
         measured = 1.0 if second.order is None else second.order
@@ -87,11 +100,11 @@ class SecondErrors:
 
     def needs(self, second: Second) -> float:
         """The substeps that a second would have taken, for what is aimed at."""
-        n, aim = second.substeps, MARGIN * self.goal - second.rounding
-        steps = second.error - second.rounding
-        if steps <= 0 or aim <= 0:
+        aim = MARGIN * self.goal
+        n, aim = second.substeps, aim - second.rounding - min(second.solver, aim / 2)
+        if second.steps <= 0 or aim <= 0:
             return n
-        ratio = steps / aim
+        ratio = second.steps / aim
         if ratio > 1 and second.order is not None and second.order < HELPLESS:
             return n
         more: float = ratio ** (1 / self._order(second, ratio < 1))
@@ -104,10 +117,9 @@ class SecondErrors:
         """
         found = []
         for second in self.sure:
-            steps = second.error - second.rounding
             p = self._order(second, False)
-            if second.rounding > 0 and steps > 0:
-                ratio = p * steps / second.rounding
+            if second.rounding > 0 and second.steps > 0:
+                ratio = p * second.steps / second.rounding
                 found.append(second.substeps * ratio ** (1 / (p + 1)))
         return float(np.median(found)) if found else None
 

@@ -13,7 +13,7 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.runtime import current_device
 from taichi_cloth.settings.options import RunOptions
 from taichi_cloth.ui import style
-from taichi_cloth.ui.chrome.budget import OFF
+from taichi_cloth.ui.chrome.budget import OFF, SETS
 from taichi_cloth.ui.text import Word
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class HeldBudget:
     whose time there is a sense. told: whether changes are printed.
     """
 
-    about = "keeps to frames a second, or to an error of each second, by the substeps"
+    about = "keeps to frames a second, or to an error of each second, by substeps and solver"
 
     def __init__(
         self, sim: Simulation, errors: MeasuredErrors, *, windowed: bool, told: bool
@@ -62,7 +62,10 @@ class HeldBudget:
     def why(self) -> str:
         """What it chose last, and why."""
         choice = self._keeper.choice if self._keeper else None
-        return f"{self._sim.method}, {choice.why}" if choice else ""
+        if choice is None:
+            return ""
+        solver = [f"{name} {value:g}" for name, value in choice.solver.items()]
+        return ", ".join([self._sim.method, *solver, choice.why])
 
     def status(self) -> Word | None:
         """What the status says of it."""
@@ -98,7 +101,7 @@ class HeldBudget:
             raise InputError(f"--hold {word}: the error cannot be measured: {refused}")
 
     def by_hand(self) -> None:
-        """The user set the substeps: hold nothing any more."""
+        """The user set what it sets: hold nothing any more."""
         self._keeper, self.chosen = None, OFF
 
     def before_frame(self, give: Callable[[str, Value], None]) -> None:
@@ -110,10 +113,12 @@ class HeldBudget:
             self._bounded = True
             if not self._errors.on:
                 self._errors.switch()  # which finds how many substeps rounding allows
-        if choice.substeps == self._sim.substeps:
-            return
-        give("substeps", choice.substeps)
-        if self._told:
+        now = {"substeps": self._sim.substeps, **self._sim.solver}
+        chosen = {"substeps": choice.substeps, **choice.solver}
+        for name, value in chosen.items():
+            if value != now[name]:
+                give(name, value)
+        if self._told and any(value != now[name] for name, value in chosen.items()):
             print(f"frame {self._sim.frame}: hold {self.chosen}: {self.why}", flush=True)
 
     def after_frame(self, simulate: float, rest: float) -> None:
@@ -178,14 +183,14 @@ def begin_stable(sim: Simulation) -> None:
 
 
 def without_its_steps(log: Log) -> Log:
-    """A log without its own changes of the substeps, in whose place a budget chooses them."""
+    """A log without its own changes of what a budget chooses."""
     from taichi_cloth.ui.interaction import SET
 
     kept = {
         frame: [
             event
             for event in events
-            if event.kind != SET.name or event.fields().get("name") != "substeps"
+            if event.kind != SET.name or event.fields().get("name") not in SETS
         ]
         for frame, events in log.by_frame.items()
     }

@@ -28,6 +28,7 @@ class Status:
     meter: hud.Meter
     _rates: tuple[Word, ...] = ()
     _rates_due: float = 0.0
+    _budget: Word | None = None
     _notice: str | None = None
     _notice_until: float = 0.0
     _held_up: tuple[float, float] | None = None
@@ -64,6 +65,9 @@ class Status:
         if state is not None:
             if self.sim.held_up is not self._held_up:  # found anew, for as long as it goes on
                 self._held_up, self._held_up_until = self.sim.held_up, now + NOTICE_SECONDS
+            if now < self._rates_due and budget is not None:
+                budget = self._budget or budget
+            self._budget = budget
             if now >= self._rates_due:
                 self._rates_due = now + hud.REFRESH
                 self._rates = hud.rates(self.meter) if moving else ()

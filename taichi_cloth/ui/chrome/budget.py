@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 HOLD = "hold"  # the name of the panel's row
 OFF = "off"
+SETS = ("substeps", "tolerance", "iterations")  # the settings that it chooses
 
 
 class Budget(Protocol):

@@ -23,7 +23,7 @@ from taichi_cloth.simulation.engine import compiles_in_background
 from taichi_cloth.simulation.setting_costs import SettingCosts
 from taichi_cloth.ui import style, text
 from taichi_cloth.ui.chrome import settings_rows as rows
-from taichi_cloth.ui.chrome.budget import HOLD, OFF, Budget
+from taichi_cloth.ui.chrome.budget import HOLD, OFF, SETS, Budget
 from taichi_cloth.ui.chrome.contract import COLUMN
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.chrome.settings_rows import OPEN, Placed, Row
@@ -406,7 +406,7 @@ class SettingsPanel:
         self._controls.tell(None)
         for name, value in given.items():
             self._controls.set(name, value)
-            if self._budget and name == "substeps" and self._budget.chosen != OFF:
+            if self._budget and name in SETS and self._budget.chosen != OFF:
                 self._budget.by_hand()
                 self._controls.tell("nothing is held any more: the substeps were set")
         self._costs.hurry()
