@@ -147,7 +147,7 @@ GRIDS = {
     ),
     "kept acceleration": (
         cloth(10, 5, LINKS[:2], 3, walls=SIDES, drag=0.02, damping=0.05, break_force=2.0),
-        {"method": "verlet", "execution": "parallel"},
+        {"method": "verlet", "lanes": 2, "execution": "parallel"},
     ),
     "four stages": (
         cloth(9, 6, LINKS[:2], walls=SIDES[:4], drag=0.02, damping=0.05, break_force=2.0),

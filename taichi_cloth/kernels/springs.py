@@ -171,10 +171,10 @@ def move_and_accumulate(
         end = grid_share(spec, state.grid[g, 1], t + 1)
         # The first rows of a share, which the links of other shares reach, and its last ones, which
         # are computed first: both lie outside the rows that the pass moves.
-        for r in range(begin, ti.min(begin + spec.depth, end)):
-            move_row(spec, state, g, r, move)
-        for r in range(ti.max(begin + spec.depth, end - spec.depth), end):
-            move_row(spec, state, g, r, move)
+        # In one loop, as `move` is compiled anew wherever it stands.
+        for r in range(begin, end):
+            if r < begin + spec.depth or r >= end - spec.depth:
+                move_row(spec, state, g, r, move)
     barrier(spec, state)
     pass_over_grids(spec, state, t, move, between, apart, consume)
 
