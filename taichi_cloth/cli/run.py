@@ -139,7 +139,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
         run_files.kept(source, sim, device, files, beside.sim if beside else None),
         run_meter.measured(sim, options, waits=not view.visible) as errors,
         run_report.written(sim, options, source.words(), files.report),
-        run_budget.held(sim, options, errors, windowed=view.visible) as budget,
+        run_budget.held(sim, options, errors, view) as budget,
     ):
         summary = app.run(
             sim,

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.live import Value
     from taichi_cloth.simulation.simulation import Simulation
     from taichi_cloth.ui.interaction import Log
+    from taichi_cloth.ui.views.contract import View
 
 UNSEEN = (
     "--hold {}: a headless run has no frames to be in time for; hold an error, such as 1%, or open "
@@ -35,16 +36,23 @@ class HeldBudget:
     errors: of the same run, which are switched on: an error is held by them, and of the substeps
     for which there is time they say how many are of use, once there is time for more than the
     fewest: to measure takes processor time, too. windowed: whether frames are drawn, in
-    whose time there is a sense. told: whether changes are printed.
+    whose time there is a sense; layered: whether smooth edges are drawn in layers, and may be left
+    out. told: whether changes are printed.
     """
 
     about = "keeps to frames a second, or to an error of each second, by substeps and solver"
 
     def __init__(
-        self, sim: Simulation, errors: MeasuredErrors, *, windowed: bool, told: bool
+        self,
+        sim: Simulation,
+        errors: MeasuredErrors,
+        *,
+        windowed: bool,
+        told: bool,
+        layered: bool = False,
     ) -> None:
         self._sim, self._errors = sim, errors
-        self._windowed, self._told = windowed, told
+        self._windowed, self._told, self._layered = windowed, told, layered
         self._keeper: Keeper | None = None
         self._frames = self._in_time = 0
         self._substeps: list[int] = []
@@ -66,6 +74,11 @@ class HeldBudget:
             return ""
         solver = [f"{name} {value:g}" for name, value in choice.solver.items()]
         return ", ".join([self._sim.method, *solver, choice.why])
+
+    @property
+    def plain(self) -> bool:
+        """Whether pictures are drawn without smooth edges, for a frame's time."""
+        return self._keeper is not None and self._keeper.drawing.plain
 
     def status(self) -> Word | None:
         """What the status says of it."""
@@ -89,7 +102,7 @@ class HeldBudget:
             raise InputError(UNSEEN.format(word))
         if goal.error is not None:
             self._measure(word)
-        self._keeper, self.chosen = Keeper(self._sim, goal), goal.words
+        self._keeper, self.chosen = Keeper(self._sim, goal, layered=self._layered), goal.words
         self._bounded = goal.error is not None or current_device().precision == "f64"
 
     def _measure(self, word: str) -> None:
@@ -108,6 +121,7 @@ class HeldBudget:
         """Choose for the next frame."""
         if self._keeper is None:
             return
+        was = self.plain
         choice = self._keeper.choose(self._errors.verdicts)
         if not self._bounded and self._keeper.has_room:
             self._bounded = True
@@ -118,7 +132,7 @@ class HeldBudget:
         for name, value in chosen.items():
             if value != now[name]:
                 give(name, value)
-        if self._told and any(value != now[name] for name, value in chosen.items()):
+        if self._told and (chosen != now or self.plain != was):
             print(f"frame {self._sim.frame}: hold {self.chosen}: {self.why}", flush=True)
 
     def after_frame(self, simulate: float, rest: float) -> None:
@@ -149,11 +163,12 @@ class HeldBudget:
 
 @contextlib.contextmanager
 def held(
-    sim: Simulation, options: RunOptions, errors: MeasuredErrors, *, windowed: bool
+    sim: Simulation, options: RunOptions, errors: MeasuredErrors, view: View
 ) -> Iterator[HeldBudget]:
     """The budget of a run, which is kept from the start if the options ask for one."""
     told = options.hold is not None and not options.quiet
-    budget = HeldBudget(sim, errors, windowed=windowed, told=told)
+    layered = view.name == "ggui" and view.camera is None
+    budget = HeldBudget(sim, errors, windowed=view.visible, told=told, layered=layered)
     if options.hold is not None:
         budget.choose(options.hold)
     yield budget

@@ -129,7 +129,7 @@ class Composer:
             shown &= picture.as_spheres
         if shown.any():
             place, radius, color = drawing.shown_particles(place, picture, shown)
-            vertex = self._discs(radius, color, window.scale, height)
+            vertex = self._discs(radius, color, window.scale, height, picture.plain)
             vertex[..., :2] = place
             self._circles(vertex.reshape(-1, STRIDE))
         if ghost is not None and ghost.over:
@@ -171,7 +171,9 @@ class Composer:
         ends = np.concatenate([walls, place.take(segments.reshape(-1), axis=0)])
         wide = drawing.line_width(window.room.height if window.room else height)
         count = len(walls) // 2
-        lines = self._lines(picture.color, segments, picture.spring_color, count, wide)
+        lines = self._lines(
+            picture.color, segments, picture.spring_color, count, wide, picture.plain
+        )
         self._lines_2d(lines, ends)
 
     def _lines_2d(self, lines: FlatLines, ends: np.ndarray) -> None:

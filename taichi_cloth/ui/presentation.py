@@ -162,7 +162,10 @@ class Presentation:
         layout = self.arranged()
         around = self.chrome.overlay(layout, self._contents())
         legends = messages.legends(self.depiction.legends(), layout.world, layout.text)
-        picture = replace(picture, overlay=(*around, *legends), pointer=self._pointer())
+        plain = self._budget is not None and self._budget.plain
+        picture = replace(
+            picture, overlay=(*around, *legends), pointer=self._pointer(), plain=plain
+        )
         return self._with_second(picture, layout, part) if self.pair else picture
 
     def _with_second(self, picture: Picture, layout: Layout, part: float) -> Picture:

@@ -24,6 +24,7 @@ POSITION, NORMAL, RADIUS, COLOR, ALPHA, STRIDE = slice(0, 3), slice(3, 6), 3, sl
 
 # Layers of a line in a plane: pixels wider, and share of the colour.
 FADING = ((1.0, 0.3), (0.3, 0.62), (-0.4, 1.0))
+PLAIN = ((0.3, 1.0),)  # which software draws in half the time
 
 
 def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
@@ -142,27 +143,28 @@ class FlatLines:
                 layer[:, corner, :2] = place
 
 
-DISC_LAYERS = 4
-
-
-def disc_vertices(radius: np.ndarray, color: np.ndarray, scale: float, height: int) -> np.ndarray:
-    """Vertices (DISC_LAYERS, n, STRIDE), nowhere yet, of the particles' rims and, to be drawn over
-    them, of their discs; the edges of both fade in two steps.
+def disc_vertices(
+    radius: np.ndarray, color: np.ndarray, scale: float, height: int, plain: bool = False
+) -> np.ndarray:
+    """Vertices (layers, n, STRIDE), nowhere yet, of the particles' rims and, to be drawn over
+    them, of their discs; the edges of both fade in two steps, unless they are plain.
 
     radius: (n,) world units. color: (n, 3) uint8. scale: pixels per world unit.
     height: of the window in pixels.
     """
     ground = np.array(style.unit(style.WORLD))
     (rim, dark), (disc, full) = drawing.disc_layers(radius, color, scale)
-    layers = (
-        (rim + 0.4, 0.5 * dark + 0.5 * ground),
-        (rim - 0.2, dark),
-        (disc + 0.4, 0.5 * (dark + full)),
-        (disc - 0.2, full),
-    )
+    layers: tuple[tuple[np.ndarray, np.ndarray], ...] = ((rim, dark), (disc, full))
+    if not plain:
+        layers = (
+            (rim + 0.4, 0.5 * dark + 0.5 * ground),
+            (rim - 0.2, dark),
+            (disc + 0.4, 0.5 * (dark + full)),
+            (disc - 0.2, full),
+        )
     vertex = vertices(np.concatenate([rgb for _, rgb in layers]))
     vertex[:, RADIUS] = np.concatenate([pixels for pixels, _ in layers]) / height
-    return vertex.reshape(DISC_LAYERS, -1, STRIDE)
+    return vertex.reshape(len(layers), -1, STRIDE)
 
 
 @dataclass
@@ -337,9 +339,11 @@ def flat_lines(
     given: tuple[int, int, int] | np.ndarray | None,
     walls: int,
     width: float,
+    plain: bool = False,
 ) -> FlatLines:
-    """Walls and then springs, of a width in pixels; for the rest `spring_colors`."""
+    """Walls and then springs, of a width in pixels, whose edges fade unless they are plain; for the
+    rest `spring_colors`.
+    """
     springs = style.spring_colors(color, segments, given)
-    return FlatLines.build(
-        np.concatenate([np.tile(style.unit(style.WALL), (walls, 1)), springs]), width
-    )
+    of_walls = np.tile(style.unit(style.WALL), (walls, 1))
+    return FlatLines.build(np.concatenate([of_walls, springs]), width, PLAIN if plain else FADING)

@@ -19,7 +19,8 @@ class Budget(Protocol):
     """Keeps a run to a frame's time or to an error, while one is chosen.
 
     words: what may be chosen, `OFF` first. chosen: which is. fixed: why none can be; "": one can.
-    why: what it chose last, and why, in a sentence. about: what a word means.
+    why: what it chose last, and why, in a sentence. about: what a word means. plain: whether
+    pictures are drawn without smooth edges, for a frame's time.
     """
 
     chosen: str
@@ -31,6 +32,9 @@ class Budget(Protocol):
 
     @property
     def why(self) -> str: ...
+
+    @property
+    def plain(self) -> bool: ...
 
     def status(self) -> Word | None:
         """What the status says of it; None: nothing is held."""

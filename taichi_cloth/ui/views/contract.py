@@ -59,6 +59,7 @@ class Picture:
     overlay: what is laid over the frame, in this order.
     pointer: the pointer, where it is drawn. beside: a second world; None: there is none.
     ghost: what is drawn pale behind all of it; None: nothing.
+    plain: whether edges need not be smooth, where a view draws them in layers, which takes time.
 
     Radius, color, segments and triangles are the same objects as before while they are equal, so
     that a view need not prepare them anew (`drawing.Cached`).
@@ -79,6 +80,7 @@ class Picture:
     pointer: Pointer | None = None
     ghost: Ghost | None = None
     beside: Half | None = None
+    plain: bool = False
 
     @property
     def color_in_surfaces(self) -> np.ndarray:
