@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FRAME_RATE = 60.0  # frames a second that count as real time
 WINDOW = 0.75  # seconds over which rates are averaged
-REFRESH = 0.2  # seconds between changes of the rates: faster cannot be read
+REFRESH = 0.4  # seconds between changes of the rates: each takes 2 to 4 ms to write and draw
 # Beside the rates, where the execution was asked for and threads only wait.
 HELD_UP = Word("threads wait for another program", style.WARN, 4)
 
