@@ -306,14 +306,20 @@ def test_a_time_budget_measures_errors_once_there_is_time_for_more(device, monke
 
 @pytest.mark.thorough
 def test_a_budgeted_run_replays_to_the_same_bits(tmp_path, cli):
-    """An error is held by a meter that the run waits for; its log has what was chosen."""
+    """An error is held by a meter that the run waits for; its log has what was chosen, and a second
+    run that follows the first in its substeps.
+    """
     log, one, other = (tmp_path / name for name in ("log.jsonl", "one.npz", "other.npz"))
     words = ["run", "chain", "--headless", "--quiet", "--frames", "400"]
-    cli(*words, "--hold", "0.1%", "--record", log, "--save", one)
+    held = ["--hold", "0.1%", "--beside", "method=rk4"]
+    cli(*words, *held, "--record", log, "--save", one)
     chosen = [json.loads(line) for line in log.read_text().splitlines()[1:]]
     assert len({event["value"] for event in chosen if event["event"] == "set"}) > 1
     cli(*words, "--events", log, "--save", other)
-    assert (load(one).position == load(other).position).all()
+    for name in "{}.npz", "{}-beside.npz":
+        first, again = (load(tmp_path / name.format(path.stem)) for path in (one, other))
+        assert (first.position == again.position).all()
+        assert first.meta["substeps"] == again.meta["substeps"] != 1
 
 
 def test_limits_offer_rungs_between_them():

@@ -117,7 +117,7 @@ def test_a_budget_is_chosen_from_a_list_and_ends_where_substeps_are_set_by_hand(
     hands.press(hands.place("substeps"))
     hands.keys("7", "return")
     assert sim.substeps == 7 and budget.chosen == "off"
-    assert hands.controls.notice == "nothing is held any more: the substeps were set"
+    assert hands.controls.notice == "nothing is held any more, as substeps was set"
     sim.set_step(substeps=1)
 
 

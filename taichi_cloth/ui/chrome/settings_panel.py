@@ -408,7 +408,7 @@ class SettingsPanel:
             self._controls.set(name, value)
             if self._budget and name in SETS and self._budget.chosen != OFF:
                 self._budget.by_hand()
-                self._controls.tell("nothing is held any more: the substeps were set")
+                self._controls.tell(f"nothing is held any more, as {name} was set")
         self._costs.hurry()
         self._read_at = -np.inf
 
