@@ -69,7 +69,7 @@ def test_same_bits_for_every_thread_count_and_on_every_run(scene, tmp_path, cli)
     frames = 60
     if scene[0] == "everything":  # air, bending, obstacles, resting pairs
         (tmp_path / "everything.toml").write_text(EVERYTHING)
-        scene, frames = [tmp_path / "everything.toml", *scene[1:], "--dt", "auto"], 18
+        scene, frames = [tmp_path / "everything.toml", *scene[1:], "--dt", "auto"], 9
     run = (*scene, "--execution", "parallel", "--frames", frames, "--every", frames // 3)
     run = (*run, "--threads")
     saved = [save(cli, tmp_path, f"run{k}", *run, count) for k, count in enumerate((1, 2, 2, 3))]

@@ -332,14 +332,16 @@ def test_cuts_without_a_load_are_those_with_one(method, topology, made, monkeypa
 
 METHODS = ("symplectic_euler", "verlet", "xpbd", "vbd", "implicit_euler")
 PIN_WAYS = [
-    *(("cloth", method, topology) for method in METHODS for topology in ("graph", "lanes")),
-    *(("drape", method, "graph") for method in METHODS[:3]),
-    *(("flag", method, topology) for method in METHODS[:3:2] for topology in ("graph", "lanes")),
+    ("cloth", "symplectic_euler", "graph"),
+    *(("cloth", method, "lanes") for method in METHODS),
+    *(("drape", method, "graph") for method in METHODS[:3:2]),
+    ("flag", "symplectic_euler", "graph"),
+    ("flag", "xpbd", "lanes"),
 ]
 
 
 @pytest.mark.parametrize(
-    ("name", "method", "topology"), mostly_thorough(PIN_WAYS, [PIN_WAYS[0], PIN_WAYS[5]])
+    ("name", "method", "topology"), mostly_thorough(PIN_WAYS, PIN_WAYS[:1] + PIN_WAYS[3:4])
 )
 def test_pins_in_place_are_those_of_a_load(name, method, topology, made, monkeypatch):
     """Bits of springs that break, of what is held, of bending where it is clamped, of pairs."""
