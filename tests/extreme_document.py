@@ -33,7 +33,7 @@ method claims. Either the bounds hold, or the run fails by name ("frame 20: part
 speed 4.2e+04 ...; likely cause ...; remedy ...") in the frame in which it leaves them, and the last
 good state is kept, to the bit. A case says which of the two it accepts.
 
-`tests/test_extremes.py` runs them, those in space with every other method. This page was written by
+`tests/test_extremes.py` runs them, those in space with every third method. This page was written by
 `python tests/extreme_document.py --runs {runs}` on {machine}: {runs_of} runs of a
 case with a method, of which {broken} broke a bound, and {different} gave another result than the
 run before.
