@@ -305,6 +305,21 @@ def test_a_time_budget_measures_errors_once_there_is_time_for_more(device, monke
 
 
 @pytest.mark.thorough
+def test_a_run_whose_solver_was_chosen_replays_to_the_same_bits(tmp_path, cli):
+    """By its log alone, and by the budget that makes the same choices again."""
+    log, *saved = (tmp_path / name for name in ("log.jsonl", "a.npz", "b.npz", "c.npz"))
+    words = ["run", "cloth", "--method", "xpbd", "--headless", "--quiet", "--frames", "300"]
+    held = ["--hold", "1%"]
+    for more, file in zip(
+        (["--record", log, *held], ["--events", log], ["--events", log, *held]), saved, strict=True
+    ):
+        cli(*words, *more, "--save", file)
+    assert '"iterations"' in log.read_text()
+    first, *others = (load(path).position for path in saved)
+    assert all((first == other).all() for other in others)
+
+
+@pytest.mark.thorough
 def test_a_budgeted_run_replays_to_the_same_bits(tmp_path, cli):
     """An error is held by a meter that the run waits for; its log has what was chosen, and a second
     run that follows the first in its substeps.
