@@ -130,8 +130,8 @@ def test_a_window_goes_on_with_another_scene_and_both_logs_replay(kind, caches, 
         w.wait("cloth, playing")  # what cannot be opened leaves it as it was
         out = w.quit()
     assert w.process.returncode == 0, out
-    assert "opened cloth; --record log-cloth.jsonl; --save run-cloth.npz; --substeps was" in out
-    assert out.rstrip().endswith("cloth: --record log-cloth.jsonl, --save run-cloth.npz")
+    assert "opened cloth; --save run-cloth.npz; --record log-cloth.jsonl; --substeps was" in out
+    assert out.rstrip().endswith("cloth: --save run-cloth.npz, --record log-cloth.jsonl")
     (tmp_path / "own.toml").write_text(OWN)
     for scene, log, saved, steps in (
         ("own.toml", "log.jsonl", "run.npz", 2),
