@@ -152,10 +152,13 @@ def test_a_run_that_fails_leaves_its_report(cli, tmp_path):
 
 @pytest.mark.thorough
 def test_of_all_failing_runs_nearly_all_are_right(runner):
-    """In 95 of 100 the cause is right, in 95 the setting survives; physics is never numerics."""
-    said = [runner.run(case) for case in CASES]
+    """In 95 of 100 the cause is right, in 95 the setting survives; physics is never numerics.
+
+    Each second case, as all take minutes: `failing_runs.py` runs them all.
+    """
+    said = [runner.run(case) for case in CASES[::2]]
     failed = [one for one in said if one["failed"]]
-    assert len(failed) >= 40
+    assert len(failed) >= 25
     assert sum(one["right"] for one in failed) >= 0.95 * len(failed)
     assert sum(one["survives"] for one in failed) >= 0.95 * len(failed)
     assert all(one["right"] for one in said if not one["failed"])
