@@ -186,9 +186,10 @@ def test_a_tolerance_is_tightened_at_once_and_loosened_by_half_decades():
         assert loose.choose(1e-6) == 1e-6
         loose.note(1e-3)
     assert loose.choose(1e-6) == 3.2e-6
-    tight = SolverErrors("tolerance", "f32")
-    tight.note(5.0)
-    assert tight.choose(1e-6) == 1e-6  # f32 follows no smaller one
+    for precision in ("f32", "compensated"):
+        tight = SolverErrors("tolerance", precision)
+        tight.note(5.0)
+        assert tight.choose(1e-6) == 1e-6  # f32 follows no smaller one
 
 
 def test_what_a_solver_leaves_asks_for_no_finer_steps():

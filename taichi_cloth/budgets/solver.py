@@ -14,8 +14,9 @@ MOST, LEAST, AIM = 0.5, 0.1, 0.25  # of the error: that a solver may leave; at l
 PATIENCE = 4  # seconds with one setting, each below the least, before a looser one
 HELPS = 0.8  # times what was left before: what is above is no help
 BARRED = 20  # seconds for which what was too loose is not tried again; each time twice as many
-# Tightest and loosest, by precision: f32 follows no smaller residual.
-TOLERANCES = {"f64": (1e-10, 1e-2), "f32": (1e-6, 1e-2)}
+# Tightest and loosest, by precision: f32 follows no smaller residual, nor do compensated sums, with
+# which solvers have vectors in f32.
+TOLERANCES = {"f64": (1e-10, 1e-2), "f32": (1e-6, 1e-2), "compensated": (1e-6, 1e-2)}
 SWEEPS = (2, 200)
 BY_TOLERANCE, BY_SWEEPS = 10.0, 4.0  # times: by how much it is tightened at once, at most
 DECADE, HALF_MORE = 2, 1.5  # rungs of tolerances in a decade; how many times more sweeps each has
