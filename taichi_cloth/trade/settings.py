@@ -5,13 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any
 
 from taichi_cloth.errors import InputError, clipped, counted, nearest
 from taichi_cloth.limits.bounds import Bounds, any_geometry, step_within
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.settings.options import ARCHS, PRECISIONS, ComparisonOptions
+from taichi_cloth.settings.options import (
+    ARCHS,
+    PRECISIONS,
+    ComparisonOptions,
+    RunOptions,
+    parameters_of,
+)
 from taichi_cloth.settings.parameters import number_of
 
 DOUBLINGS = 6  # of the number of substeps, from the fewest that a method takes
@@ -26,7 +32,6 @@ FEW_PARTICLES = 2000
 SERIAL_BEST = 5000  # particles up to which one thread does as well as several
 
 
-Number = TypeVar("Number", int, float)
 # What settings that share a process have in common: backend, precision, fast_math.
 Process = tuple[str, str, bool]
 
@@ -112,9 +117,9 @@ def choose(scene: Scene, options: ComparisonOptions) -> list[Setting]:
     if options.quick and options.precisions is None:
         precisions = [word for word in precisions if word in ("f32", "f64")]
     archs = _words("--archs", options.archs or "cpu", [arch for arch in ARCHS if arch != "gpu"])
-    asked = _numbers("--substeps", options.substeps, int)
-    iterations = _numbers("--iterations", options.iterations, int)
-    tolerances = _numbers("--tolerances", options.tolerances, float)
+    asked = _numbers("--substeps", options.substeps, "substeps")
+    iterations = _numbers("--iterations", options.iterations, "iterations")
+    tolerances = _numbers("--tolerances", options.tolerances, "tolerance")
     dt = options.dt or scene.world.dt
     bounds = any_geometry(Network.from_scene(scene))
 
@@ -198,22 +203,25 @@ def _words(flag: str, text: str | None, known: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(words))
 
 
-def _numbers(flag: str, text: str | None, type_: type[Number]) -> list[Number]:
-    """The numbers of a list '1,2,4', sorted; empty where there is none."""
+def _numbers(flag: str, text: str | None, name: str) -> list[Any]:
+    """The numbers of a list '1,2,4', sorted; empty where there is none. name: of what each is, of
+    the options of a run, whose limits it has.
+    """
     if text is None:
         return []
-    numbers: set[Number] = set()
+    setting = parameters_of(RunOptions)[name]
+    type_, numbers = setting.type, set()
     for word in text.split(","):
         try:
             number = number_of(type_, word.strip())
         except ValueError:
             number = type_(0)
-        if not (0 < number <= 1_000_000):
+        if not 0 < number < math.inf:
             kind = "whole numbers from 1" if type_ is int else "positive numbers"
             raise InputError(
                 f"{flag} must be {kind}, separated by commas; has '{clipped(word.strip())}'"
             )
-        numbers.add(number)
+        numbers.add(setting.check(flag, number))
     return sorted(numbers)
 
 
