@@ -3,6 +3,7 @@ that a budgeted run's log replays to the same bits."""
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from taichi_cloth.budgets.choice import RUNGS, Limits
 from taichi_cloth.budgets.drawing import Drawing
 from taichi_cloth.budgets.frames import Frame, FrameTimes
 from taichi_cloth.budgets.goal import read
-from taichi_cloth.budgets.keeper import OFTEN, StableSteps
+from taichi_cloth.budgets.keeper import LOOK, OFTEN, Keeper, StableSteps
 from taichi_cloth.budgets.seconds import Second, SecondErrors
 from taichi_cloth.budgets.solver import PATIENCE, SolverErrors
 from taichi_cloth.cli import run_budget
@@ -318,6 +319,34 @@ def test_a_run_whose_solver_was_chosen_replays_to_the_same_bits(tmp_path, cli):
     assert '"iterations"' in log.read_text()
     first, *others = (load(path).position for path in saved)
     assert all((first == other).all() for other in others)
+
+
+def test_other_springs_are_others_also_where_the_old_ones_were_in_memory():
+    scene = SimpleNamespace(springs=object(), stencils=None, world=SimpleNamespace(more={}))
+    stable = StableSteps(SimpleNamespace(method="", dt=1.0, storage=SimpleNamespace(scene=scene)))
+    stable._of = stable._now()
+    scene.springs = None
+    scene.springs = object()
+    assert stable.changed()
+
+
+def test_what_was_seen_of_another_run_is_forgotten(pool, monkeypatch):
+    """After a reset none of its springs is broken; with other frames each second is another one."""
+    sim, broken = pool(library.build("cloth", columns=4, rows=3)), [0, 2, 0, 0]
+    monkeypatch.setattr(sim.storage, "count_broken", lambda: broken.pop(0))
+    keeper = Keeper(sim, read("1%"))
+    keeper.choose(())
+    sim.advance(LOOK)
+    keeper.choose(())
+    assert keeper._broken == [(0, 0), (LOOK, 2)]
+    sim.reset()
+    keeper.choose(())
+    assert keeper._broken == [(0, 0)]
+    keeper._errors.note(Second(8, 0.01), torn=False)
+    sim.set_step(dt=sim.dt / 2)
+    keeper.choose(())
+    assert not keeper._errors.sure
+    sim.set_step(dt=2 * sim.dt)
 
 
 @pytest.mark.thorough

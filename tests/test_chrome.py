@@ -119,6 +119,11 @@ def test_a_budget_is_chosen_from_a_list_and_ends_where_substeps_are_set_by_hand(
     assert sim.substeps == 7 and budget.chosen == "off"
     assert hands.controls.notice == "nothing is held any more, as substeps was set"
     sim.set_step(substeps=1)
+    for word, ends in (("60fps", False), ("1%", True)):
+        budget.choose(word)
+        assert budget.unmeasured() is ends
+    assert budget.chosen == "off"
+    errors.close()
 
 
 def test_scenes_and_methods_are_chosen_from_lists_that_say_what_each_is_and_costs(sim):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -44,7 +45,6 @@ class Keeper:
     def __init__(self, sim: Simulation, goal: Goal, *, layered: bool = False) -> None:
         self.goal, self._sim = goal, sim
         self._stable = StableSteps(sim)
-        self._resolved = self._stable.resolved()
         self._verdicts = 0  # that were looked at
         self._broken: list[tuple[int, int]] = []  # (frame, springs broken), at some of the last
         self.choice: Choice | None = None
@@ -52,8 +52,9 @@ class Keeper:
         self._begin()
 
     def _begin(self) -> None:
-        """Begin to measure: at the start, and where the method is another one."""
-        self._method, self._due = self._sim.method, True
+        """Begin to measure: at the start, and where method or frame time are others."""
+        self._of, self._due = self._run(), True
+        self._resolved = self._stable.resolved()
         self._times = FrameTimes(self.goal.seconds or LONGEST)
         self._errors = SecondErrors(self.goal.error or 1.0, self._sim.claims.order)
         self._useful: int | None = None  # the most substeps that are, once that is measured
@@ -63,13 +64,17 @@ class Keeper:
         ]
         self._solved_so = self._sim.frame  # since which frame
 
+    def _run(self) -> tuple[str, float]:
+        """What the measured is of: with others it says nothing."""
+        return self._sim.method, self._sim.dt
+
     def frame(self, simulate: float, rest: float) -> None:
         """A frame was made: seconds to simulate it, and for all else but waiting."""
         self._times.note(Frame(self._sim.substeps, simulate, rest))
 
     def choose(self, verdicts: Sequence[Verdict]) -> Choice:
         """The substeps of the next frame; verdicts: all of the error meter's, if there is one."""
-        if self._sim.method != self._method:
+        if self._run() != self._of:
             self._begin()
         self._look()
         for verdict in verdicts[self._verdicts :]:
@@ -121,12 +126,14 @@ class Keeper:
     def _look(self) -> None:
         """See whether springs broke."""
         frame = self._sim.frame
-        if frame % LOOK == 0 and (not self._broken or self._broken[-1][0] != frame):
+        if frame % LOOK == 0:
             broken = self._sim.storage.count_broken()
-            if self._broken and broken > self._broken[-1][1]:
+            # What was seen in later frames is of a run that went back.
+            before = [seen for seen in self._broken[-200:] if seen[0] < frame]
+            if before and broken > before[-1][1]:
                 self._errors.tear()
                 self._due = True
-            self._broken = [*self._broken[-200:], (frame, broken)]
+            self._broken = [*before, (frame, broken)]
 
     def _note(self, verdict: Verdict) -> None:
         """Take a verdict for what it says of the present method."""
@@ -181,22 +188,26 @@ class StableSteps:
 
     def __init__(self, sim: Simulation) -> None:
         self._sim = sim
-        self._of: tuple[object, ...] | None = None
+        self._of: tuple[tuple[object, ...], tuple[object, ...]] | None = None
         self._mass, self._fixed = np.zeros(0), np.zeros(0, bool)
         self._least, self._frame = 1, 0
 
-    def _now(self) -> tuple[object, ...]:
-        """What the limit depends on, beside masses and what is fixed: what breaks widens it."""
+    def _now(self) -> tuple[tuple[object, ...], tuple[object, ...]]:
+        """What the limit depends on, beside masses and what is fixed: values, and tables, which are
+        others where they are changed. What breaks widens it.
+        """
         sim, scene = self._sim, self._sim.storage.scene
-        return sim.method, sim.dt, id(scene.springs), id(scene.stencils), str(scene.world.more)
+        return (sim.method, sim.dt, str(scene.world.more)), (scene.springs, scene.stencils)
 
     def changed(self) -> bool:
         """Whether the limit may be tighter than it was.
 
         What is held weighs as much more as its step needs, and is as it was when it is let go.
         """
-        sim = self._sim
-        if self._of is None or self._now() != self._of:
+        sim, (values, tables) = self._sim, self._now()
+        if self._of is None or values != self._of[0]:
+            return True
+        if not all(map(operator.is_, tables, self._of[1])):
             return True
         if acts_by_speed(sim.storage.scene) and sim.frame >= self._frame + MOVED:
             return True

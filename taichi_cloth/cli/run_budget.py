@@ -117,6 +117,13 @@ class HeldBudget:
         """The user set what it sets: hold nothing any more."""
         self._keeper, self.chosen = None, OFF
 
+    def unmeasured(self) -> bool:
+        """The error meter was switched off: hold no error any more; whether one was held."""
+        held = self._keeper is not None and self._keeper.goal.error is not None
+        if held:
+            self._keeper, self.chosen = None, OFF
+        return held
+
     def before_frame(self, give: Callable[[str, Value], None]) -> None:
         """Choose for the next frame."""
         if self._keeper is None:
@@ -157,7 +164,8 @@ class HeldBudget:
         else:
             known = [v for v in self._errors.verdicts if v.known and not (v.resting or v.trouble)]
             kept = sum(v.relative <= (goal.error or 0.0) for v in known)
-            held = f"{kept} of {len(known)} windows that were measured"
+            held = f"{kept} of {len(known)} windows" if known else "no window"
+            held += " that was measured" if len(known) < 2 else " that were measured"
         return f"hold {goal.words}: held in {held}, by {how} substeps; now {self.why}"
 
 

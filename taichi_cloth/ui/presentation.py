@@ -126,7 +126,10 @@ class Presentation:
         elif command == "help":
             self._show_help = not self._show_help
         elif command in ("error", "ghost"):
-            self._controls.tell(self.meters.switch(command))
+            said = self.meters.switch(command)
+            if self._budget and not self.meters.measures and self._budget.unmeasured():
+                said += "; nothing is held any more"
+            self._controls.tell(said)
             if self.meters.measures and not self.chrome.is_open("meters"):
                 self.obey("meters")
         elif self.chrome.toggle(command):

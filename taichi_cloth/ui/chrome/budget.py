@@ -45,6 +45,9 @@ class Budget(Protocol):
     def by_hand(self) -> None:
         """The user set what it sets: hold nothing any more."""
 
+    def unmeasured(self) -> bool:
+        """The error meter was switched off: hold no error any more; whether one was held."""
+
     def before_frame(self, give: Callable[[str, Value], None]) -> None:
         """Choose for the next frame; `give` sets a setting by its name, and logs that."""
 
