@@ -310,6 +310,12 @@ def test_a_checkpoint_of_something_else_is_refused_before_taichi_starts(cli, tmp
     ):
         said = command("run", *words, "--headless", "--resume", path, check=2)[1]
         assert says in said and said.count("\n") == 1
-    assert cli("run", "cloth", "--resume", path, "--headless", "--frames", 1)[0].startswith(
-        "cloth: 48 particles"
-    )
+    log = tmp_path / "log.jsonl"
+    on = ("run", "cloth", "--headless", "--frames", 1)
+    assert cli(*on, "--resume", path, "--record", log)[0].startswith("cloth: 48 particles")
+    cli(*on, "--resume", path, "--events", log)
+    for words, says in (
+        ([*on, "--events", log], "the session went on from a checkpoint at frame 2, and this run"),
+        (["compare", "--events", log, "--substeps", 2], "its session went on from a checkpoint"),
+    ):
+        assert says in command(*words, check=2)[1]

@@ -94,7 +94,9 @@ def run(source: SceneSource, options: CompareOptions, within: str) -> tuple[Comp
 
 
 def _scene(source: SceneSource, path: Path, log: Log) -> Scene:
-    """The scene that the log is replayed on."""
+    """The scene that the log is replayed on, from its start."""
+    if log.header.get("start_frame"):
+        raise InputError(f"{path}: its session went on from a checkpoint; compare needs its start")
     scene = source.build()
     if log.header.get("scene", scene.name) != scene.name:
         raise InputError(

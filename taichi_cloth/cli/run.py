@@ -67,6 +67,7 @@ def main(source: SceneSource, options: RunOptions) -> int:
             source = run_options.scene_as_recorded(source, options, log.header["arguments"])
             scene = source.build()
     resumed = run_options.resumed(options)
+    run_options.check_same_start(options, log, resumed)
     if resumed:
         options, source = run_options.as_saved(source, scene.name, options, resumed)
         scene = source.build()

@@ -16,6 +16,7 @@ from taichi_cloth.settings.options import WRITES, RunOptions, check_run, flag
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation import saved
+    from taichi_cloth.ui.interaction import Log
 
 
 def consistent(options: RunOptions) -> RunOptions:
@@ -101,6 +102,17 @@ def resumed(options: RunOptions) -> saved.Saved | None:
     from taichi_cloth.simulation import saved
 
     return saved.read(Path(options.resume))
+
+
+def check_same_start(options: RunOptions, log: Log | None, resumed: saved.Saved | None) -> None:
+    """Refuse to replay a session that went on from a checkpoint from anywhere else."""
+    began = log.header.get("start_frame") if log else None
+    here = resumed.parts["frame"] if resumed else 0
+    if began is not None and began != here:
+        raise InputError(
+            f"{options.events} line 1: the session went on from a checkpoint at frame {began}, and "
+            f"this run begins at frame {here}; name that checkpoint: --resume FILE.npz"
+        )
 
 
 def as_saved(

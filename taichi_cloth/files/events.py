@@ -177,6 +177,8 @@ def _check_header(header: dict[str, Any]) -> None:
     dt, substeps = header.get("dt", 1.0), header.get("substeps", 1)
     if dt != "auto" and (not _is_finite(dt) or dt <= 0):
         raise InputError(f"dt must be a positive number or auto, is {show(dt)}")
+    if "start_frame" in header:
+        whole_number("start_frame", header["start_frame"])
     if not _is_count(substeps):
         raise InputError(f"substeps must be a whole number from 1, is {show(substeps)}")
 

@@ -42,6 +42,7 @@ def log_header(
         "topology": sim.topology,
         "precision": runtime.current_device().precision,
         **({"tools": True} if sim.scene.world.tools else {}),
+        **({"start_frame": sim.frame} if sim.frame else {}),  # of a checkpoint that it went on from
     }
 
 
