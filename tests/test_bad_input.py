@@ -11,7 +11,7 @@ import pytest
 
 from taichi_cloth.cli import run_files
 from taichi_cloth.cli.main import main
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, RunFailure
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.limits.precision import refuse_unholdable, unresolved
@@ -115,6 +115,17 @@ def test_a_resumed_run_that_is_refused_leaves_no_file(tmp_path):
         raise InputError("a budget that it cannot have")
     recorder.discard()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_fails_where_a_disk_is_full_says_both(capsys):
+    full, none = Recorder("/dev/full", {"of": "something"}), Recordings(None, None)
+    files = run_files.RunFiles(full, none, None, none)
+    with (
+        pytest.raises(RunFailure),
+        run_files.kept(None, SimpleNamespace(frame=30, scene=None), None, files),
+    ):
+        raise RunFailure("particle 3 runs away")
+    assert "/dev/full: cannot be written" in capsys.readouterr().err
 
 
 SCENE = """\

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy
 
-from taichi_cloth.cli import run_beside
+from taichi_cloth.cli import run_beside, run_notes
 from taichi_cloth.errors import InputError, RunFailure, SimulationFailure
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.files.exports import Export
@@ -142,7 +142,12 @@ def kept(
         if sim.frame == first:  # refused before anything was run
             raise
         failure = error  # a disk is full: it may not be the one of the other files
-    finish()
+    try:
+        finish()
+    except InputError as error:
+        if not isinstance(failure, RunFailure):
+            raise
+        run_notes.say(str(error))  # how the run failed is what to end with
     if failure:
         raise failure
 
