@@ -19,6 +19,7 @@ from taichi_cloth.budgets.solver import PATIENCE, SolverErrors
 from taichi_cloth.cli import run_budget
 from taichi_cloth.cli.main import main
 from taichi_cloth.cli.run_budget import HeldBudget
+from taichi_cloth.error_meter.verdict import Verdict
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.trajectory import load
 from taichi_cloth.limits.precision import most_substeps, unresolved
@@ -171,7 +172,7 @@ def test_sweeps_leave_a_fair_part_of_the_error(first):
     for _ in range(200):
         before, now = now, solver.choose(now)
         if now != before:
-            solver.changed()
+            solver.changed(before, now)
         solver.note(6.0 / now * 1.2 ** rng.uniform(-1, 1))
         taken.append(now)
     assert 12 <= taken[-1] <= 60 and (np.diff(taken[60:]) != 0).sum() <= 3
@@ -181,6 +182,7 @@ def test_a_tolerance_is_tightened_at_once_and_loosened_by_half_decades():
     tight, loose = SolverErrors("tolerance", "f32"), SolverErrors("tolerance", "f64")
     tight.note(0.9)
     assert tight.choose(1e-3) == 1e-4 and tight.work(1e-3, 1e-4) == pytest.approx(4 / 3)
+    tight.changed(1e-3, 1e-4)
     tight.note(0.89)  # which was no help
     assert tight.choose(1e-4) == 1e-4
     for _ in range(PATIENCE):
@@ -191,6 +193,46 @@ def test_a_tolerance_is_tightened_at_once_and_loosened_by_half_decades():
         tight = SolverErrors("tolerance", precision)
         tight.note(5.0)
         assert tight.choose(1e-6) == 1e-6  # f32 follows no smaller one
+
+
+def test_a_setting_of_a_solver_that_was_chosen_and_not_taken_is_no_try():
+    """Where there is no time for it; and what was no help is tried again after a looser one."""
+    solver = SolverErrors("iterations", "f32")
+    for _ in range(2):
+        solver.note(0.9)
+        assert solver.choose(10) == 36
+    solver.changed(10, 36)
+    solver.note(0.89)
+    assert solver.choose(36) == 36
+    solver.changed(36, 24)
+    solver.note(0.9)
+    assert solver.choose(24) == 87
+
+
+def test_a_solver_is_judged_by_seconds_that_it_solved(pool, monkeypatch):
+    """Not by those of before another setting; after a reset by those from the start on."""
+    sim = pool(library.build("cloth", columns=4, rows=3))
+    monkeypatch.setattr(sim, "solver", {"iterations": 10})
+    sim.advance(LOOK)
+    keeper = Keeper(sim, read("1%"))
+    keeper._solvers = [SolverErrors("iterations", "f32")]
+    known = {"error": 0.02, "scale": 1.0, "size": 1.0, "solver": 0.016, "own_substeps": 1}
+    verdict = Verdict(0, LOOK, method=sim.method, **known)
+    assert keeper.choose([verdict]).solver == {"iterations": 10}
+    assert keeper._errors.sure[0].error == pytest.approx(0.004)
+    sim.reset()
+    assert keeper.choose([verdict, verdict]).solver == {"iterations": 40}
+
+
+def test_where_a_solver_goes_farther_for_fewer_substeps_these_are_said(pool, monkeypatch):
+    sim = pool(library.build("cloth", columns=4, rows=3), substeps=8)
+    monkeypatch.setattr(sim, "solver", {"iterations": 10})
+    keeper = Keeper(sim, read("60fps"))
+    keeper._solvers = [SolverErrors("iterations", "f32")]
+    keeper._solvers[0].note(0.9)
+    choice = keeper.choose(())
+    assert choice.solver == {"iterations": 36} and choice.why.startswith(f"{choice.substeps} subst")
+    assert choice.substeps < 8
 
 
 def test_what_a_solver_leaves_asks_for_no_finer_steps():
@@ -279,6 +321,8 @@ def test_the_fewest_substeps_are_those_of_dt_auto_and_the_most_are_resolved(devi
     most = most_substeps(scene, a, sim.dt, "f32")
     assert unresolved(scene, a, sim.dt, most, "f32") is None
     assert unresolved(scene, a, sim.dt, most + 1, "f32") is not None
+    sim.unpin(np.flatnonzero(sim.fixed())[:1])  # what is free may swing faster
+    assert stable.changed()
 
 
 class Errors:
@@ -304,6 +348,17 @@ def test_a_time_budget_measures_errors_once_there_is_time_for_more(device, monke
             sim.advance(1)
             budget.after_frame(1e-4 * sim.substeps, rest)
     assert errors.on and sim.substeps > 2
+
+
+def test_what_a_budget_came_to_is_counted_from_its_choice_on(pool):
+    """Frames that were held to something else are no part of it."""
+    sim = pool(library.build("cloth", columns=4, rows=3))
+    budget = HeldBudget(sim, Errors(), windowed=True, told=False)
+    for word, took, frames in (("30fps", 1.0, 3), ("60fps", 1e-3, 2)):
+        budget.choose(word)
+        for _ in range(frames):
+            budget.after_frame(took, 0.0)
+    assert budget.summary().startswith("hold 60fps: held in 100 % of 2 frames")
 
 
 @pytest.mark.thorough

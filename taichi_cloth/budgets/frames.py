@@ -171,7 +171,7 @@ class FrameTimes:
                 chosen = self._fewer(now, [n for n in rungs if n < now], least)
             elif self._since >= (AT_FIRST if self._changes <= 4 else ENOUGH) + WARM:
                 chosen = self._more(now, [n for n in rungs if n > now], least)
-        return self._said(chosen, limits)
+        return self.said(chosen, limits)
 
     def _fewer(self, now: int, rungs: list[int], least: int) -> int:
         """As many of the rungs below as would do."""
@@ -196,7 +196,8 @@ class FrameTimes:
             chosen = n
         return chosen
 
-    def _said(self, chosen: int, limits: Limits) -> Choice:
+    def said(self, chosen: int, limits: Limits) -> Choice:
+        """A choice of so many substeps, and what there is to say of it."""
         steps = steps_in_words(chosen)
         of = f"of {1e3 * self.budget:.3g} ms"
         if len(self._frames) < FEW:

@@ -76,6 +76,7 @@ class Keeper:
         """The substeps of the next frame; verdicts: all of the error meter's, if there is one."""
         if self._run() != self._of:
             self._begin()
+        self._solved_so = min(self._solved_so, self._sim.frame)  # a run that goes back counts anew
         self._look()
         for verdict in verdicts[self._verdicts :]:
             self._note(verdict)
@@ -109,13 +110,14 @@ class Keeper:
             elif (work := solver.work(was, chosen)) > 1:  # the same time for fewer substeps
                 fewer = [n for n in limits.rungs() if n * work <= choice.substeps]
                 chosen = chosen if fewer else was
-                steps = fewer[-1] if fewer else choice.substeps
-                choice = replace(choice, substeps=steps)
+                choice = replace(choice, substeps=fewer[-1]) if fewer else choice
         if chosen != was:
-            solver.changed()
+            solver.changed(was, chosen)
             self._errors.solve_otherwise()
             self._times = FrameTimes(self.goal.seconds or LONGEST)
             self._solved_so = self._sim.frame
+            if self.goal.seconds is not None:  # what was said is of the other setting
+                choice = self._times.said(choice.substeps, limits)
         return replace(choice, solver={**choice.solver, name: chosen})
 
     @property
@@ -142,15 +144,18 @@ class Keeper:
         first, end = verdict.first, verdict.first + verdict.frames
         within = [count for frame, count in self._broken if first - LOOK <= frame <= end + LOOK]
         scale = verdict.scale if verdict.known else 1.0
-        left = (verdict.solver or 0.0) / scale if first >= self._solved_so else 0.0
-        whole = MARGIN * self.goal.error if self.goal.error else verdict.relative
+        error = verdict.relative if verdict.known else 0.0
+        left = (verdict.solver or 0.0) / scale
+        if first < self._solved_so:  # what another setting left is none of the steps'
+            error, left = max(error - left, 0.0), 0.0
+        whole = MARGIN * self.goal.error if self.goal.error else error
         for solver in self._solvers:
             if verdict.known and not verdict.trouble and first >= self._solved_so and whole > 0:
                 solver.note(left / whole)
         self._errors.note(
             Second(
                 verdict.own_substeps,
-                verdict.relative if verdict.known else 0.0,
+                error,
                 (verdict.rounding or 0.0) / scale,
                 verdict.order,
                 verdict.trouble or ("" if verdict.known else "nothing was measured"),
@@ -212,7 +217,8 @@ class StableSteps:
         if acts_by_speed(sim.storage.scene) and sim.frame >= self._frame + MOVED:
             return True
         particles = sim.storage.scene.particles
-        if particles.mass is self._mass or sim.held() is not None:
+        same = particles.mass is self._mass and particles.fixed is self._fixed
+        if same or sim.held() is not None:
             return False
         lighter = len(particles) != len(self._mass) or (particles.mass < self._mass).any()
         return bool(lighter or (self._fixed & ~particles.fixed).any())

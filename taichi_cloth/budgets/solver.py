@@ -45,8 +45,15 @@ class SolverErrors:
             self._before = None
         self._lately.append(part)
 
-    def changed(self) -> None:
-        """The setting is another one."""
+    def changed(self, was: float, now: float) -> None:
+        """The setting is another one from now on; what was only chosen is no try."""
+        if self._lately and self.work(was, now) > 1:
+            lasted = self._barred[2] if self._barred else BARRED // 2
+            self._before = max(self._lately)
+            self._barred = was, self._seconds + 2 * lasted, 2 * lasted
+        else:
+            self._before = None
+        self._helpless = False
         self._lately.clear()
 
     def choose(self, now: float) -> float:
@@ -74,8 +81,6 @@ class SolverErrors:
         return math.log(other) / math.log(now)
 
     def _tightened(self, now: float, part: float) -> float:
-        lasted = self._barred[2] if self._barred else BARRED // 2
-        self._before, self._barred = part, (now, self._seconds + 2 * lasted, 2 * lasted)
         if self.name == "iterations":
             more = math.ceil(now * min(part / AIM, BY_SWEEPS))
             return max(now, min(more, self._ends[1]))

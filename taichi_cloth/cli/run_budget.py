@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from taichi_cloth.budgets import goal as goals
 from taichi_cloth.cli.run_meter import MeasuredErrors
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, counted
 from taichi_cloth.runtime import current_device
 from taichi_cloth.settings.options import RunOptions
 from taichi_cloth.ui import style
@@ -56,6 +56,7 @@ class HeldBudget:
         self._keeper: Keeper | None = None
         self._frames = self._in_time = 0
         self._substeps: list[int] = []
+        self._earlier = 0  # verdicts of before
         self._bounded = False  # whether what bounds the substeps is known, or being measured
         self.chosen = OFF
         self.fixed = "--dt auto chooses the substeps" if sim.follows else ""
@@ -103,6 +104,8 @@ class HeldBudget:
         if goal.error is not None:
             self._measure(word)
         self._keeper, self.chosen = Keeper(self._sim, goal, layered=self._layered), goal.words
+        self._frames = self._in_time = 0
+        self._substeps, self._earlier = [], len(self._errors.verdicts)
         self._bounded = goal.error is not None or current_device().precision == "f64"
 
     def _measure(self, word: str) -> None:
@@ -154,7 +157,7 @@ class HeldBudget:
         self._substeps.append(self._sim.substeps)
 
     def summary(self) -> str:
-        """What all of it came to, in a line; "": nothing was held at the end."""
+        """What it came to since it was chosen, in a line; "": nothing was held at the end."""
         if self._keeper is None or not self._frames:
             return ""
         goal, least, most = self._keeper.goal, min(self._substeps), max(self._substeps)
@@ -162,9 +165,10 @@ class HeldBudget:
         if goal.seconds is not None:
             held = f"{100 * self._in_time / self._frames:.3g} % of {self._frames} frames"
         else:
-            known = [v for v in self._errors.verdicts if v.known and not (v.resting or v.trouble)]
+            since = self._errors.verdicts[self._earlier :]
+            known = [v for v in since if v.known and not (v.resting or v.trouble)]
             kept = sum(v.relative <= (goal.error or 0.0) for v in known)
-            held = f"{kept} of {len(known)} windows" if known else "no window"
+            held = f"{kept} of {counted(len(known), 'window')}" if known else "no window"
             held += " that was measured" if len(known) < 2 else " that were measured"
         return f"hold {goal.words}: held in {held}, by {how} substeps; now {self.why}"
 
