@@ -178,15 +178,18 @@ def test_errors_are_those_of_trade(chain, judge, tmp_path):
 
 
 class Shorter(Judge):
-    """A judge that makes fewer frames, or whose references part after some."""
+    """A judge that makes fewer frames, of finer references too, or whose references part."""
 
-    def __init__(self, judge, most=FRAMES, parts=FRAMES):
+    def __init__(self, judge, most=FRAMES, parts=FRAMES, finer=FRAMES):
         super().__init__(1)
         self._sims, self._most, self._parts = judge._sims, most, parts
+        self._finer, self._coarsest = finer, np.inf
         self._rng = np.random.default_rng(0)
 
     def _run(self, window, plan):
-        made = super()._run(window, plan).first(self._most)
+        self._coarsest = min(self._coarsest, plan.substeps[0])
+        most = self._most if plan.substeps[0] == self._coarsest else self._finer
+        made = super()._run(window, plan).first(min(most, self._most))
         made.x[self._parts + 1 :] += self._rng.normal(size=made.x[self._parts + 1 :].shape)
         return made
 
@@ -200,6 +203,8 @@ def test_what_no_reference_tells_is_left_out(chain, judge, tmp_path):
     short = measured(Shorter(judge, most=24), tmp_path, 60.0)
     assert short.judged == 24 and short.further == "60 s allow no more"
     assert "error over the first 0.4 s of the last second: 1.8 %" in short.describe(True)
+    late = measured(Shorter(judge, finer=30), tmp_path, 60.0)
+    assert late.judged == 30 and late.further == "60 s allow no more"
     parted = measured(Shorter(judge, parts=40), tmp_path, 1.0)
     assert 40 <= parted.judged <= 42 and parted.further == "further on references differ"
     for verdict, frames in ((short, 24), (parted, 40)):

@@ -149,8 +149,9 @@ class Keeper:
         if first < self._solved_so:  # what another setting left is none of the steps'
             error, left = max(error - left, 0.0), 0.0
         whole = MARGIN * self.goal.error if self.goal.error else error
+        sure = verdict.known and not verdict.trouble and verdict.solver is not None
         for solver in self._solvers:
-            if verdict.known and not verdict.trouble and first >= self._solved_so and whole > 0:
+            if sure and first >= self._solved_so and whole > 0:
                 solver.note(left / whole)
         self._errors.note(
             Second(

@@ -205,9 +205,9 @@ class Judge:
         if not found.sure:
             what = f"two references differ by {apart / scale:.1e} of the motion"
             verdict = replace(verdict, trouble=f"{what}, and {patience:g} s allow no finer one")
-        elif samples < made:
+        elif samples < len(found.finest) - 1:
             verdict = replace(verdict, further="further on references differ")
-        elif made < len(shown) - 1:
+        elif samples < len(shown) - 1:
             verdict = replace(verdict, further=f"{patience:g} s allow no more")
         torn = _missing(found.springs[0], found.springs[samples])
         ghost.write(self._folder / GHOST, finest.x, seen.x, torn)
