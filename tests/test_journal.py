@@ -88,9 +88,10 @@ def test_another_sweep_s_journal_is_refused_by_name_and_stays(tmp_path, identity
         Journal(tmp_path, identity, resume=True)
     assert says in str(refused.value) and str(path) in str(refused.value)
     assert path.read_bytes() == before
-    path.write_bytes(before.replace(b'"result": ', b'"reslut": '))
-    with pytest.raises(InputError, match="line 2 is none of a journal"):
-        Journal(tmp_path, OF, resume=True)
+    for word in (b'"result"', b'"key"', b'"bytes"'):
+        path.write_bytes(before.replace(word, b'"other"'))
+        with pytest.raises(InputError, match="line 2 is none of a journal"):
+            Journal(tmp_path, OF, resume=True)
     assert Journal(tmp_path, OF).resumed == 0  # anew
 
 

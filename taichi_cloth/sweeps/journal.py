@@ -169,7 +169,9 @@ class Journal:
     def _parsed(self, number: int, line: bytes) -> dict[str, Any]:
         try:
             parsed = json.loads(line)
-            if isinstance(parsed, dict) and ("result" in parsed) == (number > 1):
+            if isinstance(parsed, dict) and (
+                _is_entry(parsed) if number > 1 else "result" not in parsed
+            ):
                 return parsed
         except ValueError:
             pass
@@ -187,6 +189,13 @@ class Journal:
                     f"--resume {self.path}: is another sweep's: its {name} is '{was}', here it is "
                     f"'{wanted}'; ask for what it was begun with, or start anew without --resume"
                 )
+
+
+def _is_entry(line: Mapping[str, Any]) -> bool:
+    """Whether a line has a result with its key, and of a file its name and size."""
+    named = isinstance(line.get("file"), str) and isinstance(line.get("bytes"), int)
+    without = not {"file", "bytes"} & line.keys()
+    return "result" in line and isinstance(line.get("key"), str) and (named or without)
 
 
 def _sync(path: Path) -> None:
