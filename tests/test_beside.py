@@ -93,6 +93,49 @@ def test_equal_settings_are_never_apart(pair):
     assert second.frame == 0
 
 
+def test_a_run_that_was_resumed_has_its_second_from_there(pair):
+    """In equal settings it never is apart; what is its own, it has from there on."""
+    first, second = pair
+    for _ in pull_about(first):
+        first.advance()
+    first.grab([60, 61], (200.0, 150.0), stiffness=200.0)
+    there, clock = first.checkpoint(), (first.frame, first.time, first.steps)
+    for substeps, own in ((2, Given()), (2, read("gravity.y=0.3")), (4, read("substeps=4"))):
+        first.restore(there)
+        second.set_step(substeps=substeps)
+        second.reset()
+        twin = Twin(first, second, own, resumed=True)
+        try:
+            assert (second.frame, second.time, second.steps) == clock and twin.watch.now is None
+            assert np.array_equal(first.positions(), second.positions())
+            assert np.array_equal(first.springs_alive(), second.springs_alive())
+            held = [sim.network().particles.mass[60] - 1.0 for sim in pair]  # what it weighs more
+            assert np.isclose(held[1], held[0] * (2 / substeps) ** 2, rtol=0.5) and held[1] > 0
+            first.advance(5)
+            apart, frames = twin.watch.now.max, len(twin.watch.last(100))
+            assert (apart > 0) == (own != Given()) and frames == 5
+            assert second.work().steps == second.work().force_evaluations == 5 * substeps
+            first.reset()
+            assert second.frame == 0 and twin.watch.now is None
+            assert np.array_equal(first.positions(), second.positions())
+        finally:
+            twin.close()
+
+
+def test_both_begin_from_a_checkpoint(cli, tmp_path):
+    """The left one has the bits that it has alone."""
+    there, words = tmp_path / "there.npz", ("run", "cloth", "--columns", "8", "--rows", "6")
+    cli(*words, "--headless", "--frames", "20", "--checkpoint", there)
+    left, both = (str(tmp_path / name) for name in ("left.npz", "both.npz"))
+    more = ("--headless", "--frames", "10", "--resume", there, "--save")
+    cli(*words, *more, left)
+    out, _ = cli(*words, *more, both, "--beside", "method=rk4")
+    assert "beside it: rk4, 1 substep" in out and "apart" in out
+    assert compare(left, both).identical
+    found = compare(both, both.replace(".npz", "-beside.npz"))
+    assert found.time[0] == 21.0 and 0.0 < found.max[0] < found.max[-1]
+
+
 def test_their_distance_is_the_phase_error_of_the_oscillator(pool, tmp_path):
     """By closed forms of symplectic Euler, and by `compare` of what both recorded."""
     scene, times = library.build("oscillator"), np.arange(1.0, 61.0)

@@ -52,26 +52,38 @@ class Twin(Listener):
     stands still at its last good frame until a reset, and the first goes on.
 
     first: to which it listens until `close`. sim: the second, at its start. given: in what they
-    differ. restore: nothing is done with, as each run has checkpoints of its own.
+    differ. resumed: whether the first one was, so that the second begins from where that stands.
+    restore: nothing is done with, as each run has checkpoints of its own.
 
     own: settings of the scene that it has for itself. watch: their distance, and what differs
     first. spent: seconds that its last frame took; took: with the watch. later: (spent, took) of
     all frames but the first, which compiles.
     """
 
-    def __init__(self, first: Simulation, sim: Simulation, given: Given) -> None:
+    def __init__(
+        self, first: Simulation, sim: Simulation, given: Given, resumed: bool = False
+    ) -> None:
         self.first, self.sim, self.given = first, sim, given
         self.own = [_taken(sim, name, text) for name, text in given.scene.items()]
         if self.own:  # from the start, so that a reset goes there
             dt, substeps = (None, 1) if sim.follows else (sim.dt, sim.substeps)
             with _told_as_beside():
                 sim.load_scene(sim.storage.scene, dt, substeps)
+        if resumed:
+            self._join()
         self._failure: SimulationFailure | None = None
         self.spent = self.took = 0.0
         self.later = 0.0, 0.0
         self._compiled = False
         self.watch = Watch(first, sim)
         first.listeners += (self,)
+
+    def _join(self) -> None:
+        """Go to where the first one is; what is its own stays so."""
+        with _told_as_beside():
+            self.sim.go_on_from(self.first.start(), self.first.frame)
+            self._keep_own({name for own in self.own for name in own.names})
+            self.sim.weigh_hold()
 
     def close(self) -> None:
         """Listen no more."""

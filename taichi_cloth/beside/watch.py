@@ -55,9 +55,9 @@ class Watch:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew, at the start of the scene."""
-        scenes = [sim.scene for sim in self._runs]
-        self._start = scenes[1].particles.position.copy()
+        """Begin anew, where the runs are: at the start of the scene, or of the run."""
+        scenes, second = [sim.scene for sim in self._runs], self._runs[1]
+        self._start = second.positions() if second.frame else scenes[1].particles.position.copy()
         self._fixed = scenes[0].particles.fixed & scenes[1].particles.fixed
         self._rows: dict[int, Apart] = {}
         self._last = 0  # the latest frame of these
@@ -71,7 +71,7 @@ class Watch:
         self._before: tuple[int, list[Moment]] | None = None
         self._looked, self._least, self.touches_unknown = 0, np.inf, ""
         self._held: list[tuple[np.ndarray, np.ndarray] | None] = [None, None]
-        self._look_for_touches(0, [sim.positions() for sim in self._runs])
+        self._look_for_touches(self.frame, [sim.positions() for sim in self._runs])
 
     # --- what there is to say --------------------------------------------------------------
 

@@ -182,7 +182,7 @@ def begun(
     make: Callable[[RunOptions], Simulation],
     paced: bool,
 ) -> Beside | None:
-    """The second run beside a first one that is at its start; None: nobody asked for one.
+    """The second run beside a first one, from where that stands; None: nobody asked for one.
 
     make: a simulation of the same scene with other options. paced: whether frames must come in
     time. InputError where it cannot be, or has the first one's settings.
@@ -196,11 +196,14 @@ def begun(
     method = given.run.get("method", first.method)
     taken = methods.load(method).claims.settings
     other = besides.options_of(options, given, first.dt, taken)
+    resumed = options.resume is not None
+    if resumed and method != first.method and "topology" not in {*given.run, *options.given}:
+        other = replace(other, topology="auto")  # the checkpoint's is of its method
     try:
         sim = make(other)
     except InputError as error:
         raise InputError(f"--beside {given}: {error}") from None
-    twin = Twin(first, sim, given)
+    twin = Twin(first, sim, given, resumed)
     twin.check_differs()
     twin.watch.paced = paced
     return Beside(twin)

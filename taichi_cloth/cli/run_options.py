@@ -26,8 +26,6 @@ def consistent(options: RunOptions) -> RunOptions:
         if options.view not in ("auto", "none"):
             raise InputError(f"--headless and --view {options.view} exclude each other; give one")
         options = replace(options, view="none")
-    if options.beside is not None and options.resume is not None:
-        raise InputError("--beside and --resume exclude each other: a checkpoint is of one run")
     _check_written(options)
     return options
 

@@ -12,11 +12,11 @@ class Accounts(Part):
     """The part of a `Simulation` that says what its steps have done."""
 
     def work(self) -> diagnostics.Work:
-        """What has been done since the start, or since `reset`."""
+        """What it has done since the start, or since `reset`."""
         forces, sweeps, unconverged = (int(count) for count in self._work)
         before, steps = self._counted  # evaluations, until the method was changed
         forces = before + ((self.steps - steps) * self.claims.forces or forces)
-        return diagnostics.Work(self.steps, forces, sweeps, unconverged)
+        return diagnostics.Work(self.steps - self._first, forces, sweeps, unconverged)
 
     def account_contacts(self) -> None:
         """Begin an account of what contacts do, which lasts until the next reset or change.

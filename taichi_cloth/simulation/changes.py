@@ -166,18 +166,29 @@ class Changes(Part):
         at = accepted.array("grab: place", place, (dim,), "one a dimension").copy()
         pulls = list(self.hold_strength(chosen))
         self.let_go()
-        network = self.network()
         for which, (name, value) in enumerate((("stiffness", stiffness), ("damping", damping))):
             if value is not None:
                 numbers = accepted.numbers(f"grab: {name}", value)
                 accepted.require(f"grab: {name}", numbers, numbers >= 0, "must not be negative")
                 pulls[which] = accepted.fitted(f"grab: {name}", numbers, (len(chosen),), "held")
         k, c = pulls
-        more = added_mass(self._module, network, self.dt / self.substeps, chosen, k, c)
         offset = self.storage.positions()[chosen] - at
-        mass = network.particles.mass[chosen]
-        self._hold(Hold(chosen, offset, at, k, c, mass), mass + more)
+        mass = self.storage.scene.particles.mass[chosen]
+        self._hold_by(Hold(chosen, offset, at, k, c, mass))
         return k, c
+
+    def weigh_hold(self) -> None:
+        """Have what is held weigh what this one's own step needs, where another one grabbed it."""
+        hold = self.held()
+        if hold is not None:
+            self.let_go()
+            self._hold_by(hold)
+
+    def _hold_by(self, hold: Hold) -> None:
+        """Hold particles, of which none is held; they weigh meanwhile what the step needs."""
+        step, pulls = self.dt / self.substeps, (hold.stiffness, hold.damping)
+        more = added_mass(self._module, self.network(), step, hold.particles, *pulls)
+        self._hold(hold, hold.mass + more)
 
     @act
     def _hold(self, hold: Hold, mass: np.ndarray) -> None:

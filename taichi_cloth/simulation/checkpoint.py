@@ -74,7 +74,7 @@ class Checkpoints(Part):
     # work done are copied.
     SETTINGS = (
         *("frame", "dt", "substeps", "speed_limit", "solver"),
-        *("_since", "_work", "_counted", "_preferred"),
+        *("_since", "_work", "_counted", "_first", "_preferred"),
     )
     # What mouse tools switch on in the scene's world, for good.
     PREPARED = ("tools", "collisions", "contact")

@@ -32,7 +32,8 @@ class Part(ABC):
     _unprepared: what only a first click needs compiled; None: nobody has asked.
     _since: frame, time and steps when the step last changed.
     _work: counts of the solver's work (`kernels.state.WORK`), evaluations of forces since the
-    method last changed; _counted: how many of these, and steps, there were then.
+    method last changed; _counted: how many of these, and steps, there were then; _first: the steps
+    that were done by another run, from which this one goes on.
     """
 
     scene: Scene
@@ -61,6 +62,7 @@ class Part(ABC):
     _since: tuple[int, float, int]
     _work: np.ndarray
     _counted: tuple[int, int]
+    _first: int
 
     @property
     @abstractmethod

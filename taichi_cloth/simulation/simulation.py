@@ -129,7 +129,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             "substeps": substeps,
             **self.solver,
         }
-        self.frame, self._counted = 0, (0, 0)
+        self.frame, self._counted, self._first = 0, (0, 0), 0
         self._since = 0, 0.0, 0
         self._work = np.zeros(len(WORK), np.int64)
         self.past = Past()
@@ -173,7 +173,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         was: `set` it again, or `load_scene` a changed one.
         """
         self.frame, self._since = 0, (0, 0.0, 0)
-        self._work, self._counted = np.zeros(len(WORK), np.int64), (0, 0)
+        self._work, self._counted, self._first = np.zeros(len(WORK), np.int64), (0, 0), 0
         start = Snapshot.at_start(self.scene)
         if self._auto:
             self._change_step(self.dt, self._auto.at_start(start))

@@ -51,9 +51,22 @@ class Starts(Part):
         self.scene = self._given = scene
         self._engines.clear()
         self.dt, self.substeps = step
-        self.frame, self._since = 0, (0, start.time, start.steps)
-        self._work[:], self._counted = 0, (0, start.steps)
-        self.speed_limit = runaway_speed(scene, self.dt)
+        self._stand_at(start, 0)
+
+    def go_on_from(self, start: Start, frame: int) -> None:
+        """Go on from there, at that frame, as if it had come there with its own step and method.
+
+        The scene of the start is this one's own, as it was by then: `reset` goes to where this one
+        began. InputError where dt "auto" finds no step.
+        """
+        if self._auto:
+            self.substeps = self._auto.at_start(start.snapshot)
+        self._stand_at(start, frame)
+
+    def _stand_at(self, start: Start, frame: int) -> None:
+        self.frame, self._since = frame, (frame, start.time, start.steps)
+        self._work[:], self._counted, self._first = 0, (0, start.steps), start.steps
+        self.speed_limit = runaway_speed(start.snapshot.scene, self.dt)
         self._store(start.snapshot)
         if self.past is not None:
             self.past.forget()
