@@ -6,7 +6,8 @@ neither was made on.
 
 Each scene runs in f32, in a plane blown about; at some moments a copy of its state is a scene for
 `trade`, and runs a second in each setting, or as many frames as `trade` compares, while the meter
-notes a window. Where the meter judges the beginning of that alone, both are compared over that.
+notes a window, where it takes so few. Where the meter judges the beginning of that alone, both are
+compared over that.
 A row of the table for each scene and setting; a line on stderr for each window.
 """
 
@@ -19,7 +20,7 @@ import numpy as np
 
 from taichi_cloth import runtime
 from taichi_cloth.error_meter.meter import ErrorMeter
-from taichi_cloth.error_meter.window import Window
+from taichi_cloth.error_meter.window import LEAST, Window
 from taichi_cloth.scene import library
 from taichi_cloth.scene.source import SceneSource, names_file
 from taichi_cloth.settings.options import TradeOptions
@@ -136,6 +137,10 @@ def _beside(name, results, starts, chosen, meter):
         frames = [result.horizon.frames for result in results]
         windows = windows_of(starts, setting, frames)
         for result, window in zip(results, windows, strict=True):
+            if window.frames < LEAST:
+                said = f"trade compares {window.frames} frames, of which the meter says nothing"
+                print(f"{name}: {setting.method}: {said}", file=sys.stderr, flush=True)
+                continue
             verdict, _ = meter._ask(window)
             judged = verdict.judged or window.frames
             true = error_over(result, setting, judged)

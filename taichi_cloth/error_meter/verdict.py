@@ -137,7 +137,7 @@ class Verdict:
         if self.growth is None:
             return ""
         if not self.growth:
-            return "disturbances do not grow"
+            return "disturbances did not grow"
         if self.ahead > FOREVER:
             return f"a millionth takes over {FOREVER:.0f} s to grow to it"
         return f"a millionth grows to it in {self.ahead:.2g} s"
