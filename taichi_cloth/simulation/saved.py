@@ -151,7 +151,8 @@ def _parts(meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any
     x, v = scene.particles.position, scene.particles.velocity  # overwritten by what is kept
     named = {field.name for field in fields(Specialization)}
     spec = {name: _plain(value) for name, value in meta["spec"].items() if name in named}
-    settings = {"_first": 0} | dict(meta["settings"]) | {"_work": arrays["work"]}  # older: none
+    settings = dict(meta["settings"]) | {"_work": arrays["work"]}
+    settings.setdefault("_first", 0)  # older files have none
     settings["_since"] = tuple(settings["_since"])
     auto = meta["auto"]
     if auto is not None:
