@@ -122,6 +122,25 @@ def test_a_run_that_was_resumed_has_its_second_from_there(pair):
             twin.close()
 
 
+@thorough
+def test_what_tools_switched_on_for_good_is_so_in_a_second_run_that_joins(pool):
+    """So that both begin alike after a reset; but for what is the second one's own."""
+    scene = library.build("cloth", columns=12, rows=8).with_world(tools=False)
+    first, second = pool(scene), pool(scene, another=True)
+    first.prepare_balls()
+    for own, collide in ((Given(), True), (read("collisions=off"), False)):
+        second.load_scene(scene)
+        twin = Twin(first, second, own, resumed=True)
+        try:
+            for reset in (False, True):
+                if reset:
+                    first.reset()
+                world = second.storage.scene.world
+                assert (world.tools, world.collisions) == (True, collide)
+        finally:
+            twin.close()
+
+
 def test_both_begin_from_a_checkpoint(cli, tmp_path):
     """The left one has the bits that it has alone."""
     there, words = tmp_path / "there.npz", ("run", "cloth", "--columns", "8", "--rows", "6")

@@ -81,7 +81,7 @@ class Twin(Listener):
     def _join(self) -> None:
         """Go to where the first one is; what is its own stays so."""
         with _told_as_beside():
-            self.sim.go_on_from(self.first.start(), self.first.frame)
+            self.sim.go_on_from(self.first)
             self._keep_own({name for own in self.own for name in own.names})
             self.sim.weigh_hold()
 
@@ -133,6 +133,7 @@ class Twin(Listener):
         with _told_as_beside():
             self._follow(name, args, given)
         if name == "reset":
+            self._keep_own({"collisions"})  # which a thrown ball switches on for good
             self._failure = None
             self.watch.restart()
 

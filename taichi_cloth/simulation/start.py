@@ -8,6 +8,7 @@ import numpy as np
 
 from taichi_cloth.limits.precision import refuse_unholdable
 from taichi_cloth.runtime import current_device
+from taichi_cloth.simulation.checkpoint import Checkpoints
 from taichi_cloth.simulation.numbers import checked_step, runaway_speed
 from taichi_cloth.simulation.part import Part
 from taichi_cloth.simulation.snapshot import Snapshot
@@ -53,15 +54,18 @@ class Starts(Part):
         self.dt, self.substeps = step
         self._stand_at(start, 0)
 
-    def go_on_from(self, start: Start, frame: int) -> None:
-        """Go on from there, at that frame, as if it had come there with its own step and method.
+    def go_on_from(self, other: Starts) -> None:
+        """Go on from where another run of the same scene stands, with this one's step and method.
 
-        The scene of the start is this one's own, as it was by then: `reset` goes to where this one
-        began. InputError where dt "auto" finds no step.
+        `reset` then goes to where this one began, with what tools have switched on in the other's
+        world for good. InputError where dt "auto" finds no step.
         """
+        start, world = other.start(), other.scene.world
         if self._auto:
             self.substeps = self._auto.at_start(start.snapshot)
-        self._stand_at(start, frame)
+        prepared = {name: getattr(world, name) for name in Checkpoints.PREPARED}
+        self.scene = self.scene.with_world(**prepared)
+        self._stand_at(start, other.frame)
 
     def _stand_at(self, start: Start, frame: int) -> None:
         self.frame, self._since = frame, (frame, start.time, start.steps)
