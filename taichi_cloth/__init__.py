@@ -49,8 +49,11 @@ _HOMES = {  # public name: (module, name in it; None: the module itself)
 # A simulation that shows itself is drawn by the floor above it, which comes once that is asked for.
 _showing.drawn_by(lambda: importlib.import_module("taichi_cloth.ui.showing"))
 _showing.examined_by(lambda: importlib.import_module("taichi_cloth.post_mortem.reporting"))
-# So is it with the errors of what a window shows.
+# So is it with the errors of what a window shows, and with why its run failed.
 _showing.measured_by(lambda sim: importlib.import_module("taichi_cloth.cli.run_meter").of(sim))
+_showing.explained_by(
+    lambda sim: importlib.import_module("taichi_cloth.cli.run_report").Examining(sim)
+)
 __all__ = ["__version__", *_HOMES]  # noqa: PLE0604
 
 

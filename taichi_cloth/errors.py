@@ -37,15 +37,23 @@ class SimulationFailure(RunFailure):
 
     particle: index of the first particle at fault.
     frame: 1-based number of the frame that failed; the last good frame is ``frame - 1``.
-    cause, remedy: one clause each.
+    cause, remedy: one clause each, by the last good frame alone until a post-mortem tells more.
     """
 
     def __init__(self, particle: int, frame: int, what: str, cause: str, remedy: str):
         self.particle, self.frame = particle, frame
         self.what, self.cause, self.remedy = what, cause, remedy
-        super().__init__(
-            f"frame {frame}: particle {particle} {what}; likely cause: {cause}; "
-            f"remedy: {remedy} (the last good frame, {frame - 1}, is kept)"
+        super().__init__(self._line("likely cause"))
+
+    def explain(self, cause: str, remedy: str) -> None:
+        """Have it say what a post-mortem found."""
+        self.cause, self.remedy = cause, remedy
+        self.args = (self._line("cause"),)
+
+    def _line(self, called: str) -> str:
+        return (
+            f"frame {self.frame}: particle {self.particle} {self.what}; {called}: {self.cause}; "
+            f"remedy: {self.remedy} (the last good frame, {self.frame - 1}, is kept)"
         )
 
 

@@ -135,11 +135,11 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
             print(f"beside it: {beside.names()[1]}", flush=True)
         run_notes.note_passing(source, run.of.scene)
         run_notes.note_reset(files.recordings, view)
-    begin = time.perf_counter()
+    begin, words = time.perf_counter(), run_report.words_of(source, options)
     with (
         run_files.kept(source, sim, device, files, beside.sim if beside else None),
         run_meter.measured(sim, options, waits=not view.visible) as errors,
-        run_report.written(sim, options, source.words(), files.report),
+        run_report.written(sim, options, words, files.report),
         run_budget.held(sim, options, errors, view) as budget,
     ):
         summary = app.run(
@@ -154,7 +154,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
             scenes=window.scenes,
             errors=errors,
             beside=beside,
-            examiner=run_report.Examining(sim, source.words()),
+            examiner=run_report.Examining(sim, words),
             budget=budget,
             **_of_frames(options, view),
         )

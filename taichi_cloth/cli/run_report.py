@@ -12,16 +12,31 @@ import numpy as np
 
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.files.pending import PendingFile, is_device
-from taichi_cloth.settings.options import WRITES, RunOptions
+from taichi_cloth.settings.options import WRITES, RunOptions, flag_words
 from taichi_cloth.simulation.past import Settings
 
 if TYPE_CHECKING:
     from taichi_cloth.post_mortem.examine import PostMortem
+    from taichi_cloth.scene.source import SceneSource
     from taichi_cloth.simulation.simulation import Simulation
     from taichi_cloth.ui.chrome.why import Finding
 
 PATIENCE = 5.0  # seconds that a window waits for the trials
 OWN = ("method", "dt", "substeps")  # settings of every run, in the order in which they are set
+# Flags that are to be the same where a run is made again.
+ALIKE = (
+    *("arch", "precision", "execution", "topology", "threads", "fast_math", "seed", "resume"),
+    "unconverged",
+)
+
+
+def words_of(source: SceneSource, options: RunOptions) -> list[str]:
+    """The command line of a run after `run`, but for its method, step, solver and output."""
+    given = {name: getattr(options, name) for name in ALIKE if name in options.given}
+    events = options.events or options.record  # a window's session is in the log that it writes
+    if events is not None:
+        given["events"] = events
+    return [*source.words(), *flag_words(given)]
 
 
 @contextlib.contextmanager
@@ -30,8 +45,9 @@ def written(
 ) -> Iterator[None]:
     """Write the report of the run that is made meanwhile, if it fails or one was asked for.
 
-    words: the scene as after `run`. file: what `--report` began; None: a run that fails has its
-    report beside the other files that it writes, and without any it has none.
+    words: as `words_of` makes them. file: what `--report` began; None: a run that fails has its
+    report beside the other files that it writes, and without any it has none. A failure of which a
+    report was written says the cause that stands there.
     """
     sim.past.keeps = True  # type: ignore[union-attr]
     try:
@@ -47,9 +63,11 @@ def written(
 
 
 class Examining:
-    """Finds out for a window why its run failed. words: the scene as after `run`."""
+    """Finds out for a window why its run failed. words: as `words_of` makes them; of a window that
+    a script opened none.
+    """
 
-    def __init__(self, sim: Simulation, words: Sequence[str]) -> None:
+    def __init__(self, sim: Simulation, words: Sequence[str] = ()) -> None:
         self._sim, self._words = sim, words
 
     def examine(self, tell: Callable[[str], None]) -> Finding | None:
@@ -61,7 +79,18 @@ class Examining:
         def trying(settings: Settings) -> None:
             tell(f"trying {' '.join(flags(settings, now)) or 'it again'}")
 
-        return _finding(examine(self._sim, words=self._words, seconds=PATIENCE, tell=trying))
+        found = examine(self._sim, words=self._words, seconds=PATIENCE, tell=trying)
+        _explain(found)
+        return _finding(found)
+
+
+def _explain(found: PostMortem) -> None:
+    """Have the failure say what the post-mortem says."""
+    from taichi_cloth.post_mortem.causes import UNKNOWN
+
+    failure = found.trace.failure
+    if failure is not None and found.cause.kind != UNKNOWN:
+        failure.explain(found.cause.says, found.remedy or found.search.says)
 
 
 def _finding(found: PostMortem) -> Finding:
@@ -124,6 +153,7 @@ def _write(
     try:
         found: PostMortem = examine(sim, words=words, draw=partial(showing.picture, sim))
         page.write(found, file)
+        _explain(found)
     finally:
         file.discard()
     if options.quiet:

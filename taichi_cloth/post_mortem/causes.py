@@ -15,17 +15,26 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.limits.auto_step import MOST, substeps_needed
 from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
 from taichi_cloth.limits.modes import growth
+from taichi_cloth.limits.network import Network
 from taichi_cloth.limits.precision import WATCHED
-from taichi_cloth.post_mortem.trace import Sample, Trace
-from taichi_cloth.scene.model import Particles
+from taichi_cloth.post_mortem.trace import Sample, Trace, inverse_masses
+from taichi_cloth.post_mortem.wording import (
+    PULLING,
+    PUSHING,
+    THROWING,
+    by_whom,
+    since,
+    spring_named,
+    spring_of,
+)
 from taichi_cloth.simulation.strain import lengths, strains
 
 # What a cause is called.
 STEP, DAMPING, AIR, NEVER, SOLVER, RANGE = "step", "damping", "air", "method", "solver", "range"
-SPEED, PUSH, ENERGY, CONTACT = "speed", "push", "energy", "contact"
+SPEED, MOTION, PUSH, ENERGY, CONTACT = "speed", "motion", "push", "energy", "contact"
 TEARING, BUCKLING, NOTHING, UNKNOWN = "tearing", "buckling", "nothing", "unknown"
 # Those of which a scene is the cause, or who acted on it, and no step and no method.
-PHYSICS = frozenset((SPEED, PUSH, ENERGY, TEARING, BUCKLING, NOTHING))
+PHYSICS = frozenset((SPEED, MOTION, PUSH, ENERGY, TEARING, BUCKLING, NOTHING))
 
 FROM_NOTHING = 0.5  # of the energy of motion and springs: above it the numerics made the most
 GREW = 4.0  # times: what has grown
@@ -59,7 +68,7 @@ def cause_of(trace: Trace) -> Cause:
     with np.errstate(all="ignore"):
         if trace.failure is None:
             return _of_running(trace)
-        for look in (_range, _speed, _push, _energy, _solver, _limit, _contact, _gravity):
+        for look in (_range, _speed, _motion, _push, _energy, _solver, _limit, _gravity, _contact):
             found = look(trace)
             if found is not None:
                 return found
@@ -81,8 +90,18 @@ def grown(trace: Trace) -> int:
 
 
 def beyond(trace: Trace) -> int:
-    """The first sample whose step is longer than the stable one; -1: there is none."""
-    return next((k for k, s in enumerate(trace.samples) if not s.used <= 1 + 1e-9), -1)
+    """The first sample whose step is longer than the stable one; -1: there is none.
+
+    Of a method without a limit no step is, whatever its h omega.
+    """
+    return next(
+        (
+            k
+            for k, s in enumerate(trace.samples)
+            if s.limit.dt < math.inf and not s.used <= 1 + 1e-9
+        ),
+        -1,
+    )
 
 
 # --- one after the other: what no step changes first -----------------------------------------
@@ -90,17 +109,21 @@ def beyond(trace: Trace) -> int:
 
 def _range(trace: Trace) -> Cause | None:
     """Numbers that nothing here can compute with, or only steps of which nobody has the time."""
-    network, precision = trace.before, trace.precision
+    return _range_of(trace, trace.before) or _range_of(trace, trace.last)
+
+
+def _range_of(trace: Trace, network: Network) -> Cause | None:
+    precision = trace.precision
     real = np.float64 if precision == "f64" else np.float32
     springs, most = network.springs, float(np.finfo(real).max)
     if not len(springs):
         return None
-    inverse = _inverse_masses(trace, springs.between)
+    inverse = inverse_masses(network.particles, springs.between)
     rate = springs.stiffness * inverse.sum(axis=1)
     at = int(rate.argmax())
     if springs.stiffness[at] == 0:
         return None
-    spring = _spring(trace, int(network.number[at]))
+    spring = spring_named(trace, int(network.number[at]))
     if not rate[at] * max(1.0, float(springs.rest_length[at])) < most:
         return Cause(
             RANGE,
@@ -138,7 +161,7 @@ def _speed(trace: Trace) -> Cause | None:
         # What the drift before this frame gave is no speed that somebody set.
         if k != 0 and (not trace.acts or trace.acts[-1].frame != sample.frame):
             continue
-        who = _by_whom(trace, sample) if k else "the scene"
+        who = by_whom(trace, sample, THROWING) if k else "the scene"
         most = f"the {trace.speed_limit:.3g} at which it would cross the world 100 times in a frame"
         if limit < trace.speed_limit:
             most = f"{limit:.2g}, above which no square of a speed is a number that is watched"
@@ -153,6 +176,20 @@ def _speed(trace: Trace) -> Cause | None:
     return None
 
 
+def _motion(trace: Trace) -> Cause | None:
+    """An obstacle that moves so fast that what it meets, or what it carries, is lost with it."""
+    limit = min(trace.speed_limit, math.sqrt(WATCHED))
+    name, particle, speed = trace.met
+    if not speed > limit:
+        return None
+    return Cause(
+        MOTION,
+        f"{name} moves too fast for particle {particle}, which it meets or carries along",
+        f"it goes at {speed:.4g} there; at {limit:.3g} a particle is lost",
+        particle=particle,
+    )
+
+
 def _push(trace: Trace) -> Cause | None:
     """A force from outside that is enough for such a speed within a frame."""
     free = ~trace.last.particles.fixed
@@ -163,9 +200,10 @@ def _push(trace: Trace) -> Cause | None:
         at = int(np.where(free, gained, 0.0).argmax())
         if not gained[at] < limit:
             sample = trace.samples[_of_failed_frame(trace) or -1]
+            who = by_whom(trace, sample, PUSHING)
             return Cause(
                 PUSH,
-                f"the force by which {_by_whom(trace, sample)} pushes particle {at} is too large",
+                f"the force by which {who} pushes particle {at} is too large",
                 f"it gives the particle a speed of {gained[at]:.3g} within a frame; at "
                 f"{limit:.3g} it is lost",
                 particle=at,
@@ -179,10 +217,13 @@ def _gravity(trace: Trace) -> Cause | None:
     limit = min(trace.speed_limit, math.sqrt(WATCHED))
     if trace.last.particles.fixed.all() or gravity < limit:
         return None
+    done = [act for act in trace.acts if "gravity" in act.given]
+    since = f", since {done[-1].words} at frame {done[-1].frame}" if done else ""
     return Cause(
         PUSH,
         "gravity alone makes particles too fast within a frame",
-        f"it gives a speed of {gravity:.3g} within a frame; at {limit:.3g} particles are lost",
+        f"it gives a speed of {gravity:.3g} within a frame{since}; at {limit:.3g} particles are "
+        "lost",
     )
 
 
@@ -214,13 +255,13 @@ def _energy(trace: Trace) -> Cause | None:
     worst = mine[int(stored[mine].argmax())]
     by = "the scene"
     if sample.by_hand > 0.5 * sample.moving or not trace.whole or sample.frame > 0:
-        by = _by_whom(trace, sample)
+        by = by_whom(trace, sample, PULLING)
     strain = strains(length, springs)[worst]
     number = int(trace.last.number[worst])
     return Cause(
         ENERGY,
-        f"{by} stretches {_spring(trace, number)} so far that letting go makes particle {at} too "
-        "fast, however small the steps",
+        f"{by} stretches {spring_named(trace, number)} so far that letting go makes particle {at} "
+        "too fast, however small the steps",
         f"it is {100 * strain:.3g} % longer than at rest; its energy of {stored[worst]:.3g} gives "
         f"a speed of {speed[at]:.3g}, and at {limit:.3g} a particle is lost",
         spring=number,
@@ -269,50 +310,56 @@ def _limit(trace: Trace) -> Cause | None:
     if 0 <= onset < k and any_geometry_holds(trace):
         return None  # it is how the springs flew apart that made the limit shorter
     sample = trace.samples[k]
-    method, limit = methods.load(trace.settings.method), sample.limit
+    limit, shares, h = sample.limit, sample.shares, sample.h
     when = "from the start" if k == 0 and trace.whole else f"from frame {sample.frame} on"
-    since = ""
-    if k > 0 and any(
-        act.frame == sample.frame or act.frame + 1 == sample.frame for act in trace.acts
-    ):
-        since = f", since {_by_whom(trace, sample)}"
-    shares = sample.shares
-    damped = shares is not None and 2 * trace.h * shares.d > trace.h**2 * shares.omega2
+    when += since(trace, sample) if k > 0 else ""
+    damped = shares is not None and 2 * h * shares.d > h**2 * shares.omega2
     # What explicit Euler makes grow at every step grows slowly beside a damping beyond its limit.
-    if limit.dt == 0 and not (damped and shares and trace.h * shares.d > 2):
+    if limit.dt == 0 and not (damped and shares and h * shares.d > 2):
         return Cause(
             NEVER,
-            f"{trace.settings.method} is unstable on undamped springs at every step",
-            f"h omega = {sample.reach:.3g}, and no step is stable: each multiplies a vibration by "
-            f"{_growth(trace, sample):.6g}",
+            f"{sample.method} is unstable on undamped springs at every step",
+            f"h omega = {sample.reach:.3g} {when}, and no step is stable: each multiplies a "
+            f"vibration by {_growth(sample):.6g}",
             spring=limit.spring,
             particle=limit.particle,
             sample=k,
         )
-    what = limit.describe()
-    kind, says = STEP, f"the step is too long for {_spring(trace, limit.spring)}"
-    proof = (
-        f"h omega = {sample.reach:.4g} > {method.claims.stability_limit:.3g} "
-        f"{when}{since}; the longest stable step is {limit.dt:.3g}, and it is {trace.h:.3g}"
-    )
-    if limit.spring < 0:
-        says = f"the step is too long for {what}"
+    stable = f"the longest stable step is {limit.dt:.3g}, and it is {h:.3g}"
     if damped and shares is not None:
-        along = float(shares.damping.sum())
-        kind = AIR if shares.air >= max(along, shares.drag) else DAMPING
-        damps = {
-            AIR: f"the air at the triangles around particle {limit.particle}",
-            DAMPING: f"the dashpot of {_spring(trace, limit.spring)}",
-        }[kind]
-        if kind == DAMPING and shares.drag > along:
-            damps = f"the drag on particle {limit.particle}"
-        says = f"the step is too long for {damps}"
+        kind, what = _damper(trace, sample)
+        beside = f" beside h omega = {sample.reach:.3g}" if shares.omega2 > 0 else ""
         proof = (
-            f"h d = {trace.h * shares.d:.4g} beside h omega = {sample.reach:.3g} {when}{since}: "
-            f"{trace.settings.method} then is stable up to a step of {limit.dt:.3g}, and it is "
-            f"{trace.h:.3g}"
+            f"h d = {h * shares.d:.4g}{beside} {when}: {sample.method} then is stable up to a step "
+            f"of {limit.dt:.3g}, and it is {h:.3g}"
         )
-    return Cause(kind, says, proof, limit.spring, limit.particle, k)
+        return Cause(
+            kind, f"the step is too long for {what}", proof, limit.spring, limit.particle, k
+        )
+    most = methods.load(sample.method).claims.stability_limit
+    beyond_it = (
+        f" > {most:.3g}" if most > 0 else f", which {sample.method} bears with damping alone"
+    )
+    return Cause(
+        STEP,
+        f"the step is too long for {spring_of(sample)}",
+        f"h omega = {sample.reach:.4g}{beyond_it} {when}; {stable}",
+        limit.spring,
+        limit.particle,
+        k,
+    )
+
+
+def _damper(trace: Trace, sample: Sample) -> tuple[str, str]:
+    """What damps most of the mode that is beyond its limit: the kind of cause, and in words."""
+    shares, limit = sample.shares, sample.limit
+    assert shares is not None
+    along = float(shares.damping.sum())
+    if shares.air >= max(along, shares.drag):
+        return AIR, f"the air at the triangles around particle {limit.particle}"
+    if shares.drag > along:
+        return DAMPING, f"the drag on particle {limit.particle}"
+    return DAMPING, f"the dashpot of {spring_of(sample)}"
 
 
 def _contact(trace: Trace) -> Cause | None:
@@ -375,14 +422,14 @@ def _of_running(trace: Trace) -> Cause:
             BUCKLING,
             f"{squeezed} springs are squeezed and give way sideways: that they buckle is the "
             "scene's doing, not the step's",
-            f"{_spring(trace, int(trace.last.number[at]))} is {-100 * strained[at]:.3g} % shorter "
-            f"than at rest; {sound}",
+            f"{spring_named(trace, int(trace.last.number[at]))} is {-100 * strained[at]:.3g} % "
+            f"shorter than at rest; {sound}",
             spring=int(trace.last.number[at]),
         )
     return Cause(NOTHING, "nothing went wrong", sound)
 
 
-# --- words -----------------------------------------------------------------------------------
+# --- what a trace says ------------------------------------------------------------------------
 
 
 def _of_failed_frame(trace: Trace) -> int | None:
@@ -404,47 +451,12 @@ def _from_nothing(trace: Trace, sample: Sample) -> float:
     return max(sample.drift, 0.0) / moved if moved > 0 else 0.0
 
 
-def _growth(trace: Trace, sample: Sample) -> float:
-    method = methods.load(trace.settings.method)
-    return growth(method, trace.h, sample.limit.omega2, sample.limit.damping)
+def _growth(sample: Sample) -> float:
+    method = methods.load(sample.method)
+    return growth(method, sample.h, sample.limit.omega2, sample.limit.damping)
 
 
 def any_geometry_holds(trace: Trace) -> bool:
     """Whether the step is stable however the springs turn, by where the trace begins."""
     method = methods.load(trace.settings.method)
     return trace.h <= step_within(method, any_geometry(trace.before))
-
-
-NAMES: dict[str, str] = {"push": "a blow", "hold": "a held force", "set": "`set`"}
-
-
-def _by_whom(trace: Trace, sample: Sample) -> str:
-    """Who did something last, until a sample."""
-    done = [act for act in trace.acts if act.frame <= sample.frame]
-    if not done:
-        return "the scene"
-    name = done[-1].name
-    return f"{NAMES.get(name, f'`{name}`')} at frame {done[-1].frame}"
-
-
-def _inverse_masses(trace: Trace, ends: np.ndarray) -> np.ndarray:
-    return _inverse_masses_of(trace.before.particles, ends)
-
-
-def _spring(trace: Trace, number: int) -> str:
-    """A spring with the numbers that make it fast: "spring 17 (stiffness 1e6, ...)"."""
-    for network in (trace.last, trace.before):
-        at = np.flatnonzero(network.number == number)
-        if number >= 0 and len(at):
-            springs = network.springs
-            inverse = _inverse_masses_of(network.particles, springs.between[at[0]])
-            of = " and ".join(f"{w:.3g}" for w in dict.fromkeys(inverse))
-            stiffness = f"stiffness {springs.stiffness[at[0]]:.3g}"
-            return f"spring {number} ({stiffness}, inverse mass {of})"
-    return "what is bent or dragged"
-
-
-def _inverse_masses_of(particles: Particles, ends: np.ndarray) -> np.ndarray:
-    fixed, mass = particles.fixed[ends], particles.mass[ends]
-    inverse: np.ndarray = np.where(fixed, 0.0, 1.0 / mass)
-    return inverse

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -22,7 +23,10 @@ SECONDS = 20.0  # that the trials may take; going back, as many
 
 @dataclass(frozen=True)
 class PostMortem:
-    """What was found out. words: of the command line that makes the run, without the settings."""
+    """What was found out.
+
+    words: of the command line that makes the run, but for its settings; none: Python made it.
+    """
 
     trace: Trace
     cause: Cause
@@ -38,19 +42,29 @@ class PostMortem:
     @property
     def remedy(self) -> str:
         """The setting that survives, in flags; "": there is none, or none is needed."""
+        return f"{self.setting} survives" if self.setting else ""
+
+    @property
+    def setting(self) -> str:
+        """The setting that survives, and what of what was done has to be left out with it."""
         best = self.search.best
         if best is None:
             return ""
-        return f"{' '.join(flags(best.settings, self.trace.settings))} survives"
+        given = " ".join(flags(best.settings, self.trace.settings))
+        acts = [f"{act.words} at frame {act.frame}" for act in self.search.without]
+        more = f" and {len(acts) - 1} others" if len(acts) > 1 else ""
+        return f"{given} without {acts[0]}{more}" if acts else given
 
     @property
     def command(self) -> str:
-        """The command line that survives; "": there is none."""
+        """The command line that survives, or lines of Python; "": there is none."""
         best = self.search.best
         if best is None:
             return ""
+        if not self.words:
+            return _calls(best.settings, self.trace.settings)
         given = flags(best.settings, self.trace.settings, whole=True)
-        return " ".join([PROGRAM, "run", *self.words, *given])
+        return shlex.join([*PROGRAM.split(), "run", *self.words, *given])
 
 
 def flags(settings: Settings, before: Settings, *, whole: bool = False) -> list[str]:
@@ -70,6 +84,18 @@ def flags(settings: Settings, before: Settings, *, whole: bool = False) -> list[
     return found
 
 
+def _calls(settings: Settings, before: Settings) -> str:
+    """A setting as what a script does before the first frame."""
+    lines = []
+    if settings.method != before.method:
+        lines.append(f"sim.set_method({settings.method!r})")
+    solver = {k: v for k, v in settings.solver.items() if v != before.solver.get(k)}
+    if solver:
+        lines.append(f"sim.set_solver({', '.join(f'{k}={v:g}' for k, v in solver.items())})")
+    lines.append(f"sim.set_step(dt={settings.dt:.6g}, substeps={settings.substeps})")
+    return "\n".join(lines)
+
+
 def examine(
     sim: Simulation,
     *,
@@ -80,12 +106,11 @@ def examine(
 ) -> PostMortem:
     """Find out why a run failed; or, of one that did not, how it stands.
 
-    words: the scene as after `run`, for the command line. draw: makes a picture of the simulation
-    as it is; None: there are none. seconds: that trials may take. tell: called before each trial.
+    words: of the command line after `run`, but for method, step and solver. draw: makes a picture
+    of the simulation as it is; None: there are none. seconds: that trials may take. tell: called
+    before each trial.
     The simulation is as it was afterwards, to the bit.
     """
     trace = traced(sim, seconds, draw)
     cause = cause_of(trace)
-    return PostMortem(
-        trace, cause, search(sim, trace, cause, seconds, tell), words or [trace.scene]
-    )
+    return PostMortem(trace, cause, search(sim, trace, cause, seconds, tell), words)

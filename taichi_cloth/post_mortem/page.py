@@ -87,12 +87,12 @@ def _sections(found: PostMortem, title: str) -> Iterator[str]:
 
 
 def _remedy(found: PostMortem) -> Iterator[str]:
-    best, now = found.search.best, found.trace.settings
+    best = found.search.best
     if best is None:
         yield f"<p>{_text(found.search.says)}.</p>"
     else:
         yield '<div class="remedy"><strong>The cheapest setting found that survives: '
-        yield f"{_text(' '.join(flags(best.settings, now)))}</strong>"
+        yield f"{_text(found.setting)}</strong>"
         yield f'<br><span class="proof">{_text(found.search.says)}; '
         yield f"{1e3 * best.seconds:.3g} ms a frame</span></div>"
         yield f"<pre>{_text(found.command)}</pre>"
@@ -127,7 +127,7 @@ def _of_run(trace: Trace) -> list[list[str]]:
     if trace.unconverged:
         rows.append(["steps not converged", f"{trace.unconverged} of {trace.steps}"])
     if trace.acts:
-        done = [f"frame {act.frame}: {act.name}" for act in trace.acts[-8:]]
+        done = [f"frame {act.frame}: {act.words}" for act in trace.acts[-8:]]
         more = f"{len(trace.acts) - 8} others, " if len(trace.acts) > 8 else ""
         rows.append(["done by hand", more + ", ".join(done)])
     return rows

@@ -20,8 +20,8 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.limits.auto_step import MOST, substeps_needed
 from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
 from taichi_cloth.limits.network import Network
-from taichi_cloth.post_mortem.causes import ENERGY, PUSH, RANGE, SPEED, Cause
-from taichi_cloth.post_mortem.trace import Trace
+from taichi_cloth.post_mortem.causes import ENERGY, MOTION, PUSH, RANGE, SPEED, Cause
+from taichi_cloth.post_mortem.trace import Act, Trace, act_of
 from taichi_cloth.runtime import current_device
 from taichi_cloth.settings.options import SOLVER_SETTINGS
 from taichi_cloth.simulation.acts import do_again
@@ -57,12 +57,16 @@ class Trial:
 
 @dataclass(frozen=True)
 class Search:
-    """What was tried. best: the cheapest that survived; None: none did. says: why there is none,
-    or what the trials were."""
+    """What was tried.
+
+    best: the cheapest that survived; None: none did. says: why there is none, or what the trials
+    were. without: acts that set the run's settings, which the trials left out.
+    """
 
     trials: list[Trial]
     best: Trial | None
     says: str
+    without: tuple[Act, ...] = ()
 
 
 def search(
@@ -93,7 +97,7 @@ def search(
             trials.append(tries.run(settings, bounded=bool(trials)))
     survived = [trial for trial in trials if trial.survived]
     best = min(survived, key=lambda trial: trial.seconds / trial.settings.dt, default=None)
-    return Search(trials, best, _words(trials, best, place, trace))
+    return Search(trials, best, _words(trials, best, place, trace), tries.without())
 
 
 def _place(past: Past, sim: Simulation, seconds: float) -> Place | None:
@@ -149,6 +153,11 @@ class _Tries:
             says = str(failure)
         return Trial(settings, not says, done, wanted, spent / max(done - 1, 1), says)
 
+    def without(self) -> tuple[Act, ...]:
+        """What was done to the settings of the run, which no trial does again."""
+        done = (act_of(frame, act) for frame, acts in self._acts.items() for act in acts)
+        return tuple(act for act in done if act.name in SETTINGS)
+
     def _begin(self, settings: Settings, scaled: float) -> int:
         """Go to the place and make a first frame, which compiles; the number of frames there."""
         begin = time.perf_counter()
@@ -179,7 +188,7 @@ class _Tries:
 def _wanted(trace: Trace, cause: Cause, trials: list[Trial], sim: Simulation) -> Iterator[Settings]:
     """What to try next, by what came of the trials so far."""
     now = trace.settings
-    if cause.kind in (SPEED, PUSH, ENERGY):
+    if cause.kind in (SPEED, MOTION, PUSH, ENERGY):
         yield from _shorter_frames(trace, cause, trials)
         return
     own = methods.load(now.method).claims.stability_limit

@@ -6,7 +6,6 @@ of a window read (`simulation.gauges`).
 
 from __future__ import annotations
 
-import math
 import pickle
 import time
 from collections.abc import Callable
@@ -21,6 +20,8 @@ from taichi_cloth.limits.eigenmodes import Limit
 from taichi_cloth.limits.network import Network
 from taichi_cloth.limits.tracking import Shares
 from taichi_cloth.runtime import current_device
+from taichi_cloth.scene.model import Particles
+from taichi_cloth.scene.solids import held
 from taichi_cloth.simulation.acts import do_again
 from taichi_cloth.simulation.gauges import Gauges
 from taichi_cloth.simulation.past import SPAN, Past, Place, Settings, go_to
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 LARGE = 20_000  # particles above which fewer frames are read
 MOST_STEPS = 128  # parts of the failed frame that are looked at
 FEW = 10  # frames of which one is read where time is up, but for the last ones
+NOBODY = "", -1, 0.0
 BATCH = 50  # frames that are made at once on the way to those that are read
 
 
@@ -41,9 +43,11 @@ class Sample:
     time: the scene's. frame: how many were done; part: of the frame that failed, how much, else 0.
     total, moving: the whole energy, and that of motion and springs. drift: what of it came from
     nothing; work, by_hand: from forces without a potential, and from what was done. reach: h omega;
-    used: the part of the stable step that is used. limit: the stable step, and what sets it;
-    shares: what that is made of. strain, spring, ends: the largest, and whose. speed, fastest: the
-    largest, and whose. broken: springs that are.
+    used: the part of the stable step that is used. method, h: the method and the step of then.
+    limit: the stable step, and what sets it; shares: what that is made of; stiffness, inverse: of
+    the spring that sets it, with the inverse masses at its ends (0.0 and () where none does).
+    strain, spring, ends: the largest, and whose. speed, fastest: the largest, and whose. broken:
+    springs that are.
     """
 
     time: float
@@ -56,8 +60,12 @@ class Sample:
     by_hand: float
     reach: float
     used: float
+    method: str
+    h: float
     limit: Limit
     shares: Shares | None
+    stiffness: float
+    inverse: tuple[float, ...]
     strain: float
     spring: int
     ends: tuple[int, int]
@@ -66,12 +74,33 @@ class Sample:
     broken: int
 
 
+# What was done, in words, where the name of the method that did it says too little.
+WORDS = {
+    "_push": "a blow",
+    "hold": "a held force",
+    "_hold": "the pointer's hold",
+    "drag": "the pointer's drag",
+    "let_go": "letting go",
+}
+CHOICES = frozenset(("springs", "particles"))  # arguments that say of whom something is set
+
+
 @dataclass(frozen=True)
 class Act:
-    """Something that was done, before the frame after so many."""
+    """Something that was done, before the frame after so many.
+
+    name: of the method that did it. given: what it was given by name, but for whom.
+    """
 
     frame: int
     name: str
+    given: tuple[str, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """What was done: "a blow", "`set` of stiffness"."""
+        called = WORDS.get(self.name, f"`{self.name.lstrip('_')}`")
+        return f"{called} of {' and '.join(self.given)}" if self.given else called
 
 
 @dataclass(frozen=True)
@@ -81,6 +110,8 @@ class Trace:
     settings: that it had at the end. samples: in order of time. failure: with which it ended; None:
     it did not. before: the network where the trace begins; last: where it ends, of the last good
     frame, with what was done since. push: what pushes particles then, (n, dim); None: nothing does.
+    met: the obstacle that is fastest where it meets, or carries, a particle in the next frame, the
+    particle, and the speed; ("", -1, 0.0): there is none.
     acts: what was done in it. whole: whether it begins at the scene's start. depth: the deepest
     penetration there; None: nothing can touch. unconverged: of the steps of the run, how many
     missed their tolerance; steps: how many it did. outcome: of the last solution, "" without one.
@@ -97,6 +128,7 @@ class Trace:
     before: Network
     last: Network
     push: np.ndarray | None
+    met: tuple[str, int, float]
     acts: list[Act]
     whole: bool
     depth: float | None
@@ -176,20 +208,20 @@ class _Reader:
             late = time.perf_counter() > self._until and frame < end - FEW
             if pictured or not late or frame % FEW == 0:
                 self._look(0.0, pictured=pictured)
-        depth, push = self._gauges.depth, None
+        depth, push, met = self._gauges.depth, None, NOBODY
         if self._failure is not None:
             if place is not None:
                 for act in acts.get(end, ()):
                     do_again(sim, act)
             push = sim.storage.held()
-            last = sim.network()
+            last, met = sim.network(), _met(sim, self._settings.dt)
             self._steps()
         else:
             last = sim.network()
-        told = [Act(frame, _name(act)) for frame, of in acts.items() for act in of]
+        told = [act_of(frame, act) for frame, of in acts.items() for act in of]
         return Trace(
             sim.scene.name, self._settings, sim.follows, current_device().precision,
-            self._speed_limit, self._failure, self._samples, before, last, push,
+            self._speed_limit, self._failure, self._samples, before, last, push, met,
             [act for act in told if act.frame >= first],
             place is not None and place.checkpoint is None and first == place.frame,
             depth, self._work.unconverged, self._work.steps, self._outcome, self._pictures,
@@ -241,15 +273,14 @@ class _Reader:
         speed = np.sqrt((v * v).sum(axis=1))
         fastest = int(np.where(np.isnan(speed), np.inf, speed).argmax()) if len(speed) else -1
         energy, frame = state.booked.energy, self._samples[-1].frame if part else sim.frame
-        h = self._settings.dt / self._settings.substeps
         limit = margin.limit
         self._samples.append(
             Sample(
                 sim.time, frame, part, energy.total, energy.kinetic + energy.elastic,
                 state.booked.drift, state.booked.work, state.booked.by_hand,
-                h * (math.sqrt(limit.omega2) or limit.damping),
-                margin.used * h / margin.step if math.isfinite(margin.used) else margin.used,
-                limit, self._gauges.mode.shares, state.strain, state.spring, state.ends,
+                margin.reach, margin.used, sim.method, margin.step, limit,
+                self._gauges.mode.shares, *_numbers(self._gauges.network, limit.spring),
+                state.strain, state.spring, state.ends,
                 float(speed[fastest]) if fastest >= 0 else 0.0, fastest, state.broken,
             )
         )  # fmt: skip
@@ -257,6 +288,43 @@ class _Reader:
             self._pictures.append((sim.frame, self._draw()))
 
 
-def _name(act: bytes) -> str:
-    name: str = pickle.loads(act)[0]
-    return name.lstrip("_")
+def _met(sim: Simulation, dt: float) -> tuple[str, int, float]:
+    """The fastest obstacle that particles meet in the next frame, as `Trace.met` has it."""
+    found, x = NOBODY, sim.positions().astype(np.float64)
+    if not len(x):
+        return found
+    solids, begin = sim.storage.solids, sim.time
+    carried, _ = held(sim.scene, solids)
+    carried = np.append(carried, np.full(max(len(x) - len(carried), 0), -1))[: len(x)]
+    for index, solid in enumerate(solids):
+        if not solid.moving:
+            continue
+        for now in (begin, begin + 0.999 * dt):
+            speed = np.linalg.norm(solid.velocities(x - solid.pose(now)[0], now), axis=1)
+            near = solid.distances(x, now)[0] <= speed * dt + sim.storage.scene.particles.radius
+            there = np.where(near & ~sim.fixed() | (carried == index), speed, 0.0)
+            if there.max() > found[2]:
+                found = solid.name, int(there.argmax()), float(there.max())
+    return found
+
+
+def _numbers(network: Network, spring: int) -> tuple[float, tuple[float, ...]]:
+    """Stiffness and inverse masses of a spring by its number; 0.0 and () where there is none."""
+    at = np.flatnonzero(network.number == spring)
+    if not len(at):
+        return 0.0, ()
+    inverse = inverse_masses(network.particles, network.springs.between[at[0]])
+    return float(network.springs.stiffness[at[0]]), tuple(inverse.tolist())
+
+
+def inverse_masses(particles: Particles, of: np.ndarray) -> np.ndarray:
+    """The inverse masses of some particles; 0 of fixed ones."""
+    fixed, mass = particles.fixed[of], particles.mass[of]
+    inverse: np.ndarray = np.where(fixed, 0.0, 1.0 / mass)
+    return inverse
+
+
+def act_of(frame: int, act: bytes) -> Act:
+    """What was done, out of the past of a simulation (`simulation.acts.noted`)."""
+    name, _, given = pickle.loads(act)
+    return Act(frame, name, tuple(key for key in given if key not in CHOICES))

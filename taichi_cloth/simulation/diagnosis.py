@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from taichi_cloth.kernels import methods
-from taichi_cloth.limits.auto_step import substeps_needed
+from taichi_cloth.limits.auto_step import MOST, substeps_needed
 from taichi_cloth.limits.bounds import Bounds, any_geometry, gershgorin, step_within
 from taichi_cloth.limits.network import Network
 from taichi_cloth.limits.precision import WATCHED
 from taichi_cloth.scene.model import World
+from taichi_cloth.scene.stencils import Stencils
 
 
 def describe_fault(
@@ -43,7 +45,12 @@ def _beyond(world: World, wall: str, position: np.ndarray) -> float:
 
 
 def likely_cause(
-    network: Network, method: str, dt: float, substeps: int, precision: str
+    network: Network,
+    method: str,
+    dt: float,
+    substeps: int,
+    precision: str,
+    speed_limit: float,
 ) -> tuple[str, str]:
     """Likely cause and remedy of a failure.
 
@@ -51,7 +58,14 @@ def likely_cause(
     method: name of the method.
     dt, substeps: time of a frame, and the steps it was cut into.
     precision: the type of numbers, such as "float32".
+    speed_limit: the speed at which a particle is lost.
     """
+    speed = np.linalg.norm(network.velocity, axis=1)
+    if len(speed) and not speed.max() <= min(speed_limit, WATCHED**0.5):
+        return (
+            f"particle {speed.argmax()} has a speed of {speed.max():.3g} before any step",
+            "use a lower speed, or a shorter --dt",
+        )
     module, h = methods.load(method), dt / substeps
     bounds = gershgorin(network)
     limit = step_within(module, bounds)
@@ -60,8 +74,9 @@ def likely_cause(
         if bounds.damping > 0:
             which = "springs that dashpots damp along their axis alone"
         return f"{method} is unstable on {which} at every dt", "use --method symplectic_euler"
-    if not math.isfinite(bounds.omega2):
-        return f"springs too stiff for {precision}", "use softer springs"
+    if not math.isfinite(bounds.omega2) or 0 < limit * MOST < dt:
+        held = precision if not math.isfinite(bounds.omega2) else f"frames of {dt:.3g}"
+        return f"springs too stiff for {held}", "use softer springs or --method xpbd"
     if h > limit > 0:  # by Gershgorin; look closer
         bounds = any_geometry(network)
         limit = step_within(module, bounds)
@@ -81,9 +96,21 @@ def _too_long(
     """Cause and remedy where a step `h` is above `limit`; `substeps` would do."""
     needed = f"use --substeps {substeps}"
     _, drag_of = network.on_particles
-    drag = float((drag_of / network.particles.mass)[bounds.damped])
+    drag = float((drag_of / network.particles.mass)[bounds.damped]) * (1 + 1e-6)
+    whole = gershgorin(network)
+    calm = replace(network, triangles=network.triangles[:0], shares=network.shares[:0])
+    calm_bounds = gershgorin(calm)  # without the air
     # What the step has too much of: the springs' part in it, and that of damping.
     stiff, viscid = h * h * bounds.omega2, 2.0 * h * bounds.damping
+    without, all_of = calm_bounds.omega2, whole.omega2
+    if viscid > stiff:
+        without, all_of = calm_bounds.damping, whole.damping
+    if without < all_of / 2:
+        return (
+            f"a step of {h:.3g} is too long for the air at the triangles around particle "
+            f"{bounds.damped}",
+            f"{needed} or a smaller --dt",
+        )
     if bounds.damping > drag and viscid > 0.1 * stiff:
         return (
             f"a step of {h:.3g} is too long for the springs' dashpots at particle {bounds.damped}",
@@ -95,8 +122,10 @@ def _too_long(
             f"{bounds.damped}",
             f"{needed} or a smaller --dt",
         )
+    unbent = gershgorin(replace(calm, stencils=Stencils.none())).omega2
+    what = "springs" if unbent > calm_bounds.omega2 / 2 else "bending"
     return (
         f"a step of {h:.3g} is above {limit:.3g}, the stable limit of {method} "
-        f"(set by the springs at particle {bounds.particle})",
+        f"(set by the {what} at particle {bounds.particle})",
         f"{needed}, a smaller --dt, or softer springs",
     )

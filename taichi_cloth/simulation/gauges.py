@@ -18,6 +18,7 @@ import numpy as np
 
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits.eigenmodes import Limit
+from taichi_cloth.limits.network import Network
 from taichi_cloth.limits.tracking import FastestMode
 from taichi_cloth.scene.holding import Hold
 from taichi_cloth.simulation import diagnostics, strain
@@ -118,15 +119,24 @@ class Gauges:
         self.depth: float | None = None
         self._touched = False
         self._moments, self._account = Moments(self._sim), EnergyAccount()
-        self._method = methods.load(self._sim.method)
         start = self._sim.scene
         self._full = strain.allowed(start.particles.position, start.springs)
-        self.mode = FastestMode(self._method)
+        self._take_method()
         self._moment: tuple[int, Moment] | None = None
         self._pushed: tuple[np.ndarray, np.ndarray] | None = None
         self._hold: tuple[Hold, np.ndarray] | None = None  # with its place at the last frame
         self._due = dict.fromkeys(SHARES, -math.inf)
         self._frames = 0
+
+    @property
+    def network(self) -> Network:
+        """The network that was read last."""
+        return self._present().network
+
+    def _take_method(self) -> None:
+        """Weigh by the method that the simulation has now, which may be changed as it goes on."""
+        self._method = methods.load(self._sim.method)
+        self.mode = FastestMode(self._method)
 
     @property
     def knows_contacts(self) -> bool:
@@ -142,6 +152,8 @@ class Gauges:
     def before_frame(self) -> None:
         """Note what was done by hand since the last frame, and where a push begins."""
         self._book_push()
+        if methods.load(self._sim.method) is not self._method:
+            self._take_method()
         hold = self._sim.held()
         if hold is not None:
             if self._hold is not None and self._hold[0] is hold:

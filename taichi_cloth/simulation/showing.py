@@ -36,6 +36,7 @@ class Examiner(Protocol):
 _artist: Callable[[], Artist] | None = None
 _examiner: Callable[[], Examiner] | None = None
 _measurer: Callable[[Any], Any] | None = None
+_explainer: Callable[[Any], Any] | None = None
 
 
 def drawn_by(artist: Callable[[], Artist]) -> None:
@@ -56,6 +57,20 @@ def measured_by(measurer: Callable[[Any], Any]) -> None:
     """
     global _measurer
     _measurer = measurer
+
+
+def explained_by(explainer: Callable[[Any], Any]) -> None:
+    """Say who finds out why a window's run failed; `explainer` is called with a simulation, and
+    returns a `taichi_cloth.ui.chrome.why.Examiner`.
+    """
+    global _explainer
+    _explainer = explainer
+
+
+def explained(sim: Any) -> Any:
+    """What finds out why a simulation failed in a window."""
+    assert _explainer is not None, "the package's __init__ says who explains"
+    return _explainer(sim)
 
 
 def measured(sim: Any) -> Any:

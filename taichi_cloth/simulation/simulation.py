@@ -265,8 +265,9 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             what = diagnosis.describe_fault(self.scene.world, x, v, self.speed_limit)
             self.storage.restore(self.steps)
             cause, remedy = diagnosis.likely_cause(
-                self.network(), self.method, self.dt, self.substeps, self.storage.real.__name__
-            )
+                self.network(), self.method, self.dt, self.substeps,
+                self.storage.real.__name__, self.speed_limit,
+            )  # fmt: skip
         failure = SimulationFailure(particle, self.frame + 1, what, cause, remedy)
         if self.past is not None:
             self.past.failure = failure

@@ -81,6 +81,7 @@ def show(
             status=status,
             show=_parts(parts),
             errors=errors,
+            examiner=showing.explained(sim),
         )
 
 

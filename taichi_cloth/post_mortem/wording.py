@@ -1,0 +1,57 @@
+"""What a post-mortem calls springs, and who did something."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from taichi_cloth.post_mortem.trace import Sample, Trace, inverse_masses
+
+# Acts that change what a stable step is, that give speeds, that push, and that stretch springs.
+LIMITING = frozenset(
+    ("set", "set_step", "set_method", "set_solver", "add_spring", "spawn", "_hold", "restore")
+)
+THROWING = frozenset(("set", "spawn", "restore"))
+PUSHING = frozenset(("_push", "hold"))
+PULLING = frozenset(("set", "drag", "_hold", "add_spring", "spawn", "restore"))
+
+
+def by_whom(trace: Trace, sample: Sample, of: frozenset[str] = frozenset()) -> str:
+    """Who did something last, until a sample. of: names of acts that come first."""
+    done = [act for act in trace.acts if act.frame <= sample.frame]
+    done = [act for act in done if act.name in of] or done
+    return f"{done[-1].words} at frame {done[-1].frame}" if done else "the scene"
+
+
+def since(trace: Trace, sample: Sample) -> str:
+    """With what was done just before a sample its step became too long; "": nothing was."""
+    before = sample.frame if sample.part else sample.frame - 1
+    done = [act for act in trace.acts if act.frame == before and act.name in LIMITING]
+    return f", since {done[-1].words} at frame {before}" if done else ""
+
+
+def spring_of(sample: Sample) -> str:
+    """What sets a sample's limit, a spring with its numbers of then."""
+    number = sample.limit.spring
+    return (
+        _with_numbers(number, sample.stiffness, sample.inverse)
+        if number >= 0
+        else (sample.limit.describe())
+    )
+
+
+def _with_numbers(number: int, stiffness: float, inverse: Sequence[float]) -> str:
+    of = " and ".join(f"{w:.3g}" for w in dict.fromkeys(inverse))
+    return f"spring {number} (stiffness {stiffness:.3g}, inverse mass {of})"
+
+
+def spring_named(trace: Trace, number: int) -> str:
+    """A spring with the numbers that make it fast: "spring 17 (stiffness 1e6, ...)"."""
+    for network in (trace.last, trace.before):
+        at = np.flatnonzero(network.number == number)
+        if number >= 0 and len(at):
+            springs = network.springs
+            inverse = inverse_masses(network.particles, springs.between[at[0]])
+            return _with_numbers(number, float(springs.stiffness[at[0]]), inverse.tolist())
+    return "what is bent or dragged"
