@@ -426,7 +426,11 @@ def _of_running(trace: Trace) -> Cause:
             f"shorter than at rest; {sound}",
             spring=int(trace.last.number[at]),
         )
-    return Cause(NOTHING, "nothing went wrong", sound)
+    most = max(trace.samples, key=lambda s: abs(s.strain))
+    largest = f"the largest strain was {100 * most.strain:.3g} %, of spring {most.spring}"
+    return Cause(
+        NOTHING, "nothing went wrong", sound + (f"; {largest}" if most.spring >= 0 else "")
+    )
 
 
 # --- what a trace says ------------------------------------------------------------------------

@@ -35,7 +35,7 @@ def draw(found: PostMortem) -> str:
         _line(axes[1], time, [getattr(s, name) for s in samples], marker, color, label)
     _scaled(axes[1], [abs(s.moving) for s in samples])
     axes[1].set_ylabel("energy")
-    axes[1].legend(loc="upper left", fontsize=8)
+    axes[1].legend(loc="best", fontsize=8)
     _line(axes[2], time, [100 * s.strain for s in samples], marker, "tab:green", "largest strain")
     _scaled(axes[2], [100 * abs(s.strain) for s in samples])
     axes[2].set_ylabel("largest strain, %")
@@ -59,7 +59,7 @@ def _reach(axes: Axes, found: PostMortem, time: np.ndarray, marker: str) -> None
         axes.axhline(limit, color="tab:red", ls="--", lw=1, label=f"{settings.method}: {limit:.4g}")
     _scaled(axes, reach)
     axes.set_ylabel("h omega")
-    axes.legend(loc="upper left", fontsize=8)
+    axes.legend(loc="best", fontsize=8)
 
 
 def _line(

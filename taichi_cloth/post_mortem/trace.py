@@ -21,7 +21,7 @@ from taichi_cloth.limits.network import Network
 from taichi_cloth.limits.tracking import Shares
 from taichi_cloth.runtime import current_device
 from taichi_cloth.scene.model import Particles
-from taichi_cloth.scene.solids import held
+from taichi_cloth.scene.solids import held as carried_by
 from taichi_cloth.simulation.acts import do_again
 from taichi_cloth.simulation.gauges import Gauges
 from taichi_cloth.simulation.past import SPAN, Past, Place, Settings, go_to
@@ -213,7 +213,7 @@ class _Reader:
             if place is not None:
                 for act in acts.get(end, ()):
                     do_again(sim, act)
-            push = sim.storage.held()
+            push = _pushed(sim)
             last, met = sim.network(), _met(sim, self._settings.dt)
             self._steps()
         else:
@@ -288,13 +288,24 @@ class _Reader:
             self._pictures.append((sim.frame, self._draw()))
 
 
+def _pushed(sim: Simulation) -> np.ndarray | None:
+    """What pushes each particle from outside, a blow or who holds it, (n, dim); None: nothing."""
+    push, hold = sim.storage.held(), sim.held()
+    if hold is None or not len(hold.particles):
+        return push
+    x = sim.positions().astype(np.float64)
+    force = np.zeros_like(x) if push is None else push.astype(np.float64)
+    force[hold.particles] += hold.stiffness[:, None] * (hold.targets - x[hold.particles])
+    return force
+
+
 def _met(sim: Simulation, dt: float) -> tuple[str, int, float]:
     """The fastest obstacle that particles meet in the next frame, as `Trace.met` has it."""
     found, x = NOBODY, sim.positions().astype(np.float64)
     if not len(x):
         return found
     solids, begin = sim.storage.solids, sim.time
-    carried, _ = held(sim.scene, solids)
+    carried, _ = carried_by(sim.scene, solids)
     carried = np.append(carried, np.full(max(len(x) - len(carried), 0), -1))[: len(x)]
     for index, solid in enumerate(solids):
         if not solid.moving:

@@ -13,7 +13,7 @@ LIMITING = frozenset(
     ("set", "set_step", "set_method", "set_solver", "add_spring", "spawn", "_hold", "restore")
 )
 THROWING = frozenset(("set", "spawn", "restore"))
-PUSHING = frozenset(("_push", "hold"))
+PUSHING = frozenset(("_push", "hold", "_hold", "drag"))
 PULLING = frozenset(("set", "drag", "_hold", "add_spring", "spawn", "restore"))
 
 
