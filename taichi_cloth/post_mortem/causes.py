@@ -7,14 +7,15 @@ from its start, from work and from what was done to it, or from nothing, which n
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits.auto_step import MOST, substeps_needed
 from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
-from taichi_cloth.limits.modes import growth
+from taichi_cloth.limits.eigenmodes import Limit
+from taichi_cloth.limits.modes import growth, largest_step
 from taichi_cloth.limits.network import Network
 from taichi_cloth.limits.precision import WATCHED
 from taichi_cloth.post_mortem.trace import Sample, Trace, inverse_masses
@@ -40,6 +41,7 @@ FROM_NOTHING = 0.5  # of the energy of motion and springs: above it the numerics
 GREW = 4.0  # times: what has grown
 DRIFTS = 0.05  # of it: a run that did not fail is suspect
 SQUEEZED = 0.02  # of their length, by which springs are short that buckle
+USUAL = "symplectic_euler"  # the method beside which one without a limit of its own is judged
 
 
 @dataclass(frozen=True)
@@ -310,9 +312,13 @@ def _limit(trace: Trace) -> Cause | None:
     if 0 <= onset < k and any_geometry_holds(trace):
         return None  # it is how the springs flew apart that made the limit shorter
     sample = trace.samples[k]
-    limit, shares, h = sample.limit, sample.shares, sample.h
     when = "from the start" if k == 0 and trace.whole else f"from frame {sample.frame} on"
-    when += since(trace, sample) if k > 0 else ""
+    return _too_long(trace, sample, when + (since(trace, sample) if k > 0 else ""), k)
+
+
+def _too_long(trace: Trace, sample: Sample, when: str, k: int) -> Cause:
+    """What a step has too much of where it is beyond its limit. k: number of the sample, or -1."""
+    limit, shares, h = sample.limit, sample.shares, sample.h
     damped = shares is not None and 2 * h * shares.d > h**2 * shares.omega2
     # What explicit Euler makes grow at every step grows slowly beside a damping beyond its limit.
     if limit.dt == 0 and not (damped and shares and h * shares.d > 2):
@@ -321,6 +327,17 @@ def _limit(trace: Trace) -> Cause | None:
             f"{sample.method} is unstable on undamped springs at every step",
             f"h omega = {sample.reach:.3g} {when}, and no step is stable: each multiplies a "
             f"vibration by {_growth(sample):.6g}",
+            spring=limit.spring,
+            particle=limit.particle,
+            sample=k,
+        )
+    own = methods.load(sample.method).claims.stability_limit
+    if own == 0 and not damped and h <= _usual(limit):
+        return Cause(
+            NEVER,
+            f"{sample.method} makes springs vibrate more in each step, but for what damping takes",
+            f"h omega = {sample.reach:.4g} {when}, which {USUAL} bears; {sample.method} bears a "
+            f"step of {limit.dt:.3g} by damping alone, and it is {h:.3g}",
             spring=limit.spring,
             particle=limit.particle,
             sample=k,
@@ -336,10 +353,7 @@ def _limit(trace: Trace) -> Cause | None:
         return Cause(
             kind, f"the step is too long for {what}", proof, limit.spring, limit.particle, k
         )
-    most = methods.load(sample.method).claims.stability_limit
-    beyond_it = (
-        f" > {most:.3g}" if most > 0 else f", which {sample.method} bears with damping alone"
-    )
+    beyond_it = f" > {own:.3g}" if own > 0 else f", which {sample.method} bears with damping alone"
     return Cause(
         STEP,
         f"the step is too long for {spring_of(sample)}",
@@ -348,6 +362,11 @@ def _limit(trace: Trace) -> Cause | None:
         limit.particle,
         k,
     )
+
+
+def _usual(limit: Limit) -> float:
+    """The longest step that the usual method has for what sets a limit."""
+    return largest_step(methods.load(USUAL), limit.omega2, limit.damping)
 
 
 def _damper(trace: Trace, sample: Sample) -> tuple[str, str]:
@@ -402,17 +421,14 @@ def _of_running(trace: Trace) -> Cause:
         found = _limit(trace)
         if found is not None:
             return found
-    broke = last.broken - trace.samples[0].broken
     sound = (
         f"steps are within the limit (h omega = {last.reach:.3g}, {100 * last.used:.3g} % of the "
         f"stable step)"
     )
     if k >= 0:
         sound = f"h omega is {last.reach:.3g}, and no energy came from nothing"
-    if broke > 0:
-        return Cause(
-            TEARING, f"{broke} springs broke: that is the scene's load, not the step", sound
-        )
+    if trace.torn > 0:
+        return _torn(trace, sound)
     springs = trace.last.springs
     strained = strains(lengths(trace.last.position, springs.between), springs)
     squeezed = int((strained < -SQUEEZED).sum())
@@ -430,6 +446,17 @@ def _of_running(trace: Trace) -> Cause:
     largest = f"the largest strain was {100 * most.strain:.3g} %, of spring {most.spring}"
     return Cause(
         NOTHING, "nothing went wrong", sound + (f"; {largest}" if most.spring >= 0 else "")
+    )
+
+
+def _torn(trace: Trace, sound: str) -> Cause:
+    """Springs broke: by a step that was too long at the start, or by the load of the scene."""
+    start = trace.start
+    if start is not None and 1 < start.used < math.inf:
+        found = _too_long(trace, start, "from the start", -1)
+        return replace(found, proof=f"{found.proof}; {trace.torn} springs broke")
+    return Cause(
+        TEARING, f"{trace.torn} springs broke: that is the scene's load, not the step", sound
     )
 
 

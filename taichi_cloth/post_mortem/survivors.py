@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 AFTER = 60  # frames past the one that failed, for which a setting has to hold
 SHORT = 2000  # frames of a run that is made again though nobody knows how long one takes
 MOST_TRIES = 12
+FIRST = 3.0  # times as long as all others together, the first trial may take
 EXPLICIT, IMPLICIT = "symplectic_euler", "implicit_euler"
 RIGID = "xpbd"  # for what is stiffer than equations can be solved for
 SETTINGS = frozenset(("set_step", "set_method", "set_solver"))  # acts that a trial leaves out
@@ -78,7 +79,7 @@ def search(
 ) -> Search:
     """Look for it; the simulation is as it was afterwards.
 
-    seconds: that trials may take; the first one is made in any case. tell: called before each.
+    seconds: that trials may take; the first one has a few times as long. tell: called before each.
     """
     past = sim.past
     if past is None or trace.failure is None:
@@ -89,12 +90,15 @@ def search(
     trials: list[Trial] = []
     with np.errstate(all="ignore"), past.resting(sim):
         tries = _Tries(sim, past, place, trace.failure.frame)
-        tries.until = time.perf_counter() + seconds
-        for settings in _wanted(trace, cause, trials, sim):
+        tries.until = time.perf_counter() + FIRST * seconds
+        wait = seconds / 2 / (trace.failure.frame - place.frame + AFTER)
+        for settings in _wanted(trace, cause, trials, sim, wait):
             if trials and (time.perf_counter() > tries.until or len(trials) >= MOST_TRIES):
                 break
             tell(settings)
-            trials.append(tries.run(settings, bounded=bool(trials)))
+            trials.append(tries.run(settings))
+            if len(trials) == 1:
+                tries.until -= (FIRST - 1) * seconds
     survived = [trial for trial in trials if trial.survived]
     best = min(survived, key=lambda trial: trial.seconds / trial.settings.dt, default=None)
     return Search(trials, best, _words(trials, best, place, trace), tries.without())
@@ -130,8 +134,8 @@ class _Tries:
         self._first, self._failed = place.frame, failed
         self.until = math.inf
 
-    def run(self, settings: Settings, *, bounded: bool) -> Trial:
-        """Try one; bounded: whether it ends where there is no more time."""
+    def run(self, settings: Settings) -> Trial:
+        """Try one, as long as there is time."""
         sim, spent, says = self._sim, 0.0, ""
         scaled = self._place.settings.dt / settings.dt  # of frames, where they are shorter
         wanted = math.ceil((self._failed - self._first) * scaled) + AFTER
@@ -144,7 +148,7 @@ class _Tries:
                 self._advance(done, scaled)
                 spent += time.perf_counter() - begin
                 done = sim.frame - first
-                if bounded and time.perf_counter() > self.until:
+                if time.perf_counter() > self.until and done < wanted:
                     says = "there was no time for more"
                     break
             if sim.work().mostly_unconverged:
@@ -185,17 +189,24 @@ class _Tries:
 # --- what is tried ---------------------------------------------------------------------------
 
 
-def _wanted(trace: Trace, cause: Cause, trials: list[Trial], sim: Simulation) -> Iterator[Settings]:
-    """What to try next, by what came of the trials so far."""
+def _wanted(
+    trace: Trace, cause: Cause, trials: list[Trial], sim: Simulation, wait: float
+) -> Iterator[Settings]:
+    """What to try next, by what came of the trials so far.
+
+    wait: seconds for a frame; where more substeps take longer, other methods are tried before.
+    """
     now = trace.settings
     if cause.kind in (SPEED, MOTION, PUSH, ENERGY):
         yield from _shorter_frames(trace, cause, trials)
         return
     own = methods.load(now.method).claims.stability_limit
     first = now if own > 0 else replace(now, method=EXPLICIT, solver={})
+    finer = math.isfinite(own) and cause.kind != RANGE
+    slow = finer and _cost(sim, replace(first, substeps=_most(trace, first))) > wait
     if math.isinf(own):
         yield from _harder(now, trials)
-    elif cause.kind != RANGE:
+    elif finer and not slow:
         yield from _finer(trace, first, trials)
     best = _cheapest(trials)
     solver = {"tolerance": SOLVER_SETTINGS["tolerance"]}
@@ -211,6 +222,8 @@ def _wanted(trace: Trace, cause: Cause, trials: list[Trial], sim: Simulation) ->
             yield settings
             if trials[-1].survived:
                 return
+    if slow and _cheapest(trials) is None:
+        yield from _finer(trace, first, trials)
     if _cheapest(trials) is None and now.method != RIGID:
         yield replace(now, method=RIGID, solver={"iterations": SOLVER_SETTINGS["iterations"]})
     if _cheapest(trials) is None:
@@ -238,6 +251,12 @@ def _finer(trace: Trace, first: Settings, trials: list[Trial]) -> Iterator[Setti
         yield replace(first, substeps=tried)
         if trials[-1].survived:
             return
+
+
+def _most(trace: Trace, first: Settings) -> int:
+    """The substeps of the limit, where the trace begins or where it ends."""
+    of = (_stable(trace, first.method, network) for network in (trace.before, trace.last))
+    return max((needed for needed in of if needed is not None), default=1)
 
 
 def _harder(now: Settings, trials: list[Trial]) -> Iterator[Settings]:

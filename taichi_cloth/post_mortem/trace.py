@@ -115,6 +115,8 @@ class Trace:
     acts: what was done in it. whole: whether it begins at the scene's start. depth: the deepest
     penetration there; None: nothing can touch. unconverged: of the steps of the run, how many
     missed their tolerance; steps: how many it did. outcome: of the last solution, "" without one.
+    start: how the scene began, of a run that goes on (None: that is not known). torn: springs that
+    broke and were not cut, as far back as is known.
     pictures: of some of its frames, (frame, (h, w, 3) uint8).
     """
 
@@ -135,6 +137,8 @@ class Trace:
     unconverged: int
     steps: int
     outcome: str
+    start: Sample | None
+    torn: int
     pictures: list[tuple[int, np.ndarray]] = field(default_factory=list)
 
     @property
@@ -189,6 +193,7 @@ class _Reader:
         """The trace up to the frame `end`, and what is left of the one after it."""
         sim, here = self._sim, self._sim.checkpoint()
         span = SPAN if sim.particle_count <= LARGE else SPAN // 4
+        start = self._first(past) if self._failure is None else None
         place = self._start(past, end, span)
         if place is None:
             sim.restore(here)
@@ -224,7 +229,8 @@ class _Reader:
             self._speed_limit, self._failure, self._samples, before, last, push, met,
             [act for act in told if act.frame >= first],
             place is not None and place.checkpoint is None and first == place.frame,
-            depth, self._work.unconverged, self._work.steps, self._outcome, self._pictures,
+            depth, self._work.unconverged, self._work.steps, self._outcome, start,
+            self._torn(past, acts), self._pictures,
         )  # fmt: skip
 
     def _start(self, past: Past, end: int, span: int) -> Place | None:
@@ -244,6 +250,23 @@ class _Reader:
             if time.perf_counter() > self._until and sim.frame < end - span:
                 return None
         return place
+
+    def _first(self, past: Past) -> Sample | None:
+        """How the run began at the start of its scene; None: that is not where it began."""
+        if past.origin is None or past.origin.checkpoint is not None:
+            return None
+        go_to(self._sim, past.origin)
+        self._gauges = Gauges(self._sim, paced=False, every={"state": 1, "margin": 1, "depth": 1})
+        self._look(0.0)
+        return self._samples.pop() if self._samples else None
+
+    def _torn(self, past: Past, acts: dict[int, list[bytes]]) -> int:
+        """Springs that broke and were not cut: in the whole run, or as far back as is known."""
+        before, told = 0, [act for _, act in past.acts]
+        if past.origin is None or past.origin.checkpoint is not None:
+            before, told = self._samples[0].broken, [act for of in acts.values() for act in of]
+        cut = {spring for act in told for spring in _cut_by(act)}
+        return max(self._samples[-1].broken - before - len(cut), 0)
 
     def _steps(self) -> None:
         """The frame that failed, step by step as far as it goes."""
@@ -339,3 +362,12 @@ def act_of(frame: int, act: bytes) -> Act:
     """What was done, out of the past of a simulation (`simulation.acts.noted`)."""
     name, _, given = pickle.loads(act)
     return Act(frame, name, tuple(key for key in given if key not in CHOICES))
+
+
+def _cut_by(act: bytes) -> list[int]:
+    """The springs that an act cuts."""
+    name, args, given = pickle.loads(act)
+    if name != "cut":
+        return []
+    springs = np.atleast_1d(np.asarray([*args, *given.values()][0]))
+    return (np.flatnonzero(springs) if springs.dtype == bool else springs).tolist()
