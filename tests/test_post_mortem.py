@@ -6,6 +6,7 @@ from html.parser import HTMLParser
 import failing_runs
 import numpy as np
 import pytest
+from failing_held_out import REPRESENTATIVE
 from failing_runs import CASES, Runner
 from test_timeline import Script, press
 
@@ -164,3 +165,12 @@ def test_of_all_failing_runs_nearly_all_are_right(runner):
     assert sum(one["right"] for one in failed) >= 0.95 * len(failed)
     assert sum(one["survives"] for one in failed) >= 0.95 * len(failed)
     assert all(one["right"] for one in said if not one["failed"])
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", REPRESENTATIVE)
+def test_causes_of_runs_that_it_was_not_made_on(cli, name):
+    """Command lines whose causes were written down before a post-mortem of them was seen."""
+    [said] = cli.call("failing_held_out:judged", names=[name])
+    assert said["as_expected"] and said["right"], said
+    assert said["survives"] or not said["to_survive"], said

@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 import taichi_cloth as tc
+from taichi_cloth.errors import SimulationFailure
 from taichi_cloth.scene import library
 from taichi_cloth.ui import app
 
@@ -57,6 +58,17 @@ def test_a_script_runs_what_it_shows(pool, capsys):
     tc.show(sim, view="none", frames=1, on_frame=cut)
     assert not sim.springs_alive()[0]
     assert sim.show(frames=1, view="none").frames == 1  # no notebook: the same
+
+
+def test_windows_of_scripts_say_why_a_run_failed(pool, monkeypatch):
+    """As those of the command line do, with calls in the place of flags."""
+    sim = pool(CLOTH, dt=5.0)
+    monkeypatch.setattr(app, "run", lambda sim, view, **asked: asked["examiner"])
+    examiner = tc.show(sim, view="none", frames=1)
+    with pytest.raises(SimulationFailure):
+        sim.advance(200)
+    finding = examiner.examine(lambda words: None)
+    assert finding.numerical and finding.settings["substeps"] > 1
 
 
 def test_windows_of_scripts_measure_errors(pool, monkeypatch):
