@@ -260,12 +260,13 @@ def _energy(trace: Trace) -> Cause | None:
         by = by_whom(trace, sample, PULLING)
     strain = strains(length, springs)[worst]
     number = int(trace.last.number[worst])
+    does, than = ("stretches", "longer") if strain > 0 else ("squeezes", "shorter")
     return Cause(
         ENERGY,
-        f"{by} stretches {spring_named(trace, number)} so far that letting go makes particle {at} "
+        f"{by} {does} {spring_named(trace, number)} so far that letting go makes particle {at} "
         "too fast, however small the steps",
-        f"it is {100 * strain:.3g} % longer than at rest; its energy of {stored[worst]:.3g} gives "
-        f"a speed of {speed[at]:.3g}, and at {limit:.3g} a particle is lost",
+        f"it is {100 * abs(strain):.3g} % {than} than at rest; its energy of {stored[worst]:.3g} "
+        f"gives a speed of {speed[at]:.3g}, and at {limit:.3g} a particle is lost",
         spring=number,
         particle=at,
     )
@@ -425,6 +426,8 @@ def _of_running(trace: Trace) -> Cause:
         f"steps are within the limit (h omega = {last.reach:.3g}, {100 * last.used:.3g} % of the "
         f"stable step)"
     )
+    if last.limit.dt == math.inf:
+        sound = f"no step of {last.method} is too long here (h omega = {last.reach:.3g})"
     if k >= 0:
         sound = f"h omega is {last.reach:.3g}, and no energy came from nothing"
     if trace.torn > 0:
@@ -452,7 +455,7 @@ def _of_running(trace: Trace) -> Cause:
 def _torn(trace: Trace, sound: str) -> Cause:
     """Springs broke: by a step that was too long at the start, or by the load of the scene."""
     start = trace.start
-    if start is not None and 1 < start.used < math.inf:
+    if start is not None and 0 < start.limit.dt < start.h:  # not of a method that has no limit
         found = _too_long(trace, start, "from the start", -1)
         return replace(found, proof=f"{found.proof}; {trace.torn} springs broke")
     return Cause(
