@@ -175,7 +175,7 @@ CASES = [
 REPRESENTATIVE = (
     *("rigidity", "set_substeps_log", "set_method_log", "drag_alone", "gravity_huge_2d"),
     *("thrown_in_file", "drag_far", "stored_energy", "overflow_f32"),
-    *("cut_by_hand", "snaps", "numerics_tear_3d"),
+    *("tears_by_load", "snaps", "numerics_tear_3d"),
 )
 
 
