@@ -370,4 +370,5 @@ def _cut_by(act: bytes) -> list[int]:
     if name != "cut":
         return []
     springs = np.atleast_1d(np.asarray([*args, *given.values()][0]))
-    return (np.flatnonzero(springs) if springs.dtype == bool else springs).tolist()
+    found: list[int] = (np.flatnonzero(springs) if springs.dtype == bool else springs).tolist()
+    return found
