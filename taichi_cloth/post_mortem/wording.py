@@ -34,11 +34,9 @@ def since(trace: Trace, sample: Sample) -> str:
 def spring_of(sample: Sample) -> str:
     """What sets a sample's limit, a spring with its numbers of then."""
     number = sample.limit.spring
-    return (
-        _with_numbers(number, sample.stiffness, sample.inverse)
-        if number >= 0
-        else (sample.limit.describe())
-    )
+    if number < 0:
+        return sample.limit.describe()
+    return _with_numbers(number, sample.stiffness, sample.inverse)
 
 
 def _with_numbers(number: int, stiffness: float, inverse: Sequence[float]) -> str:
