@@ -41,6 +41,7 @@ def booked(sim, frames, every=1):
         sim.advance(1)
         if frame % every == 0:
             gauges.after_frame(frame / 60)
+            assert len(gauges.network.position) == len(sim.positions())  # the next is read anew
     return gauges.state.booked
 
 

@@ -13,7 +13,7 @@ from test_timeline import Script, press
 from taichi_cloth.cli.run_report import Examining
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.files.events import Log
-from taichi_cloth.post_mortem.causes import STEP
+from taichi_cloth.post_mortem.causes import STEP, TEARING
 from taichi_cloth.scene.library import build
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app
@@ -88,6 +88,24 @@ def test_a_report_has_all_in_one_file(tmp_path):
     assert "nothing went wrong" in sim.report(tmp_path / "b.html", pictures=False).cause.says
     with pytest.raises(InputError):
         sim.report(tmp_path / "nowhere" / "c.html")
+
+
+def test_what_tore_long_ago_is_told_apart(tmp_path):
+    """Springs that a step tore which had become too long, and those that their load did."""
+    sim = Simulation(build("cloth", columns=12, rows=9), topology="graph", execution="serial")
+    sim.set_step(substeps=2)
+    sim.advance(30)
+    sim.set(stiffness=20.0)
+    sim.advance(250)  # all of it lies on the floor by now
+    found = sim.report(tmp_path / "a.html", pictures=False)
+    assert found.cause.kind == STEP and found.trace.torn.before == 0
+    assert "from frame 30 on, since `set` of stiffness" in found.cause.proof
+    assert f"{found.trace.torn.count} springs broke" in found.cause.proof
+    sim.reset()
+    sim.set_step(substeps=8)
+    sim.set(gravity=(0.0, 0.9))
+    sim.advance(250)
+    assert sim.report(tmp_path / "b.html", pictures=False).cause.kind == TEARING
 
 
 def test_what_is_kept_for_it_changes_no_bit():

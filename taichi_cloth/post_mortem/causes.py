@@ -13,21 +13,25 @@ import numpy as np
 
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits.auto_step import MOST, substeps_needed
-from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
+from taichi_cloth.limits.bounds import gershgorin, step_within
 from taichi_cloth.limits.eigenmodes import Limit
-from taichi_cloth.limits.modes import growth, largest_step
+from taichi_cloth.limits.modes import largest_step
 from taichi_cloth.limits.network import Network
 from taichi_cloth.limits.precision import WATCHED
-from taichi_cloth.post_mortem.trace import Sample, Trace, inverse_masses
-from taichi_cloth.post_mortem.wording import (
-    PULLING,
-    PUSHING,
-    THROWING,
-    by_whom,
-    since,
-    spring_named,
-    spring_of,
+from taichi_cloth.post_mortem.done import PULLING, PUSHING, THROWING
+from taichi_cloth.post_mortem.onset import (
+    any_geometry_holds,
+    beyond,
+    from_nothing,
+    grown,
+    growth_of,
+    has_grown,
+    of_failed_frame,
+    part_from_nothing,
 )
+from taichi_cloth.post_mortem.sample import Sample
+from taichi_cloth.post_mortem.trace import Trace, inverse_masses
+from taichi_cloth.post_mortem.wording import by_whom, since, spring_named, spring_of
 from taichi_cloth.simulation.strain import lengths, strains
 
 # What a cause is called.
@@ -37,8 +41,6 @@ TEARING, BUCKLING, NOTHING, UNKNOWN = "tearing", "buckling", "nothing", "unknown
 # Those of which a scene is the cause, or who acted on it, and no step and no method.
 PHYSICS = frozenset((SPEED, MOTION, PUSH, ENERGY, TEARING, BUCKLING, NOTHING))
 
-FROM_NOTHING = 0.5  # of the energy of motion and springs: above it the numerics made the most
-GREW = 4.0  # times: what has grown
 DRIFTS = 0.05  # of it: a run that did not fail is suspect
 SQUEEZED = 0.02  # of their length, by which springs are short that buckle
 USUAL = "symplectic_euler"  # the method beside which one without a limit of its own is judged
@@ -75,35 +77,6 @@ def cause_of(trace: Trace) -> Cause:
             if found is not None:
                 return found
     return Cause(UNKNOWN, "no cause was found", f"the run says: {trace.failure.what}")
-
-
-def grown(trace: Trace) -> int:
-    """The first sample whose energy came from nothing for the most part; -1: there is none.
-
-    What a small drift gathers in a long rest does not count: it is to have grown.
-    """
-    least = GREW * trace.samples[0].moving
-    for k, sample in enumerate(trace.samples):
-        if not math.isfinite(sample.moving):
-            return k
-        if sample.moving > least and sample.drift > FROM_NOTHING * sample.moving:
-            return k
-    return -1
-
-
-def beyond(trace: Trace) -> int:
-    """The first sample whose step is longer than the stable one; -1: there is none.
-
-    Of a method without a limit no step is, whatever its h omega.
-    """
-    return next(
-        (
-            k
-            for k, s in enumerate(trace.samples)
-            if s.limit.dt < math.inf and not s.used <= 1 + 1e-9
-        ),
-        -1,
-    )
 
 
 # --- one after the other: what no step changes first -----------------------------------------
@@ -153,7 +126,7 @@ def _speed(trace: Trace) -> Cause | None:
     """A particle that was too fast before any force had acted on it."""
     limit = min(trace.speed_limit, math.sqrt(WATCHED))
     begin = 0 if trace.whole else None
-    first = _of_failed_frame(trace)
+    first = of_failed_frame(trace)
     for k in (begin, first):
         if k is None or trace.samples[k].speed <= limit * (1 - 1e-6):
             continue
@@ -201,7 +174,7 @@ def _push(trace: Trace) -> Cause | None:
         gained = np.linalg.norm(trace.push, axis=1) / trace.last.particles.mass * dt
         at = int(np.where(free, gained, 0.0).argmax())
         if not gained[at] < limit:
-            sample = trace.samples[_of_failed_frame(trace) or -1]
+            sample = trace.samples[of_failed_frame(trace) or -1]
             who = by_whom(trace, sample, PUSHING)
             return Cause(
                 PUSH,
@@ -231,7 +204,7 @@ def _gravity(trace: Trace) -> Cause | None:
 
 def _energy(trace: Trace) -> Cause | None:
     """Energy that is there from the start, or was given by hand, and is enough for the speed."""
-    first = _of_failed_frame(trace)
+    first = of_failed_frame(trace)
     samples = trace.samples
     sample = samples[first if first is not None else -1]
     onset = grown(trace)
@@ -299,7 +272,7 @@ def _solver(trace: Trace) -> Cause | None:
         return Cause(
             SOLVER,
             f"steps of {trace.settings.method} are solved, but far too long for springs that turn",
-            f"{reach}, and {_part_from_nothing(trace)}",
+            f"{reach}, and {part_from_nothing(trace)}",
         )
     return None
 
@@ -327,7 +300,7 @@ def _too_long(trace: Trace, sample: Sample, when: str, k: int) -> Cause:
             NEVER,
             f"{sample.method} is unstable on undamped springs at every step",
             f"h omega = {sample.reach:.3g} {when}, and no step is stable: each multiplies a "
-            f"vibration by {_growth(sample):.6g}",
+            f"vibration by {growth_of(sample):.6g}",
             spring=limit.spring,
             particle=limit.particle,
             sample=k,
@@ -396,7 +369,7 @@ def _contact(trace: Trace) -> Cause | None:
         return Cause(
             CONTACT,
             "contacts gave energy from nothing: what overlaps is pushed apart too far in a step",
-            f"at frame {sample.frame} {_part_from_nothing(trace)}, with steps within the springs' "
+            f"at frame {sample.frame} {part_from_nothing(trace)}, with steps within the springs' "
             f"limit (h omega = {sample.reach:.3g}){deep}",
             particle=sample.fastest,
             sample=onset,
@@ -418,7 +391,7 @@ def _of_running(trace: Trace) -> Cause:
     if unsolved is not None:
         return unsolved
     k, last = beyond(trace), trace.samples[-1]
-    if k >= 0 and _from_nothing(trace, last) > DRIFTS:
+    if k >= 0 and (from_nothing(trace, last) > DRIFTS or has_grown(trace)):
         found = _limit(trace)
         if found is not None:
             return found
@@ -430,7 +403,7 @@ def _of_running(trace: Trace) -> Cause:
         sound = f"no step of {last.method} is too long here (h omega = {last.reach:.3g})"
     if k >= 0:
         sound = f"h omega is {last.reach:.3g}, and no energy came from nothing"
-    if trace.torn > 0:
+    if trace.torn.count:
         return _torn(trace, sound)
     springs = trace.last.springs
     strained = strains(lengths(trace.last.position, springs.between), springs)
@@ -453,44 +426,15 @@ def _of_running(trace: Trace) -> Cause:
 
 
 def _torn(trace: Trace, sound: str) -> Cause:
-    """Springs broke: by a step that was too long at the start, or by the load of the scene."""
-    start = trace.start
-    if start is not None and 0 < start.limit.dt < start.h:  # not of a method that has no limit
-        found = _too_long(trace, start, "from the start", -1)
-        return replace(found, proof=f"{found.proof}; {trace.torn} springs broke")
-    return Cause(
-        TEARING, f"{trace.torn} springs broke: that is the scene's load, not the step", sound
-    )
-
-
-# --- what a trace says ------------------------------------------------------------------------
-
-
-def _of_failed_frame(trace: Trace) -> int | None:
-    """The sample at the beginning of the frame that failed, with what was done before it."""
-    return next((k for k, s in enumerate(trace.samples) if s.part > 0), None)
-
-
-def _part_from_nothing(trace: Trace, sample: Sample | None = None) -> str:
-    sample = sample or trace.samples[max(grown(trace), 0)]
-    if not math.isfinite(sample.moving):
-        return "its energy is no number any more"
-    return f"{100 * _from_nothing(trace, sample):.2g} % of the energy that moved came from nothing"
-
-
-def _from_nothing(trace: Trace, sample: Sample) -> float:
-    """What of the energy that moved until a sample came from nothing, as a part."""
-    until = trace.samples[: trace.samples.index(sample) + 1]
-    moved = max(s.moving for s in until) + abs(sample.work) + abs(sample.by_hand)
-    return max(sample.drift, 0.0) / moved if moved > 0 else 0.0
-
-
-def _growth(sample: Sample) -> float:
-    method = methods.load(sample.method)
-    return growth(method, sample.h, sample.limit.omega2, sample.limit.damping)
-
-
-def any_geometry_holds(trace: Trace) -> bool:
-    """Whether the step is stable however the springs turn, by where the trace begins."""
-    method = methods.load(trace.settings.method)
-    return trace.h <= step_within(method, any_geometry(trace.before))
+    """Springs broke: most of them since a step was too long, or by the load of the scene."""
+    torn = trace.torn
+    broke = f"{torn.count} springs broke"
+    if torn.sample is None or 2 * torn.before > torn.count:
+        if torn.sample is not None:
+            sound = (
+                f"{torn.before} before any step was too long, which it was {torn.since}; {sound}"
+            )
+        return Cause(TEARING, f"{broke}: that is the scene's load, not the step", sound)
+    found = _too_long(trace, torn.sample, torn.since, -1)
+    before = f", {torn.before} of them before" if torn.before else ""
+    return replace(found, proof=f"{found.proof}; {broke}{before}")

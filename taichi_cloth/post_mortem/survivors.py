@@ -21,7 +21,8 @@ from taichi_cloth.limits.auto_step import MOST, substeps_needed
 from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
 from taichi_cloth.limits.network import Network
 from taichi_cloth.post_mortem.causes import ENERGY, MOTION, PUSH, RANGE, SPEED, Cause
-from taichi_cloth.post_mortem.trace import Act, Trace, act_of
+from taichi_cloth.post_mortem.done import Act, act_of
+from taichi_cloth.post_mortem.trace import Trace
 from taichi_cloth.runtime import current_device
 from taichi_cloth.settings.options import SOLVER_SETTINGS
 from taichi_cloth.simulation.acts import do_again
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 AFTER = 60  # frames past the one that failed, for which a setting has to hold
 SHORT = 2000  # frames of a run that is made again though nobody knows how long one takes
 MOST_TRIES = 12
-FIRST = 3.0  # times as long as all others together, the first trial may take
+FIRST = 3.0  # times as long as all others together may take, the first trial may
 EXPLICIT, IMPLICIT = "symplectic_euler", "implicit_euler"
 RIGID = "xpbd"  # for what is stiffer than equations can be solved for
 SETTINGS = frozenset(("set_step", "set_method", "set_solver"))  # acts that a trial leaves out
@@ -92,13 +93,13 @@ def search(
         tries = _Tries(sim, past, place, trace.failure.frame)
         tries.until = time.perf_counter() + FIRST * seconds
         wait = seconds / 2 / (trace.failure.frame - place.frame + AFTER)
-        for settings in _wanted(trace, cause, trials, sim, wait):
+        for settings in _wanted(trace, cause, trials, sim, wait, tries.fits):
             if trials and (time.perf_counter() > tries.until or len(trials) >= MOST_TRIES):
                 break
             tell(settings)
             trials.append(tries.run(settings))
             if len(trials) == 1:
-                tries.until -= (FIRST - 1) * seconds
+                tries.until = time.perf_counter() + seconds
     survived = [trial for trial in trials if trial.survived]
     best = min(survived, key=lambda trial: trial.seconds / trial.settings.dt, default=None)
     return Search(trials, best, _words(trials, best, place, trace), tries.without())
@@ -157,6 +158,11 @@ class _Tries:
             says = str(failure)
         return Trial(settings, not says, done, wanted, spent / max(done - 1, 1), says)
 
+    def fits(self, seconds: float) -> bool:
+        """Whether there is time for a trial of as many frames, each of which takes so long."""
+        frames = self._failed - self._first + AFTER
+        return time.perf_counter() + seconds * frames < self.until
+
     def without(self) -> tuple[Act, ...]:
         """What was done to the settings of the run, which no trial does again."""
         done = (act_of(frame, act) for frame, acts in self._acts.items() for act in acts)
@@ -190,11 +196,17 @@ class _Tries:
 
 
 def _wanted(
-    trace: Trace, cause: Cause, trials: list[Trial], sim: Simulation, wait: float
+    trace: Trace,
+    cause: Cause,
+    trials: list[Trial],
+    sim: Simulation,
+    wait: float,
+    fits: Callable[[float], bool],
 ) -> Iterator[Settings]:
     """What to try next, by what came of the trials so far.
 
     wait: seconds for a frame; where more substeps take longer, other methods are tried before.
+    fits: whether there is time for a trial whose frames take so many.
     """
     now = trace.settings
     if cause.kind in (SPEED, MOTION, PUSH, ENERGY):
@@ -207,7 +219,7 @@ def _wanted(
     if math.isinf(own):
         yield from _harder(now, trials)
     elif finer and not slow:
-        yield from _finer(trace, first, trials)
+        yield from _finer(trace, first, trials, fits)
     best = _cheapest(trials)
     solver = {"tolerance": SOLVER_SETTINGS["tolerance"]}
     counts = (1,) if cause.kind == RANGE else (1, 2, 4, 8)
@@ -223,7 +235,7 @@ def _wanted(
             if trials[-1].survived:
                 return
     if slow and _cheapest(trials) is None:
-        yield from _finer(trace, first, trials)
+        yield from _finer(trace, first, trials, fits)
     if _cheapest(trials) is None and now.method != RIGID:
         yield replace(now, method=RIGID, solver={"iterations": SOLVER_SETTINGS["iterations"]})
     if _cheapest(trials) is None:
@@ -234,8 +246,13 @@ def _cheapest(trials: list[Trial]) -> Trial | None:
     return next((trial for trial in trials if trial.survived), None)
 
 
-def _finer(trace: Trace, first: Settings, trials: list[Trial]) -> Iterator[Settings]:
-    """More substeps: those of the limit where the trace begins, and where it ends, and doubled."""
+def _finer(
+    trace: Trace, first: Settings, trials: list[Trial], fits: Callable[[float], bool]
+) -> Iterator[Settings]:
+    """More substeps: those of the limit where the trace begins, and where it ends, and doubled.
+
+    They are doubled as long as there is time for twice as many, beside other methods.
+    """
     tried = first.substeps if first.method == trace.settings.method else 0
     for network in (trace.before, trace.last):
         needed = _stable(trace, first.method, network)
@@ -247,6 +264,8 @@ def _finer(trace: Trace, first: Settings, trials: list[Trial]) -> Iterator[Setti
     for _ in range(4):
         tried = max(2 * tried, 2)
         if tried > MOST or tried > 1000 * trace.settings.substeps:
+            return
+        if trials and not fits(2 * trials[-1].seconds):
             return
         yield replace(first, substeps=tried)
         if trials[-1].survived:

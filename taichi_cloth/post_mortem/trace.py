@@ -6,7 +6,6 @@ of a window read (`simulation.gauges`).
 
 from __future__ import annotations
 
-import pickle
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,9 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.errors import SimulationFailure
-from taichi_cloth.limits.eigenmodes import Limit
 from taichi_cloth.limits.network import Network
-from taichi_cloth.limits.tracking import Shares
+from taichi_cloth.post_mortem.breaks import BATCH, Torn, torn
+from taichi_cloth.post_mortem.done import Act, act_of
+from taichi_cloth.post_mortem.sample import Sample
 from taichi_cloth.runtime import current_device
 from taichi_cloth.scene.model import Particles
 from taichi_cloth.scene.solids import held as carried_by
@@ -33,74 +33,6 @@ LARGE = 20_000  # particles above which fewer frames are read
 MOST_STEPS = 128  # parts of the failed frame that are looked at
 FEW = 10  # frames of which one is read where time is up, but for the last ones
 NOBODY = "", -1, 0.0
-BATCH = 50  # frames that are made at once on the way to those that are read
-
-
-@dataclass(frozen=True)
-class Sample:
-    """What was so at one moment.
-
-    time: the scene's. frame: how many were done; part: of the frame that failed, how much, else 0.
-    total, moving: the whole energy, and that of motion and springs. drift: what of it came from
-    nothing; work, by_hand: from forces without a potential, and from what was done. reach: h omega;
-    used: the part of the stable step that is used. method, h: the method and the step of then.
-    limit: the stable step, and what sets it; shares: what that is made of; stiffness, inverse: of
-    the spring that sets it, with the inverse masses at its ends (0.0 and () where none does).
-    strain, spring, ends: the largest, and whose. speed, fastest: the largest, and whose. broken:
-    springs that are.
-    """
-
-    time: float
-    frame: int
-    part: float
-    total: float
-    moving: float
-    drift: float
-    work: float
-    by_hand: float
-    reach: float
-    used: float
-    method: str
-    h: float
-    limit: Limit
-    shares: Shares | None
-    stiffness: float
-    inverse: tuple[float, ...]
-    strain: float
-    spring: int
-    ends: tuple[int, int]
-    speed: float
-    fastest: int
-    broken: int
-
-
-# What was done, in words, where the name of the method that did it says too little.
-WORDS = {
-    "_push": "a blow",
-    "hold": "a held force",
-    "_hold": "the pointer's hold",
-    "drag": "the pointer's drag",
-    "let_go": "letting go",
-}
-CHOICES = frozenset(("springs", "particles"))  # arguments that say of whom something is set
-
-
-@dataclass(frozen=True)
-class Act:
-    """Something that was done, before the frame after so many.
-
-    name: of the method that did it. given: what it was given by name, but for whom.
-    """
-
-    frame: int
-    name: str
-    given: tuple[str, ...] = ()
-
-    @property
-    def words(self) -> str:
-        """What was done: "a blow", "`set` of stiffness"."""
-        called = WORDS.get(self.name, f"`{self.name.lstrip('_')}`")
-        return f"{called} of {' and '.join(self.given)}" if self.given else called
 
 
 @dataclass(frozen=True)
@@ -115,8 +47,7 @@ class Trace:
     acts: what was done in it. whole: whether it begins at the scene's start. depth: the deepest
     penetration there; None: nothing can touch. unconverged: of the steps of the run, how many
     missed their tolerance; steps: how many it did. outcome: of the last solution, "" without one.
-    start: how the scene began, of a run that goes on (None: that is not known). torn: springs that
-    broke and were not cut, as far back as is known.
+    torn: what broke and was not cut, of a run that goes on.
     pictures: of some of its frames, (frame, (h, w, 3) uint8).
     """
 
@@ -137,8 +68,7 @@ class Trace:
     unconverged: int
     steps: int
     outcome: str
-    start: Sample | None
-    torn: int
+    torn: Torn
     pictures: list[tuple[int, np.ndarray]] = field(default_factory=list)
 
     @property
@@ -193,7 +123,9 @@ class _Reader:
         """The trace up to the frame `end`, and what is left of the one after it."""
         sim, here = self._sim, self._sim.checkpoint()
         span = SPAN if sim.particle_count <= LARGE else SPAN // 4
-        start = self._first(past) if self._failure is None else None
+        broke = Torn(0)
+        if self._failure is None:
+            broke = torn(sim, past, self._until, self._present)
         place = self._start(past, end, span)
         if place is None:
             sim.restore(here)
@@ -229,8 +161,8 @@ class _Reader:
             self._speed_limit, self._failure, self._samples, before, last, push, met,
             [act for act in told if act.frame >= first],
             place is not None and place.checkpoint is None and first == place.frame,
-            depth, self._work.unconverged, self._work.steps, self._outcome, start,
-            self._torn(past, acts), self._pictures,
+            depth, self._work.unconverged, self._work.steps, self._outcome, broke,
+            self._pictures,
         )  # fmt: skip
 
     def _start(self, past: Past, end: int, span: int) -> Place | None:
@@ -251,22 +183,11 @@ class _Reader:
                 return None
         return place
 
-    def _first(self, past: Past) -> Sample | None:
-        """How the run began at the start of its scene; None: that is not where it began."""
-        if past.origin is None or past.origin.checkpoint is not None:
-            return None
-        go_to(self._sim, past.origin)
+    def _present(self) -> Sample | None:
+        """How the simulation stands, as if it began here."""
         self._gauges = Gauges(self._sim, paced=False, every={"state": 1, "margin": 1, "depth": 1})
         self._look(0.0)
         return self._samples.pop() if self._samples else None
-
-    def _torn(self, past: Past, acts: dict[int, list[bytes]]) -> int:
-        """Springs that broke and were not cut: in the whole run, or as far back as is known."""
-        before, told = 0, [act for _, act in past.acts]
-        if past.origin is None or past.origin.checkpoint is not None:
-            before, told = self._samples[0].broken, [act for of in acts.values() for act in of]
-        cut = {spring for act in told for spring in _cut_by(act)}
-        return max(self._samples[-1].broken - before - len(cut), 0)
 
     def _steps(self) -> None:
         """The frame that failed, step by step as far as it goes."""
@@ -356,19 +277,3 @@ def inverse_masses(particles: Particles, of: np.ndarray) -> np.ndarray:
     fixed, mass = particles.fixed[of], particles.mass[of]
     inverse: np.ndarray = np.where(fixed, 0.0, 1.0 / mass)
     return inverse
-
-
-def act_of(frame: int, act: bytes) -> Act:
-    """What was done, out of the past of a simulation (`simulation.acts.noted`)."""
-    name, _, given = pickle.loads(act)
-    return Act(frame, name, tuple(key for key in given if key not in CHOICES))
-
-
-def _cut_by(act: bytes) -> list[int]:
-    """The springs that an act cuts."""
-    name, args, given = pickle.loads(act)
-    if name != "cut":
-        return []
-    springs = np.atleast_1d(np.asarray([*args, *given.values()][0]))
-    found: list[int] = (np.flatnonzero(springs) if springs.dtype == bool else springs).tolist()
-    return found

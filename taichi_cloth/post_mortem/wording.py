@@ -6,15 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from taichi_cloth.post_mortem.trace import Sample, Trace, inverse_masses
-
-# Acts that change what a stable step is, that give speeds, that push, and that stretch springs.
-LIMITING = frozenset(
-    ("set", "set_step", "set_method", "set_solver", "add_spring", "spawn", "_hold", "restore")
-)
-THROWING = frozenset(("set", "spawn", "restore"))
-PUSHING = frozenset(("_push", "hold", "_hold", "drag"))
-PULLING = frozenset(("set", "drag", "_hold", "add_spring", "spawn", "restore"))
+from taichi_cloth.post_mortem.done import LIMITING
+from taichi_cloth.post_mortem.sample import Sample
+from taichi_cloth.post_mortem.trace import Trace, inverse_masses
 
 
 def by_whom(trace: Trace, sample: Sample, of: frozenset[str] = frozenset()) -> str:

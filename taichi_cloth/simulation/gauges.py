@@ -130,8 +130,9 @@ class Gauges:
 
     @property
     def network(self) -> Network:
-        """The network that was read last."""
-        return self._present().network
+        """The network that was read last; one there is after the first reading."""
+        assert self._moment is not None  # the present one is not read here: frames would lag
+        return self._moment[1].network
 
     def _take_method(self) -> None:
         """Weigh by the method that the simulation has now, which may be changed as it goes on."""
