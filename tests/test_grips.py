@@ -64,7 +64,7 @@ def test_what_is_held_turns_with_its_obstacle_for_a_span_of_time(pool, way):
     spans = {"starts": 0.103, "stops": 0.251}
     scene = pulled(velocity=ALONG, spin=[0, 90, 200], **spans)
     sim, (solid,) = (
-        pool(scene, "verlet", topology=topology, execution=execution, substeps=2),
+        pool(scene, "symplectic_euler", topology=topology, execution=execution, substeps=2),
         solids(scene),
     )
     centre, turn = solid.pose(0.0)
