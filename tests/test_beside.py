@@ -18,6 +18,8 @@ from taichi_cloth.beside.given import Given, read
 from taichi_cloth.beside.twin import Twin
 from taichi_cloth.cli.run_beside import Beside
 from taichi_cloth.comparison.compare import compare
+from taichi_cloth.error_meter.meter import ErrorMeter
+from taichi_cloth.error_meter.window import LEAST
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene import library
@@ -91,6 +93,40 @@ def test_equal_settings_are_never_apart(pair):
         twin.close()
     first.advance()
     assert second.frame == 0
+
+
+@pytest.mark.parametrize("torn", ["first", "second"])
+def test_what_one_refuses_neither_does(pair, torn):
+    """A spring that holds in one run and not in the other cannot be tied anew in either."""
+    first, second = pair
+    own, set_to = ("break_force=off", 0.1) if torn == "first" else ("break_force=0.1", None)
+    twin, meter = Twin(first, second, read(own)), ErrorMeter(first)
+    try:
+        first.set(break_force=set_to)
+        while np.array_equal(first.springs_alive(), second.springs_alive()):
+            first.advance()
+            assert first.frame < LEAST
+        spring = np.flatnonzero(first.springs_alive() != second.springs_alive())[0]
+        i, j = map(int, first.springs()[spring])
+        there = first.checkpoint(), second.checkpoint()
+        ends: list[list] = []
+        for tried in (False, True):
+            for sim, checkpoint in zip(pair, there, strict=True):
+                sim.restore(checkpoint)
+            first.advance()  # after which the spring pulls no more
+            if tried:
+                says = "the run beside: .*already" if torn == "first" else "^add_spring: .*already"
+                with pytest.raises(InputError, match=says):
+                    first.add_spring(i, j)
+                noted = dict(meter._window.acts)
+            first.advance(3)
+            ends.append([(sim.springs_alive(), sim.positions(), sim.frame) for sim in pair])
+        for without, one in zip(*ends, strict=True):
+            assert all(map(np.array_equal, without, one))
+        assert twin.watch.now.frame == first.frame and not noted
+    finally:
+        meter.close()
+        twin.close()
 
 
 def test_a_run_that_was_resumed_has_its_second_from_there(pair):

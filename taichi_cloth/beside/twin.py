@@ -13,12 +13,16 @@ from taichi_cloth.beside.watch import Watch
 from taichi_cloth.errors import InputError, SimulationFailure, nearest
 from taichi_cloth.simulation import live
 from taichi_cloth.simulation.acts import Listener
+from taichi_cloth.simulation.numbers import checked_step
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from taichi_cloth.simulation.checkpoint import Checkpoint
     from taichi_cloth.simulation.simulation import Simulation
 
+# Acts that both take or neither, whatever their settings; some come with every frame.
+ALIKE = frozenset(("_push", "hold", "drag", "let_go", "restore"))
 SELECTIONS = ("particles", "springs", "kind")  # what `Simulation.set` takes beside changes
 
 
@@ -46,8 +50,9 @@ class Own:
 class Twin(Listener):
     """A second simulation of a scene that goes along with a first one, in other settings.
 
-    Whatever is done to the first is done to it, and it makes a frame where that one made one; what
-    the two are given to differ in stays as it is. What one holds with the mouse is held in both by
+    Whatever is done to the first is done to it, just before, so that what one of them refuses
+    neither has done; and it makes a frame where that one made one. What the two are given to differ
+    in stays as it is. What one holds with the mouse is held in both by
     the same springs, and weighs in each what its own steps need. It fails for itself: then it
     stands still at its last good frame until a reset, and the first goes on.
 
@@ -72,6 +77,7 @@ class Twin(Listener):
         if resumed:
             self._join()
         self._failure: SimulationFailure | None = None
+        self._undo: Checkpoint | None = None  # of this one, before an act that is not done yet
         self.spent = self.took = 0.0
         self.later = 0.0, 0.0
         self._compiled = False
@@ -120,22 +126,37 @@ class Twin(Listener):
     # --- what the first one tells ----------------------------------------------------------
 
     def before_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
-        """Refuse what this one could not follow."""
+        """Do the same to this one first; InputError where it refuses, and then neither did it.
+
+        A run that stands still refuses nothing: it has all of it anew after the next reset.
+        """
         if name == "load_scene":
             raise InputError("a run that has another one beside it keeps its scene")
-        if name == "set_step" and self.sim.follows and not self.first.follows:
-            dt = args[0] if args else given.get("dt")
-            if dt is not None and dt != self.first.dt:
-                raise InputError("the run beside has dt auto, so the frame time cannot be set")
+        self._undo = None if name in ALIKE else self.sim.checkpoint()
+        try:
+            with _told_as_beside():
+                self._follow(name, args, given)
+        except BaseException as error:
+            self._go_back()
+            if not (isinstance(error, InputError) and self.failure):
+                raise
+
+    def act_refused(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
+        """What the first one did not do is not done here either."""
+        self._go_back()
 
     def after_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
-        """Do the same to this one; InputError where it refuses."""
-        with _told_as_beside():
-            self._follow(name, args, given)
+        """Both did it."""
+        self._undo = None
         if name == "reset":
-            self._keep_own({"collisions"})  # which a thrown ball switches on for good
             self._failure = None
             self.watch.restart()
+
+    def _go_back(self) -> None:
+        """Be as before the act that was begun."""
+        undo, self._undo = self._undo, None
+        if undo is not None:
+            self.sim.restore(undo)
 
     def _follow(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
         if name == "restore":  # whoever goes back takes both along
@@ -152,16 +173,19 @@ class Twin(Listener):
             self._set_solver(*args, **given)
         else:
             getattr(self.sim, name)(*args, **given)
-            changed = {"collisions"} if name == "prepare_balls" else set(given)
-            if name in ("set", "prepare_balls"):
+            changed = {"collisions"} if name in ("prepare_balls", "reset") else set(given)
+            if name in ("set", "prepare_balls", "reset"):  # balls switch it on for good
                 self._keep_own(changed - set(SELECTIONS))
 
     def _set_step(self, dt: float | None = None, substeps: int | None = None) -> None:
+        frame = self.first.dt if dt is None else checked_step(dt, 1)[0]
         if self.sim.follows:
+            if frame != self.first.dt and not self.first.follows:
+                raise InputError("it has dt auto, so the frame time cannot be set")
             return
         longest = self.given.run.get("dt")
         if longest is not None:
-            substeps = steps_in(self.first.dt, longest)
+            substeps = steps_in(frame, longest)
         elif "substeps" in self.given.run:
             substeps = None
         self.sim.set_step(dt, substeps)

@@ -123,7 +123,7 @@ class ErrorMeter(Listener):
     # --- what the simulation tells ---------------------------------------------------------
 
     def before_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
-        """Note what is done, or end the window before it."""
+        """End the window before what is another run's."""
         if name in LEAVES:
             self._judged = None
         if name == "restore":
@@ -132,11 +132,12 @@ class ErrorMeter(Listener):
             self.recent, self.ghost = [], None
         elif name == "remove":
             self.ghost = None
-        if self._window is None:
-            return
-        if name in ENDS:
+        if self._window is not None and name in ENDS:
             self._end(shown=name not in LEAVES)
-        else:
+
+    def after_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
+        """Note what was done."""
+        if self._window is not None:
             self._window.note_act(name, args, given)
 
     def after_frame(self) -> None:

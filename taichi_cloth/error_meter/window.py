@@ -76,7 +76,7 @@ class Window:
         return len(self.substeps)
 
     def note_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
-        """Take note of an act before it is done: as bytes, since arguments may be written to."""
+        """Take note of an act that was done: as bytes, since arguments may be written to later."""
         act = noted(name, args, given)
         if act is not None:
             self.acts.setdefault(self.frames, []).append(act)

@@ -26,6 +26,9 @@ class Listener:
     def after_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
         """It was called, and did what it was asked for."""
 
+    def act_refused(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
+        """It did not, although this one let it: it, or who was asked after this one, refused."""
+
     def after_frame(self) -> None:
         """A frame was made, and the state is that of its end."""
 
@@ -41,15 +44,22 @@ def act(method: Method) -> Method:
         listeners, past = self.listeners, self.past
         if not listeners and past is None:
             return method(self, *args, **given)
-        for listener in listeners:
-            listener.before_act(method.__name__, args, given)
-        if past is not None:
-            past.act(self.frame, method.__name__, args, given)
-        self.listeners, self.past = (), None
+        asked: list[Listener] = []
         try:
-            result = method(self, *args, **given)
-        finally:
-            self.listeners, self.past = listeners, past
+            for listener in listeners:
+                listener.before_act(method.__name__, args, given)
+                asked.append(listener)
+            if past is not None:
+                past.act(self.frame, method.__name__, args, given)
+            self.listeners, self.past = (), None
+            try:
+                result = method(self, *args, **given)
+            finally:
+                self.listeners, self.past = listeners, past
+        except BaseException:
+            for listener in asked:
+                listener.act_refused(method.__name__, args, given)
+            raise
         if past is not None:
             past.acted(self, method.__name__, args, given)
         for listener in listeners:
