@@ -178,7 +178,9 @@ def test_errors_are_those_of_trade(chain, judge, tmp_path):
 
 
 class Shorter(Judge):
-    """A judge that makes fewer frames, of finer references too, or whose references part."""
+    """A judge that makes fewer frames, of finer references too, or whose references part, and which
+    then has no time for more than four.
+    """
 
     def __init__(self, judge, most=FRAMES, parts=FRAMES, finer=FRAMES):
         super().__init__(1)
@@ -190,6 +192,8 @@ class Shorter(Judge):
         self._coarsest = min(self._coarsest, plan.substeps[0])
         most = self._most if plan.substeps[0] == self._coarsest else self._finer
         made = super()._run(window, plan).first(min(most, self._most))
+        if self._parts < FRAMES and plan.substeps[0] >= 8 * self._coarsest:
+            self._until = 0.0  # by no clock
         made.x[self._parts + 1 :] += self._rng.normal(size=made.x[self._parts + 1 :].shape)
         return made
 
@@ -205,7 +209,7 @@ def test_what_no_reference_tells_is_left_out(chain, judge, tmp_path):
     assert "error over the first 0.4 s of the last second: 1.8 %" in short.describe(True)
     late = measured(Shorter(judge, finer=30), tmp_path, 60.0)
     assert late.judged == 30 and late.further == "60 s allow no more"
-    parted = measured(Shorter(judge, parts=40), tmp_path, 1.0)
+    parted = measured(Shorter(judge, parts=40), tmp_path, 60.0)
     assert 40 <= parted.judged <= 42 and parted.further == "further on references differ"
     for verdict, frames in ((short, 24), (parted, 40)):
         apart = errors.distance(shown.first(frames), smooth.first(frames), ~chain.sim.fixed())
@@ -215,7 +219,7 @@ def test_what_no_reference_tells_is_left_out(chain, judge, tmp_path):
     # Of too few frames nothing is said.
     lost = measured(Shorter(judge, most=9), tmp_path, 60.0)
     assert not lost.known and "to make again" in lost.trouble
-    unsure = measured(Shorter(judge, parts=9), tmp_path, 1.0)
+    unsure = measured(Shorter(judge, parts=9), tmp_path, 60.0)
     assert unsure.judged == FRAMES and unsure.trouble.startswith("two references differ by")
 
 
