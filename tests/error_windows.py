@@ -23,7 +23,7 @@ from taichi_cloth.error_meter.meter import ErrorMeter
 from taichi_cloth.error_meter.window import LEAST, Window
 from taichi_cloth.scene import library
 from taichi_cloth.scene.source import SceneSource, names_file
-from taichi_cloth.settings.options import TradeOptions
+from taichi_cloth.settings.sweeps import TradeOptions
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.trade import errors, reference
 from taichi_cloth.trade.conditions import conditions, without_mouse

@@ -23,14 +23,8 @@ from taichi_cloth.files import trajectory as trajectories
 from taichi_cloth.kernels import methods
 from taichi_cloth.scene import checks, library
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.options import (
-    ExplainOptions,
-    RunOptions,
-    StabilityOptions,
-    TradeOptions,
-    TuneOptions,
-    parameters_of,
-)
+from taichi_cloth.settings.options import ExplainOptions, RunOptions, parameters_of
+from taichi_cloth.settings.sweeps import StabilityOptions, TradeOptions, TuneOptions
 from taichi_cloth.simulation import autotune
 from taichi_cloth.simulation.prediction import Cost
 

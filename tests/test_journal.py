@@ -18,7 +18,7 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene import library
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.options import TradeOptions, TuneOptions
+from taichi_cloth.settings.sweeps import TradeOptions, TuneOptions
 from taichi_cloth.stability import experiment
 from taichi_cloth.sweeps import journal as journals
 from taichi_cloth.sweeps.identity import of_scene

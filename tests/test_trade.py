@@ -31,7 +31,7 @@ from taichi_cloth.measuring.timing import Quiet
 from taichi_cloth.measuring.worker import Worker, WorkerFailed
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
-from taichi_cloth.settings.options import TradeOptions
+from taichi_cloth.settings.sweeps import TradeOptions
 from taichi_cloth.trade import ode, reference, rows, settings, tune
 from taichi_cloth.trade.errors import Breaks, Contacts, Invariants, Samples, distance
 from taichi_cloth.trade.outcomes import Outcome, Result, StudyFailure, failed_by

@@ -20,7 +20,7 @@ import numpy as np
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.settings.options import TuneOptions
+from taichi_cloth.settings.sweeps import TuneOptions
 from taichi_cloth.trade import command, ode, rows, runner, settings
 from taichi_cloth.trade.conditions import conditions, without_mouse
 from taichi_cloth.trade.settings import Setting

@@ -18,7 +18,7 @@ from typing import NoReturn
 
 from taichi_cloth.errors import InputError, RunFailure, nearest
 from taichi_cloth.scene.source import DEFAULT_SCENE, names_file
-from taichi_cloth.settings import options
+from taichi_cloth.settings import options, sweeps
 from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.version import __version__
 
@@ -37,9 +37,9 @@ COMMANDS = {
 # Those on a scene: the module whose main(source, options) does it, and the class of its settings.
 SCENE_COMMANDS: dict[str, tuple[str, type[options.Options]]] = {
     "run": ("taichi_cloth.cli.run", options.RunOptions),
-    "stability": ("taichi_cloth.stability.command", options.StabilityOptions),
-    "trade": ("taichi_cloth.trade.command", options.TradeOptions),
-    "tune": ("taichi_cloth.trade.tune", options.TuneOptions),
+    "stability": ("taichi_cloth.stability.command", sweeps.StabilityOptions),
+    "trade": ("taichi_cloth.trade.command", sweeps.TradeOptions),
+    "tune": ("taichi_cloth.trade.tune", sweeps.TuneOptions),
     "explain": ("taichi_cloth.explain.command", options.ExplainOptions),
 }
 # Those that read their words themselves: the module whose main(words) does it.

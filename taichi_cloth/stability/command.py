@@ -15,7 +15,7 @@ from taichi_cloth.files.pending import folder_of_results
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.options import StabilityOptions
+from taichi_cloth.settings.sweeps import StabilityOptions
 from taichi_cloth.stability import experiment, report
 from taichi_cloth.stability.experiment import Map, StepLimits, TellRun, claimed
 from taichi_cloth.sweeps.identity import of_scene

@@ -15,7 +15,8 @@ from taichi_cloth.files.pending import folder_of_results, write_all
 from taichi_cloth.scene.fingerprint import scene_hash
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.options import ARCHS, PROGRAM, ComparisonOptions, TradeOptions
+from taichi_cloth.settings.options import ARCHS, PROGRAM
+from taichi_cloth.settings.sweeps import ComparisonOptions, TradeOptions
 from taichi_cloth.sweeps.identity import PACKAGES, of_scene
 from taichi_cloth.sweeps.journal import Journal, kept
 from taichi_cloth.trade import plot, reference, report, rows, runner, settings

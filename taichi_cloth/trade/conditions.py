@@ -7,7 +7,7 @@ from typing import Any
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.settings.options import ComparisonOptions
+from taichi_cloth.settings.sweeps import ComparisonOptions
 from taichi_cloth.simulation.storage import adjacency
 from taichi_cloth.trade import settings
 

@@ -11,14 +11,9 @@ from taichi_cloth.errors import InputError, clipped, counted, nearest
 from taichi_cloth.limits.bounds import Bounds, any_geometry, step_within
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.settings.options import (
-    ARCHS,
-    PRECISIONS,
-    ComparisonOptions,
-    RunOptions,
-    parameters_of,
-)
+from taichi_cloth.settings.options import ARCHS, PRECISIONS, RunOptions, parameters_of
 from taichi_cloth.settings.parameters import number_of
+from taichi_cloth.settings.sweeps import ComparisonOptions
 
 DOUBLINGS = 6  # of the number of substeps, from the fewest that a method takes
 QUICK_DOUBLINGS = 4

@@ -24,8 +24,9 @@ from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.penetration import touches
 from taichi_cloth.scene.solids import solids
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.options import PROGRAM, TuneOptions
+from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.settings.parameters import error_limit, positive
+from taichi_cloth.settings.sweeps import TuneOptions
 from taichi_cloth.sweeps.identity import of_scene
 from taichi_cloth.sweeps.journal import Journal, kept
 from taichi_cloth.trade import command, rows

@@ -23,7 +23,8 @@ from typing import TYPE_CHECKING, Any
 from taichi_cloth.errors import InputError, RunFailure, nearest
 from taichi_cloth.files.pending import write_whole
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.options import PROGRAM, TradeOptions, flag_words
+from taichi_cloth.settings.options import PROGRAM, flag_words
+from taichi_cloth.settings.sweeps import TradeOptions
 
 if TYPE_CHECKING:
     from taichi_cloth.sweeps.journal import Journal
