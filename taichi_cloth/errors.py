@@ -71,6 +71,11 @@ def clipped(text: str, most: int = 40) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
+def one_line(error: BaseException) -> str:
+    """An exception as one process tells another: its kind and its words, in one line."""
+    return clipped(" ".join(f"{type(error).__name__}: {error}".split()), 300)
+
+
 def counted(count: int, thing: str) -> str:
     """'1 spring', '2 springs'."""
     return f"{count} {thing}{'s' * (count != 1)}"

@@ -825,7 +825,9 @@ class MadeUpStudies:
         monkeypatch.setattr(tune.rows, "rows_of", lambda result, *_: result.rows)
 
     @contextlib.contextmanager
-    def measured(self, source, options, scene, chosen, how, journal, closed=True, quiet=False):
+    def measured(
+        self, source, options, scene, chosen, how, journal, elsewhere, closed=True, quiet=False
+    ):
         errors = self.of[0] if closed else self.of[1]
         if not closed:
             self.confirmed.append([setting.substeps for setting in chosen])

@@ -32,6 +32,8 @@ from typing import Any
 
 import numpy as np
 
+from taichi_cloth.errors import one_line
+
 ENDED = "its process ended"  # how a failure begins that took the process with it
 
 
@@ -125,7 +127,7 @@ def main(folder: Path, niceness: int = 0) -> None:
         try:
             answer = _answer(json.loads(line), objects, folder / f"{os.getpid()}-{number}.npy")
         except Exception as error:
-            answer = {"failed": " ".join(f"{type(error).__name__}: {error}".split())[:300]}
+            answer = {"failed": one_line(error)}
         print(json.dumps(answer), file=answers, flush=True)
 
 

@@ -13,6 +13,13 @@ def _resume() -> Any:
     return setting(False, "go on with what an earlier run of the same command has finished")
 
 
+def _on() -> Any:
+    """The setting of a sweep that runs on other machines, too."""
+    return setting(
+        None, "run on the workers of this Dask scheduler", str, metavar="tcp://HOST:PORT"
+    )
+
+
 @dataclass(frozen=True)
 class StabilityOptions(Options):
     """Settings of the command `stability`."""
@@ -24,6 +31,7 @@ class StabilityOptions(Options):
         None, "only this method (default: all that have a limit)", str, metavar="NAME"
     )
     resume: bool = _resume()
+    on: str | None = _on()
     quiet: bool = setting(False, "print nothing but errors")
 
 
@@ -67,6 +75,13 @@ class ComparisonOptions(Options):
         None, "CPU threads (default: all)", int, minimum=1, maximum=1024, metavar="N"
     )
     resume: bool = _resume()
+    on: str | None = _on()
+    times_on: str | None = setting(
+        None,
+        "with --on: the worker's machine that is timed (default: this one)",
+        str,
+        metavar="HOST",
+    )
 
 
 @dataclass(frozen=True)

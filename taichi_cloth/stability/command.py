@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -16,10 +17,12 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.sweeps import StabilityOptions
-from taichi_cloth.stability import experiment, report
+from taichi_cloth.stability import elsewhere, experiment, report
 from taichi_cloth.stability.experiment import Map, StepLimits, TellRun, claimed
+from taichi_cloth.sweeps.cluster import connected
 from taichi_cloth.sweeps.identity import of_scene
 from taichi_cloth.sweeps.journal import kept
+from taichi_cloth.sweeps.tasks import said_of_lost
 
 # How far a bisection is told to be: runs, about, each as long as WEIGHT of a map's.
 BISECTION = 10
@@ -34,6 +37,7 @@ def main(source: SceneSource, options: StabilityOptions) -> int:
     known = of_scene("stability", source, options, scene)
     with (
         folder_of_results(folder, report.FILES),
+        connected(options.on) as there,
         kept(folder, known, options.resume, options.quiet) as journal,
     ):
         np.seterr(all="ignore")  # numbers that overflow are the watchdog's to report
@@ -43,12 +47,19 @@ def main(source: SceneSource, options: StabilityOptions) -> int:
         limits = [experiment.computed(name, network) for name in names]
         maps: list[Map] = []
         interrupted = None
+        lost: list[str] = []
         with _progress(limits, options.quiet) as tell:
             try:
+                if there:
+                    lost = elsewhere.measure(prepared, limits, tell, journal, there)
                 for of_method in limits:
                     experiment.measure(prepared, of_method, maps, tell, journal)
             except KeyboardInterrupt as interrupt:
                 interrupted = interrupt
+        if lost:
+            print(said_of_lost(lost), file=sys.stderr, flush=True)
+        if interrupted:
+            experiment.take_finished(prepared, limits, maps, journal)
         stall = experiment.stall(scene)
         written = report.write(folder, scene, limits, maps, stall)
         if not options.quiet:

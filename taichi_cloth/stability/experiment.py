@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -267,11 +267,11 @@ def measure(
         return
     runs = _Started(scene, name)
     digest = scene_hash(scene)
-    found = journal.get(key_of("limit", digest, name))
+    found = journal.get(_limit_key(digest, name))
     if found is None:
         seconds = _measure_limit(limits, runs.get(), tell)
         values = {field: getattr(limits, field) for field in MEASURED}
-        journal.add(key_of("limit", digest, name), values | {"seconds": seconds})
+        journal.add(_limit_key(digest, name), values | {"seconds": seconds})
     else:
         seconds = found.result["seconds"]
         for field in MEASURED:
@@ -280,7 +280,7 @@ def measure(
         return  # what grows there does so in 1e5 steps: too many for every point of a map
     mesh = MESH if seconds * MESH.points * MESH.look.steps < MAP_SECONDS else COARSE_MESH
     for kind, (factors, changed) in _changes(scene, mesh.columns).items():
-        found = journal.get(key_of("map", digest, name, kind))
+        found = journal.get(_map_key(digest, name, kind))
         if found is not None:
             maps.append(Map(name, kind, **found.result))
             continue
@@ -288,7 +288,31 @@ def measure(
         maps.append(drawn)
         _fill_map(drawn, factors, mesh, changed, runs.get(), tell)
         values = {"factor": drawn.factor, "line": drawn.line, "points": drawn.points}
-        journal.add(key_of("map", digest, name, kind), values)
+        journal.add(_map_key(digest, name, kind), values)
+
+
+def take_finished(
+    scene: Scene, limits: Sequence[StepLimits], maps: list[Map], journal: Journal
+) -> None:
+    """Put what a journal has of methods that were not come to into `limits` and `maps`."""
+    for of in limits:
+        if of.dt_measured is None and all(journal.get(key) for key in keys_of(scene, of.method)):
+            measure(scene, of, maps, lambda *_: None, journal)
+
+
+def keys_of(scene: Scene, name: str) -> list[str]:
+    """The keys of what `measure` puts into a journal of a method that has a limit; see there."""
+    digest = scene_hash(scene)
+    kinds = _changes(scene, MESH.columns) if claimed(name) > 0 else ()
+    return [_limit_key(digest, name), *(_map_key(digest, name, kind) for kind in kinds)]
+
+
+def _limit_key(digest: str, name: str) -> str:
+    return key_of("limit", digest, name)
+
+
+def _map_key(digest: str, name: str, kind: str) -> str:
+    return key_of("map", digest, name, kind)
 
 
 MEASURED = ("dt_measured", "status", "runs", "steps")  # of a method's limits, by runs

@@ -14,22 +14,24 @@ from taichi_cloth.settings.options import Options
 PACKAGES = ("taichi-cloth", "taichi", "numpy", "scipy", "python")
 # Settings that change no result: a sweep may go on with other ones.
 BESIDE = (
-    *("output", "resume", "quiet"),
+    *("output", "resume", "on", "times_on", "quiet"),
     *("error", "frame_time", "penetration", "seed", "json"),  # of `tune`, which chooses by them
 )
 
 
-def of_scene(command: str, source: SceneSource, options: Options, scene: Scene) -> dict[str, str]:
-    """That of a command on a scene, in words by name."""
+def of_scene(
+    command: str, source: SceneSource, options: Options, scene: Scene, timed_on: str | None = None
+) -> dict[str, str]:
+    """That of a command on a scene, in words by name. timed_on: another machine than this one."""
     return {
         "command": command,
         "scene": shlex.join(source.words()),
         "scene's digest": scene_hash(scene),
         "settings": shlex.join(options.words(without=BESIDE)),
-        **of_place(),
+        **of_place(timed_on),
     }
 
 
-def of_place() -> dict[str, str]:
-    """The versions of the packages, and the machine that times are taken on."""
-    return {"versions": machine.versions(PACKAGES), "machine": platform.node()}
+def of_place(timed_on: str | None = None) -> dict[str, str]:
+    """The versions of the packages, and the machine that is timed: this one by default."""
+    return {"versions": machine.versions(PACKAGES), "machine": timed_on or platform.node()}

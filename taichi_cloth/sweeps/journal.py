@@ -27,7 +27,7 @@ with contextlib.suppress(ImportError):
     fcntl = importlib.import_module("fcntl")
 
 NAME, FILES = "sweep.jsonl", "sweep.files"
-FORMAT = 1  # of the lines: another one is another sweep's
+FORMAT = 2  # of the lines: another one is another sweep's
 
 
 @dataclass(frozen=True)

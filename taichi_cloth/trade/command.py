@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 import shlex
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,10 @@ from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import ARCHS, PROGRAM
 from taichi_cloth.settings.sweeps import ComparisonOptions, TradeOptions
+from taichi_cloth.sweeps.cluster import connected
 from taichi_cloth.sweeps.identity import PACKAGES, of_scene
 from taichi_cloth.sweeps.journal import Journal, kept
+from taichi_cloth.sweeps.tasks import Elsewhere, said_of_lost
 from taichi_cloth.trade import plot, reference, report, rows, runner, settings
 from taichi_cloth.trade.conditions import RunConditions, conditions, without_mouse
 from taichi_cloth.trade.outcomes import Result
@@ -30,11 +33,13 @@ def main(source: SceneSource, options: TradeOptions) -> int:
     """Measure, write the files, print the table; the exit status."""
     scene, chosen, how = prepare(source, options)
     folder = Path(options.output or f"trade-{scene.name}")
+    known = of_scene("trade", source, options, scene, options.times_on)
     with (
         folder_of_results(folder, FILES),
-        kept(folder, of_scene("trade", source, options, scene), options.resume) as journal,
+        connected(options.on, options.times_on) as elsewhere,
+        kept(folder, known, options.resume) as journal,
     ):
-        with measured(source, options, scene, chosen, how, journal) as result:
+        with measured(source, options, scene, chosen, how, journal, elsewhere) as result:
             if not result.outcomes:
                 # Before anything was finished.
                 raise result.interrupted or KeyboardInterrupt
@@ -93,13 +98,15 @@ def measured(
     chosen: list[settings.Setting],
     how: RunConditions,
     journal: Journal | None = None,
+    elsewhere: Elsewhere | None = None,
     closed: bool = True,
     quiet: bool = False,
 ) -> Iterator[Result]:
     """What a study found, with its samples as long as the context lasts.
 
     How far it is shows on standard error, unless `quiet`. journal: has what is finished already.
-    closed: whether the scene is the one whose closed form is known, if there is one.
+    elsewhere: where it is measured, if not here. closed: whether the scene is the one whose closed
+    form is known, if there is one.
     """
     frames = options.frames or reference.default_frames(scene)
     study = runner.Study(
@@ -109,10 +116,13 @@ def measured(
         how,
         lambda times: reference.closed_form(source, scene, times) if closed else None,
         journal,
+        elsewhere,
     )
     try:
         with progress(shown=not quiet) as study.tell:
             (result,) = study.run()
+        if study.lost and not quiet:
+            print(said_of_lost(study.lost), file=sys.stderr, flush=True)
         yield result
     finally:
         study.close()

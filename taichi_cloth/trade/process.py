@@ -37,7 +37,7 @@ class TrialProcess:
         folder: Path,
         stop: threading.Event,
     ):
-        self._process, self._scene, self._how = process, scene, how
+        self.kind, self._scene, self._how = process, scene, how
         self._folder, self._stop, self._again = folder, stop, AGAIN
         self._worker: Worker | None = None
         self._about: dict[str, dict[str, Any]] = {}  # by method, what its trial says
@@ -120,7 +120,7 @@ class TrialProcess:
 
     def _make(self, method: str) -> None:
         arguments = {"scene": self._file_of(self._scene), "method": method}
-        asked = arguments | self._how.of_trial(self._process)
+        asked = arguments | self._how.of_trial(self.kind)
         assert self._worker
         about = self._worker.ask(make=TRIAL, **{"as": method, "with": asked})["result"]
         self._about[method], self._loaded[method] = about, self._scene
@@ -129,7 +129,7 @@ class TrialProcess:
     def _file_of(self, scene: Scene) -> str:
         """A file with a pickled scene, written once."""
         if id(scene) not in self._files:
-            name = f"{'-'.join(map(str, self._process))}-{len(self._files)}.pickle"
+            name = f"{'-'.join(map(str, self.kind))}-{len(self._files)}.pickle"
             file = self._folder / name
             file.write_bytes(pickle.dumps(scene))
             self._files[id(scene)] = scene, str(file)

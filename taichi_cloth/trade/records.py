@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 from dataclasses import astuple
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ class Records:
 
     def sampled(self, scene: Scene, setting: Setting, frames: int) -> Outcome | None:
         """What came of a setting, without its times; None where it was not run yet."""
-        entry = self.journal.get(self._key("sample", scene, setting, frames))
+        entry = self.journal.get(self.sample_key(scene, setting, frames))
         return None if entry is None else _outcome(setting, entry)
 
     def keep_sample(
@@ -40,33 +41,35 @@ class Records:
         file: Path,
     ) -> Outcome:
         """Keep what a `Trial` found, and its file."""
-        result = {name: of for name, of in found.items() if name != "failed"}
-        result |= {"status": found["failed"] or "ok", "about": about}
-        key = self._key("sample", scene, setting, frames)
-        return _outcome(setting, self.journal.add(key, result, file))
+        key = self.sample_key(scene, setting, frames)
+        return _outcome(setting, self.journal.add(key, result_of(found, about), file))
 
     def keep_failure(self, scene: Scene, setting: Setting, frames: int, outcome: Outcome) -> None:
         """Keep that a setting could not be run, unless the machine was at fault."""
         if not outcome.lost:
-            key = self._key("sample", scene, setting, frames)
-            self.journal.add(key, {"status": outcome.status, "about": outcome.about})
+            self.journal.add(self.sample_key(scene, setting, frames), failure_of(outcome))
 
     # --- times ---------------------------------------------------------------------------
 
     def timed(self, scene: Scene, outcome: Outcome, frames: int) -> bool:
         """Whether the times of a setting are known; they are then the outcome's."""
-        entry = self.journal.get(self._key("time", scene, outcome.setting, frames))
+        entry = self.journal.get(self.time_key(scene, outcome.setting, frames))
         if entry is not None:
-            outcome.seconds, outcome.timed_on = entry.result["seconds"], entry.result["host"]
+            _put_times(outcome, entry.result)
         return entry is not None
 
     def keep_times(
-        self, scene: Scene, outcome: Outcome, frames: int, seconds: list[float], host: str
+        self,
+        scene: Scene,
+        outcome: Outcome,
+        frames: int,
+        seconds: list[float],
+        about: dict[str, Any],
     ) -> None:
-        """Keep the seconds of a setting's runs on a machine."""
-        key = self._key("time", scene, outcome.setting, frames)
-        self.journal.add(key, {"seconds": seconds, "host": host})
-        outcome.seconds, outcome.timed_on = seconds, host
+        """Keep the seconds of a setting's runs on this machine."""
+        kept = times_of(seconds, about)
+        self.journal.add(self.time_key(scene, outcome.setting, frames), kept)
+        _put_times(outcome, kept)
 
     # --- the differential equation -------------------------------------------------------
 
@@ -88,6 +91,14 @@ class Records:
     def _solution_key(self, scene: Scene, times: np.ndarray) -> str:
         return key_of("smooth", self._hash(scene), len(times), float(times[-1]))
 
+    def sample_key(self, scene: Scene, setting: Setting, frames: int) -> str:
+        """The key of a setting's samples."""
+        return self._key("sample", scene, setting, frames)
+
+    def time_key(self, scene: Scene, setting: Setting, frames: int) -> str:
+        """The key of a setting's times."""
+        return self._key("time", scene, setting, frames)
+
     def _key(self, kind: str, scene: Scene, setting: Setting, frames: int) -> str:
         return key_of(kind, self._hash(scene), *astuple(setting), frames)
 
@@ -95,6 +106,28 @@ class Records:
         if id(scene) not in self._hashes:
             self._hashes[id(scene)] = scene, scene_hash(scene)
         return self._hashes[id(scene)][1]
+
+
+def result_of(found: dict[str, Any], about: dict[str, Any]) -> dict[str, Any]:
+    """What is kept of what a `Trial` found, and of what it says of itself."""
+    result = {name: of for name, of in found.items() if name != "failed"}
+    return result | {"status": found["failed"] or "ok", "about": about}
+
+
+def failure_of(outcome: Outcome) -> dict[str, Any]:
+    """What is kept of a setting that could not be run."""
+    return {"status": outcome.status, "about": outcome.about}
+
+
+def times_of(seconds: list[float], about: dict[str, Any]) -> dict[str, Any]:
+    """What is kept of the seconds of runs on this machine, and of what the `Trial` here says."""
+    return {"seconds": seconds, "host": platform.node(), "about": about}
+
+
+def _put_times(outcome: Outcome, kept: dict[str, Any]) -> None:
+    """Make times the outcome's; its device is then the one that was timed."""
+    outcome.seconds, outcome.timed_on = kept["seconds"], kept["host"]
+    outcome.about = kept["about"]
 
 
 def _outcome(setting: Setting, entry: Entry) -> Outcome:

@@ -6,7 +6,6 @@ Processes compile and compute side by side, but whenever one is timed the others
 from __future__ import annotations
 
 import contextlib
-import platform
 import queue
 import tempfile
 import threading
@@ -20,11 +19,13 @@ from taichi_cloth import runtime
 from taichi_cloth.console import Tell, tell_nobody
 from taichi_cloth.errors import InputError
 from taichi_cloth.measuring.timing import Quiet
-from taichi_cloth.measuring.worker import WorkerFailed
+from taichi_cloth.measuring.worker import ENDED, WorkerFailed
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.sweeps.journal import Journal
+from taichi_cloth.sweeps.tasks import Elsewhere, Task, fill
 from taichi_cloth.trade import ode, reference, settings
 from taichi_cloth.trade.conditions import RunConditions
+from taichi_cloth.trade.elsewhere import Sender
 from taichi_cloth.trade.errors import Samples
 from taichi_cloth.trade.outcomes import (
     LOST_REMEDY,
@@ -33,7 +34,7 @@ from taichi_cloth.trade.outcomes import (
     StudyFailure,
     failed_by,
 )
-from taichi_cloth.trade.process import Stopped, TrialProcess
+from taichi_cloth.trade.process import AGAIN, Stopped, TrialProcess
 from taichi_cloth.trade.records import Records
 from taichi_cloth.trade.settings import Process, Setting
 
@@ -74,7 +75,9 @@ class Study:
 
     scenes: without a mouse. frames: the horizon asked for. how: what all runs share. closed: the
     first scene's closed form at given times, or None. journal: has what is finished, and gets it;
-    without one it is kept as long as the study. tell, to be set: shown what is done.
+    without one it is kept as long as the study. elsewhere: where errors are measured, but for the
+    references, and times; None: all here. tell, to be set: shown what is done. lost: tasks that
+    were lost elsewhere and done here instead, a line each.
     """
 
     def __init__(
@@ -85,6 +88,7 @@ class Study:
         how: RunConditions,
         closed: Callable[[np.ndarray], Samples | None] = lambda times: None,
         journal: Journal | None = None,
+        elsewhere: Elsewhere | None = None,
     ):
         self.settings, self.how = list(chosen), how
         self.tell: Tell = tell_nobody
@@ -97,6 +101,9 @@ class Study:
         self._closes_journal = journal is None
         self._records = Records(Journal(self.folder, {}) if journal is None else journal)
         self._processes: list[TrialProcess] = []
+        self._elsewhere, self._came = elsewhere, threading.Event()
+        self.lost: list[str] = []
+        self._sender = Sender(self._records, scenes[0], how)
         self._quiet, self._stop = Quiet(), threading.Event()
         self._news: queue.Queue[tuple[str, int]] = queue.Queue()
 
@@ -121,10 +128,11 @@ class Study:
         done = 0
         interrupted: KeyboardInterrupt | None = None
         failure: BaseException | None = None
-        threads = 1 + min(len(groups), runtime.available_cores())
+        threads = 2 + min(len(groups), runtime.available_cores())
         with ThreadPoolExecutor(max_workers=threads) as pool:
             try:
                 tasks = [pool.submit(self._solve)]
+                tasks.append(pool.submit(self._send, groups))
                 tasks += [pool.submit(self._run_group, key, of) for key, of in groups.items()]
                 self.tell("starting", 0, total)
                 while any(not task.done() for task in tasks) or not self._news.empty():
@@ -141,6 +149,7 @@ class Study:
             self._stop.set()
             for course in self._courses:
                 course.horizon_known.set()
+            self._came.set()
             for process in list(self._processes):
                 process.kill()
         if isinstance(failure, WorkerFailed):
@@ -191,6 +200,29 @@ class Study:
                     self._records.keep_solution(course.scene, times, course.smooth)
                 self._news.put(("the differential equation is solved", MAKING))
 
+    def _send(self, groups: dict[Process, dict[str, list[Setting]]]) -> None:
+        """Have the samples of the processor taken elsewhere; what is lost there is run here."""
+        tasks: list[Task] = []
+        for course in self._courses if self._elsewhere else ():
+            course.horizon_known.wait()
+            if self._stop.is_set() or course.horizon is None:
+                return
+            frames = course.horizon.frames
+            for kind, methods in groups.items():
+                # GPUs differ by machine, and so do errors on them.
+                for of in filter(None, methods.values() if kind[0] == "cpu" else ()):
+                    tasks += self._sender.samples(kind, course.scene, of, frames)
+        if self._elsewhere:
+            self.lost = fill(
+                self._records.journal,
+                tasks,
+                self._elsewhere.executor,
+                lambda task: self._news.put((task.name, 0)),
+                self._stop,
+                self._elsewhere.gone,
+            )
+        self._came.set()
+
     def _run_group(self, kind: Process, methods: dict[str, list[Setting]]) -> None:
         """All of one process; the first one finds the references."""
         first = self._courses[0].scene
@@ -216,6 +248,7 @@ class Study:
     def _run_settings(self, process: TrialProcess, of: list[Setting], course: _Course) -> None:
         """Errors of all settings of one method, then, alone, their times."""
         course.horizon_known.wait()
+        self._came.wait()
         if self._stop.is_set() or course.horizon is None:
             raise Stopped
         scene, frames = course.scene, course.horizon.frames
@@ -225,8 +258,7 @@ class Study:
         missing = [of for of in wanted if not self._records.timed(scene, of, frames)]
         if missing:
             with self._quiet.alone():
-                for outcome in missing:
-                    self._time(process, scene, outcome, frames)
+                self._time(process, scene, missing, frames)
         for outcome in outcomes:
             self._finish(course, outcome)
 
@@ -283,14 +315,42 @@ class Study:
         about = process.about(setting.method)
         return self._records.keep_sample(scene, setting, frames, found, about, file)
 
-    def _time(self, process: TrialProcess, scene: Scene, outcome: Outcome, frames: int) -> None:
+    def _time(
+        self, process: TrialProcess, scene: Scene, outcomes: list[Outcome], frames: int
+    ) -> None:
+        """The times of settings of one method, here or where times are taken."""
+        if self._elsewhere and self._elsewhere.timing:
+            self._time_elsewhere(self._elsewhere, process.kind, scene, outcomes, frames)
+            return
         budget = self.how.budget
-        try:
-            seconds = process.ask(outcome.setting, scene, "time", frames=frames, budget=budget)
-        except WorkerFailed as failed:
-            failed_by(outcome, failed)
-        else:
-            self._records.keep_times(scene, outcome, frames, seconds, platform.node())
+        for outcome in outcomes:
+            setting = outcome.setting
+            try:
+                seconds = process.ask(setting, scene, "time", frames=frames, budget=budget)
+            except WorkerFailed as failed:
+                failed_by(outcome, failed)
+            else:
+                about = process.about(setting.method)
+                self._records.keep_times(scene, outcome, frames, seconds, about)
+
+    def _time_elsewhere(
+        self, there: Elsewhere, kind: Process, scene: Scene, outcomes: list[Outcome], frames: int
+    ) -> None:
+        """The same on the machine that is timed; what is lost there is timed nowhere else."""
+        assert there.timing
+        of = [outcome.setting for outcome in outcomes]
+        task = self._sender.times(kind, scene, of, frames, there.timed_on)
+        lost = [""]
+        for _ in range(1 + AGAIN):
+            journal = self._records.journal
+            lost = fill(journal, [task], there.timing, stop=self._stop, gone=there.gone)
+            if self._stop.is_set():
+                raise Stopped
+            if not lost:
+                break
+        for outcome in outcomes:
+            if not self._records.timed(scene, outcome, frames):
+                failed_by(outcome, WorkerFailed(f"{ENDED}: {''.join(lost)}"))
 
     def _finish(self, course: _Course, outcome: Outcome) -> None:
         """Keep an outcome: of a setting that is compared, of a converged solver, or of both."""

@@ -27,8 +27,10 @@ from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.settings.parameters import error_limit, positive
 from taichi_cloth.settings.sweeps import TuneOptions
+from taichi_cloth.sweeps.cluster import connected
 from taichi_cloth.sweeps.identity import of_scene
 from taichi_cloth.sweeps.journal import Journal, kept
+from taichi_cloth.sweeps.tasks import Elsewhere
 from taichi_cloth.trade import command, rows
 from taichi_cloth.trade.conditions import RunConditions
 from taichi_cloth.trade.rows import Row
@@ -149,12 +151,13 @@ def main(source: SceneSource, options: TuneOptions) -> int:
             )
     how = replace(how, solver_errors=False)
     folder = Path(options.output or f"tune-{scene.name}")
-    known = of_scene("tune", source, options, scene)
+    known = of_scene("tune", source, options, scene, options.times_on)
     with (
         folder_of_results(folder, ()),
+        connected(options.on, options.times_on) as elsewhere,
         kept(folder, known, options.resume, quiet=options.json) as journal,
     ):
-        tried = _tried(source, options, scene, chosen, how, target, journal)
+        tried = _tried(source, options, scene, chosen, how, target, journal, elsewhere)
     if options.json:
         print(json.dumps(_as_json(source, target, tried), indent=1))
     else:
@@ -175,13 +178,16 @@ def _tried(
     how: RunConditions,
     target: Target,
     journal: Journal,
+    elsewhere: Elsewhere | None,
 ) -> list[Attempt]:
     """The settings that meet the target, as they were tried from another start.
 
     Raises InputError where none meets it.
     """
     quiet = options.json
-    with command.measured(source, options, scene, chosen, how, journal, quiet=quiet) as result:
+    with command.measured(
+        source, options, scene, chosen, how, journal, elsewhere, quiet=quiet
+    ) as result:
         if result.interrupted:
             raise result.interrupted
         result.check_whole()
@@ -195,7 +201,7 @@ def _tried(
     again_options = replace(options, frames=result.horizon.asked)
 
     def measure_again(some: Sequence[Setting]) -> list[Row]:
-        of = source, again_options, other, list(some), how, journal, False, quiet
+        of = source, again_options, other, list(some), how, journal, elsewhere, False, quiet
         with command.measured(*of) as again:
             if again.interrupted:
                 raise again.interrupted
