@@ -1,6 +1,6 @@
 """Runs all extreme cases several times in both precisions, and writes docs/extremes.md.
 
-python tests/extreme_document.py [--runs 10]
+python tests/extreme_document.py [--runs 10] [--resume] [--on tcp://HOST:PORT]
 """
 
 import argparse
@@ -15,11 +15,13 @@ from pathlib import Path
 
 import numpy as np
 from extreme_cases import CASES, HEAVY_SAG, tr_bdf2_factor
-from extreme_worker import PRECISIONS
+from extreme_worker import FILES, PRECISIONS, applicable
 
 from taichi_cloth.kernels import methods
-from taichi_cloth.sweeps import identity
+from taichi_cloth.sweeps.cluster import connected
+from taichi_cloth.sweeps.identity import of_place
 from taichi_cloth.sweeps.journal import kept, key_of
+from taichi_cloth.sweeps.tasks import Task, fill, said_of_lost
 
 HERE = Path(__file__).parent
 DOCUMENT = HERE.parent / "docs" / "extremes.md"
@@ -131,6 +133,29 @@ def _keep_all(worker, journal, number):
         result = json.loads(line)
         key = number, result["precision"], result["method"], result["case"]
         journal.add(key_of(*key), result)
+
+
+def run_elsewhere(journal, runs, names, there):
+    """Have other machines run cases; what is lost there is left to `run_once`."""
+    files = {name: (HERE / name).read_bytes() for name in FILES}
+    tasks = []
+    for number in range(1, runs + 1):
+        for precision in PRECISIONS:
+            for method in methods.METHODS:
+                of = number, precision, method
+                keys = {name: key_of(*of, name) for name in applicable(method) if name in names}
+                keys = {name: key for name, key in keys.items() if not journal.get(key)}
+                arguments = {"precision": precision, "method": method, "keys": keys}
+                said = f"run {number}: {method}, {precision}"
+                task = Task(said, "extreme_worker:finished", list(keys.values()), arguments, files)
+                tasks += [task] if keys else []
+
+    def tell(task):
+        print(task.name, file=sys.stderr, flush=True)
+
+    lost = fill(journal, tasks, there.executor, tell, gone=there.gone)
+    if lost:
+        print(said_of_lost(lost), file=sys.stderr, flush=True)
 
 
 def results_of(journal):
@@ -302,12 +327,19 @@ def main(arguments):
     parser.add_argument("--machine", default="2 cores of a shared machine")
     parser.add_argument("--folder", type=Path, default=HERE.parent / "build" / "extremes")
     parser.add_argument("--resume", action="store_true", help="go on with the journal in --folder")
+    parser.add_argument("--on", metavar="tcp://HOST:PORT", help="on a Dask scheduler's workers")
     options = parser.parse_args(arguments)
     before = DOCUMENT.read_text()
     what = [f"/{name}" for name in lacking(before)] if options.add else []
     options.folder.mkdir(parents=True, exist_ok=True)
-    known = {"command": "extremes", "of": " ".join(what) or "all", **identity.of_place()}
-    with kept(options.folder, known, options.resume) as journal:
+    known = {"command": "extremes", "of": " ".join(what) or "all", **of_place()}
+    with (
+        connected(options.on) as there,
+        kept(options.folder, known, options.resume) as journal,
+    ):
+        if there:
+            names = lacking(before) if options.add else list(CASES)
+            run_elsewhere(journal, options.runs, names, there)
         for number in range(1, options.runs + 1):
             print(f"run {number} of {options.runs}", file=sys.stderr, flush=True)
             run_once(journal, number, what)

@@ -19,8 +19,10 @@ from taichi_cloth import runtime
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.kernels import methods
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.sweeps.tasks import Finished
 
 PRECISIONS = "f32", "f64"
+FILES = "extreme_cases.py", "extreme_contacts.py", "extreme_runs.py", "extreme_worker.py"
 
 # --- running ---------------------------------------------------------------------------------
 
@@ -142,6 +144,18 @@ def applicable(method):
     return [name for name, case in CASES.items() if case.steps(module, case.scene()) is not None]
 
 
+def finished(precision, method, keys):
+    """What came of cases of a method, as a task (`sweeps.tasks`) has it; keys: by case."""
+    _start(precision)
+    runner = Runner(method)
+    return [Finished(key, runner.run(CASES[name])) for name, key in keys.items()]
+
+
+def _start(precision):
+    np.seterr(over="ignore")  # of energies of what overflows
+    runtime.start("cpu", precision, threads=1)
+
+
 def main(arguments):
     parser = argparse.ArgumentParser()
     parser.add_argument("precision", choices=PRECISIONS)
@@ -151,8 +165,7 @@ def main(arguments):
     options = parser.parse_args(arguments)
     but = {word[1:] for word in options.what if word.startswith("^")}
     what = {word for word in options.what if not word.startswith("^")}
-    np.seterr(over="ignore")  # of energies of what overflows
-    runtime.start("cpu", options.precision, threads=1)
+    _start(options.precision)
     for method in methods.METHODS:
         runner = None
         for name in CASES:

@@ -15,11 +15,15 @@ import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
+import extreme_document
+import extreme_worker
 import numpy as np
 import pytest
 from selection import thorough
 from test_journal import SMALL, TIMED
 
+from taichi_cloth.benchmarks.accuracy import command as accuracy
+from taichi_cloth.benchmarks.accuracy import matrix
 from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
@@ -31,7 +35,7 @@ from taichi_cloth.stability import elsewhere as stability
 from taichi_cloth.stability import experiment
 from taichi_cloth.sweeps import cluster as dask
 from taichi_cloth.sweeps import tasks
-from taichi_cloth.sweeps.journal import Journal
+from taichi_cloth.sweeps.journal import Journal, key_of
 from taichi_cloth.sweeps.tasks import Elsewhere, Task, TaskLost, fill
 from taichi_cloth.trade import command, elsewhere
 from taichi_cloth.trade.rows import rows_of
@@ -244,11 +248,12 @@ class Asked(ThreadPoolExecutor):
 
     def __init__(self):
         super().__init__(2)
-        self.functions = []
+        self.functions, self.names = [], []
 
     def submit(self, run, payload):
         asked = pickle.loads(pickle.loads(payload)[1])
         self.functions.append(asked.function.rpartition(":")[2])
+        self.names.append(asked.name)
         return super().submit(run, payload)
 
 
@@ -295,3 +300,31 @@ def test_limits_of_steps_come_from_other_processes_too(tmp_path):
     assert [m.kind for m in maps] == ["stiffness", "mass"] and all(m.points for m in maps)
     journal.discard()
 
+
+@thorough
+def test_extreme_cases_run_where_the_tests_are_not(tmp_path, monkeypatch, capsys):
+    """Their files go with them; what is finished is not run again."""
+    monkeypatch.setattr(methods, "METHODS", ("verlet",))
+    name, journal = extreme_worker.applicable("verlet")[0], Journal(tmp_path, {})
+    with Asked() as executor:
+        for _ in range(2):
+            extreme_document.run_elsewhere(journal, 1, [name], Elsewhere(executor))
+    assert sorted(executor.names) == ["run 1: verlet, f32", "run 1: verlet, f64"]
+    results = extreme_document.results_of(journal)
+    assert set(results) == {(precision, name, "verlet") for precision in ("f32", "f64")}
+    assert "lost" not in capsys.readouterr().err
+    journal.discard()
+
+
+def test_the_parts_of_the_bench_of_accuracy_are_sent_but_for_times(tmp_path):
+    """Cells that are finished are sent along, so that they are not run again."""
+    journal = Journal(tmp_path, {})
+    key = key_of("cell", "net", "verlet", "graph", "f64")
+    journal.add(key, [{"error": 0.1}, 2.0])
+    journal.add("events", "kept")
+    parts = "orders", "events", "costs", "matrix", "smooth"
+    sent = {task.name: task for task in accuracy._tasks(parts, journal, {})}
+    assert list(sent) == ["orders", *(f"matrix, {name}" for name in matrix.SCENES)]
+    assert sent["matrix, net"].arguments["known"] == {key: [{"error": 0.1}, 2.0]}
+    assert sent["matrix, cloth"].arguments["known"] == {}
+    journal.discard()

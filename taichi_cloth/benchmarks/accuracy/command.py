@@ -4,6 +4,7 @@
     python -m taichi_cloth.benchmarks.accuracy costs stiff                 # these two
     python -m taichi_cloth.benchmarks.accuracy matrix --missing            # what it has no error of
     python -m taichi_cloth.benchmarks.accuracy --resume                    # after a kill
+    python -m taichi_cloth.benchmarks.accuracy --on tcp://HOST:8786     # errors on a Dask cluster
     python -m taichi_cloth.benchmarks.accuracy --tables docs/accuracy.md   # measures nothing
 
 Each part's results are kept in `bench/results`, in this machine's file.
@@ -28,6 +29,7 @@ from taichi_cloth.settings.sweeps import TradeOptions
 
 if TYPE_CHECKING:
     from taichi_cloth.sweeps.journal import Journal
+    from taichi_cloth.sweeps.tasks import Elsewhere, Finished, Task
 
 COMMAND = "python -m taichi_cloth.benchmarks.accuracy"
 
@@ -77,6 +79,7 @@ MEASURED = {
     "costs": "experiments.costs",
     "matrix": "matrix.matrix",
 }
+TIMED = "costs"  # which this machine is asked for, whatever measures the rest
 PARTS = (*MEASURED, *TRADES)
 KEPT = (
     "method", "substeps", "step", "iterations", "tolerance", "precision", "fast_math", "status",
@@ -94,32 +97,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--output", metavar="DIR", default="bench/results")
     parser.add_argument("--missing", action="store_true", help="matrix: keep the errors it has")
     parser.add_argument("--resume", action="store_true", help="go on where a killed run was")
+    parser.add_argument("--on", metavar="tcp://HOST:PORT", help="errors on a Dask cluster")
     given = parser.parse_args(arguments)
-    document = given.tables and Path(given.tables)
     try:
-        _run(given.parts, Path(given.output), document, given.missing, given.resume)
+        _run(given)
     except (InputError, RunFailure) as error:
         print(f"{COMMAND}: error: {error}", file=sys.stderr)
         return error.exit_status
     return 0
 
 
-def _run(
-    words: Sequence[str], folder: Path, document: Path | None, missing: bool, resume: bool
-) -> None:
+def _run(given: argparse.Namespace) -> None:
+    """Do what the command line asks for."""
     from taichi_cloth.benchmarks.accuracy import pictures, tables
     from taichi_cloth.measuring import machine
 
+    words, document = given.parts, given.tables and Path(given.tables)
     for word in words:
         if word not in PARTS:
             raise InputError(f"unknown part '{word}'; {nearest(word, PARTS)}")
     if document and not document.is_file():
         raise InputError(f"--tables {document}: there is no such file")
-    path = folder / f"{machine.file_name()}-accuracy.json"
+    path = Path(given.output) / f"{machine.file_name()}-accuracy.json"
     chosen = [part for part in PARTS if part in words] or ([] if document else list(PARTS))
     if chosen:
-        kept = read(path)["matrix"]["data"] if missing else None
-        _measure_all(chosen, path, kept, resume)
+        kept = read(path)["matrix"]["data"] if given.missing else None
+        _measure_all(chosen, path, kept, given.resume, given.on)
     if document:
         results = read(path)
         text = document.read_text("utf-8")
@@ -130,35 +133,85 @@ def _run(
 
 
 def _measure_all(
-    parts: Sequence[str], path: Path, of_matrix: dict[str, Any] | None, resume: bool
+    parts: Sequence[str],
+    path: Path,
+    of_matrix: dict[str, Any] | None,
+    resume: bool,
+    on: str | None,
 ) -> None:
     """Measure parts, and put each into the file of results as soon as it is whole."""
-    from taichi_cloth.sweeps import identity, journal
+    from taichi_cloth.sweeps import cluster, identity, journal, tasks
 
     known = {"command": COMMAND, "parts": " ".join(parts), **identity.of_place()}
     path.parent.mkdir(parents=True, exist_ok=True)
-    with journal.kept(path.parent, known, resume) as finished:
+    with (
+        cluster.connected(on) as there,
+        journal.kept(path.parent, known, resume) as finished,
+    ):
+        if there:
+            sent = _tasks(parts, finished, of_matrix or {})
+            lost = tasks.fill(finished, sent, there.executor, _tell, gone=there.gone)
+            if lost:
+                print(tasks.said_of_lost(lost), file=sys.stderr, flush=True)
         for part in parts:
             if finished.get(part):
                 continue
             print(f"measuring: {part}", file=sys.stderr, flush=True)
-            keep(path, part, measure(part, finished, of_matrix))
+            keep(path, part, measure(part, finished, of_matrix, there))
             finished.add(part, "kept")
 
 
+def _tasks(parts: Sequence[str], journal: Journal, of_matrix: dict[str, Any]) -> list[Task]:
+    """What other machines can do: all but what is timed, and trades, which see to themselves."""
+    from taichi_cloth.benchmarks.accuracy import matrix
+    from taichi_cloth.sweeps.tasks import Task
+
+    found: list[Task] = []
+    for part in parts:
+        if journal.get(part) or part in (*TRADES, TIMED):
+            continue
+        if part == "matrix":
+            found += matrix.tasks(journal, of_matrix)
+        else:
+            key = _data_key(part)
+            found.append(Task(part, f"{__name__}:finished", [key], {"part": part, "key": key}))
+    return found
+
+
+def finished(part: str, key: str) -> list[Finished]:
+    """A part's data, as a task has it; key: of it."""
+    from taichi_cloth.sweeps.tasks import Finished
+
+    return [Finished(key, _computed(part))]
+
+
+def _data_key(part: str) -> str:
+    return json.dumps(["data", part])
+
+
+def _tell(task: Task) -> None:
+    print(f"there: {task.name}", file=sys.stderr, flush=True)
+
+
 def measure(
-    part: str, journal: Journal | None = None, of_matrix: dict[str, Any] | None = None
+    part: str,
+    journal: Journal | None = None,
+    of_matrix: dict[str, Any] | None = None,
+    there: Elsewhere | None = None,
 ) -> dict[str, Any]:
     """A part's results, with what it takes to measure them again.
 
     journal: has what is finished of it, and gets the rest. of_matrix: results of the matrix, whose
-    errors are taken over.
+    errors are taken over. there: where errors of trades are measured, if not here.
     """
     from taichi_cloth.measuring import machine
     from taichi_cloth.sweeps.identity import PACKAGES
 
-    asked = {"kept": of_matrix, "journal": journal} if part == "matrix" else {}
-    command, data = _trade(part, journal) if part in TRADES else _experiment(part, asked)
+    if part in TRADES:
+        command, data = _trade(part, journal, there)
+    else:
+        command = f"{COMMAND} {part}"
+        data = _experiment(part, journal, of_matrix)
     about = machine.describe()
     return {
         "command": command,
@@ -169,25 +222,33 @@ def measure(
     }
 
 
-def _experiment(part: str, asked: dict[str, Any]) -> tuple[str, Any]:
+def _experiment(part: str, journal: Journal | None, of_matrix: dict[str, Any] | None) -> Any:
+    """A part's data, from the journal where it has them."""
+    if part == "matrix":
+        return _computed(part, kept=of_matrix, journal=journal)
+    return journal.once(_data_key(part), lambda: _computed(part)) if journal else _computed(part)
+
+
+def _computed(part: str, **asked: Any) -> Any:
+    """A part's data, measured in this process or in workers of its own."""
     from taichi_cloth import runtime
 
     module, name = MEASURED[part].split(".")
-    if part not in ("costs", "matrix"):
+    if part not in (TIMED, "matrix"):
         runtime.start("cpu", "f64", threads=1, fast_math=False)
     found = importlib.import_module(f"taichi_cloth.benchmarks.accuracy.{module}")
     function: Callable[..., Any] = getattr(found, name)
-    return f"{COMMAND} {part}", function(**asked)
+    return function(**asked)
 
 
-def _trade(part: str, journal: Journal | None) -> tuple[str, Any]:
+def _trade(part: str, journal: Journal | None, there: Elsewhere | None) -> tuple[str, Any]:
     """The rows of `taichi-cloth trade`, what they were compared to, and the scale of errors."""
     from taichi_cloth.trade import command, rows
 
     source, asked = TRADES[part]
     options = TradeOptions.from_given(asked)
     scene, chosen, how = command.prepare(source, options)
-    with command.measured(source, options, scene, chosen, how, journal) as result:
+    with command.measured(source, options, scene, chosen, how, journal, there) as result:
         made = rows.rows_of(result, command.common(scene), command.run_words(source, how))
         if result.interrupted:
             raise result.interrupted

@@ -29,6 +29,7 @@ from taichi_cloth.settings.options import PRECISIONS, TOPOLOGIES
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.simulation.storage import adjacency
 from taichi_cloth.sweeps.journal import Journal, key_of
+from taichi_cloth.sweeps.tasks import Finished, Task, finished_by
 from taichi_cloth.trade.errors import Samples, displacement, rms_by_frame
 from taichi_cloth.trade.reference import coarsest, fine_method
 
@@ -251,7 +252,30 @@ def _row(
                 if made == TOO_SLOW:
                     slow.add((topology, _kind(method)))
                 cells[method][f"{topology} {precision}"] = made
+    if journal:
+        journal.once(_row_key(name), lambda: "whole")
     return about | {"cells": cells}
+
+
+def _row_key(name: str) -> str:
+    return key_of("row", name)
+
+
+def tasks(journal: Journal, kept: Mapping[str, Any]) -> list[Task]:
+    """The scenes of the whole matrix as tasks (`sweeps.tasks`); kept: see `matrix`."""
+    found = []
+    for name in SCENES:
+        begins = key_of("cell", name)[:-1]
+        cells = [key for key in journal.finished() if key.startswith(f"{begins},")]
+        known = {key: entry.result for key in cells if (entry := journal.get(key))}
+        asked = {"name": name, "known": known, "kept": kept}
+        found.append(Task(f"matrix, {name}", f"{__name__}:finished", [_row_key(name)], asked))
+    return found
+
+
+def finished(name: str, known: Mapping[str, Any], kept: Mapping[str, Any]) -> list[Finished]:
+    """What `matrix` puts into a journal of a scene; known: cells that are finished, by key."""
+    return finished_by(lambda journal: matrix([name], kept=kept, journal=journal), known)
 
 
 KINDS = ("explicit", "sweeps", "solves")  # of methods; the first compiles soonest
