@@ -22,7 +22,7 @@ class Mesh:
 
     place: (n, 3) vertices [world units]. normal: (n, 3), of any length. corner: (m, 3) int32.
     front, back: (n, 3) colours 0..1 of the vertices, seen from where their triangles go round
-    counterclockwise, and from behind. veil: 1 where one sees through it, else 0.
+    counterclockwise, and from behind. veil: whether one sees through it, as if it were half there.
     """
 
     place: np.ndarray
@@ -30,7 +30,7 @@ class Mesh:
     corner: np.ndarray
     front: np.ndarray
     back: np.ndarray
-    veil: int = 0
+    veil: bool = False
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Balls:
     centre: np.ndarray = field(default_factory=NO_VECTORS.copy)
     radius: np.ndarray = field(default_factory=NO_NUMBERS.copy)
     color: np.ndarray = field(default_factory=NO_VECTORS.copy)
-    veil: int = 0
+    veil: bool = False
 
 
 @dataclass(frozen=True)
@@ -109,6 +109,7 @@ class Rasterizer:
         )
         self._behind = ti.ndarray(ti.i32, shape), ti.ndarray(ti.i32, shape)
         self._laid = ti.ndarray(ti.i32, (size[1], size[0]))
+        self._under: ti.Ndarray | None = None  # what is seen through veils
         self._wanted: bytes | None = None  # what lies behind everything, and
         self._still: Still | None = None
 
@@ -151,23 +152,43 @@ class Rasterizer:
         balls: list[Balls],
         lines: list[Lines],
     ) -> None:
-        """Draw things before what is there."""
-        target = self._drawn
+        """Draw things before what is there; veils last, of which the nearest is seen."""
+        firm = [m for m in meshes if not m.veil], [b for b in balls if not b.veil]
+        veils = [m for m in meshes if m.veil], [b for b in balls if b.veil]
         for stage in (0, 1):
-            for m in meshes:
-                if len(m.corner):
-                    colors = m.front, m.back
-                    raster.triangles(
-                        stage, *target, m.place, m.normal, m.corner, *colors, lens, lights, m.veil
-                    )
-            for b in balls:
-                if len(b.centre):
-                    shape = b.centre, b.radius, b.color
-                    raster.balls(stage, *target, *shape, lens, lights, b.veil)
-            for line in lines:
-                if len(line.color):
-                    wide = np.float32(self._samples) * line.width
-                    raster.lines(stage, *target, line.end, line.color, wide, lens, line.lift)
+            self._draw(stage, lens, lights, *firm, lines)
+        if not any(veils):
+            return
+        if self._under is None:
+            self._under = _image(self._drawn[1].shape)
+        _, color, touched = self._drawn
+        self._draw(0, lens, lights, *veils, [])
+        raster.set_back(color, touched, self._under)
+        self._draw(1, lens, lights, *veils, [])
+        raster.see_through(color, touched, self._under)
+
+    def _draw(
+        self,
+        stage: int,
+        lens: np.ndarray,
+        lights: np.ndarray,
+        meshes: list[Mesh],
+        balls: list[Balls],
+        lines: list[Lines],
+    ) -> None:
+        """Do one of the two stages of drawing things; see `kernels/raster.py`."""
+        target = self._drawn
+        for m in meshes:
+            if len(m.corner):
+                shape = m.place, m.normal, m.corner, m.front, m.back
+                raster.triangles(stage, *target, *shape, lens, lights)
+        for b in balls:
+            if len(b.centre):
+                raster.balls(stage, *target, b.centre, b.radius, b.color, lens, lights)
+        for line in lines:
+            if len(line.color):
+                wide = np.float32(self._samples) * line.width
+                raster.lines(stage, *target, line.end, line.color, wide, lens, line.lift)
 
     def _lay(
         self,

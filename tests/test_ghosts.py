@@ -13,6 +13,7 @@ from taichi_cloth import runtime
 from taichi_cloth.scene.model import World
 from taichi_cloth.ui import style
 from taichi_cloth.ui.ghosts import Ghosts
+from taichi_cloth.ui.views import gui
 from taichi_cloth.ui.views.contract import Picture
 from taichi_cloth.ui.views.gui import GuiView
 
@@ -113,9 +114,18 @@ def check_all(view):
     assert middle.sum() > 3000 and differ(plain, seen, 20)[middle].mean() > 0.98
     mixed = SHARE * plain + (1 - SHARE) * np.array(style.GHOST)
     assert (seen[middle] <= mixed[middle] + 20).all() and seen[middle][:, 0].min() > 60
+    # Of two layers of a ghost one is seen, whichever comes first.
+    picture = picture_of(sheet(-0.1, n=12, size=0.7), red)
+    layers = []
+    for count in (144, 288):
+        view.draw(haunted(picture, np.full((count, 3), (0.0, 0.0, 0.3), np.float32)))
+        layers.append(view.grab().astype(float))
+    assert not differ(*layers, 6)[middle].any()
 
 
-def test_ghosts_are_drawn_where_they_are(device):
+@pytest.mark.parametrize("samples", [2, 1])  # one in a window whose scene takes too long with more
+def test_ghosts_are_drawn_where_they_are(device, monkeypatch, samples):
+    monkeypatch.setattr(gui, "SAMPLES", samples)
     view = GuiView(PLANE, SIZE, "", visible=False)
     try:
         check_all(view)

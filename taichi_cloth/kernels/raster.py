@@ -131,13 +131,11 @@ def triangles(
     back: rows,
     lens: numbers,
     lights: rows,
-    veil: ti.i32,
 ):
     """Draw triangles (m, 3) of the vertices (n, 3), which have normals (n, 3).
 
     front, back: (n, 3) colours of the vertices, seen from the side that their normals look to
     (counterclockwise), and from the other one.
-    veil: 1 where one sees through it: only each second pixel is drawn, as on a chessboard; else 0.
     """
     for t in range(corner.shape[0]):
         p, q, r = corner[t, 0], corner[t, 1], corner[t, 2]
@@ -169,7 +167,7 @@ def triangles(
                         x = i + 0.5 - u[0]
                         second, third = second_x * x + second_y * y, third_x * x + third_y * y
                         first = 1.0 - second - third
-                        if ti.min(first, second, third) >= EDGE and ((i + j) & veil) == 0:
+                        if ti.min(first, second, third) >= EDGE:
                             # One over the depth is linear on the screen.
                             z = 1.0 / (first * u[2] + second * v[2] + third * w[2])
                             if ti.static(stage == 0):
@@ -210,9 +208,8 @@ def balls(
     rgb: rows,
     lens: numbers,
     lights: rows,
-    veil: ti.i32,
 ):
-    """Draw spheres: centre (k, 3), radius (k,), colour (k, 3). veil: as for `triangles`."""
+    """Draw spheres: centre (k, 3), radius (k,), colour (k, 3)."""
     for s in range(centre.shape[0]):
         c = _vector(centre, s)
         if c[2] > lens[3]:
@@ -232,7 +229,7 @@ def balls(
                     nearest = d.dot(c) / size2  # where the line of sight is nearest to the middle
                     away = nearest * d - c
                     inside = r * r - away.dot(away)
-                    if inside >= 0.0 and ((i + j) & veil) == 0:
+                    if inside >= 0.0:
                         z = nearest - ti.sqrt(inside / size2)
                         if z > lens[3]:
                             if ti.static(stage == 0):
@@ -333,6 +330,37 @@ def lay_floor(depth: image, color: image, lens: numbers, background: numbers, fl
                         color[j, i] = -1 - _packed(none + share * (tile - none))
                         if share > 0.5:
                             depth[j, i] = _depth_bits(z)
+
+
+@ti.kernel
+def set_back(color: image, touched: image, under: image):
+    """Have what is drawn so far lie behind what comes: take its colours (h, w) into `under`, and
+    let whatever is drawn next be larger.
+
+    Only tiles that are touched by then: of what comes, stage 0 has to be done.
+    """
+    for tile in range(touched.shape[0] * touched.shape[1]):
+        tile_j, tile_i = tile // touched.shape[1], tile % touched.shape[1]
+        if touched[tile_j, tile_i] != 0:
+            j0, i0 = tile_j * TILE[0], tile_i * TILE[1]
+            for j in range(j0, ti.min(j0 + TILE[0], color.shape[0])):
+                for i in range(i0, ti.min(i0 + TILE[1], color.shape[1])):
+                    code = ti.min(color[j, i], -1 - color[j, i])
+                    color[j, i], under[j, i] = code, code
+
+
+@ti.kernel
+def see_through(color: image, touched: image, under: image):
+    """Make what was drawn since `set_back` half transparent."""
+    for tile in range(touched.shape[0] * touched.shape[1]):
+        tile_j, tile_i = tile // touched.shape[1], tile % touched.shape[1]
+        if touched[tile_j, tile_i] != 0:
+            j0, i0 = tile_j * TILE[0], tile_i * TILE[1]
+            for j in range(j0, ti.min(j0 + TILE[0], color.shape[0])):
+                for i in range(i0, ti.min(i0 + TILE[1], color.shape[1])):
+                    over, below = color[j, i], -1 - under[j, i]
+                    if over >= 0:  # half of each of the three bytes, rounded down
+                        color[j, i] = ((over >> 1) & 0x7F7F7F) + ((below >> 1) & 0x7F7F7F)
 
 
 @ti.func

@@ -392,13 +392,9 @@ class Composer:
             mesh = self._surfaces[number] = SurfaceMesh.build(len(position))
             mesh.vertex[:, ALPHA] = style.GHOST_SHARE if number == 2 else 1.0
         corners = mesh.fill(
-            topology,
-            camera,
-            position.astype(np.float32),
-            color,
-            normal,
-            two_sided=number == 0,
-        )
+            topology, camera, position.astype(np.float32), color, normal,
+            two_sided=number == 0, one_layer=number == 2,
+        )  # fmt: skip
         if len(corners):
             self._mesh_3d(mesh.vertex, corners)
 

@@ -51,11 +51,11 @@ class Veils:
         if len(ghost.triangles):
             topology = self._topology(ghost.triangles).of_shown(shown)
             mesh = in_space.mesh(topology, camera, position, color, color, ghost.normals)
-            meshes.append(replace(mesh, veil=1))
+            meshes.append(replace(mesh, veil=True))
         segments = drawing.between_shown(ghost.segments, shown)
         widths = np.full(len(segments), width, np.float32)
         end, own = position[segments.reshape(-1)], color[segments[:, 0]]
         seen = shown & ghost.as_spheres
         radius = np.asarray(ghost.radius[seen], np.float32)
-        balls = Balls(position[seen], radius, color[seen], veil=1)
+        balls = Balls(position[seen], radius, color[seen], veil=True)
         return meshes, [balls], [Lines(end, own, widths, -drawing.LIFTED)]

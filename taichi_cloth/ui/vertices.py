@@ -285,12 +285,15 @@ class SurfaceMesh:
         normal: np.ndarray | None,
         *,
         two_sided: bool,
+        one_layer: bool = False,
     ) -> np.ndarray:
         """Put the surface at `position`; the numbers of its triangles' corners, int32.
 
         position: (n, 3) float32 camera axes. color: (n, 3) uint8, of the front. normal: (n, 3),
         unit normals in the world's axes; None: they are computed here.
-        two_sided: whether the back has a colour of its own.
+        two_sided: whether the back has a colour of its own. one_layer: whether one sees through it,
+        but not the layers behind the first: nearer triangles come first, so the depth buffer keeps
+        those off.
         """
         count = len(position)
         front, back = self.vertex[:count], self.vertex[count:]
@@ -305,8 +308,11 @@ class SurfaceMesh:
         side = np.where(topology.faces_us(position, face, camera.distance), 0, count).astype(
             np.int32
         )
-        corners: np.ndarray = (topology.triangles + side[:, None]).reshape(-1)
-        return corners
+        corners: np.ndarray = topology.triangles + side[:, None]
+        if one_layer:
+            depth = position[:, 2].take(topology.triangles).sum(axis=1)
+            corners = corners[np.argsort(depth, kind="stable")]
+        return corners.reshape(-1)
 
 
 def floor_vertices(
