@@ -25,6 +25,7 @@ NO_GHOST, MAGNIFIED, TRUE = range(3)  # how the reference is drawn
 APART, UNSEEN = 0.06, 0.002
 # What is smaller than the last one shows is nothing that one should look at.
 TIMES = [n * 10.0**power for power in range(3) for n in (1, 2, 5)] + [1e3]
+OLDEST = 3.0  # seconds after the end of a reference, in which it says something of what is seen
 MOST_SHOWN = 20  # seconds that were measured, in a graph of ten
 
 
@@ -68,11 +69,11 @@ class MeasuredErrors:
         found, now = meter.ghost, self._sim.frame
         if found is None:
             return GhostReading(f"ghost: waits for a measured second ({meter.progress()})")
-        away = found.at(now)
-        if away is None:
-            return GhostReading(f"ghost: known of frames {found.start} to {found.end}")
+        away, old = found.at(now), (now - found.end) / SECOND
+        if away is None or old > OLDEST:
+            back = f", {old:.0f} s ago: go back there (,)" if old > OLDEST else ""
+            return GhostReading(f"ghost: known of frames {found.start} to {found.end}{back}")
         times = magnification(found) if self._ghost == MAGNIFIED else 1.0
-        old = (now - found.end) / SECOND
         when = f"as {old:.1f} s ago" if old > 0 else "at this frame"
         size = f"difference x{times:g}" if times > 1 else "true size"
         small = ", too small to see" if times * found.largest < UNSEEN * found.extent else ""
