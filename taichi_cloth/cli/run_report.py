@@ -96,12 +96,13 @@ def _explain(found: PostMortem) -> None:
 def _finding(found: PostMortem) -> Finding:
     """What a window says of a post-mortem."""
     from taichi_cloth.kernels import methods
+    from taichi_cloth.post_mortem.causes import DAMPINGS
     from taichi_cloth.ui.chrome.why import Finding
 
     trace, best, failure = found.trace, found.search.best, found.trace.failure
     title = f"frame {failure.frame}: particle {failure.particle} {failure.what}" if failure else ""
     limit = methods.load(trace.settings.method).claims.stability_limit
-    samples = trace.samples
+    samples, damped = trace.samples, found.cause.kind in DAMPINGS
     settings: dict[str, Any] = {}
     if best is not None:
         pairs = {
@@ -114,7 +115,7 @@ def _finding(found: PostMortem) -> Finding:
     columns = {
         name: np.array([getattr(sample, of) for sample in samples])
         for name, of in (
-            *(("time", "time"), ("reach", "reach")),
+            *(("time", "time"), ("reach", "damped" if damped else "reach")),
             *(("energy", "moving"), ("created", "drift")),
         )
     }
@@ -123,7 +124,8 @@ def _finding(found: PostMortem) -> Finding:
         title, found.cause.says, found.cause.proof, found.cause.numerical, remedy, settings,
         back=(failure.frame - 1 if failure else samples[-1].frame) - samples[0].frame,
         whole=trace.whole and not trace.acts,
-        limit=limit if 0 < limit < np.inf else None,
+        limit=limit if 0 < limit < np.inf and not damped else None,
+        reads="h d, by damping" if damped else "h omega",
         **columns,
     )  # fmt: skip
 

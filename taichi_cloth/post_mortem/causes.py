@@ -31,13 +31,14 @@ from taichi_cloth.post_mortem.onset import (
 )
 from taichi_cloth.post_mortem.sample import Sample
 from taichi_cloth.post_mortem.trace import Trace, inverse_masses
-from taichi_cloth.post_mortem.wording import by_whom, since, spring_named, spring_of
+from taichi_cloth.post_mortem.wording import air_at, by_whom, since, spring_named, spring_of
 from taichi_cloth.simulation.strain import lengths, strains
 
 # What a cause is called.
 STEP, DAMPING, AIR, NEVER, SOLVER, RANGE = "step", "damping", "air", "method", "solver", "range"
 SPEED, MOTION, PUSH, ENERGY, CONTACT = "speed", "motion", "push", "energy", "contact"
 TEARING, BUCKLING, NOTHING, UNKNOWN = "tearing", "buckling", "nothing", "unknown"
+DAMPINGS = frozenset((DAMPING, AIR))
 # Those of which a scene is the cause, or who acted on it, and no step and no method.
 PHYSICS = frozenset((SPEED, MOTION, PUSH, ENERGY, TEARING, BUCKLING, NOTHING))
 
@@ -349,7 +350,7 @@ def _damper(trace: Trace, sample: Sample) -> tuple[str, str]:
     assert shares is not None
     along = float(shares.damping.sum())
     if shares.air >= max(along, shares.drag):
-        return AIR, f"the air at the triangles around particle {limit.particle}"
+        return AIR, air_at(limit.particle)
     if shares.drag > along:
         return DAMPING, f"the drag on particle {limit.particle}"
     return DAMPING, f"the dashpot of {spring_of(sample)}"

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.kernels import methods
+from taichi_cloth.post_mortem.causes import DAMPINGS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from taichi_cloth.post_mortem.examine import PostMortem
 
+FEW = 9  # numbers beside an axis
 LARGEST = 1e30  # what a graph shows of numbers that overflow
 
 
@@ -36,8 +38,9 @@ def draw(found: PostMortem) -> str:
     _scaled(axes[1], [abs(s.moving) for s in samples])
     axes[1].set_ylabel("energy")
     axes[1].legend(loc="best", fontsize=8)
-    _line(axes[2], time, [100 * s.strain for s in samples], marker, "tab:green", "largest strain")
-    _scaled(axes[2], [100 * abs(s.strain) for s in samples])
+    strained = [100 * abs(s.strain) for s in samples]
+    _line(axes[2], time, strained, marker, "tab:green", "largest strain")
+    _scaled(axes[2], strained)
     axes[2].set_ylabel("largest strain, %")
     axes[2].set_xlabel("time (the scene's)")
     for each in axes:
@@ -59,6 +62,11 @@ def _reach(axes: Axes, found: PostMortem, time: np.ndarray, marker: str) -> None
         axes.axhline(limit, color="tab:red", ls="--", lw=1, label=f"{settings.method}: {limit:.4g}")
     _scaled(axes, reach)
     axes.set_ylabel("h omega")
+    if found.cause.kind in DAMPINGS:
+        damped = [sample.damped for sample in samples]
+        _line(axes, time, damped, marker, "tab:brown", "h d, its damping")
+        _scaled(axes, [*reach, *damped])
+        axes.set_ylabel("h omega, h d")
     axes.legend(loc="best", fontsize=8)
 
 
@@ -74,7 +82,12 @@ def _scaled(axes: Axes, values: list[float]) -> None:
     """Go by powers where values differ by many."""
     seen = np.array([v for v in values if 0 < v < LARGEST])
     if len(seen) and seen.max() > 100 * np.median(seen):
-        axes.set_yscale("symlog", linthresh=float(np.quantile(seen, 0.1)) or 1.0)
+        least = float(np.quantile(seen, 0.1)) or 1.0
+        axes.set_yscale("symlog", linthresh=least)
+        axes.autoscale_view()
+        # Numbers beside 0 would lie on each other.
+        ticks = [at for at in axes.get_yticks() if at == 0 or abs(at) > 10 * least]
+        axes.set_yticks(ticks[:: 1 + len(ticks) // FEW])
 
 
 def _mark(axes: Axes, found: PostMortem) -> None:

@@ -15,6 +15,7 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.post_mortem import graphs
 from taichi_cloth.post_mortem.examine import PostMortem, flags
 from taichi_cloth.post_mortem.survivors import Trial
+from taichi_cloth.post_mortem.wording import spring_of
 from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.version import __version__
 
@@ -117,7 +118,7 @@ def _of_run(trace: Trace) -> list[list[str]]:
         ["step", f"{trace.h:.4g}: frames of {settings.dt:.4g} in {settings.substeps} steps"],
         ["numbers", trace.precision],
         ["size", f"{len(trace.last.particles)} particles, {len(trace.last.springs)} springs hold"],
-        ["h omega at the end", f"{last.reach:.4g}, set by {last.limit.describe()}"],
+        ["h omega at the end", f"{last.reach:.4g}, set by {spring_of(last)}"],
         ["broken springs", f"{last.broken}, {last.broken - trace.samples[0].broken} of them here"],
         ["largest strain", f"{100 * last.strain:.3g} %, of spring {last.spring}"],
         ["largest speed", f"{last.speed:.3g} of at most {trace.speed_limit:.3g}"],

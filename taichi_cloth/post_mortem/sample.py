@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from taichi_cloth.limits.eigenmodes import Limit
@@ -44,3 +45,8 @@ class Sample:
     speed: float
     fastest: int
     broken: int
+
+    @property
+    def damped(self) -> float:
+        """h d, of the mode that is the first to grow; NaN where none is known."""
+        return math.nan if self.shares is None else self.h * self.shares.d

@@ -29,8 +29,16 @@ def spring_of(sample: Sample) -> str:
     """What sets a sample's limit, a spring with its numbers of then."""
     number = sample.limit.spring
     if number < 0:
+        shares = sample.shares
+        if shares is not None and shares.air > shares.drag and sample.limit.bent < 0:
+            return air_at(sample.limit.particle)
         return sample.limit.describe()
     return _with_numbers(number, sample.stiffness, sample.inverse)
+
+
+def air_at(particle: int) -> str:
+    """What acts on a particle in wind."""
+    return f"the air at the triangles around particle {particle}"
 
 
 def _with_numbers(number: int, stiffness: float, inverse: Sequence[float]) -> str:

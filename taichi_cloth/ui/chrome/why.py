@@ -34,7 +34,7 @@ class Finding:
     `simulation.live`; empty: there is none. back: how many frames before the last one to go on
     from; whole: whether that is the start. time: of each reading, (k,), the scene's; reach, energy,
     created: h omega, the energy of motion and springs, and what of it came from nothing, (k,).
-    limit: of h omega; None: there is none.
+    limit: of h omega; None: there is none. reads: what `reach` is called.
     """
 
     title: str
@@ -50,6 +50,7 @@ class Finding:
     energy: np.ndarray = field(default_factory=lambda: np.zeros(0))
     created: np.ndarray = field(default_factory=lambda: np.zeros(0))
     limit: float | None = None
+    reads: str = "h omega"
 
 
 class Examiner(Protocol):
@@ -89,12 +90,12 @@ def _panel(finding: Finding | None, rect: Rect, height: int) -> Panel:
     if finding is not None and len(finding.time) > 1:
         limit = [] if finding.limit is None else [Line(finding.limit, style.BAD)]
         beside = "" if finding.limit is None else f", stable up to {finding.limit:.3g}"
-        title = f"h omega{beside}"
+        title = f"{finding.reads}{beside}"
         y = _graph(pixels, y, height, title, finding.time, [(finding.reach, style.INK)], limit)
         curves = [(_powers(finding.energy), style.INK), (_powers(finding.created), style.BAD)]
         title = "energy, in powers of ten; red: from nothing"
         _graph(pixels, y, height, title, finding.time, curves, [])
-        said += ["h omega", "energy"]
+        said += [finding.reads, "energy"]
     return Panel(rect.x, rect.y, pixels, "\n".join(said))
 
 
