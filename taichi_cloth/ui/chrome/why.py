@@ -87,7 +87,7 @@ def _panel(finding: Finding | None, rect: Rect, height: int) -> Panel:
     pixels[:, :1] = style.WALL
     said: list[str] = []
     y = _write(pixels, _lines(finding), 0.6 * height, height, said)
-    if finding is not None and len(finding.time) > 1:
+    if finding is not None and len(np.unique(finding.time)) > 1:
         limit = [] if finding.limit is None else [Line(finding.limit, style.BAD)]
         beside = "" if finding.limit is None else f", stable up to {finding.limit:.3g}"
         title = f"{finding.reads}{beside}"
@@ -113,7 +113,7 @@ def _lines(finding: Finding | None) -> list[tuple[str, Color]]:
     if finding.settings:
         where = "the start" if finding.whole else f"{finding.back} frames before"
         lines.append((f"{APPLY_KEY}: go on with it from {where}", style.KEY_INK))
-    return [*lines, ("left, right: the frames before   r: begin anew", style.MUTED)]
+    return [*lines, ("left, right: the frames before", style.MUTED), ("r: begin anew", style.MUTED)]
 
 
 def _write(
@@ -142,10 +142,12 @@ def _graph(
 ) -> float:
     """Draw a graph over the whole of `time` with its title; returns where it ends."""
     pad, tall = round(0.7 * height), round(TALL * height)
-    top = round(y + 1.3 * height)
+    written = text.wrapped(title, round(pixels.shape[1] - 2 * pad), height)
+    top = round(y + 1.3 * height * len(written))
     if top + tall + pad > pixels.shape[0]:
         return y
-    text.write(pixels, title, (pad, y), height, style.MUTED)
+    for k, part in enumerate(written):
+        text.write(pixels, part, (pad, y + 1.3 * height * k), height, style.MUTED)
     values = np.concatenate([*(v for v, _ in curves), [line.value for line in lines]])
     values = values[np.isfinite(values)]
     ends = graphs.scale(float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
