@@ -17,6 +17,7 @@ from taichi_cloth.errors import InputError, clipped, one_line
 from taichi_cloth.sweeps.tasks import Elsewhere, TaskLost, place, refusal
 
 PATIENCE = 2.0  # seconds in which a scheduler has to answer, and then to have a worker
+ENTRY = 10.0  # seconds in which a scheduler that answered lets a client in, however busy it is
 ABSENCE = 30.0  # seconds without a worker after which none is waited for
 ADDRESS = re.compile(r"(tcp|tls|ws|wss|ucx)://[^\s/]+:\d+")
 
@@ -68,7 +69,7 @@ def _client(address: str) -> Any:
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         asyncio.run(asyncio.wait_for(_greet(distributed, address), PATIENCE))
-        return distributed.Client(address, timeout=PATIENCE, set_as_default=False)
+        return distributed.Client(address, timeout=ENTRY, set_as_default=False)
     except Exception as error:
         silent = isinstance(error, (OSError, TimeoutError)) or "Timeout" in type(error).__name__
         says = f"no scheduler answers within {PATIENCE:g} s"
