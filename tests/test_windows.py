@@ -690,6 +690,12 @@ def display():
         yield name
 
 
+def ask_xdotool(env, *words):
+    return subprocess.run(
+        ["xdotool", *map(str, words)], env=env, capture_output=True, text=True
+    ).stdout
+
+
 class Window:
     """A running probe window and the hands on it.
 
@@ -726,9 +732,7 @@ class Window:
         self.wait(found)
 
     def ask(self, *words):
-        return subprocess.run(
-            ["xdotool", *map(str, words)], env=self.env, capture_output=True, text=True
-        ).stdout
+        return ask_xdotool(self.env, *words)
 
     def do(self, *words):
         self.ask(*words)
@@ -1053,6 +1057,23 @@ def test_a_window_destroyed_from_outside_ends_the_run_with_its_files(window, dis
     w.ask("windowclose", w.id)
     assert w.process.wait(20) == 0
     assert w.image.exists() and w.log.exists()
+
+
+@needs_x
+@pytest.mark.skipif(not runtime.vulkan_available(), reason="GGUI needs Vulkan")
+def test_a_window_as_large_as_the_screen_is_all_on_it(display, caches, tmp_path):
+    run = ["run", "oscillator", "--view", "ggui", "--size", "1400x900", "--execution", "serial"]
+    env = {**os.environ, **caches, "DISPLAY": display}
+    process = subprocess.Popen([sys.executable, "-m", "taichi_cloth", *run], env=env, cwd=tmp_path)
+    place = ["search", "--sync", "--onlyvisible", "--name", "oscillator", "getwindowgeometry"]
+    try:
+        end = time.time() + 60
+        while "Position: 0,0 " not in (said := ask_xdotool(env, *place)):
+            assert time.time() < end, said
+            time.sleep(0.05)
+        assert "Geometry: 1400x900" in said
+    finally:
+        process.kill()
 
 
 UNSEEN = """

@@ -361,10 +361,13 @@ class Connection:
         """The window's (width, height) in pixels; None when it is gone."""
         if _CUT.intersection((self._display, *self._displays)):
             return None
+        return self._size(self.window)
+
+    def _size(self, window: int) -> tuple[int, int] | None:
         root, x, y = _window(), _int(), _int()
         w, h, border, depth = (ctypes.c_uint() for _ in range(4))
         out = [ctypes.byref(v) for v in (root, x, y, w, h, border, depth)]
-        if not self._x.XGetGeometry(self._display, self.window, *out):
+        if not self._x.XGetGeometry(self._display, window, *out):
             return None
         return w.value, h.value
 
@@ -390,6 +393,15 @@ class Connection:
         """Put the window's top left corner at `position` on the screen."""
         self._x.XMoveWindow(self._display, self.window, *position)
         self._x.XSync(self._display, 0)
+
+    def show_whole(self) -> None:
+        """Move the window so far that all of it is on the screen, or its top left corner."""
+        size, screen, position = self.size(), self._size(self._root), self.position()
+        if size and screen:
+            ends = zip(position, screen, size, strict=True)
+            x, y = (max(0, min(at, whole - part)) for at, whole, part in ends)
+            if (x, y) != position:
+                self.move((x, y))
 
     def entitle(self, title: str) -> None:
         """Write another title over the window."""

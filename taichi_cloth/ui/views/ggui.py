@@ -56,6 +56,8 @@ class GguiView:
         self._pair: PairComposer | None = None  # of two worlds beside each other
         self._tap = x11.connect(title, displays) if visible else None
         self._guard = rescue.Guard(self._gone) if self._tap else None
+        if self._tap:
+            self._tap.show_whole()  # GGUI begins 100 pixels from the screen's corner
         self._listens = bool(self._tap and self._tap.listen())
         self._pointer: tuple[float, float] | None = None
         self._held: set[str] = set()
