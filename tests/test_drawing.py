@@ -377,8 +377,39 @@ def test_both_views_draw_the_same_surfaces(tmp_path):
             assert (differ > 24).mean() < 0.02 and np.median(differ) < 4
         """
     )
+    in_a_process(program, tmp_path)
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not runtime.vulkan_available(), reason="needs Vulkan")
+def test_plain_planes_are_drawn_without_the_particles_that_springs_show(tmp_path):
+    program = textwrap.dedent(
+        """
+        import sys
+        sys.path.insert(0, sys.argv[1])
+        from test_drawing import *
+        from taichi_cloth.ui.views.ggui import GguiView
+        runtime.start()
+        place = np.array([[1.0, 1.0], [3.0, 1.0], [2.0, 3.0]])  # the last one is on no spring
+        color = np.tile(np.array([[255, 0, 0]], np.uint8), (3, 1))
+        whole = Picture(place, np.full(3, 0.3, np.float32), color, np.array([[0, 1]]),
+                        spring_color=(255, 255, 255))
+        ggui = GguiView(World((4.0, 4.0), (0.0, 0.0)), (240, 240), "", visible=False)
+        for picture, drawn in ((whole, 3), (replace(whole, plain=True), 1)):
+            ggui.draw(picture)
+            image = ggui.grab()
+            red = (image[..., 0] > 200) & (image[..., 1] < 60)
+            within = np.pi * 18**2 * drawn  # less their rims
+            assert 0.8 * within < red.sum() < 0.95 * within, red.sum()
+            assert (image.min(axis=2) > 200).sum() > 100  # the spring
+        """
+    )
+    in_a_process(program, tmp_path)
+
+
+def in_a_process(program, folder):
     command = [sys.executable, "-c", program, __file__.rpartition("/")[0]]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
     assert done.returncode == 0, done.stdout + done.stderr
 
 

@@ -1,7 +1,8 @@
 """Plain drawing as what a frame's time takes last: where pictures alone make frames late.
 
 Fewer substeps are no help there. What is drawn without smooth edges takes less, where a view draws
-these in layers. It stays so until frames would have had the time for smooth ones for a while.
+these in layers, and without the discs of particles that have springs, which these show. It stays
+so until frames would have had the time for all of it for a while.
 """
 
 from __future__ import annotations

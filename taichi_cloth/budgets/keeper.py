@@ -96,7 +96,7 @@ class Keeper:
         for solver in self._solvers:
             choice = self._solved(solver, choice, now, limits)
         if self.drawing.plain:
-            choice = replace(choice, why=f"{choice.why}; edges are not smooth, for the time")
+            choice = replace(choice, why=f"{choice.why}; drawn plain, for the time")
         self.choice = choice
         return choice
 

@@ -78,7 +78,7 @@ class HeldBudget:
 
     @property
     def plain(self) -> bool:
-        """Whether pictures are drawn without smooth edges, for a frame's time."""
+        """Whether pictures are drawn plain, for a frame's time."""
         return self._keeper is not None and self._keeper.drawing.plain
 
     def status(self) -> Word | None:

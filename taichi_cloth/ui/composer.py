@@ -127,6 +127,8 @@ class Composer:
         self._lines_of_plane(picture, place, shown)
         if picture.as_spheres is not None:
             shown &= picture.as_spheres
+        if picture.plain:
+            shown[picture.segments.reshape(-1)] = False
         if shown.any():
             place, radius, color = drawing.shown_particles(place, picture, shown)
             vertex = self._discs(radius, color, window.scale, height, picture.plain)

@@ -20,7 +20,7 @@ class Budget(Protocol):
 
     words: what may be chosen, `OFF` first. chosen: which is. fixed: why none can be; "": one can.
     why: what it chose last, and why, in a sentence. about: what a word means. plain: whether
-    pictures are drawn without smooth edges, for a frame's time.
+    pictures are drawn plain, for a frame's time.
     """
 
     chosen: str

@@ -59,7 +59,8 @@ class Picture:
     overlay: what is laid over the frame, in this order.
     pointer: the pointer, where it is drawn. beside: a second world; None: there is none.
     ghost: what is drawn pale behind all of it; None: nothing.
-    plain: whether edges need not be smooth, where a view draws them in layers, which takes time.
+    plain: whether what takes time may be left out, where a view draws planes in layers: smooth
+    edges, and the discs of particles that have springs.
 
     Radius, color, segments and triangles are the same objects as before while they are equal, so
     that a view need not prepare them anew (`drawing.Cached`).
