@@ -14,6 +14,7 @@ from test_comparison import swing
 
 import taichi_cloth as tc
 from taichi_cloth import runtime
+from taichi_cloth.beside import watch
 from taichi_cloth.beside.given import Given, read
 from taichi_cloth.beside.twin import Twin
 from taichi_cloth.cli.run_beside import Beside
@@ -175,6 +176,51 @@ def test_what_tools_switched_on_for_good_is_so_in_a_second_run_that_joins(pool):
                 assert (world.tools, world.collisions) == (True, collide)
         finally:
             twin.close()
+
+
+def test_a_long_run_keeps_its_last_frames_and_what_all_come_to(pair, monkeypatch):
+    """Also where one goes back: in the same run, and to before a reset."""
+    monkeypatch.setattr(watch, "KEPT", 40)
+    first, second = pair
+    twin = Twin(first, second, read("substeps=3"))
+
+    def whole():
+        weight = [row.count for row in seen]
+        mean = np.average([row.rms**2 for row in seen], weights=weight)
+        return mean**0.5, max(row.max for row in seen)
+
+    def along(frames):
+        for _ in range(frames):
+            first.advance()
+            seen.append(twin.watch.now)
+        distance = twin.watch.distance()
+        assert (distance.trajectory, distance.trajectory_max) == pytest.approx(whole())
+        assert distance.final_rms == seen[-1].rms and twin.watch.last(40) == seen[-40:]
+        assert twin.watch.scale == max(row.scale for row in seen)
+        assert len(twin.watch._rows) <= 40
+
+    try:
+        seen: list[watch.Apart] = []
+        along(90)
+        there, end = [sim.checkpoint() for sim in pair], twin.watch.distance()
+        along(15)
+        for blown in (False, True):
+            for sim, checkpoint in zip(pair, there, strict=True):
+                sim.restore(checkpoint)
+            assert twin.watch.distance() == end
+            del seen[90:]
+            if blown:
+                first.blow((150.0, 120.0), (6.0, -4.0))
+            along(30)
+        first.reset()
+        seen.clear()
+        along(50)
+        for sim, checkpoint in zip(pair, there, strict=True):
+            sim.restore(checkpoint)
+        seen.clear()
+        along(3)
+    finally:
+        twin.close()
 
 
 def test_both_begin_from_a_checkpoint(cli, tmp_path):

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 DEAR = 3e-3  # seconds that looking for touches may take in a window's quickest frame
 LOOKED = 10  # frames after which that is asked
 PATIENCE = 600  # frames in which one waits for a touch in the other run, too
+KEPT = 1200  # frames that are known: those of the graph, also where one goes back by as many
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,8 @@ class Apart:
     frame, time: which. rms, max: root of the mean square, and largest, distance of a free particle
     [length]; farthest: the particle of the latter. count: how many are measured. scale: what parts
     are of, the largest displacement of a particle in the second run so far [length]. mark: what
-    tells whether a frame that is made again is the same.
+    tells whether a frame that is made again is the same. squares, counts, most: over all frames up
+    to it, the sums of rms² x count and of count, and the largest max.
     """
 
     frame: int
@@ -40,13 +42,30 @@ class Apart:
     count: int
     scale: float
     mark: tuple[float, ...]
+    squares: float = 0.0
+    counts: int = 0
+    most: float = 0.0
+
+    def after(self, before: Apart | None) -> Apart:
+        """The same with what is over all frames, which that of the frame before has so far."""
+        squares, counts = self.rms**2 * self.count, self.count
+        if before is None:
+            return replace(self, squares=squares, counts=counts, most=self.max)
+        return replace(
+            self,
+            scale=max(self.scale, before.scale),
+            squares=before.squares + squares,
+            counts=before.counts + counts,
+            most=max(before.most, self.max),
+        )
 
 
 class Watch:
     """Measures two runs after each frame, by the definitions of `compare`: B is the second.
 
     Frames that are made again, since one goes back in time, are known already; where they are
-    others, what came after is forgotten. touches_unknown: why nobody looks for touches; "": one
+    others, what came after is forgotten. Of the latest `KEPT` frames each is known, of those before
+    what they come to. touches_unknown: why nobody looks for touches; "": one
     does. paced: whether that may take but little of each frame.
     """
 
@@ -85,30 +104,35 @@ class Watch:
         """How far they are apart now; None: at their start, or one of them stands still."""
         return self._rows.get(self.frame)
 
+    @property
+    def _latest(self) -> Apart | None:
+        """That of the latest frame that both have made."""
+        return self._rows.get(min(sim.frame for sim in self._runs))
+
     def last(self, frames: int) -> list[Apart]:
-        """The frames up to now, the oldest first, at most so many."""
+        """The frames up to now, the oldest first, at most so many, and `KEPT`."""
         wanted = range(max(self.frame - frames, 0) + 1, self.frame + 1)
         return [self._rows[frame] for frame in wanted if frame in self._rows]
 
     @property
     def scale(self) -> float:
         """What parts are of [length]: the largest displacement in the second run, or its box."""
-        last = self._rows.get(min(sim.frame for sim in self._runs))
+        last = self._latest
         return last.scale if last and last.scale > 0 else self._diagonal()
 
     @property
     def scale_is(self) -> str:
         """What that is, in words."""
-        last = self._rows.get(min(sim.frame for sim in self._runs))
+        last = self._latest
         moved = last is not None and last.scale > 0
         return "the largest displacement" if moved else "the world's diagonal, as nothing moves"
 
     def distance(self) -> Distance:
         """The distance over all frames up to now, as `trade` has it."""
-        rows = self.last(self.frame) or [Apart(0, 0.0, 0.0, 0.0, 0, 0, 0.0, ())]
-        weight = max(sum(row.count for row in rows), 1)
-        square = sum(row.rms**2 * row.count for row in rows) / weight
-        return Distance(rows[-1].rms, rows[-1].max, square**0.5, max(row.max for row in rows))
+        row = self._latest
+        if row is None:
+            return Distance(0.0, 0.0, 0.0, 0.0)
+        return Distance(row.rms, row.max, (row.squares / max(row.counts, 1)) ** 0.5, row.most)
 
     @property
     def first_break(self) -> Event | None:
@@ -142,10 +166,14 @@ class Watch:
             if not self._touches_over(row.frame):
                 self._remember_moments(places)
             return
+        before = self._rows.get(row.frame - 1)
         if row.frame <= self._last:
             self._forget(row.frame)
-        row = replace(row, scale=max(row.scale, self._scale_before(row.frame)))
+        elif self._rows and before is None:  # it went elsewhere, to before a reset
+            self.restart()
+        row = row.after(before)
         self._rows[row.frame], self._last = row, row.frame
+        self._rows.pop(row.frame - KEPT, None)
         self._look_for_breaks(row, alive)
         self._look_for_touches(row.frame, places)
 
@@ -177,10 +205,6 @@ class Watch:
             count=int((square >= 0).sum()), scale=moved,
             mark=(float(x.sum()), float(y.sum()), *(float(held.sum()) for held in alive)),
         )  # fmt: skip
-
-    def _scale_before(self, frame: int) -> float:
-        row = self._rows.get(frame - 1)
-        return row.scale if row else 0.0
 
     def _forget(self, frame: int) -> None:
         """Forget what is known of a frame and of those after it."""
