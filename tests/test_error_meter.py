@@ -19,7 +19,7 @@ from taichi_cloth.error_meter.ghost import Ghost
 from taichi_cloth.error_meter.judge import Judge, _Plan
 from taichi_cloth.error_meter.meter import ErrorMeter
 from taichi_cloth.error_meter.verdict import Verdict
-from taichi_cloth.error_meter.window import FRAMES, GHOST, WINDOW, Window
+from taichi_cloth.error_meter.window import FRAMES, GHOST, LEAST, WINDOW, Window
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene import library
 from taichi_cloth.simulation.simulation import Simulation
@@ -396,6 +396,18 @@ def test_one_that_ends_before_its_process_does_not_wait_for_it(monkeypatch):
     meter.close()
     assert not asked and not meter.busy and not meter.verdicts
     assert "before the first second was made again" in meter.summary()
+
+
+@pytest.mark.parametrize(
+    ("frames", "says"), [(LEAST - 1, "no 15 frames in a row"), (LEAST, "it ended 15 frames into")]
+)
+def test_a_run_that_ends_within_its_first_second_says_so(torn, frames, says):
+    torn.reset()
+    meter = ErrorMeter(torn, waits=True)
+    torn.advance(frames)
+    for _ in range(2):
+        meter.close()
+        assert meter.summary().startswith(f"error: not measured: {says}")
 
 
 def test_what_cannot_be_measured_is_said():

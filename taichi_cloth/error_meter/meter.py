@@ -73,6 +73,7 @@ class ErrorMeter(Listener):
         self._task: threading.Thread | None = None
         self._window: Window | None = None
         self._closed, self._lost, self._asked = False, 0, 0
+        self._left = 0  # frames of the window that was noted when it ended
         self.verdicts: list[Verdict] = []
         self.skipped = 0  # frames that were made while the process was busy
         self.waited = 0.0  # seconds that the run waited for verdicts
@@ -259,7 +260,8 @@ class ErrorMeter(Listener):
         self._closed = True
         others = (listener for listener in self._sim.listeners if listener is not self)
         self._sim.listeners = tuple(others)
-        self._window = None
+        if self._window is not None:
+            self._left, self._window = self._window.frames, None
         worker = self._worker
         if worker is not None:
             worker.kill()
@@ -281,6 +283,10 @@ class ErrorMeter(Listener):
                 return f"error: no second was measured: {self.verdicts[-1].trouble}"
             if self._asked:
                 return "error: not measured: it ended before the first second was made again"
+            if self._left >= LEAST:
+                return (
+                    f"error: not measured: it ended {self._left} frames into a second of {FRAMES}"
+                )
             return f"error: not measured: no {LEAST} frames in a row in which anything can move"
         count = f"{len(known)} of {len(self.verdicts)} windows" if len(known) > 1 else "1 window"
         median, most = float(np.median(known)), max(known)
