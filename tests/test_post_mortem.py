@@ -99,7 +99,7 @@ def test_what_tore_long_ago_is_told_apart(tmp_path):
     sim.advance(250)  # all of it lies on the floor by now
     found = sim.report(tmp_path / "a.html", pictures=False)
     assert found.cause.kind == STEP and found.trace.torn.before == 0
-    assert "from frame 30 on, since `set` of stiffness" in found.cause.proof
+    assert "from frame 31 on, since `set` of stiffness at frame 30" in found.cause.proof
     assert f"{found.trace.torn.count} springs broke" in found.cause.proof
     sim.reset()
     sim.set_step(substeps=8)

@@ -116,7 +116,8 @@ class _Again:
         if sample is None or not sample.limit.dt < sample.h:
             self._since = ""
         elif not self._since and told:
-            self._since = f"from frame {sim.frame} on, since {told[-1].words}"
+            last = f"{told[-1].words} at frame {sim.frame}"
+            self._since = f"from frame {sim.frame + 1} on, since {last}"
         elif not self._since and self.whole:
             self._since = "from the start"
         self._began = True

@@ -31,7 +31,14 @@ from taichi_cloth.post_mortem.onset import (
 )
 from taichi_cloth.post_mortem.sample import Sample
 from taichi_cloth.post_mortem.trace import Trace, inverse_masses
-from taichi_cloth.post_mortem.wording import air_at, by_whom, since, spring_named, spring_of
+from taichi_cloth.post_mortem.wording import (
+    air_at,
+    by_whom,
+    counted,
+    since,
+    spring_named,
+    spring_of,
+)
 from taichi_cloth.simulation.strain import lengths, strains
 
 # What a cause is called.
@@ -258,8 +265,8 @@ def _solver(trace: Trace) -> Cause | None:
     if sweeps is not None and h_omega > 1:
         return Cause(
             SOLVER,
-            f"the {sweeps:g} sweeps of {trace.settings.method} are too few for so long a step: "
-            "what they leave of each step's equations adds up",
+            f"{counted(int(sweeps), 'sweep', 'sweeps')} of {trace.settings.method} a step is too "
+            "little for so long a step: what is left of its equations adds up",
             f"{reach}: a pull would have to go about {h_omega:.3g} springs far within it",
         )
     if trace.unconverged:
@@ -287,7 +294,9 @@ def _limit(trace: Trace) -> Cause | None:
     if 0 <= onset < k and any_geometry_holds(trace):
         return None  # it is how the springs flew apart that made the limit shorter
     sample = trace.samples[k]
-    when = "from the start" if k == 0 and trace.whole else f"from frame {sample.frame} on"
+    when = f"from frame {sample.frame + (sample.part > 0)} on"
+    if k == 0:
+        when = "from the start" if trace.whole else f"at frame {sample.frame} already"
     return _too_long(trace, sample, when + (since(trace, sample) if k > 0 else ""), k)
 
 
@@ -311,7 +320,7 @@ def _too_long(trace: Trace, sample: Sample, when: str, k: int) -> Cause:
         return Cause(
             NEVER,
             f"{sample.method} makes springs vibrate more in each step, but for what damping takes",
-            f"h omega = {sample.reach:.4g} {when}, which {USUAL} bears; {sample.method} bears a "
+            f"h omega = {sample.reach:.4g}, which {USUAL} bears, {when}; {sample.method} bears a "
             f"step of {limit.dt:.3g} by damping alone, and it is {h:.3g}",
             spring=limit.spring,
             particle=limit.particle,
@@ -413,8 +422,8 @@ def _of_running(trace: Trace) -> Cause:
         at = int(strained.argmin())
         return Cause(
             BUCKLING,
-            f"{squeezed} springs are squeezed and give way sideways: that they buckle is the "
-            "scene's doing, not the step's",
+            f"{counted(squeezed, 'spring is', 'springs are')} squeezed and give way sideways: that "
+            "they buckle is the scene's doing, not the step's",
             f"{spring_named(trace, int(trace.last.number[at]))} is {-100 * strained[at]:.3g} % "
             f"shorter than at rest; {sound}",
             spring=int(trace.last.number[at]),
@@ -429,7 +438,7 @@ def _of_running(trace: Trace) -> Cause:
 def _torn(trace: Trace, sound: str) -> Cause:
     """Springs broke: most of them since a step was too long, or by the load of the scene."""
     torn = trace.torn
-    broke = f"{torn.count} springs broke"
+    broke = counted(torn.count, "spring broke", "springs broke")
     if torn.sample is None or 2 * torn.before > torn.count:
         if torn.sample is not None:
             sound = (

@@ -25,6 +25,11 @@ def since(trace: Trace, sample: Sample) -> str:
     return f", since {done[-1].words} at frame {before}" if done else ""
 
 
+def counted(number: int, one: str, many: str) -> str:
+    """How many there are: "1 spring", "2 springs"."""
+    return f"{number} {one if number == 1 else many}"
+
+
 def spring_of(sample: Sample) -> str:
     """What sets a sample's limit, a spring with its numbers of then."""
     number = sample.limit.spring
