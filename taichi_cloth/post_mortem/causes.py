@@ -50,6 +50,7 @@ DAMPINGS = frozenset((DAMPING, AIR))
 PHYSICS = frozenset((SPEED, MOTION, PUSH, ENERGY, TEARING, BUCKLING, NOTHING))
 
 DRIFTS = 0.05  # of it: a run that did not fail is suspect
+FAR = 1.0  # of its length: a strain that no cloth bears
 SQUEEZED = 0.02  # of their length, by which springs are short that buckle
 USUAL = "symplectic_euler"  # the method beside which one without a limit of its own is judged
 
@@ -429,10 +430,13 @@ def _of_running(trace: Trace) -> Cause:
             spring=int(trace.last.number[at]),
         )
     most = max(trace.samples, key=lambda s: abs(s.strain))
+    says = "nothing went wrong"
+    if most.strain > FAR:
+        says = (
+            f"no step went wrong; spring {most.spring} became {1 + most.strain:.3g} times as long"
+        )
     largest = f"the largest strain was {100 * most.strain:.3g} %, of spring {most.spring}"
-    return Cause(
-        NOTHING, "nothing went wrong", sound + (f"; {largest}" if most.spring >= 0 else "")
-    )
+    return Cause(NOTHING, says, sound + (f"; {largest}" if most.spring >= 0 else ""))
 
 
 def _torn(trace: Trace, sound: str) -> Cause:
