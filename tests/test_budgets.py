@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from taichi_cloth.budgets import seconds
+from taichi_cloth.budgets import keeper, seconds
 from taichi_cloth.budgets.choice import RUNGS, Limits
 from taichi_cloth.budgets.drawing import Drawing
 from taichi_cloth.budgets.frames import Frame, FrameTimes
@@ -325,6 +325,28 @@ def test_the_fewest_substeps_are_those_of_dt_auto_and_the_most_are_resolved(devi
     assert unresolved(scene, a, sim.dt, most + 1, "f32") is not None
     sim.unpin(np.flatnonzero(sim.fixed())[:1])  # what is free may swing faster
     assert stable.changed()
+
+
+def test_time_alone_is_no_reason_for_more_steps(pool, device, monkeypatch):
+    """An empty box has time for any number, and so has one in which nothing moves."""
+    monkeypatch.setattr(keeper, "current_device", lambda: replace(device, precision="f32"))
+    sim = pool(library.build("box"))
+    budget = Keeper(sim, read("60fps"))
+
+    def chosen():
+        for _ in range(600):
+            budget.frame(1e-4, 1e-3)
+            choice = budget.choose(())
+            sim.substeps = choice.substeps
+        return choice
+
+    alone = chosen()
+    assert alone.substeps == 1 and "there is no particle yet" in alone.why
+    sim.spawn([300.0, 200.0, 0.0])
+    resting = chosen()
+    assert resting.substeps == 64 and "no second has been measured yet" in resting.why
+    sim.spawn([300.0, 100.0, 0.0], velocity=[1e-6, 0.0, 0.0])
+    assert 1 < StableSteps(sim).resolved() < 64  # that slow, it would not move in more
 
 
 class Errors:

@@ -31,6 +31,7 @@ LOOK = 15  # frames between looks at what is broken
 OFTEN = 10  # frames between choices by time
 MOVED = 60  # frames after which a limit that depends on speeds is found anew
 ANEW = 2.0  # times: by how much what is measured differs from what is known, to be taken for it
+UNMEASURED = 64  # times as many as the fewest at most, until a second is: they may be of no use
 LONGEST = 0.1  # seconds of a frame: no error is worth slower ones
 
 
@@ -54,7 +55,6 @@ class Keeper:
     def _begin(self) -> None:
         """Begin to measure: at the start, and where method or frame time are others."""
         self._of, self._due = self._run(), True
-        self._resolved = self._stable.resolved()
         self._times = FrameTimes(self.goal.seconds or LONGEST)
         self._errors = SecondErrors(self.goal.error or 1.0, self._sim.claims.order)
         self._useful: int | None = None  # the most substeps that are, once that is measured
@@ -175,13 +175,18 @@ class Keeper:
 
     def _limits(self) -> Limits:
         least, most, why = self._stable.least(), RUNGS[-1], "there are no more"
-        resolved = self._resolved
+        resolved = self._stable.resolved()
+        if resolved is None:
+            return Limits(least, least, "there is no particle yet")
         if resolved < most:
             most, why = resolved, f"{current_device().precision} does not follow smaller steps"
         if self.goal.seconds is not None:
             best = self._best()
             if best is not None and best < most:
                 most, why = best, "with more, rounding would outweigh the error of the steps"
+            elif not self._errors.sure and current_device().precision != "f64":
+                first = UNMEASURED * least
+                most, why = min((most, why), (first, "no second has been measured yet"))
         else:
             fits = self._times.most_within()
             if fits is not None and fits < most:
@@ -197,6 +202,7 @@ class StableSteps:
         self._of: tuple[tuple[object, ...], tuple[object, ...]] | None = None
         self._mass, self._fixed = np.zeros(0), np.zeros(0, bool)
         self._least, self._frame = 1, 0
+        self._resolved: tuple[tuple[int, float], int] | None = None  # of what, and that
 
     def _now(self) -> tuple[tuple[object, ...], tuple[object, ...]]:
         """What the limit depends on, beside masses and what is fixed: values, and tables, which are
@@ -239,7 +245,13 @@ class StableSteps:
                 self._least = sim.substeps
         return self._least
 
-    def resolved(self) -> int:
-        """The most substeps whose motion the precision follows."""
-        scene, precision = self._sim.scene, current_device().precision
-        return most_substeps(scene, acceleration_at_start(scene), self._sim.dt, precision)
+    def resolved(self) -> int | None:
+        """The most substeps whose motion the precision follows; None: there is no particle."""
+        scene, dt = self._sim.storage.scene, self._sim.dt
+        of = len(scene.particles), dt
+        if not of[0]:
+            return None
+        if self._resolved is None or self._resolved[0] != of:
+            precision = current_device().precision
+            self._resolved = of, most_substeps(scene, acceleration_at_start(scene), dt, precision)
+        return self._resolved[1]
