@@ -150,6 +150,12 @@ class Watch:
         found = [event for event in (self.first_break, self.first_touch) if event]
         return min(found, key=lambda event: event.time, default=None)
 
+    def _grow_box(self, y: np.ndarray) -> None:
+        """Have room for points (n, dim) in the box, which parts are of where nothing moves."""
+        if len(y):
+            (low, high), (now_low, now_high) = self._box, _box(y)
+            self._box = np.fmin(low, now_low), np.fmax(high, now_high)
+
     def _diagonal(self) -> float:
         low, high = self._box
         return float(np.nan_to_num(np.linalg.norm(high - low))) or 1.0
@@ -172,6 +178,8 @@ class Watch:
         elif self._rows and before is None:  # it went elsewhere, to before a reset
             self.restart()
         row = row.after(before)
+        if row.scale == 0:
+            self._grow_box(places[1])
         self._rows[row.frame], self._last = row, row.frame
         self._rows.pop(row.frame - KEPT, None)
         self._look_for_breaks(row, alive)
@@ -192,17 +200,14 @@ class Watch:
         free = np.ones(len(y), bool)
         free[: len(self._fixed)] = ~self._fixed
         a, b = (_samples(points[None]) for points in (x, y))
-        square = np.nan_to_num(errors.squares(a, b, free)[0], nan=-1.0)
-        moved = errors.displacement(_samples(np.stack([self._start[: len(y)], y])), free)
-        low, high = self._box
-        if len(y):
-            self._box = np.fmin(low, y.min(axis=0)), np.fmax(high, y.max(axis=0))
+        square = errors.squares(a, b, free)[0]
+        rms, largest = errors.at_once(square)
+        _, moved = errors.at_once(errors.squares(_samples(self._start[None, : len(y)]), b, free))
+        there = ~np.isnan(square)
         return Apart(
-            frame=first.frame, time=first.time,
-            rms=float(errors.rms_by_frame(a, b, free)[0]),
-            max=float(errors.max_by_frame(a, b, free)[0]),
-            farthest=int(np.flatnonzero(free)[square.argmax()]) if free.any() else 0,
-            count=int((square >= 0).sum()), scale=moved,
+            frame=first.frame, time=first.time, rms=rms, max=largest,
+            farthest=int(np.flatnonzero(free)[np.nanargmax(square)]) if there.any() else 0,
+            count=int(np.count_nonzero(there)), scale=moved,
             mark=(float(x.sum()), float(y.sum()), *(float(held.sum()) for held in alive)),
         )  # fmt: skip
 

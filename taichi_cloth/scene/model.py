@@ -378,6 +378,16 @@ class Scene:
     obstacles: tuple[Obstacle, ...] = ()
     stencils: Stencils = field(default_factory=Stencils.none)
 
+    @property
+    def thick(self) -> bool:
+        """Whether a cloth has a thickness, so that it does not pass through itself."""
+        return self.world.dim == 3 and bool((self.particles.thickness > 0).any())
+
+    @property
+    def collides(self) -> bool:
+        """Whether particles collide with each other."""
+        return self.world.collisions or self.thick
+
     def features(self) -> Features:
         """Which parts of the physics this scene can ever need (also after clicks)."""
         spawns, springs = self.world.takes_clicks, self.springs
@@ -385,7 +395,7 @@ class Scene:
         has_springs = spawns or len(springs) > 0 or len(self.stencils) > 0
         defaults = self.spring_defaults
         walls = self.world.walls if self.world.contact == CONTACTS[0] else ()
-        thick = self.world.dim == 3 and bool((self.particles.thickness > 0).any())
+        thick = self.thick
         planes = self.world.ground is not None or len(walls) < len(self.world.walls)
         shapes = {obstacle.shape for obstacle in self.obstacles} | ({"plane"} if planes else set())
         moving = [
@@ -405,7 +415,7 @@ class Scene:
             ),
             walls=tuple(sorted(map(self.world.side, walls))),
             floor="bottom" in walls and not self.world.up,
-            collisions=self.world.collisions or thick,
+            collisions=self.collides,
             obstacles=tuple(sorted(shapes)),
             moving=bool(moving),
             held=any("grip" in obstacle.values for obstacle in moving),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,7 +17,7 @@ TURN = 1.5  # frames: how long what bounces takes to come and go; forces make it
 
 def touches(scene: Scene, solids: Sequence[Solid]) -> bool:
     """Whether particles of a scene can touch anything; solids: what is in its way."""
-    return bool(scene.world.walls or scene.features().collisions or solids)
+    return bool(scene.world.walls or scene.collides or solids)
 
 
 def deepest(scene: Scene, solids: Sequence[Solid], x: np.ndarray, time: float) -> float:
@@ -34,7 +35,7 @@ def deepest(scene: Scene, solids: Sequence[Solid], x: np.ndarray, time: float) -
             axis, side = world.side(wall)
             bound = world.high[axis] if side > 0 else world.low[axis]
             found.append(float((radius + side * (x[:, axis] - bound))[free].max()))
-    if scene.features().collisions:
+    if scene.collides:
         found.append(_deepest_pair(scene, x, free))
     return max(found)
 
@@ -66,7 +67,7 @@ def _near_pairs(
     """
     from scipy.spatial import cKDTree
 
-    thick, n = scene.features().thick, len(x)
+    thick, n = scene.thick, len(x)
     radius = scene.spheres.radius if thick else scene.particles.radius
     widest = 2.0 * radius.max(initial=0.0) + slack
     pairs = cKDTree(x).query_pairs(widest, output_type="ndarray")
@@ -86,11 +87,16 @@ def _near_pairs(
 
 @dataclass(frozen=True)
 class Moment:
-    """Positions and velocities (n, dim) of a scene's particles at a time."""
+    """Positions and velocities (n, dim) of a scene's particles at a time.
+
+    gaps: of each thing in the way, once `touching` has asked: how far they are from it, and how
+    fast they leave it, (n,) each.
+    """
 
     x: np.ndarray
     v: np.ndarray
     time: float
+    gaps: list[tuple[str, tuple[np.ndarray, np.ndarray]]] = field(default_factory=list, repr=False)
 
 
 @dataclass(frozen=True)
@@ -116,16 +122,19 @@ def touching(
     """
     particles = scene.particles
     free, radius = ~particles.fixed, particles.radius
-    slack = ROUNDING * (radius + np.abs(now.x).max(axis=1, initial=0.0))
-    earlier = {} if before is None else dict(_gaps(scene, solids, before))
+    slack = ROUNDING * (radius + functools.reduce(np.maximum, np.abs(now.x).T))
+    for at in (now, before):
+        if at is not None and not at.gaps:
+            at.gaps.extend(_gaps(scene, solids, at))
+    earlier = {} if before is None else dict(before.gaps)
     things: dict[str, np.ndarray] = {}
-    for name, (gap, speed) in _gaps(scene, solids, now):
+    for name, (gap, speed) in now.gaps:
         touched = gap <= slack
         if before is not None:
             touched |= _turned(*earlier[name], gap, speed, now.time - before.time)
         things.setdefault(name, np.flatnonzero(touched & free))
     pairs = np.zeros((0, 2), np.int64)
-    if scene.features().collisions:
+    if scene.collides:
         pairs = _touching_pairs(scene, now, before, slack)
     return Touching(things, pairs)
 
@@ -151,7 +160,7 @@ def _touching_pairs(
     """The pairs (p, 2) that touch, of which one is free; pairs that rest do not bounce."""
     free, reach = ~scene.particles.fixed, 2.0 * float(slack.max(initial=0.0))
     bounces = before is not None and scene.world.contact == CONTACTS[0]
-    bounces = bounces and not scene.features().thick
+    bounces = bounces and not scene.thick
     if bounces and before is not None:
         fastest = np.linalg.norm(now.v, axis=1).max(initial=0.0)
         reach += 2.0 * float(fastest) * (now.time - before.time)
@@ -174,8 +183,9 @@ def _turned(
     gap: np.ndarray, speed: np.ndarray, new_gap: np.ndarray, new_speed: np.ndarray, time: float
 ) -> np.ndarray:
     """Which of what came and now goes can have touched in between; speeds are those of leaving."""
-    coming, going = np.maximum(-speed, 0.0), np.maximum(new_speed, 0.0)
+    turned: np.ndarray = (speed < 0) & (new_speed > 0)
+    which = np.flatnonzero(turned)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        taken = gap / coming + new_gap / going
-    turned: np.ndarray = (coming > 0) & (going > 0) & (taken <= TURN * time)
+        taken = gap[which] / -speed[which] + new_gap[which] / new_speed[which]
+    turned[which] = taken <= TURN * time
     return turned

@@ -65,17 +65,17 @@ def distance(a: Samples, b: Samples, free: np.ndarray) -> Distance:
     A particle that either run does not have yet, whose row is NaN, counts from when both have it.
     """
     square = squares(a, b, free)[1:]
-    return Distance(
-        final_rms=float(np.sqrt(_mean(square[-1]))),
-        final_max=float(np.sqrt(_largest(square[-1]))),
-        trajectory=float(np.sqrt(_mean(square))),
-        trajectory_max=float(np.sqrt(_largest(square))),
-    )
+    return Distance(*at_once(square[-1]), *at_once(square))
 
 
 def squares(a: Samples, b: Samples, free: np.ndarray) -> np.ndarray:
     """Square of the distance of each free particle at each sample, (frames + 1, free)."""
     return _square_length(a.x[:, free] - b.x[:, free])
+
+
+def at_once(square: np.ndarray) -> tuple[float, float]:
+    """Root of the mean, and of the largest, of squares of distances; NaN is left out."""
+    return float(np.sqrt(_mean(square))), float(np.sqrt(_largest(square)))
 
 
 def rms_by_frame(a: Samples, b: Samples, free: np.ndarray) -> np.ndarray:
