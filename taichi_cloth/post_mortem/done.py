@@ -21,6 +21,8 @@ WORDS = {
     "_hold": "the pointer's hold",
     "drag": "the pointer's drag",
     "let_go": "letting go",
+    "spawn": "what was spawned",
+    "add_spring": "a spring that was added",
 }
 CHOICES = frozenset(("springs", "particles"))  # arguments that say of whom something is set
 
@@ -40,7 +42,8 @@ class Act:
     def words(self) -> str:
         """What was done: "a blow", "`set` of stiffness"."""
         called = WORDS.get(self.name, f"`{self.name.lstrip('_')}`")
-        return f"{called} of {' and '.join(self.given)}" if self.given else called
+        told = self.given if self.name in ("set", "set_step", "set_solver") else ()
+        return f"{called} of {' and '.join(told)}" if told else called
 
 
 def act_of(frame: int, act: bytes) -> Act:
