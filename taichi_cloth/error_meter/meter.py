@@ -73,7 +73,7 @@ class ErrorMeter(Listener):
         self._task: threading.Thread | None = None
         self._window: Window | None = None
         self._closed, self._lost, self._asked = False, 0, 0
-        self._left = 0  # frames of the window that was noted when it ended
+        self._cut, self._left = 0, 0  # windows that were too short; frames of the last at the end
         self.verdicts: list[Verdict] = []
         self.skipped = 0  # frames that were made while the process was busy
         self.waited = 0.0  # seconds that the run waited for verdicts
@@ -174,6 +174,7 @@ class ErrorMeter(Listener):
         """
         window, self._window = self._window, None
         if window is None or window.frames < LEAST:
+            self._cut += window is not None and window.frames > 0
             return
         self._judged, self._asked = window if shown else None, self._asked + 1
         if self._waits:
@@ -283,7 +284,7 @@ class ErrorMeter(Listener):
                 return f"error: no second was measured: {self.verdicts[-1].trouble}"
             if self._asked:
                 return "error: not measured: it ended before the first second was made again"
-            if self._left >= LEAST:
+            if self._left >= (LEAST if self._cut else 1):
                 return (
                     f"error: not measured: it ended {self._left} frames into a second of {FRAMES}"
                 )
