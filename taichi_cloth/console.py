@@ -296,7 +296,7 @@ def percent(part: float | None, digits: int = 3) -> str:
         return ""
     if part == 0:
         return "0 %"
-    if part >= 1:
+    if part >= 1 or 100 * part >= 10**digits - 0.5:
         return f"{100 * part:.0f} %" if part < 1e4 else f"{100 * part:.0e} %"
     if part < 1e-5:
         return f"{100 * part:.{max(digits - 2, 0)}e} %"

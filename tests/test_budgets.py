@@ -450,3 +450,11 @@ def test_limits_offer_rungs_between_them():
     assert Limits(least=9, most=20).rungs() == [9, 10, 12, 14, 16, 20]
     assert Limits(least=30, most=3).rungs() == [30]
     assert Limits(least=2).at_least(2.5) == 3
+
+
+def test_where_all_frames_are_late_their_share_is_a_number_one_can_read():
+    times = FrameTimes(1 / 60)
+    for _ in range(240):
+        times.note(Frame(4, 0.03, 0.001))
+    choice = times.choose(4, Limits(4, 4, "there are no more"))
+    assert "100 % late" in choice.why and choice.short.endswith(", 100 % late")

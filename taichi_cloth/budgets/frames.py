@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_cloth.budgets.choice import RUNGS, Choice, Limits, steps_in_words
+from taichi_cloth.console import percent
 
 LATELY = 120  # frames that are looked at
 WARM = 3  # frames after a change, which compile or fill caches, and say nothing
@@ -205,12 +206,11 @@ class FrameTimes:
         short, late = f"{self._usual(chosen):.2g} {of}", self.late(chosen)
         why = f"{steps}: {self._usual(chosen):.2g} ms {of}"
         if late > 1 - KEPT:
-            short += f", {100 * late:.0f} % late"
-            why += f", {100 * late:.2g} % late"
+            short += f", {percent(late, 2)} late"
+            why += f", {percent(late, 2)} late"
             if chosen > limits.least:
-                why += (
-                    f", and {100 * self.late(limits.least):.2g} % with the fewest, {limits.least}"
-                )
+                fewest = percent(self.late(limits.least), 2)
+                why += f", and {fewest} with the fewest, {limits.least}"
             else:
                 why += f": {self._in_the_way(chosen)}"
             return Choice(chosen, why, short, met=False)
@@ -223,7 +223,7 @@ class FrameTimes:
             if self._barred(finer):
                 why += ", and was late a while ago"
             elif late > 1 - IN_TIME:
-                why += f", {100 * late:.2g} % nearly late or late"
+                why += f", {percent(late, 2)} nearly late or late"
         return Choice(chosen, why, short)
 
     def _in_the_way(self, least: int) -> str:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taichi_cloth.budgets.choice import Choice, Limits, steps_in_words
+from taichi_cloth.console import percent
 
 LATELY = 20  # seconds that are looked at
 MISSED = 0.05  # of these, which may ask for more than is chosen
@@ -162,11 +163,11 @@ class SecondErrors:
         kept = len(sure) - int(MISSED * len(sure))
         seconds = "the second" if len(sure) == 1 else f"{len(sure)} seconds"
         of = seconds if kept == len(sure) else f"{kept} of {seconds}"
-        why = f"{steps}: at most {_percent(worst)} in {of} measured"
-        short = f"{_percent(worst)} of {goal}"
+        why = f"{steps}: at most {percent(worst, 2)} in {of} measured"
+        short = f"{percent(worst, 2)} of {goal}"
         rounding = max(second.rounding for second in sure)
         if rounding > MARGIN * self.goal:
-            why = f"{steps}: rounding alone makes {_percent(rounding)}; use --precision f64"
+            why = f"{steps}: rounding alone makes {percent(rounding, 2)}; use --precision f64"
             return Choice(chosen, why, short, met=False)
         if worst > self.goal:
             helpless = any(s.error > self.goal and self.needs(s) <= s.substeps for s in sure)
@@ -183,11 +184,7 @@ class SecondErrors:
             other = self._worst(self.would_be(second, cheaper[-1]) for second in sure)
             beyond = other > MARGIN * self.goal
             aimed = (
-                f", and {_percent(MARGIN * self.goal)} is aimed at" if beyond else ", tried next"
+                f", and {percent(MARGIN * self.goal, 2)} is aimed at" if beyond else ", tried next"
             )
-            why += f"; next cheaper, {cheaper[-1]}, would make {_percent(other)}{aimed}"
+            why += f"; next cheaper, {cheaper[-1]}, would make {percent(other, 2)}{aimed}"
         return Choice(chosen, why, short)
-
-
-def _percent(part: float) -> str:
-    return f"{100 * part:.2g} %"
