@@ -101,11 +101,14 @@ def test_what_tore_long_ago_is_told_apart(tmp_path):
     assert found.cause.kind == STEP and found.trace.torn.before == 0
     assert "from frame 31 on, since `set` of stiffness at frame 30" in found.cause.proof
     assert f"{found.trace.torn.count} springs broke" in found.cause.proof
+    assert found.trace.torn.first[0] > 30
     sim.reset()
     sim.set_step(substeps=8)
     sim.set(gravity=(0.0, 0.9))
     sim.advance(250)
-    assert sim.report(tmp_path / "b.html", pictures=False).cause.kind == TEARING
+    found = sim.report(tmp_path / "b.html", pictures=False)
+    assert found.cause.kind == TEARING and not sim.springs_alive()[found.cause.spring]
+    assert f"spring {found.cause.spring} broke first, in frame" in found.cause.proof
 
 
 def test_what_is_kept_for_it_changes_no_bit():

@@ -30,12 +30,14 @@ class Torn:
     """Springs that broke and were not cut, in the whole run, or as far back as it is known.
 
     count: how many. before: of them, as many as broke while no step was too long, as far as there
-    was time to look. sample: how the run stood before the first frame in which springs broke as a
-    step was too long; None: there was none. since: when that began, in words.
+    was time to look. first: the frame in which the first one broke, and its number; None: it was
+    not found. sample: how the run stood before the first frame in which springs broke as a step
+    was too long; None: there was none. since: when that began, in words.
     """
 
     count: int
     before: int = 0
+    first: tuple[int, int] | None = None
     sample: Sample | None = None
     since: str = ""
 
@@ -61,14 +63,15 @@ def torn(sim: Simulation, past: Past, until: float, read: Callable[[], Sample | 
     found = None
     while found is None and sim.frame < end and time.perf_counter() < until:
         found = again.advance(end)
-    return found or Torn(count, again.before)
+    return found or Torn(count, again.before, again.first)
 
 
 class _Again:
     """Makes a run again, frame by frame where something breaks.
 
     acts: what is done, by frames. count: of what broke. whole: whether it begins at the start.
-    before: how many springs broke so far, none of them by a step that was too long.
+    before: how many springs broke so far, none of them by a step that was too long. first: of the
+    first one the frame and its number.
     """
 
     def __init__(
@@ -80,6 +83,7 @@ class _Again:
     ) -> None:
         self._sim, self._acts, self._count, self._read = sim, acts, count, read
         self.whole, self.before = False, 0
+        self.first: tuple[int, int] | None = None
         self._since, self._began = "", False
 
     def advance(self, end: int) -> Torn | None:
@@ -94,13 +98,15 @@ class _Again:
             return None
         sim.restore(here)
         for _ in range(frames):
-            sample, had = self._read(), sim.storage.count_broken()
+            sample, had, held = self._read(), sim.storage.count_broken(), sim.springs_alive()
             long = sample is not None and _too_long(sample, sim.steps)
             sim.advance()
             broke = sim.storage.count_broken() - had
+            if broke and self.first is None:
+                self.first = sim.frame, int((held & ~sim.springs_alive()).argmax())
             if broke and long and sample is not None:
                 since = self._since or f"at frame {sample.frame}, in which springs broke"
-                return Torn(self._count, self.before, sample, since)
+                return Torn(self._count, self.before, self.first, sample, since)
             self.before += broke
         return None
 

@@ -443,12 +443,17 @@ def _torn(trace: Trace, sound: str) -> Cause:
     """Springs broke: most of them since a step was too long, or by the load of the scene."""
     torn = trace.torn
     broke = counted(torn.count, "spring broke", "springs broke")
+    first = ""
+    if torn.first is not None:
+        frame, spring = torn.first
+        first = f"spring {spring} broke{' first,' if torn.count > 1 else ''} in frame {frame}; "
     if torn.sample is None or 2 * torn.before > torn.count:
         if torn.sample is not None:
             sound = (
                 f"{torn.before} before any step was too long, which it was {torn.since}; {sound}"
             )
-        return Cause(TEARING, f"{broke}: that is the scene's load, not the step", sound)
+        says = f"{broke}: that is the scene's load, not the step"
+        return Cause(TEARING, says, first + sound, spring=torn.first[1] if torn.first else -1)
     found = _too_long(trace, torn.sample, torn.since, -1)
     before = f", {torn.before} of them before" if torn.before else ""
-    return replace(found, proof=f"{found.proof}; {broke}{before}")
+    return replace(found, proof=f"{found.proof}; {first}{broke}{before}")

@@ -97,6 +97,8 @@ def _remedy(found: PostMortem) -> Iterator[str]:
         yield f'<br><span class="proof">{_text(found.search.says)}; '
         yield f"{1e3 * best.seconds:.3g} ms a frame</span></div>"
         yield f"<pre>{_text(found.command)}</pre>"
+        if found.search.without:
+            yield "<p>What it is without is to be taken out of the log or the script, too.</p>"
     if found.search.trials:
         rows = [_of_trial(trial, found) for trial in found.search.trials]
         yield "<h2>What was tried</h2>"
