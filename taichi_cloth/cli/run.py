@@ -137,9 +137,10 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
         run_notes.note_reset(files.recordings, view)
     begin, words = time.perf_counter(), run_report.words_of(source, options)
     with (
+        # Outermost: all else that the run leaves is on the disk before anything is tried.
+        run_report.written(sim, options, words, files.report),
         run_files.kept(source, sim, device, files, beside.sim if beside else None),
         run_meter.measured(sim, options, waits=not view.visible) as errors,
-        run_report.written(sim, options, words, files.report),
         run_budget.held(sim, options, errors, view) as budget,
     ):
         summary = app.run(
