@@ -123,7 +123,8 @@ def compared(source, count, seed, meter, asked):
     scene = without_mouse(given)
     chosen = settings_of(scene, source.is_file)
     starts = [without_mouse(s) for s in starts_of(given, count, seed, chosen[0].substeps)]
-    how = replace(conditions(scene, TradeOptions(quick=True)), budget=0.001, solver_errors=False)
+    how = replace(conditions(scene, TradeOptions()), budget=0.001, patience=5.0)
+    how = replace(how, solver_errors=False)
     study = Study(starts, chosen, asked, how)
     try:
         results = study.run()

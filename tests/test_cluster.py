@@ -74,7 +74,7 @@ def test_tasks_run_in_processes_of_their_own_and_one_that_is_lost_loses_no_other
     wanted = [task("killed", 7), task("wrong", 8), task("halves", 1, 3, text="words.txt")]
     journal = Journal(tmp_path, {})
     with ThreadPoolExecutor(2) as executor:
-        lost = fill(journal, wanted, executor, done.append, stop)
+        lost = fill(journal, wanted, executor, done.append, stop.is_set)
         assert len(done) == 3 and len(lost) == 2
         assert any("killed: TaskLost: its process on" in why and "-9" in why for why in lost)
         assert "wrong: ValueError: no half" in lost
@@ -85,7 +85,7 @@ def test_tasks_run_in_processes_of_their_own_and_one_that_is_lost_loses_no_other
     stop.set()
     waiting = Future()  # one that never ends
     executor = type("Busy", (), {"submit": lambda self, *_: waiting})()
-    fill(journal, wanted[:1], executor, stop=stop)
+    fill(journal, wanted[:1], executor, stop=stop.is_set)
     assert waiting.cancelled()
     journal.discard()
 

@@ -221,7 +221,7 @@ def test_the_hint_of_a_long_flag_is_not_cut_off():
 
 
 def test_a_scene_source_and_options_are_written_as_they_are_read():
-    words = ["chain", "--particles", "5", "--methods", "rk4", "--dt", "0.5", "--quick"]
+    words = ["chain", "--particles", "5", "--methods", "rk4", "--dt", "0.5", "--within", "110s"]
     source, options = scene_command.read("trade", TradeOptions, words, "")
     assert [*source.words(), *options.words()] == words
 

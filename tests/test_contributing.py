@@ -116,15 +116,16 @@ def test_they_pass_what_declarations_are_held_to(copy):
 @pytest.mark.thorough
 def test_explain_shows_the_force_and_trade_measures_the_method(copy, tmp_path):
     how = ["--topology", "graph", "--execution", "serial"]
-    command = ["-m", "taichi_cloth", "explain", "tissue", "--quick", "--json", *how]
+    command = ["-m", "taichi_cloth", "explain", "tissue", "--within", "110s", "--json", *how]
     explained = json.loads(python(copy, *command, cwd=tmp_path))
     (trap,) = [cost for cost in explained["costs"] if cost["feature"] == "trap"]
     assert trap["used"] and trap["seconds"] is not None and trap["bytes"] > 0
     (creep,) = [cost for cost in explained["costs"] if cost["feature"] == "creep"]
     assert not creep["used"] and creep["bytes"] > 0
 
-    command = ["-m", "taichi_cloth", "trade", "tissue", "--quick", "--methods", "midpoint,rk4"]
-    command += ["--precisions", "f64", "--frames", 20, "--substeps", "2,4,8", "--output", "out"]
+    command = ["-m", "taichi_cloth", "trade", "tissue", "--within", "110s", "--output", "out"]
+    command += ["--methods", "midpoint,rk4", "--precisions", "f64"]
+    command += ["--frames", 20, "--substeps", "2,4,8"]
     python(copy, *command, *how, cwd=tmp_path)
     with open(tmp_path / "out" / "trade.csv") as file:
         rows = [row for row in csv.DictReader(file) if row["method"] == "midpoint"]

@@ -23,6 +23,7 @@ from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import Particles, Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.sweeps.within import Clock
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "features.md"
 # What a feature is called, and the switch of `Features`, or the force, that it is.
@@ -162,7 +163,7 @@ def test_cloths_of_more_links_are_set_beside_the_first(device):
     names = ("structural", "structural, shear, bend")
     cloths = {name: build("cloth", columns=16, rows=16, **explain.LINKS[name]) for name in names}
     how = {"topology": "lanes", "execution": "serial", "lanes": 2}
-    one, other = costs.compare_links(cloths, 16, how, quick=True, tell=lambda *_: None)
+    one, other = costs.compare_links(cloths, 16, how, Clock(60.0), tell=lambda *_: None)
     assert one.ratio == 1.0 and other.springs > 2.5 * one.springs
     assert other.ratio_lower <= other.ratio <= other.ratio_upper
     assert other.bytes > 1.3 * one.bytes
@@ -170,7 +171,7 @@ def test_cloths_of_more_links_are_set_beside_the_first(device):
 
 @thorough
 def test_the_command_says_it_in_json(cli):
-    out, _ = cli("explain", "oscillator", "--quick", "--json", "--threads", 1)
+    out, _ = cli("explain", "oscillator", "--within", "110s", "--json", "--threads", 1)
     said = json.loads(out)
     plan = said["compiled"]["plan"]
     assert plan["springs"] and plan["uniform_springs"] and not plan["drag"] and plan["threads"] == 1
@@ -179,6 +180,7 @@ def test_the_command_says_it_in_json(cli):
     assert said["compile_seconds"] > 0
     by_name = {cost["feature"]: cost for cost in said["costs"]}
     assert by_name["springs"]["used"] and not by_name["collisions"]["used"]
+    assert said["left_out"] == []
     assert by_name["collisions"]["bytes"] > 0
     for cost in said["costs"]:
         assert not cost["failed"] and cost["lower"] <= cost["seconds"] <= cost["upper"]

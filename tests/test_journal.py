@@ -166,7 +166,18 @@ def test_a_map_of_stability_is_not_drawn_twice(device, tmp_path):
 # ------------------------------------------------------------------------------------------
 # Kills
 
-SMALL = ["--columns", "5", "--rows", "4", "--frames", "20", "--quick", "--precisions", "f64"]
+SMALL = [
+    "--columns",
+    "5",
+    "--rows",
+    "4",
+    "--frames",
+    "20",
+    "--within",
+    "110s",
+    "--precisions",
+    "f64",
+]
 TRADE = ["trade", "cloth", *SMALL, "--methods", "verlet", "--substeps", "1,2"]
 TIMED = {"wall_seconds", "wall_lower", "wall_upper", "repeats", "pareto"}
 

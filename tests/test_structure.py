@@ -54,7 +54,7 @@ ROOMS = {
     "painter": {"kernels", "runtime"},
     "ui": {*BASE, "console", "declarations", "painter", "rasterizer", "runtime", "simulation"}
     - {"kernels"},
-    "explain": {*BASE, "console", "measuring", "runtime", "simulation"},
+    "explain": {*BASE, "console", "measuring", "runtime", "simulation", "sweeps"},
     "stability": {*BASE, "console", "limits", "runtime", "simulation", "sweeps"},
     "trade": {*BASE, "console", "limits", "measuring", "runtime", "simulation"} | {"sweeps"},
     "comparison": {"console", "files", "scene", "settings", "trade"},

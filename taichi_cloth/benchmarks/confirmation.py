@@ -21,6 +21,7 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.sweeps import TuneOptions
+from taichi_cloth.sweeps.within import Clock
 from taichi_cloth.trade import command, ode, rows, runner, settings
 from taichi_cloth.trade.conditions import conditions, without_mouse
 from taichi_cloth.trade.settings import Setting
@@ -99,7 +100,8 @@ def measured(variants: Sequence[Scene]) -> Iterator[tuple[list[rows.Row], dict[S
     """For each variant its rows, and, by setting, those of the same from another start."""
     options = TuneOptions(precisions="f32,f64", quick=True)
     chosen = settings.choose(variants[0], options)
-    how = replace(conditions(variants[0], options), budget=0.03, patience=3.0, solver_errors=False)
+    how = replace(conditions(variants[0], options), budget=0.03, patience=3.0, clock=Clock())
+    how = replace(how, solver_errors=False)
     # How fast is usual is known after a run; before, by the start and gravity alone.
     others = [kicked(scene, _usual(scene), seed=1) for scene in variants]
     study = runner.Study([*variants, *others], chosen, FRAMES, how)

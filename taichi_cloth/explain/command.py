@@ -19,6 +19,7 @@ from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.kernels import forces
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import ExplainOptions, check_run, flag
+from taichi_cloth.sweeps.within import Clock, clock, said_of_left_out
 from taichi_cloth.version import __version__
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ SMALL_FIELD = 1024  # bytes below which fields are shown together
 
 def main(source: SceneSource, options: ExplainOptions) -> int:
     """Explain a scene, or all of them; returns the exit status."""
-    options = _consistent(source, options)
+    options, end = _consistent(source, options), clock(options.within, options.quick)
     document = _document(options)
     scenes = _built_in() if options.all else {shlex.join(source.words()): source.build()}
 
@@ -74,13 +75,13 @@ def main(source: SceneSource, options: ExplainOptions) -> int:
             of = SceneSource(name.partition(" ")[0]) if options.all else source
             step = {} if options.given & {"dt", "substeps"} else {"dt": of.frame()}
             switch = not options.all or scene.name in SWITCHED
-            explanation = costs.explain(scene, how | step, options.quick, tell(name), switch=switch)
+            explanation = costs.explain(scene, how | step, end, tell(name), switch=switch)
             found.append(replace(explanation, scene=name))
         if options.all:
-            for side in SIDES[: 2 if options.quick else None]:
+            for side in SIDES:
                 named = _cloths(side)
                 told = tell(f"links of a cloth, {side} x {side}")
-                cloths += costs.compare_links(named, side, how, options.quick, told)
+                cloths += costs.compare_links(named, side, how, Clock(), told)
     if options.json:
         said: dict[str, Any] = asdict(found[0])
         if options.all:
@@ -90,6 +91,8 @@ def main(source: SceneSource, options: ExplainOptions) -> int:
         to = console.output()
         for explanation in found:
             show(explanation, to)
+            for line in said_of_left_out(end, explanation.left_out):
+                console.say(to, line, hang=2)
         if cloths:
             _show_table("What a cloth's links cost", *_table_of_links(cloths), to)
         console.say(to, "; ".join(f"{k}: {v}" for k, v in machine.items()))
@@ -107,6 +110,8 @@ def _consistent(source: SceneSource, options: ExplainOptions) -> ExplainOptions:
         raise InputError(f"--all: explains all built-in scenes, not '{source.name}' alone")
     if options.tables and not options.all:
         raise InputError("--tables: give --all, too, whose tables a document gets")
+    if options.all and (options.quick or options.within):
+        raise InputError("--all explains all built-in scenes: it takes as long as it takes")
     return options
 
 

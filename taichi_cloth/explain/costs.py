@@ -30,11 +30,13 @@ from taichi_cloth.measuring.timing import quartiles, turns
 from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.sweeps.within import Clock
 
 SHARE = 0.01  # seconds that a scene runs in a round, at least
 MOST_FRAMES = 600  # frames after which it starts again
 PATIENCE = 30.0  # seconds after which there are no more rounds than LEAST_ROUNDS
 LEAST_ROUNDS = 5
+RUNNING = 0.15  # of the time that there is: what is left for turns, once all is compiled
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,8 @@ class Cost:
 @dataclass(frozen=True)
 class Explanation:
     """All that is known of a scene. seconds, lower, upper: of a step as it is; compile_seconds:
-    of the processor, until the first frame; rounds: that were counted.
+    of the processor, until the first frame; rounds: that were counted. left_out: features for
+    which there was no time.
     """
 
     scene: str
@@ -109,6 +112,7 @@ class Explanation:
     compile_seconds: float
     rounds: int
     costs: list[Cost]
+    left_out: list[str] = field(default_factory=list)
 
 
 @dataclass
@@ -116,7 +120,8 @@ class Candidate:
     """A scene that takes turns with others.
 
     how: arguments of its simulation. seconds: of a step, one for each round; compile_seconds: of
-    each time it was compiled; failed: why it takes no part any more.
+    each time it was compiled; failed: why it takes no part any more. left_out: whether that is for
+    want of time.
     """
 
     scene: Scene
@@ -127,6 +132,7 @@ class Candidate:
     bytes: int = 0
     note: str = ""
     failed: str = ""
+    left_out: bool = False
 
     def compile(self) -> None:
         """Make it ready to run anew, and note the processor's time until the first frame."""
@@ -145,6 +151,11 @@ class Candidate:
         again = time.process_time() - compiled
         self.compile_seconds.append(max(compiled - begin - again, 0.0))
         self.bytes = allocated_bytes(self.sim.storage.state)
+
+    def leave_out(self) -> None:
+        """Take no part, for want of time, unless it is compiled already."""
+        if self.sim is None and not self.failed:
+            self.failed, self.left_out = "there was no time for it", True
 
     def _made(self) -> Simulation:
         try:
@@ -181,19 +192,26 @@ class Candidate:
         return self.sim
 
 
-def race(candidates: Sequence[Candidate], rounds: int, compiles: int, tell: Tell) -> None:
+def race(candidates: Sequence[Candidate], clock: Clock, tell: Tell) -> None:
     """Compile candidates and let them take turns; the first of them is what all are compared to.
 
-    Those that fail say so in `failed`; where the first one does, the race is over.
+    Those that fail say so in `failed`; where the first one does, the race is over. Those that the
+    clock leaves no time to compile are left out, the last ones first.
     """
+    rounds, compiles = (7, 1) if clock.short else (21, 2)
+    longest = 0.0
     total = len(candidates) * compiles + rounds + 1
     done = 0
     for _ in range(compiles):
         for candidate in candidates:
             tell("compiling", done, total)
             done += 1
-            if not candidate.failed:
+            began, rest = clock.left(), RUNNING * clock.seconds if clock.limited else 0.0
+            if began - longest < rest and candidate is not candidates[0]:
+                candidate.leave_out()
+            elif not candidate.failed:
                 candidate.compile()
+                longest = max(longest, began - clock.left() if clock.limited else 0.0)
     first = candidates[0]
     if first.failed:
         return
@@ -202,7 +220,11 @@ def race(candidates: Sequence[Candidate], rounds: int, compiles: int, tell: Tell
     repeats = max(1, math.ceil(SHARE / (pace * frames)))
     running = [candidate for candidate in candidates if not candidate.failed]
     for number, candidate in turns(
-        running, rounds, rotate=True, patience=PATIENCE, least=LEAST_ROUNDS
+        running,
+        rounds,
+        rotate=True,
+        patience=min(PATIENCE, clock.left()),
+        least=1 if clock.limited else LEAST_ROUNDS,
     ):
         tell("running", done + number, total)
         try:
@@ -218,10 +240,11 @@ def race(candidates: Sequence[Candidate], rounds: int, compiles: int, tell: Tell
 
 
 def explain(
-    scene: Scene, how: dict[str, Any], quick: bool, tell: Tell, *, switch: bool = True
+    scene: Scene, how: dict[str, Any], clock: Clock, tell: Tell, *, switch: bool = True
 ) -> Explanation:
-    """Measure a checked scene. how: arguments of `Simulation`; switch: whether its features are
-    switched one by one, too. Raises SimulationFailure where the scene itself fails.
+    """Measure a checked scene. how: arguments of `Simulation`; clock: when it has to end; switch:
+    whether its features are switched one by one, too. Raises SimulationFailure where the scene
+    itself fails.
     """
     tell("finding the fastest way to run it", 0, 1)
     sim = Simulation(scene, **how)  # the first kernels of a process take longer
@@ -233,9 +256,11 @@ def explain(
     del sim
 
     switched = list(variants(scene, on_graph=compiled.topology == "graph")) if switch else []
+    if clock.limited:  # what it has comes before what it lacks
+        switched.sort(key=lambda variant: not variant.used)
     own = Candidate(scene, how)
     others = [Candidate(variant.scene, how) for variant in switched]
-    race([own, *others], 7 if quick else 21, 1 if quick else 2, tell)
+    race([own, *others], clock, tell)
     if own.failed:
         Simulation(scene, **how).advance(MOST_FRAMES)  # says why, as a run would
         raise InputError(f"scene '{scene.name}': {own.failed}")
@@ -254,7 +279,12 @@ def explain(
         upper=step.upper,
         compile_seconds=min(own.compile_seconds),
         rounds=len(own.seconds),
-        costs=[_cost(v, own, other) for v, other in zip(switched, others, strict=True)],
+        costs=[
+            _cost(v, own, other)
+            for v, other in zip(switched, others, strict=True)
+            if not other.left_out
+        ],
+        left_out=[v.feature for v, of in zip(switched, others, strict=True) if of.left_out],
     )
 
 
@@ -364,7 +394,7 @@ class LinkCost:
 
 
 def compare_links(
-    cloths: dict[str, Scene], side: int, how: dict[str, Any], quick: bool, tell: Tell
+    cloths: dict[str, Scene], side: int, how: dict[str, Any], clock: Clock, tell: Tell
 ) -> list[LinkCost]:
     """The cost of cloths that differ in their links, the first of which is the measure."""
     tell("finding the fastest way to run it", 0, 1)
@@ -372,7 +402,7 @@ def compare_links(
     how = how | {"topology": sim.topology, "execution": sim.execution}
     del sim
     candidates = [Candidate(scene, how) for scene in cloths.values()]
-    race(candidates, 7 if quick else 21, 1 if quick else 2, tell)
+    race(candidates, clock, tell)
     found = []
     for name, candidate in zip(cloths, candidates, strict=True):
         if candidate.failed:

@@ -294,6 +294,16 @@ def _as_in_run(name: str) -> Any:
     return field(default=parameter.default, metadata={"parameter": parameter})
 
 
+def within_setting() -> Any:
+    """The setting of a command that leaves out what does not fit in a time."""
+    return setting(
+        None,
+        "leave out what does not fit in this time, and say what (60s, 5min)",
+        str,
+        metavar="TIME",
+    )
+
+
 @dataclass(frozen=True)
 class ExplainOptions(Options):
     """Settings of `explain`."""
@@ -310,7 +320,8 @@ class ExplainOptions(Options):
     threads: int | None = setting(
         None, "CPU threads (default: all)", int, minimum=1, maximum=1024, metavar="N"
     )
-    quick: bool = setting(False, "fewer rounds: about a third of the time")
+    within: str | None = within_setting()
+    quick: bool = setting(False, "the same as --within 60s")
     json: bool = setting(False, "print JSON instead of tables")
     all: bool = setting(False, "explain all built-in scenes, and what a cloth's links cost")
     tables: str | None = setting(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from taichi_cloth.settings.options import PATHS, TOPOLOGIES, Options, setting
+from taichi_cloth.settings.options import PATHS, TOPOLOGIES, Options, setting, within_setting
 
 
 def _resume() -> Any:
@@ -30,6 +30,7 @@ class StabilityOptions(Options):
     method: str | None = setting(
         None, "only this method (default: all that have a limit)", str, metavar="NAME"
     )
+    within: str | None = within_setting()
     resume: bool = _resume()
     on: str | None = _on()
     quiet: bool = setting(False, "print nothing but errors")
@@ -41,7 +42,10 @@ class ComparisonOptions(Options):
 
     methods: str | None = setting(None, "methods to compare (default: all)", str, metavar="A,B")
     precisions: str | None = setting(
-        None, "precisions to compare (default: all; with --quick f32,f64)", str, metavar="A,B"
+        None,
+        "precisions to compare (default: all; within less than 2min f32,f64)",
+        str,
+        metavar="A,B",
     )
     archs: str | None = setting(None, "backends to compare (default: cpu)", str, metavar="A,B")
     substeps: str | None = setting(
@@ -68,7 +72,8 @@ class ComparisonOptions(Options):
         maximum=100_000,
         metavar="N",
     )
-    quick: bool = setting(False, "fewer settings and shorter timing: within a minute")
+    within: str | None = within_setting()
+    quick: bool = setting(False, "the same as --within 60s")
     execution: str = setting("auto", "one thread, or all of them", choices=("auto", *PATHS))
     topology: str = setting("auto", "how springs are stored", choices=("auto", *TOPOLOGIES))
     threads: int | None = setting(

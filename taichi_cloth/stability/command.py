@@ -15,14 +15,16 @@ from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.files.pending import folder_of_results
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits.network import Network
+from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.sweeps import StabilityOptions
 from taichi_cloth.stability import elsewhere, experiment, report
-from taichi_cloth.stability.experiment import Map, StepLimits, TellRun, claimed
+from taichi_cloth.stability.experiment import Map, Started, StepLimits, TellRun, claimed
 from taichi_cloth.sweeps.cluster import connected
 from taichi_cloth.sweeps.identity import of_scene
-from taichi_cloth.sweeps.journal import kept
+from taichi_cloth.sweeps.journal import Journal, kept
 from taichi_cloth.sweeps.tasks import said_of_lost
+from taichi_cloth.sweeps.within import Clock, clock, said_of_left_out
 
 # How far a bisection is told to be: runs, about, each as long as WEIGHT of a map's.
 BISECTION = 10
@@ -31,7 +33,7 @@ WEIGHT = 14
 
 def main(source: SceneSource, options: StabilityOptions) -> int:
     """Do what the command asks for; the exit status. Ctrl-C keeps what is finished."""
-    names = _methods(options.method)
+    names, end = _methods(options.method), clock(options.within)
     scene = source.build()
     folder = Path(options.output or f"stability-{scene.name}")
     known = of_scene("stability", source, options, scene)
@@ -51,24 +53,57 @@ def main(source: SceneSource, options: StabilityOptions) -> int:
         with _progress(limits, options.quiet) as tell:
             try:
                 if there:
-                    lost = elsewhere.measure(prepared, limits, tell, journal, there)
-                for of_method in limits:
-                    experiment.measure(prepared, of_method, maps, tell, journal)
+                    lost = elsewhere.measure(
+                        prepared, limits, tell, journal, there, lambda: end.left() < 0
+                    )
+                _measure(prepared, limits, maps, within(end, tell), journal)
             except KeyboardInterrupt as interrupt:
                 interrupted = interrupt
+            except TimeOver:
+                maps[:] = [
+                    drawn for drawn in maps if journal.get(experiment.map_key(prepared, drawn))
+                ]
         if lost:
             print(said_of_lost(lost), file=sys.stderr, flush=True)
-        if interrupted:
-            experiment.take_finished(prepared, limits, maps, journal)
+        experiment.take_finished(prepared, limits, maps, journal)
+        left_out = experiment.left_out(prepared, limits, journal) if end.limited else []
         stall = experiment.stall(scene)
         written = report.write(folder, scene, limits, maps, stall)
         if not options.quiet:
             report.show(scene, limits, stall, all_methods=options.method is None)
             report.say_of_wind(experiment.drag_of_wind(scene) / scene.particles.mass)
+            for line in said_of_left_out(end, left_out):
+                console.say(console.output(), line, hang=2)
             console.say(console.output(), f"\nwritten: {', '.join(map(str, written))}")
         if interrupted:
             raise interrupted
     return 0
+
+
+class TimeOver(Exception):
+    """The time that the command had is over."""
+
+
+def _measure(
+    scene: Scene, limits: Sequence[StepLimits], maps: list[Map], tell: TellRun, journal: Journal
+) -> None:
+    """Measure all limits, and then, with what was compiled for them, all maps."""
+    started = [Started(scene, of.method) for of in limits]
+    for runs, of_method in zip(started, limits, strict=True):
+        experiment.measure_limit(runs, of_method, tell, journal)
+    for runs, of_method in zip(started, limits, strict=True):
+        experiment.draw_maps(runs, of_method, maps, tell, journal)
+
+
+def within(end: Clock, tell: TellRun) -> TellRun:
+    """What is called before each run: it raises TimeOver where that would end too late."""
+
+    def tell_in_time(method: str, map_: str) -> None:
+        if end.left() < experiment.MOST_SECONDS:
+            raise TimeOver
+        tell(method, map_)
+
+    return tell_in_time if end.limited else tell
 
 
 def _methods(chosen: str | None) -> list[str]:
@@ -89,19 +124,21 @@ def _methods(chosen: str | None) -> list[str]:
 @contextlib.contextmanager
 def _progress(limits: Sequence[StepLimits], quiet: bool) -> Iterator[TellRun]:
     """A bar with the time left, on a terminal's standard error; elsewhere nothing."""
-    # What is done when a method begins, and all there is to do.
+    # What is done when a method's limit or its maps begin, and all there is to do.
     begins, total = {}, 0
-    for of_method in limits:
-        begins[of_method.method] = total
-        if not math.isinf(of_method.limit.dt):
-            total += BISECTION * WEIGHT
-            total += 2 * experiment.MESH.points * (claimed(of_method.method) > 0)
-    present, done = "", 0
+    for of_map in (False, True):
+        for of in limits:
+            begins[of.method, of_map] = total
+            if not math.isinf(of.limit.dt):
+                maps = 2 * experiment.MESH.points * (claimed(of.method) > 0)
+                total += maps if of_map else BISECTION * WEIGHT
+    present, done = ("", False), 0
 
     def tell(method: str, map_: str) -> None:
         nonlocal present, done
-        if method != present:
-            present, done = method, begins[method]
+        if (method, bool(map_)) != present:
+            present = method, bool(map_)
+            done = begins[present]
         done += 1 if map_ else WEIGHT
         show(f"{method}, map of {map_}" if map_ else f"{method}, bisection", done, total)
 

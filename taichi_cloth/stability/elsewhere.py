@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,14 +18,20 @@ from taichi_cloth.sweeps.tasks import Elsewhere, Finished, Task, fill, finished_
 
 
 def measure(
-    scene: Scene, limits: Sequence[StepLimits], tell: TellRun, journal: Journal, there: Elsewhere
+    scene: Scene,
+    limits: Sequence[StepLimits],
+    tell: TellRun,
+    journal: Journal,
+    there: Elsewhere,
+    stop: Callable[[], bool] = lambda: False,
 ) -> list[str]:
     """Have a journal filled with what `experiment.measure` of each method finds.
 
-    Takes what that takes. Returns why tasks were lost, a line each.
+    Takes what that takes, and stop: whether to leave the rest. Returns why tasks were lost, a line
+    each.
     """
     tasks = [_task(scene, of.method, journal) for of in limits if not math.isinf(of.limit.dt)]
-    return fill(journal, tasks, there.executor, lambda task: tell(task.name, ""), gone=there.gone)
+    return fill(journal, tasks, there.executor, lambda task: tell(task.name, ""), stop, there.gone)
 
 
 def _task(scene: Scene, method: str, journal: Journal) -> Task:

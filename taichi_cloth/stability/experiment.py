@@ -17,6 +17,7 @@ the first, by more than a margin, or that grows ten-thousandfold, or that the wa
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -261,25 +262,52 @@ def measure(
     scene: `at_rest`. What is found stays in `limits` and `maps` however this ends; journal: has
     what an earlier run has found, a limit or a whole map each, and gets the rest.
     """
-    name = limits.method
+    runs = Started(scene, limits.method)
+    measure_limit(runs, limits, tell, journal)
+    draw_maps(runs, limits, maps, tell, journal)
+
+
+class Started:
+    """The `Runs` of a method on a scene `at_rest`, which compile it where anything is to be run."""
+
+    def __init__(self, scene: Scene, name: str):
+        self.scene, self.name = scene, name
+        self._runs: Runs | None = None
+
+    def get(self) -> Runs:
+        """The runs, of the scene as it was given."""
+        if self._runs is None:
+            self._runs = Runs(self.scene, self.name)
+        return self._runs
+
+
+def measure_limit(runs: Started, limits: StepLimits, tell: TellRun, journal: Journal) -> None:
+    """Find the real limit of one method; see `measure`."""
     if math.isinf(limits.limit.dt):
         limits.dt_measured, limits.status = math.inf, "no limit: nothing can become unstable"
         return
-    runs = _Started(scene, name)
-    digest = scene_hash(scene)
-    found = journal.get(_limit_key(digest, name))
+    key = _limit_key(scene_hash(runs.scene), runs.name)
+    found = journal.get(key)
     if found is None:
-        seconds = _measure_limit(limits, runs.get(), tell)
+        seconds = _bisect_runs(limits, runs.get(), tell)
         values = {field: getattr(limits, field) for field in MEASURED}
-        journal.add(_limit_key(digest, name), values | {"seconds": seconds})
+        journal.add(key, values | {"seconds": seconds})
     else:
-        seconds = found.result["seconds"]
         for field in MEASURED:
             setattr(limits, field, found.result[field])
-    if claimed(name) == 0:
+
+
+def draw_maps(
+    runs: Started, limits: StepLimits, maps: list[Map], tell: TellRun, journal: Journal
+) -> None:
+    """Draw the maps of one method whose limit is measured; see `measure`."""
+    name, digest = runs.name, scene_hash(runs.scene)
+    found = journal.get(_limit_key(digest, name))
+    if found is None or claimed(name) == 0:
         return  # what grows there does so in 1e5 steps: too many for every point of a map
+    seconds = found.result["seconds"]
     mesh = MESH if seconds * MESH.points * MESH.look.steps < MAP_SECONDS else COARSE_MESH
-    for kind, (factors, changed) in _changes(scene, mesh.columns).items():
+    for kind, (factors, changed) in _changes(runs.scene, mesh.columns).items():
         found = journal.get(_map_key(digest, name, kind))
         if found is not None:
             maps.append(Map(name, kind, **found.result))
@@ -291,13 +319,34 @@ def measure(
         journal.add(_map_key(digest, name, kind), values)
 
 
+def left_out(scene: Scene, limits: Sequence[StepLimits], journal: Journal) -> list[str]:
+    """What a journal lacks of methods that have a limit, a line for each method."""
+    said = []
+    for of in limits:
+        if math.isinf(of.limit.dt):
+            continue
+        lacking = [key for key in keys_of(scene, of.method) if journal.get(key) is None]
+        # Of a key ("limit", digest, method) or ("map", digest, method, kind).
+        parts = [json.loads(key) for key in lacking]
+        names = [" of ".join([what, *kind]) for what, _, _, *kind in parts]
+        if names:
+            said.append(f"{of.method}: {', '.join(names)}")
+    return said
+
+
 def take_finished(
     scene: Scene, limits: Sequence[StepLimits], maps: list[Map], journal: Journal
 ) -> None:
-    """Put what a journal has of methods that were not come to into `limits` and `maps`."""
+    """Put what a journal has of limits and maps that were not come to into `limits` and `maps`."""
+    digest = scene_hash(scene)
     for of in limits:
-        if of.dt_measured is None and all(journal.get(key) for key in keys_of(scene, of.method)):
-            measure(scene, of, maps, lambda *_: None, journal)
+        if of.dt_measured is None and journal.get(_limit_key(digest, of.method)):
+            measure_limit(Started(scene, of.method), of, lambda *_: None, journal)
+        drawn = {found.kind for found in maps if found.method == of.method}
+        for kind in _changes(scene, MESH.columns):
+            entry = journal.get(_map_key(digest, of.method, kind))
+            if entry and kind not in drawn:
+                maps.append(Map(of.method, kind, **entry.result))
 
 
 def keys_of(scene: Scene, name: str) -> list[str]:
@@ -305,6 +354,11 @@ def keys_of(scene: Scene, name: str) -> list[str]:
     digest = scene_hash(scene)
     kinds = _changes(scene, MESH.columns) if claimed(name) > 0 else ()
     return [_limit_key(digest, name), *(_map_key(digest, name, kind) for kind in kinds)]
+
+
+def map_key(scene: Scene, drawn: Map) -> str:
+    """The key of a map in a journal, which has it once it is whole."""
+    return _map_key(scene_hash(scene), drawn.method, drawn.kind)
 
 
 def _limit_key(digest: str, name: str) -> str:
@@ -318,20 +372,7 @@ def _map_key(digest: str, name: str, kind: str) -> str:
 MEASURED = ("dt_measured", "status", "runs", "steps")  # of a method's limits, by runs
 
 
-class _Started:
-    """The `Runs` of a method, which compile it where anything is to be run."""
-
-    def __init__(self, scene: Scene, name: str):
-        self._of = scene, name
-        self._runs: Runs | None = None
-
-    def get(self) -> Runs:
-        if self._runs is None:
-            self._runs = Runs(*self._of)
-        return self._runs
-
-
-def _measure_limit(limits: StepLimits, runs: Runs, tell: TellRun) -> float:
+def _bisect_runs(limits: StepLimits, runs: Runs, tell: TellRun) -> float:
     """Bisect; what is found is kept in `limits`, the seconds that a step takes are returned."""
     seconds = runs.seconds_a_step()
     look = _long_enough(methods.load(limits.method), limits.limit, seconds)

@@ -15,7 +15,6 @@ import platform
 import subprocess
 import sys
 import tempfile
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass, field
@@ -97,12 +96,12 @@ def fill(
     tasks: Sequence[Task],
     executor: Executor,
     tell: Callable[[Task], None] = lambda task: None,
-    stop: threading.Event | None = None,
+    stop: Callable[[], bool] = lambda: False,
     gone: Callable[[Executor], str] = lambda executor: "",
 ) -> list[str]:
     """Have tasks done whose results a journal lacks, and put these there as they come.
 
-    tell: called with each task that is done. stop: set where to leave the rest. gone: as that of
+    tell: called with each task that is done. stop: whether to leave the rest. gone: as that of
     `Elsewhere`. Returns why tasks were lost, a line each, whose results are not there. Raises
     InputError where a worker has other versions.
     """
@@ -117,7 +116,7 @@ def fill(
         except Exception as error:  # of an executor that has ended
             lost.append(f"{task.name}: {one_line(error)}")
     try:
-        while waiting and not (stop and stop.is_set()):
+        while waiting and not stop():
             for future in wait(waiting, timeout=TURN, return_when=FIRST_COMPLETED).done:
                 task = waiting.pop(future)
                 why = _take(journal, task, future)

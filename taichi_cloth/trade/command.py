@@ -40,6 +40,11 @@ def main(source: SceneSource, options: TradeOptions) -> int:
         kept(folder, known, options.resume) as journal,
     ):
         with measured(source, options, scene, chosen, how, journal, elsewhere) as result:
+            if not result.outcomes and not result.interrupted and how.clock.limited:
+                raise InputError(
+                    f"--within {how.clock.describe()}: not one setting was finished by then; "
+                    "give more time, or fewer --frames"
+                )
             if not result.outcomes:
                 # Before anything was finished.
                 raise result.interrupted or KeyboardInterrupt
@@ -77,7 +82,7 @@ def prepare(
     scene = without_mouse(source.build())
     reference.check_frames(scene, options.frames or 1)
     chosen = settings.choose(scene, options)
-    how = conditions(scene, options)
+    how = conditions(scene, options, len(chosen))
     archs = {setting.arch for setting in chosen} - {"cpu"}
     if archs:
         usable = runtime.usable_backends()
@@ -186,6 +191,8 @@ def environment(source: SceneSource, options: ComparisonOptions, result: Result)
         "reference_floor": found.floor(horizon) if found and horizon else None,
         "event": found.event if found else None,
         "interrupted": result.interrupted is not None,
+        "within": result.clock.seconds if result.clock.limited else None,
+        "left_out": result.left_out,
     }
 
 

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.sweeps import ComparisonOptions
 from taichi_cloth.simulation.storage import adjacency
+from taichi_cloth.sweeps.within import Clock, clock
 from taichi_cloth.trade import settings
+
+# Of the time there is: what references may take, and, besides, what solves the equation; what
+# timing all settings may take.
+REFERENCES, TIMING = 0.15, 0.2
 
 
 @dataclass(frozen=True)
@@ -19,6 +24,7 @@ class RunConditions:
     topology, execution, threads: as in `run`, the first two never "auto": to measure which is
     fastest takes longer than a whole study. budget: seconds of timing for each setting;
     patience: seconds for the references. solver_errors: whether solvers are run converged, too.
+    clock: when it has to end, and leave out the rest.
     """
 
     topology: str
@@ -27,6 +33,7 @@ class RunConditions:
     budget: float = 0.3
     patience: float = 20.0
     solver_errors: bool = True
+    clock: Clock = field(default_factory=Clock)
 
     def of_trial(self, process: settings.Process) -> dict[str, Any]:
         """How a trial in a process of these kinds runs its scene, as its class takes it."""
@@ -46,8 +53,12 @@ class RunConditions:
         return words + (["--threads", str(self.threads)] if self.threads else [])
 
 
-def conditions(scene: Scene, options: ComparisonOptions) -> RunConditions:
-    """How a scene is run, from the command's settings and the scene's size."""
+def conditions(
+    scene: Scene, options: ComparisonOptions, settings_compared: int = 1
+) -> RunConditions:
+    """How a scene is run, from the command's settings, the scene's size, and how many settings are
+    compared.
+    """
     n = len(scene.particles)
     has_grid = bool(adjacency.find_grids(scene.springs.between, n))
     if options.topology == "lanes" and not has_grid:
@@ -58,8 +69,13 @@ def conditions(scene: Scene, options: ComparisonOptions) -> RunConditions:
     best = best_for(scene, options.threads)
     stored = best[0] if options.topology == "auto" else options.topology
     run = best[1] if options.execution == "auto" else options.execution
-    budget, patience = (0.06, 5.0) if options.quick else (0.3, 20.0)
-    return RunConditions(stored, run, options.threads, budget, patience)
+    made = RunConditions(stored, run, options.threads)
+    end = clock(options.within, options.quick)
+    if not end.limited:
+        return made
+    budget = min(max(TIMING * end.seconds / settings_compared, 0.01), made.budget)
+    patience = min(REFERENCES * end.seconds, made.patience)
+    return replace(made, budget=budget, patience=patience, clock=end)
 
 
 def best_for(scene: Scene, threads: int | None) -> tuple[str, str]:

@@ -9,6 +9,7 @@ from typing import Any
 from taichi_cloth.errors import RunFailure
 from taichi_cloth.measuring.worker import ENDED, WorkerFailed
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.sweeps.within import Clock
 from taichi_cloth.trade import reference
 from taichi_cloth.trade.errors import Samples
 from taichi_cloth.trade.settings import Setting
@@ -61,6 +62,7 @@ class Result:
 
     outcomes: of the settings, in their order; converged: those with a converged solver, by setting.
     interrupted: by what, which the caller raises once it has kept what was finished; None: whole.
+    clock: the time that it had; left_out: what did not fit in it, a line each.
     """
 
     scene: Scene
@@ -69,6 +71,8 @@ class Result:
     horizon: reference.Horizon | None
     reference: reference.Reference | None
     interrupted: KeyboardInterrupt | None = None
+    clock: Clock = field(default_factory=Clock)
+    left_out: list[str] = field(default_factory=list)
 
     def check_whole(self) -> None:
         """Raise StudyFailure where the machine lost settings: the others are no fair choice."""

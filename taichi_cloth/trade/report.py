@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from taichi_cloth import console
 from taichi_cloth.console import duration, percent
 from taichi_cloth.errors import counted
+from taichi_cloth.sweeps.within import said_of_left_out
 from taichi_cloth.trade.outcomes import Result
 from taichi_cloth.trade.reference import Horizon, Reference
 from taichi_cloth.trade.rows import Row
@@ -132,6 +133,7 @@ def _columns(result: Result, rows: Sequence[Row]) -> dict[str, list[str]]:
 def notes(result: Result, rows: Sequence[Row]) -> list[str]:
     """What errors are, what they are measured against, and what of it to trust."""
     said = [f"{FRONT} on the Pareto front: nothing else is as good and as cheap"]
+    said += said_of_left_out(result.clock, result.left_out)
     failed = [row for row in rows if not row.ok]
     if failed:
         said.append(f"{FAILED} {len(failed)} of {len(rows)} settings failed:")

@@ -9,6 +9,7 @@ import contextlib
 import queue
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -34,6 +35,7 @@ from taichi_cloth.trade.outcomes import (
     StudyFailure,
     failed_by,
 )
+from taichi_cloth.trade.pace import Pace, Share, left_out, rank
 from taichi_cloth.trade.process import AGAIN, Stopped, TrialProcess
 from taichi_cloth.trade.records import Records
 from taichi_cloth.trade.settings import Process, Setting
@@ -42,6 +44,7 @@ EXACT: Process = ("cpu", "f64", False)  # the process of the references
 MAKING = 4  # how much longer compiling a method takes than running a setting, about
 # Particles times steps times sweeps of a converged solver that are worth the wait: half a minute.
 CONVERGED_WORK = 1e9
+FIRST = 1, 4  # frames of the first timing, whose second run counts
 SWEEPS_TO_CONVERGE = 50  # of a solver that ends by its tolerance, about
 
 
@@ -93,6 +96,8 @@ class Study:
         self.settings, self.how = list(chosen), how
         self.tell: Tell = tell_nobody
         self._asked, self._dt = frames, self.settings[0].dt
+        self._wished, self._planned = frames, threading.Event()
+        self._pace = Pace(how.clock)
         self._courses = [_Course(scene, lambda times: None) for scene in scenes]
         self._courses[0].closed = closed
         self._wanted = set(self.settings)
@@ -142,11 +147,12 @@ class Study:
                         self.tell(text, min(done, total), total)
                     failed = [task.exception() for task in tasks if task.done()]
                     failure = next((f for f in failed if f is not None), None)
-                    if failure:
+                    if failure or self._pace.over(len(self._courses[-1].fine) > 1):
                         break
             except KeyboardInterrupt as interrupt:
                 interrupted = interrupt
             self._stop.set()
+            self._planned.set()
             for course in self._courses:
                 course.horizon_known.set()
             self._came.set()
@@ -156,7 +162,19 @@ class Study:
             raise StudyFailure(f"a process of the study: {failure}; {LOST_REMEDY}")
         if failure:
             raise failure
-        return [course.result(self.settings, self._dt, interrupted) for course in self._courses]
+        found = [course.result(self.settings, self._dt, interrupted) for course in self._courses]
+        for result in found:
+            if not interrupted:
+                self._say_left_out(result)
+        return found
+
+    def _say_left_out(self, result: Result) -> None:
+        """Note in a result the time that there was, and what was left out for it."""
+        result.clock = self.how.clock
+        result.left_out = left_out(result.clock, self.settings, result.outcomes)
+        if self._asked < self._wished:
+            lacking = f"frames {self._asked + 1} to {self._wished}"
+            result.left_out.insert(0, f"{lacking}, for which references would take too long")
 
     def _groups(self) -> dict[Process, dict[str, list[Setting]]]:
         """Settings by process and method, that of the references first."""
@@ -164,6 +182,11 @@ class Study:
         for setting in self.settings:
             of = groups.setdefault(setting.process, {}).setdefault(setting.method, [])
             of.append(setting)
+        if self.how.clock.limited:  # what compiles soonest first
+            first = reference.fine_method()
+            for kind, methods in groups.items():
+                order = sorted(methods, key=lambda name: (name != first, rank(name)))
+                groups[kind] = {name: methods[name] for name in order}
         for setting in self.settings:
             exact = settings.converged(setting)
             if exact is None or not self.how.solver_errors:
@@ -185,6 +208,7 @@ class Study:
 
     def _solve(self) -> None:
         """The smooth solutions, in this process."""
+        self._planned.wait()
         times = np.arange(self._asked + 1) * self._dt
 
         def tell(done: float) -> None:
@@ -218,7 +242,7 @@ class Study:
                 tasks,
                 self._elsewhere.executor,
                 lambda task: self._news.put((task.name, 0)),
-                self._stop,
+                lambda: self._stop.is_set() or self.how.clock.left() < self._pace.timing,
                 self._elsewhere.gone,
             )
         self._came.set()
@@ -238,22 +262,28 @@ class Study:
                             for course in self._courses:
                                 self._find_references(process, method, course)
                     for course in self._courses:
-                        self._run_settings(process, of, course)
+                        self._run_settings(process, of, course, len(methods) - number)
                     if not process.drop(method):
                         self._news.put((f"{method}, {' '.join(kind[:2])}", MAKING))
             except (Stopped, WorkerFailed):
                 if not self._stop.is_set():
                     raise
 
-    def _run_settings(self, process: TrialProcess, of: list[Setting], course: _Course) -> None:
-        """Errors of all settings of one method, then, alone, their times."""
+    def _run_settings(
+        self, process: TrialProcess, of: list[Setting], course: _Course, methods: int
+    ) -> None:
+        """Errors of all settings of one method, of what fits in the time, then, alone, their times.
+
+        methods: of this process that are still to come, with this one.
+        """
         course.horizon_known.wait()
         self._came.wait()
         if self._stop.is_set() or course.horizon is None:
             raise Stopped
         scene, frames = course.scene, course.horizon.frames
         with self._quiet.working():
-            outcomes = [self._sample(process, scene, setting, frames) for setting in of]
+            seconds = self._pace.share(methods)
+            outcomes = self._sample_fitting(process, scene, of, frames, seconds)
         wanted = [of for of in outcomes if of.ok and of.setting in self._wanted]
         missing = [of for of in wanted if not self._records.timed(scene, of, frames)]
         if missing:
@@ -261,6 +291,39 @@ class Study:
                 self._time(process, scene, missing, frames)
         for outcome in outcomes:
             self._finish(course, outcome)
+
+    def _sample_fitting(
+        self,
+        process: TrialProcess,
+        scene: Scene,
+        of: list[Setting],
+        frames: int,
+        seconds: float,
+    ) -> list[Outcome]:
+        """The samples of settings of one method, of those that fit in so many seconds."""
+        begin = time.monotonic()
+        share = Share(seconds, self.how.budget)
+        outcomes: list[Outcome] = []
+        for setting in of:
+            if not (self._pace.fits(setting.method) if not outcomes else share.fits(setting)):
+                continue
+            outcome = self._sample(process, scene, setting, frames)
+            if not outcomes:
+                self._pace.compiled(setting.method, time.monotonic() - begin - outcome.sampled_in)
+            share.took(outcome)
+            outcomes.append(outcome)
+        return outcomes
+
+    def _plan(self, process: TrialProcess, first: Setting) -> None:
+        """Cut the horizon to what can be compared in the time there is, by a first timing."""
+        if self.how.clock.limited and not self._planned.is_set():
+            begin = time.monotonic()
+            # The first run of a process compiles more than the method.
+            few = [self._sample(process, self._courses[0].scene, first, n) for n in FIRST]
+            self._pace.compiled(first.method, time.monotonic() - begin)
+            frames = self._pace.frames(self._asked, few[-1].sampled_in / FIRST[-1])
+            self._asked = self._records.journal.once("frames", lambda: frames)
+        self._planned.set()
 
     def _find_references(self, process: TrialProcess, method: str, course: _Course) -> None:
         """The horizon, then fine runs within it."""
@@ -272,6 +335,7 @@ class Study:
             _check_reference(outcome)
             return outcome
 
+        self._plan(process, Setting(method, self._dt, substeps))
         first = run(substeps, self._asked).samples()
         size = reference.DISTURBANCE * reference.extent(scene, first)[0]
         second = run(substeps, self._asked, reference.disturbed(scene, size)).samples()
@@ -343,7 +407,7 @@ class Study:
         lost = [""]
         for _ in range(1 + AGAIN):
             journal = self._records.journal
-            lost = fill(journal, [task], there.timing, stop=self._stop, gone=there.gone)
+            lost = fill(journal, [task], there.timing, stop=self._stop.is_set, gone=there.gone)
             if self._stop.is_set():
                 raise Stopped
             if not lost:

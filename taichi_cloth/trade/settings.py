@@ -14,11 +14,12 @@ from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import ARCHS, PRECISIONS, RunOptions, parameters_of
 from taichi_cloth.settings.parameters import number_of
 from taichi_cloth.settings.sweeps import ComparisonOptions
+from taichi_cloth.sweeps.within import clock
 
 DOUBLINGS = 6  # of the number of substeps, from the fewest that a method takes
-QUICK_DOUBLINGS = 4
+SHORT_DOUBLINGS = 4
 ITERATIONS = (1, 4, 16)  # sweeps a step, of methods that take their number
-QUICK_ITERATIONS = (1, 8)
+SHORT_ITERATIONS = (1, 8)
 MOST_SUBSTEPS = 4096
 CONVERGED_TOLERANCE = 1e-13  # relative residual, in f64
 CONVERGED_ITERATIONS = 256
@@ -109,7 +110,8 @@ def choose(scene: Scene, options: ComparisonOptions) -> list[Setting]:
 
     names = _words("--methods", options.methods, methods.METHODS)
     precisions = _words("--precisions", options.precisions, PRECISIONS)
-    if options.quick and options.precisions is None:
+    short = clock(options.within, options.quick).short
+    if short and options.precisions is None:
         precisions = [word for word in precisions if word in ("f32", "f64")]
     archs = _words("--archs", options.archs or "cpu", [arch for arch in ARCHS if arch != "gpu"])
     asked = _numbers("--substeps", options.substeps, "substeps")
@@ -124,10 +126,10 @@ def choose(scene: Scene, options: ComparisonOptions) -> list[Setting]:
         sweeps: Sequence[int | None] = [None]
         residuals: Sequence[float | None] = [None]
         if "iterations" in takes:
-            sweeps = iterations or (QUICK_ITERATIONS if options.quick else ITERATIONS)
+            sweeps = iterations or (SHORT_ITERATIONS if short else ITERATIONS)
         if "tolerance" in takes:
             residuals = tolerances or [None]
-        counts = asked or _doubling(dt / largest_step(method, bounds), options.quick)
+        counts = asked or _doubling(dt / largest_step(method, bounds), short)
         for arch in archs:
             for precision, fast_math in _maths(precisions, options.without_fast_math):
                 settings += [
@@ -177,12 +179,12 @@ def largest_step(method: str, bounds: Bounds) -> float:
     return step or 2.0 / max(math.sqrt(bounds.omega2), bounds.damping)
 
 
-def _doubling(needed: float, quick: bool) -> list[int]:
+def _doubling(needed: float, short: bool) -> list[int]:
     """Numbers of substeps, where at least `needed` are stable."""
     fewest = 1
     if needed > 1:
         fewest = min(2 ** (math.ceil(math.log2(needed)) - 1), MOST_SUBSTEPS)
-    return [fewest << k for k in range(QUICK_DOUBLINGS if quick else DOUBLINGS)]
+    return [fewest << k for k in range(SHORT_DOUBLINGS if short else DOUBLINGS)]
 
 
 def _words(flag: str, text: str | None, known: Sequence[str]) -> list[str]:

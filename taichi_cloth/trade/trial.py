@@ -130,8 +130,13 @@ class Trial:
         if key in self._ran:
             return
         self._ran.add(key)
+        sim.account_contacts()  # until the next reset
         with contextlib.suppress(SimulationFailure):
             sim.advance(frames)
+        # What reads a state is compiled, too, and is no part of a run's seconds.
+        sim.positions(), sim.velocities(), sim.contact_account()
+        if sim.can_touch():
+            sim.penetration()
 
     def _contacts(self, deepest: float) -> list[float]:
         """What `errors.CONTACTS` names, until now; deepest: the first of it."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from taichi_cloth import console
 from taichi_cloth.console import duration
-from taichi_cloth.errors import InputError, RunFailure, clipped
+from taichi_cloth.errors import InputError, RunFailure, clipped, counted
 from taichi_cloth.files.pending import folder_of_results
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.penetration import touches
@@ -31,6 +31,7 @@ from taichi_cloth.sweeps.cluster import connected
 from taichi_cloth.sweeps.identity import of_scene
 from taichi_cloth.sweeps.journal import Journal, kept
 from taichi_cloth.sweeps.tasks import Elsewhere
+from taichi_cloth.sweeps.within import Clock, said_of_left_out
 from taichi_cloth.trade import command, rows
 from taichi_cloth.trade.conditions import RunConditions
 from taichi_cloth.trade.rows import Row
@@ -39,7 +40,9 @@ from taichi_cloth.trade.settings import Setting
 # Speeds that the confirming run begins with besides its own, in parts of the speeds that the
 # scene has by itself (root of the mean square).
 KICK = 0.1
+CHOICE = 0.6  # of the time there is: what choosing may take, before the choice is confirmed
 BATCH = 3  # times as many as were tried before are confirmed beside each other
+UNTRIED = "the confirmation of"  # how the line begins that says that there was no time for some
 MOST_TOLD = 8  # of those that did not hold
 TIME_UNITS = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0}
 LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}  # where a scene is in metres
@@ -157,14 +160,16 @@ def main(source: SceneSource, options: TuneOptions) -> int:
         connected(options.on, options.times_on) as elsewhere,
         kept(folder, known, options.resume, quiet=options.json) as journal,
     ):
-        tried = _tried(source, options, scene, chosen, how, target, journal, elsewhere)
+        tried, left_out = _tried(source, options, scene, chosen, how, target, journal, elsewhere)
     if options.json:
-        print(json.dumps(_as_json(source, target, tried), indent=1))
+        print(json.dumps(_as_json(source, target, tried) | {"left_out": left_out}, indent=1))
     else:
-        _show(scene.name, target, tried)
+        _show(scene.name, target, tried, said_of_left_out(how.clock, left_out))
     if tried[-1].held:
         return 0
     what = "the only setting that meets it" if len(tried) == 1 else f"all {len(tried)} that meet it"
+    if left_out and left_out[-1].startswith(UNTRIED):
+        what = f"{counted(len(tried), 'setting')} that should meet it"
     said = f"{what} missed it from another start; {target.remedy()}"
     print(f"{PROGRAM}: {target.describe()}: {said}", file=sys.stderr)
     return 1
@@ -179,14 +184,15 @@ def _tried(
     target: Target,
     journal: Journal,
     elsewhere: Elsewhere | None,
-) -> list[Attempt]:
-    """The settings that meet the target, as they were tried from another start.
+) -> tuple[list[Attempt], list[str]]:
+    """The settings that meet the target, as they were tried from another start, and what was left
+    out, a line each.
 
     Raises InputError where none meets it.
     """
-    quiet = options.json
+    quiet, choice = options.json, replace(how, clock=how.clock.part(CHOICE))
     with command.measured(
-        source, options, scene, chosen, how, journal, elsewhere, quiet=quiet
+        source, options, scene, chosen, choice, journal, elsewhere, quiet=quiet
     ) as result:
         if result.interrupted:
             raise result.interrupted
@@ -196,33 +202,49 @@ def _tried(
                 f"{scene.name}: there is no reference to compare with; use fewer --frames"
             )
         made = rows.rows_of(result, command.common(scene), command.run_words(source, how))
-        candidates = meeting(made, target)
+        try:
+            candidates = meeting(made, target)
+        except InputError as none:
+            if not result.left_out:
+                raise
+            raise InputError(f"{none}; what --within left out may do better") from None
         other = kicked(scene, result.reference.samples.v, options.seed)
     again_options = replace(options, frames=result.horizon.asked)
+    whole = replace(how, clock=Clock())  # a confirmation is whole, or none
 
     def measure_again(some: Sequence[Setting]) -> list[Row]:
-        of = source, again_options, other, list(some), how, journal, elsewhere, False, quiet
+        of = source, again_options, other, list(some), whole, journal, elsewhere, False, quiet
         with command.measured(*of) as again:
             if again.interrupted:
                 raise again.interrupted
             again.check_whole()
             return rows.rows_of(again, command.common(other), [])
 
-    return confirm(candidates, target, measure_again)
+    tried = confirm(candidates, target, measure_again, how.clock)
+    untried = 0 if tried[-1].held else len(candidates) - len(tried)
+    said = [f"{UNTRIED} {counted(untried, 'setting')} that should meet it"] * (untried > 0)
+    return tried, result.left_out + said
 
 
 def confirm(
-    candidates: Sequence[Row], target: Target, measure_again: Callable[[list[Setting]], list[Row]]
+    candidates: Sequence[Row],
+    target: Target,
+    measure_again: Callable[[list[Setting]], list[Row]],
+    clock: Clock,
 ) -> list[Attempt]:
-    """Try candidates from another start, up to the first that meets the target there, too.
+    """Try candidates from another start, up to the first that meets the target there, too, or while
+    there is time for as many as were tried last.
 
     measure_again: rows of settings from that start. Each call computes a reference, so more and
     more settings share one.
     """
     tried: list[Attempt] = []
-    while len(tried) < len(candidates):
+    took = 0.0
+    while len(tried) < len(candidates) and not (tried and clock.left() < took):
+        begin = clock.left()
         batch = candidates[len(tried) :][: max(1, BATCH * len(tried))]
         again = {row.setting: row for row in measure_again([row.setting for row in batch])}
+        took = begin - clock.left() if clock.limited else 0.0
         for row in batch:
             found = again[row.setting]
             held = is_measured(found) and target.met_by(Figures.of(found))
@@ -232,8 +254,10 @@ def confirm(
     return tried
 
 
-def _show(scene: str, target: Target, tried: Sequence[Attempt]) -> None:
-    """Print what was chosen, what was expected and confirmed of it, and what was not taken."""
+def _show(scene: str, target: Target, tried: Sequence[Attempt], left_out: Sequence[str]) -> None:
+    """Print what was chosen, what was expected and confirmed of it, what was not taken, what was
+    left out, and, at the end, the command that uses the choice.
+    """
     to, last = console.output(), tried[-1]
     failed = [attempt for attempt in tried if not attempt.held]
     if last.held:
@@ -251,6 +275,8 @@ def _show(scene: str, target: Target, tried: Sequence[Attempt]) -> None:
         console.say(to, f"- {setting}: {attempt.describe()}; expected {expected}", hang=2)
     if len(failed) > MOST_TOLD:
         console.say(to, f"- and {len(failed) - MOST_TOLD} more, which --json lists")
+    for line in left_out:
+        console.say(to, line, hang=2)
     if last.held:
         console.say_command(to, last.row.command)
 

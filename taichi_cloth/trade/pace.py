@@ -1,0 +1,152 @@
+"""What of a study fits in its time, told from how long what is finished took.
+
+Methods come in the order of what they take to compile, each with its share of the time that is
+left, in which its settings run from the longest step to the shortest. What does not fit is left
+out, and said; what is running when the time is over is left out, too. The reference always runs.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+from taichi_cloth.sweeps.within import Clock
+from taichi_cloth.trade.conditions import REFERENCES
+from taichi_cloth.trade.outcomes import Outcome
+from taichi_cloth.trade.settings import Setting
+
+FEWEST_FRAMES = 4  # of a horizon that is cut
+# Runs as long as the coarsest of the fine ones that finding the references takes: that, a disturbed
+# one, and one at a quarter of the step.
+COARSE_RUNS = 6
+KINDS = ("explicit", "sweeps", "solves")  # of methods; the first compiles soonest
+SLOWER = (1.0, 2.0, 3.0)  # times as long as the first, until one of them was compiled
+GREED = 1.5  # even shares of the time left that a method may take: the next ones may take less
+CONVERGED = 8.0  # times as long as a run that is not, about
+ELSEWHERE = 0.4  # of the time: for timing here, with compiling, what was run elsewhere
+HOPE = 0.6  # of the time that a method is expected to compile in, that it may do with
+PAST = 0.1  # of the time, by which references alone may exceed it
+
+
+def rank(method: str) -> tuple[int, bool]:
+    """Which methods come first: those that compile soonest, of these what is ever stable."""
+    from taichi_cloth.kernels import methods
+
+    return kind_of(method), methods.load(method).claims.stability_limit == 0
+
+
+def kind_of(method: str) -> int:
+    """How a method takes a step: the number of that in `KINDS`."""
+    from taichi_cloth.kernels import methods
+
+    claims = methods.load(method).claims
+    return 0 if not claims.implicit else 1 if "iterations" in claims.settings else 2
+
+
+class Pace:
+    """How long things take in a study, and what fits until its clock's end."""
+
+    def __init__(self, clock: Clock):
+        self.clock = clock
+        self._lock = threading.Lock()
+        self._compiled: dict[int, float] = {}  # by kind, the longest seconds so far
+
+    @property
+    def timing(self) -> float:
+        """Seconds that are kept for timing here what was run elsewhere."""
+        return ELSEWHERE * self.clock.seconds if self.clock.limited else 0.0
+
+    def frames(self, asked: int, seconds_a_frame: float) -> int:
+        """The frames to compare, out of those asked for; seconds: of the coarsest fine run's."""
+        if not self.clock.limited:
+            return asked
+        fitting = REFERENCES * self.clock.seconds / (COARSE_RUNS * max(seconds_a_frame, 1e-9))
+        return min(asked, max(FEWEST_FRAMES, int(fitting)))
+
+    def over(self, referenced: bool) -> bool:
+        """Whether the study is to end; referenced: whether there is what to compare to."""
+        late = 0.0 if referenced else -PAST * self.clock.seconds
+        return self.clock.limited and self.clock.left() < late
+
+    def compiled(self, method: str, seconds: float) -> None:
+        """Take note of how long a method took to compile."""
+        with self._lock:
+            kind = kind_of(method)
+            self._compiled[kind] = max(seconds, self._compiled.get(kind, 0.0))
+
+    def to_compile(self, method: str) -> float:
+        """Seconds that a method is expected to take to compile."""
+        kind = kind_of(method)
+        with self._lock:
+            known = self._compiled.get(kind)
+            guessed = [of * SLOWER[kind] / SLOWER[k] for k, of in self._compiled.items()]
+        return known if known is not None else max(guessed, default=0.0)
+
+    def fits(self, method: str) -> bool:
+        """Whether a method may be compiled in time: one that is not has cost nothing but the time
+        that nothing else would have used.
+        """
+        return not self.clock.limited or HOPE * self.to_compile(method) < self.clock.left()
+
+    def share(self, methods: int) -> float:
+        """Seconds that the first of so many methods of a process may take."""
+        return GREED * self.clock.left() / methods if methods > 1 else self.clock.left()
+
+
+class Share:
+    """A method's share of the time: what its settings took, and whether a further one fits.
+
+    budget: seconds of timing for each.
+    """
+
+    def __init__(self, seconds: float, budget: float):
+        self._left, self._budget = seconds, budget
+        self._done: list[Outcome] = []
+
+    def fits(self, setting: Setting) -> bool:
+        """Whether a setting fits, by those that ran; the first one always does."""
+        return not self._done or self._cost(self.expected(setting)) <= self._left
+
+    def took(self, outcome: Outcome) -> None:
+        """Take note of a setting that ran."""
+        self._done.append(outcome)
+        self._left -= self._cost(outcome.sampled_in)
+
+    def _cost(self, seconds: float) -> float:
+        """Of a run and its timing, which takes no less than a run."""
+        return seconds + max(self._budget, seconds)
+
+    def expected(self, setting: Setting) -> float:
+        """Seconds of a run, from those that are most like it: at so many substeps, and sweeps."""
+        same = [of for of in self._done if of.setting.series == setting.series]
+        seconds = min(of.sampled_in / of.setting.substeps for of in same or self._done)
+        last = (same or self._done)[-1].setting
+        sweeps = (setting.iterations or 1) / (last.iterations or 1)
+        harder = setting.tolerance is not None and last.tolerance is None
+        return setting.substeps * seconds * max(sweeps, CONVERGED if harder else 1.0)
+
+
+def left_out(clock: Clock, chosen: Sequence[Setting], outcomes: Sequence[Outcome]) -> list[str]:
+    """What of the settings was left out, a line for each method in each precision."""
+    if not clock.limited:
+        return []
+    done = {outcome.setting for outcome in outcomes}
+    groups: dict[tuple[Any, ...], list[Setting]] = {}
+    for setting in chosen:
+        groups.setdefault((setting.method, *setting.process), []).append(setting)
+    said = []
+    for (method, arch, precision, _), of in groups.items():
+        lacking = [setting for setting in of if setting not in done]
+        if not lacking:
+            continue
+        name = f"{method}, {arch} {precision}"
+        if len(lacking) == len(of):
+            said.append(f"{name}: all of it")
+            continue
+        steps = []
+        for setting in lacking:
+            solver = setting.describe_solver()
+            steps.append(f"{setting.substeps}{f' with {solver}' if solver else ''}")
+        said.append(f"{name}: substeps {', '.join(steps)}")
+    return said

@@ -1,0 +1,147 @@
+"""Sweeps that fit a time: what is left out, told with a clock that is made up, and said."""
+
+import csv
+import json
+
+import pytest
+from selection import thorough
+
+from taichi_cloth.cli.main import main
+from taichi_cloth.scene import library
+from taichi_cloth.scene.source import SceneSource
+from taichi_cloth.settings.sweeps import TradeOptions
+from taichi_cloth.stability import command as stability
+from taichi_cloth.stability import experiment
+from taichi_cloth.sweeps.journal import Journal
+from taichi_cloth.sweeps.within import Clock, clock, said_of_left_out
+from taichi_cloth.trade import command
+from taichi_cloth.trade.outcomes import Outcome
+from taichi_cloth.trade.pace import FEWEST_FRAMES, Pace, Share, left_out
+from taichi_cloth.trade.settings import Setting
+
+
+class Hand:
+    """A clock's hand that is moved by hand."""
+
+    def __init__(self):
+        self.at = 100.0
+
+    def __call__(self):
+        return self.at
+
+
+def test_a_clock_keeps_time_for_the_files_and_a_part_ends_before_the_whole():
+    hand = Hand()
+    minute = Clock(60.0, hand)
+    assert 50 < minute.left() < 60 and minute.limited and minute.short
+    half = minute.part(0.5)
+    hand.at += 30.0
+    assert half.left() == 0.0 and minute.left() > 20
+    hand.at += 30.0
+    assert minute.left() < 0
+    assert not Clock().limited and Clock().left() == float("inf")
+
+
+def test_quick_is_a_minute_and_times_have_units():
+    assert clock(None, quick=True).seconds == 60 and not clock(None).limited
+    assert [clock(text).seconds for text in ("90s", "5min", "0.5h")] == [90, 300, 1800]
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--within", "60"], "must be a time with its unit, s, min or h, such as 60s; is '60'"),
+        (["--within", "-1s"], "such as 60s; is '-1s'"),
+        (["--within", "1s"], "--within must be 5s to 7 days"),
+        (["--within", "60s", "--quick"], "--quick means --within 60s: give one of them"),
+    ],
+)
+@pytest.mark.parametrize("name", ["trade", "explain"])
+def test_what_is_no_time_is_refused_in_one_line(name, words, says, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main([name, "oscillator", *words]) == 2
+    error = capsys.readouterr().err
+    assert says in error and error.count("\n") == 1 and not list(tmp_path.iterdir())
+
+
+def test_references_take_their_share_of_the_time_at_most():
+    """At a hundredth of a second a frame six runs of 150 frames take 9 s, of a minute 15 %."""
+    pace = Pace(Clock(60.0, Hand()))
+    assert pace.frames(240, 0.01) == 150 and pace.frames(85, 0.01) == 85
+    assert pace.frames(240, 5.0) == FEWEST_FRAMES
+    assert Pace(Clock()).frames(240, 5.0) == 240
+
+
+def test_methods_that_do_not_compile_in_time_are_left_out():
+    hand = Hand()
+    pace = Pace(Clock(60.0, hand))
+    pace.compiled("rk4", 5.0)
+    assert pace.to_compile("verlet") == 5 and pace.to_compile("tr_bdf2") == 15
+    assert pace.fits("verlet") and pace.fits("tr_bdf2")
+    hand.at += 49.0
+    assert pace.fits("verlet") and not pace.fits("tr_bdf2")
+    assert not pace.over(referenced=True)
+    hand.at += 10.0
+    assert pace.over(referenced=True) and not pace.over(referenced=False)
+    hand.at += 14.0
+    assert pace.over(referenced=False)
+    assert Pace(Clock()).fits("tr_bdf2") and not Pace(Clock()).over(referenced=True)
+
+
+def outcome(seconds, substeps, **of):
+    return Outcome(Setting("vbd", 1.0, substeps, **of), sampled_in=seconds)
+
+
+def test_settings_run_from_the_longest_step_as_long_as_their_share_lasts():
+    """Each costs its run and as much again for its timing."""
+    share = Share(7.0, budget=0.1)
+    assert share.fits(Setting("vbd", 1.0, 1000, iterations=1))  # the first one, whatever it takes
+    share.took(outcome(0.5, 1, iterations=1))
+    assert share.expected(Setting("vbd", 1.0, 2, iterations=1)) == 1.0
+    assert share.expected(Setting("vbd", 1.0, 2, iterations=8)) == 8.0
+    assert share.fits(Setting("vbd", 1.0, 4, iterations=1))
+    share.took(outcome(2.0, 4, iterations=1))
+    assert not share.fits(Setting("vbd", 1.0, 8, iterations=1))
+    assert share.fits(Setting("vbd", 1.0, 2, iterations=1))
+
+
+def test_what_is_left_out_is_said_by_method_and_nothing_without_a_limit():
+    chosen = [Setting(m, 1.0, n) for m in ("verlet", "rk4") for n in (1, 2, 4)]
+    outcomes = [Outcome(setting) for setting in chosen[:1]]
+    minute = Clock(60.0, Hand())
+    lines = left_out(minute, chosen, outcomes)
+    assert lines == ["verlet, cpu f64: substeps 2, 4", "rk4, cpu f64: all of it"]
+    said = said_of_left_out(minute, lines)
+    assert "does not fit in 60 s" in said[0] and [line.strip() for line in said[1:]] == lines
+    assert "nothing was left out" in said_of_left_out(minute, [])[0]
+    assert left_out(Clock(), chosen, outcomes) == [] == said_of_left_out(Clock(), lines)
+
+
+def test_stability_without_time_has_what_is_computed_and_says_what_was_not_measured(tmp_path):
+    scene = experiment.at_rest(library.build("oscillator"))
+    network = experiment.Network.from_scene(scene)
+    limits, journal = [experiment.computed("verlet", network)], Journal(tmp_path, {})
+    hand = Hand()
+    tell = stability.within(Clock(60.0, hand), lambda *_: None)
+    tell("verlet", "")
+    hand.at += 60.0
+    with pytest.raises(stability.TimeOver):
+        tell("verlet", "")
+    said = experiment.left_out(scene, limits, journal)
+    assert said == ["verlet: limit, map of stiffness, map of mass"]
+    journal.discard()
+
+
+@thorough
+def test_a_trade_of_half_a_minute_has_a_reference_and_names_the_rest(cli, tmp_path):
+    """Rows and what was left out are together what was asked for."""
+    cli("trade", "cloth", "--within", "30s", "--output", tmp_path)
+    told = json.loads((tmp_path / "trade.json").read_text())["environment"]
+    assert told["within"] == 30 and told["reference"]
+    with (tmp_path / "trade.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    asked = TradeOptions.from_given({"within": "30s"})
+    chosen = command.prepare(SceneSource("cloth"), asked)[1]
+    assert 0 < len(rows) <= len(chosen)
+    assert (len(rows) < len(chosen)) == bool(told["left_out"])
+    assert all(row["error_trajectory"] for row in rows if row["status"] == "ok")
