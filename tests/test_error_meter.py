@@ -263,9 +263,11 @@ def test_the_ghost_is_where_the_reference_is(chain):
         sim.advance(30)
         assert "as 0.5 s ago" in measured.ghost().words
         assert measured.ghost().away is not None
-        old = measured._meter.ghost = replace(ghost, first=ghost.first - 151)
-        words = f"ghost: known of frames {old.start} to {old.end}, 3 s ago: go back there (,)"
-        assert (measured.ghost().words, measured.ghost().away) == (words, None)
+        # The timeline reaches ten seconds back.
+        for frames, ago in ((151, "3 s ago: go back there (,)"), (600, "10 s ago")):
+            old = measured._meter.ghost = replace(ghost, first=ghost.first - frames)
+            words = f"ghost: known of frames {old.start} to {old.end}, {ago}"
+            assert (measured.ghost().words, measured.ghost().away) == (words, None)
         assert measured.next_ghost() == "ghost: off" and not pale().any()
     finally:
         view.close()

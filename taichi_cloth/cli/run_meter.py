@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.settings.options import RunOptions
-from taichi_cloth.ui import style
+from taichi_cloth.ui import style, timeline
 from taichi_cloth.ui.chrome.errors import ErrorReading, GhostReading
 
 if TYPE_CHECKING:
@@ -71,8 +71,9 @@ class MeasuredErrors:
             return GhostReading(f"ghost: waits for a measured second ({meter.progress()})")
         away, old = found.at(now), (now - found.end) / SECOND
         if away is None or old > OLDEST:
-            back = f", {old:.0f} s ago: go back there (,)" if old > OLDEST else ""
-            return GhostReading(f"ghost: known of frames {found.start} to {found.end}{back}")
+            ago = f", {old:.0f} s ago" if old > OLDEST else ""
+            ago += ": go back there (,)" if OLDEST < old < timeline.SECONDS else ""
+            return GhostReading(f"ghost: known of frames {found.start} to {found.end}{ago}")
         times = magnification(found) if self._ghost == MAGNIFIED else 1.0
         when = f"as {old:.1f} s ago" if old > 0 else "at this frame"
         size = f"difference x{times:g}" if times > 1 else "true size"
