@@ -24,6 +24,7 @@ from taichi_cloth.settings.options import PATHS, TOPOLOGIES
 from taichi_cloth.simulation import autotune, prediction
 from taichi_cloth.stability import report as stability_report
 from taichi_cloth.stability.experiment import StepLimits
+from taichi_cloth.sweeps.within import Clock
 from taichi_cloth.trade import report as trade_report
 from taichi_cloth.trade import rows, tune
 from taichi_cloth.trade.settings import Setting
@@ -82,9 +83,18 @@ def made_rows():
     return [*found, rows.Row(found[0].setting, status=why)]
 
 
+LEFT_OUT = ["implicit_midpoint and tr_bdf2, and of rk4 12 settings in f64 and in compensated sums"]
+
+
 def show_trade(made, to):
     horizon = SimpleNamespace(frames=240, scale=1.0, what="the scale", describe=lambda: "horizon")
-    result = SimpleNamespace(scene=SimpleNamespace(name="x"), horizon=horizon, reference=None)
+    result = SimpleNamespace(
+        scene=SimpleNamespace(name="x"),
+        horizon=horizon,
+        reference=None,
+        clock=Clock(60.0),
+        left_out=LEFT_OUT,
+    )
     trade_report.show(result, made, to)
     trade_report.show_front(result, made, to)
 
@@ -171,7 +181,7 @@ def test_a_wide_terminal_is_shown_all_columns(monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "300")
     show_trade(made_rows(), console.output())
     shown = capsys.readouterr().out
-    assert "left out" not in shown
+    assert "the terminal is narrow" not in shown
     for name in trade_report.SPARED:
         assert name in shown
 
@@ -192,10 +202,10 @@ def test_advice_is_good_cheap_and_lasts():
 def test_tune_fits(width, capsys):
     made = made_rows()
     tried = [tune.Attempt(made[0], made[-1], False), tune.Attempt(made[1], made[1], True)]
-    tune._show("cloth", tune.Target(error=0.01), tried)
+    tune._show("cloth", tune.Target(error=0.01), tried, LEFT_OUT)
     shown = capsys.readouterr().out
-    assert_fits(shown, width, *(attempt.row.setting.method for attempt in tried), "particle")
-    tune._show("cloth", tune.Target(error=0.01), tried[:1] * 12)
+    assert_fits(shown, width, *(attempt.row.setting.method for attempt in tried), "particle", "f64")
+    tune._show("cloth", tune.Target(error=0.01), tried[:1] * 12, ())
     shown = capsys.readouterr().out
     assert_fits(shown, width)
     assert RUN not in shown and "and 4 more" in shown
