@@ -9,6 +9,7 @@ from intersection_sweep import SCENES, row
 from intersections import intersecting_pairs
 from selection import as_thorough
 
+from taichi_cloth.errors import SimulationFailure
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.kept_pairs import NEAR_BITS
 from taichi_cloth.kernels.near_pairs import find_pairs
@@ -152,6 +153,13 @@ def crossing(**more):
     x = scene.particles.position.copy()
     x[81:, 1] += 0.1 * (x[81:, 0] - 1.5)
     return replace(scene, particles=replace(scene.particles, position=x))
+
+
+def test_what_goes_farther_in_a_step_than_cells_can_be_counted_is_named(pool):
+    """Sheets that may meet on their ways look at all cells: a count that overflows would crash."""
+    away = sheets(5, [0.5, 0.53], velocity=lambda x: np.outer(x[:, 1] > 0.515, [-1e12, 0.0, 0.0]))
+    with pytest.raises(SimulationFailure, match=r"has a speed of 1e\+12 before any step"):
+        pool(away).advance(2)
 
 
 def test_only_sheets_without_a_thickness_pass_through_each_other(pool):

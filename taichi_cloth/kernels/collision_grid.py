@@ -309,12 +309,13 @@ def _sum_over_block(
 def _span(state: ti.template(), x, reach, axis: ti.template()):
     """The coordinates of the first cell within `reach` of x along an axis, and how many they are.
 
-    No cell is counted twice where the grid is small.
+    No cell is counted twice where the grid is small, or the reach too far for whole numbers.
     """
     rounding = ti.static(8.0 * epsilon(state))
     span = reach + rounding * (reach + ti.abs(x))
-    low = _coordinate(state, x - span, axis)
-    return low, ti.min(_coordinate(state, x + span, axis) - low + 1, 1 << state.grid_bits[axis])
+    low, cells = _coordinate(state, x - span, axis), 1 << state.grid_bits[axis]
+    count = ti.min(_coordinate(state, x + span, axis) - low + 1, cells)
+    return low, ti.select(2.0 * span * state.per_cell[axis] >= cells, cells, count)
 
 
 @ti.func
