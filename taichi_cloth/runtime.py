@@ -163,12 +163,14 @@ def start(
         arch = best
     if arch == "metal" and precision == "f64":
         raise InputError("--precision f64: Metal has no f64; use --precision f32 or --arch cpu")
+    global _device
+    # From here on what was made before is gone: to give it back would be to take what comes.
+    _device = None
     if not _initialize(arch, precision, threads, fast_math, cache):
         usable = [name for name, lack in usable_backends().items() if lack is None]
         raise InputError(
             f"--arch {arch}: not usable here (it needs {_need(arch)}); usable: {', '.join(usable)}"
         )
-    global _device
     _device = Device(arch, precision, threads if arch == "cpu" else 1, fast_math)
     return _device
 

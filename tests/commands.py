@@ -52,12 +52,16 @@ class Commands:
     def __init__(self, **environment):
         folders = [str(Path(__file__).parent), *(path for path in sys.path if path)]
         environment["PYTHONPATH"] = os.pathsep.join(folders)
+        self._environment = {**os.environ, **environment}
+        self._start()
+
+    def _start(self):
         self._process = subprocess.Popen(
             [sys.executable, "-m", "commands"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            env={**os.environ, **environment},
+            env=self._environment,
         )
 
     def __call__(self, *arguments, check=0, env=None, cwd=None):
@@ -79,6 +83,7 @@ class Commands:
         line = self._process.stdout.readline() if ready else ""
         if not line:
             self.close()
+            self._start()  # for those that come after
             raise AssertionError(f"no answer to {request}")
         return json.loads(line)
 

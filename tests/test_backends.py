@@ -78,6 +78,20 @@ def test_same_bits_for_every_thread_count_and_on_every_run(scene, tmp_path, cli)
         np.testing.assert_array_equal(other["velocity"], saved[0]["velocity"])
 
 
+def test_what_an_earlier_start_made_is_gone_as_soon_as_taichi_starts_again(device, monkeypatch):
+    """Else what is collected meanwhile frees memory of the new one."""
+    seen = []
+
+    def initialize(*_):
+        seen.append(runtime.still_runs(device))
+        return True
+
+    monkeypatch.setattr(runtime, "_device", device)  # which is put back
+    monkeypatch.setattr(runtime, "_initialize", initialize)
+    runtime.start("cpu", "f32")
+    assert seen == [False]
+
+
 def test_metal_has_no_f64():
     with pytest.raises(InputError, match="Metal has no f64"):
         runtime.start("metal", "f64")
