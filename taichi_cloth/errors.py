@@ -59,7 +59,7 @@ class SimulationFailure(RunFailure):
 
 def nearest(word: str, known: Iterable[str]) -> str:
     """'did you mean X?' for the known word most like `word`, else a list of the known ones."""
-    known = sorted(known)
+    known = sorted(set(known))
     close = difflib.get_close_matches(word[:100], known, n=1, cutoff=0.5)
     if close:
         return f"did you mean '{close[0]}'?"

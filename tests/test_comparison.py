@@ -1,6 +1,7 @@
 """`compare`: two runs whose first difference is known by construction, and a session run again."""
 
 import json
+import os
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -223,6 +224,8 @@ def test_what_cannot_be_compared_is_refused_in_a_line(swings, pool, cli, tmp_pat
     saved = dict(np.load(swings[1.0]))
     np.savez(tmp_path / "short.npz", **{**saved, "time": saved["time"][:5]})
     np.savez(tmp_path / "back.npz", **{**saved, "time": saved["time"][::-1]})
+    np.savez(tmp_path / "ends.npz", **{**saved, "spring": saved["spring"] + 5})
+    os.mkfifo(tmp_path / "pipe.npz")
     Trajectory(tmp_path / "empty.npz").save()
     for name, words in {
         "other.npz": "not of the same particles: scenes 'oscillator' and 'hanging', 2 particles",
@@ -231,6 +234,8 @@ def test_what_cannot_be_compared_is_refused_in_a_line(swings, pool, cli, tmp_pat
         "foreign.npz": "foreign.npz: is no saved trajectory: it has no 'frame'",
         "short.npz": "its 'time' is float64 (5,)",
         "back.npz": "its times do not grow",
+        "ends.npz": "a spring's end is none of its 2 particles",
+        "pipe.npz": "is no file but a pipe",
         "empty.npz": "has no frame",
         "nowhere.npz": "there is no such file",
     }.items():
@@ -244,9 +249,35 @@ def test_what_cannot_be_compared_is_refused_in_a_line(swings, pool, cli, tmp_pat
         (swings[1.0], other, "--within", "-1%"): "--within must be a number above 0, or one with %",
         (swings[1.0], swings[1.0], "--picture", "x.gif"): "must end with .png or .svg",
         ("--events", "no.jsonl", "--substeps", "2"): "there is no such file",
+        ("--events", tmp_path / "pipe.npz", "--substeps", "2"): "is no file but a pipe",
+        ("box", "--events", tmp_path / "pipe.npz", "--dt", "2"): "is no file but a pipe",
     }.items():
         _, error = cli("compare", *words, check=2)
         assert said in error and error.count("\n") == 1
+
+
+def test_what_has_no_room_in_memory_is_refused(swings, monkeypatch):
+    monkeypatch.setattr(os, "sysconf", lambda name: 8)
+    with pytest.raises(InputError, match="whole.npz: would take .* GiB of memory"):
+        tc.compare(swings[1.0], swings[0.5])
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, 1e200])
+@pytest.mark.parametrize("array", ["position", "velocity"])
+def test_a_lost_particle_is_named(swings, array, number):
+    """In either recording, and in both; not one that is yet to come, whose rows are NaN."""
+    good = tc.load_trajectory(swings[1.0])
+    values = getattr(good, array).copy()
+    values[6, 1, 0] = number
+    bad = replace(good, **{array: values})
+    for pair, label in (((good, bad), "B"), ((bad, good), "A"), ((bad, bad), "A")):
+        with pytest.raises(
+            InputError, match=f"^{label}: particle 1 is lost in frame 7: its {array}"
+        ):
+            tc.compare(*pair, within="50%")
+    later = replace(good, position=good.position.copy(), velocity=good.velocity.copy())
+    later.position[:7, 1] = later.velocity[:7, 1] = np.nan
+    assert tc.compare(good, later).difference.what == "particles that exist"
 
 
 # ------------------------------------------------------------------------------------------
@@ -259,6 +290,20 @@ LOG = """{"header": {"scene": "cloth", "window": [400, 300], "dt": 1.0, "method"
 {"frame": 4, "event": "move", "pos": [206.0, 62.0]}
 {"frame": 5, "event": "set", "name": "substeps", "value": 1}
 """
+
+
+@pytest.mark.parametrize("name", ["a.npz", "b.jsonl"])
+def test_what_is_kept_writes_nothing_over(cli, tmp_path, name):
+    """Also where it is the log itself; nothing is run before."""
+    log = tmp_path / "b.jsonl"
+    log.write_text(LOG)
+    (tmp_path / name).write_text(LOG)
+    words = ("compare", "--events", log, "--substeps", 2)
+    _, error = cli(*words, "--keep", tmp_path, check=2)
+    assert f"'{name}' is there already" in error and error.count("\n") == 1
+    assert log.read_text() == LOG and len(list(tmp_path.iterdir())) == 2 - (name == log.name)
+    cli(*words, "--order", "--keep", tmp_path / "new", "--method", "x", check=2)
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.thorough

@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taichi_cloth.cli import scene_command
 from taichi_cloth.errors import InputError
+from taichi_cloth.files.pending import is_device
 from taichi_cloth.scene import library
 from taichi_cloth.settings.arguments import CommandParser, value_of
 from taichi_cloth.settings.options import PROGRAM, WITHIN, CompareOptions, flag, parameters_of
@@ -62,6 +64,7 @@ def _replayed(arguments: Sequence[str]) -> int:
         return 0
     source, options = read
     options = _checked(options)
+    _refuse_pipe(options.events or "")
 
     from taichi_cloth.cli import replays
 
@@ -77,11 +80,18 @@ def _checked(options: CompareOptions) -> CompareOptions:
     return options
 
 
+def _refuse_pipe(path: str) -> None:
+    """Raise InputError for a log that could be read once only: each run reads it."""
+    if is_device(Path(path)):
+        raise InputError(f"{path}: is no file but a pipe or a device; write the log to a file")
+
+
 def _scene_of(texts: Mapping[str, str | bool]) -> str:
     """The scene of a log, where the command line names none."""
     from taichi_cloth.ui import interaction
 
     path = str(texts["events"])
+    _refuse_pipe(path)
     name = interaction.load(path).header.get("scene")
     if name is None:
         raise InputError(f"{path}: does not say its scene; name it: compare SCENE --events {path}")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import subprocess
 import sys
 import tempfile
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from taichi_cloth.ui.interaction import Log
 
 BEYOND = 60  # frames past the last event
+KEPT = ("a.npz", "b.npz", "c.npz", "b.jsonl")  # what `--keep` may write
 FINER = ("substeps", "dt", "method", "precision")
 MOST_SUBSTEPS = 1_000_000
 
@@ -205,11 +207,24 @@ def _folder(keep: str | None) -> Iterator[Path]:
         with tempfile.TemporaryDirectory(prefix="taichi-cloth-") as made:
             yield Path(made)
         return
+    folder = Path(keep)
+    for name in KEPT:
+        if os.path.lexists(folder / name):
+            raise InputError(
+                f"--keep {keep}: '{name}' is there already, and would be written over; name "
+                "another folder"
+            )
+    there = folder.exists()
     try:
-        Path(keep).mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"--keep {keep}: cannot be made: {error.strerror}") from None
-    yield Path(keep)
+    try:
+        yield folder
+    finally:
+        if not there:
+            with contextlib.suppress(OSError):  # it has something in it, which stays
+                folder.rmdir()
 
 
 def _run(name: str, words: Sequence[str], file: Path) -> str | None:

@@ -13,11 +13,12 @@ from taichi_cloth.files import trajectory
 from taichi_cloth.files.trajectory import Saved
 from taichi_cloth.trade.errors import Samples
 
+LOST = 1e150  # no square of a longer way is a number: a particle that far is nowhere
 SAME_TIME = 1e-6  # of the shortest frame: times as near as this are one, however they were added up
 # What of a run's settings is shown beside the other's.
 SETTINGS = (
-    *("scene", "arguments", "scene_hash", "method", "dt", "substeps", "precision", "arch"),
-    *("topology", "execution", "version"),
+    *("scene", "arguments", "scene_hash", "method", "dt", "substeps", "tolerance", "iterations"),
+    *("precision", "arch", "topology", "execution", "version"),
 )
 
 
@@ -39,7 +40,8 @@ class Recording:
     def read(cls, source: Saved | str | Path, label: str) -> Recording:
         """The recording at a path, or one that was read; label: of one without a path.
 
-        InputError where there is none, and for one without a frame.
+        InputError where there is none, for one without a frame, and for one in which a particle
+        is lost: how far that is from anything is no number.
         """
         saved = source if isinstance(source, Saved) else trajectory.load(source)
         label = label if isinstance(source, Saved) else str(source)
@@ -49,6 +51,7 @@ class Recording:
         later = saved.time[1:] > saved.time[:-1]
         if not (later.all() and np.isfinite(saved.time).all()):
             raise InputError(f"{label}: is damaged: its times do not grow from frame to frame")
+        _refuse_lost(saved, label)
         there = ~np.isnan(saved.position).any(axis=2)
         seen = saved.position[there.argmax(axis=0), np.arange(n)]
         start = np.full((n, dim), np.nan) if saved.start is None else saved.start
@@ -157,6 +160,24 @@ def check_same_particles(a: Recording, b: Recording) -> None:
             f"{a.label} and {b.label} are not of the same particles: {', '.join(differ)}; "
             "compare two runs of one scene"
         )
+
+
+def _refuse_lost(saved: Saved, label: str) -> None:
+    """Raise InputError, which says who and when, where a particle's place or speed is no number.
+
+    Before a particle exists its rows are NaN, all of them.
+    """
+    nan = np.isnan(saved.position).all(axis=2) & np.isnan(saved.velocity).all(axis=2)
+    to_come = np.logical_and.accumulate(nan, axis=0)
+    for what, values in (("position", saved.position), ("velocity", saved.velocity)):
+        lost = ~(np.abs(values) < LOST).all(axis=2) & ~to_come
+        if lost.any():
+            k, particle = np.argwhere(lost)[0]
+            where = ", ".join(f"{number:g}" for number in values[k, particle])
+            raise InputError(
+                f"{label}: particle {particle} is lost in frame {saved.frame[k]}: its {what} is "
+                f"({where}); record again, up to the frame before"
+            )
 
 
 def _shortest(times: np.ndarray) -> float:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import stat
 import struct
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -14,7 +18,8 @@ from taichi_cloth.errors import InputError
 # What NumPy and zipfile raise for files that are something else, or damaged.
 _UNREADABLE = (
     *(OSError, ValueError, EOFError, AttributeError, TypeError, MemoryError, OverflowError),
-    *(RuntimeError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error),
+    *(RuntimeError, SyntaxError, LookupError, tokenize.TokenError),
+    *(zipfile.BadZipFile, zlib.error, struct.error),
 )
 
 
@@ -22,12 +27,17 @@ def read(path: Path, what: str) -> dict[str, np.ndarray]:
     """The arrays of the archive at `path`, by name. what: it should be, such as "checkpoint".
 
     InputError where there is none, or it cannot be read. What holds Python objects is refused:
-    these could do anything.
+    these could do anything. So is a pipe, which has no end that one could begin at, and would be
+    waited for.
     """
     try:
+        mode = path.stat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise InputError(f"{path}: is no file but a pipe or a device; name the {what} itself")
         with path.open("rb") as file:
             if not zipfile.is_zipfile(file):
                 raise InputError(f"{path}: is no {what}: it is no .npz archive, or a part of one")
+            _refuse_larger_than_memory(path, zipfile.ZipFile(file))
             file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
                 return {name: archive[name] for name in archive.files}
@@ -41,3 +51,15 @@ def read(path: Path, what: str) -> dict[str, np.ndarray]:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except _UNREADABLE as error:
         raise InputError(f"{path}: is no {what} that can be read: {error}") from None
+
+
+def _refuse_larger_than_memory(path: Path, archive: zipfile.ZipFile) -> None:
+    """Refuse what would take more memory than there is: the system would end the program for it."""
+    needed, there = sum(member.file_size for member in archive.infolist()), 0
+    with contextlib.suppress(AttributeError, OSError, ValueError):  # else nobody says
+        there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if needed > there > 0:
+        raise InputError(
+            f"{path}: would take {needed / 2**30:.3g} GiB of memory, and this machine has "
+            f"{there / 2**30:.3g} GiB"
+        )

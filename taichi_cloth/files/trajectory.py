@@ -17,6 +17,8 @@ from taichi_cloth.files.pending import PendingFile
 _WHAT = "saved trajectory"
 _ARRAYS = ("frame", "time", "position", "velocity", "spring", "spring_alive", "meta")
 _LATER = ("start", "fixed")  # which files of earlier versions do not have
+# Of what NumPy calls a kind each array is; of numbers, where nothing is said.
+_KINDS = {"frame": "iu", "spring": "iu", "spring_alive": "b", "fixed": "b"}
 
 
 @dataclass(frozen=True)
@@ -225,10 +227,12 @@ def _whole(saved: Saved, path: Path) -> Saved:
     }  # fmt: skip
     for name, there in wanted.items():
         array = getattr(saved, name)
-        kinds = "b" if name in ("spring_alive", "fixed") else "iuf"
+        kinds = _KINDS.get(name, "iuf")
         if array is not None and (array.shape != there or array.dtype.kind not in kinds):
             found = f"{array.dtype} {array.shape}"
             raise InputError(f"{path}: is no {_WHAT}: its '{name}' is {found}")
+    if s and not 0 <= saved.spring.min() <= saved.spring.max() < n:
+        raise InputError(f"{path}: is no {_WHAT}: a spring's end is none of its {n} particles")
     if not isinstance(saved.meta, dict):
         raise InputError(f"{path}: is no {_WHAT}: its 'meta' is no object")
     return saved
