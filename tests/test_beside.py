@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -360,6 +361,8 @@ def test_a_second_run_that_fails_stops_alone(cli):
         ("method=rk5", "did you mean 'rk4'"),
         ("substeps=0", "at least 1"),
         ("substeps=2,substeps=3", "given twice"),
+        ("substeps=8,substeps=8", "given twice"),
+        ("method=rk4,method=verlet", "given twice"),
         ("dt=0.1,substeps=2", "exclude each other"),
         ("precision=f64", "compare --events FILE.jsonl --precision f64"),
         ("frames=3", "give --frames"),
@@ -379,6 +382,9 @@ def test_what_the_scene_refuses_is_refused(cli):
         ("collisions=2", "must be on or off"),
     ):
         assert says in cli(*words, "--beside", given, check=2)[1]
+    said = cli(*words, "--beside", "zzzz=2", check=2)[1]
+    known = said.partition("known: ")[2].strip().split(", ")
+    assert "substeps" in known and len(known) == len(set(known)) and said.count("\n") == 1
 
 
 # ------------------------------------------------------------------------------------------
@@ -455,6 +461,20 @@ def test_the_mouse_in_either_half_acts_on_both(pair):
     apart = held.beside.room.x - view.room.x
     assert np.allclose(held.beside.picture.pointer.place - held.pointer.place, [apart, 0])
     assert not np.array_equal(held.position, held.beside.picture.position)
+
+
+def test_both_are_drawn_plain_where_frames_are_late(pair):
+    first, second = pair
+    budget = SimpleNamespace(
+        plain=True, words=("off",), chosen="off", fixed="", about="", why="",
+        status=lambda: None, before_frame=lambda give: None, after_frame=lambda *took: None,
+    )  # fmt: skip
+    twin, view = Twin(first, second, read("stiffness=0.2")), Hands(first, None)
+    try:
+        app.run(first, view, frames=2, beside=Beside(twin), budget=budget)
+    finally:
+        twin.close()
+    assert view.pictures[-1].plain and view.pictures[-1].beside.picture.plain
 
 
 def test_triangles_are_cut_where_the_other_world_begins():

@@ -84,11 +84,14 @@ class Pair:
         """There is no frame that was left."""
         self._depiction.between.forget()
 
-    def half(self, room: Rect, marks: Marks | None, part: float, pointer: Pointer | None) -> Half:
+    def half(
+        self, room: Rect, marks: Marks | None, part: float, pointer: Pointer | None, *, plain: bool
+    ) -> Half:
         """The second world. room: where. The rest: as for the first one's picture."""
         depiction = self._depiction
         depiction.show, depiction.strain = self._first.show, self._first.strain
-        return Half(replace(depiction.picture(marks, part), pointer=pointer), room)
+        picture = replace(depiction.picture(marks, part), pointer=pointer, plain=plain)
+        return Half(picture, room)
 
     def panels(self, cut: Halves, height: int) -> tuple[Panel, ...]:
         """What they are called, and a line between them; height: of the text, pixels."""

@@ -184,7 +184,8 @@ class Presentation:
                 place=at.place + [self._window.apart, 0],
                 cross=at.cross or self._window.side == 0,
             )
-        half = pair.half(cut.right, self._controls.marks(pair.sim), part, second)
+        marks = self._controls.marks(pair.sim)
+        half = pair.half(cut.right, marks, part, second, plain=picture.plain)
         overlay = (*pair.panels(cut, layout.text), *picture.overlay)
         return replace(picture, overlay=overlay, pointer=first, beside=half)
 
