@@ -300,13 +300,45 @@ def test_the_command_line_goes_on_bit_for_bit(cli, tmp_path, precision, topology
     assert 0 < end.spring_alive[-1].sum() < end.spring_alive.shape[1]
 
 
+def test_a_run_goes_on_in_other_settings(cli, tmp_path):
+    """As by a panel, from the checkpoint's state on: verlet's, of which vectors are kept, and a
+    method that solves; its log says so, and its replay has the same bits.
+    """
+    words = ("run", "cloth", "--columns", 8, "--rows", 6, "--headless")
+    there, log = tmp_path / "there.npz", tmp_path / "log.jsonl"
+    cli(*words, "--method", "verlet", "--frames", 12, "--checkpoint", there)
+    resumed = (*words, "--frames", 4, "--resume", there)
+    saved = {name: tmp_path / f"{name}.npz" for name in ("as", "same", "other", "panel", "again")}
+    cli(*resumed, "--save", saved["as"])
+    cli(*resumed, "--save", saved["same"], "--method", "verlet", "--dt", 1, "--substeps", 1)
+    given = ("--method", "xpbd", "--iterations", 7, "--dt", 0.5, "--substeps", 2)
+    cli(*resumed, *given, "--save", saved["other"], "--record", log)
+    sets = {"method": "xpbd", "iterations": 7, "dt": 0.5, "substeps": 2}
+    lines = [{"frame": 0, "event": "set", "name": n, "value": v} for n, v in sets.items()]
+    (tmp_path / "panel.jsonl").write_text("\n".join(map(json.dumps, lines)))
+    cli(*resumed, "--events", tmp_path / "panel.jsonl", "--save", saved["panel"])
+    cli(*resumed, "--events", log, "--save", saved["again"])
+    for a, b in (("as", "same"), ("other", "panel"), ("other", "again")):
+        assert tc.compare(saved[a], saved[b]).identical, (a, b)
+    other = tc.load_trajectory(saved["other"])
+    assert other.frame.tolist() == [13, 14, 15, 16] and other.meta["iterations"] == 7
+    assert np.allclose(np.diff(other.time), 0.5) and not tc.compare(saved["as"], other).identical
+    # The substeps that --dt auto chose are the user's from there on.
+    cli(*words, "--dt", "auto", "--frames", 2, "--checkpoint", there)
+    assert (
+        ", 2 substeps;" in cli(*resumed)[0] and ", 5 substeps;" in cli(*resumed, "--substeps", 5)[0]
+    )
+
+
 def test_a_checkpoint_of_something_else_is_refused_before_taichi_starts(cli, tmp_path):
     path = tmp_path / "there.npz"
     cloth = ("run", "cloth", "--columns", 8, "--rows", 6, "--headless", "--frames", 2)
     cli(*cloth, "--checkpoint", path)
     for words, says in (
         (["box"], "is of scene 'cloth', not of 'box'"),
-        (["cloth", "--method", "rk4"], "was made with --method symplectic_euler; leave the flag"),
+        (["cloth", "--precision", "f64"], "was made with --precision f32; leave the flag out"),
+        (["cloth", "--dt", "auto"], "and --dt auto chooses from the start of a run"),
+        (["cloth", "--tolerance", "0.01"], "--tolerance: symplectic_euler does not take it"),
     ):
         said = command("run", *words, "--headless", "--resume", path, check=2)[1]
         assert says in said and said.count("\n") == 1

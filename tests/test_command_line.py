@@ -18,6 +18,7 @@ from selection import as_thorough
 from taichi_cloth import runtime
 from taichi_cloth.cli import doctor, run_notes, scene_command
 from taichi_cloth.cli.main import main
+from taichi_cloth.comparison.compare import compare
 from taichi_cloth.errors import InputError, RunFailure
 from taichi_cloth.files import trajectory as trajectories
 from taichi_cloth.kernels import methods
@@ -343,6 +344,37 @@ def test_a_recorded_log_replays_to_the_same_bits(cli, tmp_path):
     for name in a.files:
         np.testing.assert_array_equal(a[name], b[name])
     assert not a["spring_alive"][-1].all(), "the log should tear springs"
+
+
+def test_a_run_says_once_that_it_compiles(capsys):
+    """Whichever of two beside each other does first."""
+    tell = run_notes.compiling(library.build("cloth"), RunOptions())
+    tell()
+    tell()
+    assert capsys.readouterr().err.count("compiling kernels") == 1
+    assert run_notes.compiling(library.build("cloth"), RunOptions(quiet=True)) is None
+
+
+def test_a_replay_follows_the_recorded_solver(cli, tmp_path):
+    """Where its method takes the setting; logs of before, which do not say it, have the default."""
+    own = ("cloth", "--columns", 6, "--rows", 4, "--headless", "--frames", 8, "--topology", "graph")
+    log, saved = tmp_path / "log.jsonl", [tmp_path / f"{name}.npz" for name in "abcd"]
+    for given in (("vbd", "--iterations", 2), ("implicit_euler", "--tolerance", 0.03)):
+        cli("run", *own, "--method", *given, "--record", log, "--save", saved[0])
+        header = json.loads(log.read_text().splitlines()[0])["header"]
+        assert header[given[1][2:]] == given[2]
+        _, said = cli("run", *own, "--events", log, "--save", saved[1])
+        assert said == "" and compare(*saved[:2]).identical
+        _, said = cli("run", *own, "--events", log, "--method", "verlet")
+        assert "method verlet (recorded: " in said
+        del header[given[1][2:]]
+        log.write_text(json.dumps({"header": header}))
+        cli("run", *own, "--events", log, "--save", saved[2])
+        cli("run", *own, "--method", given[0], "--save", saved[3])
+        assert compare(*saved[2:]).identical and not compare(saved[0], saved[2]).identical
+    for wrong in ('"tolerance": 0', '"iterations": 2.5'):
+        log.write_text(f'{{"header": {{{wrong}}}}}')
+        assert "line 1: " in cli("run", *own, "--events", log, check=2)[1]
 
 
 def test_a_replay_takes_the_recorded_settings_and_says_where_it_does_not(cli, tmp_path):

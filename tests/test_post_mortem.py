@@ -174,6 +174,18 @@ def test_a_run_that_fails_leaves_its_report(cli, tmp_path):
     ]
 
 
+def test_what_survives_of_a_run_that_was_resumed_runs(cli, tmp_path):
+    """The command line that its report proposes is done as it stands there."""
+    words = "run", "cloth", "--columns", 12, "--rows", 9, "--headless"
+    there, page = tmp_path / "there.npz", tmp_path / "page.html"
+    cli(*words, "--frames", 12, "--checkpoint", there)
+    cli(*words, "--resume", there, "--dt", 1.9, "--report", page, check=3)
+    (given,) = set(re.findall("taichi-cloth (run cloth [^<]*)", page.read_text()))
+    assert f"--resume {there}" in given and "without" not in given
+    out, _ = cli(*given.split(), "--headless", "--frames", 80)
+    assert "80 frames" in out
+
+
 @pytest.mark.thorough
 def test_of_all_failing_runs_nearly_all_are_right(runner):
     """In 95 of 100 the cause is right, in 95 the setting survives; physics is never numerics.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -69,7 +70,7 @@ def main(source: SceneSource, options: RunOptions) -> int:
     resumed = run_options.resumed(options)
     run_options.check_same_start(options, log, resumed)
     if resumed:
-        options, source = run_options.as_saved(source, scene.name, options, resumed)
+        options, source = run_options.as_saved(source, scene.name, options, resumed, log)
         scene = source.build()
     if options.pictures is not None and not os.path.isdir(options.pictures):
         raise InputError(f"--pictures {options.pictures}: there is no such folder; make it first")
@@ -89,11 +90,11 @@ def _simulate(first: Wanted, log: Log | None, resumed: saved.Saved | None) -> in
     device = runtime.start(
         options.arch, options.precision, options.threads, fast_math=options.fast_math
     )
-    sim = _resumed(scene, options, resumed) if resumed else _begun(scene, options, log)
+    told = run_notes.compiling(scene, options)
+    sim = _resumed(scene, options, resumed, told) if resumed else _begun(scene, options, log, told)
     run_notes.note_inside(sim, options)
-    beside = run_beside.begun(
-        sim, options, partial(_simulation, sim.scene), paced=opens_window(options.view)
-    )
+    make = partial(_simulation, sim.scene, told=told)
+    beside = run_beside.begun(sim, options, make, paced=opens_window(options.view))
     failure: RunFailure | None = None
     with contextlib.closing(_view(scene, options)) as view, Window(first, view, _ready) as window:
         now: Run | None = Run(first, sim, log, beside)
@@ -110,7 +111,8 @@ def _simulate(first: Wanted, log: Log | None, resumed: saved.Saved | None) -> in
 
 def _ready(wanted: Wanted) -> Run:
     """The run of a scene from its start, on the device that was started."""
-    sim = _begun(wanted.scene, wanted.options, None)
+    told = run_notes.compiling(wanted.scene, wanted.options)
+    sim = _begun(wanted.scene, wanted.options, None, told)
     run_notes.note_inside(sim, wanted.options)
     return Run(wanted, sim, None)
 
@@ -194,17 +196,34 @@ def _ended(run: Run) -> RunFailure | None:
     return None
 
 
-def _resumed(scene: Scene, options: RunOptions, resumed: saved.Saved) -> Simulation:
-    """The simulation at a checkpoint."""
+def _resumed(
+    scene: Scene, options: RunOptions, resumed: saved.Saved, told: Callable[[], None] | None
+) -> Simulation:
+    """The simulation at a checkpoint; in other settings, if they are asked for, from there on.
+
+    These are given to it as a panel would: what another method keeps from step to step is computed
+    anew from positions and velocities.
+    """
     from taichi_cloth.simulation.checkpoint import Checkpoint
+    from taichi_cloth.simulation.past import Settings, set_to
 
     there = Checkpoint(**resumed.parts)
-    sim = _simulation(scene.with_world(tools=there.kept.taken.scene.world.tools), options)
+    if options.dt != "auto":
+        there = replace(there, auto=None)  # the substeps are the user's from here on
+    scene = scene.with_world(tools=there.kept.taken.scene.world.tools)
+    sim = _simulation(scene, replace(options, **run_options.settings_of(vars(there))), told)
     sim.restore(there)
+    before = Settings.of(sim)
+    wanted = run_options.wanted_of(options, before)
+    if wanted != before:
+        set_to(sim, wanted)
+        sim.past.begin(sim, sim.checkpoint())  # the run begins here: nothing was done to it yet
     return sim
 
 
-def _begun(scene: Scene, options: RunOptions, log: Log | None) -> Simulation:
+def _begun(
+    scene: Scene, options: RunOptions, log: Log | None, told: Callable[[], None] | None
+) -> Simulation:
     """The simulation at its start, with what mouse tools need compiled, so that no click waits.
 
     It is so in a window, but for scenes so large that their frames would feel what is idle, and
@@ -215,13 +234,14 @@ def _begun(scene: Scene, options: RunOptions, log: Log | None) -> Simulation:
     ready = opens_window(options.view) and len(scene.particles) <= MOST_WITH_TOOLS
     if log is not None:
         ready = bool(log.header.get("tools", False))
-    sim = _simulation(scene.with_world(tools=True) if ready else scene, options)
+    sim = _simulation(scene.with_world(tools=True) if ready else scene, options, told)
     if options.hold:
         run_budget.begin_stable(sim)
     return sim
 
 
-def _simulation(scene: Scene, options: RunOptions) -> Simulation:
+def _simulation(scene: Scene, options: RunOptions, told: Callable[[], None] | None) -> Simulation:
+    """A simulation at the start of a scene. told: called before it compiles."""
     from taichi_cloth.simulation.simulation import Simulation
 
     return Simulation(
@@ -233,7 +253,7 @@ def _simulation(scene: Scene, options: RunOptions) -> Simulation:
         topology=options.topology,
         tolerance=options.tolerance,
         iterations=options.iterations,
-        compiling=None if options.quiet else partial(run_notes.note_compiling, scene),
+        compiling=told,
     )
 
 

@@ -172,6 +172,7 @@ def _meta(source: SceneSource, began: Scene, sim: Simulation, device: Device) ->
         "scene_source": source.as_json(),
         "scene_hash": scene_hash(began),
         "method": sim.method,
+        **sim.solver,  # the last ones, too
         "dt": sim.dt,
         "substeps": sim.substeps,  # the last ones, where they follow the springs
         "dt_auto": sim.follows,

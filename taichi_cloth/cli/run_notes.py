@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy
@@ -13,7 +13,7 @@ from taichi_cloth.errors import InputError, RunFailure, counted
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.options import PROGRAM, RunOptions
+from taichi_cloth.settings.options import PROGRAM, SOLVER_SETTINGS, RunOptions
 
 if TYPE_CHECKING:
     from taichi_cloth.runtime import Device
@@ -21,6 +21,11 @@ if TYPE_CHECKING:
     from taichi_cloth.ui.summary import Summary
     from taichi_cloth.ui.views.contract import View
 
+# What of a log's header is compared with a run that replays it.
+LOGGED = (
+    *("scene", "dt", "substeps", "method", *SOLVER_SETTINGS),
+    *("topology", "precision", "beside"),
+)
 MOST_NOTES = 4  # sentences on spheres wider than the thickness, before a run
 
 
@@ -29,11 +34,21 @@ def say(text: str) -> None:
     print(f"{PROGRAM}: {text}", file=sys.stderr, flush=True)
 
 
-def note_compiling(scene: Scene) -> None:
-    """Say on standard error why nothing happens for a while."""
+def compiling(scene: Scene, options: RunOptions) -> Callable[[], None] | None:
+    """What says on standard error why nothing happens for a while: once, whichever of two runs
+    beside each other compiles first; None: a quiet run says nothing.
+    """
+    if options.quiet:
+        return None
     touches = scene.obstacles or scene.features().resting
     takes = "up to some minutes" if touches else "some seconds"
-    say(f"compiling kernels for this run: {takes}, once; later runs find them")
+    lines = [f"compiling kernels for this run: {takes}, once; later runs find them"]
+
+    def tell() -> None:
+        while lines:
+            say(lines.pop())
+
+    return tell
 
 
 def announce(sim: Simulation, device: Device, view: View) -> None:
@@ -192,7 +207,7 @@ def note_differences(recorded: Mapping[str, Any], present: Mapping[str, Any]) ->
     """Say on standard error where a replay's settings are not those of the recording."""
     notes = [
         f"{key} {present[key]} (recorded: {recorded[key]})"
-        for key in ("scene", "dt", "substeps", "method", "topology", "precision", "beside")
+        for key in LOGGED
         if key in recorded and key in present and recorded[key] != present[key]
     ]
     words = [shlex.join(header.get("arguments", ())) for header in (present, recorded)]

@@ -12,10 +12,11 @@ from taichi_cloth.cli import run_beside, scene_command
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.pending import is_device
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.options import WRITES, RunOptions, check_run, flag
+from taichi_cloth.settings.options import SOLVER_SETTINGS, WRITES, RunOptions, check_run, flag
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation import saved
+    from taichi_cloth.simulation.past import Settings
     from taichi_cloth.ui.interaction import Log
 
 
@@ -67,20 +68,28 @@ def check_inputs_stay(source: SceneSource, options: RunOptions) -> None:
 
 
 def as_recorded(options: RunOptions, header: Mapping[str, Any]) -> RunOptions:
-    """The options with the recording's dt, substeps and so on where none are given."""
+    """The options with the recording's dt, substeps and so on where none are given.
+
+    Of the solver's settings those that the method takes, which may be another one.
+    """
+    from taichi_cloth.kernels import methods
+
     recorded = {
         name: header[name]
-        for name in ("dt", "substeps", "method", "topology", "beside")
+        for name in ("dt", "substeps", "method", "topology", "beside", *SOLVER_SETTINGS)
         if name in header and name not in options.given
     }
+    solver = {name: recorded.pop(name) for name in SOLVER_SETTINGS if name in recorded}
     if recorded.get("dt") == "auto" and "substeps" in options.given:
         del recorded["dt"]  # substeps of the user's own: of the scene's frames, too
     if options.dt == "auto":
         recorded.pop("substeps", None)
     try:
-        return consistent(replace(options, **recorded))
+        options = consistent(replace(options, **recorded))
     except InputError as error:
         raise InputError(f"{options.events} line 1: {error}") from None
+    taken = methods.load(options.method).claims.settings
+    return replace(options, **{name: solver[name] for name in taken if name in solver})
 
 
 def scene_as_recorded(
@@ -113,30 +122,73 @@ def check_same_start(options: RunOptions, log: Log | None, resumed: saved.Saved 
         )
 
 
+def settings_of(parts: Mapping[str, Any]) -> dict[str, Any]:
+    """The options, by name, with which a checkpoint of these parts goes on as it was.
+
+    dt: "auto", if its substeps were chosen.
+    """
+    settings, chosen = parts["settings"], parts["auto"] is not None
+    solver = {name: settings["solver"].get(name) for name in SOLVER_SETTINGS}
+    return {
+        "method": parts["method"],
+        "dt": "auto" if chosen else settings["dt"],
+        "substeps": 1 if chosen else settings["substeps"],
+        **solver,
+    }
+
+
+def wanted_of(options: RunOptions, before: Settings) -> Settings:
+    """What a run that was resumed is to go on with. before: what its checkpoint had."""
+    solver = {name: getattr(options, name) for name in SOLVER_SETTINGS}
+    kept = options.dt == "auto"
+    return replace(
+        before,
+        method=options.method,
+        dt=before.dt if kept else options.dt,
+        substeps=before.substeps if kept else options.substeps,
+        solver={name: value for name, value in solver.items() if value is not None},
+    )
+
+
 def as_saved(
-    source: SceneSource, name: str, options: RunOptions, resumed: saved.Saved
+    source: SceneSource, name: str, options: RunOptions, resumed: saved.Saved, log: Log | None
 ) -> tuple[RunOptions, SceneSource]:
     """The options and the scene, called `name`, as a checkpoint's where none are given.
 
-    Raises InputError where what is given is not what it was made with.
+    log: of a session that went on from there: what that one had is given, too. Method, step and
+    solver may be others; raises InputError where a precision or topology that is given is not what
+    it was made with, and for a solver's setting that the method does not take.
     """
-    parts, about = resumed.parts, resumed.about
-    settings, where = parts["settings"], f"--resume {options.resume}"
+    from taichi_cloth.kernels import methods
+    from taichi_cloth.simulation.numbers import solver_settings
+
+    parts, about, where = resumed.parts, resumed.about, f"--resume {options.resume}"
     if parts["name"] != name:
         raise InputError(f"{where}: is of scene '{parts['name']}', not of '{name}'")
-    of_run = {
-        "method": parts["method"],
-        "precision": parts["precision"],
-        "topology": parts["kept"].topology,
-        "dt": settings["dt"] if parts["auto"] is None else "auto",
-        "substeps": settings["substeps"] if parts["auto"] is None else 1,
-        **settings["solver"],
-    }
-    for name, value in of_run.items():
+    fixed = {"precision": parts["precision"], "topology": parts["kept"].topology}
+    for name, value in fixed.items():
         if name in options.given and getattr(options, name) != value:
             raise InputError(f"{where}: was made with {flag(name)} {value}; leave the flag out")
+    here = set(options.given)
+    if log is not None and "start_frame" in log.header:
+        here |= log.header.keys()
+    there = settings_of(parts)
+    if options.dt == "auto" and "dt" in here and there["dt"] != "auto":
+        raise InputError(
+            f"{where}: was made with --dt {there['dt']:g}, and --dt auto chooses from the start of "
+            "a run; give a number"
+        )
+    if here & {"dt", "substeps"} and options.dt != "auto":  # then both are the user's
+        there |= {"dt": parts["settings"]["dt"], "substeps": parts["settings"]["substeps"]}
+    wanted = {name: getattr(options, name) if name in here else there[name] for name in there}
+    claims = methods.load(wanted["method"]).claims
+    for name in SOLVER_SETTINGS:
+        if name not in here and name not in claims.settings:
+            wanted[name] = None
     try:
+        solver = {name: wanted[name] for name in SOLVER_SETTINGS}
+        wanted |= solver_settings(wanted["method"], claims, **solver)
         source = scene_command.recorded(source, about.get("arguments", []))
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
-    return consistent(replace(options, **of_run)), source
+    return consistent(replace(options, **fixed, **wanted)), source

@@ -177,6 +177,11 @@ def _check_header(header: dict[str, Any]) -> None:
     dt, substeps = header.get("dt", 1.0), header.get("substeps", 1)
     if dt != "auto" and (not _is_finite(dt) or dt <= 0):
         raise InputError(f"dt must be a positive number or auto, is {show(dt)}")
+    tolerance, iterations = header.get("tolerance", 1.0), header.get("iterations", 1)
+    if not _is_finite(tolerance) or tolerance <= 0:
+        raise InputError(f"tolerance must be a positive number, is {show(tolerance)}")
+    if not _is_count(iterations):
+        raise InputError(f"iterations must be a whole number from 1, is {show(iterations)}")
     if "start_frame" in header:
         whole_number("start_frame", header["start_frame"])
     if not _is_count(substeps):

@@ -72,7 +72,7 @@ def flags(settings: Settings, before: Settings, *, whole: bool = False) -> list[
     found: list[str] = []
     pairs = {
         "--method": (settings.method, before.method),
-        "--dt": (f"{settings.dt:.6g}", f"{before.dt:.6g}"),
+        "--dt": (_exactly(settings.dt) if whole else f"{settings.dt:.6g}", f"{before.dt:.6g}"),
         "--substeps": (str(settings.substeps), str(before.substeps)),
     }
     for name, number in settings.solver.items():
@@ -82,6 +82,12 @@ def flags(settings: Settings, before: Settings, *, whole: bool = False) -> list[
         if whole or value != had:
             found += [name, value]
     return found
+
+
+def _exactly(number: float) -> str:
+    """A number as one writes it for the same bits."""
+    short = f"{number:.6g}"
+    return short if float(short) == number else repr(number)
 
 
 def _calls(settings: Settings, before: Settings) -> str:

@@ -39,6 +39,7 @@ FIRST = 3.0  # times as long as all others together may take, the first trial ma
 EXPLICIT, IMPLICIT = "symplectic_euler", "implicit_euler"
 RIGID = "xpbd"  # for what is stiffer than equations can be solved for
 SETTINGS = frozenset(("set_step", "set_method", "set_solver"))  # acts that a trial leaves out
+MOST_SWEEPS = 200  # a step, that are tried
 SHORTER = 1 << 16  # times, at most, that a frame is made
 
 
@@ -284,7 +285,8 @@ def _harder(now: Settings, trials: list[Trial]) -> Iterator[Settings]:
     for factor in (2, 4, 8, 16):
         solver = dict(now.solver)
         if "iterations" in solver and factor > 2:
-            solver["iterations"] = min(solver["iterations"] * factor / 2, 200)
+            sweeps = int(solver["iterations"])
+            solver["iterations"] = max(sweeps, min(sweeps * factor // 2, MOST_SWEEPS))
         yield replace(now, substeps=now.substeps * factor, solver=solver)
         if trials[-1].survived:
             return

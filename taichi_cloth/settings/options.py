@@ -187,7 +187,10 @@ class RunOptions(Options):
         metavar="FILE.npz",
     )
     resume: str | None = setting(
-        None, "go on from a checkpoint of this scene", str, metavar="FILE.npz"
+        None,
+        "go on from a checkpoint of this scene: as it was, or with another method, step or solver",
+        str,
+        metavar="FILE.npz",
     )
     save: str | None = setting(
         None, "save the trajectory (of a window: since the last r)", str, metavar="FILE.npz"

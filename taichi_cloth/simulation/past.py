@@ -191,7 +191,11 @@ def go_to(sim: Any, place: Place, settings: Settings | None = None) -> None:
     else:
         sim.set_method(place.settings.method)
         sim.reset()
-    wanted = settings or place.settings
+    set_to(sim, settings or place.settings)
+
+
+def set_to(sim: Any, wanted: Settings) -> None:
+    """Have a simulation go on with other settings; the step of one that chooses it stays so."""
     sim.set_method(wanted.method)
     solver = {name: value for name, value in wanted.solver.items() if name in sim.solver}
     if solver:

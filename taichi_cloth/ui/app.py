@@ -39,6 +39,7 @@ def log_header(
         "seed": seed,
         **({"dt": "auto"} if sim.follows else {"dt": sim.dt, "substeps": sim.substeps}),
         "method": sim.method,
+        **sim.solver,
         "topology": sim.topology,
         "precision": runtime.current_device().precision,
         **({"tools": True} if sim.scene.world.tools else {}),
