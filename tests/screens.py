@@ -6,13 +6,7 @@ import shutil
 import subprocess
 
 import pytest
-
-# Windows need a server and something that presses keys, which not every machine has. .ci/run
-# installs both, so that nothing is skipped there; where CI is set, a lack of them fails.
-needs_x = pytest.mark.skipif(
-    not (shutil.which("Xvfb") and shutil.which("xdotool") or os.environ.get("CI")),
-    reason="needs Xvfb and xdotool",  # which CI must have
-)
+from lacking import IN_CI
 
 
 @contextlib.contextmanager
@@ -21,7 +15,7 @@ def virtual_screen():
 
     A plain one, which starts anew whenever its last client leaves.
     """
-    if not (shutil.which("Xvfb") or os.environ.get("CI")):
+    if not (shutil.which("Xvfb") or IN_CI):
         pytest.skip("needs Xvfb")
     read, write = os.pipe()
     screen = ["-screen", "0", "1400x900x24", "-nolisten", "tcp"]

@@ -72,7 +72,8 @@ def test_same_bits_for_every_thread_count_and_on_every_run(scene, tmp_path, cli)
         scene, frames = [tmp_path / "everything.toml", *scene[1:], "--dt", "auto"], 9
     run = (*scene, "--execution", "parallel", "--frames", frames, "--every", frames // 3)
     run = (*run, "--threads")
-    saved = [save(cli, tmp_path, f"run{k}", *run, count) for k, count in enumerate((1, 3, 3))]
+    counts = (1, 3, 3) if frames == 60 else (1, 3)  # the long one once for each
+    saved = [save(cli, tmp_path, f"run{k}", *run, count) for k, count in enumerate(counts)]
     for other in saved[1:]:
         np.testing.assert_array_equal(other["position"], saved[0]["position"])
         np.testing.assert_array_equal(other["velocity"], saved[0]["velocity"])

@@ -3,13 +3,13 @@
 import importlib
 import inspect
 import re
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from goldens import golden
+from lacking import needs_compiler
 from selection import thorough
 
 from taichi_cloth import benchmarks, runtime
@@ -66,7 +66,7 @@ def test_program_of_objects_is_blown_and_torn_like_the_original():
 
 
 # A user may lack a compiler, and `bench` then leaves the C++ out; .ci/run installs one.
-@pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
+@needs_compiler
 def test_compiled_yardsticks_agree_with_ours(bench, pool):
     """Both C++ programs, on a cloth whose sides differ, to f32's round-off."""
     scene = structural_part.structural(24, 17)
@@ -82,7 +82,7 @@ def test_compiled_yardsticks_agree_with_ours(bench, pool):
 
 
 @thorough
-@pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
+@needs_compiler
 def test_the_compiled_mesh_agrees_with_ours_in_every_order(bench, pool):
     """To f32's round-off, by the sheet's own numbers, however its vertices lie in memory."""
     substeps, side = structural_part.STRUCTURAL_SUBSTEPS, 9

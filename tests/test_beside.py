@@ -9,12 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from commands import PROGRAM
-from screens import needs_x, virtual_screen
+from lacking import VIEWS, needs_x
+from screens import virtual_screen
 from selection import thorough
 from test_comparison import swing
 
 import taichi_cloth as tc
-from taichi_cloth import runtime
 from taichi_cloth.beside import watch
 from taichi_cloth.beside.given import Given, read
 from taichi_cloth.beside.twin import Twin
@@ -504,11 +504,9 @@ def test_triangles_are_cut_where_the_other_world_begins():
 
 @thorough
 @needs_x
-@pytest.mark.parametrize("kind", ["ggui", "gui"])
+@pytest.mark.parametrize("kind", VIEWS)
 def test_a_real_window_shows_both(kind, caches, tmp_path):
     """What is pulled in the right half is seen in both, and a replay has it to the bit."""
-    if kind == "ggui" and not runtime.vulkan_available():
-        pytest.skip("GGUI needs Vulkan")
     from PIL import Image
 
     log, image, saved = (tmp_path / name for name in ("log.jsonl", "last.png", "a.npz"))

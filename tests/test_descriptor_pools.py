@@ -8,13 +8,11 @@ import textwrap
 from pathlib import Path
 
 import pytest
+from lacking import needs_vulkan
 from taichi._lib.core import taichi_python
 
-from taichi_cloth import runtime
 from taichi_cloth.measuring import vulkan
 from taichi_cloth.ui import descriptor_pools as pools
-
-needs_vulkan = pytest.mark.skipif(not runtime.vulkan_available(), reason="needs Vulkan")
 
 
 def test_the_driver_is_asked_but_for_the_first_set_after_a_full_pool():

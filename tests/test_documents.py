@@ -1,15 +1,14 @@
 """The documents: every link leads somewhere, every public name says what it is, the site builds."""
 
 import dataclasses
-import importlib.util
 import inspect
-import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from lacking import needs_mkdocs
 from selection import thorough
 
 import taichi_cloth as tc
@@ -86,10 +85,7 @@ def test_every_public_name_says_what_it_is():
 
 
 @thorough
-@pytest.mark.skipif(
-    not (importlib.util.find_spec("mkdocstrings") or os.environ.get("CI")),
-    reason='needs pip install -e ".[docs]"',  # which CI must have
-)
+@needs_mkdocs
 def test_the_site_builds_strictly_and_its_reference_has_every_name(tmp_path):
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-d", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=500)

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lacking import needs_vulkan
 
-from taichi_cloth import runtime
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.scene import library
@@ -349,7 +349,7 @@ def test_what_lies_in_no_surface_stays_seen():
 
 
 @pytest.mark.thorough
-@pytest.mark.skipif(not runtime.vulkan_available(), reason="needs Vulkan")
+@needs_vulkan
 def test_both_views_draw_the_same_surfaces(tmp_path):
     """In a process of its own, as a second GGUI window would end this one."""
     program = textwrap.dedent(
@@ -357,6 +357,7 @@ def test_both_views_draw_the_same_surfaces(tmp_path):
         import sys
         sys.path.insert(0, sys.argv[1])
         import numpy as np
+        from taichi_cloth import runtime
         from test_drawing import *
         from taichi_cloth.ui.views.ggui import GguiView
         runtime.start()
@@ -381,12 +382,13 @@ def test_both_views_draw_the_same_surfaces(tmp_path):
 
 
 @pytest.mark.thorough
-@pytest.mark.skipif(not runtime.vulkan_available(), reason="needs Vulkan")
+@needs_vulkan
 def test_plain_planes_are_drawn_without_the_particles_that_springs_show(tmp_path):
     program = textwrap.dedent(
         """
         import sys
         sys.path.insert(0, sys.argv[1])
+        from taichi_cloth import runtime
         from test_drawing import *
         from taichi_cloth.ui.views.ggui import GguiView
         runtime.start()

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lacking import needs_vulkan
 from test_drawing import BLUE, RED, WORLD, camera, picture_of, sheet
 
-from taichi_cloth import runtime
 from taichi_cloth.scene.model import World
 from taichi_cloth.ui import style
 from taichi_cloth.ui.ghosts import Ghosts
@@ -133,13 +133,14 @@ def test_ghosts_are_drawn_where_they_are(device, monkeypatch, samples):
         view.close()
 
 
-@pytest.mark.skipif(not runtime.vulkan_available(), reason="needs Vulkan")
+@needs_vulkan
 def test_ghosts_are_drawn_where_they_are_in_ggui(tmp_path):
     """In a process of its own, as a second GGUI window would end this one."""
     program = """
 import sys
 sys.path.insert(0, sys.argv[1])
-from test_ghosts import PLANE, SIZE, check_all, runtime
+from taichi_cloth import runtime
+from test_ghosts import PLANE, SIZE, check_all
 from taichi_cloth.ui.views.ggui import GguiView
 runtime.start()
 check_all(GguiView(PLANE, SIZE, "", visible=False))

@@ -12,20 +12,22 @@ from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.solids import held, solids
 
-# What takes long to compile, with all that moves, touches and bends.
+# What takes long to compile: `test_space_scenes.py` runs it, for seconds.
 LONG = ("pull", "twist", "stack", "curtain", "shirt", "drape")
 
 
-@pytest.mark.parametrize(
-    "name", [as_thorough(name) if name in LONG else name for name in library.names()]
-)
-def test_every_scene_declares_itself_and_runs(name, pool):
+@pytest.mark.parametrize("name", library.names())
+def test_every_scene_declares_itself(name):
     assert library.description(name).endswith(".")
     for parameter in library.parameters(name).values():
         assert parameter.help and parameter.check("it", parameter.default) == parameter.default
     assert library.build(name).name == name
     signature = inspect.signature(library.function(name))
     assert all(p.kind is p.KEYWORD_ONLY for p in signature.parameters.values())
+
+
+@pytest.mark.parametrize("name", [name for name in library.names() if name not in LONG])
+def test_every_scene_runs(name, pool):
     scene = small.build(name)
     x = frames(pool, scene, 3, dt=library.frame(name))
     still = scene.particles.fixed & (held(scene, solids(scene))[0] < 0)

@@ -7,12 +7,10 @@ import sys
 import textwrap
 
 import pytest
+from lacking import needs_vulkan
 from selection import thorough
 
-from taichi_cloth import runtime
 from taichi_cloth.ui import shaders
-
-needs_vulkan = pytest.mark.skipif(not runtime.vulkan_available(), reason="needs Vulkan")
 
 BOOL, FIRST, SECOND = (2 << 16 | 20, 7), (4 << 16 | 250, 3, 11, 12), (4 << 16 | 250, 4, 13, 14)
 

@@ -8,10 +8,11 @@ import time
 import numpy as np
 import pytest
 from commands import PROGRAM, command
-from screens import needs_x, virtual_screen
+from lacking import VIEWS, needs_x
+from screens import virtual_screen
 from selection import thorough
 
-from taichi_cloth import load_trajectory, runtime
+from taichi_cloth import load_trajectory
 from taichi_cloth.cli import run_scenes
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import RunOptions
@@ -112,10 +113,8 @@ class Hands:
 
 @thorough
 @needs_x
-@pytest.mark.parametrize("kind", ["ggui", "gui"])
+@pytest.mark.parametrize("kind", VIEWS)
 def test_a_window_goes_on_with_another_scene_and_both_logs_replay(kind, caches, tmp_path):
-    if kind == "ggui" and not runtime.vulkan_available():
-        pytest.skip("GGUI needs Vulkan")
     (tmp_path / "own.toml").write_text(OWN)
     files = ("--record", "log.jsonl", "--save", "run.npz", "--substeps", "2")
     with virtual_screen() as display:

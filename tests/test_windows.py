@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 from commands import PROGRAM as PROGRAM_LINE
 from commands import command
-from screens import end_server, needs_x, virtual_screen
+from lacking import VIEWS, needs_vulkan, needs_x
+from screens import end_server, virtual_screen
 from selection import as_thorough
 
 from taichi_cloth import runtime
@@ -942,12 +943,10 @@ def test_a_resized_window_keeps_the_aspect_and_cuts_nothing_off(window):
 
 
 @needs_x
-@pytest.mark.parametrize("kind", ["ggui", "gui"])
+@pytest.mark.parametrize("kind", VIEWS)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_the_picture_without_a_window_shows_the_scene(kind, dim, caches, tmp_path):
     """Drawn off-screen in a process without a display; the spheres are where the camera says."""
-    if kind == "ggui" and not runtime.vulkan_available():
-        pytest.skip("GGUI needs Vulkan")
     from PIL import Image
 
     code = (
@@ -1038,7 +1037,7 @@ def test_films_and_pictures_appear_whole_or_not_at_all(tmp_path):
 
 @needs_x
 @pytest.mark.thorough
-@pytest.mark.parametrize("kind", ["ggui", "gui"])
+@pytest.mark.parametrize("kind", VIEWS)
 def test_a_window_opens_also_while_the_server_starts_anew(kind, display, caches, tmp_path):
     """Every run here is the server's only client, so between two runs it begins from scratch."""
     for _ in range(3):
@@ -1060,7 +1059,7 @@ def test_a_window_destroyed_from_outside_ends_the_run_with_its_files(window, dis
 
 
 @needs_x
-@pytest.mark.skipif(not runtime.vulkan_available(), reason="GGUI needs Vulkan")
+@needs_vulkan
 def test_a_window_as_large_as_the_screen_is_all_on_it(display, caches, tmp_path):
     run = ["run", "oscillator", "--view", "ggui", "--size", "1400x900", "--execution", "serial"]
     env = {**os.environ, **caches, "DISPLAY": display}
@@ -1096,12 +1095,10 @@ def test_a_window_destroyed_while_vulkan_draws_ends_the_run_with_its_files(windo
 
 @needs_x
 @pytest.mark.thorough
-@pytest.mark.parametrize("kind", ["ggui", "gui"])
+@pytest.mark.parametrize("kind", VIEWS)
 @pytest.mark.parametrize("cut", ["windowkill", "server"])
 def test_a_window_whose_connection_is_cut_keeps_the_files(kind, cut, caches, tmp_path):
     """At any moment of a frame: Xlib and Vulkan would both end the process."""
-    if kind == "ggui" and not runtime.vulkan_available():
-        pytest.skip("GGUI needs Vulkan")
     with virtual_screen() as display:
         env = {**os.environ, **caches, "DISPLAY": display}
 
