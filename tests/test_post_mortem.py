@@ -90,6 +90,17 @@ def test_a_report_has_all_in_one_file(tmp_path):
         sim.report(tmp_path / "nowhere" / "c.html")
 
 
+def test_a_step_just_over_its_limit_is_not_sound(tmp_path):
+    """Before anything has grown that one could see; just below it is sound."""
+    for dt, numerical in ((19.9999, False), (20.0001, True)):  # h omega = dt / 10
+        sim = Simulation(build("oscillator"), dt=dt, topology="graph", execution="serial")
+        sim.advance(40)
+        cause = sim.report(tmp_path / "a.html", pictures=False).cause
+        assert cause.numerical == numerical and (cause.kind == STEP) == numerical
+    assert "h omega = 2.00001 > 2 from the start" in cause.proof and cause.spring == 0
+    assert "the longest stable step is 20, and it is 20.0001" in cause.proof
+
+
 def test_what_tore_long_ago_is_told_apart(tmp_path):
     """Springs that a step tore which had become too long, and those that their load did."""
     sim = Simulation(build("cloth", columns=12, rows=9), topology="graph", execution="serial")

@@ -28,11 +28,13 @@ from taichi_cloth.post_mortem.onset import (
     has_grown,
     of_failed_frame,
     part_from_nothing,
+    too_long,
 )
 from taichi_cloth.post_mortem.sample import Sample
 from taichi_cloth.post_mortem.trace import Trace, inverse_masses
 from taichi_cloth.post_mortem.wording import (
     air_at,
+    apart,
     by_whom,
     counted,
     since,
@@ -327,22 +329,24 @@ def _too_long(trace: Trace, sample: Sample, when: str, k: int) -> Cause:
             particle=limit.particle,
             sample=k,
         )
-    stable = f"the longest stable step is {limit.dt:.3g}, and it is {h:.3g}"
+    longest, own_step = apart(limit.dt, h)
+    stable = f"the longest stable step is {longest}, and it is {own_step}"
     if damped and shares is not None:
         kind, what = _damper(trace, sample)
         beside = f" beside h omega = {sample.reach:.3g}" if shares.omega2 > 0 else ""
         proof = (
             f"h d = {h * shares.d:.4g}{beside} {when}: {sample.method} then is stable up to a step "
-            f"of {limit.dt:.3g}, and it is {h:.3g}"
+            f"of {longest}, and it is {own_step}"
         )
         return Cause(
             kind, f"the step is too long for {what}", proof, limit.spring, limit.particle, k
         )
-    beyond_it = f" > {own:.3g}" if own > 0 else f", which {sample.method} bears with damping alone"
+    reach, at_most = apart(sample.reach, own)
+    beyond_it = f" > {at_most}" if own > 0 else f", which {sample.method} bears with damping alone"
     return Cause(
         STEP,
         f"the step is too long for {spring_of(sample)}",
-        f"h omega = {sample.reach:.4g}{beyond_it} {when}; {stable}",
+        f"h omega = {reach}{beyond_it} {when}; {stable}",
         limit.spring,
         limit.particle,
         k,
@@ -413,9 +417,20 @@ def _of_running(trace: Trace) -> Cause:
     if last.limit.dt == math.inf:
         sound = f"no step of {last.method} is too long here (h omega = {last.reach:.3g})"
     if k >= 0:
-        sound = f"h omega is {last.reach:.3g}, and no energy came from nothing"
+        most = max(trace.samples, key=lambda s: s.used)
+        sound = (
+            f"steps were too long at frame {most.frame} (h omega = {most.reach:.4g}), "
+            "and no energy came from nothing"
+        )
     if trace.torn.count:
         return _torn(trace, sound)
+    # What grows from rounding needs many steps to be seen; that it will be is known before.
+    found = _limit(trace) if k >= 0 and too_long(last) else None
+    if found is not None and found.kind == NEVER:
+        return found
+    if found is not None:
+        by = f"; each step multiplies it by {growth_of(last):.6g}, which has not become energy yet"
+        return replace(found, proof=found.proof + by)
     springs = trace.last.springs
     strained = strains(lengths(trace.last.position, springs.between), springs)
     squeezed = int((strained < -SQUEEZED).sum())

@@ -36,14 +36,12 @@ def beyond(trace: Trace) -> int:
 
     Of a method without a limit no step is, whatever its h omega.
     """
-    return next(
-        (
-            k
-            for k, s in enumerate(trace.samples)
-            if s.limit.dt < math.inf and not s.used <= 1 + 1e-9
-        ),
-        -1,
-    )
+    return next((k for k, sample in enumerate(trace.samples) if too_long(sample)), -1)
+
+
+def too_long(sample: Sample) -> bool:
+    """Whether a sample's step is longer than the stable one."""
+    return sample.limit.dt < math.inf and not sample.used <= 1 + 1e-9
 
 
 def of_failed_frame(trace: Trace) -> int | None:

@@ -25,6 +25,15 @@ def since(trace: Trace, sample: Sample) -> str:
     return f", since {done[-1].words} at frame {before}" if done else ""
 
 
+def apart(a: float, b: float) -> tuple[str, str]:
+    """Two numbers in as few digits, four at least of the first, as tell them apart."""
+    for digits in range(4, 10):
+        said = f"{a:.{digits}g}", f"{b:.{digits}g}"
+        if said[0] != said[1]:
+            break
+    return said
+
+
 def counted(number: int, one: str, many: str) -> str:
     """How many there are: "1 spring", "2 springs"."""
     return f"{number} {one if number == 1 else many}"
