@@ -13,7 +13,9 @@ from test_timeline import Script, press
 from taichi_cloth.cli.run_report import Examining
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.files.events import Log
-from taichi_cloth.post_mortem.causes import STEP, TEARING
+from taichi_cloth.post_mortem import survivors
+from taichi_cloth.post_mortem.causes import STEP, TEARING, cause_of
+from taichi_cloth.post_mortem.trace import traced
 from taichi_cloth.scene.library import build
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app
@@ -99,6 +101,17 @@ def test_a_step_just_over_its_limit_is_not_sound(tmp_path):
         assert cause.numerical == numerical and (cause.kind == STEP) == numerical
     assert "h omega = 2.00001 > 2 from the start" in cause.proof and cause.spring == 0
     assert "the longest stable step is 20, and it is 20.0001" in cause.proof
+
+
+def test_where_substeps_would_take_too_long_xpbd_is_tried_first():
+    """A stretched shirt, of which neither these nor equations in f32 had an end in time."""
+    sim = Simulation(build("oscillator"), dt=40.0, topology="graph", execution="serial")
+    with pytest.raises(SimulationFailure):
+        sim.advance(200)
+    trace = traced(sim, 5.0)
+    for wait, method in ((0.0, "xpbd"), (1.0, "symplectic_euler")):
+        tried = survivors._wanted(trace, cause_of(trace), [], sim, wait, lambda seconds: True)
+        assert next(tried).method == method
 
 
 def test_what_tore_long_ago_is_told_apart(tmp_path):

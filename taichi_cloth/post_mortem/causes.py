@@ -313,7 +313,7 @@ def _too_long(trace: Trace, sample: Sample, when: str, k: int) -> Cause:
             NEVER,
             f"{sample.method} is unstable on undamped springs at every step",
             f"h omega = {sample.reach:.3g} {when}, and no step is stable: each multiplies a "
-            f"vibration by {growth_of(sample):.6g}",
+            f"vibration by {growth_of(sample):.9g}",
             spring=limit.spring,
             particle=limit.particle,
             sample=k,

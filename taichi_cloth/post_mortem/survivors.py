@@ -1,7 +1,8 @@
 """The cheapest setting with which a run survives, found by running it with the same acts.
 
 The scene is never changed: neither stiffness nor mass. First more substeps, by the limit that holds
-in every geometry, then other methods that are expected to cost less, at last a shorter frame.
+in every geometry (where these would take too long, xpbd), then other methods that are expected to
+cost less, at last a shorter frame.
 """
 
 from __future__ import annotations
@@ -222,6 +223,9 @@ def _wanted(
         yield from _harder(now, trials)
     elif finer and not slow:
         yield from _finer(trace, first, trials, fits)
+    rigid = replace(now, method=RIGID, solver={"iterations": SOLVER_SETTINGS["iterations"]})
+    if slow and now.method != RIGID:  # so stiff that equations may have no solution in a precision
+        yield rigid
     best = _cheapest(trials)
     solver = {"tolerance": SOLVER_SETTINGS["tolerance"]}
     counts = (1,) if cause.kind == RANGE else (1, 2, 4, 8)
@@ -238,8 +242,8 @@ def _wanted(
                 return
     if slow and _cheapest(trials) is None:
         yield from _finer(trace, first, trials, fits)
-    if _cheapest(trials) is None and now.method != RIGID:
-        yield replace(now, method=RIGID, solver={"iterations": SOLVER_SETTINGS["iterations"]})
+    if _cheapest(trials) is None and now.method != RIGID and not slow:
+        yield rigid
     if _cheapest(trials) is None:
         yield from _shorter_frames(trace, cause, trials)
 
