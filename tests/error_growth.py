@@ -60,7 +60,7 @@ def compared(source, count, seed, meter):
     windows = windows_of(starts, replace(setting, precision="f64"), [FRAMES] * len(starts))
     for scene, window in zip(starts, windows, strict=True):
         verdict, _ = meter._ask(window)
-        verdict = meter._ask_parts() if verdict.known else verdict
+        verdict = meter._ask_parts(()) if verdict.known else verdict
         size = MILLIONTH * verdict.scale
         substeps = reference.coarsest(scene, scene.world.dt, 2)
         seen = list(seconds_until(scene, substeps, size, verdict.error))

@@ -39,7 +39,7 @@ class Kept(ErrorMeter):
         self.windows = []
         super().__init__(sim)
 
-    def _judge(self, window):
+    def _judge(self, window, trials):
         self.windows.append(window)
 
 

@@ -7,18 +7,21 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from selection import as_thorough
 
-from taichi_cloth.budgets import keeper, seconds
+from taichi_cloth.budgets import keeper, methods, seconds
 from taichi_cloth.budgets.choice import RUNGS, Limits
 from taichi_cloth.budgets.drawing import Drawing
 from taichi_cloth.budgets.frames import Frame, FrameTimes
 from taichi_cloth.budgets.goal import read
 from taichi_cloth.budgets.keeper import LOOK, OFTEN, Keeper, StableSteps
+from taichi_cloth.budgets.methods import Rival, Rivals
 from taichi_cloth.budgets.seconds import Second, SecondErrors
 from taichi_cloth.budgets.solver import PATIENCE, SolverErrors
 from taichi_cloth.cli import run_budget
 from taichi_cloth.cli.main import main
 from taichi_cloth.cli.run_budget import HeldBudget
+from taichi_cloth.error_meter.others import Trial
 from taichi_cloth.error_meter.verdict import Verdict
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.trajectory import load
@@ -152,6 +155,15 @@ def test_an_error_budget_gets_coarser_only_by_what_was_measured_since():
     assert errors.choose(8, Limits()).substeps == 8  # asked once more, as when springs break
 
 
+def test_where_an_error_is_all_roundings_steps_get_coarser():
+    errors = SecondErrors(0.01, 2)
+    for _ in range(seconds.PATIENCE):
+        errors.note(Second(32, 1e-5, rounding=1.1e-5, order=2.0), torn=False)
+    assert errors.needed < 1 and errors.choose(32, Limits()).substeps == 16
+    errors.note(Second(32, 0.05, solver=0.05, order=2.0), torn=False)
+    assert errors.needs(errors.sure[-1]) == 32
+
+
 def test_an_error_budget_is_finer_while_springs_tear_that_no_second_showed():
     errors = SecondErrors(0.01, 1)
     for _ in range(6):
@@ -274,6 +286,152 @@ def test_measured_rounding_bounds_what_a_time_budget_takes():
     n = np.arange(1.0, 2000.0)
     total = 0.01 * 10 / n + 0.001 * n / 10
     assert errors.best() == pytest.approx(n[total.argmin()], rel=0.02)
+    errors = SecondErrors(1.0, 4)  # of fewer steps than were measured it counts on the claim
+    errors.note(Second(48, 1.001e-5, rounding=1e-5), torn=False)
+    total = 1e-8 * (48 / n) ** 4 + 1e-5 * n / 48
+    assert errors.best() == pytest.approx(n[total.argmin()], abs=1)
+
+
+def test_fewer_substeps_are_tried_as_long_as_their_error_is_within():
+    trial = Trial("verlet", most=20, least=3, within=0.01)
+    assert list(trial.results(lambda n: 0.1 / n**2, 0.0)) == [
+        (20, 0.1 / 400), (10, 1e-3), (5, 4e-3), (3, 0.1 / 9)
+    ]  # fmt: skip
+    assert list(trial.results(lambda n: 0.1 / n, 0.0)) == [(20, 0.005), (10, 0.01), (5, 0.02)]
+    by_rounding = replace(trial, within=None)
+    for rounding, tried in ((1e-3, [20, 10, 5]), (1e-5, [20])):
+        found = by_rounding.results(lambda n: 0.1 / n**2, rounding)
+        assert [substeps for substeps, _ in found] == tried
+
+
+# Errors in `n` substeps: of the present method (first order), and of others.
+EULER, RK4 = Rival("symplectic_euler", 1.0, 2), Rival("rk4", 4.0, 1)
+VERLET = Rival("verlet", 1.0, 2)
+
+
+def judged(rivals, own, n, others, errors, count, rng=None, noise=1.5, rounding=0.0):
+    """`count` seconds with n substeps, of which each method has errors c n^-p up to noise."""
+    for _ in range(count):
+        factor = noise ** rng.uniform(-1, 1) if rng else 1.0
+        error = factor * errors["symplectic_euler"](n) + rounding
+        second = Second(n, error, rounding, order=1.0)
+        tries = {
+            trial.method: list(
+                trial.results(lambda k, f=factor, t=trial: f * errors[t.method](k), rounding)
+            )
+            for trial in rivals.trials(n, others)
+        }
+        own.note(second, torn=False)
+        rivals.note(second, tries, torn=False)
+
+
+def test_an_error_is_held_by_the_method_that_is_clearly_cheapest():
+    """Once enough seconds say so, from the substeps with which they met it; and by half as many
+    steps as the present one, or it stays.
+    """
+    errors = {"symplectic_euler": lambda n: 0.1 / n, "verlet": lambda n: 0.4 / n**2}
+    errors["rk4"] = lambda n: 0.2 / n**4
+    rivals, own = Rivals("symplectic_euler", 0.01), SecondErrors(0.01, 1)
+    others = [VERLET, RK4]
+    for seconds_so_far in range(methods.ENOUGH):
+        assert rivals.better(own, 16, Limits(least=2), others) is None
+        assert ("to compare" in rivals.said(others)) == (seconds_so_far > 0)
+        judged(rivals, own, 16, others, errors, 1)
+    found = rivals.better(own, 16, Limits(least=2), others)
+    assert found.method == "verlet" and 8 <= found.substeps <= 10  # 4 steps of rk4 cost 16
+    assert found.why == "symplectic_euler would take 20"
+    assert found.errors.choose(found.substeps, Limits(least=2)).substeps == found.substeps
+    judged(rivals, own, 64, others, errors, 1)
+    found = rivals.better(own, 64, Limits(least=2), others)
+    assert found.substeps == 32  # and fewer, once seconds were measured with these
+    # By less than that factor it is left as it is.
+    errors["verlet"] = lambda n: 0.12 / n**1.2
+    rivals, own = Rivals("symplectic_euler", 0.01), SecondErrors(0.01, 1)
+    judged(rivals, own, 16, others, errors, 20, np.random.default_rng(1))
+    assert rivals.better(own, 16, Limits(least=2), [VERLET]) is None
+    assert rivals.said([VERLET]).startswith("no other method is clearly better: verlet would take ")
+
+
+def test_a_frames_time_is_held_by_the_method_with_the_smallest_error_at_equal_cost():
+    errors = {"symplectic_euler": lambda n: 0.1 / n, "verlet": lambda n: 0.06 / n}
+    errors["rk4"] = lambda n: 0.1 / n**3
+    rivals, own, others = Rivals("symplectic_euler", None), SecondErrors(1.0, 1), [VERLET, RK4]
+    assert rivals.trials(3, others) == [Trial("verlet", 3, 2)]  # not one of rk4 in that time
+    judged(rivals, own, 32, others, errors, methods.ENOUGH)
+    found = rivals.better(own, 32, Limits(least=2), others)
+    assert (found.method, found.substeps) == ("rk4", 8)
+    assert found.why == "in the same time symplectic_euler errs 16 times as much"
+    only = rivals.better(own, 32, Limits(least=2), [VERLET])
+    assert only is None and "verlet errs 0.6 times as much" in rivals.said(others)
+    # Where rounding is most of what the present one errs, another one errs less by fewer steps.
+    rivals, own = Rivals("symplectic_euler", None), SecondErrors(1.0, 1)
+    errors["verlet"] = lambda n: 0.1 / n**4
+    judged(rivals, own, 256, others, errors, methods.ENOUGH, rounding=4e-4)
+    found = rivals.better(own, 256, Limits(least=2), [VERLET])
+    assert (found.method, found.substeps) == ("verlet", 16)
+    assert found.errors.sure[0].error == pytest.approx(0.1 / 16**4 + 4e-4 * 16 / 256)
+
+
+def test_methods_do_not_go_to_and_fro():
+    """Where luck decides which is better, each change takes twice as many seconds to say so."""
+    rng, lucky = np.random.default_rng(2), 0
+    for changes in range(4):
+        rivals = Rivals("symplectic_euler", None, changes)
+        for _ in range(200):
+            second = Second(8, 0.01 * 4 ** rng.uniform(-1, 1))
+            rivals.note(second, {"verlet": [(8, 0.01 * 4 ** rng.uniform(-1, 1))]}, torn=False)
+            lucky += rivals.better(SecondErrors(1.0, 1), 8, Limits(), [VERLET]) is not None
+        clear = Rivals("symplectic_euler", None, changes)
+        for _ in range(min(methods.ENOUGH * 2**changes, methods.LATELY)):
+            assert clear.better(SecondErrors(1.0, 1), 8, Limits(), [VERLET]) is None
+            clear.note(Second(8, 0.01), {"verlet": [(8, 0.001)]}, torn=False)
+        assert clear.better(SecondErrors(1.0, 1), 8, Limits(), [VERLET]).method == "verlet"
+    assert lucky <= 8
+    refused = [clear.refuse("verlet"), clear.better(SecondErrors(1.0, 1), 8, Limits(), [VERLET])]
+    assert refused == [None, None]
+
+
+def seconds_of(method, others, count=methods.ENOUGH):
+    """Verdicts on a chain's first seconds with 8 substeps."""
+    known = {"error": 0.01, "scale": 1.0, "size": 1.0, "order": 1.0, "own_substeps": 8}
+    return [Verdict(60 * k, 60, method=method, others=others, **known) for k in range(count)]
+
+
+def test_a_method_that_was_chosen_is_gone_on_with_from_what_was_measured_of_it(device):
+    sim = Simulation(library.build("chain"), substeps=8)
+    said = seconds_of("symplectic_euler", {"verlet": [[8, 1e-5], [4, 1e-4], [2, 4e-3], [1, 0.05]]})
+    keeper = Keeper(sim, read("1%"))
+    assert {trial.method for trial in keeper.trials()} == {"verlet", "rk4"}
+    choice = keeper.choose(said)
+    assert (choice.method, choice.substeps) == ("verlet", 4)
+    assert choice.why.endswith("; symplectic_euler would take 14")
+    # Nobody could take it: the run goes on without, and nothing asks for it again.
+    assert keeper.choose(said).method == "" and keeper.choose(said).substeps == 14
+    keeper = Keeper(sim, read("1%"))
+    keeper.choose(said)
+    sim.set_method("verlet")
+    sim.set_step(substeps=4)
+    choice = keeper.choose(said)
+    assert (choice.method, choice.substeps) == ("", 4)
+    assert "in 5 seconds measured" in choice.why and "would take 14" in choice.why
+    assert keeper._rivals.changes == 1
+    sim.set_method("symplectic_euler")  # as where the run goes back to a frame that had it
+    assert "would take" not in keeper.choose(said).why
+
+
+@pytest.mark.parametrize(
+    ("method", "kept", "said"),
+    [
+        ("symplectic_euler", "--method gave it", "symplectic_euler stays, as --method gave it"),
+        ("implicit_euler", "", "only explicit methods are"),
+    ],
+)
+def test_a_method_that_is_kept_is_said(device, method, kept, said):
+    sim = Simulation(library.build("chain"), method, substeps=8)
+    keeper = Keeper(sim, read("1%"), kept=kept)
+    choice = keeper.choose(seconds_of(method, {"verlet": [[8, 1e-5], [4, 1e-4]]}))
+    assert choice.method == "" and said in choice.why
+    assert not keeper.chooses_method and keeper.trials() == []
 
 
 @pytest.mark.parametrize(
@@ -354,6 +512,9 @@ class Errors:
 
     on, verdicts = False, ()
 
+    def try_methods(self, trials):
+        self.trials = trials
+
     def switch(self):
         self.on = not self.on
 
@@ -385,17 +546,25 @@ def test_what_a_budget_came_to_is_counted_from_its_choice_on(pool):
     assert budget.summary().startswith("hold 60fps: held in 100 % of 2 frames")
 
 
-@pytest.mark.thorough
-def test_a_run_whose_solver_was_chosen_replays_to_the_same_bits(tmp_path, cli):
+@pytest.mark.parametrize(
+    ("scene", "goal", "name"),
+    [
+        (["chain", "--frames", "320"], "0.02%", "method"),
+        as_thorough((["cloth", "--method", "xpbd", "--frames", "300"], "1%", "iterations")),
+    ],
+)
+def test_a_run_whose_method_or_solver_was_chosen_replays_to_the_same_bits(
+    scene, goal, name, tmp_path, cli
+):
     """By its log alone, and by the budget that makes the same choices again."""
     log, *saved = (tmp_path / name for name in ("log.jsonl", "a.npz", "b.npz", "c.npz"))
-    words = ["run", "cloth", "--method", "xpbd", "--headless", "--quiet", "--frames", "300"]
-    held = ["--hold", "1%"]
+    words, held = ["run", *scene, "--headless", "--quiet"], ["--hold", goal]
     for more, file in zip(
         (["--record", log, *held], ["--events", log], ["--events", log, *held]), saved, strict=True
     ):
         cli(*words, *more, "--save", file)
-    assert '"iterations"' in log.read_text()
+    chosen = [json.loads(line) for line in log.read_text().splitlines()[1:]]
+    assert name in {event["name"] for event in chosen}
     first, *others = (load(path).position for path in saved)
     assert all((first == other).all() for other in others)
 

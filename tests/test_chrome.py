@@ -114,6 +114,14 @@ def test_a_budget_is_chosen_from_a_list_and_ends_where_substeps_are_set_by_hand(
         budget.after_frame(1e-3 * sim.substeps, 2e-3)
     budget.before_frame(hands.controls.set)
     assert budget.status().text.startswith("hold 60fps: ")
+    hands.press(hands.place("method"))
+    hands.press(hands.place("method:verlet"))
+    hands.release()
+    assert sim.method == "verlet" and budget.chosen == "60fps"
+    assert hands.controls.notice == "hold 60fps leaves the method as it was set"
+    budget.before_frame(hands.controls.set)
+    assert budget.why.endswith("verlet stays, as it was set by hand")
+    sim.set_method("symplectic_euler")
     hands.press(hands.place("substeps"))
     hands.keys("7", "return")
     assert sim.substeps == 7 and budget.chosen == "off"

@@ -4,7 +4,7 @@ import os
 import re
 import signal
 import threading
-from dataclasses import replace
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,6 +18,7 @@ from taichi_cloth.error_meter import meter as meters
 from taichi_cloth.error_meter.ghost import Ghost
 from taichi_cloth.error_meter.judge import Judge, _Plan
 from taichi_cloth.error_meter.meter import ErrorMeter
+from taichi_cloth.error_meter.others import Trial
 from taichi_cloth.error_meter.verdict import Verdict
 from taichi_cloth.error_meter.window import FRAMES, GHOST, LEAST, WINDOW, Window
 from taichi_cloth.errors import InputError
@@ -61,7 +62,7 @@ class Here(ErrorMeter):
         self.windows = []
         super().__init__(sim)
 
-    def _judge(self, window):
+    def _judge(self, window, trials):
         self.windows.append(window)
 
 
@@ -324,6 +325,25 @@ def test_a_ghost_has_no_springs_that_broke_in_the_reference():
 
 
 @pytest.mark.thorough
+def test_a_window_is_made_again_by_other_methods(chain, judge, tmp_path):
+    """Each by its own steps: the window's own method as a rival errs as the window itself, one of
+    a higher order less, and what blows up leaves what was found before.
+    """
+    chain.window.write(tmp_path / WINDOW, None)
+    verdict = Verdict(**judge.measure(str(tmp_path), 60.0))
+    n = verdict.own_substeps
+    trials = [
+        Trial(verdict.method, 2 * n, n, within=1.0),
+        Trial("rk4", n, n),
+        Trial("explicit_euler", 8, 1, within=1e9),
+    ]
+    others = Verdict(**judge.part(60.0, trials=[asdict(trial) for trial in trials])).others
+    (twice, finer), (same, error) = others[verdict.method]
+    assert (twice, same) == (2 * n, n) and error == pytest.approx(verdict.relative, rel=1e-12)
+    assert finer < 0.7 * error and others["rk4"][0][1] < 1e-2 * error
+    assert {substeps for substeps, _ in others["explicit_euler"]} <= {8, 4, 2, 1}
+
+
 def test_parts_of_the_error_are_told_apart(judge, tmp_path):
     """A solver that stops early, and positions that are rounded: each has its own share."""
     sim = Simulation(library.build("chain"), "xpbd", topology="graph", iterations=2)

@@ -40,7 +40,8 @@ class Limits:
 class Choice:
     """The substeps that are chosen. why: in words; short: in few. met: whether the goal is.
 
-    solver: settings of what solves the steps, by name, where they are chosen, too.
+    solver: settings of what solves the steps, by name, where they are chosen, too. method: where it
+    is to be another one; "": as now.
     """
 
     substeps: int
@@ -48,6 +49,7 @@ class Choice:
     short: str
     met: bool = True
     solver: dict[str, float] = field(default_factory=dict)
+    method: str = ""
 
 
 def steps_in_words(count: int) -> str:

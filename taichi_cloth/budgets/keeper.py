@@ -13,6 +13,7 @@ from taichi_cloth.budgets.choice import RUNGS, Choice, Limits
 from taichi_cloth.budgets.drawing import Drawing
 from taichi_cloth.budgets.frames import Frame, FrameTimes
 from taichi_cloth.budgets.goal import Goal
+from taichi_cloth.budgets.methods import Found, Rival, Rivals, explicit
 from taichi_cloth.budgets.seconds import MARGIN, Second, SecondErrors
 from taichi_cloth.budgets.solver import SolverErrors
 from taichi_cloth.errors import InputError
@@ -22,8 +23,10 @@ from taichi_cloth.limits.auto_step import SubstepController
 from taichi_cloth.limits.precision import most_substeps
 from taichi_cloth.runtime import current_device
 from taichi_cloth.simulation.diagnostics import acceleration_at_start
+from taichi_cloth.simulation.prediction import predict
 
 if TYPE_CHECKING:
+    from taichi_cloth.error_meter.others import Trial
     from taichi_cloth.error_meter.verdict import Verdict
     from taichi_cloth.simulation.simulation import Simulation
 
@@ -36,16 +39,23 @@ LONGEST = 0.1  # seconds of a frame: no error is worth slower ones
 
 
 class Keeper:
-    """Chooses a simulation's substeps, and how far its solver goes, for a goal, before each frame.
+    """Chooses a simulation's method, substeps, and how far its solver goes, before each frame.
 
     It is told what frames took, and which seconds were measured; what it chooses follows from that.
     layered: whether pictures can be drawn more plainly, which is the last that it chooses for a
-    frame's time; drawing: whether they are.
+    frame's time; drawing: whether they are. kept: why the method stays as it is; "": it does not.
     """
 
-    def __init__(self, sim: Simulation, goal: Goal, *, layered: bool = False) -> None:
-        self.goal, self._sim = goal, sim
+    def __init__(
+        self, sim: Simulation, goal: Goal, *, layered: bool = False, kept: str = ""
+    ) -> None:
+        self.goal, self._sim, self.kept = goal, sim, kept
         self._stable = StableSteps(sim)
+        self._explicit = {name: StableSteps(sim, name) for name in explicit()}
+        self._found: Found | None = None  # the method that was chosen last
+        self._rivals, self._changes = Rivals(sim.method, goal.error), 0
+        self._judged = False  # whether a second was measured since methods were compared
+        self._of_methods = ""  # what there is to say of them
         self._verdicts = 0  # that were looked at
         self._broken: list[tuple[int, int]] = []  # (frame, springs broken), at some of the last
         self.choice: Choice | None = None
@@ -57,6 +67,13 @@ class Keeper:
         self._of, self._due = self._run(), True
         self._times = FrameTimes(self.goal.seconds or LONGEST)
         self._errors = SecondErrors(self.goal.error or 1.0, self._sim.claims.order)
+        found = self._found
+        if found is not None and found.method == self._sim.method != self._rivals.present:
+            self._changes += 1
+            self._errors = found.errors
+        else:
+            self._found, self._of_methods = None, ""
+        self._rivals, self._judged = Rivals(self._sim.method, self.goal.error, self._changes), False
         self._useful: int | None = None  # the most substeps that are, once that is measured
         # A method takes one setting of its solver, or none.
         self._solvers = [
@@ -76,6 +93,9 @@ class Keeper:
         """The substeps of the next frame; verdicts: all of the error meter's, if there is one."""
         if self._run() != self._of:
             self._begin()
+        elif self._found is not None and self._found.method != self._sim.method:
+            self._rivals.refuse(self._found.method)  # the run went on without it
+            self._found, self._due = None, True
         self._solved_so = min(self._solved_so, self._sim.frame)  # a run that goes back counts anew
         self._look()
         for verdict in verdicts[self._verdicts :]:
@@ -95,10 +115,69 @@ class Keeper:
         choice = (self._times if by_time else self._errors).choose(now, limits)
         for solver in self._solvers:
             choice = self._solved(solver, choice, now, limits)
+        choice = self._with_method(choice, now, limits)
         if self.drawing.plain:
             choice = replace(choice, why=f"{choice.why}; drawn plain, for the time")
         self.choice = choice
         return choice
+
+    def trials(self) -> list[Trial]:
+        """By which other methods the window that ends now is to be made again."""
+        if self._why_kept() or self._run() != self._of:
+            return []
+        return self._rivals.trials(self._sim.substeps, self._others())
+
+    @property
+    def chooses_method(self) -> bool:
+        """Whether another method may be chosen."""
+        return not self._why_kept()
+
+    def _why_kept(self) -> str:
+        """Why the method is not chosen; "": it is."""
+        if not self.kept and self._sim.method not in self._explicit:
+            return "it is compared with no other one: only explicit methods are"
+        return self.kept
+
+    def _others(self) -> list[Rival]:
+        """The other methods that have a stable step, and what that costs."""
+        sim, found = self._sim, []
+        here = self._cost(sim.method)
+        for name, stable in self._explicit.items():
+            least = stable.found() if name != sim.method else None
+            if least is not None:
+                found.append(Rival(name, self._cost(name) / here, least))
+        return found
+
+    def _cost(self, method: str) -> float:
+        """Seconds that a step of a method takes here, as predicted: only ratios count."""
+        sim, module = self._sim, methods.load(method)
+        ways = sim.topology_of(method), sim.execution
+        return predict(sim.storage.scene, module, current_device(), *ways).step
+
+    def _with_method(self, choice: Choice, now: int, limits: Limits) -> Choice:
+        """A choice with the method: another one, where that is clearly better."""
+        kept = self._why_kept()
+        if kept:
+            self._of_methods = f"{self._sim.method} stays, as {kept}"
+        elif self._judged:
+            self._judged, others = False, self._others()
+            better = self._rivals.better(self._errors, now, limits, others)
+            if better is not None:
+                self._found = better
+                return self._changed(better, limits)
+            self._of_methods = self._found.why if self._found else self._rivals.said(others)
+        words = f"; {self._of_methods}" if self._of_methods else ""
+        return replace(choice, why=f"{choice.why}{words}")
+
+    def _changed(self, found: Found, limits: Limits) -> Choice:
+        """The choice of another method; what frames take with it is not known yet."""
+        self._of_methods = found.why
+        if self.goal.seconds is not None:
+            first = FrameTimes(self.goal.seconds).said(found.substeps, limits)
+        else:
+            there = replace(limits, least=self._explicit[found.method].least())
+            first = found.errors.choose(found.substeps, there)
+        return replace(first, why=f"{first.why}; {found.why}", method=found.method)
 
     def _solved(self, solver: SolverErrors, choice: Choice, now: int, limits: Limits) -> Choice:
         """A choice with how far the solver goes: the larger part of the error comes first."""
@@ -153,18 +232,18 @@ class Keeper:
         for solver in self._solvers:
             if sure and first >= self._solved_so and whole > 0:
                 solver.note(left / whole)
-        self._errors.note(
-            Second(
-                verdict.own_substeps,
-                error,
-                (verdict.rounding or 0.0) / scale,
-                verdict.order,
-                verdict.trouble or ("" if verdict.known else "nothing was measured"),
-                left,
-            ),
-            torn=bool(within) and max(within) > min(within),
+        second = Second(
+            verdict.own_substeps,
+            error,
+            (verdict.rounding or 0.0) / scale,
+            verdict.order,
+            verdict.trouble or ("" if verdict.known else "nothing was measured"),
+            left,
         )
-        self._due = True
+        torn = bool(within) and max(within) > min(within)
+        self._errors.note(second, torn)
+        self._rivals.note(second, verdict.others, torn)
+        self._due = self._judged = True
 
     def _best(self) -> int | None:
         """The most substeps that are of use, as measured; it stays where it differs by little."""
@@ -195,13 +274,17 @@ class Keeper:
 
 
 class StableSteps:
-    """Between which substeps a simulation's steps are stable, and followed by its precision."""
+    """Between which substeps a simulation's steps are stable, and followed by its precision.
 
-    def __init__(self, sim: Simulation) -> None:
-        self._sim = sim
+    method: by which; "": by the one that it has.
+    """
+
+    def __init__(self, sim: Simulation, method: str = "") -> None:
+        self._sim, self._method = sim, method
         self._of: tuple[tuple[object, ...], tuple[object, ...]] | None = None
         self._mass, self._fixed = np.zeros(0), np.zeros(0, bool)
-        self._least, self._frame = 1, 0
+        self._least: int | None = 1
+        self._frame = 0
         self._resolved: tuple[tuple[int, float], int] | None = None  # of what, and that
 
     def _now(self) -> tuple[tuple[object, ...], tuple[object, ...]]:
@@ -209,7 +292,8 @@ class StableSteps:
         others where they are changed. What breaks widens it.
         """
         sim, scene = self._sim, self._sim.storage.scene
-        return (sim.method, sim.dt, str(scene.world.more)), (scene.springs, scene.stencils)
+        method = self._method or sim.method
+        return (method, sim.dt, str(scene.world.more)), (scene.springs, scene.stencils)
 
     def changed(self) -> bool:
         """Whether the limit may be tighter than it was.
@@ -231,18 +315,23 @@ class StableSteps:
         return bool(lighter or (self._fixed & ~particles.fixed).any())
 
     def least(self) -> int:
-        """The fewest substeps that are stable, as `--dt auto` finds them."""
+        """The fewest substeps that are stable; where none are, what there is is kept."""
+        return self.found() or self._sim.substeps
+
+    def found(self) -> int | None:
+        """The fewest substeps that are stable, as `--dt auto` finds them; None: no step is."""
         if self.changed():
             sim, scene = self._sim, self._sim.storage.scene
             self._of, self._frame = self._now(), sim.frame
             self._mass, self._fixed = scene.particles.mass, scene.particles.fixed
-            controller = SubstepController(sim.method, methods.load(sim.method), sim.dt)
+            name = self._method or sim.method
+            controller = SubstepController(name, methods.load(name), sim.dt)
             moving = acts_by_speed(scene)
             try:
                 choose = controller.choose_in_motion if moving else controller.choose
                 self._least = choose(sim.network())
-            except InputError:  # no step is stable: what there is is kept
-                self._least = sim.substeps
+            except InputError:
+                self._least = None
         return self._least
 
     def resolved(self) -> int | None:

@@ -25,6 +25,7 @@ UNSEEN = 2  # times as many while springs tear, until a second was measured in w
 FARTHEST = 4.0  # times: by how much a single second may ask for more
 LOWEST = 0.6  # order that is counted on at least
 HELPLESS = 0.4  # order below which finer steps are no help
+UNTOLD = 0.1  # of an error: what steps have made of it may be so much less than what is told
 PATIENCE = 4  # seconds with as many substeps before there may be fewer, at least half
 UNSURE = 3  # seconds in a row without a sure error: then there is none to keep to
 
@@ -103,26 +104,37 @@ class SecondErrors:
         """The substeps that a second would have taken, for what is aimed at."""
         aim = MARGIN * self.goal
         n, aim = second.substeps, aim - second.rounding - min(second.solver, aim / 2)
-        if second.steps <= 0 or aim <= 0:
+        if second.error <= 0 or aim <= 0:
             return n
         ratio = second.steps / aim
+        untold = UNTOLD * second.error
+        if second.steps < untold:  # all is rounding's or the solver's: at most coarser steps do
+            ratio = min(untold / aim, 1.0)
         if ratio > 1 and second.order is not None and second.order < HELPLESS:
             return n
         more: float = ratio ** (1 / self._order(second, ratio < 1))
         return n * min(more, FARTHEST)
 
+    @property
+    def needed(self) -> float | None:
+        """The substeps that are enough for the last seconds but few; None: none was measured."""
+        sure = self.sure
+        return self._worst(map(self.needs, sure)) if sure else None
+
     def best(self) -> float | None:
         """The substeps with which steps and rounding together are wrong by least; None: unknown.
 
-        The error of steps falls by h^p; that of rounding grows with their number.
+        The error of steps falls by h^p; that of rounding grows with their number. So with too few
+        steps a second is wrong by p times as many powers as with too many, and p seconds of p + 1
+        have enough.
         """
         found = []
         for second in self.sure:
-            p = self._order(second, False)
             if second.rounding > 0 and second.steps > 0:
+                p = self._order(second, second.steps < second.rounding)
                 ratio = p * second.steps / second.rounding
                 found.append(second.substeps * ratio ** (1 / (p + 1)))
-        return float(np.median(found)) if found else None
+        return float(np.quantile(found, self.claimed / (self.claimed + 1))) if found else None
 
     def choose(self, now: int, limits: Limits) -> Choice:
         """The substeps from now on, where there are `now` as many."""
@@ -137,7 +149,7 @@ class SecondErrors:
             )
         if len(self._lately) >= UNSURE and all(s.trouble for s in list(self._lately)[-UNSURE:]):
             return self._undefined(now, limits)
-        needed = self._worst(map(self.needs, sure)) * (UNSEEN if self._alarm else 1)
+        needed = (self.needed or 1.0) * (UNSEEN if self._alarm else 1)
         wanted = limits.at_least(needed) or limits.rungs()[-1]
         floor = now
         last = self._lately[-1]

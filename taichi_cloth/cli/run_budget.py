@@ -8,12 +8,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from taichi_cloth.budgets import goal as goals
+from taichi_cloth.cli import run_beside
 from taichi_cloth.cli.run_meter import MeasuredErrors
 from taichi_cloth.errors import InputError, counted
 from taichi_cloth.runtime import current_device
 from taichi_cloth.settings.options import RunOptions
 from taichi_cloth.ui import style
-from taichi_cloth.ui.chrome.budget import OFF, SETS
+from taichi_cloth.ui.chrome.budget import METHOD, OFF, SETS
 from taichi_cloth.ui.text import Word
 
 if TYPE_CHECKING:
@@ -34,13 +35,14 @@ class HeldBudget:
     """What a run is kept to, nothing at first: for the command line, and for a window's panel.
 
     errors: of the same run, which are switched on: an error is held by them, and of the substeps
-    for which there is time they say how many are of use, once there is time for more than the
-    fewest: to measure takes processor time, too. windowed: whether frames are drawn, in
-    whose time there is a sense; layered: whether smooth edges are drawn in layers, and may be left
-    out. told: whether changes are printed.
+    for which there is time they say how many are of use, and which method is most accurate, once
+    there is time for more than the fewest: to measure takes processor time, too. windowed: whether
+    frames are drawn, in whose time there is a sense; layered: whether smooth edges are drawn in
+    layers, and may be left out. told: whether changes are printed. kept: why the method stays as it
+    is; "": it is chosen, until the user sets one.
     """
 
-    about = "keeps to frames a second, or to an error of each second, by substeps and solver"
+    about = "keeps to frames a second, or to an error of each second: by method, substeps, solver"
 
     def __init__(
         self,
@@ -50,12 +52,15 @@ class HeldBudget:
         windowed: bool,
         told: bool,
         layered: bool = False,
+        kept: str = "",
     ) -> None:
-        self._sim, self._errors = sim, errors
+        self._sim, self._errors, self._kept = sim, errors, kept
         self._windowed, self._told, self._layered = windowed, told, layered
         self._keeper: Keeper | None = None
         self._frames = self._in_time = 0
         self._substeps: list[int] = []
+        self._changing, self._compiled = False, 0.0  # the method; seconds that such frames took
+        self._changes = 0
         self._earlier = 0  # verdicts of before
         self._bounded = False  # whether what bounds the substeps is known, or being measured
         self.chosen = OFF
@@ -92,7 +97,7 @@ class HeldBudget:
     def choose(self, word: str) -> None:
         """Hold something else from now on."""
         if word == OFF:
-            self._keeper, self.chosen = None, OFF
+            self._end()
             return
         from taichi_cloth.budgets.keeper import Keeper
 
@@ -103,10 +108,19 @@ class HeldBudget:
             raise InputError(UNSEEN.format(word))
         if goal.error is not None:
             self._measure(word)
-        self._keeper, self.chosen = Keeper(self._sim, goal, layered=self._layered), goal.words
-        self._frames = self._in_time = 0
+        self._keeper = Keeper(self._sim, goal, layered=self._layered, kept=self._kept)
+        self.chosen = goal.words
+        self._errors.try_methods(self._keeper.trials)
+        self._frames = self._in_time = self._changes = 0
+        self._changing, self._compiled = False, 0.0
         self._substeps, self._earlier = [], len(self._errors.verdicts)
-        self._bounded = goal.error is not None or current_device().precision == "f64"
+        unrounded = current_device().precision == "f64" and not self._keeper.chooses_method
+        self._bounded = goal.error is not None or unrounded
+
+    def _end(self) -> None:
+        """Hold nothing any more."""
+        self._keeper, self.chosen = None, OFF
+        self._errors.try_methods(None)
 
     def _measure(self, word: str) -> None:
         """Have errors measured."""
@@ -116,15 +130,24 @@ class HeldBudget:
         if refused:
             raise InputError(f"--hold {word}: the error cannot be measured: {refused}")
 
-    def by_hand(self) -> None:
-        """The user set what it sets: hold nothing any more."""
-        self._keeper, self.chosen = None, OFF
+    def by_hand(self, name: str) -> str:
+        """The user set what it sets: hold nothing any more, or for a method, leave that as it is;
+        what to tell of it, "": nothing.
+        """
+        held, word = self._keeper, self.chosen
+        if name == METHOD:
+            self._kept = "it was set by hand"
+            if held is not None:
+                held.kept = self._kept
+            return f"hold {word} leaves the method as it was set" if held else ""
+        self._end()
+        return f"nothing is held any more, as {name} was set" if held else ""
 
     def unmeasured(self) -> bool:
         """The error meter was switched off: hold no error any more; whether one was held."""
         held = self._keeper is not None and self._keeper.goal.error is not None
         if held:
-            self._keeper, self.chosen = None, OFF
+            self._end()
         return held
 
     def before_frame(self, give: Callable[[str, Value], None]) -> None:
@@ -137,11 +160,15 @@ class HeldBudget:
             self._bounded = True
             if not self._errors.on:
                 self._errors.switch()  # which finds how many substeps rounding allows
-        now = {"substeps": self._sim.substeps, **self._sim.solver}
-        chosen = {"substeps": choice.substeps, **choice.solver}
+        method = self._sim.method
+        now: dict[str, Value] = {METHOD: method, "substeps": self._sim.substeps}
+        now |= self._sim.solver
+        chosen: dict[str, Value] = {METHOD: choice.method or method, "substeps": choice.substeps}
+        chosen |= choice.solver
         for name, value in chosen.items():
             if value != now[name]:
                 give(name, value)
+        self._changing = self._sim.method != method
         if self._told and (chosen != now or self.plain != was):
             print(f"frame {self._sim.frame}: hold {self.chosen}: {self.why}", flush=True)
 
@@ -151,6 +178,11 @@ class HeldBudget:
             return
         if self._windowed:  # else nothing follows from what this machine takes
             self._keeper.frame(simulate, rest)
+        if self._changing:
+            self._changes += 1
+            self._compiled += simulate
+            if self._told and self._windowed:
+                print(f"frame {self._sim.frame}: to change the method took {simulate:.2g} s")
         self._frames += 1
         seconds = self._keeper.goal.seconds
         self._in_time += seconds is not None and simulate + rest <= seconds
@@ -162,6 +194,11 @@ class HeldBudget:
             return ""
         goal, least, most = self._keeper.goal, min(self._substeps), max(self._substeps)
         how = f"{least} to {most}" if most > least else f"{least}"
+        how += " substeps"
+        if self._changes:
+            how += f" and {counted(self._changes, 'change')} of the method"
+            if self._windowed:
+                how += f", to compile {self._compiled:.2g} s"
         if goal.seconds is not None:
             held = f"{100 * self._in_time / self._frames:.3g} % of {self._frames} frames"
         else:
@@ -170,7 +207,7 @@ class HeldBudget:
             kept = sum(v.relative <= (goal.error or 0.0) for v in known)
             held = f"{kept} of {counted(len(known), 'window')}" if known else "no window"
             held += " that was measured" if len(known) < 2 else " that were measured"
-        return f"hold {goal.words}: held in {held}, by {how} substeps; now {self.why}"
+        return f"hold {goal.words}: held in {held}, by {how}; now {self.why}"
 
 
 @contextlib.contextmanager
@@ -180,7 +217,10 @@ def held(
     """The budget of a run, which is kept from the start if the options ask for one."""
     told = options.hold is not None and not options.quiet
     layered = view.name == "ggui" and view.camera is None
-    budget = HeldBudget(sim, errors, windowed=view.visible, told=told, layered=layered)
+    kept = "--method gave it" if "method" in options.given else ""
+    if run_beside.asked(options):
+        kept = "another run is compared with it"
+    budget = HeldBudget(sim, errors, windowed=view.visible, told=told, layered=layered, kept=kept)
     if options.hold is not None:
         budget.choose(options.hold)
     yield budget
@@ -217,7 +257,7 @@ def without_its_steps(log: Log) -> Log:
         frame: [
             event
             for event in events
-            if event.kind != SET.name or event.fields().get("name") not in SETS
+            if event.kind != SET.name or event.fields().get("name") not in (METHOD, *SETS)
         ]
         for frame, events in log.by_frame.items()
     }

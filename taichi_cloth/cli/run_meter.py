@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +16,7 @@ from taichi_cloth.ui.chrome.errors import ErrorReading, GhostReading
 if TYPE_CHECKING:
     from taichi_cloth.error_meter.ghost import Ghost
     from taichi_cloth.error_meter.meter import ErrorMeter
+    from taichi_cloth.error_meter.others import Trial
     from taichi_cloth.error_meter.verdict import Verdict
     from taichi_cloth.simulation.simulation import Simulation
 
@@ -39,6 +40,7 @@ class MeasuredErrors:
     def __init__(self, sim: Simulation, *, waits: bool, told: bool) -> None:
         self._sim, self._waits, self._told = sim, waits, told
         self._meter: ErrorMeter | None = None
+        self._trials: Callable[[], Sequence[Trial]] | None = None
         self.waited = 0.0
         self._ghost = NO_GHOST
         self._in_metres = bool(sim.scene.world.up)
@@ -98,6 +100,12 @@ class MeasuredErrors:
         self._meter.orders = True
         return self._meter.refused
 
+    def try_methods(self, trials: Callable[[], Sequence[Trial]] | None) -> None:
+        """Make windows again by the methods that `trials` says at their ends, while it measures."""
+        self._trials = trials
+        if self._meter is not None:
+            self._meter.trials = trials
+
     def switch(self) -> None:
         """Begin to measure, or end."""
         from taichi_cloth.error_meter.meter import ErrorMeter
@@ -105,6 +113,7 @@ class MeasuredErrors:
         if self._meter is None:
             told = self._tell if self._told else None
             self._meter = ErrorMeter(self._sim, waits=self._waits, tell=told)
+            self._meter.trials = self._trials
         else:
             self.close()
 

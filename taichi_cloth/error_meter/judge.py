@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import pickle
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 
 from taichi_cloth import runtime
 from taichi_cloth.error_meter import ghost
+from taichi_cloth.error_meter.others import Trial
 from taichi_cloth.error_meter.verdict import AIM, GREW, MILLIONTH, THIRD, Verdict
 from taichi_cloth.error_meter.window import (
     FRAMES,
@@ -141,11 +143,14 @@ class Judge:
             verdict = replace(verdict, trouble=f"the reference fails: {failure}")
         return asdict(replace(verdict, seconds=time.perf_counter() - begin))
 
-    def part(self, patience: float, order: bool = False) -> dict[str, Any]:
+    def part(
+        self, patience: float, order: bool = False, trials: Sequence[dict[str, Any]] = ()
+    ) -> dict[str, Any]:
         """The same verdict with how disturbances grow, and with what made the error.
 
         patience: seconds for that, compiling left out; what takes longer stays unknown. order:
-        whether the window's own order is measured, too.
+        whether the window's own order is measured, too. trials: of other methods, as dictionaries
+        of `Trial`.
         """
         measured, begin = self._measured, time.perf_counter()
         if measured is None:
@@ -157,6 +162,8 @@ class Judge:
             if order and verdict.own_substeps:
                 verdict = self._ordered(measured, verdict)
             verdict = self._parted(measured, verdict)
+        for trial in trials if verdict.own_substeps else ():
+            verdict = self._tried(measured, verdict, Trial(**trial))
         return asdict(replace(verdict, seconds=verdict.seconds + time.perf_counter() - begin))
 
     def _tell(self, stage: str) -> None:
@@ -302,6 +309,24 @@ class Judge:
                 apart = errors.distance(same, converged, free).trajectory
                 verdict = replace(verdict, solver=apart)
         return verdict
+
+    def _tried(self, measured: _Measured, verdict: Verdict, trial: Trial) -> Verdict:
+        """The verdict with the errors of another method: as many as there is time for."""
+        window, count = measured.window, verdict.judged
+        plan = _Plan(trial.method, [trial.most] * count, {}, window.start)
+        found: list[tuple[int, float]] = []
+
+        def error(substeps: int) -> float:
+            self._tell(f"{trial.method} in its place")
+            made = self._whole(window, replace(plan, substeps=[substeps] * count))
+            apart = errors.distance(made, measured.finest, measured.free).trajectory
+            return apart / verdict.scale
+
+        with suppress(TooSlow, SimulationFailure, InputError):
+            self._compile(window, plan, trial.method)
+            for result in trial.results(error, (verdict.rounding or 0.0) / verdict.scale):
+                found.append(result)  # one by one: what comes next may fail
+        return replace(verdict, others={**verdict.others, trial.method: found})
 
     # --- runs ------------------------------------------------------------------------------
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from taichi_cloth.console import percent
 from taichi_cloth.error_meter.ghost import Ghost
+from taichi_cloth.error_meter.others import Trial
 from taichi_cloth.error_meter.verdict import DIGITS, Verdict
 from taichi_cloth.error_meter.window import (
     ENDS,
@@ -51,7 +53,8 @@ class ErrorMeter(Listener):
 
     sim: which it listens to until `close`. waits: whether the run waits for each window's verdict;
     else it goes on. tell: called with each verdict, in another thread unless it waits.
-    orders: whether the order of each window is measured, too.
+    orders: whether the order of each window is measured, too. trials: says at the end of a window
+    by which other methods it is made again; None: by none.
     verdicts: all of them; recent: those since the run last went elsewhere, as by a reset.
     ghost: of the last verdict that knows an error, while the run is the one it is of.
     """
@@ -66,6 +69,7 @@ class ErrorMeter(Listener):
         orders: bool = False,
     ) -> None:
         self._sim, self._waits, self._tell, self.orders = sim, waits, tell, orders
+        self.trials: Callable[[], Sequence[Trial]] | None = None
         self._patience = patience or (WAITING if waits else PATIENCE)
         self._folder = tempfile.TemporaryDirectory(prefix="taichi-cloth-error-")
         self._worker: Worker | None = None
@@ -177,17 +181,18 @@ class ErrorMeter(Listener):
             self._cut += window is not None and window.frames > 0
             return
         self._judged, self._asked = window if shown else None, self._asked + 1
+        asked = window, self.trials() if self.trials else ()  # of the run as it is now
         if self._waits:
             begin = time.perf_counter()
-            self._judge(window)
+            self._judge(*asked)
             self.waited += time.perf_counter() - begin
         else:
-            self._task = threading.Thread(target=self._judge, args=(window,), daemon=True)
+            self._task = threading.Thread(target=self._judge, args=asked, daemon=True)
             self._task.start()
 
     # --- in a thread, unless the run waits -------------------------------------------------
 
-    def _judge(self, window: Window) -> None:
+    def _judge(self, window: Window, trials: Sequence[Trial]) -> None:
         """Ask the process: for the error, and then for what it comes from."""
         verdict = None
         try:
@@ -196,7 +201,7 @@ class ErrorMeter(Listener):
                 self._show(window, verdict)
                 if self._judged is window:
                     self.ghost = ghost
-                verdict = self._ask_parts()
+                verdict = self._ask_parts(trials)
         except (WorkerFailed, OSError) as failure:
             if not self._closed:
                 self._lose_worker(str(failure))
@@ -242,10 +247,13 @@ class ErrorMeter(Listener):
         verdict = Verdict(**answer["result"])
         return verdict, Ghost.read(folder / GHOST, window) if verdict.known else None
 
-    def _ask_parts(self) -> Verdict:
+    def _ask_parts(self, trials: Sequence[Trial]) -> Verdict:
         """The verdict on the window that was measured last, with what its error comes from."""
         assert self._worker is not None
-        given = {"patience": self._patience, "order": self.orders}
+        given = {
+            "patience": self._patience, "order": self.orders,
+            "trials": [asdict(trial) for trial in trials],
+        }  # fmt: skip
         answer = self._worker.ask(of="judge", do="part", **{"with": given})
         return Verdict(**answer["result"])
 

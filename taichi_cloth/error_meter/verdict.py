@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 from taichi_cloth.console import percent
 from taichi_cloth.error_meter.window import FRAMES
@@ -30,6 +31,7 @@ class Verdict:
     rounding: how far what was shown is from the same in f64, None where that was f64.
     method, own_substeps: the window's; 0 where it had several numbers of them. order: by which its
     error falls with twice as many, None where nobody asked, or it cannot be told.
+    others: by other methods, (substeps, error in parts of the scale) of each try, in f64.
     growth: the rate at which a disturbance of a millionth grew [1 / frame], 0 where it did not,
     None where there was no time to see.
     seconds: that it took. trouble: why there is no error, or why it is not sure; "": it is.
@@ -52,6 +54,7 @@ class Verdict:
     method: str = ""
     own_substeps: int = 0
     order: float | None = None
+    others: dict[str, Sequence[tuple[int, float]]] = field(default_factory=dict)
     judged: int = 0
     further: str = ""
 

@@ -245,8 +245,8 @@ class RunOptions(Options):
     )
     hold: str | None = setting(
         None,
-        "choose the substeps while it runs: the most with which frames are in time (60fps, 12ms), "
-        "or the fewest with which each second's error is at most this (1%)",
+        "choose method and substeps while it runs: the most accurate whose frames are in time "
+        "(60fps, 12ms), or the cheapest with which each second's error is at most this (1%)",
         str,
         metavar="60fps|1%",
     )

@@ -86,6 +86,13 @@ class Engine(Part):
         if held is not None:
             self.storage.hold_again(held, pushed)
 
+    def topology_of(self, method: str) -> str:
+        """The topology that the run has under a method, or would have after `set_method`."""
+        if method == self.method:
+            return self.topology
+        kept = self._engines.get(method)
+        return str(kept["topology"]) if kept else "graph"
+
     def _take_method(self, method: str, now: Snapshot) -> None:
         module, solver = methods.load(method), self.solver
         self._engines[self.method] = {name: getattr(self, name) for name in self.ENGINE}

@@ -11,6 +11,7 @@ import numpy as np
 from taichi_cloth.errors import InputError, RunFailure, SimulationFailure
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import hud
+from taichi_cloth.ui.chrome.budget import METHOD
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.inputs import COMMANDS, KEYS, WINDOW_KEYS, Event
 from taichi_cloth.ui.interaction import LogEvent
@@ -29,6 +30,7 @@ from taichi_cloth.ui.travel import Travel
 from taichi_cloth.ui.views.contract import View
 
 if TYPE_CHECKING:
+    from taichi_cloth.simulation.live import Value
     from taichi_cloth.simulation.simulation import Simulation
 
 
@@ -174,7 +176,7 @@ class Loop:
                 state.frames = self._travel.go(self._travel.timeline.frames.stop - 1)
             self._travel.go_on()
         if request.budget:
-            request.budget.before_frame(self._controls.set)
+            request.budget.before_frame(self._give)
         self._controls.before_frame(replayed=state.replaying)
         if self._shown.chrome.is_open("meters"):
             self._shown.meters.before_frame()
@@ -197,6 +199,13 @@ class Loop:
             request.trajectory.record(self.sim)
         if self._travel:
             self._travel.note(state.frames)
+
+    def _give(self, name: str, value: Value) -> None:
+        """Have what a budget chose take effect; say so before that compiles."""
+        if self.view.visible and name == METHOD:
+            self._say_that_it_compiles()
+            self._shown.meter.interrupt()
+        self._controls.set(name, value)
 
     def _end_replay(self) -> None:
         """Give the mouse back: what a log has for later belongs to a run that did not fail here."""

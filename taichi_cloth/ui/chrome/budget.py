@@ -12,7 +12,8 @@ if TYPE_CHECKING:
 
 HOLD = "hold"  # the name of the panel's row
 OFF = "off"
-SETS = ("substeps", "tolerance", "iterations")  # the settings that it chooses
+METHOD = "method"
+SETS = ("substeps", "tolerance", "iterations")  # the settings that it chooses, beside the method
 
 
 class Budget(Protocol):
@@ -42,8 +43,10 @@ class Budget(Protocol):
     def choose(self, word: str) -> None:
         """Hold something else from now on; InputError where that cannot be."""
 
-    def by_hand(self) -> None:
-        """The user set what it sets: hold nothing any more."""
+    def by_hand(self, name: str) -> str:
+        """The user set what it sets: hold nothing any more, or for a method, leave that as it is;
+        what to tell of it, "": nothing.
+        """
 
     def unmeasured(self) -> bool:
         """The error meter was switched off: hold no error any more; whether one was held."""

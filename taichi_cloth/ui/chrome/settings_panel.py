@@ -23,7 +23,7 @@ from taichi_cloth.simulation.engine import compiles_in_background
 from taichi_cloth.simulation.setting_costs import SettingCosts
 from taichi_cloth.ui import style, text
 from taichi_cloth.ui.chrome import settings_rows as rows
-from taichi_cloth.ui.chrome.budget import HOLD, OFF, SETS, Budget
+from taichi_cloth.ui.chrome.budget import HOLD, METHOD, OFF, SETS, Budget
 from taichi_cloth.ui.chrome.contract import COLUMN
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.chrome.settings_rows import OPEN, Placed, Row
@@ -42,7 +42,7 @@ TWICE = 0.35  # seconds within which two clicks are a double click
 NOTCH = 0.02  # of a slider's length that an arrow key moves
 TYPED = frozenset(string.digits + ".-e")
 CHANGING = frozenset({"left", "right", "return", "delete", "backspace"})
-SCENE, METHOD = "scene", "method"  # rows that unfold
+SCENE = "scene"  # a row that unfolds, as the method's does
 UNFOLDING = (SCENE, METHOD, HOLD)
 MOST_BLOCKS = 500  # pictures of rows that are kept
 FOOT = 4  # lines of the foot at least
@@ -406,9 +406,10 @@ class SettingsPanel:
         self._controls.tell(None)
         for name, value in given.items():
             self._controls.set(name, value)
-            if self._budget and name in SETS and self._budget.chosen != OFF:
-                self._budget.by_hand()
-                self._controls.tell(f"nothing is held any more, as {name} was set")
+            if self._budget and name in (*SETS, METHOD):
+                said = self._budget.by_hand(name)
+                if said:
+                    self._controls.tell(said)
         self._costs.hurry()
         self._read_at = -np.inf
 
