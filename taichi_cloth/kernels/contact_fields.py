@@ -8,7 +8,7 @@ from taichi_cloth.kernels.fields import Fields, Surface, placed
 from taichi_cloth.kernels.obstacles import contract
 from taichi_cloth.kernels.patches import BLOCK as PATCH_BLOCK
 
-FACE_COLUMNS = 21  # of state.face (`faces.py`)
+FACE_COLUMNS = 20  # of state.face (`faces.py`)
 FACE_CONTACTS = 4  # that a triangle may have at once
 
 
@@ -39,8 +39,10 @@ class ContactFields(Fields):
         time 0 and its velocities; obstacle_pose: its poses at both ends of the step,
         and (held) its mean rates in the next one; obstacle_part (moving): of the step, in which it
         moves. held_by, held_at: what each particle goes with, 1 + its row, and where (`grips.py`).
-        elements, face, face_left, face_row, face_count, face_finds, faces_unsettled (faces): a
-        `Surface` of what is tested against sharp obstacles, and what comes of that (`faces.py`).
+        elements, face, face_hits, face_left, face_row, face_count, face_finds, faces_unsettled
+        (faces): a `Surface` of what is tested against sharp obstacles, and what comes of that
+        (`faces.py`); face_clear, face_seen, face_way, face_unseen: what need not be looked at
+        (`face_clearance.py`).
         obstacle_low, obstacle_nodes, obstacle_grid: of its grid of distances, where it has one.
     The account of contacts (`contact_account.py`): accounting: whether it is kept; opened_x,
         opened_v, free_x, free_v, ended_x: the step's start, free end and end; contact_work: of each
@@ -124,10 +126,14 @@ class ContactFields(Fields):
         self.contact_balance = placed(tree, ti.field(self.wide))
         self.wide_tree = tree.finalize()
 
-    def _place_faces(self):
+    def _place_faces(self, dim):
         m, n = max(self.capacity.elements, 1), self.capacity.particles
         self.elements = Surface(self.real, m, n, self._reals, self._integers)
         self.face = self._scalars(FACE_CONTACTS * m, FACE_COLUMNS)
         self.face_left = self._scalars()
         self.face_row, self.face_count = self._counts(m, 3), self._counts(max(min(n, 3 * m), 1))
         self.face_finds, self.faces_unsettled = self._counts(), self._counts()
+        self.face_hits, self.face_clear = self._counts(m), self._scalars(m)
+        rows = max(min(n, 3 * m), 1)
+        self.face_seen, self.face_way = self._scalars(rows, dim), self._scalars(rows)
+        self.face_unseen = self._counts()

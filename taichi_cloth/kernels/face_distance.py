@@ -29,10 +29,13 @@ def point_of(share, a, b, c):
 def nearest(spec: ti.template(), state: ti.template(), o, p, q, r, radii, w, side):
     """The least distance of the triangle p, q, r from obstacle o, the shares of that point, and n.
 
+    Then come whether it is held, and what no distance of the triangle from a convex obstacle is
+    below: such a distance is a convex function, which is nowhere below its tangents.
+
     It is looked for at the corners, along the sides, then from the best of these inwards: distances
-    from convex obstacles have no other minimum. The last number returned is 1 if a fixed corner is
-    inside by more than its radius allows, as what is clamped may be: then the triangle is not
-    tested. radii, w: of its corners; side: the longest of its sides.
+    from convex obstacles have no other minimum. It is held (1, else 0) if a fixed corner is inside
+    by more than its radius allows, as what is clamped may be: then the triangle is not tested.
+    radii, w: of its corners; side: the longest of its sides.
     """
     zero = 0.0 * side
     least, stride, held, share, n = 1e30 + zero, 0.3 * side, 0, 0.0 * radii, 0.0 * p
@@ -96,7 +99,9 @@ def nearest(spec: ti.template(), state: ti.template(), o, p, q, r, radii, w, sid
             if same and ti.max(bulge, -1.0 * bulge) <= 1e-3 * ti.max(least, -1.0 * least):
                 turns = TURNS  # over a plane face: the least is at a corner
         turns += 1
-    return least, share, n, held
+    at = point_of(share, p, q, r)
+    lowest = least + ti.min(n.dot(p - at), n.dot(q - at), n.dot(r - at))
+    return least, share, n, held, lowest
 
 
 @ti.func

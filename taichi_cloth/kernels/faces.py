@@ -9,13 +9,14 @@ collisions, contact and friction for cloth animation", 2002, 6.2). All triangles
 mass splitting, as resting pairs do: a corner in m contacts takes part in each with 1/m of its mass
 and goes on with the mean, so energy never grows. This is repeated until all are outside.
 
-`face_distance.py` finds that point. Where a step is longer than the obstacle is sharp, its whole
-path is looked at, by steps of the distance, as the obstacle sees it.
+`face_distance.py` finds that point; who need not be looked at, `face_clearance.py` says. Where a
+step is longer than the obstacle is sharp, its whole path is looked at, by steps of the distance, as
+the obstacle sees it.
 """
 
 import taichi as ti
 
-from taichi_cloth.kernels import laws
+from taichi_cloth.kernels import face_clearance, laws
 from taichi_cloth.kernels.compensated import joined, owed_at, put_at
 from taichi_cloth.kernels.contact_fields import FACE_COLUMNS, FACE_CONTACTS
 from taichi_cloth.kernels.face_distance import nearest, point_of
@@ -23,6 +24,7 @@ from taichi_cloth.kernels.loops import each, each_pack_moving, leave
 from taichi_cloth.kernels.obstacles.contract import (
     BOUND,
     FACES_TOO,
+    FAR,
     FRICTION,
     RESTITUTION,
     ROUND,
@@ -51,10 +53,11 @@ LEAST_ROOM = 0.02  # of the longest side: the room of what has no radius
 MOST_LOOKS = 64  # along the path of a step
 
 # Columns of state.face: what was found for a triangle, then what it does to its corners.
-# HIT: 1, or 0: nothing; OFFSET: where along the normal its point is to be; TARGET: velocity there;
-# WEIGHT: of what friction changes, in the position [time]; ROOM: radius and roundness [length].
-HIT, OFFSET, TARGET, MU, WEIGHT, ROOM = range(6)
-SHARE, NORMAL, SURFACE_V, DX, DV = range(6, FACE_COLUMNS, 3)
+# OFFSET: where along the normal its point is to be; TARGET: velocity there; WEIGHT: of what
+# friction changes, in the position [time]; ROOM: radius and roundness [length]. Which of a
+# triangle's rows have a contact, the bits of state.face_hits say.
+OFFSET, TARGET, MU, WEIGHT, ROOM = range(5)
+SHARE, NORMAL, SURFACE_V, DX, DV = range(5, FACE_COLUMNS, 3)
 
 
 def needed(spec):
@@ -69,7 +72,6 @@ def settle(spec: ti.template(), state: ti.template(), t):
         place_obstacles(spec, state, t)
     each(spec, state, t, 1, _begin)
     if ti.static(spec.one_launch_per_step):  # whose loops must be top-level ones
-        each(spec, state, t, state.elements.n_triangles[None], _forget)
         for _ in ti.static(range(LAUNCHED_FINDS)):
             _find(spec, state, t)
             each(spec, state, t, state.elements.n_rows[None], _count)
@@ -77,13 +79,13 @@ def settle(spec: ti.template(), state: ti.template(), t):
                 _sweep(spec, state, t)
                 each(spec, state, t, state.elements.n_rows[None], _give)
     else:
-        each(spec, state, t, state.elements.n_triangles[None], _forget)
         finds, any_left = 0, 1
         while any_left == 1 and finds < FINDS:
             _find(spec, state, t)
             # All threads ask before the barrier after which one of them may clear it.
             any_left = ti.select(state.face_left[None] > 0.0, 1, 0)
-            each(spec, state, t, state.elements.n_rows[None], _count)
+            if any_left == 1:
+                each(spec, state, t, state.elements.n_rows[None], _count)
             sweeps, left = 0, any_left
             while left == 1 and sweeps < SWEEPS:
                 _sweep(spec, state, t)
@@ -105,6 +107,7 @@ def _begin(spec: ti.template(), state: ti.template(), i):
 def _find(spec: ti.template(), state: ti.template(), t):
     """Find all contacts; state.face_left says whether there is any."""
     each(spec, state, t, 1, _begin_find)
+    face_clearance.note_ways(spec, state, t)
     each(spec, state, t, state.elements.n_triangles[None], _look)
 
 
@@ -127,12 +130,6 @@ def _clear_left(spec: ti.template(), state: ti.template(), i):
 
 
 @ti.func
-def _forget(spec: ti.template(), state: ti.template(), m):
-    for c in range(m * FACE_CONTACTS, (m + 1) * FACE_CONTACTS):
-        state.face[c, HIT] = 0.0
-
-
-@ti.func
 def _note_left(state: ti.template(), size):
     """Note how far a contact is from rest: the largest is kept, whatever the order."""
     if size > state.face_left[None]:
@@ -144,6 +141,7 @@ def _judge(spec: ti.template(), state: ti.template(), i):
     """Count the step if some triangle is still deep in an obstacle."""
     if state.face_left[None] > UNSETTLED:
         state.faces_unsettled[None] = state.faces_unsettled[None] + 1
+    state.face_unseen[None] = 0
 
 
 # --- what meets what ---------------------------------------------------------------------------
@@ -156,16 +154,23 @@ def _look(spec: ti.template(), state: ti.template(), m):
     What earlier searches of the step have found stays: so a face that lies on an edge does not
     turn about one point of it.
     """
-    if is_whole(spec, state, state.elements, m):
-        deepest = 0.0 * state.dt[None]
+    if state.face_finds[None] == 1:
+        state.face_hits[m] = 0
+    if not face_clearance.is_clear(spec, state, m) and is_whole(spec, state, state.elements, m):
+        deepest, clear = 0.0 * state.dt[None], FAR + 0.0 * state.dt[None]
         for o in range(state.n_obstacles[None]):
-            if state.obstacle_numbers[o, FACES_TOO] > 0.0 and _is_near(spec, state, o, m):
-                gap, gap_before, part, share, n, room, slack = _meet(spec, state, o, m)
-                least = ti.select(state.face_finds[None] == 1, slack, slack + SETTLED * room)
-                if -1.0 * gap > ti.max(deepest, least):
-                    deepest = -1.0 * gap
-                    state.face[_now(state, m), ROOM] = room
-                    _note_contact(spec, state, o, m, gap, gap_before > slack, part, share, n)
+            if state.obstacle_numbers[o, FACES_TOO] > 0.0:
+                free, near = _is_near(spec, state, o, m)
+                if near:
+                    gap, gap_before, part, share, n, room, slack, own = _meet(spec, state, o, m)
+                    free = own
+                    least = ti.select(state.face_finds[None] == 1, slack, slack + SETTLED * room)
+                    if -1.0 * gap > ti.max(deepest, least):
+                        deepest = -1.0 * gap
+                        state.face[_now(state, m), ROOM] = room
+                        _note_contact(spec, state, o, m, gap, gap_before > slack, part, share, n)
+                clear = ti.min(clear, free)
+        state.face_clear[m] = clear
 
 
 @ti.func
@@ -181,7 +186,9 @@ def _corner(state: ti.template(), m, k: ti.template()):
 
 @ti.func
 def _is_near(spec: ti.template(), state: ti.template(), o, m):
-    """Whether triangle m may have touched obstacle o in this step."""
+    """Its clearance (`face_clearance.py`) from obstacle o if triangle m cannot have touched it in
+    this step, and whether it may have.
+    """
     x = slot_value(spec, state.x, _corner(state, m, 0))
     reach, way = 0.0 * x[0], 0.0 * x[0]
     for k in ti.static(range(3)):
@@ -193,7 +200,8 @@ def _is_near(spec: ti.template(), state: ti.template(), o, m):
         reach = ti.max(reach, laws.length(d) + slot_number(spec, state.radius, slot))
         way = ti.max(way, laws.length(moved))
     away = laws.length(x - centre_of(spec, state, o, END))
-    return away <= 1.001 * (state.obstacle_numbers[o, BOUND] + reach) + way
+    beyond = away - 1.001 * (state.obstacle_numbers[o, BOUND] + reach)
+    return face_clearance.of_far(state, beyond - way, x), beyond <= way
 
 
 @ti.func
@@ -212,7 +220,7 @@ def _meet(spec: ti.template(), state: ti.template(), o, m):
     """How the step of triangle m meets obstacle o, as `obstruction.meet` has it of a particle.
 
     Returns gap, gap_before, part, the shares (3,) of the corners in its nearest point, the normal
-    there, of the world, and what `_room` says.
+    there, of the world, what `_room` says, and its clearance (`face_clearance.py`).
     """
     i, j, k = _corner(state, m, 0), _corner(state, m, 1), _corner(state, m, 2)
     a0, a1 = _ends(spec, state, o, i)
@@ -224,16 +232,19 @@ def _meet(spec: ti.template(), state: ti.template(), o, m):
     room, slack = _room(spec, state, o, i, radii, side)
     fast = way > room
     best_share, best_n = 0.0 * radii, 0.0 * a1
-    gap, gap_before, met = 0.0 * way, 0.0 * way, -1.0 + 0.0 * way
+    gap, gap_before, met, clear = 0.0 * way, 0.0 * way, -1.0 + 0.0 * way, 0.0 * way
     # The first look is at the end, the second at the start: one loop, so that the laws of all
     # shapes are compiled once.
     w = ti.Vector([slot_number(spec, state.w, slot) for slot in ti.static((i, j, k))])
     looks, at, going = 0, 1.0 + 0.0 * way, True
     while going:
         p, q, r = a0 + at * (a1 - a0), b0 + at * (b1 - b0), c0 + at * (c1 - c0)
-        least, share, n, held = nearest(spec, state, o, p, q, r, radii - slack, w, side)
+        least, share, n, held, low = nearest(spec, state, o, p, q, r, radii - slack, w, side)
         here = least - share.dot(radii)
         inward = n.dot(point_of(share, a1 - a0, b1 - b0, c1 - c0))
+        if looks == 0:
+            low -= radii.max()
+            clear = face_clearance.of_looked_at(spec, state, o, low, way, room, slack)
         if held == 1:
             gap, going = 0.0 * gap, False
         else:
@@ -248,7 +259,8 @@ def _meet(spec: ti.template(), state: ti.template(), o, m):
                 gap, best_share, best_n, met = past, share, n, meets_at
         looks += 1
     part = part_before(met, gap, gap_before)
-    return gap, gap_before, part, best_share, to_world(spec, state, o, END, best_n), room, slack
+    n = to_world(spec, state, o, END, best_n)
+    return gap, gap_before, part, best_share, n, room, slack, clear
 
 
 @ti.func
@@ -318,7 +330,8 @@ def _note_contact(spec: ti.template(), state: ti.template(), o, m, gap, meets, p
                 target = new_u
                 push += lift
         c = _now(state, m)
-        state.face[c, HIT], state.face[c, OFFSET] = 1.0, n.dot(p) + push
+        state.face_hits[m] = state.face_hits[m] | (1 << (c - m * FACE_CONTACTS))
+        state.face[c, OFFSET] = n.dot(p) + push
         state.face[c, TARGET], state.face[c, WEIGHT] = target, weight
         state.face[c, MU] = state.obstacle_numbers[o, FRICTION]
         for k in ti.static(range(3)):
@@ -330,13 +343,19 @@ def _note_contact(spec: ti.template(), state: ti.template(), o, m, gap, meets, p
 
 
 @ti.func
+def _has(state: ti.template(), c):
+    """Whether row c of state.face has a contact."""
+    return (state.face_hits[c // FACE_CONTACTS] >> (c % FACE_CONTACTS)) & 1 == 1
+
+
+@ti.func
 def _count(spec: ti.template(), state: ti.template(), p):
     """Count the contacts of the particle of row p."""
     count = 0
     for h in range(state.elements.row_start[p], state.elements.row_start[p + 1]):
         m = state.elements.row_triangle[h]
         for c in range(m * FACE_CONTACTS, (m + 1) * FACE_CONTACTS):
-            if state.face[c, HIT] > 0.0:
+            if _has(state, c):
                 count += 1
     state.face_count[p] = count
 
@@ -350,7 +369,7 @@ def _of(spec: ti.template(), state: ti.template(), c, column: ti.template()):
 @ti.func
 def _want(spec: ti.template(), state: ti.template(), c):
     """Compute what contact c does to its triangle's corners, for shares and inverse masses of 1."""
-    if state.face[c, HIT] > 0.0:
+    if _has(state, c):
         m = c // FACE_CONTACTS
         n, surface_v = _of(spec, state, c, NORMAL), _of(spec, state, c, SURFACE_V)
         p, v, mobility = 0.0 * n, 0.0 * n, 0.0 * state.dt[None]
@@ -384,7 +403,7 @@ def _give(spec: ti.template(), state: ti.template(), p):
         for h in range(state.elements.row_start[p], state.elements.row_start[p + 1]):
             m = state.elements.row_triangle[h]
             for c in range(m * FACE_CONTACTS, (m + 1) * FACE_CONTACTS):
-                if state.face[c, HIT] > 0.0:
+                if _has(state, c):
                     share = 0.0 * w
                     for k in ti.static(range(3)):
                         if _corner(state, m, k) == slot:
@@ -400,9 +419,10 @@ def _give(spec: ti.template(), state: ti.template(), p):
 
 @ti.kernel
 def load_rows(state: ti.template()):
-    """Note the row of each corner of each triangle, and forget what was given up."""
+    """Note the row of each corner of each triangle; forget what was given up, and what is clear."""
     for _ in range(1):
         state.faces_unsettled[None] = 0
+        state.face_unseen[None] = 1
     for p in range(state.elements.n_rows[None]):
         for h in range(state.elements.row_start[p], state.elements.row_start[p + 1]):
             m = state.elements.row_triangle[h]

@@ -132,7 +132,7 @@ class State(ContactFields):
         if spec.accounts_contacts:
             self._place_account(spec)
         if spec.faces:
-            self._place_faces()
+            self._place_faces(spec.dim)
         self.trees = [self._reals.finalize(), self._integers.finalize()]
         if spec.accounts_contacts:
             self.trees.append(self.wide_tree)

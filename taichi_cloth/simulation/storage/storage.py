@@ -75,6 +75,7 @@ class Storage(Loading, Download, Handling):
         """Undo a frame that failed: the state is again that of the last good one, after `steps`."""
         self._launch(watchdog.restore)
         self._altered = True
+        self._look_at_all()
         if not self.specialization.fracture:
             return
         status, step = self.marks().T
@@ -123,8 +124,14 @@ class Storage(Loading, Download, Handling):
                 self._launch(kept_pairs.take_places)
         where = self._now.placement, self._patches()
         self._now.container.kept.write(self._launcher, *where, kept.fields)
+        self._look_at_all()
         self.pushed, self._held, self._altered = kept.pushed, kept.held, kept.altered
         self._drawn_springs = None
+
+    def _look_at_all(self) -> None:
+        """Let the next step look at all faces again (`kernels/face_clearance.py`)."""
+        if self.specialization.faces:
+            self.state.face_unseen[None] = 1
 
     def _load_like(self, kept: Kept, path: str, numbers: Numbers) -> None:
         """Load what was kept of another storage, stored as it was there."""
