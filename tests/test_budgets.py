@@ -535,6 +535,31 @@ def test_a_time_budget_measures_errors_once_there_is_time_for_more(device, monke
     assert errors.on and sim.substeps > 2
 
 
+def test_to_hold_frames_a_second_is_a_help_where_there_are_more_substeps_than_the_fewest(pool):
+    """Not where it has chosen already, and not with dt auto, which holds nothing."""
+    scene = library.build("cloth", columns=8, rows=6)
+    errors = Errors()
+    errors.measure_orders = lambda: ""
+    for given, helps in (
+        ({"substeps": 9}, True),
+        ({"substeps": 1}, False),
+        ({"dt": "auto"}, False),
+    ):
+        sim = pool(scene, **given)
+        budget = HeldBudget(sim, errors, windowed=True, told=False)
+        assert budget.shortens == helps
+    sim.reset()
+    sim = pool(scene, substeps=StableSteps(pool(scene)).least())
+    budget = HeldBudget(sim, errors, windowed=True, told=False)
+    assert not budget.shortens
+    sim.set_step(substeps=9)
+    assert budget.shortens
+    budget.choose("1%")
+    assert budget.shortens
+    budget.choose("60fps")
+    assert not budget.shortens
+
+
 def test_what_a_budget_came_to_is_counted_from_its_choice_on(pool):
     """Frames that were held to something else are no part of it."""
     sim = pool(library.build("cloth", columns=4, rows=3))

@@ -4,6 +4,7 @@ The windows run in processes of their own under Xvfb, driven by xdotool; both ar
 these programs are missing. What a window did is read from its interaction log and its picture.
 """
 
+import itertools
 import json
 import os
 import re
@@ -27,11 +28,12 @@ from taichi_cloth.files import trajectory as trajectories
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import COLOR_CYCLE, Particles, Scene, World
 from taichi_cloth.simulation.diagnostics import Work
-from taichi_cloth.ui import app, hud, text
+from taichi_cloth.ui import app, hud, style, text
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.camera_moves import ZOOM_STEP
 from taichi_cloth.ui.chrome import toolbar
 from taichi_cloth.ui.chrome.chrome import Chrome, Contents
+from taichi_cloth.ui.chrome.layout import text_height
 from taichi_cloth.ui.chrome.strip import Row
 from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.controls import Controls
@@ -476,6 +478,65 @@ def test_the_meter_says_how_late_it_is():
     assert meter.behind == pytest.approx(3 - 30 / 60)
     said = " ".join(word.text for word in hud.rates(meter))
     assert "behind real time (0.17x)" in said and "50.00 ms" in said
+
+
+def paced(meter, now, seconds, simulate, draw):
+    """Have a meter see frames that take so long to simulate and to draw, one after the other."""
+    for _ in range(round(seconds / max(simulate + draw, 1 / 60))):
+        meter.frame(simulate, draw)
+        now[0] += max(simulate + draw, 1 / 60)
+
+
+def test_a_window_that_is_late_says_what_would_be_faster():
+    """By what takes the time; not at once, not of frames in time or held up by something else."""
+    now = [0.0]
+
+    def said(simulate, draw, *, seconds=4.0, quicker="", shortens=True, before=0.0):
+        meter = hud.Meter(clock=lambda: now[0])
+        paced(meter, now, 1.0, 0.005, 0.005)
+        paced(meter, now, before, 3.0, 0.001)  # which compiles
+        paced(meter, now, seconds, simulate, draw)
+        word = hud.faster(meter, quicker=quicker, shortens=lambda: shortens)
+        return word.text if word else ""
+
+    assert said(0.004, 0.02) == "faster: smaller window"
+    assert said(0.004, 0.02, quicker="--view gui") == "faster: smaller window, --view gui"
+    assert said(0.02, 0.004, quicker="--view gui") == "faster: hold 60fps (o)"
+    assert said(0.02, 0.004, shortens=False) == ""
+    assert said(0.005, 0.006) == said(0.004, 0.02, seconds=1.5) == ""
+    assert said(0.005, 0.006, seconds=0.5, before=3.0) == ""
+    meter = hud.Meter(clock=lambda: now[0])
+    for _ in range(60):  # another program has the processor
+        meter.frame(0.004, 0.004)
+        now[0] += 0.1
+    assert meter.late > hud.LATE
+    assert hud.faster(meter, quicker="", shortens=lambda: True) is None
+    paced(meter, now, 4.0, 0.02, 0.01)
+    assert hud.faster(meter, quicker="", shortens=lambda: True) is not None
+    meter.interrupt()
+    assert meter.late == 0 and hud.faster(meter, quicker="", shortens=lambda: True) is None
+
+
+@pytest.mark.parametrize("size", [(800, 600), (1024, 768), (1280, 800), (1920, 1080), (2560, 1440)])
+def test_what_would_be_faster_fits_and_pushes_out_nothing_that_matters(size):
+    now, sim = [0.0], simulation("blow")
+    meter, height = hud.Meter(clock=lambda: now[0]), text_height(size[1])
+    paced(meter, now, 4.0, 0.004, 0.03)
+    advice = hud.faster(meter, quicker="--view gui", shortens=lambda: True)
+    (with_it, _), (without, _) = (
+        hud.status_rows(
+            sim, "test", state=Word("playing", style.GOOD), tool="blow",
+            rates=hud.rates(meter, said),
+        )
+        for said in (advice, None)
+    )  # fmt: skip
+    fitted = [
+        [*itertools.chain(*text.fitted(row.left, row.right, size[0], height))]
+        for row in (with_it, without)
+    ]
+    more_important = [word for word in fitted[1] if word.rank < advice.rank]
+    assert [word for word in fitted[0] if word.rank < advice.rank] == more_important
+    assert advice in fitted[0]
 
 
 def frames_said(pictures):

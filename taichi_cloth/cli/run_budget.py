@@ -18,7 +18,7 @@ from taichi_cloth.ui.chrome.budget import METHOD, OFF, SETS
 from taichi_cloth.ui.text import Word
 
 if TYPE_CHECKING:
-    from taichi_cloth.budgets.keeper import Keeper
+    from taichi_cloth.budgets.keeper import Keeper, StableSteps
     from taichi_cloth.simulation.live import Value
     from taichi_cloth.simulation.simulation import Simulation
     from taichi_cloth.ui.interaction import Log
@@ -57,6 +57,7 @@ class HeldBudget:
         self._sim, self._errors, self._kept = sim, errors, kept
         self._windowed, self._told, self._layered = windowed, told, layered
         self._keeper: Keeper | None = None
+        self._stable: StableSteps | None = None
         self._frames = self._in_time = 0
         self._substeps: list[int] = []
         self._changing, self._compiled = False, 0.0  # the method; seconds that such frames took
@@ -85,6 +86,21 @@ class HeldBudget:
     def plain(self) -> bool:
         """Whether pictures are drawn plain, for a frame's time."""
         return self._keeper is not None and self._keeper.drawing.plain
+
+    @property
+    def shortens(self) -> bool:
+        """Whether to hold frames a second would make frames shorter: with the fewest substeps that
+        are stable, where there are more, and no such budget has chosen them.
+        """
+        if self.fixed or (self._keeper is not None and self._keeper.goal.seconds is not None):
+            return False
+        if self._sim.substeps == 1:
+            return False
+        if self._stable is None:
+            from taichi_cloth.budgets.keeper import StableSteps
+
+            self._stable = StableSteps(self._sim)
+        return self._stable.least() < self._sim.substeps
 
     def status(self) -> Word | None:
         """What the status says of it."""

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 FRAME_RATE = 60.0  # frames a second that count as real time
 WINDOW = 0.75  # seconds over which rates are averaged
+ON_TIME = 0.95  # of these: fewer a second are late
+LATE = 2.0  # seconds for which frames have come late before it is said what would be faster
+BUSY = 0.9  # of a frame's time: where they take less to simulate and draw, something else is slow
 REFRESH = 0.4  # seconds between changes of the rates: each takes 2 to 4 ms to write and draw
 # Beside the rates, where the execution was asked for and threads only wait.
 HELD_UP = Word("threads wait for another program", style.WARN, 4)
@@ -37,6 +40,7 @@ class Meter:
         self._busy = 0.0  # seconds since frames began to be due, pauses left out
         self._done = 0
         self._last: float | None = None
+        self._late_since: float | None = None
         self._skip = True
 
     def frame(self, simulate: float, draw: float) -> None:
@@ -52,10 +56,14 @@ class Meter:
             self._busy += now - self._last
             self._done += 1
         self._last = now
+        if self.frames_per_second > ON_TIME * FRAME_RATE:
+            self._late_since = None
+        elif self._late_since is None:
+            self._late_since = now
 
     def interrupt(self) -> None:
         """Frames are not due until the next one (a pause)."""
-        self._last = None
+        self._last = self._late_since = None
         self._frames.clear()
 
     def restart(self) -> None:
@@ -70,6 +78,13 @@ class Meter:
             return 0.0
         span = self._frames[-1][0] - self._frames[0][0]
         return (len(self._frames) - 1) / span if span > 0 else 0.0
+
+    @property
+    def late(self) -> float:
+        """Seconds for which frames have come late all the time; 0: they do not."""
+        if self._late_since is None or self._last is None:
+            return 0.0
+        return self._last - self._late_since
 
     @property
     def simulate(self) -> float:
@@ -87,13 +102,15 @@ class Meter:
         return max(0.0, self._busy - self._done / FRAME_RATE)
 
 
-def rates(meter: Meter) -> tuple[Word, ...]:
-    """How fast a window runs, and what a frame takes."""
+def rates(meter: Meter, advice: Word | None = None) -> tuple[Word, ...]:
+    """How fast a window runs, and what a frame takes. advice: what would be `faster`."""
     rate = meter.frames_per_second
     if rate == 0:
         return ()
-    late = rate <= 0.95 * FRAME_RATE
+    late = rate <= ON_TIME * FRAME_RATE
     words = [Word(f"{rate:.0f} frames/s", style.WARN if late else style.GOOD, 1)]
+    if late and advice is not None:
+        words.append(advice)
     if late:
         speed = rate / FRAME_RATE
         behind = f"{meter.behind:.1f} s behind real time ({speed:.2f}x)"
@@ -101,6 +118,25 @@ def rates(meter: Meter) -> tuple[Word, ...]:
     words.append(Word(f"simulate {1e3 * meter.simulate:.2f} ms", style.MUTED, 6))
     words.append(Word(f"draw {1e3 * meter.draw:.1f} ms", style.MUTED, 7))
     return tuple(words)
+
+
+def faster(meter: Meter, *, quicker: str, shortens: Callable[[], bool]) -> Word | None:
+    """The one thing by which late frames would be shorter; None: they are not late, or nothing is
+    known to help.
+
+    quicker: the flag of a view that draws quicker here, "" where none is known to. shortens:
+    whether to hold frames a second would make frames shorter; asked only where that is the matter.
+    """
+    simulate, draw = meter.simulate, meter.draw
+    if meter.late < LATE or simulate + draw < BUSY / FRAME_RATE:
+        return None
+    if draw > simulate:
+        helps = ", ".join(filter(None, ("smaller window", quicker)))
+    elif shortens():
+        helps = f"hold {FRAME_RATE:.0f}fps (o)"
+    else:
+        return None
+    return Word(f"faster: {helps}", style.KEY_INK, 5)
 
 
 def buttons(

@@ -30,6 +30,7 @@ from taichi_cloth.ui.request import Request
 from taichi_cloth.ui.run_state import RunState
 from taichi_cloth.ui.status import Status
 from taichi_cloth.ui.takes import Takes
+from taichi_cloth.ui.text import Word
 from taichi_cloth.ui.travel import Travel
 from taichi_cloth.ui.views.contract import Picture, View
 
@@ -237,8 +238,17 @@ class Presentation:
             budget=self._budget.status() if self._budget else None,
             in_view=self._in_view,
             found=self.pair.second.finding() if self.pair else None,
+            faster=self._faster,
         )
         return Contents(rows, self._buttons, keys, banner)
+
+    def _faster(self) -> Word | None:
+        """What would make late frames shorter; a script has no flags, and no budget."""
+        budget = self._budget
+        quicker = self._view.quicker if budget else ""
+        return hud.faster(
+            self.meter, quicker=quicker, shortens=lambda: budget is not None and budget.shortens
+        )
 
     def _in_view(self) -> bool:
         """Whether any particle is in the picture, or there is none at all."""

@@ -51,6 +51,7 @@ class Status:
         budget: Word | None = None,
         in_view: Callable[[], bool] | None = None,
         found: Word | None = None,
+        faster: Callable[[], Word | None] = lambda: None,
     ) -> tuple[Row, ...]:
         """The status of the frame that `sim` is at.
 
@@ -58,7 +59,7 @@ class Status:
         has the same pictures. state: of a window, in a word; None without one. moving: whether
         frames come, at full speed. tool: the one in hand. notice: what was last told. urgent: what
         is told before. budget: what is held. in_view: says whether any particle is.
-        found: what differs first in a run beside it.
+        found: what differs first in a run beside it. faster: says what would be.
         """
         if notice != self._notice:
             self._notice, self._notice_until = notice, now + NOTICE_SECONDS
@@ -70,7 +71,7 @@ class Status:
             self._budget = budget
             if now >= self._rates_due:
                 self._rates_due = now + hud.REFRESH
-                self._rates = hud.rates(self.meter) if moving else ()
+                self._rates = hud.rates(self.meter, faster()) if moving else ()
                 if now < self._held_up_until:
                     self._rates += (hud.HELD_UP,)
                 self._lost = in_view is not None and not in_view()

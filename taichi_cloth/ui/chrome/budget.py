@@ -21,7 +21,8 @@ class Budget(Protocol):
 
     words: what may be chosen, `OFF` first. chosen: which is. fixed: why none can be; "": one can.
     why: what it chose last, and why, in a sentence. about: what a word means. plain: whether
-    pictures are drawn plain, for a frame's time.
+    pictures are drawn plain, for a frame's time. shortens: whether to hold frames a second would
+    make frames shorter than they are now.
     """
 
     chosen: str
@@ -36,6 +37,9 @@ class Budget(Protocol):
 
     @property
     def plain(self) -> bool: ...
+
+    @property
+    def shortens(self) -> bool: ...
 
     def status(self) -> Word | None:
         """What the status says of it; None: nothing is held."""

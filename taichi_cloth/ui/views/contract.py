@@ -116,9 +116,11 @@ class View(Protocol):
     text_size: of what is written around the world, in parts of the usual.
     room: the part of the window that the world is drawn in; None: all of it. Read at every draw.
     look: which part of a 2-D world is seen there; None: all of it. Read at every draw.
+    quicker: the flag of a view that draws quicker on this machine; "": none is known to.
     """
 
     name: str
+    quicker: str
     camera: Camera | None
     room: Rect | None
     look: Look | None

@@ -51,7 +51,8 @@ class GguiView:
         self._had_settings = SETTINGS.exists()
         with x11.opening() as displays:
             self._window = shaders.open_window(title, size, visible=visible)
-        descriptor_pools.limit()
+        # Which is done where Mesa's software driver draws: ti.GUI's kernels take less than that.
+        self.quicker = "--view gui" if descriptor_pools.limit() else ""
         self._composer = Composer(self._window)
         self._pair: PairComposer | None = None  # of two worlds beside each other
         self._tap = x11.connect(title, displays) if visible else None

@@ -41,6 +41,7 @@ class GuiView:
     """A ti.GUI window, or with `visible` False the same picture in memory."""
 
     name = "gui"
+    quicker = ""
     _opened = 0
 
     def __init__(self, world: World, size: tuple[int, int], title: str, *, visible: bool = True):

@@ -17,6 +17,7 @@ class NullView:
     """A view that reports no events and draws nothing."""
 
     name = "none"
+    quicker = ""
     visible = False
     has_wheel = False
     closed = False
