@@ -171,7 +171,7 @@ def test_each_part_is_described_and_measures(capsys):
     assert main(["bench", "--help"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     for part in benchmarks.PARTS:
-        module = importlib.import_module(f"taichi_cloth.benchmarks.{part}")
+        module = importlib.import_module(benchmarks.module_of(part))
         assert inspect.isgeneratorfunction(module.measure) and part == module.PART
         assert benchmarks.summary(part) in shown
 

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taichi_cloth import console
-from taichi_cloth.benchmarks import PARTS, contacts, report, summary
+from taichi_cloth.benchmarks import PARTS, contacts, module_of, report, summary
 from taichi_cloth.benchmarks.contest import Bench
+from taichi_cloth.benchmarks.equal_error import picture, runs_file
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.pending import prepare_folder, write_whole
 from taichi_cloth.measuring import machine
@@ -72,14 +73,14 @@ def _measure(
     part: str, rounds: int, options: BenchOptions, to: Console
 ) -> list[report.Measurement]:
     """All rows of a part, what it left out at the end."""
-    module = importlib.import_module(f"taichi_cloth.benchmarks.{part}")
+    module = importlib.import_module(module_of(part))
     with console.progress(("spinner", "text", "bar", "elapsed"), on=to) as show:
 
         def tell(text: str, done: int, total: int) -> None:
             show(f"{part}: {text}", done, total)
 
         show(part, 0, 1)
-        bench = Bench(rounds, options.quick, options.arch, tell)
+        bench = Bench(rounds, options.quick, options.arch, tell, Path(options.output))
         try:
             return [*module.measure(bench), *bench.left_out]
         finally:
@@ -87,16 +88,37 @@ def _measure(
 
 
 def fill_document(path: Path, folder: Path, say: Callable[[str], None]) -> None:
-    """Make a document's tables, and the plot beside it, anew from the results in `folder`."""
+    """Make a document's tables, and the plots beside it, anew from the results in `folder`."""
     text = path.read_text("utf-8")
     new = report.fill(text, folder, machine.file_name())
     if new != text:
         write_whole(path, new.encode())
     say(f"tables filled: {path}")
     images = path.parent / "images"
-    plotted = [name for part, name in report.used(text) if part == "contacts"]
-    if plotted and images.is_dir():
-        rows = report.read(folder / f"{plotted[0] or machine.file_name()}.csv")[1]
-        rows = [row for row in rows if row.part == "contacts"]
-        contacts.plot(rows, images / "contacts.png")
-        say(f"plotted: {images / 'contacts.png'}")
+    if images.is_dir():
+        for part, name in report.used(text):
+            for plot, file in PLOTS.get(part, {}).items():
+                if plot(folder, name or machine.file_name(), images / file):
+                    say(f"plotted: {images / file}")
+
+
+def _plot_contacts(folder: Path, name: str, path: Path) -> bool:
+    rows = [row for row in report.read(folder / f"{name}.csv")[1] if row.part == "contacts"]
+    contacts.plot(rows, path)
+    return True
+
+
+def _plot_accuracy(folder: Path, name: str, path: Path) -> bool:
+    """Whether the search was made on that machine, and so could be plotted."""
+    search = folder / f"{name}{runs_file.SUFFIX}"
+    if search.exists():
+        write_whole(path, picture.draw(runs_file.read(search)))
+    return search.exists()
+
+
+# What is plotted beside a document that has a part's table: from the folder of results and the
+# name of a machine to a file; whether there was anything to plot.
+PLOTS = {
+    "contacts": {_plot_contacts: "contacts.png"},
+    "accuracy": {_plot_accuracy: "equal-error.png"},
+}

@@ -84,7 +84,8 @@ class Bench:
     """One run of the benchmark: its settings, its processes, and what it left out.
 
     rounds: counted rounds of each contest. quick: smaller sizes. arch: backend of the part `gpu`,
-    None for all there are. tell: shown what is going on.
+    None for all there are. tell: shown what is going on. results: the folder of the results, where
+    a part keeps files of its own; None: nothing is kept.
     """
 
     def __init__(
@@ -93,8 +94,10 @@ class Bench:
         quick: bool = False,
         arch: str | None = None,
         tell: Tell = tell_nobody,
+        results: Path | None = None,
     ):
         self.rounds, self.quick, self.arch, self.tell = rounds, quick, arch, tell
+        self.results = results
         self.threads = runtime.available_cores()
         self.left_out: list[Measurement] = []
         self._folder = tempfile.TemporaryDirectory(prefix="taichi-cloth-bench-")

@@ -8,20 +8,21 @@ Both are the installed `newton`, with its contacts off; on the CPU it has one th
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
-from taichi_cloth.benchmarks import ours
+from taichi_cloth.benchmarks import newton_model, ours
 from taichi_cloth.benchmarks.cloths import WARP, WARP_FRAME, WARP_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
+from taichi_cloth.benchmarks.newton_model import Stepper, model_of
 from taichi_cloth.benchmarks.report import Measurement
-from taichi_cloth.benchmarks.warp import SECOND, enter_ours, their_cloth
+from taichi_cloth.benchmarks.warp import SECOND, enter_ours
 from taichi_cloth.measuring import machine
+from taichi_cloth.scene import library
 
 PART = "newton"
 SIZES = {32: 15, 128: 6}  # side of the cloth: frames in a round
-SOLVERS = {"Newton, semi-implicit": "SolverSemiImplicit", "Newton, XPBD": "SolverXPBD"}
+SOLVERS = ("Newton, semi-implicit", "Newton, XPBD")
 
 
 def measure(bench: Bench) -> Iterator[Measurement]:
@@ -59,7 +60,7 @@ def _enter(bench: Bench, name: str, side: int, size: str, frames: int) -> Contes
         PART,
         name,
         f"{__name__}:Solver",
-        {"solver": SOLVERS[name], "side": side, "folder": str(bench.folder)},
+        {"solver": newton_model.SOLVERS[name][0], "side": side},
         library="newton",
         precision="f32",
         threads=1,
@@ -74,37 +75,11 @@ def _enter(bench: Bench, name: str, side: int, size: str, frames: int) -> Contes
 class Solver:
     """A solver of Newton's on Warp's cloth, in the contestants' process; a unit is a frame."""
 
-    def __init__(self, solver: str, side: int, folder: str):
-        import newton
-
-        cloth = their_cloth(side, Path(folder))
-        builder = newton.ModelBuilder(up_axis=newton.Axis.Y)  # its gravity is 9.81, like Warp's
-        mass = np.where(cloth.inv_masses > 0, 1 / np.maximum(cloth.inv_masses, 1e-9), 0.0)
-        builder.add_particles(
-            pos=cloth.positions.tolist(),
-            vel=cloth.velocities.tolist(),
-            mass=mass.tolist(),
-            radius=[0.0] * cloth.num_particles,  # no contacts
-        )
-        for (i, j), k, c in zip(
-            cloth.spring_indices.reshape(-1, 2).tolist(),
-            cloth.spring_stiffness.tolist(),
-            cloth.spring_damping.tolist(),
-            strict=True,
-        ):
-            builder.add_spring(i, j, k, c, 0.0)
-        model = builder.finalize(device="cpu")
-        model.particle_grid = None  # which contacts would need
-        self.solver = getattr(newton.solvers, solver)(model)
-        self.control = model.control()
-        self.now, self.next = model.state(), model.state()
+    def __init__(self, solver: str, side: int):
+        self._stepper = Stepper(model_of(library.build("warp", side=side)), solver)
 
     def advance(self, units: int) -> None:
-        for _ in range(units * WARP_SUBSTEPS):
-            self.now.clear_forces()
-            self.solver.step(self.now, self.next, self.control, None, WARP_FRAME / WARP_SUBSTEPS)
-            self.now, self.next = self.next, self.now
+        self._stepper.advance(WARP_FRAME / WARP_SUBSTEPS, units * WARP_SUBSTEPS)
 
     def positions(self) -> np.ndarray:
-        x: np.ndarray = self.now.particle_q.numpy()
-        return x
+        return self._stepper.positions()

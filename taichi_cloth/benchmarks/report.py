@@ -24,9 +24,10 @@ if TYPE_CHECKING:
 class Measurement:
     """One result: a timed setting, the ratio of two (`target` says what it should be), or a gap.
 
-    size: columns x rows, or a count. seconds, lower, upper: median and quartiles of a step's
-    time. rate: in `unit`. error: largest distance of a particle from what `against` names.
-    rounds: how many were counted. note: what was left out and why, or what to know about it.
+    size: columns x rows, a count, or a scene. seconds, lower, upper: median and quartiles of a
+    step's time, or of what `EACH` says. rate: in `unit`. error: largest distance of a particle from
+    what `against` names, or as that says. rounds: how many were counted. note: what was left
+    out and why, or what to know about it.
     """
 
     part: str
@@ -121,6 +122,7 @@ def replace_part(
 
 MACHINE = "machine"  # the marker of the machine's description
 MARKED = "bench"  # what marks a document's places
+EACH = {"accuracy": "frame"}  # what a part's times are of, where that is no step
 
 
 def tables(rows: Sequence[Measurement]) -> list[tuple[list[str], list[list[str]]]]:
@@ -135,7 +137,7 @@ def tables(rows: Sequence[Measurement]) -> list[tuple[list[str], list[list[str]]
             "numbers": [row.precision for row in timed],
             "threads": [str(row.threads or "") for row in timed],
             "path": [", ".join(filter(None, (row.topology, row.execution))) for row in timed],
-            "time a step": [duration(row.seconds) for row in timed],
+            f"time a {EACH.get(timed[0].part, 'step')}": [duration(row.seconds) for row in timed],
             "quartiles": [f"{duration(row.lower)} .. {duration(row.upper)}" for row in timed],
             **_rates(timed),
             "error": ["" if row.error is None else f"{row.error:.1e}" for row in timed],

@@ -1,0 +1,175 @@
+"""Who takes part: ours, Newton's and SciPy's solvers, each as something that runs a `Choice`."""
+
+from __future__ import annotations
+
+import math
+import pickle
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from taichi_cloth.benchmarks import newton_model
+from taichi_cloth.benchmarks.contest import Bench
+from taichi_cloth.benchmarks.equal_error.problems import Problem
+from taichi_cloth.benchmarks.equal_error.search import Choice, Tried
+from taichi_cloth.benchmarks.equal_error.truth import Truth
+from taichi_cloth.console import Tell
+from taichi_cloth.measuring.worker import Worker, WorkerFailed
+from taichi_cloth.trade.errors import Samples
+
+OURS = "ours"
+HERE = "taichi_cloth.benchmarks.equal_error"
+# The solvers of `scipy_runs`, which is imported where they run.
+SCIPY = {"SciPy, DOP853": "DOP853", "SciPy, Radau": "Radau", "SciPy, BDF": "BDF"}
+MOST_SUBSTEPS = 1 << 16
+ITERATIONS, QUICK_ITERATIONS = (1, 2, 5, 10, 20, 50), (2, 10)
+TOLERANCES = tuple(10.0**-k for k in range(1, 13))
+# Of our implicit methods, whose own tolerance is tried, too: None.
+OUR_TOLERANCES, QUICK_TOLERANCES = (None, 1e-2, 1e-4), (None,)
+QUICK_METHODS = ("verlet", "rk4", "tr_bdf2")
+BUDGET = 0.1  # seconds for timing a choice in the search
+TIMED_ALONE = 1  # threads of everyone: scenes this small gain nothing by more
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A solver: its group, of whose members the cheapest counts; its name; its class in a process.
+
+    ladders: choices to climb, each ladder coarsest first. package: what has to be installed.
+    """
+
+    group: str
+    name: str
+    trial: str
+    arguments: dict[str, Any]
+    ladders: tuple[tuple[Choice, ...], ...]
+    precision: str = "f64"
+    package: str = "taichi"
+
+
+def kinds(quick: bool) -> Iterator[Kind]:
+    """All that take part."""
+    yield from _ours(quick)
+    counts = QUICK_ITERATIONS if quick else ITERATIONS
+    for name, (solver, iterates) in newton_model.SOLVERS.items():
+        ladders = [_steps(iterations=count) for count in (counts if iterates else (None,))]
+        trial, arguments = f"{HERE}.newton_runs:NewtonTrial", {"solver": solver}
+        yield Kind(name, name, trial, arguments, tuple(ladders), "f32", "newton")
+    ladder = tuple(Choice(tolerance=tolerance) for tolerance in TOLERANCES)
+    for name, solver in SCIPY.items():
+        trial = f"{HERE}.scipy_runs:ScipyTrial"
+        yield Kind(name, name, trial, {"solver": solver}, (ladder,), package="scipy")
+
+
+def _ours(quick: bool) -> Iterator[Kind]:
+    from taichi_cloth.kernels import methods
+
+    counts = QUICK_ITERATIONS if quick else ITERATIONS
+    residuals = QUICK_TOLERANCES if quick else OUR_TOLERANCES
+    for method in QUICK_METHODS if quick else methods.METHODS:
+        claims = methods.load(method).claims
+        ladders: tuple[tuple[Choice, ...], ...] = (_steps(),)
+        if "iterations" in claims.settings:
+            ladders = tuple(_steps(iterations=count) for count in counts)
+        elif "tolerance" in claims.settings:
+            ladders = tuple(_steps(tolerance=residual) for residual in residuals)
+        # Methods of the first order do not come to where f32 ends.
+        for precision in ("f32",) if claims.order < 2 else ("f32", "f64"):
+            arguments = {
+                "method": method,
+                "arch": "cpu",
+                "precision": precision,
+                "fast_math": precision == "f32",
+                "threads": TIMED_ALONE,
+                "topology": "lanes",
+                "execution": "serial",
+            }
+            name, trial = f"{OURS}, {method}, {precision}", "taichi_cloth.trade.trial:Trial"
+            yield Kind(OURS, name, trial, arguments, ladders, precision)
+
+
+def _steps(**solver: Any) -> tuple[Choice, ...]:
+    doublings = range(MOST_SUBSTEPS.bit_length())
+    return tuple(Choice(substeps=1 << k, **solver) for k in doublings)
+
+
+@dataclass
+class Entrant:
+    """A solver on a problem, in its process: called with a choice, it runs and times it.
+
+    Raises WorkerFailed where the process is lost.
+    """
+
+    kind: Kind
+    problem: Problem
+    truth: Truth
+    worker: Worker
+    key: str
+    folder: Path
+    tell: Tell
+    about: dict[str, Any] = field(default_factory=dict)
+
+    def __call__(self, choice: Choice) -> Tried:
+        self.tell(f"{self.problem.name}: {self.kind.name}, {choice.describe()}", 0, 1)
+        file = self.folder / "sample.npz"
+        frames = self.truth.frames
+        try:
+            done = self._ask("sample", choice, file=str(file))
+        except WorkerFailed as failure:
+            if not self.worker.alive:
+                raise
+            return Tried(choice, failed=str(failure))
+        try:
+            if done["failed"]:
+                seconds = done["sampled_in"]
+                a_frame = seconds / frames if math.isfinite(seconds) else None
+                return Tried(choice, None, a_frame, done["failed"].removeprefix("failed: "))
+            error = self.truth.error_of(Samples.read(file))
+            if error is None:
+                return Tried(choice, None, done["sampled_in"] / frames, "is not finite")
+        finally:
+            file.unlink(missing_ok=True)
+        return Tried(choice, error, min(self.time(choice, BUDGET)))
+
+    def time(self, choice: Choice, budget: float = 0.0) -> list[float]:
+        """Seconds a frame of runs of a choice: one, and more while there is budget."""
+        seconds = self._ask("time", choice, budget=budget)
+        return [whole / self.truth.frames for whole in seconds]
+
+    def _ask(self, do: str, choice: Choice, **more: Any) -> Any:
+        given = {"iterations": choice.iterations, "tolerance": choice.tolerance}
+        asked: dict[str, Any] = {
+            "dt": self.problem.scene.world.dt,
+            "frames": self.truth.frames,
+            "solver": {name: value for name, value in given.items() if value is not None},
+        }
+        if choice.substeps is not None:
+            asked["substeps"] = choice.substeps
+        return self.worker.ask(of=self.key, do=do, **{"with": asked | more})["result"]
+
+
+def enter(
+    bench: Bench, part: str, kind: Kind, problem: Problem, truth: Truth, patience: float
+) -> Entrant | None:
+    """The entrant in its process; None, which is noted, where it cannot be made.
+
+    patience: seconds that a run of a solver that chooses its own steps may take.
+    """
+    bench.tell(f"{problem.name}: preparing {kind.name}", 0, 1)
+    file = bench.folder / f"{re.sub('[^a-z0-9]+', '-', problem.name.lower())}.pickle"
+    if not file.exists():
+        file.write_bytes(pickle.dumps(problem.scene))
+    arguments = {"scene": str(file), **kind.arguments}
+    if kind.package == "scipy":
+        own = {"length": truth.scale, "speed": truth.speed, "patience": patience}
+        arguments |= own
+    key = f"{problem.name}: {kind.name}"
+    worker = bench.worker(kind.package, kind.precision, TIMED_ALONE)
+    try:
+        about = worker.ask(make=kind.trial, **{"as": key, "with": arguments})["result"]
+    except WorkerFailed as failure:
+        bench.leave_out(part, kind.name, problem.name, str(failure))
+        return None
+    return Entrant(kind, problem, truth, worker, key, bench.folder, bench.tell, about)

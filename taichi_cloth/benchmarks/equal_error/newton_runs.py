@@ -1,0 +1,66 @@
+"""Newton's solvers as trials: a scene of ours, run in any number of steps and iterations."""
+
+from __future__ import annotations
+
+import pickle
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_cloth.benchmarks.newton_model import Stepper, model_of
+
+
+class NewtonTrial:
+    """Runs in the contestants' process, asked as `trade.trial.Trial` is.
+
+    scene: file of a pickled `Scene`. solver: the name of Newton's class.
+    """
+
+    def __init__(self, scene: str, solver: str):
+        self._scene = pickle.loads(Path(scene).read_bytes())
+        self._solver, self._model = solver, model_of(self._scene)
+        self._compiled = False
+
+    def sample(
+        self, dt: float, substeps: int, solver: dict[str, Any], frames: int, file: str
+    ) -> dict[str, Any]:
+        """Run so many frames; their states go to `file` (npz), as those of a `Trial`."""
+        if not self._compiled:
+            self._begin(solver).advance(dt / substeps, 1)
+            self._compiled = True
+        stepper, dim = self._begin(solver), self._scene.world.dim
+        states = [_state(stepper, dim)]
+        seconds, failed = 0.0, ""
+        for frame in range(1, frames + 1):
+            begin = time.perf_counter()
+            stepper.advance(dt / substeps, substeps)
+            seconds += time.perf_counter() - begin
+            states.append(_state(stepper, dim))
+            if not np.isfinite(states[-1]).all():
+                failed = f"failed: frame {frame} is not finite"
+                break
+        x, v = np.stack(states, axis=1)
+        np.savez(file, x=x, v=v, alive=np.ones((len(x), 0), bool), contacts=np.zeros((0, 3)))
+        return {"failed": failed, "sampled_in": seconds}
+
+    def time(
+        self, dt: float, substeps: int, solver: dict[str, Any], frames: int, budget: float
+    ) -> list[float]:
+        """Seconds of runs of so many frames, at least one, until `budget` seconds are spent."""
+        seconds: list[float] = []
+        while not seconds or sum(seconds) < budget:
+            stepper = self._begin(solver)
+            begin = time.perf_counter()
+            stepper.advance(dt / substeps, substeps * frames)
+            seconds.append(time.perf_counter() - begin)
+        return seconds
+
+    def _begin(self, settings: dict[str, Any]) -> Stepper:
+        return Stepper(self._model, self._solver, **settings)
+
+
+def _state(stepper: Stepper, dim: int) -> np.ndarray:
+    """Positions and velocities (2, n, dim)."""
+    return np.stack([stepper.positions(), stepper.velocities()])[:, :, :dim]

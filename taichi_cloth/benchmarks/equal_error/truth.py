@@ -1,0 +1,77 @@
+"""The one reference that all solvers of a scene are compared to (`trade.reference`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_cloth.benchmarks.equal_error.problems import Problem
+from taichi_cloth.console import Tell
+from taichi_cloth.trade.conditions import RunConditions
+from taichi_cloth.trade.errors import Samples, distance
+from taichi_cloth.trade.reference import fine_method
+from taichi_cloth.trade.runner import Study
+from taichi_cloth.trade.settings import Setting
+
+
+@dataclass(frozen=True)
+class Truth:
+    """States at the ends of frames, and what they are worth.
+
+    what: where they come from, and what confirms them. scale: the largest displacement of a
+    particle, to which errors are relative. floor: the least error, in parts of it, that they can
+    tell from none. speed: the largest of a particle at the end of a frame.
+    """
+
+    samples: Samples
+    free: np.ndarray
+    what: str
+    scale: float
+    floor: float
+    speed: float
+
+    @property
+    def frames(self) -> int:
+        return len(self.samples) - 1
+
+    def error_of(self, run: Samples) -> float | None:
+        """Root of the mean square distance of a particle over all frames, in parts of the scale.
+
+        None where the run is not as long, or not finite.
+        """
+        if len(run) != len(self.samples) or not np.isfinite(run.x).all():
+            return None
+        with np.errstate(over="ignore"):
+            error = distance(run, self.samples, self.free).trajectory / self.scale
+        return error if np.isfinite(error) else None
+
+
+def truth_of(problem: Problem, patience: float, tell: Tell) -> Truth | str:
+    """The reference of a problem, or why there is none.
+
+    DOP853 at a tolerance of 1e-13, confirmed by ours of the highest order in f64 at fine steps, or
+    that alone, confirmed by steps four times as long, where the former takes too long; both over as
+    many of the frames as round-off leaves alone. patience: seconds for each of them.
+    """
+    scene = problem.scene
+    # What a study compares is of no interest here: one run, beside its references.
+    asked = [Setting(fine_method(), scene.world.dt, 1)]
+    how = RunConditions("lanes", "serial", threads=1, budget=0.0, patience=patience)
+    study = Study([scene], asked, problem.frames, how)
+    study.tell = lambda text, done, total: tell(f"{problem.name}: reference: {text}", done, total)
+    try:
+        (result,) = study.run()
+        if result.interrupted:
+            raise result.interrupted
+        found, horizon = result.reference, result.horizon
+        if found is None or horizon is None:
+            return "no reference could be computed"
+        floor = found.floor(horizon) / horizon.scale
+        apart = found.apart.trajectory / horizon.scale
+        what = f"{found.what}, confirmed by {found.against} to {apart:.1e}"
+        free = ~scene.particles.fixed
+        speed = float(np.linalg.norm(found.samples.v[:, free], axis=2).max())
+        return Truth(found.samples.first(horizon.frames), free, what, horizon.scale, floor, speed)
+    finally:
+        study.close()

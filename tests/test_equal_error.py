@@ -1,0 +1,256 @@
+"""The bench of equal error: its search, its contestants against closed forms, its rows."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from selection import thorough
+
+from taichi_cloth.benchmarks import contest, equal_error, newton_model
+from taichi_cloth.benchmarks.equal_error import contestants, picture, problems, runs_file
+from taichi_cloth.benchmarks.equal_error.scipy_runs import ScipyTrial, jacobian_pattern
+from taichi_cloth.benchmarks.equal_error.search import Choice, Tried, cheapest, climb, search_all
+from taichi_cloth.benchmarks.equal_error.truth import Truth
+from taichi_cloth.errors import InputError
+from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.trade import ode
+from taichi_cloth.trade.errors import Samples
+
+AT_ONE = "a little cloth: 1 %"
+LADDER = tuple(Choice(substeps=1 << k) for k in range(12))
+
+
+def model_run(order, cost=1.0, stable_from=1, floor=0.0):
+    """A run that errs by (10 / substeps)^order at most, at a cost in proportion to its substeps."""
+
+    def run(choice):
+        if choice.substeps < stable_from:
+            return Tried(choice, failed="flew apart")
+        error = max((10 / choice.substeps) ** order / 10, floor)
+        return Tried(choice, error, cost * choice.substeps)
+
+    return run
+
+
+# ------------------------------------------------------------------------------------------
+# The search
+
+
+def test_a_climb_ends_where_the_finest_level_is_met():
+    tried = climb(model_run(2, stable_from=4), LADDER, limit=1e9, finest=1e-4)
+    assert [t.choice.substeps for t in tried] == [1, 2, 4, 8, 16, 32, 64, 128, 256, 512]
+    assert [bool(t.failed) for t in tried] == [True, True] + [False] * 8
+    assert tried[-1].meets(1e-4) and not tried[-2].meets(1e-4)
+
+
+def test_a_climb_ends_where_it_costs_too_much_or_gains_nothing():
+    dear = climb(model_run(1), LADDER, limit=20, finest=1e-9)
+    assert dear[-1].choice.substeps == 32
+    flat = climb(model_run(2, floor=1e-3), LADDER, limit=1e9, finest=1e-9)
+    assert flat[-1].choice.substeps == 128 << 3  # the first at the floor, and three no better
+
+
+def test_the_search_finds_the_cheapest_between_the_rungs():
+    """Of a second-order solver and a dear one of the fourth: steps to 9 % of the fewest there are.
+
+    Errors (10 / n)^p / 10: the fewest that meet 1e-4 are 10 * 1000^(1/p).
+    """
+
+    def run(choice):
+        order = 4 if choice.iterations == 2 else 2
+        done = model_run(order, cost=order)(Choice(substeps=choice.substeps))
+        return replace(done, choice=choice)
+
+    ladders = [[replace(rung, iterations=count) for rung in LADDER] for count in (1, 2)]
+    tried = search_all(run, ladders, limit=1e9)
+    for level in equal_error.LEVELS:
+        best = cheapest(tried, level)
+        fewest = {p: max(1, 10 * (0.1 / level) ** (1 / p)) for p in (2, 4)}
+        ideal = min(p * n for p, n in fewest.items())
+        assert best.error <= level and ideal <= best.seconds < 1.2 * ideal
+    assert cheapest(tried, 1e-9) is None
+
+
+def test_tolerances_have_a_middle_too():
+    coarse, fine = Choice(tolerance=1e-2), Choice(tolerance=1e-4)
+    assert coarse.between(fine).tolerance == pytest.approx(1e-3)
+    assert Choice(substeps=4).between(Choice(substeps=5)) is None
+    assert fine.describe() == "tolerance 0.0001"
+    assert Choice(substeps=1, iterations=5).describe() == "1 substep, 5 iterations"
+
+
+# ------------------------------------------------------------------------------------------
+# The contestants
+
+
+def net(damping=0.3, dim=3):
+    """Five particles of different masses, one of them held, tied by eight springs, all moving."""
+    rng = np.random.default_rng(3)
+    position = 1.0 + rng.uniform(0, 1, (5, dim))
+    between = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [0, 2], [1, 3], [2, 4], [0, 4]])
+    return Scene(
+        name="net",
+        world=World(size=(3.0,) * dim, gravity=(0.0, -2.0, 0.5)[:dim], dt=0.05),
+        particles=Particles.build(
+            position,
+            rng.normal(0, 0.2, position.shape),
+            fixed=[False, True, False, False, False],
+            mass=[1.0, 2.0, 0.5, 1.5, 3.0],
+            viscous=0.0,
+            radius=0.0,
+        ),
+        springs=Springs.build(
+            between,
+            position,
+            stiffness=rng.uniform(5, 20, 8),
+            rest_length=rng.uniform(0.5, 1.0, 8),
+            damping=damping,
+        ),
+    )
+
+
+def start_of(scene):
+    fixed = scene.particles.fixed[:, None]
+    return scene.particles.position, np.where(fixed, 0.0, scene.particles.velocity)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_newtons_model_has_our_forces(dim):
+    """Its semi-implicit solver beside the same steps of our forces' twins, to f32's round-off."""
+    pytest.importorskip("newton")
+    scene = net(dim=dim)
+    stepper = newton_model.Stepper(newton_model.model_of(scene), "SolverSemiImplicit")
+    (x, v), forces = start_of(scene), ode.Forces(scene)
+    for _ in range(20):
+        v = v + 0.01 * forces.acceleration(x, v)
+        x = x + 0.01 * v
+    stepper.advance(0.01, 20)
+    np.testing.assert_allclose(stepper.positions(), newton_model.in_space(x), atol=3e-6)
+    np.testing.assert_allclose(stepper.velocities(), newton_model.in_space(v), atol=3e-5)
+
+
+def test_newtons_vbd_on_our_model_converges_to_implicit_euler():
+    """v1 = v0 + h a(x1): what is left of it after many iterations is f32's round-off."""
+    pytest.importorskip("newton")
+    scene, h = net(damping=0.0), 0.05
+    stepper = newton_model.Stepper(newton_model.model_of(scene), "SolverVBD", iterations=200)
+    (_, v0), forces = start_of(scene), ode.Forces(scene)
+    stepper.advance(h, 1)
+    x1, v1 = stepper.positions().astype(float), stepper.velocities().astype(float)
+    np.testing.assert_allclose(v1, v0 + h * forces.acceleration(x1, v1), atol=1e-4)
+
+
+def test_what_newton_has_not_is_refused():
+    full = problems.build("cloth")
+    with pytest.raises(InputError, match="scene 'cloth': Newton's models here have no drag"):
+        newton_model.model_of(full)
+    for problem in problems.all_problems(quick=False):
+        newton_model._check(problem.scene)
+
+
+@pytest.mark.parametrize("solver", contestants.SCIPY.values())
+def test_scipys_solvers_meet_a_closed_form(solver, tmp_path):
+    """A mass on a spring with a dashpot: x = A exp(-d t) cos(w t), to their tolerance."""
+    k, c, m, a = 4.0, 0.4, 1.0, 0.25
+    position = np.array([[2.0, 1.0], [1.0 - a, 1.0]])
+    scene = Scene(
+        name="mass",
+        world=World(size=(3.0, 3.0), gravity=(0.0, 0.0), dt=0.1),
+        particles=Particles.build(position, fixed=[True, False], mass=m, viscous=0.0, radius=0.0),
+        springs=Springs.build([[0, 1]], position, stiffness=k, rest_length=1.0, damping=c),
+    )
+    d = c / (2 * m)
+    w = np.sqrt(k / m - d**2)
+    t = 0.1 * np.arange(21)
+    expected = 1.0 - a * np.exp(-d * t) * (np.cos(w * t) + d / w * np.sin(w * t))
+    (tmp_path / "scene").write_bytes(pickle.dumps(scene))
+    trial = ScipyTrial(str(tmp_path / "scene"), solver, 0.5, 1.0, patience=60.0)
+    asked = {"dt": 0.1, "solver": {"tolerance": 1e-7}, "frames": 20}
+    assert not trial.sample(**asked, file=str(tmp_path / "run.npz"))["failed"]
+    run = Samples.read(tmp_path / "run.npz")
+    np.testing.assert_allclose(run.x[:, 1, 0], expected, atol=1e-5)
+    assert trial.time(**asked, budget=0.0)[0] > 0
+    hasty = ScipyTrial(str(tmp_path / "scene"), solver, 0.5, 1.0, patience=0.0)
+    says = hasty.sample(**asked, file=str(tmp_path / "run.npz"))["failed"]
+    assert says == "failed: took more than 0 s"
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+def test_the_pattern_has_every_entry_of_the_jacobian(damping):
+    scene = net(damping)
+    forces, y = ode.Forces(scene), np.concatenate([part.ravel() for part in start_of(scene)])
+    steps = 1e-6 * np.eye(len(y))
+    columns = [(forces.slope(0, y + e) - forces.slope(0, y - e)) / 2e-6 for e in steps]
+    there = np.abs(np.array(columns).T) > 1e-7
+    allowed = jacobian_pattern(scene).toarray() != 0
+    assert not (there & ~allowed).any()
+    if damping:  # the held particle's rows are the only ones with less
+        free = np.tile(np.repeat(~scene.particles.fixed, 3), 2)
+        assert (there == allowed)[free][:, free].mean() > 0.9
+
+
+# ------------------------------------------------------------------------------------------
+# The part
+
+
+def little(monkeypatch, kinds):
+    """The part on a cloth of 4 x 4 alone, with these contestants, DOP853 as the reference."""
+    scene = problems.warp(4, damped=False)
+    problem = problems.Problem("a little cloth", scene, 4)
+    smooth = ode.solve(scene, np.arange(5) * scene.world.dt)
+    samples = Samples(smooth.x, smooth.v, np.ones((5, 0), bool))
+    free = ~scene.particles.fixed
+    truth = Truth(samples, free, "DOP853", scale=0.02, floor=1e-9, speed=0.6)
+    monkeypatch.setattr(equal_error, "all_problems", lambda quick: [problem])
+    monkeypatch.setattr(equal_error, "truth_of", lambda *_: truth)
+    monkeypatch.setattr(equal_error, "kinds", lambda quick: kinds)
+
+
+def test_the_part_tells_who_is_cheapest_at_each_level(monkeypatch, tmp_path):
+    dop853, _, bdf = [k for k in contestants.kinds(True) if k.package == "scipy"]
+    blunt = replace(bdf, group="blunt", name="blunt", ladders=((Choice(tolerance=0.5),),))
+    absent = replace(bdf, name="absent", package="no-such-package")
+    little(monkeypatch, [replace(dop853, group="ours", name="ours, a"), bdf, blunt, absent])
+    bench = contest.Bench(rounds=2, quick=True, results=tmp_path)
+    try:
+        rows = list(equal_error.measure(bench))
+    finally:
+        bench.close()
+    timed = [row for row in rows if row.seconds is not None]
+    for level in equal_error.LEVELS:
+        at = f"a little cloth: {100 * level:g} %"
+        here = {row.contestant.partition(":")[0]: row for row in timed if row.size == at}
+        assert {"ours, a", "SciPy, BDF"} <= set(here)
+        assert all(row.error <= level and row.rounds == 2 for row in here.values())
+        (ratio,) = [row for row in rows if row.is_ratio and row.size == at]
+        peers = [row.seconds for name, row in here.items() if name != "ours, a"]
+        assert ratio.rate == pytest.approx(min(peers) / here["ours, a"].seconds)
+        assert ratio.target == (">= 10" if level == 0.01 else ">= 1")
+    said = {row.contestant: row.note for row in bench.left_out}
+    assert "pip install" in said["absent"] and "no springs" in said["Newton, Style3D"]
+    assert said["blunt"].startswith("left out: no setting tried has an error below ")
+    (kept,) = tmp_path.glob(f"*{runs_file.SUFFIX}")
+    runs = runs_file.read(kept)
+    assert {run.group for run in runs} == {"ours", "SciPy, BDF", "blunt"}
+    best = cheapest([run.tried for run in runs if run.group == "ours"], 0.01)
+    (row,) = [row for row in timed if (row.contestant[:4], row.size) == ("ours", AT_ONE)]
+    assert row.contestant == f"ours, a: {best.choice.describe()}"
+    assert row.error == pytest.approx(best.error, rel=1e-3)
+    (drawn,) = tmp_path.glob("*.png")
+    assert drawn.read_bytes()[:4] == picture.draw(runs)[:4] == b"\x89PNG"
+
+
+@thorough
+def test_ours_and_newtons_solve_the_same_cloth(monkeypatch):
+    """Each of them comes below 1 % of the reference: the scene is the same in every program."""
+    pytest.importorskip("newton")
+    wanted = ("ours, verlet, f32", *newton_model.SOLVERS)
+    little(monkeypatch, [kind for kind in contestants.kinds(True) if kind.name in wanted])
+    bench = contest.Bench(rounds=2, quick=True)
+    try:
+        rows = list(equal_error.measure(bench))
+    finally:
+        bench.close()
+    met = {row.contestant.partition(":")[0] for row in rows if row.seconds and row.size == AT_ONE}
+    assert met == set(wanted)
