@@ -14,10 +14,18 @@ from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits import auto_step, modes
-from taichi_cloth.limits.bounds import any_geometry, gershgorin, gershgorin_here, step_within
+from taichi_cloth.limits.bounds import (
+    AnyGeometry,
+    Bounds,
+    any_geometry,
+    gershgorin,
+    gershgorin_here,
+    step_within,
+)
 from taichi_cloth.limits.eigenmodes import stable_step
-from taichi_cloth.limits.matrices import stiffness_and_damping
-from taichi_cloth.limits.network import Network
+from taichi_cloth.limits.laplacian import Laplacian
+from taichi_cloth.limits.matrices import laplacian, stiffness_and_damping
+from taichi_cloth.limits.network import Network, Networks
 from taichi_cloth.limits.rounding import stall as stall_of
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import (
@@ -158,6 +166,44 @@ def test_bounds_hold_in_every_geometry_and_each_is_closer_than_the_last():
         own = stable_step(euler, network)
         assert step_within(euler, here) <= own.dt
         assert step_within(euler, close) <= own.dt * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("name", ["flag", "curtain", "trampoline"])
+def test_what_is_kept_from_state_to_state_has_the_bits_of_what_is_made_anew(name):
+    """Networks, their Laplacians and bounds, of a cloth that flies and loses springs."""
+    scene, random = build(name), np.random.default_rng(3)
+    x, holds = scene.particles.position, np.ones(len(scene.springs), bool)
+    networks, followed, anew = Networks(), AnyGeometry(), AnyGeometry()
+    laplacians, springs = [], None
+    for k in range(5):
+        x, v = x + 0.01 * random.standard_normal(x.shape), k * random.standard_normal(x.shape)
+        if k == 3:
+            holds = holds & (random.random(len(holds)) > 0.01)
+        kept = networks.of(scene, x, holds, v)
+        made = Network.from_scene(scene, x, holds, v)
+        assert (kept.springs is springs) == (k not in (0, 3))
+        springs = kept.springs
+        if k in (0, 3):
+            laplacians = [Laplacian(kept, weights) for weights in kept.along_springs]
+        for of, weights, air in zip(laplacians, made.along_springs, made.by_triangles, strict=True):
+            one, other = of.with_diagonal(air), laplacian(made, weights, air)
+            for part in ("data", "indices", "indptr"):
+                np.testing.assert_array_equal(getattr(one, part), getattr(other, part))
+        assert gershgorin(kept) == gershgorin(made)
+        assert gershgorin_here(kept) == gershgorin_here(made)
+        assert followed.bounds(kept) == anew.bounds(made)
+
+
+@pytest.mark.parametrize("method", methods.METHODS)
+def test_the_step_within_bounds_is_the_least_of_all_their_modes(method):
+    module, random = methods.load(method), np.random.default_rng(4)
+    for _ in range(40):
+        omega2, damping = 10 ** random.uniform(-3, [9, 6])
+        damping *= random.random() > 0.1
+        least = damping * random.random() * (random.random() > 0.5)
+        pairs = [(0.0, damping)] + [(omega2, d) for d in np.linspace(least, damping, 5)]
+        steps = [modes.largest_step(module, *pair) for pair in pairs]
+        assert step_within(module, Bounds(omega2, 0, damping, 0, least)) == min(steps)
 
 
 def test_the_matrices_are_the_derivatives_of_the_force_and_the_force_that_of_the_energy():

@@ -57,6 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Taichi's banner, and its question for a newer version, are not what the user asked for.
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
     os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
+    # Matrices are small here: threads of OpenBLAS would wait for each other, and for Taichi's.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # A terminated run ends like an interrupted one: with its files saved.
     with contextlib.suppress(ValueError):  # not in the main thread
         for number in _ENDING:

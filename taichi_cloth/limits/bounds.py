@@ -14,9 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_cloth.kernels.methods.contract import Method
-from taichi_cloth.limits.matrices import laplacian, largest_eigenvalue, stencil_matrix
+from taichi_cloth.limits.laplacian import Laplacian
+from taichi_cloth.limits.matrices import largest_eigenvalue, stencil_matrix
 from taichi_cloth.limits.modes import ROUND_OFF, growth, largest_step
 from taichi_cloth.limits.network import Network
+
+BEYOND = 1.000001  # times a step: more than what bisection leaves open
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,12 @@ def step_within(method: Method, bounds: Bounds) -> float:
     """A step at which no mode inside `bounds` grows, whatever pairs of omega^2 and d there are."""
     if math.isinf(method.claims.stability_limit):
         return math.inf
-    return min(largest_step(method, omega2, d) for omega2, d in _pairs(bounds))
+    least = math.inf
+    for omega2, d in reversed(_pairs(bounds)):  # the last is mostly the worst
+        # Of who does not grow at a step that is longer yet, nothing is to be found by bisection.
+        if math.isinf(least) or least == 0 or growth(method, BEYOND * least, omega2, d) > 1:
+            least = min(least, largest_step(method, omega2, d))
+    return least
 
 
 def grows_within(method: Method, bounds: Bounds, h: float) -> bool:
@@ -63,8 +71,12 @@ def gershgorin(network: Network) -> Bounds:
     omega^2 <= max_i (1/m_i) (sum of k to all neighbours + sum of k to free neighbours + sum over
     stencils of k |weight_i| times the sum of |weight| over free particles).
     """
+    return _bounds(network, *network.once("gershgorin", lambda: _rows_in_every_geometry(network)))
+
+
+def _rows_in_every_geometry(network: Network) -> tuple[np.ndarray, np.ndarray]:
     stiffness, damping = network.along_springs
-    return _row_sums(network, stiffness[:, None], damping[:, None])
+    return _row_sums(network, stiffness[:, None]), _row_sums(network, damping[:, None])
 
 
 def gershgorin_here(network: Network) -> Bounds:
@@ -74,31 +86,40 @@ def gershgorin_here(network: Network) -> Bounds:
     longitudinal = np.abs(along) * np.abs(along).sum(axis=1, keepdims=True)
     stiffness, damping = network.along_springs
     stiff = stiffness[:, None] * ((1 - t)[:, None] * longitudinal + t[:, None])
-    return _row_sums(network, stiff, damping[:, None] * longitudinal)
+    damped = damping[:, None] * longitudinal
+    return _bounds(network, _row_sums(network, stiff), _row_sums(network, damped))
 
 
-def _row_sums(network: Network, stiff: np.ndarray, damped: np.ndarray) -> Bounds:
-    """Bounds from what springs add to a row of K and of C, each (s, axes)."""
+def _row_sums(network: Network, weights: np.ndarray) -> np.ndarray:
+    """What springs add to the row sums of |M^-1 K| or |M^-1 C|, (n,): the largest over all axes.
+
+    weights: (s, axes), what they add to a row.
+    """
+    particles, n = network.particles, len(network.position)
+    free = ~particles.fixed
+    a, b = network.springs.between.T
+    sums = np.zeros(n)
+    with np.errstate(over="ignore", invalid="ignore"):  # an infinite bound is a true answer
+        for w in weights.T:
+            row = np.bincount(a, w * (1.0 + free[b]), n) + np.bincount(b, w * (1.0 + free[a]), n)
+            np.maximum(sums, row / particles.mass, out=sums)
+    return np.where(free, sums, 0.0)
+
+
+def _bounds(network: Network, stiff: np.ndarray, damped: np.ndarray) -> Bounds:
+    """Bounds from what springs add to the row sums of K and of C, (n,) each."""
     particles = network.particles
-    free, n = ~particles.fixed, len(network.position)
+    free = ~particles.fixed
     if not free.any():
         return Bounds(0.0, -1, 0.0, -1, 0.0)
-    a, b = network.springs.between.T
     held, drag = (
         (of + by) / particles.mass
         for of, by in zip(network.on_particles, network.by_triangles, strict=True)
     )
-
-    def rows(weights: np.ndarray) -> np.ndarray:
-        sums = np.zeros(n)
-        for w in weights.T:
-            row = np.bincount(a, w * (1.0 + free[b]), n) + np.bincount(b, w * (1.0 + free[a]), n)
-            np.maximum(sums, row / particles.mass, out=sums)
-        return np.where(free, sums, 0.0)
-
-    with np.errstate(over="ignore", invalid="ignore"):  # an infinite bound is a true answer
-        omega2 = rows(stiff) + np.where(free, held + _rows_of_stencils(network), 0.0)
-        damping = rows(damped) + np.where(free, drag, 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        bent = network.once("rows of stencils", lambda: _rows_of_stencils(network))
+        omega2 = stiff + np.where(free, held + bent, 0.0)
+        damping = damped + np.where(free, drag, 0.0)
     stiffest, damped_most = int(omega2.argmax()), int(damping.argmax())
     return Bounds(
         float(omega2[stiffest]),
@@ -146,11 +167,12 @@ class AnyGeometry:
         free = ~network.particles.fixed
         if not free.any() or not math.isfinite(rough.omega2 + rough.damping):
             return rough
+        laplacians = network.once("laplacians", lambda: _laplacians(network))
         values = []
         for i, (weights, diagonal) in enumerate(_weights_and_diagonal(network)):
-            matrix = laplacian(network, weights, diagonal)
+            matrix = laplacians[i].with_diagonal(diagonal)
             if i == 0 and len(network.stencils):
-                matrix = matrix + stencil_matrix(network)
+                matrix = matrix + network.once("stencils", lambda: stencil_matrix(network))
                 weights = np.append(weights, network.on_curvature)
             uniform = not weights.any() and (matrix.diagonal() == matrix.diagonal()[0]).all()
             if uniform:
@@ -196,6 +218,11 @@ class AnyGeometry:
 def any_geometry(network: Network) -> Bounds:
     """Bounds that hold however springs turn; at most those of `gershgorin`."""
     return AnyGeometry().bounds(network)
+
+
+def _laplacians(network: Network) -> list[Laplacian]:
+    """Those of K and of C."""
+    return [Laplacian(network, weights) for weights in network.along_springs]
 
 
 def _weights_and_diagonal(network: Network) -> Iterator[tuple[np.ndarray, np.ndarray]]:

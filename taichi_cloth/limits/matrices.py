@@ -29,6 +29,15 @@ def laplacian(network: Network, weights: np.ndarray, diagonal: np.ndarray) -> cs
     return _free_block(network, *_edges(network.springs.between, weights), diagonal, 1)
 
 
+def edges_matrix(network: Network, weights: np.ndarray) -> csr_matrix:
+    """The Laplacian itself, (n, n), of springs with these weights (s,)."""
+    from scipy import sparse
+
+    n = len(network.particles)
+    rows, columns, values = _edges(network.springs.between, weights)
+    return sparse.csr_matrix((values, (rows, columns)), shape=(n, n))
+
+
 def stencil_matrix(network: Network) -> csr_matrix:
     """M^-1/2 Q M^-1/2 of the free particles, (f, f): Q is what stencils add to K on each axis."""
     from scipy import sparse

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, field
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,6 +16,8 @@ from taichi_cloth.limits import tractions
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.scene.triangles import corner_shares, springs_of_sides
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -33,6 +38,8 @@ class Network:
     triangles: np.ndarray
     shares: np.ndarray
     stencils: Stencils = field(default_factory=Stencils.none)
+    # What depends neither on positions nor on velocities, by name: `once`.
+    _kept: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @classmethod
     def from_scene(
@@ -72,6 +79,24 @@ class Network:
             scene.stencils if holds is None else scene.stencils_among(holds),
         )
 
+    def moved(self, position: np.ndarray, velocity: np.ndarray) -> Network:
+        """The same network with particles elsewhere, at other velocities, (n, dim) each.
+
+        It shares with this one what `once` has computed for either.
+        """
+        other = replace(self, position=position, velocity=velocity)
+        object.__setattr__(other, "_kept", self._kept)
+        return other
+
+    def once(self, name: str, compute: Callable[[], T]) -> T:
+        """What compute() returns, the first time that it is asked for by this name, of this network
+        or of one that it was `moved` from: it must depend on no position and no velocity.
+        """
+        if name not in self._kept:
+            self._kept[name] = compute()
+        found: T = self._kept[name]
+        return found
+
     @functools.cached_property
     def geometry(self) -> tuple[np.ndarray, np.ndarray]:
         """Unit vectors along the springs (s, dim), and their transverse shares (s,).
@@ -88,16 +113,20 @@ class Network:
         rest = self.springs.rest_length / np.where(apart, length, 1.0)
         return along, np.where(apart, np.maximum(0.0, 1.0 - rest), 1.0)
 
-    @functools.cached_property
+    @property
     def along_springs(self) -> tuple[np.ndarray, np.ndarray]:
         """What forces along springs add to K and C: stiffness and damping, (s,)."""
-        return self._shares(len(self.springs), self.springs, (TENSION,))
+        return self.once(
+            "along_springs", lambda: self._shares(len(self.springs), self.springs, (TENSION,))
+        )
 
-    @functools.cached_property
+    @property
     def on_particles(self) -> tuple[np.ndarray, np.ndarray]:
         """What forces on single particles, such as drag, add to K and C, (n,)."""
         kinds = (ACCELERATION, FORCE)
-        return self._shares(len(self.particles), self.springs, kinds)
+        return self.once(
+            "on_particles", lambda: self._shares(len(self.particles), self.springs, kinds)
+        )
 
     @functools.cached_property
     def by_triangles(self) -> tuple[np.ndarray, np.ndarray]:
@@ -117,10 +146,12 @@ class Network:
             self.position, self.velocity, self.world, self.triangles, self.shares
         )
 
-    @functools.cached_property
+    @property
     def on_curvature(self) -> np.ndarray:
         """What forces on stencils add to K: times the squares of curvature vectors, (m,)."""
-        return self._shares(len(self.stencils), self.stencils, (CURVATURE,))[0]
+        return self.once(
+            "on_curvature", lambda: self._shares(len(self.stencils), self.stencils, (CURVATURE,))[0]
+        )
 
     def _shares(
         self, count: int, of: Springs | Stencils, kinds: tuple[str, ...]
@@ -133,3 +164,27 @@ class Network:
                 k, c = term.bound(self.world, self.particles, of)
                 stiffness, damping = stiffness + k, damping + c
         return stiffness, damping
+
+
+class Networks:
+    """The networks of one state after the other, as `Network.from_scene` makes them.
+
+    What stays as it is while the same springs of the same scene hold is not made anew.
+    """
+
+    def __init__(self) -> None:
+        self._of: tuple[object, ...] = ()
+        self._holds = np.zeros(0, bool)
+        self._last: Network | None = None
+
+    def of(
+        self, scene: Scene, position: np.ndarray, holds: np.ndarray, velocity: np.ndarray
+    ) -> Network:
+        """The network of a state; what is given is as in `Network.from_scene`."""
+        of = scene.world, scene.particles, scene.springs, scene.triangles, scene.stencils
+        same = len(self._of) == len(of) and all(map(operator.is_, of, self._of))
+        if same and self._last is not None and np.array_equal(holds, self._holds):
+            return self._last.moved(position, velocity)
+        self._of, self._holds = of, holds
+        self._last = Network.from_scene(scene, position, holds, velocity)
+        return self._last

@@ -8,6 +8,7 @@ from typing import Any
 from taichi_cloth.kernels.forces import act_on_triangles as acts_by_speed
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.limits.auto_step import SubstepController
+from taichi_cloth.limits.network import Networks
 from taichi_cloth.simulation.snapshot import Snapshot, same_but_own
 from taichi_cloth.simulation.storage.storage import Storage
 
@@ -22,6 +23,7 @@ class AutoSubsteps:
         self._method = name, method, dt
         self._controller = SubstepController(name, method, dt)
         self._broken, self._breaking = 0, True
+        self._networks = Networks()
 
     def at_start(self, start: Snapshot) -> int:
         """The substeps of a scene at its start; as `before_spawn`, but with nothing remembered."""
@@ -78,7 +80,7 @@ class AutoSubsteps:
         What breaks in a frame may pull in the next one, so the frame after is looked at, too.
         """
         if acts_by_speed(storage.scene):
-            return self._controller.choose_in_motion(storage.snapshot().network())
+            return self._controller.choose_in_motion(storage.snapshot().network(self._networks))
         broken = storage.count_broken()
         changed = broken != self._broken
         if not (changed or self._breaking):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from taichi_cloth.kernels.state import ALIVE, GONE
-from taichi_cloth.limits.network import Network
+from taichi_cloth.limits.network import Network, Networks
 from taichi_cloth.scene.model import Particles, Scene, Springs
 
 # Columns of particles on which nothing but they themselves, and bending at them, depends.
@@ -58,9 +58,12 @@ class Snapshot:
         scene = replace(self.scene, particles=particles.joined(new), springs=springs)
         return Snapshot(scene, x, np.concatenate([self.v, new.velocity]), marks)
 
-    def network(self) -> Network:
-        """The particles where they are, and the springs that pull."""
-        return Network.from_scene(self.scene, self.x, self.pulling, self.v)
+    def network(self, among: Networks | None = None) -> Network:
+        """The particles where they are, and the springs that pull.
+
+        among: those of states before, of which what is still the same is taken.
+        """
+        return (among or Networks()).of(self.scene, self.x, self.pulling, self.v)
 
 
 def same_but_own(one: Snapshot, other: Snapshot) -> bool:
