@@ -70,6 +70,8 @@ def test_the_search_finds_the_cheapest_between_the_rungs():
         ideal = min(p * n for p, n in fewest.items())
         assert best.error <= level and ideal <= best.seconds < 1.2 * ideal
     assert cheapest(tried, 1e-9) is None
+    again = search_all(run, ladders, limit=1e9, before=tried)
+    assert max(t.seconds for t in again) <= 4 * cheapest(tried, 1e-4).seconds
 
 
 def test_tolerances_have_a_middle_too():

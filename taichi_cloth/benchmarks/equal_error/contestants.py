@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import pickle
 import re
 from collections.abc import Iterator
@@ -29,7 +28,8 @@ TOLERANCES = tuple(10.0**-k for k in range(1, 13))
 # Of our implicit methods, whose own tolerance is tried, too: None.
 OUR_TOLERANCES, QUICK_TOLERANCES = (None, 1e-2, 1e-4), (None,)
 QUICK_METHODS = ("verlet", "rk4", "tr_bdf2")
-BUDGET = 0.1  # seconds for timing a choice in the search
+# Seconds for timing a choice in the search, and of a run that is itself timing enough.
+BUDGET, LONG = 0.1, 1.0
 TIMED_ALONE = 1  # threads of everyone: scenes this small gain nothing by more
 
 
@@ -68,8 +68,11 @@ def _ours(quick: bool) -> Iterator[Kind]:
 
     counts = QUICK_ITERATIONS if quick else ITERATIONS
     residuals = QUICK_TOLERANCES if quick else OUR_TOLERANCES
-    for method in QUICK_METHODS if quick else methods.METHODS:
-        claims = methods.load(method).claims
+    # Those first that are likely to be the cheapest: the search then spares the others' dear runs.
+    claimed = {name: methods.load(name).claims for name in methods.METHODS}
+    likely = sorted(claimed, key=lambda name: (claimed[name].implicit, -claimed[name].order))
+    for method in QUICK_METHODS if quick else likely:
+        claims = claimed[method]
         ladders: tuple[tuple[Choice, ...], ...] = (_steps(),)
         if "iterations" in claims.settings:
             ladders = tuple(_steps(iterations=count) for count in counts)
@@ -123,14 +126,15 @@ class Entrant:
             return Tried(choice, failed=str(failure))
         try:
             if done["failed"]:
-                seconds = done["sampled_in"]
-                a_frame = seconds / frames if math.isfinite(seconds) else None
-                return Tried(choice, None, a_frame, done["failed"].removeprefix("failed: "))
+                gave_up = done["sampled_in"] / frames if done.get("gave_up") else None
+                return Tried(choice, None, gave_up, done["failed"].removeprefix("failed: "))
             error = self.truth.error_of(Samples.read(file))
             if error is None:
-                return Tried(choice, None, done["sampled_in"] / frames, "is not finite")
+                return Tried(choice, failed="is not finite")
         finally:
             file.unlink(missing_ok=True)
+        if done["sampled_in"] > LONG:
+            return Tried(choice, error, done["sampled_in"] / frames)
         return Tried(choice, error, min(self.time(choice, BUDGET)))
 
     def time(self, choice: Choice, budget: float = 0.0) -> list[float]:

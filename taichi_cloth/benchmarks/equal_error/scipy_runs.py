@@ -45,7 +45,8 @@ class ScipyTrial:
         try:
             states = self._solve(np.arange(frames + 1) * dt, solver["tolerance"])
         except _TookTooLong:
-            return {"failed": f"failed: took more than {self._patience:g} s", "sampled_in": np.inf}
+            says = f"failed: took more than {self._patience:g} s"
+            return {"failed": says, "sampled_in": self._patience, "gave_up": True}
         seconds = time.perf_counter() - begin
         failed = "" if len(states) == frames + 1 else f"failed: ended after frame {len(states) - 1}"
         x, v = states[:, 0], states[:, 1]

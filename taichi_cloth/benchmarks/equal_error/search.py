@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 LEVELS = (0.1, 0.01, 0.001, 0.0001)  # errors, coarsest first
 STALLED = 3  # runs in turn that are no better than before: round-off, or the solver's own error
 BETTER = 0.9  # of the least error so far: what counts as better
+CLEARLY = 2.0  # times the seconds of another: longer by more than noise
 HALVINGS = 2  # of the way between a setting that is too coarse and the next, which is not
 
 
@@ -50,7 +51,7 @@ class Choice:
 class Tried:
     """A run of a choice: its error, in parts of the scale, and the seconds of a frame.
 
-    Either is None where the run failed; failed: how.
+    One that failed has no error, and seconds only where it took too long; failed: how it ended.
     """
 
     choice: Choice
@@ -116,13 +117,26 @@ def refine(run: Run, series: Sequence[Tried], levels: Sequence[float]) -> list[T
 
 
 def search_all(
-    run: Run, ladders: Sequence[Sequence[Choice]], limit: float, levels: Sequence[float] = LEVELS
+    run: Run,
+    ladders: Sequence[Sequence[Choice]],
+    limit: float,
+    levels: Sequence[float] = LEVELS,
+    before: Sequence[Tried] = (),
 ) -> list[Tried]:
-    """All runs: each ladder climbed, then refined where it has the cheapest run of a level."""
-    climbed = [climb(run, ladder, limit, min(levels)) for ladder in ladders]
-    everything = [done for series in climbed for done in series]
-    best = {level: cheapest(everything, level) for level in levels}
+    """All runs: each ladder climbed, then refined where it has the cheapest run of a level.
+
+    before: runs of other solvers, of which only the cheapest counts in the end. What takes clearly
+    longer than a run that meets every level is the cheapest of none, nor is what is finer still.
+    """
+    everything: list[Tried] = []
+    climbed = []
+    for ladder in ladders:
+        met = cheapest([*before, *everything], min(levels))
+        longest = limit if met is None else min(limit, CLEARLY * (met.seconds or 0.0))
+        climbed.append(climb(run, ladder, longest, min(levels)))
+        everything += climbed[-1]
+    best = [cheapest([*before, *everything], level) for level in levels]
     for series in climbed:
-        mine = [level for level in levels if best[level] in series and best[level] is not None]
+        mine = [level for level, done in zip(levels, best, strict=True) if done in series]
         everything += refine(run, series, mine)
     return everything
