@@ -419,6 +419,19 @@ def test_a_method_that_was_chosen_is_gone_on_with_from_what_was_measured_of_it(d
     assert "would take" not in keeper.choose(said).why
 
 
+def test_a_method_that_would_leave_the_lanes_costs_more(device):
+    """So that it has to be better by more than its steps; where there are no lanes, by these."""
+    scene = library.build("cloth")
+    costs = {}
+    for topology in ("lanes", "graph"):
+        sim = Simulation(scene, topology=topology, execution="serial", substeps=16)
+        costs[topology] = {rival.name: rival.cost for rival in Keeper(sim, read("1%"))._others()}
+    assert costs["graph"]["verlet"] == pytest.approx(1.0)
+    assert 3.0 < costs["graph"]["rk4"] <= 4.0  # breaks are looked for once a step
+    assert all(costs["lanes"][name] > 3 * cost for name, cost in costs["graph"].items())
+    assert "explicit_euler" not in costs["graph"]
+
+
 @pytest.mark.parametrize(
     ("method", "kept", "said"),
     [
