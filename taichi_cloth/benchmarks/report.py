@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from taichi_cloth import console
 from taichi_cloth.benchmarks import PARTS
-from taichi_cloth.console import duration, three_digits
+from taichi_cloth.console import duration, percent, three_digits
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.pending import write_whole
 
@@ -123,6 +123,10 @@ def replace_part(
 MACHINE = "machine"  # the marker of the machine's description
 MARKED = "bench"  # what marks a document's places
 EACH = {"accuracy": "frame"}  # what a part's times are of, where that is no step
+# Parts whose sizes are "SCENE: LEVEL" and contestants "WHO: SETTING": in documents a row for each
+# who on each scene, and a column for each level.
+BY_LEVEL = ("accuracy",)
+UNMET = "not met"
 
 
 def tables(rows: Sequence[Measurement]) -> list[tuple[list[str], list[list[str]]]]:
@@ -152,6 +156,27 @@ def tables(rows: Sequence[Measurement]) -> list[tuple[list[str], list[list[str]]
         ]
         shown.append((["compared", "size", "measured", "target"], lines))
     return shown
+
+
+def by_level(rows: Sequence[Measurement]) -> tuple[list[str], list[list[str]]]:
+    """(headers, lines) of rows of `BY_LEVEL`: what each needs for a level, beside its error."""
+    cells: dict[tuple[str, str], dict[str, str]] = {}
+    levels: dict[str, None] = {}
+    for row in rows:
+        scene, _, level = row.size.rpartition(": ")
+        who, _, setting = row.contestant.partition(": ")
+        levels[level] = None
+        if row.is_ratio and row.rate is not None:
+            says = f"{three_digits(row.rate)} {row.unit} ({setting}), {_wanted(row)}".rstrip(", ")
+        else:
+            says = f"{duration(row.seconds)}, error {percent(row.error, 2)}: {setting}"
+        cells.setdefault((scene, who), {})[level] = says
+    scenes = list(dict.fromkeys(scene for scene, _ in cells))
+    lines = [
+        [scene, who, *(says.get(level, UNMET) for level in levels)]
+        for (scene, who), says in sorted(cells.items(), key=lambda item: scenes.index(item[0][0]))
+    ]
+    return ["scene", "solver", *levels], lines
 
 
 def notes(rows: Sequence[Measurement]) -> list[str]:
@@ -218,7 +243,11 @@ def show(title: str, rows: Sequence[Measurement], to: Console) -> None:
 
 def markdown(rows: Sequence[Measurement]) -> str:
     """The tables and notes for a document."""
-    text = [console.markdown_table(headers, lines) for headers, lines in tables(rows)]
+    shown = tables(rows)
+    measured = [row for row in rows if row.seconds is not None or row.is_ratio]
+    if measured and measured[0].part in BY_LEVEL:
+        shown = [by_level(measured)]
+    text = [console.markdown_table(headers, lines) for headers, lines in shown]
     said = notes(rows)
     if said:
         text.append("\n".join(f"- {note}" for note in said))

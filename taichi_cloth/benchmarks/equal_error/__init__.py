@@ -165,9 +165,11 @@ def _rows(
             continue
         low, middle, high = quartiles(one.seconds)
         kind = one.entrant.kind
+        member = kind.name.removeprefix(kind.group).removeprefix(", ")
+        setting = ", ".join(filter(None, [member, one.tried.choice.describe()]))
         yield Measurement(
             part=PART,
-            contestant=f"{kind.name}: {one.tried.choice.describe()}",
+            contestant=f"{kind.group}: {setting}",
             size=_where(problem, level),
             precision=kind.precision,
             threads=1,
@@ -196,7 +198,7 @@ def _ratio(
     peer = min(peers, key=lambda b: middle[id(b)])
     yield Measurement(
         part=PART,
-        contestant=f"time a frame of the best peer ({peer.entrant.kind.name}) to ours",
+        contestant=f"best peer's time to ours: {peer.entrant.kind.name}",
         size=_where(problem, level),
         rate=middle[id(peer)] / middle[id(mine)],
         unit="times",
