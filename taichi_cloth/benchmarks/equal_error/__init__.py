@@ -26,6 +26,7 @@ from taichi_cloth.benchmarks.equal_error.search import (
 )
 from taichi_cloth.benchmarks.equal_error.truth import Truth, truth_of
 from taichi_cloth.benchmarks.report import Measurement
+from taichi_cloth.console import percent
 from taichi_cloth.files.pending import write_whole
 from taichi_cloth.measuring import machine
 from taichi_cloth.measuring.timing import quartiles, turns
@@ -63,7 +64,7 @@ def measure(bench: Bench) -> Iterator[Measurement]:
     bench.leave_out(PART, "Newton, Style3D", "all scenes", "it has triangles, and no springs")
     bench.leave_out(PART, "everyone", "a drape with contacts", "is not among the scenes yet")
     if bench.quick:
-        bench.leave_out(PART, "everyone", f"Warp's cloth, {STIFFER[-1]:g} k", "left to a whole run")
+        bench.leave_out(PART, "everyone", f"Warp's cloth, {STIFFER[-1]} × k", "left to a whole run")
     runs: list[SearchRun] = []
     for problem in all_problems(bench.quick):
         yield from _measure(bench, problem, takers, runs)
@@ -90,7 +91,7 @@ def _measure(
     levels = [level for level in LEVELS if level > truth.floor]
     for level in LEVELS:
         if level not in levels:
-            why = f"the reference tells no error below {truth.floor:.1e}"
+            why = f"the reference tells no error below {percent(truth.floor, 2)}"
             bench.leave_out(PART, "everyone", _where(problem, level), why)
     tried: dict[str, list[tuple[Entrant, Tried]]] = {kind.group: [] for kind in takers}
     for kind in takers:
@@ -126,8 +127,8 @@ def _best_of(
             found = cheapest((done for _, done in pairs), level)
             if found is None:
                 least = min((d.error for _, d in pairs if d.error is not None), default=math.inf)
-                why = f"no setting tried has an error below {level:.2%}".replace(".00%", " %")
-                has = f"; the least is {least:.2g}" if math.isfinite(least) else ""
+                why = f"no setting tried has an error of at most {100 * level:g} %"
+                has = f"; the least is {percent(least, 2)}" if math.isfinite(least) else ""
                 bench.leave_out(PART, group, problem.name, why + has)
                 break
             entrant = next(entrant for entrant, done in pairs if done is found)

@@ -38,7 +38,7 @@ def all_problems(quick: bool) -> list[Problem]:
 
 def cloth_name(side: int, times: float, damped: bool) -> str:
     """What tables call `warp`'s scene."""
-    words = [f"Warp's cloth {side}²", "" if times == 1 else f"{times:g} k"]
+    words = [f"Warp's cloth {side}²", "" if times == 1 else f"{times:g} × k"]
     return ", ".join(filter(None, [*words, "" if damped else "no dashpots"]))
 
 
