@@ -59,6 +59,7 @@ class Keeper:
         self._rivals, self._changes = Rivals(sim.method, goal.error), 0
         self._judged = False  # whether a second was measured since methods were compared
         self._of_methods = ""  # what there is to say of them
+        self._known: dict[tuple[str, float], SecondErrors] = {}  # of what: the errors of seconds
         self._verdicts = 0  # that were looked at
         self._broken: list[tuple[int, int]] = []  # (frame, springs broken), at some of the last
         self.choice: Choice | None = None
@@ -69,11 +70,12 @@ class Keeper:
         """Begin to measure: at the start, and where method or frame time are others."""
         self._of, self._due = self._run(), True
         self._times = FrameTimes(self.goal.seconds or LONGEST)
-        self._errors = SecondErrors(self.goal.error or 1.0, self._sim.claims.order)
+        fresh = SecondErrors(self.goal.error or 1.0, self._sim.claims.order)
+        self._errors = self._known.setdefault(self._of, fresh)  # a run may go back, or a user
         found = self._found
         if found is not None and found.method == self._sim.method != self._rivals.present:
             self._changes += 1
-            self._errors = found.errors
+            self._errors = self._known[self._of] = found.errors
         else:
             self._found, self._of_methods = None, ""
         self._rivals, self._judged = Rivals(self._sim.method, self.goal.error, self._changes), False
