@@ -172,8 +172,9 @@ def by_level(rows: Sequence[Measurement]) -> tuple[list[str], list[list[str]]]:
             says = f"{duration(row.seconds)}, error {percent(row.error, 2)}: {setting}"
         cells.setdefault((scene, who), {})[level] = says
     scenes = list(dict.fromkeys(scene for scene, _ in cells))
+    compared = {row.contestant.partition(": ")[0] for row in rows if row.is_ratio}
     lines = [
-        [scene, who, *(says.get(level, UNMET) for level in levels)]
+        [scene, who, *(says.get(level, "" if who in compared else UNMET) for level in levels)]
         for (scene, who), says in sorted(cells.items(), key=lambda item: scenes.index(item[0][0]))
     ]
     return ["scene", "solver", *levels], lines
