@@ -88,6 +88,10 @@ COMMAND_LINES = [
     ("run fine.toml --record fine.toml", "--record fine.toml: would overwrite the scene"),
     ("run --events fine.toml --save ./fine.toml", "would overwrite --events"),
     ("run --resume fine.toml --save fine.toml", "would overwrite --resume"),
+    (
+        "run --resume x-beside.npz --save x.npz --beside substeps=2",
+        "--save of --beside x-beside.npz: would overwrite --resume",
+    ),
     ("run --save x.npz --record y.jsonl --image missing/x.png", "there is no folder"),
 ]
 

@@ -372,7 +372,7 @@ def test_a_replay_follows_the_recorded_solver(cli, tmp_path):
         cli("run", *own, "--events", log, "--save", saved[2])
         cli("run", *own, "--method", given[0], "--save", saved[3])
         assert compare(*saved[2:]).identical and not compare(saved[0], saved[2]).identical
-    for wrong in ('"tolerance": 0', '"iterations": 2.5'):
+    for wrong in ('"tolerance": 0', '"iterations": 2.5', '"iterations": 1000001'):
         log.write_text(f'{{"header": {{{wrong}}}}}')
         assert "line 1: " in cli("run", *own, "--events", log, check=2)[1]
 

@@ -129,6 +129,8 @@ def _report(
     from taichi_cloth.comparison import picture, report
 
     same = found.parted is None if options.within is not None else found.identical
+    if about is not None:  # one that failed is not like one that went on
+        same &= (about.values["failed"]["a"] is None) == (about.values["failed"]["b"] is None)
     if file is not None:
         picture.write(found, file)
     if options.json:

@@ -24,7 +24,7 @@ from taichi_cloth import console
 from taichi_cloth.cli import run_options
 from taichi_cloth.comparison.compare import Comparison, compare
 from taichi_cloth.console import percent
-from taichi_cloth.errors import InputError, RunFailure, nearest
+from taichi_cloth.errors import InputError, RunFailure, counted, nearest
 from taichi_cloth.files import trajectory
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.scene.model import Scene
@@ -145,7 +145,8 @@ def _planned(
                 f"{MOST_SUBSTEPS} can be"
             )
         substeps = max(1, math.ceil(steps - 1e-9))
-        about.notes.append(f"--dt {options.dt:g}: {substeps} steps in each frame of {frame:g}")
+        steps_of = counted(substeps, "step")
+        about.notes.append(f"--dt {options.dt:g}: {steps_of} in each frame of {frame:g}")
     if substeps is not None:
         words += ["--substeps", str(substeps)]
     if options.method is not None:

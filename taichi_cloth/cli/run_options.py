@@ -57,14 +57,16 @@ def check_inputs_stay(source: SceneSource, options: RunOptions) -> None:
         (options.events, "--events", "record"),
         (options.resume, "--resume", "checkpoint"),
     ]
+    results = [(name, flag(name), getattr(options, name)) for name in WRITES]
+    if run_beside.asked(options):
+        other = run_beside.files_of(options)
+        results += [("", f"{flag(n)} of --beside", getattr(other, n)) for n in run_beside.KEPT]
     for path, what, but in made_of:
-        for name in WRITES:
-            result = getattr(options, name)
+        for name, given, result in results:
             if not (path and result) or name == but:
                 continue
             if os.path.realpath(result) == os.path.realpath(path):
-                says = f"would overwrite {what}; name another file"
-                raise InputError(f"{flag(name)} {result}: {says}")
+                raise InputError(f"{given} {result}: would overwrite {what}; name another file")
 
 
 def as_recorded(options: RunOptions, header: Mapping[str, Any]) -> RunOptions:

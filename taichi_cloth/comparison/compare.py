@@ -19,6 +19,8 @@ from taichi_cloth.settings.parameters import error_limit
 from taichi_cloth.trade import errors
 from taichi_cloth.trade.errors import Distance, Samples
 
+EXIST = "particles that exist"  # what differs, where one run has a particle and the other not yet
+
 
 @dataclass(frozen=True)
 class Difference:
@@ -81,7 +83,8 @@ class Comparison:
     touches_unknown: why nothing is known of touches; '': it is.
 
     within, relative: the limit, in parts of the scale or [length]. parted: the end of the first
-    frame at which the rms distance is above it [time]; None: it never is.
+    frame at which the rms distance is above it, or a particle is in one of them only [time]; None:
+    there is none.
     """
 
     a: str
@@ -149,7 +152,8 @@ def compare(
         raise InputError(f"{pair.a.label}: has no particle that can move: nothing to compare")
     rms, largest, farthest = _distances(of_a, of_b, free)
     scale, scale_is = errors.extent(of_b, free, _diagonal(of_b))
-    above = np.flatnonzero(rms > (limit * scale if relative else limit))
+    alone = (np.isnan(of_a.x[1:]) != np.isnan(of_b.x[1:])).any(axis=(1, 2))
+    above = np.flatnonzero((rms > (limit * scale if relative else limit)) | alone)
     found, unknown = _touches(pair, scene)
     difference = _first_difference(pair)
     springs_a, springs_b = (errors.break_frames(of) for of in (of_a, of_b))
@@ -215,7 +219,7 @@ def _first_difference(pair: Pair) -> Difference | None:
         if differ[k].any():
             away = np.linalg.norm(x - y, axis=1)
             exists = np.isnan(x).any(axis=1) != np.isnan(y).any(axis=1)
-            what = "particles that exist" if exists.any() else name
+            what = EXIST if exists.any() else name
             among = np.flatnonzero(exists if exists.any() else differ[k])
             particle = int(among[np.nan_to_num(away[among]).argmax()])
             distance = float(np.nan_to_num(away[particle]))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.comparison.compare import Comparison
-from taichi_cloth.comparison.report import in_short, limit_of
+from taichi_cloth.comparison.report import in_short, limit_of, parted_in_short
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.trade.plot import file_of
@@ -81,7 +81,7 @@ def _mark(axes: Axes, found: Comparison) -> None:
         if event:
             marks.append((event.time, in_short(event), colour))
     if found.parted is not None:
-        marks.append((found.parted, f"farther than {limit_of(found)}", "0.35"))
+        marks.append((found.parted, parted_in_short(found), "0.35"))
     left, right = axes.get_xlim()
     for row, (time, words, colour) in enumerate(sorted(marks)):
         axes.axvline(time, color=colour, lw=1.2, alpha=0.8)

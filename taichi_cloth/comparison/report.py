@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taichi_cloth import console
-from taichi_cloth.comparison.compare import Comparison, Difference, Event
+from taichi_cloth.comparison.compare import EXIST, Comparison, Difference, Event
 from taichi_cloth.console import percent
 from taichi_cloth.errors import counted
 
@@ -89,7 +89,7 @@ def happenings(found: Comparison) -> dict[int, list[str]]:
         if event:
             said.append((event.time, in_short(event)))
     if found.parted is not None:
-        said.append((found.parted, f"farther than {limit_of(found)}"))
+        said.append((found.parted, parted_in_short(found)))
     happens: dict[int, list[str]] = {}
     for time, words in said:
         k = int(np.abs(found.time - time).argmin()) if time >= found.time[0] else -1
@@ -113,7 +113,7 @@ def findings(found: Comparison) -> list[str]:
             f"({found.rms[k]:.3g}), at time {found.time[k]:.5g}; the limit is {limit}"
         )
     else:
-        said.append(f"they part at time {found.parted:g}: first with an rms distance above {limit}")
+        said.append(f"they part at time {found.parted:g}: first with {_apart_by(found)}")
     said.append(
         f"error of A against B over all frames, as trade has it: {percent(found.error)} "
         f"({found.distance.trajectory:.3g}), in parts of {found.scale_is} in B, {scale:.4g}"
@@ -143,6 +143,8 @@ def _first_difference(first: Difference) -> str:
     said = f"the first difference: {first.what}, {frames} (time {first.time:.5g})"
     if first.particle is None:
         return said
+    if first.what == EXIST:
+        return f"{said}: particle {first.particle} is in one only"
     return f"{said}: particle {first.particle}, {first.distance:.3g} apart"
 
 
@@ -190,6 +192,23 @@ def in_short(event: Event, names: tuple[str, str] = ("A", "B")) -> str:
     if len(event.particles) > 1:
         return f"{event.particles[0]} and {event.particles[1]} touch in {run}"
     return f"{event.particles[0]} touches {event.thing} in {run}"
+
+
+def _is_far(found: Comparison) -> bool:
+    """Whether it is by their distance that two runs part, and not by who is there."""
+    return bool(found.rms[found.time == found.parted].max() > found.limit)
+
+
+def _apart_by(found: Comparison) -> str:
+    """By what two runs part, in words."""
+    if _is_far(found):
+        return f"an rms distance above {limit_of(found)}"
+    return "a particle that only one of them has"
+
+
+def parted_in_short(found: Comparison) -> str:
+    """The same in a word or two."""
+    return f"farther than {limit_of(found)}" if _is_far(found) else "a particle in one only"
 
 
 def limit_of(found: Comparison) -> str:

@@ -26,6 +26,7 @@ from taichi_cloth.files.pending import PendingFile
 # with a clause such as "pos must be two finite numbers, is [1]".
 Reader = Callable[[str, Any], Any]
 
+MOST_ITERATIONS = 1_000_000  # of a header: as many as the flag may say
 _EXAMPLE = '{"frame": 0, "event": "move", "pos": [300, 200]}'
 
 
@@ -180,8 +181,10 @@ def _check_header(header: dict[str, Any]) -> None:
     tolerance, iterations = header.get("tolerance", 1.0), header.get("iterations", 1)
     if not _is_finite(tolerance) or tolerance <= 0:
         raise InputError(f"tolerance must be a positive number, is {show(tolerance)}")
-    if not _is_count(iterations):
-        raise InputError(f"iterations must be a whole number from 1, is {show(iterations)}")
+    if not _is_count(iterations) or iterations > MOST_ITERATIONS:
+        raise InputError(
+            f"iterations must be a whole number from 1 to {MOST_ITERATIONS}, is {show(iterations)}"
+        )
     if "start_frame" in header:
         whole_number("start_frame", header["start_frame"])
     if not _is_count(substeps):
