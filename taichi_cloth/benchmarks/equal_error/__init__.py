@@ -106,7 +106,7 @@ def _measure(
             continue
         tried[kind.group] += [(entrant, done) for done in found]
         runs += [SearchRun.of(problem.name, kind.group, kind.name, done) for done in found]
-    best = _best_of(bench, problem, tried, levels)
+    best = _best_of(bench, problem, tried, levels, limit)
     _race(bench, problem, list({id(b): b for b in best.values()}.values()))
     yield from _rows(problem, truth, best)
     for level in levels:
@@ -118,8 +118,12 @@ def _best_of(
     problem: Problem,
     tried: dict[str, list[tuple[Entrant, Tried]]],
     levels: Sequence[float],
+    limit: float,
 ) -> dict[tuple[str, float], _Best]:
-    """The cheapest of each group at each level, one object a setting; notes who meets none."""
+    """The cheapest of each group at each level, one object a setting; notes who misses one.
+
+    limit: seconds of a run past which nobody was given finer settings.
+    """
     made: dict[tuple[str, Choice], _Best] = {}
     best: dict[tuple[str, float], _Best] = {}
     for group, pairs in tried.items():
@@ -127,7 +131,8 @@ def _best_of(
             found = cheapest((done for _, done in pairs), level)
             if found is None:
                 least = min((d.error for _, d in pairs if d.error is not None), default=math.inf)
-                why = f"no setting tried has an error of at most {100 * level:g} %"
+                sought = f"no setting tried, up to one that took {limit:g} s,"
+                why = f"{sought} has an error of at most {100 * level:g} %"
                 has = f"; the least is {percent(least, 2)}" if math.isfinite(least) else ""
                 bench.leave_out(PART, group, problem.name, why + has)
                 break
