@@ -217,7 +217,8 @@ def _resumed(
     wanted = run_options.wanted_of(options, before)
     if wanted != before:
         set_to(sim, wanted)
-        sim.past.begin(sim, sim.checkpoint())  # the run begins here: nothing was done to it yet
+        if sim.past is not None:  # the run begins here: nothing was done to it yet
+            sim.past.begin(sim, sim.checkpoint())
     return sim
 
 

@@ -142,12 +142,14 @@ def settings_of(parts: Mapping[str, Any]) -> dict[str, Any]:
 def wanted_of(options: RunOptions, before: Settings) -> Settings:
     """What a run that was resumed is to go on with. before: what its checkpoint had."""
     solver = {name: getattr(options, name) for name in SOLVER_SETTINGS}
-    kept = options.dt == "auto"
+    dt, substeps = before.dt, before.substeps
+    if isinstance(options.dt, float):  # else the run goes on choosing them
+        dt, substeps = options.dt, options.substeps
     return replace(
         before,
         method=options.method,
-        dt=before.dt if kept else options.dt,
-        substeps=before.substeps if kept else options.substeps,
+        dt=dt,
+        substeps=substeps,
         solver={name: value for name, value in solver.items() if value is not None},
     )
 
