@@ -293,6 +293,17 @@ LOG = """{"header": {"scene": "cloth", "window": [400, 300], "dt": 1.0, "method"
 """
 
 
+def test_a_run_that_fails_is_not_near_one_that_goes_on(cli, tmp_path):
+    """However far apart is near enough, and however near they were up to there."""
+    log = tmp_path / "session.jsonl"
+    header = LOG.splitlines()[0].replace('"dt"', '"substeps": 8, "dt"')
+    log.write_text(header.replace('"--columns"', '"--stiffness", "9", "--columns"'))
+    words = ("compare", "--events", log, "--within", "1e9", "--frames", 60, "--json")
+    said = json.loads(cli(*words, "--substeps", 1, check=1)[0])
+    assert said["failed"]["a"] is None and said["failed"]["b"] and said["parted"] is None
+    assert not said["same"] and said["frames_b"] < said["frames_a"] == 60
+
+
 @pytest.mark.parametrize("name", ["a.npz", "b.jsonl"])
 def test_what_is_kept_writes_nothing_over(cli, tmp_path, name):
     """Also where it is the log itself; nothing is run before."""
