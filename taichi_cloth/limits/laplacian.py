@@ -58,5 +58,7 @@ class Laplacian:
         self._columns = made.indices
         self._on_diagonal = np.flatnonzero(self._rows == self._columns)
         inside = self._edges[self._free][:, self._free]
-        self._values = np.asarray(inside[self._rows, self._columns]).ravel()
+        # Where there is no entry, SciPy answers with a matrix instead of an array.
+        values = inside[self._rows, self._columns] if len(self._rows) else np.zeros(0)
+        self._values = np.asarray(values).ravel()
         return made

@@ -31,7 +31,10 @@ ROUND_OFF = 1e-11
 
 
 def growth(method: Method, h: float, omega2: float, damping: float) -> float:
-    """By how much the mode x'' = -omega2 x - damping v grows in a step h, at most."""
+    """By how much the mode x'' = -omega2 x - damping v grows in a step h, at most.
+
+    inf where h times the rates is more than a number can be.
+    """
     if method.stability_function:
         root = np.sqrt(complex(damping * damping / 4 - omega2))
         # The smaller root by the product of both: the difference would lose it to round-off.
@@ -39,7 +42,8 @@ def growth(method: Method, h: float, omega2: float, damping: float) -> float:
         slow = omega2 / fast if fast else 0.0
         return max(float(abs(method.stability_function(h * mu))) for mu in (fast, slow))
     assert method.amplification  # one of the two, by the contract
-    return float(np.abs(np.linalg.eigvals(method.amplification(h, omega2, damping))).max())
+    matrix = method.amplification(h, omega2, damping)
+    return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else math.inf
 
 
 def largest_step(method: Method, omega2: float, damping: float = 0.0) -> float:
