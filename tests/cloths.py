@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from taichi_cloth import runtime
 from taichi_cloth.scene import scenefile
-from taichi_cloth.scene.cloth import grid
+from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.model import (
     ParticleDefaults,
     Particles,
@@ -204,3 +204,27 @@ def bits(precision, method, collisions, threads, contact=None, **settings):
     sim.advance(90)
     state = sim.positions(), sim.velocities(), sim.springs_alive()
     return [hashlib.sha256(of.tobytes()).hexdigest() for of in state], int(state[2].sum())
+
+
+# Thinner than the spacing of `loose_sheet`, which comes down onto it between its particles.
+ROD = {"ends": [[4.0, 0.95, 0.013], [6.0, 0.95, 0.017]], "radius": 0.006, "friction": 0.6}
+
+
+def loose_sheet(*obstacles, speed=0.0, break_force=None, **world):
+    """A loose cloth of cells of 50 mm that falls, or flies down, onto what is in its way."""
+    cloth, ties = grid(
+        [4.8, 1.0, -0.2],
+        9,
+        9,
+        0.05,
+        links=["structural", "shear"],
+        across=[1, 0, 0],
+        down=[0, 0, 1],
+        particle_defaults=ParticleDefaults(mass=0.001, radius=0.002, viscous=1e-3),
+        spring_defaults=SpringDefaults(stiffness=20.0, damping=0.005, break_force=break_force),
+    )
+    cloth.velocity[:, 1] = -speed
+    given = {"size": (10.0, 10.0, 10.0), "gravity": (0.0, -9.81, 0.0), "dt": 1 / 60, "up": "y"}
+    triangles = grid_triangles(9, 9)
+    world = World(**(given | world))
+    return Scene("sheet", world, cloth, ties, triangles=triangles, obstacles=obstacles)

@@ -5,23 +5,20 @@ from contextlib import contextmanager
 
 import inside
 import numpy as np
+from cloths import ROD, loose_sheet
 
 from taichi_cloth import runtime
 from taichi_cloth.kernels import face_clearance
-from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import (
-    ParticleDefaults,
     Particles,
     Scene,
-    SpringDefaults,
     Springs,
     World,
 )
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.simulation.simulation import Simulation
 
-ROD = {"ends": [[4.0, 0.95, 0.013], [6.0, 0.95, 0.017]], "radius": 0.006, "friction": 0.6}
 BOX = {"centre": [5.0, 0.9, 0.0], "half": [0.05] * 3, "turn": [45.0, 0.0, 35.26], "friction": 0.6}
 TETRAHEDRON = {
     "vertices": [[0.0, 0.1, 0.0], [0.1, -0.05, 0.0], [-0.05, -0.05, 0.08], [-0.05, -0.05, -0.08]],
@@ -29,26 +26,6 @@ TETRAHEDRON = {
     "centre": [5.0, 0.85, 0.0],
     "cell": 0.02,
 }
-
-
-def sheet(*obstacles, speed=0.0, break_force=None, **world):
-    """A loose cloth of cells of 50 mm that falls, or flies down, onto what is in its way."""
-    cloth, ties = grid(
-        [4.8, 1.0, -0.2],
-        9,
-        9,
-        0.05,
-        links=["structural", "shear"],
-        across=[1, 0, 0],
-        down=[0, 0, 1],
-        particle_defaults=ParticleDefaults(mass=0.001, radius=0.002, viscous=1e-3),
-        spring_defaults=SpringDefaults(stiffness=20.0, damping=0.005, break_force=break_force),
-    )
-    cloth.velocity[:, 1] = -speed
-    given = {"size": (10.0, 10.0, 10.0), "gravity": (0.0, -9.81, 0.0), "dt": 1 / 60, "up": "y"}
-    triangles = grid_triangles(9, 9)
-    world = World(**(given | world))
-    return Scene("sheet", world, cloth, ties, triangles=triangles, obstacles=obstacles)
 
 
 def rope():
@@ -65,17 +42,17 @@ def rope():
 SCENES = {  # (scene, frames, steps a frame)
     "flag in a storm": lambda: (build("flag", columns=13, wind=30.0), 60, 40),
     "curtain that tears": lambda: (build("curtain", columns=17, strength=40.0), 60, 40),
-    "rod": lambda: (sheet(Obstacle.build("capsule", **ROD)), 40, 8),
-    "rod, fast": lambda: (sheet(Obstacle.build("capsule", **ROD), speed=20.0), 20, 8),
+    "rod": lambda: (loose_sheet(Obstacle.build("capsule", **ROD)), 40, 8),
+    "rod, fast": lambda: (loose_sheet(Obstacle.build("capsule", **ROD), speed=20.0), 20, 8),
     "rod that tears": lambda: (
-        sheet(Obstacle.build("capsule", **ROD), speed=8.0, break_force=1.0),
+        loose_sheet(Obstacle.build("capsule", **ROD), speed=8.0, break_force=1.0),
         30,
         8,
     ),
-    "corner": lambda: (sheet(Obstacle.build("box", **BOX)), 40, 8),
-    "mesh": lambda: (sheet(Obstacle.build("mesh", **TETRAHEDRON)), 40, 8),
+    "corner": lambda: (loose_sheet(Obstacle.build("box", **BOX)), 40, 8),
+    "mesh": lambda: (loose_sheet(Obstacle.build("mesh", **TETRAHEDRON)), 40, 8),
     "rod and a ball that moves": lambda: (
-        sheet(
+        loose_sheet(
             Obstacle.build("capsule", **ROD),
             Obstacle.build("sphere", centre=[5.1, 0.8, 0.1], radius=0.02, velocity=[0, 2.0, 0]),
         ),

@@ -4,6 +4,7 @@ import contextlib
 import os
 import shutil
 import subprocess
+import time
 
 import pytest
 from lacking import IN_CI
@@ -40,3 +41,18 @@ def end_server(screen):
     """End a virtual screen at once, under the windows on it."""
     _servers[screen].kill()
     _servers[screen].wait()
+
+
+def wait_for(seen, process, what, seconds=60):
+    """What `seen()` returns, as soon as that is something; fails where the window's process ends.
+
+    seconds: after which it counts as hung: many times what a busy machine takes, as that is no
+    measure of speed.
+    """
+    end = time.monotonic() + seconds
+    while not (found := seen()):
+        assert process.poll() is None, f"waiting for {what}: the window's process ended"
+        if time.monotonic() > end:
+            pytest.fail(f"waited {seconds} s in vain for {what}")
+        time.sleep(0.05)
+    return found

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from commands import PROGRAM
 from lacking import VIEWS, needs_x
-from screens import virtual_screen
+from screens import virtual_screen, wait_for
 from selection import thorough
 from test_comparison import swing
 
@@ -527,9 +527,8 @@ def test_a_real_window_shows_both(kind, caches, tmp_path):
             time.sleep(0.15)
             return done.stdout.split()
 
-        end = time.time() + 180
-        while not (found := ask("search", "--onlyvisible", "--name", "cloth, playing")):
-            assert said.poll() is None and time.time() < end
+        search = ("search", "--onlyvisible", "--name", "cloth, playing")
+        found = wait_for(lambda: ask(*search), said, "the window", 180)
         to = ("mousemove", "--window", found[0].decode())
         ask(*to, 665, 230)
         ask("key", "g")

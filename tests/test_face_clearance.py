@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from face_twins import ROD, SCENES, all_looked_at, ends_of, left_out, sheet
+from cloths import ROD, loose_sheet
+from face_twins import SCENES, all_looked_at, ends_of, left_out
 from selection import mostly_thorough
 
 from taichi_cloth.scene.obstacles import Obstacle
@@ -74,7 +75,7 @@ def handled(sim):
 
 def test_what_changes_a_state_from_outside_leaves_no_clearance_behind():
     def scene():
-        return sheet(Obstacle.build("capsule", **ROD), mouse="blow")
+        return loose_sheet(Obstacle.build("capsule", **ROD), mouse="blow")
 
     how = {"topology": "graph", "execution": "serial", "substeps": 8}
     sim = Simulation(scene(), **how)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cloths import ROD, loose_sheet
 from selection import mostly_thorough
 
 from taichi_cloth.cli import run_notes
@@ -10,7 +11,7 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.obstacles import SHAPES
 from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.checks import validate
-from taichi_cloth.scene.cloth import grid, grid_triangles
+from taichi_cloth.scene.cloth import grid
 from taichi_cloth.scene.model import (
     ParticleDefaults,
     Particles,
@@ -326,29 +327,8 @@ def deepest_face(sim):
     return depths(sharp, points.reshape(-1, 3), radii, sim.time).max()
 
 
-def sheet(obstacle, **world):
-    """A loose cloth of cells of 50 mm, and what is in its way."""
-    cloth, ties = grid(
-        [4.8, 1.0, -0.2],
-        9,
-        9,
-        0.05,
-        links=["structural", "shear"],
-        across=[1, 0, 0],
-        down=[0, 0, 1],
-        particle_defaults=ParticleDefaults(mass=0.001, radius=0.002, viscous=1e-3),
-        spring_defaults=SpringDefaults(stiffness=20.0, damping=0.005),
-    )
-    given = {"size": (10.0, 10.0, 10.0), "gravity": (0.0, -G, 0.0), "dt": 1 / 60, "up": "y"}
-    world = World(**(given | world))
-    triangles = grid_triangles(9, 9)
-    return Scene("sheet", world, cloth, ties, triangles=triangles, obstacles=(obstacle,))
-
-
 SHARP = {
-    "rod": Obstacle.build(
-        "capsule", ends=[[4.0, 0.95, 0.013], [6.0, 0.95, 0.017]], radius=0.006, friction=0.6
-    ),
+    "rod": Obstacle.build("capsule", **ROD),
     "corner": Obstacle.build(
         "box", centre=[5.0, 0.8, 0.0], half=[0.05] * 3, turn=[45.0, 0.0, 35.26], friction=0.6
     ),
@@ -360,7 +340,11 @@ SHARP = {
 def test_a_cloth_lies_on_what_would_pass_between_its_particles(device, name):
     """Its faces too are outside: of a rod to a thousandth, of a corner to a 50th of a cell."""
     sim = Simulation(
-        sheet(SHARP[name]), "symplectic_euler", substeps=8, topology="graph", execution="serial"
+        loose_sheet(SHARP[name]),
+        "symplectic_euler",
+        substeps=8,
+        topology="graph",
+        execution="serial",
     )
     for _ in range(12):
         sim.advance(8)
@@ -377,7 +361,7 @@ def test_a_small_fast_sphere_takes_the_cloth_along(device, speed):
         "sphere", centre=[5.013, 0.9, 0.011], radius=0.015, velocity=[0.0, speed, 0.0]
     )
     sim = Simulation(
-        sheet(ball, gravity=(0.0, 0.0, 0.0), dt=0.01),
+        loose_sheet(ball, gravity=(0.0, 0.0, 0.0), dt=0.01),
         "symplectic_euler",
         substeps=4 if speed < 100 else 8,  # with 4, of 0.25 m each, it is through at 2 m
         topology="graph",
@@ -396,7 +380,7 @@ def test_faces_have_the_same_bits_in_all_ways(device):
     ends = []
     for topology, execution in (("graph", "serial"), ("lanes", "parallel")):
         how = {"topology": topology, "execution": execution, "lanes": 2}
-        sim = Simulation(sheet(SHARP["rod"]), "symplectic_euler", substeps=8, **how)
+        sim = Simulation(loose_sheet(SHARP["rod"]), "symplectic_euler", substeps=8, **how)
         sim.advance(30)
         ends.append((sim.positions(), sim.velocities()))
     np.testing.assert_array_equal(ends[1], ends[0])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from commands import PROGRAM, command
 from lacking import VIEWS, needs_x
-from screens import virtual_screen
+from screens import virtual_screen, wait_for
 from selection import thorough
 
 from taichi_cloth import load_trajectory
@@ -79,11 +79,8 @@ class Hands:
         ).stdout.split()
 
     def wait(self, title):
-        end = time.time() + 120
-        while not (found := self.ask("search", "--onlyvisible", "--name", f"^{title}")):
-            assert self.process.poll() is None and time.time() < end, title
-            time.sleep(0.1)
-        self.id = found[-1]
+        search = ("search", "--onlyvisible", "--name", f"^{title}")
+        self.id = wait_for(lambda: self.ask(*search), self.process, title, 120)[-1]
 
     def press(self, key, *place):
         if place:

@@ -20,7 +20,7 @@ import pytest
 from commands import PROGRAM as PROGRAM_LINE
 from commands import command
 from lacking import VIEWS, needs_vulkan, needs_x
-from screens import end_server, virtual_screen
+from screens import end_server, virtual_screen, wait_for
 from selection import as_thorough
 
 from taichi_cloth import runtime
@@ -779,11 +779,7 @@ class Window:
         self.point(10, 390)
 
     def wait(self, done, seconds=60):
-        end = time.time() + seconds
-        while not done():
-            assert self.process.poll() is None, "the window's process ended"
-            assert time.time() < end, "nothing happened"
-            time.sleep(0.05)
+        wait_for(done, self.process, "what was done to show", seconds)
 
     def find(self):
         def found():
@@ -1127,10 +1123,12 @@ def test_a_window_as_large_as_the_screen_is_all_on_it(display, caches, tmp_path)
     process = subprocess.Popen([sys.executable, "-m", "taichi_cloth", *run], env=env, cwd=tmp_path)
     place = ["search", "--sync", "--onlyvisible", "--name", "oscillator", "getwindowgeometry"]
     try:
-        end = time.time() + 60
-        while "Position: 0,0 " not in (said := ask_xdotool(env, *place)):
-            assert time.time() < end, said
-            time.sleep(0.05)
+
+        def in_the_corner():
+            said = ask_xdotool(env, *place)
+            return said if "Position: 0,0 " in said else ""
+
+        said = wait_for(in_the_corner, process, "the window in the corner")
         assert "Geometry: 1400x900" in said
     finally:
         process.kill()
