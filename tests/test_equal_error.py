@@ -1,6 +1,8 @@
 """The bench of equal error: its search, its contestants against closed forms, its rows."""
 
+import os
 import pickle
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -12,9 +14,12 @@ from taichi_cloth.benchmarks.equal_error import contestants, picture, problems, 
 from taichi_cloth.benchmarks.equal_error.scipy_runs import ScipyTrial, jacobian_pattern
 from taichi_cloth.benchmarks.equal_error.search import Choice, Tried, cheapest, climb, search_all
 from taichi_cloth.benchmarks.equal_error.truth import Truth
+from taichi_cloth.cli.main import main
 from taichi_cloth.console import percent
 from taichi_cloth.errors import InputError
+from taichi_cloth.measuring import machine
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.sweeps.within import Clock
 from taichi_cloth.trade import ode
 from taichi_cloth.trade.errors import Samples
 
@@ -200,7 +205,7 @@ def test_the_pattern_has_every_entry_of_the_jacobian(damping):
 def little(monkeypatch, kinds):
     """The part on a cloth of 4 x 4 alone, with these contestants, DOP853 as the reference."""
     scene = problems.warp(4, damped=False)
-    problem = problems.Problem("a little cloth", scene, 4)
+    problem = problems.Problem("little", "a little cloth", scene, 4)
     smooth = ode.solve(scene, np.arange(5) * scene.world.dt)
     samples = Samples(smooth.x, smooth.v, np.ones((5, 0), bool))
     free = ~scene.particles.fixed
@@ -250,6 +255,115 @@ def test_the_part_tells_who_is_cheapest_at_each_level(monkeypatch, tmp_path):
     assert report.markdown(rows).startswith("| scene | solver | 10 % | 1 % |")
     (drawn,) = tmp_path.glob("*.png")
     assert drawn.read_bytes()[:4] == picture.draw(runs)[:4] == b"\x89PNG"
+
+
+def count_runs(monkeypatch, at=None, act=None):
+    """A list that gets (solver, setting) of each run; before run number `at`, `act(entrant)`."""
+    made, run = [], contestants.Entrant._run
+
+    def counted(entrant, choice):
+        made.append((entrant.kind.name, choice.describe()))
+        if len(made) == at:
+            act(entrant)
+        return run(entrant, choice)
+
+    monkeypatch.setattr(contestants.Entrant, "_run", counted)
+    return made
+
+
+def searched(folder, **piece):
+    """The part, measured in a piece: its rows, what it says it left out, and its runs."""
+    bench = contest.Bench(rounds=2, quick=True, results=folder, piece=contest.Piece(**piece))
+    try:
+        rows = list(equal_error.measure(bench))
+    finally:
+        bench.close()
+    kept = list(folder.glob(f"*{runs_file.SUFFIX}"))
+    runs = [(r.contestant, r.setting, r.error) for p in kept for r in runs_file.read(p)]
+    return rows, bench, runs
+
+
+def interrupt(entrant):
+    raise KeyboardInterrupt
+
+
+def kill_worker(entrant):
+    os.kill(entrant._worker._process.pid, signal.SIGKILL)
+
+
+def test_a_search_that_was_killed_goes_on_and_measures_nothing_twice(monkeypatch, tmp_path, capsys):
+    dop853, radau, _ = [k for k in contestants.kinds(True) if k.package == "scipy"]
+    little(monkeypatch, [replace(dop853, group="ours", name="ours, a"), radau])
+    with monkeypatch.context() as patch:
+        whole = count_runs(patch)
+        _, _, runs = searched(tmp_path / "whole")
+    assert [(name, setting) for name, setting, _ in runs] == whole
+    folder = tmp_path / "killed"
+    with monkeypatch.context() as patch:
+        first = count_runs(patch, 9, interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            searched(folder)
+    assert "--resume goes on with 8 finished results in" in capsys.readouterr().err
+    with monkeypatch.context() as patch:
+        patch.setattr(equal_error.identity, "of_place", lambda: {"machine": "another one"})
+        with pytest.raises(InputError, match="its machine is '.*', here it is 'another one'"):
+            searched(folder, resume=True)
+    with monkeypatch.context() as patch:
+        patch.setattr(machine, "versions", lambda packages: "newton 99")
+        with pytest.raises(InputError, match="its versions is '.*', here it is 'newton 99'"):
+            searched(folder, resume=True)
+    with monkeypatch.context() as patch:
+        second = count_runs(patch, 5, kill_worker)
+        rows, _, resumed = searched(folder, resume=True)
+    # What was interrupted is asked for again. The cheapest may differ, and so what is refined.
+    assert first[:8] == whole[:8] and second[0] == first[8]
+    asked = first[:8] + second
+    assert len(set(asked)) == len(asked)
+    errors = {(name, setting): error for name, setting, error in runs}
+    same = [(errors[name, s], e) for name, s, e in resumed if (name, s) in errors]
+    assert len(same) > 15 and all(one == other for one, other in same)
+    assert [row for row in rows if row.size == AT_ONE and row.is_ratio]
+    assert not list(folder.glob(f"*{equal_error.JOURNAL}"))
+
+
+def test_a_table_is_filled_scene_by_scene_in_the_time_there_is(monkeypatch, tmp_path):
+    dop853, _, _ = [k for k in contestants.kinds(True) if k.package == "scipy"]
+    little(monkeypatch, [replace(dop853, group="ours", name="ours, a")])
+    (problem,) = equal_error.all_problems(True)
+    other = replace(problem, key="other", name="another cloth")
+    monkeypatch.setattr(equal_error, "all_problems", lambda quick: [other, problem])
+    path = tmp_path / "results.csv"
+
+    def piece(**asked):
+        rows, bench, _ = searched(tmp_path, **asked)
+        report.replace_part(path, {}, "accuracy", [*rows, *bench.left_out], bench.scenes)
+        shown = [row for row in report.read(path)[1] if row.seconds is not None]
+        (search,) = tmp_path.glob(f"*{runs_file.SUFFIX}")
+        scenes = {row.size.rpartition(": ")[0] for row in shown}
+        assert {run.scene for run in runs_file.read(search)} == scenes
+        return shown, {row.size: row.note for row in bench.left_out}
+
+    first, _ = piece(scenes=["little"])
+    assert {row.size.partition(": ")[0] for row in first} == {"a little cloth"}
+    with monkeypatch.context() as patch:
+        made = count_runs(patch)
+        rows, said = piece(clock=Clock(-1.0))
+    assert not made and rows == first
+    assert "not finished in -1 s; --resume goes on" in said["another cloth"]
+    both, said = piece(scenes=["other"])
+    assert "another cloth" not in said and both[-len(first) :] == first
+    assert both[0].size == "another cloth: 10 %"
+    with pytest.raises(InputError, match="--scenes: unknown scene 'litle'; did you mean 'little'"):
+        piece(scenes=["litle"])
+
+
+def test_pieces_are_asked_for_of_the_part_that_has_them(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["bench", "warp", "--within", "60s"]) == 2
+    assert "--within: only the part accuracy takes it, alone" in capsys.readouterr().err
+    assert main(["bench", "accuracy", "--scenes", "sed"]) == 2
+    out, err = capsys.readouterr()
+    assert "--scenes: unknown scene 'sed'; did you mean 'seed'" in err and not out
 
 
 @thorough

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import signal
+import threading
 
 import pytest
 from selection import thorough
@@ -13,7 +15,7 @@ from taichi_cloth.settings.sweeps import TradeOptions
 from taichi_cloth.stability import command as stability
 from taichi_cloth.stability import experiment
 from taichi_cloth.sweeps.journal import Journal
-from taichi_cloth.sweeps.within import Clock, clock, said_of_left_out
+from taichi_cloth.sweeps.within import Clock, TimeIsUp, clock, ending, said_of_left_out
 from taichi_cloth.trade import command
 from taichi_cloth.trade.outcomes import Outcome
 from taichi_cloth.trade.pace import FEWEST_FRAMES, Pace, Share, left_out
@@ -40,6 +42,16 @@ def test_a_clock_keeps_time_for_the_files_and_a_part_ends_before_the_whole():
     hand.at += 30.0
     assert minute.left() < 0
     assert not Clock().limited and Clock().left() == float("inf")
+
+
+def test_what_waits_is_interrupted_when_the_time_is_over():
+    before = signal.getsignal(signal.SIGALRM)
+    with pytest.raises(TimeIsUp), ending(Clock(2.01)):  # two seconds of it are for files
+        threading.Event().wait(600)
+    assert signal.getsignal(signal.SIGALRM) is before
+    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
+    with ending(Clock()):
+        assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
 
 
 def test_quick_is_a_minute_and_times_have_units():

@@ -10,17 +10,19 @@ from typing import TYPE_CHECKING
 
 from taichi_cloth import console
 from taichi_cloth.benchmarks import PARTS, contacts, module_of, report, summary
-from taichi_cloth.benchmarks.contest import Bench
-from taichi_cloth.benchmarks.equal_error import picture, runs_file
+from taichi_cloth.benchmarks.contest import Bench, Piece
+from taichi_cloth.benchmarks.equal_error import picture, problems, runs_file
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.pending import prepare_folder, write_whole
 from taichi_cloth.measuring import machine
-from taichi_cloth.settings.options import BenchOptions
+from taichi_cloth.settings.options import BenchOptions, flag
+from taichi_cloth.sweeps.within import clock
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 QUICK_ROUNDS = 3
+PIECEWISE = "accuracy"  # the part that takes hours, and can be measured in pieces
 
 
 def main(parts: Sequence[str], options: BenchOptions) -> int:
@@ -35,6 +37,7 @@ def main(parts: Sequence[str], options: BenchOptions) -> int:
     chosen = [part for part in PARTS if part in parts] or ([] if document else list(PARTS))
     if options.arch and "gpu" not in chosen:
         raise InputError("--arch: only the part gpu takes it")
+    piece = _piece(options, chosen)
     if chosen:
         prepare_folder(folder, [path.name])
         if path.exists():
@@ -45,8 +48,8 @@ def main(parts: Sequence[str], options: BenchOptions) -> int:
         rounds = options.rounds or (QUICK_ROUNDS if options.quick else 7)
         left_out = []
         for part in chosen:
-            rows = _measure(part, rounds, options, to)
-            report.replace_part(path, description, part, rows)
+            rows, scenes = _measure(part, rounds, options, piece, to)
+            report.replace_part(path, description, part, rows, scenes)
             timed = [row for row in rows if row.seconds is not None or row.is_ratio]
             gaps = [row for row in rows if row not in timed]
             to.print()
@@ -69,10 +72,21 @@ def _document(name: str) -> Path:
     return Path(name)
 
 
+def _piece(options: BenchOptions, chosen: Sequence[str]) -> Piece:
+    """What is measured at once of the part that has a journal; raises InputError for others."""
+    for name in ("scenes", "within", "resume"):
+        if name in options.given and list(chosen) != [PIECEWISE]:
+            raise InputError(f"{flag(name)}: only the part {PIECEWISE} takes it, alone")
+    scenes = [name.strip() for name in (options.scenes or "").split(",") if name.strip()]
+    if scenes:
+        problems.chosen(problems.all_problems(options.quick), scenes)
+    return Piece(scenes, clock(options.within), options.resume)
+
+
 def _measure(
-    part: str, rounds: int, options: BenchOptions, to: Console
-) -> list[report.Measurement]:
-    """All rows of a part, what it left out at the end."""
+    part: str, rounds: int, options: BenchOptions, piece: Piece, to: Console
+) -> tuple[list[report.Measurement], dict[str, bool]]:
+    """All rows of a part, what it left out at the end; and of which scenes, if it has pieces."""
     module = importlib.import_module(module_of(part))
     with console.progress(("spinner", "text", "bar", "elapsed"), on=to) as show:
 
@@ -80,9 +94,9 @@ def _measure(
             show(f"{part}: {text}", done, total)
 
         show(part, 0, 1)
-        bench = Bench(rounds, options.quick, options.arch, tell, Path(options.output))
+        bench = Bench(rounds, options.quick, options.arch, tell, Path(options.output), piece)
         try:
-            return [*module.measure(bench), *bench.left_out]
+            return [*module.measure(bench), *bench.left_out], bench.scenes
         finally:
             bench.close()
 

@@ -22,8 +22,22 @@ from taichi_cloth.console import Tell, tell_nobody
 from taichi_cloth.measuring import machine
 from taichi_cloth.measuring.timing import quartiles, turns
 from taichi_cloth.measuring.worker import Worker, WorkerFailed
+from taichi_cloth.sweeps.within import Clock
 
 FINER = 16  # the reference's steps are this many times shorter
+
+
+@dataclass(frozen=True)
+class Piece:
+    """What is measured at once of a part that takes hours, and has a journal.
+
+    scenes: only these, by their keys; none: all. clock: when it has to end. resume: whether it goes
+    on with what an earlier piece has finished.
+    """
+
+    scenes: Sequence[str] = ()
+    clock: Clock = field(default_factory=Clock)
+    resume: bool = False
 
 
 @dataclass
@@ -85,7 +99,10 @@ class Bench:
 
     rounds: counted rounds of each contest. quick: smaller sizes. arch: backend of the part `gpu`,
     None for all there are. tell: shown what is going on. results: the folder of the results, where
-    a part keeps files of its own; None: nothing is kept.
+    a part keeps files of its own; None: nothing is kept. piece: of a part that takes hours.
+
+    scenes: of a part that is measured in pieces, which sets it: the names of all that it has, and
+    whether this run has measured them, or the file of results is to keep the rows it had.
     """
 
     def __init__(
@@ -95,9 +112,11 @@ class Bench:
         arch: str | None = None,
         tell: Tell = tell_nobody,
         results: Path | None = None,
+        piece: Piece | None = None,
     ):
         self.rounds, self.quick, self.arch, self.tell = rounds, quick, arch, tell
-        self.results = results
+        self.results, self.piece = results, piece or Piece()
+        self.scenes: dict[str, bool] = {}
         self.threads = runtime.available_cores()
         self.left_out: list[Measurement] = []
         self._folder = tempfile.TemporaryDirectory(prefix="taichi-cloth-bench-")

@@ -110,11 +110,37 @@ def read(path: Path) -> tuple[dict[str, str], list[Measurement]]:
 
 
 def replace_part(
-    path: Path, machine: Mapping[str, str], part: str, rows: Sequence[Measurement]
+    path: Path,
+    machine: Mapping[str, str],
+    part: str,
+    rows: Sequence[Measurement],
+    scenes: Mapping[str, bool] | None = None,
 ) -> None:
-    """Put a part's rows into a file, in place of those it had; the other parts' stay."""
-    kept = [row for row in read(path)[1] if row.part != part] if path.exists() else []
-    write(path, machine, sorted([*kept, *rows], key=lambda row: PARTS.index(row.part)))
+    """Put a part's rows into a file, in place of those it had; the other parts' stay.
+
+    scenes: of a part of `BY_LEVEL`, all in their order, and whether rows are theirs; those of the
+    others stay, too.
+    """
+    names = list(scenes or {})
+    staying = [name for name, measured in (scenes or {}).items() if not measured]
+    before = read(path)[1] if path.exists() else []
+    new = {(row.contestant, row.size) for row in rows}
+    kept = [
+        row
+        for row in before
+        if row.part != part or (_scene_of(row) in staying and (row.contestant, row.size) not in new)
+    ]
+
+    def place(row: Measurement) -> tuple[int, int]:
+        scene = _scene_of(row) if row.part == part else ""
+        return PARTS.index(row.part), names.index(scene) if scene in names else len(names)
+
+    write(path, machine, sorted([*kept, *rows], key=place))
+
+
+def _scene_of(row: Measurement) -> str:
+    """Of a row of `BY_LEVEL`."""
+    return row.size.partition(": ")[0]
 
 
 # ------------------------------------------------------------------------------------------

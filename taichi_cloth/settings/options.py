@@ -263,6 +263,21 @@ class RunOptions(Options):
     quiet: bool = setting(False, "print nothing but errors")
 
 
+def within_setting() -> Any:
+    """The setting of a command that leaves out what does not fit in a time."""
+    return setting(
+        None,
+        "leave out what does not fit in this time, and say what (60s, 5min)",
+        str,
+        metavar="TIME",
+    )
+
+
+def resume_setting() -> Any:
+    """The setting of a sweep that goes on where an earlier run of it ended."""
+    return setting(False, "go on with what an earlier run of the same command has finished")
+
+
 @dataclass(frozen=True)
 class BenchOptions(Options):
     """Settings of the benchmark."""
@@ -283,6 +298,14 @@ class BenchOptions(Options):
         str,
         choices=tuple(arch for arch in ARCHS if arch not in ("cpu", "gpu")),
     )
+    scenes: str | None = setting(
+        None,
+        "only these scenes of the part accuracy, whose others keep their rows",
+        str,
+        metavar="A,B",
+    )
+    within: str | None = within_setting()
+    resume: bool = resume_setting()
     tables: str | None = setting(
         None,
         "fill a document's tables from the results; without a PART nothing is measured",
@@ -295,16 +318,6 @@ def _as_in_run(name: str) -> Any:
     """A setting that is the same as one of a run."""
     parameter = parameters_of(RunOptions)[name]
     return field(default=parameter.default, metadata={"parameter": parameter})
-
-
-def within_setting() -> Any:
-    """The setting of a command that leaves out what does not fit in a time."""
-    return setting(
-        None,
-        "leave out what does not fit in this time, and say what (60s, 5min)",
-        str,
-        metavar="TIME",
-    )
 
 
 @dataclass(frozen=True)

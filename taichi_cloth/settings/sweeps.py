@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from taichi_cloth.settings.options import PATHS, TOPOLOGIES, Options, setting, within_setting
-
-
-def _resume() -> Any:
-    """The setting of a sweep that goes on where an earlier run of it ended."""
-    return setting(False, "go on with what an earlier run of the same command has finished")
+from taichi_cloth.settings.options import (
+    PATHS,
+    TOPOLOGIES,
+    Options,
+    resume_setting,
+    setting,
+    within_setting,
+)
 
 
 def _on() -> Any:
@@ -31,7 +33,7 @@ class StabilityOptions(Options):
         None, "only this method (default: all that have a limit)", str, metavar="NAME"
     )
     within: str | None = within_setting()
-    resume: bool = _resume()
+    resume: bool = resume_setting()
     on: str | None = _on()
     quiet: bool = setting(False, "print nothing but errors")
 
@@ -79,7 +81,7 @@ class ComparisonOptions(Options):
     threads: int | None = setting(
         None, "CPU threads (default: all)", int, minimum=1, maximum=1024, metavar="N"
     )
-    resume: bool = _resume()
+    resume: bool = resume_setting()
     on: str | None = _on()
     times_on: str | None = setting(
         None,

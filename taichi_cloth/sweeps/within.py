@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import signal
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from types import FrameType
 
 from taichi_cloth.errors import InputError, clipped, counted
 from taichi_cloth.settings.parameters import positive
@@ -16,6 +20,10 @@ UNITS = {"min": 60.0, "h": 3600.0, "s": 1.0}
 ENDING = 0.06  # of the time, and seconds, that a sweep keeps for its files, table and plots
 ENDING_SECONDS = 2.0
 MOST_TOLD = 12  # lines of what was left out
+
+
+class TimeIsUp(KeyboardInterrupt):
+    """A sweep's time is over: what is on its way is interrupted, as by Ctrl-C."""
 
 
 class Clock:
@@ -52,6 +60,31 @@ class Clock:
     def describe(self) -> str:
         """How long it is: '60 s'."""
         return f"{self.seconds:g} s"
+
+
+@contextlib.contextmanager
+def ending(clock: Clock) -> Iterator[None]:
+    """As long as the context lasts, raise TimeIsUp in this thread at the clock's end, whatever it
+    waits for.
+
+    Only the main thread can be interrupted, and only where the system has a timer: elsewhere a
+    sweep has to look at its clock.
+    """
+    main = threading.current_thread() is threading.main_thread()
+    if not (clock.limited and main and hasattr(signal, "setitimer")):
+        yield
+        return
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise TimeIsUp
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    signal.setitimer(signal.ITIMER_REAL, max(clock.left(), 1e-3))
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def said_of_left_out(clock: Clock, lines: Sequence[str]) -> list[str]:

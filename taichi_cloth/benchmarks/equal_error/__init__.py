@@ -10,12 +10,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 
 from taichi_cloth.benchmarks.contest import Bench
 from taichi_cloth.benchmarks.equal_error import picture, runs_file
-from taichi_cloth.benchmarks.equal_error.contestants import OURS, Entrant, Kind, enter, kinds
-from taichi_cloth.benchmarks.equal_error.problems import STIFFER, Problem, all_problems
+from taichi_cloth.benchmarks.equal_error.contestants import OURS, CannotEnter, Entrant, Kind, kinds
+from taichi_cloth.benchmarks.equal_error.problems import (
+    STIFFER,
+    Problem,
+    all_problems,
+    chosen,
+)
 from taichi_cloth.benchmarks.equal_error.runs_file import SearchRun
 from taichi_cloth.benchmarks.equal_error.search import (
     LEVELS,
@@ -27,12 +33,17 @@ from taichi_cloth.benchmarks.equal_error.search import (
 from taichi_cloth.benchmarks.equal_error.truth import Truth, truth_of
 from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.console import percent
-from taichi_cloth.files.pending import write_whole
+from taichi_cloth.files.pending import prepare_folder, write_whole
 from taichi_cloth.measuring import machine
 from taichi_cloth.measuring.timing import quartiles, turns
 from taichi_cloth.measuring.worker import WorkerFailed
+from taichi_cloth.sweeps import identity
+from taichi_cloth.sweeps import journal as journals
+from taichi_cloth.sweeps.journal import Journal, key_of
+from taichi_cloth.sweeps.within import TimeIsUp, ending
 
 PART = "accuracy"
+JOURNAL = "-accuracy-journal"  # the folder of what is finished, beside the results
 PACKAGES = {"taichi": ("taichi-cloth", "taichi"), "newton": ("newton", "warp-lang")}
 # The target at each level: how many times cheaper than the best peer.
 TARGETS = {level: ">= 10" if level == 0.01 else ">= 1" for level in LEVELS}
@@ -53,7 +64,39 @@ class _Best:
 
 
 def measure(bench: Bench) -> Iterator[Measurement]:
-    """Each scene: its reference, the search, and the race of the best."""
+    """Each scene: its reference, the search, and the race of the best; all that is finished goes
+    into a journal, with which another piece goes on.
+
+    Raises InputError for scenes that there are not, and for a journal of another machine or of
+    other versions.
+    """
+    problems = all_problems(bench.quick)
+    wanted = chosen(problems, bench.piece.scenes)
+    bench.scenes = {problem.name: False for problem in problems}
+    searched = _search_file(bench)
+    if searched is not None and searched.exists():
+        runs_file.read(searched)  # what there is can be joined
+    takers = _takers(bench)
+    rows: list[Measurement] = []
+    folder = _folder(bench)
+    try:
+        with (
+            journals.kept(folder, _identity(bench), bench.piece.resume) as journal,
+            ending(bench.piece.clock),
+        ):
+            for problem in wanted:
+                rows += _scene(bench, problem, takers, journal)
+        folder.rmdir()
+    except TimeIsUp:
+        for problem in wanted:
+            if not bench.scenes[problem.name]:
+                why = f"not finished in {bench.piece.clock.describe()}; --resume goes on with it"
+                bench.leave_out(PART, "everyone", problem.name, why)
+    yield from rows
+
+
+def _takers(bench: Bench) -> list[Kind]:
+    """All whose packages are installed; notes the others."""
     takers = []
     for kind in kinds(bench.quick):
         if machine.installed(kind.package):
@@ -65,29 +108,82 @@ def measure(bench: Bench) -> Iterator[Measurement]:
     bench.leave_out(PART, "everyone", "a drape with contacts", "is not among the scenes yet")
     if bench.quick:
         bench.leave_out(PART, "everyone", f"Warp's cloth, {STIFFER[-1]} × k", "left to a whole run")
-    runs: list[SearchRun] = []
-    for problem in all_problems(bench.quick):
-        yield from _measure(bench, problem, takers, runs)
+    return takers
+
+
+def _folder(bench: Bench) -> Path:
+    """Where the journal lies."""
+    folder = (bench.results or bench.folder) / f"{machine.file_name()}{JOURNAL}"
+    prepare_folder(folder, [])
+    return folder
+
+
+def _identity(bench: Bench) -> dict[str, str]:
+    """What results are of, beside the scenes, which are in their keys."""
+    packages = (*identity.PACKAGES, *(name for of in PACKAGES.values() for name in of))
+    return {
+        "command": f"bench {PART}",
+        "settings": " ".join(["--quick"] * bench.quick + ["--rounds", str(bench.rounds)]),
+        **identity.of_place(),
+        "versions": machine.versions(tuple(dict.fromkeys(packages))),
+    }
+
+
+def _search_file(bench: Bench) -> Path | None:
+    """The file of all runs of the search, if results are kept."""
+    name = f"{machine.file_name()}{runs_file.SUFFIX}"
+    return bench.results / name if bench.results is not None else None
+
+
+def _scene(
+    bench: Bench, problem: Problem, takers: Sequence[Kind], journal: Journal
+) -> list[Measurement]:
+    """The rows of a scene, from the journal where it is finished there; puts its runs into the
+    file of the search, and draws that anew.
+    """
+    key = key_of("scene", problem.digest)
+    entry = journal.get(key)
+    if entry is None:
+        before = len(bench.left_out)
+        runs: list[SearchRun] = []
+        try:
+            rows = _measure(bench, problem, takers, runs, journal)
+        except TimeIsUp:
+            del bench.left_out[before:]  # of a scene that has no rows yet
+            raise
         bench.end_workers()
-        _keep(bench, runs)
-
-
-def _keep(bench: Bench, runs: Sequence[SearchRun]) -> None:
-    """Write the runs so far, and their picture, beside the results, if they are kept."""
-    if bench.results is not None:
-        name = machine.file_name()
-        runs_file.write(bench.results / f"{name}{runs_file.SUFFIX}", runs)
-        write_whole(bench.results / f"{name}-accuracy.png", picture.draw(runs))
+        found = {
+            "rows": [asdict(row) for row in rows],
+            "left out": [asdict(row) for row in bench.left_out[before:]],
+            "runs": [asdict(run) for run in runs],
+        }
+        entry = journal.add(key, found)
+    else:
+        known = [Measurement(**row) for row in entry.result["left out"]]
+        bench.left_out += [row for row in known if row not in bench.left_out]
+    bench.scenes[problem.name] = True
+    path = _search_file(bench)
+    if path is not None:
+        mine = [SearchRun(**run) for run in entry.result["runs"]]
+        renewed = {name: name == problem.name for name in bench.scenes}
+        together = runs_file.replace_scenes(path, mine, renewed)
+        write_whole(path.with_name(f"{machine.file_name()}-accuracy.png"), picture.draw(together))
+    return [Measurement(**row) for row in entry.result["rows"]]
 
 
 def _measure(
-    bench: Bench, problem: Problem, takers: Sequence[Kind], runs: list[SearchRun]
-) -> Iterator[Measurement]:
+    bench: Bench,
+    problem: Problem,
+    takers: Sequence[Kind],
+    runs: list[SearchRun],
+    journal: Journal,
+) -> list[Measurement]:
+    """The rows of a scene; runs: gets all runs of the search."""
     limit = QUICK_LIMIT if bench.quick else LIMIT
-    truth = truth_of(problem, QUICK_PATIENCE if bench.quick else PATIENCE, bench.tell)
+    truth = truth_of(problem, QUICK_PATIENCE if bench.quick else PATIENCE, bench.tell, journal)
     if isinstance(truth, str):
         bench.leave_out(PART, "everyone", problem.name, truth)
-        return
+        return []
     levels = [level for level in LEVELS if level > truth.floor]
     for level in LEVELS:
         if level not in levels:
@@ -95,22 +191,20 @@ def _measure(
             bench.leave_out(PART, "everyone", _where(problem, level), why)
     tried: dict[str, list[tuple[Entrant, Tried]]] = {kind.group: [] for kind in takers}
     for kind in takers:
-        entrant = enter(bench, PART, kind, problem, truth, patience=2 * limit)
-        if entrant is None:
-            continue
+        entrant = Entrant(bench, kind, problem, truth, 2 * limit, journal)
+        before = [done for _, done in tried[kind.group]]
         try:
-            before = [done for _, done in tried[kind.group]]
-            found = search_all(entrant, kind.ladders, limit / truth.frames, levels, before)
-        except WorkerFailed as failure:
+            search_all(entrant, kind.ladders, limit / truth.frames, levels, before)
+        except CannotEnter as failure:
             bench.leave_out(PART, kind.name, problem.name, str(failure))
-            continue
-        tried[kind.group] += [(entrant, done) for done in found]
-        runs += [SearchRun.of(problem.name, kind.group, kind.name, done) for done in found]
+        tried[kind.group] += [(entrant, done) for done in entrant.tried]
+        runs += [SearchRun.of(problem.name, kind.group, kind.name, done) for done in entrant.tried]
     best = _best_of(bench, problem, tried, levels, limit)
-    _race(bench, problem, list({id(b): b for b in best.values()}.values()))
-    yield from _rows(problem, truth, best)
+    _race(bench, problem, list({id(b): b for b in best.values()}.values()), truth.frames)
+    rows = list(_rows(problem, truth, best))
     for level in levels:
-        yield from _ratio(problem, best, level)
+        rows += _ratio(problem, best, level)
+    return rows
 
 
 def _best_of(
@@ -142,9 +236,15 @@ def _best_of(
     return best
 
 
-def _race(bench: Bench, problem: Problem, best: list[_Best]) -> None:
-    """Time the best by turns; one whose process is lost leaves."""
+def _race(bench: Bench, problem: Problem, best: list[_Best], frames: int) -> None:
+    """Time the best by turns, in one go; one whose process is lost leaves.
+
+    Raises TimeIsUp where there is not the time for it.
+    """
     running = list(best)
+    a_round = sum(frames * (one.tried.seconds or 0.0) for one in best)
+    if min((bench.rounds + 1) * a_round, RACE + a_round) > bench.piece.clock.left():
+        raise TimeIsUp
     for number, one in turns(running, bench.rounds, rotate=True, patience=RACE, least=1):
         name = one.entrant.kind.name
         bench.tell(f"{problem.name}: the best by turns: {name}", number, bench.rounds + 1)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pickle
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from taichi_cloth.benchmarks import newton_model
@@ -14,9 +13,11 @@ from taichi_cloth.benchmarks.contest import Bench
 from taichi_cloth.benchmarks.equal_error.problems import Problem
 from taichi_cloth.benchmarks.equal_error.search import Choice, Tried
 from taichi_cloth.benchmarks.equal_error.truth import Truth
-from taichi_cloth.console import Tell
 from taichi_cloth.measuring.worker import Worker, WorkerFailed
+from taichi_cloth.sweeps.journal import Journal, key_of
+from taichi_cloth.sweeps.within import TimeIsUp
 from taichi_cloth.trade.errors import Samples
+from taichi_cloth.trade.process import AGAIN
 
 OURS = "ours"
 HERE = "taichi_cloth.benchmarks.equal_error"
@@ -97,31 +98,54 @@ def _steps(**solver: Any) -> tuple[Choice, ...]:
     return tuple(Choice(substeps=1 << k, **solver) for k in doublings)
 
 
+class CannotEnter(WorkerFailed):
+    """A solver cannot be made for a scene, or its process is lost again and again."""
+
+
 @dataclass
 class Entrant:
-    """A solver on a problem, in its process: called with a choice, it runs and times it.
+    """A solver on a problem: called with a choice, it runs and times it, or reads that it has.
 
-    Raises WorkerFailed where the process is lost.
+    patience: seconds that a run of a solver that chooses its own steps may take. journal: has what
+    is finished, and gets it. about: what its process says of it. tried: all runs that were asked
+    for, in their order. Its process begins with the first run that is not in the journal; where it
+    is killed, what was asked of it is asked of another one, AGAIN times.
     """
 
+    bench: Bench
     kind: Kind
     problem: Problem
     truth: Truth
-    worker: Worker
-    key: str
-    folder: Path
-    tell: Tell
+    patience: float
+    journal: Journal
     about: dict[str, Any] = field(default_factory=dict)
+    tried: list[Tried] = field(default_factory=list)
+    _worker: Worker | None = None
 
     def __call__(self, choice: Choice) -> Tried:
-        self.tell(f"{self.problem.name}: {self.kind.name}, {choice.describe()}", 0, 1)
-        file = self.folder / "sample.npz"
+        """What came of a choice. Raises CannotEnter, or TimeIsUp."""
+        kind = self.kind
+        of = kind.name, kind.trial, kind.arguments, asdict(choice)
+        key = key_of("run", self.problem.digest, *of)
+        entry = self.journal.get(key)
+        if entry is None:
+            if self.bench.piece.clock.left() <= 0:  # where there is no timer
+                raise TimeIsUp
+            done = self._run(choice)
+            result = {"error": done.error, "seconds": done.seconds, "failed": done.failed}
+            entry = self.journal.add(key, result)
+        self.tried.append(Tried(choice, **entry.result))
+        return self.tried[-1]
+
+    def _run(self, choice: Choice) -> Tried:
+        self.bench.tell(f"{self.problem.name}: {self.kind.name}, {choice.describe()}", 0, 1)
+        file = self.bench.folder / "sample.npz"
         frames = self.truth.frames
         try:
             done = self._ask("sample", choice, file=str(file))
+        except CannotEnter:
+            raise
         except WorkerFailed as failure:
-            if not self.worker.alive:
-                raise
             return Tried(choice, failed=str(failure))
         try:
             if done["failed"]:
@@ -142,6 +166,7 @@ class Entrant:
         return [whole / self.truth.frames for whole in seconds]
 
     def _ask(self, do: str, choice: Choice, **more: Any) -> Any:
+        """Raises WorkerFailed, and where not the run alone is at fault, CannotEnter."""
         given = {"iterations": choice.iterations, "tolerance": choice.tolerance}
         asked: dict[str, Any] = {
             "dt": self.problem.scene.world.dt,
@@ -150,29 +175,37 @@ class Entrant:
         }
         if choice.substeps is not None:
             asked["substeps"] = choice.substeps
-        return self.worker.ask(of=self.key, do=do, **{"with": asked | more})["result"]
+        lost = ""
+        for _ in range(1 + AGAIN):
+            worker = self.bench.worker(self.kind.package, self.kind.precision, TIMED_ALONE)
+            try:
+                if worker is not self._worker:
+                    self._enter(worker)
+                return worker.ask(of=self._key, do=do, **{"with": asked | more})["result"]
+            except WorkerFailed as failure:
+                if worker.alive:
+                    raise
+                lost = str(failure)
+        raise CannotEnter(f"{choice.describe()}: {lost}, {1 + AGAIN} times in turn")
 
+    @property
+    def _key(self) -> str:
+        return f"{self.problem.name}: {self.kind.name}"
 
-def enter(
-    bench: Bench, part: str, kind: Kind, problem: Problem, truth: Truth, patience: float
-) -> Entrant | None:
-    """The entrant in its process; None, which is noted, where it cannot be made.
-
-    patience: seconds that a run of a solver that chooses its own steps may take.
-    """
-    bench.tell(f"{problem.name}: preparing {kind.name}", 0, 1)
-    file = bench.folder / f"{re.sub('[^a-z0-9]+', '-', problem.name.lower())}.pickle"
-    if not file.exists():
-        file.write_bytes(pickle.dumps(problem.scene))
-    arguments = {"scene": str(file), **kind.arguments}
-    if kind.package == "scipy":
-        own = {"length": truth.scale, "speed": truth.speed, "patience": patience}
-        arguments |= own
-    key = f"{problem.name}: {kind.name}"
-    worker = bench.worker(kind.package, kind.precision, TIMED_ALONE)
-    try:
-        about = worker.ask(make=kind.trial, **{"as": key, "with": arguments})["result"]
-    except WorkerFailed as failure:
-        bench.leave_out(part, kind.name, problem.name, str(failure))
-        return None
-    return Entrant(kind, problem, truth, worker, key, bench.folder, bench.tell, about)
+    def _enter(self, worker: Worker) -> None:
+        """Make the solver in its process."""
+        self.bench.tell(f"{self.problem.name}: preparing {self.kind.name}", 0, 1)
+        name = re.sub("[^a-z0-9]+", "-", self.problem.name.lower())
+        file = self.bench.folder / f"{name}.pickle"
+        if not file.exists():
+            file.write_bytes(pickle.dumps(self.problem.scene))
+        arguments = {"scene": str(file), **self.kind.arguments}
+        if self.kind.package == "scipy":
+            own = {"length": self.truth.scale, "speed": self.truth.speed, "patience": self.patience}
+            arguments |= own
+        made: dict[str, Any] = {"as": self._key, "with": arguments}
+        try:
+            self.about = worker.ask(make=self.kind.trial, **made)["result"]
+        except WorkerFailed as failure:
+            raise CannotEnter(str(failure)) if worker.alive else failure from None
+        self._worker = worker

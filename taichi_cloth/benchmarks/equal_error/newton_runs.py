@@ -27,9 +27,7 @@ class NewtonTrial:
         self, dt: float, substeps: int, solver: dict[str, Any], frames: int, file: str
     ) -> dict[str, Any]:
         """Run so many frames; their states go to `file` (npz), as those of a `Trial`."""
-        if not self._compiled:
-            self._begin(solver).advance(dt / substeps, 1)
-            self._compiled = True
+        self._warm_up(dt / substeps, solver)
         stepper, dim = self._begin(solver), self._scene.world.dim
         states = [_state(stepper, dim)]
         seconds, failed = 0.0, ""
@@ -49,6 +47,7 @@ class NewtonTrial:
         self, dt: float, substeps: int, solver: dict[str, Any], frames: int, budget: float
     ) -> list[float]:
         """Seconds of runs of so many frames, at least one, until `budget` seconds are spent."""
+        self._warm_up(dt / substeps, solver)
         seconds: list[float] = []
         while not seconds or sum(seconds) < budget:
             stepper = self._begin(solver)
@@ -56,6 +55,12 @@ class NewtonTrial:
             stepper.advance(dt / substeps, substeps * frames)
             seconds.append(time.perf_counter() - begin)
         return seconds
+
+    def _warm_up(self, h: float, solver: dict[str, Any]) -> None:
+        """See that what a step of h needs is compiled."""
+        if not self._compiled:
+            self._begin(solver).advance(h, 1)
+            self._compiled = True
 
     def _begin(self, settings: dict[str, Any]) -> Stepper:
         return Stepper(self._model, self._solver, **settings)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.scene.fingerprint import scene_hash
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import Scene, SpringDefaults
 
@@ -17,11 +21,17 @@ QUICK_STIFFER = (1, 100)
 
 @dataclass(frozen=True)
 class Problem:
-    """A scene, and for how many of its frames it is run."""
+    """A scene, and for how many of its frames it is run. key: what it is asked for by."""
 
+    key: str
     name: str
     scene: Scene
     frames: int
+
+    @cached_property
+    def digest(self) -> str:
+        """Of all its physics, and of the frames: what results are of."""
+        return f"{scene_hash(self.scene)}, {self.frames} frames"
 
 
 def all_problems(quick: bool) -> list[Problem]:
@@ -29,11 +39,27 @@ def all_problems(quick: bool) -> list[Problem]:
     frames, side = (QUICK_FRAMES, QUICK_SIDE) if quick else (FRAMES, SIDE)
     stiffer = QUICK_STIFFER if quick else STIFFER
     swinging = [
-        Problem(cloth_name(side, times, damped), warp(side, times, damped), frames)
+        Problem(
+            "-".join(["warp", *([f"{times}"] * (times != 1)), *(["undamped"] * (not damped))]),
+            cloth_name(side, times, damped),
+            warp(side, times, damped),
+            frames,
+        )
         for times in stiffer
         for damped in (True, False)
     ]
-    return [Problem("seed cloth", seed(), frames), *swinging]
+    # A shorter run has rows of its own.
+    hanging = f"seed cloth, {frames} frames" if quick else "seed cloth"
+    return [Problem("seed", hanging, seed(), frames), *swinging]
+
+
+def chosen(problems: Sequence[Problem], keys: Sequence[str]) -> list[Problem]:
+    """Those of these keys, all if there are none; raises InputError for an unknown one."""
+    known = [problem.key for problem in problems]
+    for key in keys:
+        if key not in known:
+            raise InputError(f"--scenes: unknown scene '{key}'; {nearest(key, known)}")
+    return [problem for problem in problems if not keys or problem.key in keys]
 
 
 def cloth_name(side: int, times: float, damped: bool) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -58,6 +58,20 @@ class SearchRun:
 
 NAMES = tuple(f.name for f in fields(SearchRun))
 COUNTS, NUMBERS = ("substeps", "iterations"), ("tolerance", "error", "seconds_a_frame")
+
+
+def replace_scenes(
+    path: Path, runs: Iterable[SearchRun], scenes: Mapping[str, bool]
+) -> list[SearchRun]:
+    """Put the runs of scenes into a file, in place of those it had; what is in it then.
+
+    scenes: all, in their order, and whether runs are theirs; the others' stay. Raises InputError.
+    """
+    kept = [run for run in read(path) if not scenes.get(run.scene, True)] if path.exists() else []
+    names = list(scenes)
+    together = sorted([*kept, *runs], key=lambda run: names.index(run.scene))
+    write(path, together)
+    return together
 
 
 def write(path: Path, runs: Iterable[SearchRun]) -> None:
