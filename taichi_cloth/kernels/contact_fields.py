@@ -30,9 +30,10 @@ class ContactFields(Fields):
         around a patch and its blocks; anchored: whether it was in this step; drift, stale: of each
         two patches, their drift and skin, and whether their lists are to be made anew; n_stale: how
         many; ahead: how far a patch looks along its way; active, n_active: the places that have
-        near pairs; visited: the last iteration in which they are visited; listed_x, listed_begun:
-        their anchors, and where the step began; kept, kept_count: codes of pairs; far: whose step
-        went far; closer_start, closer_other, closer_reach: `scene.spheres`.
+        near pairs; visited: the last iteration in which they are visited; touch, touch_normal,
+        touch_count: the pairs that touch in an iteration, with their normals and gaps; listed_x,
+        listed_begun: their anchors, and where the step began; kept, kept_count: codes of pairs;
+        far: whose step went far; closer_start, closer_other, closer_reach: `scene.spheres`.
 
     Obstacles (`poses.py`), a row each: obstacle_shape: its number in spec.obstacles;
         obstacle_numbers, obstacle_sizes: of contact and of its shape; obstacle_start: its pose at
@@ -94,6 +95,8 @@ class ContactFields(Fields):
         self.active, self.n_active = self._counts(n), self._counts()
         self.visited, self.near_start = self._counts(n), self._counts(n)
         self.near, self.near_reach = self._counts(n * MOST_KEPT), self._scalars(n * MOST_KEPT)
+        self.touch, self.touch_count = self._counts(n * MOST_KEPT), self._counts(n)
+        self.touch_normal = self._scalars(n * MOST_KEPT, spec.dim + 1)
         self.listed_x, self.listed_begun = (self._scalars(n, spec.dim) for _ in range(2))
         self.kept, self.kept_count = self._counts(n, MOST_KEPT), self._counts(n)
         self.far = self._counts(n)

@@ -13,7 +13,7 @@ at, other: places in `state.in_patches`, which hold for a whole run, but for fun
 (`grid_at`, `grid_other`). A code of `state.kept`: the place of the other one; in its last
 CODE_BITS, for pairs that keep less than the sum of their radii, how many of the particle's rows of
 `state.closer_...` come before theirs and one more, or LATER if that is less. One of `state.near`:
-the place of the other one; in its last NEAR_BITS what is known of the pair.
+the place of the other one; in its last bit whether they have passed through each other.
 """
 
 import taichi as ti
@@ -48,7 +48,7 @@ from taichi_cloth.kernels.patches import (
 
 CLOSER_SKIN = 0.35  # of the skin: for neighbours in a cloth, whose springs keep them apart
 LATER, CODE_BITS = 31, 5
-PASSED, OVERLAPS, APPROACHES, NEAR_BITS = 1, 2, 4, 3
+PASSED, NEAR_BITS = 1, 1
 
 
 @ti.func
@@ -371,20 +371,6 @@ def _nearest2(spec: ti.template(), state: ti.template(), at, other):
 def has_passed(state: ti.template(), pair):
     """Whether a pair, by its row of state.near, has passed through each other in this step."""
     return (state.near[pair] & PASSED) != 0
-
-
-@ti.func
-def note_touch(state: ti.template(), pair, overlaps, approaches):
-    """Keep whether a pair overlaps and whether it approaches, both 1 or 0."""
-    known = overlaps * OVERLAPS + approaches * APPROACHES
-    state.near[pair] = (state.near[pair] & ~(OVERLAPS + APPROACHES)) | known
-
-
-@ti.func
-def touches(state: ti.template(), pair):
-    """Whether a pair overlaps and whether it approaches, as noted, both 1 or 0."""
-    code = state.near[pair]
-    return (code & OVERLAPS) // OVERLAPS, (code & APPROACHES) // APPROACHES
 
 
 @ti.func

@@ -97,16 +97,10 @@ def _list_near(spec: ti.template(), state: ti.template(), at, other):
 
 @ti.func
 def sum_over_pairs(spec: ti.template(), state: ti.template(), at, term: ti.template()):
-    """The sum of term(spec, state, at, pair) over all that are near at the step's free end.
-
-    pair: a place, or where a cloth has a thickness its row of state.near.
-    """
+    """The sum of term(spec, state, at, other) over all that are near at the step's free end."""
     total = ti.Vector.zero(state.real, ti.static(sizes(spec)))
     count = state.near_count[at]
-    if ti.static(spec.thick):
-        for pair in range(state.near_start[at], state.near_start[at] + count):
-            total += term(spec, state, at, pair)
-    elif count <= MOST_NEAR:
+    if count <= MOST_NEAR:
         for k in range(count):
             total += term(spec, state, at, state.near[at, k])
     else:
@@ -116,7 +110,10 @@ def sum_over_pairs(spec: ti.template(), state: ti.template(), at, term: ti.templ
 
 @ti.func
 def reach_of(spec: ti.template(), state: ti.template(), at, pair):
-    """How near a pair may come: the sum of its radii, or what is its own."""
+    """How near a pair may come: the sum of its radii, or what is its own.
+
+    pair: the other one's place, or where a cloth has a thickness its row of state.near.
+    """
     if ti.static(spec.thick):
         return state.near_reach[pair]
     else:

@@ -46,7 +46,8 @@ WITHIN_STEP = _names(
     arrivals passed phase fault watching traction traction_damping
     impulse link_impulse line_impulse stencil_impulse stencil_pull
     cell_end cell_of sorted_index sorted block_start bin_fill bin_start bin_size binned_cell
-    binned_index near near_count near_start near_reach touching active n_active visited
+    binned_index near near_count near_start near_reach touching
+    touch touch_count touch_normal active n_active visited
     listed_begun pair_residual pair_iteration
     face face_hits face_left face_row face_count face_finds
     face_clear face_seen face_way face_unseen

@@ -24,7 +24,7 @@ import taichi as ti
 from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.collision_grid import slot_of, sorted_radius, sorted_w
 from taichi_cloth.kernels.compensated import joined
-from taichi_cloth.kernels.kept_pairs import before_of, has_passed, note_touch, touches
+from taichi_cloth.kernels.kept_pairs import before_of, has_passed
 from taichi_cloth.kernels.loops import each, each_pack_moving, leave
 from taichi_cloth.kernels.near_pairs import (
     find_pairs,
@@ -59,6 +59,8 @@ UNSETTLED = 1e-2  # of a pair's reach: an overlap that is counted
 CLOTH_ITERATIONS, CLOTH_SETTLED, CLOTH_UNSETTLED = 12, 2e-2, 0.1
 MEETS = 4.0  # gravity times dt: a pair that closes in faster bounces
 ROUNDINGS = 4.0  # of the coordinates, that an overlap may have
+# Bits of state.touch; above them the pair's place among those near its particle.
+OVERLAPS, APPROACHES, TOUCH_BITS = 1, 2, 2
 OVERLAP, APPROACH = range(2)  # columns of state.touching and state.pair_residual
 
 
@@ -208,9 +210,7 @@ def _between(spec: ti.template(), state: ti.template(), at, pair):
     size = ti.abs(x[0])
     for axis in ti.static(range(1, spec.dim)):
         size = ti.max(size, ti.abs(x[axis]))
-    relative = _value(spec, state, other, ti.static(spec.dim + 1)) - _value(
-        spec, state, at, ti.static(spec.dim + 1)
-    )
+    relative = _relative(spec, state, at, other)
     u = relative.dot(n)
     rounding = ti.static(ROUNDINGS * epsilon(state)) * size
     overlaps = ti.select(gap < -1.0 * rounding, 1, 0)
@@ -219,10 +219,21 @@ def _between(spec: ti.template(), state: ti.template(), at, pair):
 
 
 @ti.func
+def _relative(spec: ti.template(), state: ti.template(), at, other):
+    """The velocity (dim,) of a particle relative to the one at `at`."""
+    column = ti.static(spec.dim + 1)
+    return _value(spec, state, other, column) - _value(spec, state, at, column)
+
+
+@ti.func
 def _count_touching(spec: ti.template(), state: ti.template(), at):
     """Count the pairs of a particle that overlap, and those that touch and approach."""
     if _is_visited(spec, state, at):
-        counts = sum_over_pairs(spec, state, at, _touching)
+        counts = ti.Vector.zero(state.real, ti.static(sizes(spec)))
+        if ti.static(spec.thick):
+            counts = _list_touching(spec, state, at)
+        else:
+            counts = sum_over_pairs(spec, state, at, _touching)
         for kind in ti.static((OVERLAP, APPROACH)):
             state.touching[at, kind] = counts[kind]
 
@@ -238,28 +249,42 @@ def _is_visited(spec: ti.template(), state: ti.template(), at):
 
 @ti.func
 def _touching(spec: ti.template(), state: ti.template(), at, pair):
-    overlaps, approaches = 0, 0
-    if _may_touch(spec, state, at, pair):
-        _, _, _, _, _, overlaps, approaches = _between(spec, state, at, pair)
-    if ti.static(spec.thick):
-        note_touch(state, pair, overlaps, approaches)
+    _, _, _, _, _, overlaps, approaches = _between(spec, state, at, pair)
     counts = ti.Vector.zero(state.real, ti.static(sizes(spec)))
     counts[OVERLAP], counts[APPROACH] = float(overlaps), float(approaches)
     return counts
 
 
 @ti.func
+def _list_touching(spec: ti.template(), state: ti.template(), at):
+    """List the pairs of a particle of cloth that touch, with normals and gaps, and count them."""
+    counts = ti.Vector.zero(state.real, ti.static(sizes(spec)))
+    start, listed = state.near_start[at], 0
+    for pair in range(start, start + state.near_count[at]):
+        if _may_touch(spec, state, at, pair):
+            n, gap, reach, relative, u, overlaps, approaches = _between(spec, state, at, pair)
+            if overlaps + approaches > 0:
+                code = ((pair - start) << TOUCH_BITS) + overlaps * OVERLAPS
+                state.touch[start + listed] = code + approaches * APPROACHES
+                for axis in ti.static(range(spec.dim)):
+                    state.touch_normal[start + listed, axis] = n[axis]
+                state.touch_normal[start + listed, ti.static(spec.dim)] = gap
+                listed += 1
+                counts[OVERLAP] += float(overlaps)
+                counts[APPROACH] += float(approaches)
+    state.touch_count[at] = listed
+    return counts
+
+
+@ti.func
 def _may_touch(spec: ti.template(), state: ti.template(), at, pair):
-    """Whether a pair is worth to be asked whether it touches: one of cloth, if it is near."""
-    if ti.static(spec.thick):
-        x = _value(spec, state, at, 0)
-        d = _value(spec, state, place_of(spec, state, at, pair), 0) - x
-        far = ti.static(1.0 + 2.0 * SLACK) * reach_of(spec, state, at, pair)
-        for axis in ti.static(range(spec.dim)):  # `abs` of vectors crashes in lanes
-            far += ti.static(2.0 * ROUNDINGS * epsilon(state)) * ti.abs(x[axis])
-        return (d.dot(d) <= far * far) | has_passed(state, pair)
-    else:
-        return True
+    """Whether a pair of cloth is near enough to be asked whether it touches."""
+    x = _value(spec, state, at, 0)
+    d = _value(spec, state, place_of(spec, state, at, pair), 0) - x
+    far = ti.static(1.0 + 2.0 * SLACK) * reach_of(spec, state, at, pair)
+    for axis in ti.static(range(spec.dim)):  # `abs` of vectors crashes in lanes
+        far += ti.static(2.0 * ROUNDINGS * epsilon(state)) * ti.abs(x[axis])
+    return (d.dot(d) <= far * far) | has_passed(state, pair)
 
 
 @ti.func
@@ -285,7 +310,11 @@ def _take_to_other_half(spec: ti.template(), state: ti.template(), at, touches, 
     x, v = _value(spec, state, at, 0), _value(spec, state, at, ti.static(spec.dim + 1))
     if sorted_w(spec, state, at) > 0.0:
         if touches:
-            change = sum_over_pairs(spec, state, at, ti.static(_change_of(spec)))
+            change = ti.Vector.zero(state.real, ti.static(sizes(spec)))
+            if ti.static(spec.thick):
+                change = _change_by_touching(spec, state, at)
+            else:
+                change = sum_over_pairs(spec, state, at, _change)
             for axis in ti.static(range(spec.dim)):
                 x[axis] += change[axis]
                 v[axis] += change[ti.static(spec.dim + axis)]
@@ -297,32 +326,64 @@ def _take_to_other_half(spec: ti.template(), state: ti.template(), at, touches, 
         state.sorted[to, axis], state.sorted[to, ti.static(spec.dim + 1 + axis)] = x[axis], v[axis]
 
 
-def _change_of(spec):
-    """What each pair adds: where cloths have a thickness, only those are asked that touch."""
-    return _change_if_noted if spec.thick else _change
-
-
-@ti.func
-def _change_if_noted(spec: ti.template(), state: ti.template(), at, pair):
-    found = ti.Vector.zero(state.real, ti.static(sizes(spec)))
-    overlaps, approaches = touches(state, pair)
-    if overlaps + approaches > 0:
-        found = _change(spec, state, at, pair)
-    return found
-
-
 @ti.func
 def _change(spec: ti.template(), state: ti.template(), at, pair):
     """What a pair changes of the position and the velocity of the particle at `at`."""
     n, gap, reach, relative, u, overlaps, approaches = _between(spec, state, at, pair)
     other = place_of(spec, state, at, pair)
+    return _change_by(spec, state, at, other, n, gap, reach, relative, u, overlaps, approaches)
+
+
+@ti.func
+def _change_by_touching(spec: ti.template(), state: ti.template(), at):
+    """What all pairs that touch, as listed, change of a particle of cloth."""
+    change = ti.Vector.zero(state.real, ti.static(sizes(spec)))
+    start = state.near_start[at]
+    for k in range(start, start + state.touch_count[at]):
+        code = state.touch[k]
+        pair = start + (code >> TOUCH_BITS)
+        other = place_of(spec, state, at, pair)
+        n = ti.Vector([state.touch_normal[k, axis] for axis in range(spec.dim)])
+        gap = state.touch_normal[k, ti.static(spec.dim)]
+        relative = _relative(spec, state, at, other)
+        change += _change_by(
+            spec,
+            state,
+            at,
+            other,
+            n,
+            gap,
+            reach_of(spec, state, at, pair),
+            relative,
+            relative.dot(n),
+            code & OVERLAPS,
+            code & APPROACHES,
+        )
+    return change
+
+
+@ti.func
+def _change_by(
+    spec: ti.template(),
+    state: ti.template(),
+    at,
+    other,
+    n,
+    gap,
+    reach,
+    relative,
+    u,
+    overlaps,
+    approaches,
+):
+    """What a pair changes of the particle at `at`, by what `_between` says of it."""
     w, other_w, dt = sorted_w(spec, state, at), sorted_w(spec, state, other), state.dt[None]
     dx, dv = 0.0 * n, 0.0 * n
-    if overlaps == 1:
+    if overlaps > 0:
         split = state.touching[at, OVERLAP] * w + state.touching[other, OVERLAP] * other_w
         dx += (gap * w / split) * n
         _note_residual(state, OVERLAP, -1.0 * gap / reach)
-    if approaches == 1:
+    if approaches > 0:
         split = state.touching[at, APPROACH] * w + state.touching[other, APPROACH] * other_w
         e = 0.0 * u
         if state.pair_iteration[None] == 0 and -1.0 * u > MEETS * state.least_scale[None] * dt:
