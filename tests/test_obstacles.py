@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from cloths import ROD, loose_sheet
-from selection import mostly_thorough
+from inside import state_of
+from selection import as_thorough, mostly_thorough
 
 from taichi_cloth.cli import run_notes
 from taichi_cloth.errors import InputError
-from taichi_cloth.kernels import methods
+from taichi_cloth.kernels import methods, obstruction
 from taichi_cloth.kernels.obstacles import SHAPES
 from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.checks import validate
@@ -293,6 +294,54 @@ def test_a_cloth_on_a_turning_sphere_is_outside_and_turns_alike_in_all_ways(devi
     arm, v = ends[0][0] - [5.0, 0.0, 0.0], ends[0][1]
     spin = (arm[:, 2] * v[:, 0] - arm[:, 0] * v[:, 2]).sum() / (arm[:, ::2] ** 2).sum()
     assert spin == pytest.approx(np.pi / 2, rel=0.15)
+
+
+def hail(**world):
+    """Particles that fly among obstacles of each shape, one very thin."""
+    _, obstacles, _ = one_of_each(friction=0.3)
+    plate = Obstacle.build("box", centre=[5.0, 5.0, 0.0], half=[5.0, 0.001, 1.0], restitution=0.5)
+    rng = np.random.default_rng(5)
+    x = rng.uniform([0.0, 2.6, -1.0], [10.0, 8.0, 1.0], (200, 3))
+    v = rng.normal(0, 1, x.shape) * rng.choice([0.5, 5.0, 60.0], (200, 1))
+    world = {"gravity": (0.0, -G, 0.0), "dt": 1 / 60, "up": "y"} | world
+    particles = Particles.build(x, v, radius=0.05)
+    here = World(size=(10.0, 10.0, 10.0), **world)
+    return Scene("hail", here, particles, obstacles=(*obstacles, plate))
+
+
+@pytest.mark.parametrize(
+    ("method", "world"),
+    [
+        ("symplectic_euler", {"contact": "resting", "collisions": True}),
+        as_thorough(("explicit_euler", {})),
+    ],
+)
+def test_who_is_in_a_ball_free_of_obstacles_would_have_met_nothing(
+    device, monkeypatch, method, world
+):
+    """The bits are those of asking all obstacles of all particles in each step."""
+
+    def states():
+        sim = Simulation(hail(**world), method, substeps=4, topology="graph", execution="serial")
+        states, touched, early = [], 0, sim.checkpoint()
+        for frame in range(60):
+            if frame == 30:
+                sim.restore(early)
+            if frame == 40:  # who was far from all is put where others lay
+                there = np.clip(np.roll(sim.positions(), 7, axis=0), [0, 0, -5], [10, 10, 5])
+                sim.set(positions=there)
+            sim.advance()
+            states.append((sim.positions(), sim.velocities()))
+            touched += (np.abs(sim.depths()) < 1e-9).sum()
+        balls = state_of(sim).free_ball.to_numpy()[:, 3] > 0
+        assert touched > 100
+        return np.array(states), balls.sum()
+
+    found, balls = states()
+    monkeypatch.setattr(obstruction, "keeps_balls", lambda spec: False)
+    expected, none = states()
+    np.testing.assert_array_equal(found, expected)
+    assert balls > 20 and none == 0
 
 
 @pytest.mark.thorough

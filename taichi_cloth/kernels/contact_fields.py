@@ -39,7 +39,9 @@ class ContactFields(Fields):
         obstacle_numbers, obstacle_sizes: of contact and of its shape; obstacle_start: its pose at
         time 0 and its velocities; obstacle_pose: its poses at both ends of the step,
         and (held) its mean rates in the next one; obstacle_part (moving): of the step, in which it
-        moves. held_by, held_at: what each particle goes with, 1 + its row, and where (`grips.py`).
+        moves; free_ball (not moving): of each slot, the middle of a ball that is free of obstacles,
+        and the square of its radius (`obstruction.py`).
+        held_by, held_at: what each particle goes with, 1 + its row, and where (`grips.py`).
         elements, face, face_hits, face_left, face_row, face_count, face_finds, faces_unsettled
         (faces): a `Surface` of what is tested against sharp obstacles, and what comes of that
         (`faces.py`); face_clear, face_seen, face_way, face_unseen: what need not be looked at
@@ -115,6 +117,8 @@ class ContactFields(Fields):
         self.obstacle_pose = self._scalars(count, poses.poses_size(spec))
         if spec.moving:
             self.obstacle_part = self._scalars(count)
+        if not spec.moving:
+            self.free_ball = self._scalars(self.packs * spec.lanes, spec.dim + 1)
         self.has_nodes = nodes > 0
         if self.has_nodes:
             self.obstacle_grid = self._scalars(nodes, 4)

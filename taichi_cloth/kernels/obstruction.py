@@ -12,6 +12,9 @@ for the rest of the step; a bounce that ends within the step is rest. Where a st
 the obstacle is thick, its whole path is looked at, as the obstacle sees it, by steps of the
 distance to it (sphere tracing; Hart, The Visual Computer 12, 1996).
 
+Where all obstacles are at rest, a particle that touches none keeps a ball around it that is free of
+them: while its steps stay within it nothing is asked, as nothing would change, to the bit.
+
 Distances count from the surface of the particle. Walls are obstacles too where they are `resting`.
 """
 
@@ -21,7 +24,7 @@ from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.compensated import joined, owed_at, put_at
 from taichi_cloth.kernels.loops import each_pack_moving
 from taichi_cloth.kernels.obstacles import load
-from taichi_cloth.kernels.obstacles.contract import BOUND, FRICTION, RESTITUTION, SCALE, THIN
+from taichi_cloth.kernels.obstacles.contract import BOUND, FAR, FRICTION, RESTITUTION, SCALE, THIN
 from taichi_cloth.kernels.packs import (
     epsilon,
     slot_number,
@@ -44,6 +47,8 @@ ROUNDINGS = 8.0  # of the lengths in a distance, that count as touching
 MOST_LOOKS = 128  # along the path of a step
 LEAST_STEP = 0.25  # of a look, in parts of how thin the obstacle is
 NEAR = 0.01  # distance, in the same parts, at which a path has met the obstacle
+# Of a free ball: of its radius, of the particle's radius, and roundings, that it is smaller.
+BALL_MARGIN, BALL_ROUNDINGS = 1e-3, 4.0
 
 
 def needed(spec):
@@ -64,7 +69,57 @@ def _settle_pack(spec: ti.template(), state: ti.template(), i):
     for lane in range(spec.lanes):
         slot = i * spec.lanes + lane
         if slot_number(spec, state.w, slot) > 0.0:
-            _settle_particle(spec, state, slot)
+            x, begun = slot_value(spec, state.x, slot), slot_value(spec, state.begun_x, slot)
+            if not (is_free(spec, state, slot, x) and is_free(spec, state, slot, begun)):
+                _settle_particle(spec, state, slot)
+
+
+def keeps_balls(spec):
+    """Whether particles keep balls that are free of obstacles."""
+    return bool(spec.obstacles) and not spec.moving
+
+
+@ti.func
+def is_free(spec: ti.template(), state: ti.template(), slot, x):
+    """Whether x is in the ball in which the particle at a slot touches nothing."""
+    free = False
+    if ti.static(keeps_balls(spec)):
+        d2 = ti.cast(0.0, state.real)
+        for axis in ti.static(range(spec.dim)):
+            d = x[axis] - state.free_ball[slot, axis]
+            d2 += d * d
+        free = d2 < state.free_ball[slot, ti.static(spec.dim)]
+    return free
+
+
+@ti.func
+def _keep_ball(spec: ti.template(), state: ti.template(), slot, x, radius):
+    """Keep the ball around x that is free of obstacles, if there is any."""
+    clear = FAR + 0.0 * radius
+    for o in range(state.n_obstacles[None]):
+        d = x - centre_of(spec, state, o, END)
+        gap = ti.sqrt(d.dot(d)) - 1.001 * state.obstacle_numbers[o, BOUND]
+        for s in ti.static(range(len(spec.obstacles))):
+            if ti.static(load(spec.obstacles[s]).convex):
+                if state.obstacle_shape[o] == s:
+                    local = to_local(spec, state, o, END, d)
+                    gap, _ = ti.static(load(spec.obstacles[s]).distance)(spec, state, o, local)
+        gap -= (1.0 + BALL_MARGIN) * radius + BALL_ROUNDINGS * slack_of(spec, state, o, x, radius)
+        if 2.0 * gap > state.obstacle_numbers[o, THIN]:  # a step within may be followed on its path
+            gap -= 2.0 * NEAR * state.obstacle_numbers[o, THIN]
+        clear = ti.min(clear, (1.0 - BALL_MARGIN) * gap)
+    for axis in ti.static(range(spec.dim)):
+        state.free_ball[slot, axis] = x[axis]
+    state.free_ball[slot, ti.static(spec.dim)] = clear * ti.max(clear, 0.0)
+
+
+@ti.func
+def slack_of(spec: ti.template(), state: ti.template(), o, x, radius):
+    """What is rounding in the distance of a particle from obstacle o."""
+    size = size_of(x) + size_of(centre_of(spec, state, o, END))
+    return (
+        ROUNDINGS * ti.static(epsilon(state)) * (size + radius + state.obstacle_numbers[o, SCALE])
+    )
 
 
 def _are_convex(shapes):
@@ -96,6 +151,8 @@ def _settle_particle(spec: ti.template(), state: ti.template(), slot):
     if touched == 1:
         put_at(spec, state, slot, x, x_low, v, v_low)
         note_fault(spec, state, slot)
+    elif ti.static(keeps_balls(spec)):
+        _keep_ball(spec, state, slot, x, radius)
 
 
 @ti.func
@@ -122,11 +179,7 @@ def obstructed(
     began = slot_value(spec, state.begun_x, slot)
     centre, dt = centre_of(spec, state, o, END), state.dt[None]
     d = x - centre + x_low
-    slack = (
-        ROUNDINGS
-        * ti.static(epsilon(state))
-        * (size_of(x) + size_of(centre) + radius + state.obstacle_numbers[o, SCALE])
-    )
+    slack = slack_of(spec, state, o, x, radius)
     gap, n, gap_before, part = meet(spec, state, o, slot, d, radius, slack)
     surface_v = velocity_at(spec, state, o, d - gap * n)  # where the particle's middle will be
     relative = v - surface_v + v_low

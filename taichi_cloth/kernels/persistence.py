@@ -5,9 +5,10 @@ that later steps read before they write it. So every field of `State` is kept, u
 here: a field that is added and forgotten costs memory, and no bit.
 
 `LOADED` are filled by a load, from the scene and the run's settings alone, and no step changes
-them. `WITHIN_STEP` are filled in each step before they are read, or, as the clearance of faces,
-only say what need not be looked at, and are forgotten where one goes back. Tests hold both to that:
-by a run that goes on in new fields, and by comparing what is loaded before and after a run.
+them. `WITHIN_STEP` are filled in each step before they are read, or only say what need not be
+looked at: free balls, and the clearance of faces, which is forgotten where one goes back. Tests
+hold both to that: by a run that goes on in new fields, and by comparing what is loaded before and
+after a run.
 """
 
 from dataclasses import dataclass
@@ -50,7 +51,7 @@ WITHIN_STEP = _names(
     touch touch_count touch_normal active n_active visited
     listed_begun pair_residual pair_iteration
     face face_hits face_left face_row face_count face_finds
-    face_clear face_seen face_way face_unseen
+    free_ball face_clear face_seen face_way face_unseen
     opened_x opened_v free_x free_v ended_x contact_work accounting touched first_touch account_part
     contact_energy"""
 )

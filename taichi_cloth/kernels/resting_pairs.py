@@ -34,6 +34,7 @@ from taichi_cloth.kernels.near_pairs import (
     sum_over_pairs,
 )
 from taichi_cloth.kernels.obstacles.contract import FRICTION
+from taichi_cloth.kernels.obstruction import is_free
 from taichi_cloth.kernels.packs import (
     epsilon,
     set_slot_value,
@@ -165,7 +166,7 @@ def _number(spec: ti.template(), state: ti.template(), done):
 @ti.func
 def _clear_residual(spec: ti.template(), state: ti.template(), i):
     for kind in ti.static((OVERLAP, APPROACH)):
-        state.pair_residual[state.pair_iteration[None] % 2, kind] = 0.0
+        state.pair_residual[state.pair_iteration[None] & 1, kind] = 0.0
 
 
 @ti.func
@@ -185,15 +186,15 @@ def _judge(spec: ti.template(), state: ti.template(), i):
 @ti.func
 def _value(spec: ti.template(), state: ti.template(), at, column: ti.template()):
     """The vector (dim,) that begins in a column, of the half from which this iteration reads."""
-    row = at + state.pair_iteration[None] % 2 * ti.static(state.sorted_half)
+    row = at + (state.pair_iteration[None] & 1) * ti.static(state.sorted_half)
     return ti.Vector([state.sorted[row, column + axis] for axis in range(spec.dim)])
 
 
 @ti.func
-def _between(spec: ti.template(), state: ti.template(), at, pair):
-    """A pair: normal towards the other one, gap, reach, relative velocity, its normal part, whether
+def _between(spec: ti.template(), state: ti.template(), at, pair, x, v):
+    """A pair of the particle at x with v: normal towards the other one, gap, reach,
+    relative velocity, its normal part, whether
     it overlaps and whether it approaches, as 1 or 0."""
-    x = _value(spec, state, at, 0)
     other = place_of(spec, state, at, pair)
     d = _value(spec, state, other, 0) - x
     reach = reach_of(spec, state, at, pair)
@@ -210,7 +211,7 @@ def _between(spec: ti.template(), state: ti.template(), at, pair):
     size = ti.abs(x[0])
     for axis in ti.static(range(1, spec.dim)):
         size = ti.max(size, ti.abs(x[axis]))
-    relative = _relative(spec, state, at, other)
+    relative = _velocity(spec, state, other) - v
     u = relative.dot(n)
     rounding = ti.static(ROUNDINGS * epsilon(state)) * size
     overlaps = ti.select(gap < -1.0 * rounding, 1, 0)
@@ -219,10 +220,8 @@ def _between(spec: ti.template(), state: ti.template(), at, pair):
 
 
 @ti.func
-def _relative(spec: ti.template(), state: ti.template(), at, other):
-    """The velocity (dim,) of a particle relative to the one at `at`."""
-    column = ti.static(spec.dim + 1)
-    return _value(spec, state, other, column) - _value(spec, state, at, column)
+def _velocity(spec: ti.template(), state: ti.template(), at):
+    return _value(spec, state, at, ti.static(spec.dim + 1))
 
 
 @ti.func
@@ -249,7 +248,8 @@ def _is_visited(spec: ti.template(), state: ti.template(), at):
 
 @ti.func
 def _touching(spec: ti.template(), state: ti.template(), at, pair):
-    _, _, _, _, _, overlaps, approaches = _between(spec, state, at, pair)
+    x, v = _value(spec, state, at, 0), _velocity(spec, state, at)
+    _, _, _, _, _, overlaps, approaches = _between(spec, state, at, pair, x, v)
     counts = ti.Vector.zero(state.real, ti.static(sizes(spec)))
     counts[OVERLAP], counts[APPROACH] = float(overlaps), float(approaches)
     return counts
@@ -260,9 +260,10 @@ def _list_touching(spec: ti.template(), state: ti.template(), at):
     """List the pairs of a particle of cloth that touch, with normals and gaps, and count them."""
     counts = ti.Vector.zero(state.real, ti.static(sizes(spec)))
     start, listed = state.near_start[at], 0
+    x, v = _value(spec, state, at, 0), _velocity(spec, state, at)
     for pair in range(start, start + state.near_count[at]):
-        if _may_touch(spec, state, at, pair):
-            n, gap, reach, relative, u, overlaps, approaches = _between(spec, state, at, pair)
+        if _may_touch(spec, state, at, pair, x):
+            n, gap, reach, relative, u, overlaps, approaches = _between(spec, state, at, pair, x, v)
             if overlaps + approaches > 0:
                 code = ((pair - start) << TOUCH_BITS) + overlaps * OVERLAPS
                 state.touch[start + listed] = code + approaches * APPROACHES
@@ -277,9 +278,8 @@ def _list_touching(spec: ti.template(), state: ti.template(), at):
 
 
 @ti.func
-def _may_touch(spec: ti.template(), state: ti.template(), at, pair):
-    """Whether a pair of cloth is near enough to be asked whether it touches."""
-    x = _value(spec, state, at, 0)
+def _may_touch(spec: ti.template(), state: ti.template(), at, pair, x):
+    """Whether a pair of cloth is near enough to be asked whether it touches; x: of `at`."""
     d = _value(spec, state, place_of(spec, state, at, pair), 0) - x
     far = ti.static(1.0 + 2.0 * SLACK) * reach_of(spec, state, at, pair)
     for axis in ti.static(range(spec.dim)):  # `abs` of vectors crashes in lanes
@@ -307,7 +307,7 @@ def _move(spec: ti.template(), state: ti.template(), at):
 @ti.func
 def _take_to_other_half(spec: ti.template(), state: ti.template(), at, touches, may_enter):
     """touches: whether any pair of it does; may_enter: an obstacle."""
-    x, v = _value(spec, state, at, 0), _value(spec, state, at, ti.static(spec.dim + 1))
+    x, v = _value(spec, state, at, 0), _velocity(spec, state, at)
     if sorted_w(spec, state, at) > 0.0:
         if touches:
             change = ti.Vector.zero(state.real, ti.static(sizes(spec)))
@@ -319,9 +319,10 @@ def _take_to_other_half(spec: ti.template(), state: ti.template(), at, touches, 
                 x[axis] += change[axis]
                 v[axis] += change[ti.static(spec.dim + axis)]
         if ti.static(len(spec.obstacles) > 0):
-            if may_enter:
+            slot = slot_of(spec, state, state.sorted_index[at])
+            if may_enter and not is_free(spec, state, slot, x):
                 x, v = _out_of_obstacles(spec, state, at, x, v)
-    to = at + (state.pair_iteration[None] + 1) % 2 * ti.static(state.sorted_half)
+    to = at + ((state.pair_iteration[None] + 1) & 1) * ti.static(state.sorted_half)
     for axis in ti.static(range(spec.dim)):
         state.sorted[to, axis], state.sorted[to, ti.static(spec.dim + 1 + axis)] = x[axis], v[axis]
 
@@ -329,7 +330,8 @@ def _take_to_other_half(spec: ti.template(), state: ti.template(), at, touches, 
 @ti.func
 def _change(spec: ti.template(), state: ti.template(), at, pair):
     """What a pair changes of the position and the velocity of the particle at `at`."""
-    n, gap, reach, relative, u, overlaps, approaches = _between(spec, state, at, pair)
+    x, v = _value(spec, state, at, 0), _velocity(spec, state, at)
+    n, gap, reach, relative, u, overlaps, approaches = _between(spec, state, at, pair, x, v)
     other = place_of(spec, state, at, pair)
     return _change_by(spec, state, at, other, n, gap, reach, relative, u, overlaps, approaches)
 
@@ -338,14 +340,14 @@ def _change(spec: ti.template(), state: ti.template(), at, pair):
 def _change_by_touching(spec: ti.template(), state: ti.template(), at):
     """What all pairs that touch, as listed, change of a particle of cloth."""
     change = ti.Vector.zero(state.real, ti.static(sizes(spec)))
-    start = state.near_start[at]
+    start, v = state.near_start[at], _velocity(spec, state, at)
     for k in range(start, start + state.touch_count[at]):
         code = state.touch[k]
         pair = start + (code >> TOUCH_BITS)
         other = place_of(spec, state, at, pair)
         n = ti.Vector([state.touch_normal[k, axis] for axis in range(spec.dim)])
         gap = state.touch_normal[k, ti.static(spec.dim)]
-        relative = _relative(spec, state, at, other)
+        relative = _velocity(spec, state, other) - v
         change += _change_by(
             spec,
             state,
@@ -414,7 +416,7 @@ def _restitution(spec: ti.template(), state: ti.template(), slot):
 @ti.func
 def _note_residual(state: ti.template(), kind: ti.template(), size):
     """Note how far a pair is from rest: the largest is kept, whatever the order."""
-    k = state.pair_iteration[None] % 2
+    k = state.pair_iteration[None] & 1
     if size > state.pair_residual[k, kind]:
         ti.atomic_max(state.pair_residual[k, kind], size)
 

@@ -106,6 +106,8 @@ def load_particles(
         slot = slots[i]
         state.slot[i] = slot
         set_slot_number(spec, state.particle, slot, i)
+        if ti.static(spec.obstacles and not spec.moving):
+            state.free_ball[slot, ti.static(spec.dim)] = 0.0
         for field, at in ti.static(state.vector_places):
             vector = ti.Vector.zero(state.real, ti.static(spec.dim))
             for axis in ti.static(range(spec.dim)):
