@@ -93,7 +93,7 @@ class ContactFields(Fields):
         self.anchored = self._counts(patches)
         self.block_box = self._scalars(n // PATCH_BLOCK + patches + 1, 6)
         self.drift, self.stale = self._scalars(patches**2, 4), self._counts(patches**2)
-        self.box, self.ahead = self._scalars(patches, 24), self._scalars(patches)
+        self.box, self.ahead = self._scalars(patches, 30), self._scalars(patches)
         self.active, self.n_active = self._counts(n), self._counts()
         self.visited, self.near_start = self._counts(n), self._counts(n)
         self.near, self.near_reach = self._counts(n * MOST_KEPT), self._scalars(n * MOST_KEPT)

@@ -32,6 +32,7 @@ from taichi_cloth.kernels.packs import slot_number, slot_value
 from taichi_cloth.kernels.patches import (
     CLOTH_MARGIN,
     MOST_STALE,
+    STALE,
     anchor_patch_anew,
     are_near,
     block_is_near,
@@ -162,12 +163,12 @@ def _renew_patch(spec: ti.template(), state: ti.template(), a):
     stale = 0
     for b in range(state.n_patches[None]):
         stale |= state.stale[of_two(state, a, b)]
-    if stale == 1:
+    if stale & STALE:
         for at in range(state.patch_start[a], state.patch_start[a + 1]):
             _drop_stale(state, a, at)
         for b in range(state.n_patches[None]):
             row = of_two(state, a, b)
-            if state.stale[row] == 1:
+            if state.stale[row] == STALE:
                 state.stale[row] = 0
                 if are_near(state, a, b, reach_of_most(state) + state.drift[row, 3]):
                     _list_two(spec, state, a, b, row)

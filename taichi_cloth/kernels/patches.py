@@ -27,10 +27,12 @@ WIDER = 1.25  # than what a list needs is its skin, where that is more than the 
 LEADS = 0.8  # of what its skin has to spare, a drift is ahead of where two patches are
 WIDEST = 4.0  # skins of the scene: a list that needs more is found by the grid
 MOST_STALE = 6  # lists of each patch, that are made anew one by one
-# Boxes around a patch: of its anchors, how far it went in the step in which all were listed, and
-# how far it is from its anchors when this step begins and when it ends.
-LISTED, WAY, BEGINS, ENDS = range(4)
+# Boxes around a patch: of its anchors, how far it went in the step in which all were listed, how
+# far it is from its anchors when this step begins and when it ends, and of all its places in it.
+LISTED, WAY, BEGINS, ENDS, SWEPT = range(5)
 BLOCK = 16  # places of a patch with a box of their own around their anchors
+# Of state.stale: a list that is to be made, and one that is when both patches are near each other.
+STALE, LAPSED = 1, 2
 
 
 @ti.func
@@ -44,14 +46,18 @@ def bound_patch(spec: ti.template(), state: ti.template(), a):
     """Find how far a patch has come from its anchors, and anchor it where it lost its shape."""
     low, high = _nothing(state), -1.0 * _nothing(state)
     low_at_end, high_at_end = low, high
+    low_swept, high_swept = low, high
     for at in range(state.patch_start[a], state.patch_start[a + 1]):
         slot, anchor = slot_of(spec, state, state.in_patches[at]), vector(spec, state.listed_x, at)
-        begun = slot_value(spec, state.begun_x, slot) - anchor
-        come = slot_value(spec, state.x, slot) - anchor
+        from_x, to_x = slot_value(spec, state.begun_x, slot), slot_value(spec, state.x, slot)
+        begun, come = from_x - anchor, to_x - anchor
+        low_swept = ti.min(low_swept, from_x, to_x)
+        high_swept = ti.max(high_swept, from_x, to_x)
         low, high = ti.min(low, begun), ti.max(high, begun)
         low_at_end, high_at_end = ti.min(low_at_end, come), ti.max(high_at_end, come)
     _store_box(state, a, ti.static(BEGINS), low, high)
     _store_box(state, a, ti.static(ENDS), low_at_end, high_at_end)
+    _store_box(state, a, ti.static(SWEPT), low_swept, high_swept)
     most = ti.static(2.0 * ANCHORED) * state.skin[None]
     diagonal = high_at_end - low_at_end
     state.anchored[a] = ti.cast(diagonal.dot(diagonal) > most * most, ti.i32)
@@ -217,17 +223,24 @@ def compare_patch(spec: ti.template(), state: ti.template(), a):
 
 @ti.func
 def _compare(state: ti.template(), a, b):
-    row, drift = of_two(state, a, b), _nothing(state)
-    for axis in ti.static(range(3)):
-        drift[axis] = state.drift[row, axis]
-    low_begun, high_begun = _differences(state, a, b, ti.static(BEGINS))
-    low_end, high_end = _differences(state, a, b, ti.static(ENDS))
-    low, high = ti.min(low_begun, low_end) - drift, ti.max(high_begun, high_end) - drift
-    differ2, anew = _longest2(low, high), (state.anchored[a] | state.anchored[b]) == 1
-    if anew | (differ2 > state.drift[row, 3] * state.drift[row, 3]):
-        if anew or are_near(state, a, b, reach_of_most(state) + ti.sqrt(differ2)):
-            way = 0.5 * (low_end + high_end - low_begun - high_begun)
-            _let_drift(state, a, b, drift + 0.5 * (low + high), 0.5 * (high - low), way)
+    row, anew = of_two(state, a, b), (state.anchored[a] | state.anchored[b]) == 1
+    low_apart, high_apart = _differences(state, a, b, ti.static(SWEPT))
+    if _shortest2(low_apart, high_apart) > reach_of_most(state) * reach_of_most(state):
+        if anew:
+            state.stale[row] = state.stale[of_two(state, b, a)] = LAPSED
+    else:
+        drift = _nothing(state)
+        for axis in ti.static(range(3)):
+            drift[axis] = state.drift[row, axis]
+        low_begun, high_begun = _differences(state, a, b, ti.static(BEGINS))
+        low_end, high_end = _differences(state, a, b, ti.static(ENDS))
+        low, high = ti.min(low_begun, low_end) - drift, ti.max(high_begun, high_end) - drift
+        differ2 = _longest2(low, high)
+        anew |= state.stale[row] == LAPSED
+        if anew | (differ2 > state.drift[row, 3] * state.drift[row, 3]):
+            if anew or are_near(state, a, b, reach_of_most(state) + ti.sqrt(differ2)):
+                way = 0.5 * (low_end + high_end - low_begun - high_begun)
+                _let_drift(state, a, b, drift + 0.5 * (low + high), 0.5 * (high - low), way)
 
 
 @ti.func
@@ -254,7 +267,7 @@ def _let_drift(state: ti.template(), a, b, drift, half, way):
 def _note_stale(state: ti.template(), row, drift, skin):
     for axis in ti.static(range(3)):
         state.drift[row, axis] = drift[axis]
-    state.drift[row, 3], state.stale[row] = skin, 1
+    state.drift[row, 3], state.stale[row] = skin, STALE
 
 
 @ti.func
