@@ -38,6 +38,7 @@ from taichi_cloth.kernels.patches import (
     block_is_near,
     block_is_near_patch,
     block_of,
+    blocks_are_near,
     blocks_of,
     bound_patch,
     compare_patch,
@@ -190,32 +191,34 @@ def _drop_stale(state: ti.template(), a, at):
 def _list_two(spec: ti.template(), state: ti.template(), a, b, row):
     """List the pairs of the particles of a patch with those of another; row: of both patches."""
     drift, skin = vector(spec, state.drift, row), state.drift[row, 3]
+    reach = reach_of_most(state) + skin
     for block in range(blocks_of(state, a)):
         first, end = block_of(state, a, block)
-        if block_is_near_patch(state, a, first, b, drift, reach_of_most(state) + skin):
-            for at in range(first, end):
-                if sorted_w(spec, state, at) > 0.0:
-                    _list_of_patch(spec, state, at, b, drift, skin)
+        if block_is_near_patch(state, a, first, b, drift, reach):
+            for other_block in range(blocks_of(state, b)):
+                other_first, other_end = block_of(state, b, other_block)
+                if blocks_are_near(state, a, first, b, other_first, drift, reach):
+                    for at in range(first, end):
+                        if sorted_w(spec, state, at) > 0.0:
+                            _list_of_block(spec, state, at, b, other_first, other_end, drift, skin)
 
 
 @ti.func
-def _list_of_patch(spec: ti.template(), state: ti.template(), at, b, drift, skin):
-    """List the pairs of a particle with those of a patch."""
+def _list_of_block(spec: ti.template(), state: ti.template(), at, b, first, end, drift, skin):
+    """List the pairs of a particle with those of a block of a patch."""
     x, radius = vector(spec, state.listed_x, at) - drift, sorted_radius(spec, state, at)
-    for block in range(blocks_of(state, b)):
-        first, end = block_of(state, b, block)
-        if block_is_near(state, b, first, x, radius + state.largest_radius[None] + skin):
-            # First without branches, which are mostly guessed wrong here.
-            hits = 0
+    if block_is_near(state, b, first, x, radius + state.largest_radius[None] + skin):
+        # First without branches, which are mostly guessed wrong here.
+        hits = 0
+        for k in range(end - first):
+            d2 = _anchor_apart2(spec, state, first + k, x)
+            reach = radius + sorted_radius(spec, state, first + k) + skin
+            hits |= ti.cast(d2 <= reach * reach, ti.i32) << k
+        if hits != 0:
+            hits &= ~_list_closer(spec, state, at, first, end, x, skin)
             for k in range(end - first):
-                d2 = _anchor_apart2(spec, state, first + k, x)
-                reach = radius + sorted_radius(spec, state, first + k) + skin
-                hits |= ti.cast(d2 <= reach * reach, ti.i32) << k
-            if hits != 0:
-                hits &= ~_list_closer(spec, state, at, first, end, x, skin)
-                for k in range(end - first):
-                    if ((hits >> k) & 1) & ti.cast(first + k != at, ti.i32):
-                        _put(state, at, first + k, 0)
+                if ((hits >> k) & 1) & ti.cast(first + k != at, ti.i32):
+                    _put(state, at, first + k, 0)
 
 
 @ti.func

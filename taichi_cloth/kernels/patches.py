@@ -131,6 +131,14 @@ def block_is_near_patch(state: ti.template(), a, first, b, drift, reach):
 
 
 @ti.func
+def blocks_are_near(state: ti.template(), a, first, b, other_first, drift, reach):
+    """Whether anchors in two blocks, with the drift of their patches, may be within reach."""
+    low, high = _block_box(state, a, first)
+    other_low, other_high = _block_box(state, b, other_first)
+    return _shortest2(other_low - (high - drift), other_high - (low - drift)) <= reach * reach
+
+
+@ti.func
 def anchor_patch_anew(spec: ti.template(), state: ti.template(), a):
     """Anchor a patch where all are, and forget its drifts and what was stale."""
     anchor_patch(spec, state, a)
