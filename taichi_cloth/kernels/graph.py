@@ -7,7 +7,7 @@ nothing is scattered. Saad, Iterative Methods for Sparse Linear Systems, 2003, 3
 
 import taichi as ti
 
-from taichi_cloth.kernels.spring_numbers import fields_of, is_stored
+from taichi_cloth.kernels.spring_numbers import fields_of, is_stored, takes_stiffness
 
 
 @ti.func
@@ -62,5 +62,15 @@ def half_spring(
     spec: ti.template(), state: ti.template(), value: ti.template(), between: ti.template(), h, i
 ):
     """What half-spring h gives its particle i."""
-    numbers = [number(spec, field, h) for field in ti.static(fields_of(spec, state, "csr"))]
-    return between(spec, state, value, i, state.csr_other[h], numbers)
+    if ti.static(takes_stiffness(between)):
+        along = ti.Vector([state.csr_direction[h, axis] for axis in range(spec.dim)])
+        kept = [along, state.csr_along[h], state.csr_across[h]]
+        return between.between(spec, state, value, i, state.csr_other[h], kept)
+    else:
+        return between(spec, state, value, i, state.csr_other[h], numbers_of(spec, state, h))
+
+
+@ti.func
+def numbers_of(spec: ti.template(), state: ti.template(), h):
+    """The list of numbers (`spring_numbers.NUMBERS`) of half-spring h."""
+    return [number(spec, field, h) for field in ti.static(fields_of(spec, state, "csr"))]

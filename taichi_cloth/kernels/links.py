@@ -5,6 +5,10 @@ The *ring* (state.ring_forces) holds what it gave for the last rows, for a force
 with the stiffness matrix alike.
 """
 
+import operator
+from collections.abc import Callable
+from typing import NamedTuple
+
 import taichi as ti
 
 from taichi_cloth.kernels.grids import (
@@ -15,9 +19,9 @@ from taichi_cloth.kernels.grids import (
     renew_left_halo,
     renew_right_halo,
 )
-from taichi_cloth.kernels.loops import PIECE, barrier, leave, share
-from taichi_cloth.kernels.packs import read, write, zeros
-from taichi_cloth.kernels.spring_numbers import NUMBERS, fields_of, is_stored
+from taichi_cloth.kernels.loops import PIECE, barrier, leave, numbered, share
+from taichi_cloth.kernels.packs import everywhere, folded, read, write, zeros
+from taichi_cloth.kernels.spring_numbers import NUMBERS, fields_of, is_stored, takes_stiffness
 from taichi_cloth.kernels.stencils import compute_lines
 
 # --- numbers of links --------------------------------------------------------------------------
@@ -78,8 +82,15 @@ def link_value(
 
     k: the stiffness of these links; at: the index of their other numbers in the fields of links.
     """
-    numbers = link_numbers(spec, state, read, s, g, at, k)
-    return between(spec, state, read, i, far, numbers)
+    if ti.static(takes_stiffness(between)):
+        kept = [
+            read(spec, field, at)
+            for field in ti.static((state.link_direction, state.link_along, state.link_across))
+        ]
+        return between.between(spec, state, read, i, far, kept)
+    else:
+        numbers = link_numbers(spec, state, read, s, g, at, k)
+        return between(spec, state, read, i, far, numbers)
 
 
 @ti.func
@@ -100,7 +111,30 @@ def sum_of_links(spec: ti.template(), state: ti.template(), between: ti.template
     return total
 
 
+# Places in state.joined of each thread: for so many numbers at most that a pass joins, fewer by as
+# many as keep threads off each other's cache lines.
+JOIN_ROOM = 16
+
 # --- a pass over all links ---------------------------------------------------------------------
+
+
+class Pass(NamedTuple):
+    """What a pass over links does: between, apart and consume as `springs.accumulate` takes them.
+
+    move(spec, state, i): run for each pack of a row right before the first links that reach that
+        row are computed; `loops.leave` moves nothing.
+    joins: what is joined over all packs, pairs as `loops.join` takes them, of numbers that are read
+        right after a pack's `consume`. The parts of each row are left to `loops.join_parts`.
+    moved, consumed: (state) -> those fields of state.haloed that `move` and `consume` change.
+    """
+
+    between: Callable
+    apart: Callable
+    consume: Callable
+    move: Callable = leave
+    joins: tuple = ()
+    moved: Callable = operator.attrgetter("haloed")
+    consumed: Callable = operator.attrgetter("haloed")
 
 
 @ti.func
@@ -158,12 +192,41 @@ def _moves(move):
 
 
 @ti.func
-def move_row(spec: ti.template(), state: ti.template(), g, r, move: ti.template()):
-    """Run move(spec, state, i) for every pack i of row r of grid g, and renew the row's halos."""
+def move_row(spec: ti.template(), state: ti.template(), g, r, of: ti.template()):
+    """Move every pack of row r of grid g as the pass `of` does, and renew the row's halos."""
     begin, width = state.grid[g, 0] + r * pitch_of(spec, state, g), state.grid[g, 2]
     for i in range(begin, begin + width):
-        move(spec, state, i)
-    renew_halos(spec, state, begin, width)
+        of.move(spec, state, i)
+    renew_halos(spec, state, begin, width, ti.static(of.moved(state)))
+
+
+@ti.func
+def _joined_at(spec: ti.template(), t, k: ti.template()):
+    """Where thread t joins number k of a row."""
+    return (t + 1) * JOIN_ROOM + k
+
+
+@ti.func
+def _begin_joins(spec: ti.template(), state: ti.template(), t, joins: ti.template()):
+    """Begin to join the numbers of a row."""
+    for k in ti.static(range(len(joins))):
+        nothing = everywhere(spec, ti.cast(0.0, state.real))
+        write(spec, state.joined, _joined_at(spec, t, k), nothing)
+
+
+@ti.func
+def _join_pack(spec: ti.template(), state: ti.template(), t, i, joins: ti.template()):
+    """Join the numbers of pack i with those of its row."""
+    for k, number, op in ti.static(numbered(joins)):
+        at = _joined_at(spec, t, k)
+        write(spec, state.joined, at, op(read(spec, state.joined, at), number(spec, state, i)))
+
+
+@ti.func
+def _end_joins(spec: ti.template(), state: ti.template(), t, row, joins: ti.template()):
+    """Keep what was joined of the row that begins with the pack `row`."""
+    for k, _, op in ti.static(numbered(joins)):
+        state.sums[k, row] = folded(op, read(spec, state.joined, _joined_at(spec, t, k)))
 
 
 @ti.func
@@ -172,12 +235,11 @@ def pass_over_rows(
     state: ti.template(),
     t,
     phase,
-    move: ti.template(),
-    between: ti.template(),
-    apart: ti.template(),
-    consume: ti.template(),
+    of: ti.template(),
 ):
-    """Run consume(spec, state, i, sum) for each pack i in thread t's share of grids.
+    """Run of.consume(spec, state, i, sum) for each pack i in thread t's share of grids.
+
+    of: a `Pass`.
 
     The sum is that over its links, and over the stencils along lines that it is in.
 
@@ -188,10 +250,6 @@ def pass_over_rows(
     so `consume` may change what `between` reads of its pack. So that no thread changes what another
     one needs, the last rows of a share, whose links reach into the next share, are computed before
     all else: that is phase 0, and all the rest is phase 1; with one thread there is only phase 1.
-
-    move(spec, state, i), of `springs.move_and_accumulate`, is run for each pack of a row right
-    before the first links that reach that row are computed, except for the first and last rows of a
-    share, which have moved already; `loops.leave` moves nothing.
 
     Stencils along lines are handled as links are: the pull of each is computed before its earliest
     row's turn, and taken once by the particle it begins at, minus twice by the next, once by the
@@ -206,11 +264,14 @@ def pass_over_rows(
             computed = end - spec.depth
             if phase == 0:
                 start, turns, computed = ti.max(begin, end - spec.depth), end - 1, end
+        if phase == -1:
+            start, computed = begin - spec.depth, begin - spec.depth
         for r in range(start - 1, turns):
-            if ti.static(_moves(move)):
-                next_row = r + 1 + spec.depth
-                if phase == 1 and begin + spec.depth <= next_row and next_row < end - spec.depth:
-                    move_row(spec, state, g, next_row, move)
+            if ti.static(_moves(of.move)):
+                moving = r + 1 + spec.depth
+                outer = moving < begin + spec.depth or moving >= end - spec.depth
+                if phase != 0 and outer == (phase == -1) and begin <= moving and moving < end:
+                    move_row(spec, state, g, moving, of)
             row = first + r * pitch
             computes, consumes = linked and r + 1 < computed, phase == 1 and r >= start
             here = ring_row(spec, state, g, t, begin, end, r)
@@ -240,51 +301,54 @@ def pass_over_rows(
                 if not linked:
                     from_here[n] = from_here[n + 1] = carried_row(spec, state, g, -1)
                     from_above[n] = from_above[n + 1] = from_here[n]
+            if consumes:
+                _begin_joins(spec, state, t, ti.static(of.joins))
             for i in range(width):
                 if computes:
                     next_pack = row + pitch + i
                     compute_links(
-                        spec, state, between, g, next_pack, stiffness + i, pitch, ahead + i
+                        spec, state, of.between, g, next_pack, stiffness + i, pitch, ahead + i
                     )
                     if ti.static(spec.line_kinds > 0):
-                        compute_lines(spec, state, apart, next_pack, pitch, ahead + i)
+                        compute_lines(spec, state, of.apart, next_pack, pitch, ahead + i)
                 if consumes:
                     total = zeros(spec, state)
                     for s in range(spec.kinds + 2 * spec.line_kinds):
                         total = total - read(spec, state.ring_forces, from_above[s] + i)
                     for s in range(spec.kinds + 2 * spec.line_kinds):
                         total += read(spec, state.ring_forces, from_here[s] + i)
-                    consume(spec, state, row + i, total)
+                    of.consume(spec, state, row + i, total)
+                    _join_pack(spec, state, t, row + i, ti.static(of.joins))
             if computes:
                 for s in range(spec.kinds + spec.line_kinds):
                     to, columns = s * state.ring_size + ahead, state.link[s, 0]
                     renew_left_halo(spec, state.ring_forces, to, width, columns)
                     renew_right_halo(spec, state.ring_forces, to, width, -columns)
             if consumes:
-                renew_halos(spec, state, row, width)
+                _end_joins(spec, state, t, row, ti.static(of.joins))
+                renew_halos(spec, state, row, width, ti.static(of.consumed(state)))
 
 
 @ti.func
-def pass_over_grids(
-    spec: ti.template(),
-    state: ti.template(),
-    t,
-    move: ti.template(),
-    between: ti.template(),
-    apart: ti.template(),
-    consume: ti.template(),
-):
-    """Run `pass_over_rows` on all threads, phase by phase: its parameters are described there."""
+def pass_over_grids(spec: ti.template(), state: ti.template(), t, of: ti.template()):
+    """Run the pass `of` on all threads, phase by phase: see `pass_over_rows`."""
     if ti.static(spec.one_launch_per_step):
-        for phase in ti.static(range(2)):
+        for phase in ti.static(_phases(spec, of.move)):
             for i in range(spec.threads * PIECE):
                 if i % PIECE == 0:
-                    pass_over_rows(spec, state, i // PIECE, phase, move, between, apart, consume)
-    elif ti.static(spec.threads == 1):
-        pass_over_rows(spec, state, t, 1, move, between, apart, consume)
+                    pass_over_rows(spec, state, i // PIECE, phase, of)
     else:
-        for phase in range(2):  # at run time: unrolled, it takes twice as long to compile
-            if phase == 1:
+        first, step = ti.static(_phases(spec, of.move).start, _phases(spec, of.move).step)
+        # At run time: unrolled, it takes twice as long to compile.
+        for k in range(ti.static(len(_phases(spec, of.move)))):
+            if k > 0:
                 barrier(spec, state)
-            pass_over_rows(spec, state, t, phase, move, between, apart, consume)
+            pass_over_rows(spec, state, t, first + k * step, of)
     barrier(spec, state)
+
+
+def _phases(spec, move):
+    """The phases of a pass."""
+    if spec.threads == 1 and not spec.one_launch_per_step:
+        return range(-1, 2, 2) if _moves(move) else range(1, 2)
+    return range(-1 if _moves(move) else 0, 2)

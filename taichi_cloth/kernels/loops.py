@@ -103,7 +103,7 @@ def _visiting(body, moving):
         for i in range(begin, begin + width):
             body(spec, state, i)
         if ti.static(moving):
-            renew_halos(spec, state, begin, width)
+            renew_halos(spec, state, begin, width, ti.static(state.haloed))
 
     return row
 
@@ -177,6 +177,64 @@ def _join(
     else:
         each_row(spec, state, t, ti.static(_joining_row(number, k, op)))
     each(spec, state, t, 1, ti.static(_joining_parts(k, op)))
+
+
+@ti.func
+def join(spec: ti.template(), state: ti.template(), t, joins: ti.template()):
+    """Join several numbers over all packs in one loop, the one at place k into state.sums[k, 0].
+
+    joins: a tuple of pairs (number, op) of functions: number(spec, state, i), which only reads, is
+    that of `add_up` where op is `packs.plus`, and that of `find_largest` where it is ti.max.
+    """
+    if ti.static(spec.lanes == 1):
+        each(spec, state, t, pieces_of(state), ti.static(_joining(joins, False)))
+    else:
+        each_row(spec, state, t, ti.static(_joining(joins, True)))
+    join_parts(spec, state, t, joins)
+
+
+@ti.func
+def join_parts(spec: ti.template(), state: ti.template(), t, joins: ti.template()):
+    """Join what `join`, or a pass over links, has joined of each row or piece."""
+    each(spec, state, t, ti.static(len(joins)), ti.static(_joining_all_parts(joins)))
+
+
+def numbered(joins):
+    """The triples (k, number, op) of joins."""
+    return [(k, number, op) for k, (number, op) in enumerate(joins)]
+
+
+@functools.cache
+def _joining(joins, row):
+    """The body of a loop over rows, or over pieces, that joins all numbers of one."""
+    of_one = _joining_row if row else _joining_piece
+    bodies = [of_one(number, k, op) for k, number, op in numbered(joins)]
+
+    @ti.func
+    def pieces(spec: ti.template(), state: ti.template(), piece):
+        for body in ti.static(bodies):
+            body(spec, state, piece)
+
+    @ti.func
+    def rows(spec: ti.template(), state: ti.template(), begin, width):
+        for body in ti.static(bodies):
+            body(spec, state, begin, width)
+
+    return rows if row else pieces
+
+
+@functools.cache
+def _joining_all_parts(joins):
+    """The body of a loop over numbers that joins the parts of each."""
+    bodies = [(k, _joining_parts(k, op)) for k, _, op in numbered(joins)]
+
+    @ti.func
+    def body(spec: ti.template(), state: ti.template(), i):
+        for k, of_one in ti.static(bodies):
+            if i == k:
+                of_one(spec, state, i)
+
+    return body
 
 
 @ti.func

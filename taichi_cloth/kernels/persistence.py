@@ -45,6 +45,7 @@ CHANGED_BY_FRACTURE = frozenset({"csr_other", "link_k", "line_k", "stencil_k"})
 WITHIN_STEP = _names(
     """saved_x saved_v saved_x_low saved_v_low begun_x begun_v begun_x_low jump ring_forces sums
     arrivals passed phase fault watching traction traction_damping
+    link_direction link_along link_across csr_direction csr_along csr_across joined
     impulse link_impulse line_impulse stencil_impulse stencil_pull
     cell_end cell_of sorted_index sorted block_start bin_fill bin_start bin_size binned_cell
     binned_index near near_count near_start near_reach touching
@@ -87,6 +88,7 @@ def is_kept(spec, state, method, name):
     loaded -= _changed_by_hand(spec)
     if method.begin is None:  # such a method keeps nothing: what it remembers is within a step
         loaded |= {"a", *method.vectors, *method.low_vectors, *method.traction_vectors}
+        loaded |= {*method.numbers}
     return name not in loaded
 
 

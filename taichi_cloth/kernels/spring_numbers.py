@@ -12,6 +12,7 @@ up to three fields, in each as it is best read there:
 - state.spring_<letter>: for springs by colour (`solvers/colours.py`), if a method needs these.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 
@@ -92,3 +93,23 @@ def shared_columns(spec, state):
 def is_stored(field):
     """Whether a field of `fields_of` is there."""
     return field is not None
+
+
+# --- what solvers keep of each spring -----------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class OfStiffness:
+    """A contribution of springs (`springs.py`) that takes what a solver keeps of each spring.
+
+    between(spec, state, value, i, j, kept): what i gets from the spring to j. kept: its direction,
+    its stiffness along that and the one across (`springs.stiffness_of_springs`), which the solver
+    has left in state.link_direction, link_along and link_across, csr_ likewise.
+    """
+
+    between: Callable
+
+
+def takes_stiffness(between):
+    """Whether a contribution takes what is kept of each spring, in place of its numbers."""
+    return isinstance(between, OfStiffness)

@@ -5,7 +5,8 @@ numbers)`: what i gets from the spring to j; j gets the opposite. It reads field
 `value(spec, field, i)`, of whole packs of a grid or of single particles of a graph; `numbers` is
 the list of the spring's (`spring_numbers.py`). `accumulate` sums `between` over the springs of each
 pack and hands the sum to `consume(spec, state, i, sum)`. Forces are one such contribution, a
-product with the stiffness matrix is another. There are no races and no atomics, so that a sum has
+product with the stiffness matrix is another, for which a solver keeps what it takes of each spring
+(`spring_numbers.OfStiffness`). There are no races and no atomics, so that a sum has
 the same bits on every run, for every number of threads.
 
 What a spring pulls with is the sum of those terms of the scene that act along springs (`forces/`);
@@ -21,9 +22,9 @@ from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.forces import load
 from taichi_cloth.kernels.forces.contract import TENSION, has
 from taichi_cloth.kernels.graph import sum_of_half_springs
-from taichi_cloth.kernels.links import grid_share, move_row, pass_over_grids, sum_of_links
-from taichi_cloth.kernels.loops import barrier, each, leave
-from taichi_cloth.kernels.packs import dot, read, scaled, slot_value, zeros
+from taichi_cloth.kernels.links import Pass, pass_over_grids, sum_of_links
+from taichi_cloth.kernels.loops import each, each_pack_moving, join, join_parts
+from taichi_cloth.kernels.packs import read, scaled, slot_value, zeros
 from taichi_cloth.kernels.stencils import pull_listed, sum_of_lines, sum_of_listed
 
 # --- the terms along a spring --------------------------------------------------------------------
@@ -79,22 +80,20 @@ def stiffness_across(spec: ti.template(), length, numbers: ti.template(), least)
 
 
 @ti.func
-def stiffness_product(
-    spec: ti.template(), moved, length, along, tau, numbers: ti.template(), least
-):
-    """The change of the force on one end of springs when the other end moves relative to it.
+def stiffness_of_springs(spec: ti.template(), d, tau, numbers: ti.template(), least):
+    """The direction of springs, their stiffness along it and the one across [force / length].
 
-    It is the product of the springs' stiffness and damping matrices with the movement.
-    moved: by how far the other end moves [length]; length, along: the springs' length and
-    direction; tau: the time in which it moves, so that its velocity changes by moved / tau; least:
-    what the stiffness across is at least, times that along.
+    These make the matrix whose product with a movement of the other end (`laws.stiffness_product`)
+    is the change of the force on one end.
+    d: vectors from one end to the other; tau: the time of the movement, in which a velocity changes
+    by it over tau, so that dashpots count as stiffness, too; least: what the stiffness across is at
+    least, times that along.
     """
-    parts = [part(numbers) for part in ti.static(_parts(spec, "stiffness"))]
-    across = stiffness_across(spec, length, numbers, least)
-    product = laws.stiffness_product(moved, along, sum_of(parts), across)
+    length = laws.length(d)
+    stiffness = sum_of([part(numbers) for part in ti.static(_parts(spec, "stiffness"))])
     for damping in ti.static(_parts(spec, "damping")):
-        product += scaled((1.0 / tau) * damping(numbers) * dot(moved, along), along)
-    return product
+        stiffness += (1.0 / tau) * damping(numbers)
+    return [laws.unit(d, length), stiffness, stiffness_across(spec, length, numbers, least)]
 
 
 @ti.func
@@ -142,7 +141,7 @@ def accumulate(
     """
     pull_listed(spec, state, t, apart)
     if ti.static(spec.lanes > 1):
-        pass_over_grids(spec, state, t, leave, between, apart, consume)
+        pass_over_grids(spec, state, t, ti.static(Pass(between, apart, consume)))
     else:
         each(spec, state, t, state.n_packs[None], ti.static(_summing(between, apart, consume)))
     if ti.static(spec.springs and spec.kinds > 0):
@@ -166,17 +165,26 @@ def move_and_accumulate(
     Both are done in one pass over memory, which only packs of several lanes allow. `consume` may
     move its pack again. Springs on the graph are left out.
     """
-    for g in range(state.n_grids[None]):
-        begin = grid_share(spec, state.grid[g, 1], t)
-        end = grid_share(spec, state.grid[g, 1], t + 1)
-        # The first rows of a share, which the links of other shares reach, and its last ones, which
-        # are computed first: both lie outside the rows that the pass moves.
-        # In one loop, as `move` is compiled anew wherever it stands.
-        for r in range(begin, end):
-            if r < begin + spec.depth or r >= end - spec.depth:
-                move_row(spec, state, g, r, move)
-    barrier(spec, state)
-    pass_over_grids(spec, state, t, move, between, apart, consume)
+    pass_over_grids(spec, state, t, ti.static(Pass(between, apart, consume, move)))
+
+
+@ti.func
+def accumulate_and_join(
+    spec: ti.template(), state: ti.template(), t, of: ti.template(), consume_graph: ti.template()
+):
+    """Move all packs as the pass `of` does, accumulate as it does, then join its numbers.
+
+    of: a `links.Pass`, whose `consume` may store what neighbours do not read, and whose joins end
+    in state.sums[k, 0]. consume_graph: as for `accumulate`. With several lanes, and no springs on
+    the graph, all of it is one pass over memory.
+    """
+    if ti.static(spec.lanes > 1 and not spec.springs):
+        pass_over_grids(spec, state, t, of)
+        join_parts(spec, state, t, ti.static(of.joins))
+    else:
+        each_pack_moving(spec, state, t, ti.static(of.move))
+        accumulate(spec, state, t, of.between, of.apart, of.consume, consume_graph)
+        join(spec, state, t, ti.static(of.joins))
 
 
 @functools.cache

@@ -17,6 +17,7 @@ from taichi_cloth.kernels.forces.contract import (
     PARTICLE_VECTOR,
     VECTOR,
 )
+from taichi_cloth.kernels.links import JOIN_ROOM
 from taichi_cloth.kernels.loops import COUNTER_SIZE
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.springs import reads_velocity
@@ -43,7 +44,8 @@ class State(ContactFields):
         x_low, v_low, saved_x_low, saved_v_low (compensated): what sums lost to rounding.
         jump (collisions): change of velocity by collisions with other particles.
         particle: index of the particle in each place; slot, by that index: its slot.
-        haloed: a tuple of those fields of vectors that neighbours read.
+        haloed: a tuple of those fields of vectors that neighbours read; haloed_motion: those of
+        them that say where particles are and how they move, and not what a solver keeps.
     Springs on the graph, from both ends, in compressed rows (`graph.py`): csr_slot, csr_start,
         csr_other and csr_<letter> (`spring_numbers.py`). A spring that is gone has its own
         particle as its other end.
@@ -82,6 +84,9 @@ class State(ContactFields):
     Solvers (`solvers/`): phase: the one that comes next; tolerance, iterations: settings; work:
         the counts `WORK` since the host last asked; summed_k, summed_c: sums of the stiffness and
         damping of a particle's springs (needs "summed_springs").
+        What is kept of each link and half-spring (needs "kept_stiffness"): link_direction,
+        link_along and link_across, csr_ likewise: its direction, and its stiffness along that and
+        across it (`spring_numbers.OfStiffness`). joined: what a pass over links joins of a row.
         one (compensated): 1, which compilers do not know (`compensated.py`).
     Colours of springs on the graph (needs "spring_colours"; `solvers/colours.py`): those of colour
         k are colour_start[k] .. colour_start[k+1], each with its ends and spring_<letter>.
@@ -154,13 +159,16 @@ class State(ContactFields):
             vectors += method.low_vectors
         for name in vectors:
             setattr(self, name, self._pack_vectors(spec))
+        for name in method.numbers:
+            setattr(self, name, self._pack_numbers(spec))
         self.w = self._pack_numbers(spec)
         self.particle = self._pack_counts(spec)
         self.slot = self._counts(max(self.capacity.particles, 1))
         self.haloed = (self.x, self.v) if reads_velocity(spec) else (self.x,)
-        self.haloed += tuple(getattr(self, name) for name in method.haloed)
         if spec.compensated:
             self.haloed = (*self.haloed, self.x_low)
+        self.haloed_motion = self.haloed
+        self.haloed += tuple(getattr(self, name) for name in method.haloed)
         if spec.keeps_begun:
             self.begun_x, self.begun_v = self._pack_vectors(spec), self._pack_vectors(spec)
             if spec.compensated:
@@ -209,6 +217,11 @@ class State(ContactFields):
             if number.stored(spec) and number.own(spec):
                 numbers = self._pack_numbers(spec, kinds * self.packs)
                 setattr(self, f"link_{number.letter}", numbers)
+        if "kept_stiffness" in method.needs:
+            self.link_direction = self._pack_vectors(spec, kinds * self.packs)
+            self.link_along = self._pack_numbers(spec, kinds * self.packs)
+            self.link_across = self._pack_numbers(spec, kinds * self.packs)
+            self.joined = self._pack_numbers(spec, (spec.threads + 2) * JOIN_ROOM)
         if "spring_colours" in method.needs:
             self.link_impulse = self._pack_vectors(spec, kinds * self.packs)
         carried = max(self.capacity.grids, 1) * (spec.threads + 1) * spec.depth
@@ -285,6 +298,9 @@ class State(ContactFields):
         self._place_spring_numbers(spec, "csr", 2 * s)
         if spec.fracture or coloured:
             self.ends = self._counts(s, 2)
+        if "kept_stiffness" in method.needs:
+            self.csr_direction = self._scalars(2 * s, spec.dim)
+            self.csr_along, self.csr_across = self._scalars(2 * s), self._scalars(2 * s)
         if coloured or "particle_colours" in method.needs:
             self.n_colours = self._counts()
             self.colour_start = self._counts(max(n, s) + 1)

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 SETTINGS = ("tolerance", "iterations")  # those that a method may take
 # What a method may need of the host beside the state: sums of the stiffness and damping of each
-# particle's springs (state.summed_k, summed_c), and the colours of springs or particles that
+# particle's springs (state.summed_k, summed_c), room for the stiffness that a solver keeps
+# of each spring (`spring_numbers.OfStiffness`), and the colours of springs or particles that
 # `solvers/colours.py` goes through.
-NEEDS = ("summed_springs", "spring_colours", "particle_colours")
+NEEDS = ("summed_springs", "kept_stiffness", "spring_colours", "particle_colours")
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,7 @@ class Method:
     vectors: names of the fields state.<name> in which it keeps a vector for each particle, within a
         step or from step to step; haloed: those of them that neighbours read; low_vectors: further
         ones in the precision `compensated`.
+    numbers: names of fields in which it keeps a number for each particle, within a step.
     traction_vectors: further vectors that it keeps only where forces act on triangles.
     scalars, counts: names of 0-D fields of real and of whole numbers.
     sums: how many sums over all particles it takes (`loops.add_up`).
@@ -91,6 +93,7 @@ class Method:
     vectors: tuple[str, ...] = ()
     haloed: tuple[str, ...] = ()
     low_vectors: tuple[str, ...] = ()
+    numbers: tuple[str, ...] = ()
     traction_vectors: tuple[str, ...] = ()
     scalars: tuple[str, ...] = ()
     counts: tuple[str, ...] = ()
@@ -113,7 +116,7 @@ class Method:
             launched = sorted(phase for these in self.launches for phase in these)
             if launched != list(range(len(self.phases))):
                 raise ValueError("launches must name each phase once")
-        names = [*self.vectors, *self.low_vectors, *self.traction_vectors]
+        names = [*self.vectors, *self.low_vectors, *self.traction_vectors, *self.numbers]
         names += [*self.scalars, *self.counts]
         for name in names:
             if not name.isidentifier() or names.count(name) > 1:

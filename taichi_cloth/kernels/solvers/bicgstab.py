@@ -15,23 +15,24 @@ import taichi as ti
 from taichi_cloth.kernels.loops import add_up, each, each_pack_moving
 from taichi_cloth.kernels.packs import dot, read, write
 from taichi_cloth.kernels.solvers.newton_matrix import (
+    PRODUCT,
     begin_iterating,
-    curvature,
-    downhill,
     first_energy,
-    go_along,
-    multiply,
+    keep_springs,
+    moved_apart,
     preconditioned,
+    product_more,
+    store_product,
     take_change,
 )
 from taichi_cloth.kernels.solvers.stages import CLAMPED, SINGULAR
+from taichi_cloth.kernels.springs import accumulate
 from taichi_cloth.kernels.state import SWEEPS
-from taichi_cloth.kernels.surfaces import compute_traction_damping
+from taichi_cloth.kernels.surfaces import compute_traction_damping, compute_traction_product
 
 VECTORS = ("shadow", "search", "searched")  # the first residual; both halves' direction; A times it
 SCALARS = ("rho", "alpha")  # shadow times residual; the step of the first half
 COUNTS = ("second_half",)  # of a step: 0 or 1
-SUMS = 5
 MOST_PRODUCTS = 1000
 ANY = 1e30  # a slope beside which every other is small
 
@@ -39,6 +40,7 @@ ANY = 1e30  # a slope beside which every other is small
 @ti.func
 def direct(spec: ti.template(), state: ti.template(), t):
     """Begin: no change yet, the first direction is downhill."""
+    keep_springs(spec, state, t)
     compute_traction_damping(spec, state, t)
     add_up(spec, state, t, first_energy, 0)
     each_pack_moving(spec, state, t, _begin_pack)
@@ -50,26 +52,34 @@ def _begin_pack(spec: ti.template(), state: ti.template(), i):
     residual = read(spec, state.residual, i)
     write(spec, state.shadow, i, residual)
     write(spec, state.search, i, residual)
-    downhill(spec, state, i)
+    write(spec, state.direction, i, preconditioned(spec, state, i, residual))
 
 
 @ti.func
 def _begin(spec: ti.template(), state: ti.template(), i):
     begin_iterating(spec, state, i)
     state.rho[None], state.second_half[None] = state.sums[0, 0], 0
+    state.ahead[None] = 0.0  # each half's step is made at once
 
 
 @ti.func
 def iterate(spec: ti.template(), state: ti.template(), t):
     """Make one half of an iteration."""
-    multiply(spec, state, t)
-    add_up(spec, state, t, curvature, 0)  # in the second half: the residual's with A and itself
+    compute_traction_product(spec, state, t)
+    accumulate(spec, state, t, PRODUCT, moved_apart, store_product, product_more)
+    add_up(spec, state, t, _along_itself, 0)  # in the second half: the residual's with A and itself
     add_up(spec, state, t, _tested, 1)
     add_up(spec, state, t, _approach, 2)
     add_up(spec, state, t, _shadowed, 3)
     add_up(spec, state, t, _slope, 4)
     each_pack_moving(spec, state, t, _turn)
     each(spec, state, t, 1, _count_half)
+
+
+@ti.func
+def _along_itself(spec: ti.template(), state: ti.template(), i):
+    """The product of `direction` with A and itself, for pack i."""
+    return dot(read(spec, state.direction, i), read(spec, state.product, i))
 
 
 @ti.func
@@ -96,7 +106,13 @@ def _approach(spec: ti.template(), state: ti.template(), i):
     """Go a half in pack i, and return the energy of its new residual."""
     if state.second_half[None] == 0:
         write(spec, state.searched, i, read(spec, state.product, i))
-    return go_along(spec, state, i, _step_length(state))
+    step = _step_length(state)
+    change, direction = read(spec, state.change, i), read(spec, state.direction, i)
+    residual, product = read(spec, state.residual, i), read(spec, state.product, i)
+    write(spec, state.change, i, change + step * direction)
+    residual = residual - step * product
+    write(spec, state.residual, i, residual)
+    return dot(residual, preconditioned(spec, state, i, residual))
 
 
 @ti.func

@@ -1,79 +1,140 @@
 """Conjugate gradients for a Newton direction: A p = tau*M*residual, where A is symmetric.
 
-Shewchuk, "An introduction to the conjugate gradient method without the agonizing pain", 1994, B3.
-The matrix and its preconditioner are those of `newton_matrix.py`.
+Their steps are made in one pass over memory, which computes the product of A with the direction and
+all sums: the residual's energy after a step follows from sums of before it, so that the next
+direction needs no pass of its own, and is then computed again, so that rounding does not add up.
+Chen, Carson, "Predict-and-recompute conjugate gradient variants", SIAM J. Sci. Comput. 42, 2020
+(PR-CG); Shewchuk, "An introduction to the conjugate gradient method without the agonizing pain",
+1994, B3. The matrix and its preconditioner are those of `newton_matrix.py`.
 """
 
 import taichi as ti
 
-from taichi_cloth.kernels.loops import add_up, each, each_pack_moving
-from taichi_cloth.kernels.packs import read, write
+from taichi_cloth.kernels.links import Pass
+from taichi_cloth.kernels.loops import add_up, each, each_pack
+from taichi_cloth.kernels.packs import dot, plus, read, write
 from taichi_cloth.kernels.solvers.newton_matrix import (
+    PRODUCT,
     begin_iterating,
-    curvature,
-    downhill,
     first_energy,
-    go_along,
-    multiply,
+    keep_springs,
+    moved_apart,
     preconditioned,
+    product_more,
+    store_product,
     take_change,
 )
 from taichi_cloth.kernels.solvers.stages import CLAMPED, SINGULAR
+from taichi_cloth.kernels.springs import accumulate_and_join
 from taichi_cloth.kernels.state import SWEEPS
 
 
 @ti.func
 def direct(spec: ti.template(), state: ti.template(), t):
-    """Begin conjugate gradients: no change yet, the first direction is downhill."""
+    """Begin conjugate gradients: no change yet."""
+    keep_springs(spec, state, t)
     add_up(spec, state, t, first_energy, 0)
-    each_pack_moving(spec, state, t, downhill)
-    each(spec, state, t, 1, begin_iterating)
+    each_pack(spec, state, t, _begin_pack)
+    each(spec, state, t, 1, _begin)
+
+
+@ti.func
+def _begin_pack(spec: ti.template(), state: ti.template(), i):
+    """Make the first direction of pack i the one downhill: there is none before it."""
+    none = 0.0 * read(spec, state.change, i)
+    write(spec, state.direction, i, none)
+    write(spec, state.product, i, none)
+
+
+@ti.func
+def _begin(spec: ti.template(), state: ti.template(), i):
+    begin_iterating(spec, state, i)
+    state.ahead[None], state.part[None] = 0.0, 0.0
 
 
 @ti.func
 def iterate(spec: ti.template(), state: ti.template(), t):
-    """Make one step of conjugate gradients."""
-    multiply(spec, state, t)
-    add_up(spec, state, t, curvature, 0)
-    add_up(spec, state, t, _approach, 1)
-    each_pack_moving(spec, state, t, _turn)
+    """Make one step of conjugate gradients, and compute how far the next one goes."""
+    accumulate_and_join(spec, state, t, ti.static(STEP), product_more)
     each(spec, state, t, 1, _count_iteration)
 
 
 @ti.func
-def _approach(spec: ti.template(), state: ti.template(), i):
-    """Go a step of conjugate gradients in pack i, and return the energy of its new residual."""
-    return go_along(spec, state, i, _step_length(state))
+def _step(spec: ti.template(), state: ti.template(), i):
+    """Go a step in pack i, and set its next direction."""
+    ahead, direction = state.ahead[None], read(spec, state.direction, i)
+    write(spec, state.change, i, read(spec, state.change, i) + ahead * direction)
+    residual = read(spec, state.residual, i) - ahead * read(spec, state.product, i)
+    write(spec, state.residual, i, residual)
+    downhill = preconditioned(spec, state, i, residual)
+    write(spec, state.direction, i, downhill + state.part[None] * direction)
 
 
 @ti.func
-def _turn(spec: ti.template(), state: ti.template(), i):
-    """Set the next direction of conjugate gradients in pack i."""
-    part = state.sums[1, 0] / state.energy[None]
-    residual = preconditioned(spec, state, i, read(spec, state.residual, i))
-    write(spec, state.direction, i, residual + part * read(spec, state.direction, i))
+def _curvature(spec: ti.template(), state: ti.template(), i):
+    """The product of `direction` with A and itself, for pack i."""
+    return dot(read(spec, state.direction, i), read(spec, state.product, i))
 
 
 @ti.func
-def _step_length(state: ti.template()):
-    """The length of a step of conjugate gradients.
+def _energy(spec: ti.template(), state: ti.template(), i):
+    """The energy of pack i's residual: its product with itself, preconditioned."""
+    residual = read(spec, state.residual, i)
+    return dot(residual, preconditioned(spec, state, i, residual))
 
-    It is 0 where A is not positive along the direction, or numbers are no longer finite.
-    """
-    along_itself = state.sums[0, 0]
-    return ti.select(along_itself > 0.0, state.energy[None] / along_itself, 0.0)
+
+@ti.func
+def _mixed_energy(spec: ti.template(), state: ti.template(), i):
+    """The product of pack i's residual with that of A and `direction`, preconditioned."""
+    product = preconditioned(spec, state, i, read(spec, state.product, i))
+    return dot(read(spec, state.residual, i), product)
+
+
+@ti.func
+def _product_energy(spec: ti.template(), state: ti.template(), i):
+    """The product of that of A and `direction` with itself, preconditioned, for pack i."""
+    product = read(spec, state.product, i)
+    return dot(product, preconditioned(spec, state, i, product))
+
+
+def _changed(state):
+    """What a step changes of what neighbours read."""
+    return (state.direction,)
+
+
+def _nothing(state):
+    """What storing a product changes of that."""
+    return ()
+
+
+STEP = Pass(
+    PRODUCT,
+    moved_apart,
+    store_product,
+    move=_step,
+    joins=((_curvature, plus), (_energy, plus), (_mixed_energy, plus), (_product_energy, plus)),
+    moved=_changed,
+    consumed=_nothing,
+)
 
 
 @ti.func
 def _count_iteration(spec: ti.template(), state: ti.template(), i):
-    """Count a step of conjugate gradients, and decide whether they end with it."""
-    energy, step = state.sums[1, 0], _step_length(state)
-    state.slope[None] += step * state.energy[None]
-    state.energy[None] = energy
+    """Count a step of conjugate gradients, and decide whether they end with it.
+
+    The step itself, state.ahead times the direction, is made in the pass that comes next.
+    """
+    curvature, energy = state.sums[0, 0], state.sums[1, 0]
+    # 0 where A is not positive along the direction, or numbers are no longer finite.
+    step = ti.select(curvature > 0.0, energy / ti.select(curvature > 0.0, curvature, 1.0), 0.0)
+    after = energy + step * (step * state.sums[3, 0] - 2.0 * state.sums[2, 0])
+    state.ahead[None], state.energy[None] = step, ti.max(after, 0.0)
+    state.part[None] = ti.select(energy > 0.0, ti.max(after, 0.0) / energy, 0.0)
+    state.slope[None] += step * energy
     state.sweeps[None] += 1
     state.work[SWEEPS] += 1
     most = 2 * spec.dim * state.n[None] + 20
-    ends = not (energy > state.goal[None]) or state.sweeps[None] >= most
+    ends = not (after > state.goal[None]) or state.sweeps[None] >= most
     if not (step > 0.0):
         # With the exact K, A may be indefinite; the change so far is downhill. With a clamped K it
         # is positive definite, unless numbers are no longer finite.

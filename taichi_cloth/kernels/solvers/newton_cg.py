@@ -37,6 +37,7 @@ steps, each solved to its tolerance, with one end for contacts and tears.
 """
 
 import functools
+import operator
 
 import taichi as ti
 
@@ -47,10 +48,12 @@ from taichi_cloth.kernels.clock import time_of_forces
 from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.contact import compute_contacts
 from taichi_cloth.kernels.forces import has_tractions
-from taichi_cloth.kernels.loops import add_up, each, each_pack_moving, find_largest
+from taichi_cloth.kernels.links import Pass
+from taichi_cloth.kernels.loops import each, each_pack_moving, leave
 from taichi_cloth.kernels.packs import (
     dot,
     epsilon,
+    plus,
     read,
     set_slot_value,
     slot_number,
@@ -75,7 +78,6 @@ from taichi_cloth.kernels.solvers.stages import (
     NOT_FINITE,
     ONLY_EVALUATE,
     ROUNDED,
-    SHIFT,
     SINGULAR,
     STALLED,
     iterate_from,
@@ -88,10 +90,7 @@ from taichi_cloth.kernels.solvers.stages import (
     time_of_part,
     wanted_residual,
 )
-from taichi_cloth.kernels.springs import (
-    accumulate,
-    force_between,
-)
+from taichi_cloth.kernels.springs import accumulate_and_join, force_between
 from taichi_cloth.kernels.state import FORCES, UNCONVERGED
 from taichi_cloth.kernels.surfaces import compute_tractions
 from taichi_cloth.kernels.watchdog import is_finite
@@ -113,6 +112,8 @@ SCALARS = (
     "long_slope",  # directional derivative there
     "energy",  # residual times preconditioned residual, of conjugate gradients
     "goal",  # energy at which these end
+    "ahead",  # the part of their direction that `change` has yet to go
+    "part",  # the part of it that the next direction takes over
     "least",  # stiffness across a spring is at least this times the one along: CLAMPED or EXACT
     *bicgstab.SCALARS,
 )
@@ -124,6 +125,7 @@ MOST_STALLS = 6  # directions one after the other that bring little progress
 # Rounding of a spring's force, in epsilons: several add up in a residual, with either sign.
 ROUNDING = 0.5
 MOST_ROUNDINGS = 16.0  # where progress has ended, a residual is ROUNDED up to this times `rounding`
+SUMS = 5  # most of an evaluation, and of the methods that find directions
 NEAR = 0.1  # part of the first residual below which K is taken as it is
 
 
@@ -140,7 +142,8 @@ def keeps(*vectors):
         "vectors": (*state, "change", "residual", "direction", "product", *vectors),
         "low_vectors": ("old_x_low", "start_x_low"),
         "haloed": ("direction",),
-        "needs": ("summed_springs",),
+        "numbers": ("over_diagonal",),
+        "needs": ("summed_springs", "kept_stiffness"),
         "scalars": SCALARS,
         "traction_vectors": bicgstab.VECTORS,
         "counts": (
@@ -150,9 +153,9 @@ def keeps(*vectors):
             *("halvings", "parts_done", "failed"),
             *bicgstab.COUNTS,
         ),
-        "sums": bicgstab.SUMS,
-        "launches": ((BEGIN, CUT), (EVALUATE, SHIFT), (DIRECT, ITERATE), (FINISH,)),
-        "lanes": 4,  # with 8 it is a tenth faster, and takes twice as long to compile
+        "sums": SUMS,
+        "launches": ((BEGIN, CUT), (EVALUATE,), (DIRECT, ITERATE), (FINISH,)),
+        "lanes": 8,  # with 4 a step takes 1.6 times as long, and half as long to compile
     }
 
 
@@ -178,7 +181,7 @@ def phases(fraction, start, move, first=0, last=0):
         each_pack_moving(spec, state, t, move)
         each(spec, state, t, 1, ti.static(_ending(last)))
 
-    return begin, evaluate, direct, iterate, shift, finish, cut
+    return begin, evaluate, direct, iterate, finish, cut
 
 
 @ti.func
@@ -193,6 +196,7 @@ def _begin_stage(spec: ti.template(), state: ti.template(), i):
     """Clear what is counted in a stage, and go to its first evaluation."""
     state.directions[None], state.trials[None], state.stalls[None] = 0, 0, 0
     state.outcome[None], state.indefinite[None] = CONVERGED, 0
+    state.ahead[None], state.go[None] = 0.0, 0.0
     state.phase[None] = EVALUATE
 
 
@@ -266,17 +270,45 @@ def iterate(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def evaluate(spec: ti.template(), state: ti.template(), t):
-    """Compute the iterate's residual, and decide what comes next."""
-    compute_tractions(spec, state, t, time_of_forces, False)
-    accumulate(spec, state, t, force_between, difference, _store_residual, _residual_more)
-    find_largest(spec, state, t, _rounding_of, 0)
-    each(spec, state, t, 1, _keep_rounding)
-    find_largest(spec, state, t, _gained, 0)
-    each(spec, state, t, 1, _keep_load)
-    find_largest(spec, state, t, _size, 0)
-    add_up(spec, state, t, _square, 1)
-    add_up(spec, state, t, _slope, 2)
+    """Move the iterate by what is still to go, compute its residual, and decide what comes next."""
+    if ti.static(has_tractions(spec)):  # which come before the links of the first row
+        each_pack_moving(spec, state, t, _shift)
+        compute_tractions(spec, state, t, time_of_forces, False)
+        accumulate_and_join(spec, state, t, ti.static(_evaluating(leave)), _residual_more)
+    else:
+        accumulate_and_join(spec, state, t, ti.static(_evaluating(_shift)), _residual_more)
     each(spec, state, t, 1, _judge)
+
+
+@functools.cache
+def _evaluating(move):
+    """The pass that moves the iterate by `move`, and computes its residual."""
+    joins = (_rounding_of, ti.max), (_gained, ti.max), (_size, ti.max), (_square, plus)
+    return Pass(
+        force_between,
+        difference,
+        _store_residual,
+        move,
+        joins=(*joins, (_slope, plus)),
+        moved=operator.attrgetter("haloed_motion"),
+        consumed=_nothing,
+    )
+
+
+def _nothing(state):
+    """What storing a residual changes of what neighbours read."""
+    return ()
+
+
+@ti.func
+def _shift(spec: ti.template(), state: ti.template(), i):
+    """Move the iterate of pack i along `change` by the length that is still to go."""
+    if state.directions[None] > 0:
+        change = read(spec, state.change, i)
+        if state.ahead[None] > 0.0:  # the last step of conjugate gradients
+            change = change + state.ahead[None] * read(spec, state.direction, i)
+            write(spec, state.change, i, change)
+        iterate_from(spec, state, i, read(spec, state.gain, i) + state.go[None] * change)
 
 
 @ti.func
@@ -298,10 +330,9 @@ def _residual_more(spec: ti.template(), state: ti.template(), slot, f):
 
 @ti.func
 def _rounding_of(spec: ti.template(), state: ti.template(), i):
-    """The residual that rounding of positions, over all springs, and of the gain can make up."""
+    """The residual that rounding of positions, over all springs, can make up; w is 0 if fixed."""
     w, x = read(spec, state.w, i), largest_component(spec, state.x, i)
-    gain = _gained(spec, state, i)
-    return ti.select(w > 0.0, w * read(spec, state.summed_k, i) * x + gain, 0.0 * w)
+    return w * read(spec, state.summed_k, i) * x
 
 
 @ti.func
@@ -314,7 +345,12 @@ def _gained(spec: ti.template(), state: ti.template(), i):
 def _judge(spec: ti.template(), state: ti.template(), i):
     """Decide after an evaluation whether the stage is done, and what comes next if it is not."""
     state.work[FORCES] += 1
-    most, squares, slope = state.sums[0, 0], state.sums[1, 0], state.sums[2, 0]
+    # That of positions over all springs, and of the gain.
+    rounding = ti.static(epsilon(state)) * (state.sums[0, 0] + state.sums[1, 0])
+    state.rounding[None] = ROUNDING * rounding
+    state.load[None] = ti.max(state.least_scale[None], state.sums[1, 0])
+    most, squares, slope = state.sums[2, 0], state.sums[3, 0], state.sums[4, 0]
+    state.ahead[None] = 0.0
     state.residual_max[None] = most
     state.residual_rms[None] = ti.sqrt(squares / ti.max(state.n[None] * spec.dim, 1))
     first = state.directions[None] == 0
@@ -338,7 +374,7 @@ def _judge(spec: ti.template(), state: ti.template(), i):
         length = _next_length(state, slope, finite)
         state.go[None] = length - state.length[None]
         state.length[None] = length
-        next_phase = SHIFT
+        next_phase = EVALUATE
     elif not finite:
         state.outcome[None], next_phase = NOT_FINITE, FINISH
     else:
@@ -401,19 +437,6 @@ def _next_length(state: ti.template(), slope, finite):
 
 
 @ti.func
-def shift(spec: ti.template(), state: ti.template(), t):
-    """Move the iterate along `change` by the length that is still to go."""
-    each_pack_moving(spec, state, t, _shift_pack)
-    each(spec, state, t, 1, _to_evaluate)
-
-
-@ti.func
-def _shift_pack(spec: ti.template(), state: ti.template(), i):
-    change = read(spec, state.change, i)
-    iterate_from(spec, state, i, read(spec, state.gain, i) + state.go[None] * change)
-
-
-@ti.func
 def _size(spec: ti.template(), state: ti.template(), i):
     """The largest component, without its sign, of each residual in pack i."""
     return largest_component(spec, state.residual, i)
@@ -431,20 +454,3 @@ def _slope(spec: ti.template(), state: ti.template(), i):
     """The directional derivative along `change` of what a stage minimizes, negated, for pack i."""
     change, residual = read(spec, state.change, i), read(spec, state.residual, i)
     return dot(change, momentum_of(spec, state, i, residual))
-
-
-@ti.func
-def _keep_rounding(spec: ti.template(), state: ti.template(), i):
-    """Set the residual that rounding alone leaves, from the largest of `_rounding_of`."""
-    state.rounding[None] = ROUNDING * ti.static(epsilon(state)) * state.sums[0, 0]
-
-
-@ti.func
-def _keep_load(spec: ti.template(), state: ti.template(), i):
-    """Set what a residual must be small beside, from the largest of `_gained`."""
-    state.load[None] = ti.max(state.least_scale[None], state.sums[0, 0])
-
-
-@ti.func
-def _to_evaluate(spec: ti.template(), state: ti.template(), i):
-    state.phase[None] = EVALUATE

@@ -1,8 +1,10 @@
 """The matrix A of a Newton direction, A p = tau*M*residual: its products and its preconditioner.
 
-A is that of `newton_cg.py`, never stored, only multiplied with vectors (`springs.accumulate`). The
-preconditioner is its diagonal, with every spring counted along every axis. What solvers for such a
-system share is here, too: how they begin, and how they hand over what they have found.
+A is that of `newton_cg.py`, never stored, only multiplied with vectors (`springs.accumulate`). All
+products for a direction have the same springs, so these are computed once, when it is begun: the
+direction of each, its stiffness along that and across it. The preconditioner is the diagonal of A,
+with every spring counted along every axis. What solvers for such a system share is here, too: how
+they begin, and how they hand over what they have found.
 """
 
 import taichi as ti
@@ -14,7 +16,12 @@ from taichi_cloth.kernels.accelerations import (
     resists,
     stiffness_of,
 )
+from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.forces import has_tractions
+from taichi_cloth.kernels.graph import numbers_of
+from taichi_cloth.kernels.grids import link_index, link_offset, pitch_of
+from taichi_cloth.kernels.links import link_numbers, link_stiffness
+from taichi_cloth.kernels.loops import each, each_pack
 from taichi_cloth.kernels.packs import (
     dot,
     read,
@@ -26,55 +33,90 @@ from taichi_cloth.kernels.packs import (
     write,
 )
 from taichi_cloth.kernels.solvers.stages import (
+    EVALUATE,
     FINISH,
     ITERATE,
-    SHIFT,
     mass_of,
     momentum_of,
     outcome_of_rounding,
     wanted_residual,
 )
-from taichi_cloth.kernels.springs import (
-    accumulate,
-    reads_velocity,
-    stiffness_product,
-)
-from taichi_cloth.kernels.surfaces import compute_traction_product
+from taichi_cloth.kernels.spring_numbers import OfStiffness
+from taichi_cloth.kernels.springs import reads_velocity, stiffness_of_springs
 
 FORCING = 0.1  # this part of the residual is left to the next direction
+
+
+# --- what is kept for all products of a direction -------------------------------------------------
+
+
+@ti.func
+def keep_springs(spec: ti.template(), state: ti.template(), t):
+    """Keep direction and stiffness of every spring, for `PRODUCT`."""
+    if ti.static(spec.kinds > 0):
+        each_pack(spec, state, t, _keep_links)
+    if ti.static(spec.springs):
+        each(spec, state, t, state.n_csr_rows[None], _keep_half_springs)
+
+
+@ti.func
+def _keep_links(spec: ti.template(), state: ti.template(), i):
+    """Keep direction and stiffness of the links that begin at pack i."""
+    g = state.grid_of[i]
+    if g >= 0:
+        pitch = pitch_of(spec, state, g)
+        for s in range(spec.kinds):
+            far, at = i + link_offset(state, s, pitch), link_index(state, s, i)
+            k = link_stiffness(spec, state, s, i)
+            numbers = link_numbers(spec, state, read, s, g, at, k)
+            d = difference(spec, state, read, i, far)
+            direction, along, across = _stiffness(spec, state, d, numbers)
+            write(spec, state.link_direction, at, direction)
+            write(spec, state.link_along, at, along)
+            write(spec, state.link_across, at, across)
+
+
+@ti.func
+def _keep_half_springs(spec: ti.template(), state: ti.template(), p):
+    """Keep direction and stiffness of the half-springs of row p of the compressed rows."""
+    slot = state.csr_slot[p]
+    for h in range(state.csr_start[p], state.csr_start[p + 1]):
+        d = difference(spec, state, slot_value, slot, state.csr_other[h])
+        direction, along, across = _stiffness(spec, state, d, numbers_of(spec, state, h))
+        for axis in ti.static(range(spec.dim)):
+            state.csr_direction[h, axis] = direction[axis]
+        state.csr_along[h], state.csr_across[h] = along, across
+
+
+@ti.func
+def _stiffness(spec: ti.template(), state: ti.template(), d, numbers: ti.template()):
+    """The direction of springs, and their stiffness along and across it."""
+    return stiffness_of_springs(spec, d, state.tau[None], numbers, state.least[None])
 
 
 # --- products ------------------------------------------------------------------------------------
 
 
 @ti.func
-def multiply(spec: ti.template(), state: ti.template(), t):
-    """Compute state.product, the product of A with state.direction."""
-    compute_traction_product(spec, state, t)
-    accumulate(spec, state, t, _product_between, _moved_apart, _store_product, _product_more)
-
-
-@ti.func
 def _product_between(
-    spec: ti.template(), state: ti.template(), value: ti.template(), i, j, numbers: ti.template()
+    spec: ti.template(), state: ti.template(), value: ti.template(), i, j, kept: ti.template()
 ):
     """What i gets from the spring to j in the product of K and dashpots with `direction`."""
-    d = value(spec, state.x, j) - value(spec, state.x, i)
-    length = laws.length(d)
-    along = laws.unit(d, length)
     moved = value(spec, state.direction, j) - value(spec, state.direction, i)
-    least = state.least[None]
-    return stiffness_product(spec, moved, length, along, state.tau[None], numbers, least)
+    return laws.stiffness_product(moved, kept[0], kept[1], kept[2])
+
+
+PRODUCT = OfStiffness(_product_between)
 
 
 @ti.func
-def _moved_apart(spec: ti.template(), state: ti.template(), value: ti.template(), i, j):
+def moved_apart(spec: ti.template(), state: ti.template(), value: ti.template(), i, j):
     """By how much `direction` moves j more than i: a product's vectors for stencils."""
     return value(spec, state.direction, j) - value(spec, state.direction, i)
 
 
 @ti.func
-def _store_product(spec: ti.template(), state: ti.template(), i, pulled):
+def store_product(spec: ti.template(), state: ti.template(), i, pulled):
     """Store the product of A with `direction` in pack i; pulled: what it gets from its springs."""
     tau = state.tau[None]
     direction = read(spec, state.direction, i)
@@ -91,7 +133,7 @@ def _store_product(spec: ti.template(), state: ti.template(), i, pulled):
 
 
 @ti.func
-def _product_more(spec: ti.template(), state: ti.template(), slot, pulled):
+def product_more(spec: ti.template(), state: ti.template(), slot, pulled):
     """Add what one particle gets from those springs that no grid holds to the product."""
     if slot_number(spec, state.w, slot) > 0.0:
         tau = state.tau[None]
@@ -105,6 +147,12 @@ def _product_more(spec: ti.template(), state: ti.template(), slot, pulled):
 @ti.func
 def preconditioned(spec: ti.template(), state: ti.template(), i, residual):
     """The residual of pack i over the diagonal of A; 0 where particles are fixed."""
+    return scaled(read(spec, state.over_diagonal, i), residual)
+
+
+@ti.func
+def _keep_over_diagonal(spec: ti.template(), state: ti.template(), i):
+    """Keep one over the diagonal of A for pack i; 0 where particles are fixed."""
     tau = state.tau[None]
     w = read(spec, state.w, i)
     diagonal = mass_of(spec, state, i) + tau * tau * read(spec, state.summed_k, i)
@@ -116,39 +164,16 @@ def preconditioned(spec: ti.template(), state: ti.template(), i, residual):
         diagonal = diagonal + tau * read(spec, state.traction_damping, i)
     if ti.static(reads_velocity(spec)):
         diagonal = diagonal + tau * read(spec, state.summed_c, i)
-    return scaled(ti.select(w > 0.0, 1.0 / diagonal, 0.0 * w), residual)
+    write(spec, state.over_diagonal, i, ti.select(w > 0.0, 1.0 / diagonal, 0.0 * w))
 
 
 @ti.func
 def first_energy(spec: ti.template(), state: ti.template(), i):
     """The energy of pack i's residual, which becomes tau*M times what it was; change becomes 0."""
+    _keep_over_diagonal(spec, state, i)
     residual = momentum_of(spec, state, i, read(spec, state.residual, i))
     write(spec, state.residual, i, residual)
     write(spec, state.change, i, 0.0 * residual)
-    return dot(residual, preconditioned(spec, state, i, residual))
-
-
-@ti.func
-def downhill(spec: ti.template(), state: ti.template(), i):
-    """Set the first direction of conjugate gradients in pack i."""
-    residual = read(spec, state.residual, i)
-    write(spec, state.direction, i, preconditioned(spec, state, i, residual))
-
-
-@ti.func
-def curvature(spec: ti.template(), state: ti.template(), i):
-    """The product of `direction` with A and itself, for pack i."""
-    return dot(read(spec, state.direction, i), read(spec, state.product, i))
-
-
-@ti.func
-def go_along(spec: ti.template(), state: ti.template(), i, step):
-    """Go a step along `direction` in pack i, and return the energy of its new residual."""
-    change, direction = read(spec, state.change, i), read(spec, state.direction, i)
-    residual, product = read(spec, state.residual, i), read(spec, state.product, i)
-    write(spec, state.change, i, change + step * direction)
-    residual = residual - step * product
-    write(spec, state.residual, i, residual)
     return dot(residual, preconditioned(spec, state, i, residual))
 
 
@@ -174,9 +199,12 @@ def begin_iterating(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def take_change(state: ti.template()):
-    """Go on to where `change` leads, the solution as far as it is found."""
+    """Go on to where `change` leads, the solution as far as it is found.
+
+    What of it is still to be added, state.ahead times `direction`, is added there.
+    """
     state.directions[None] += 1
     state.trials[None] = 0
     state.length[None], state.go[None] = 1.0, 1.0
     state.short[None], state.short_slope[None], state.long[None] = 0.0, state.slope[None], 0.0
-    state.phase[None] = SHIFT
+    state.phase[None] = EVALUATE

@@ -21,7 +21,7 @@ from taichi_cloth.kernels.packs import (
 from taichi_cloth.kernels.solvers.phases import set_alone
 from taichi_cloth.kernels.watchdog import commit
 
-BEGIN, EVALUATE, DIRECT, ITERATE, SHIFT, FINISH, CUT = range(7)  # phases
+BEGIN, EVALUATE, DIRECT, ITERATE, FINISH, CUT = range(6)  # phases
 # What came of a stage. ROUNDED: its residual is as small as rounding lets it be; HIDDEN: so it is,
 # but what rounding leaves hides what moves the particles. From HIDDEN on a stage is not solved.
 CONVERGED, ROUNDED, HIDDEN, EXHAUSTED, STALLED, SINGULAR, NOT_FINITE = range(7)
