@@ -141,13 +141,13 @@ def test_scenes_and_methods_are_chosen_from_lists_that_say_what_each_is_and_cost
     assert hands.look()[0] == "scene \u2039 cloth \u203a"
     hands.press(hands.place("scene"))
     assert hands.look()[:4] == ["scene \u2039 cloth \u203a", "box", "cloth now", "net"]
-    before = hands.panel.panel(RECT, HEIGHT).pixels
+    before = hands.panel.panel(RECT, HEIGHT).tile.pixels
     hands.press(hands.place("scene:net"))
     after = hands.panel.panel(RECT, HEIGHT)
     assert "net open" in after.words and "about net" in after.words
     x, y = hands.place("scene:net", 0.95)
     spot = int(y) - RECT.y, int(x) - RECT.x
-    assert tuple(before[spot]) == style.PAPER and tuple(after.pixels[spot]) == style.CHOSEN
+    assert tuple(before[spot]) == style.PAPER and tuple(after.tile.pixels[spot]) == style.CHOSEN
     assert hands.panel.take_scene() is None
     hands.press((x, y))
     assert hands.panel.take_scene() == "net" and hands.panel.take_scene() is None
@@ -179,7 +179,7 @@ def test_nothing_written_in_the_panel_is_cut_or_meets_something_else(sim, size):
     hands = Hands(sim, Scenes({"trampoline": "a net"}))
     for name in ("scene", "method"):
         hands.panel._unfold(name)
-        pixels = hands.panel.panel(rect, height).pixels
+        pixels = hands.panel.panel(rect, height).tile.pixels
         first, end = settings_rows.cost_column(rect.width, height)
         room = hands.panel._room(rect)
         assert (pixels[:room, end + 2 : -3] == style.PAPER).all()
@@ -210,7 +210,7 @@ def test_a_panel_that_is_too_long_is_scrolled_and_draws_inside(sim):
     hands = Hands(sim)
     small = Rect(0, 0, 180, 200)
     first = hands.panel.panel(small, HEIGHT)
-    assert first is hands.panel.panel(small, HEIGHT) and first.pixels.shape == (200, 180, 3)
+    assert first is hands.panel.panel(small, HEIGHT) and first.tile.pixels.shape == (200, 180, 3)
     hands.panel.take(Event("wheel", pos=(5, 5), delta=-100), small, HEIGHT)
     last = hands.panel.panel(small, HEIGHT)
     assert "method" in first.words and "method" not in last.words and "fracture" in last.words

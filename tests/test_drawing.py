@@ -409,6 +409,43 @@ def test_plain_planes_are_drawn_without_the_particles_that_springs_show(tmp_path
     in_a_process(program, tmp_path)
 
 
+@pytest.mark.thorough
+@needs_vulkan
+def test_what_lies_over_a_picture_has_the_same_pixels_in_both_views(tmp_path):
+    """Of every shape: noise, rows and columns of up to 40 pixels, and words; a panel on another."""
+    program = textwrap.dedent(
+        """
+        import sys
+        sys.path.insert(0, sys.argv[1])
+        from taichi_cloth import runtime
+        from test_drawing import *
+        from taichi_cloth.ui import text
+        from taichi_cloth.ui.tiles import Panel, Tile
+        from taichi_cloth.ui.views.ggui import GguiView
+        runtime.start()
+        rng, size = np.random.default_rng(5), (330, 250)
+        noise = rng.integers(0, 4, (31, 77, 1)).astype(np.uint8) * np.array([80, 40, 20], np.uint8)
+        bars = np.zeros((60, 200, 3), np.uint8)
+        for n in range(40):
+            bars[n, : n + 1] = bars[: n + 1, 90 + 2 * n] = 60 + 4 * n
+        lines = ["g\tgrab: take hold of a particle", "tab\tthis list (192, 0.5)"]
+        said = text.rasterise(lines, 15, paper=(20, 30, 40), inks=((250, 200, 90), (220,) * 3))
+        panels = [Panel(3, 4, Tile(noise)), Panel(101, 2, Tile(bars)), Panel(9, 22, Tile(said)),
+                  Panel(40, 30, Tile(noise)), Panel(size[0] - 77, size[1] - 31, Tile(noise))]
+        picture = replace(picture_of(sheet(0.3, n=4)), overlay=tuple(panels))
+        ggui = GguiView(WORLD, size, "", visible=False)
+        ggui.camera = camera()
+        ggui.draw(picture)
+        one, other = ggui.grab().astype(int), pixels(picture, ggui.camera, size)
+        for panel in panels:
+            h, w = panel.tile.pixels.shape[:2]
+            here = slice(panel.y, panel.y + h), slice(panel.x, panel.x + w)
+            assert np.abs(one[here] - other[here]).max() <= 1
+        """
+    )
+    in_a_process(program, tmp_path)
+
+
 def in_a_process(program, folder):
     command = [sys.executable, "-c", program, __file__.rpartition("/")[0]]
     done = subprocess.run(command, capture_output=True, text=True, cwd=folder)

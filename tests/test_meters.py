@@ -11,7 +11,7 @@ from taichi_cloth.scene.model import Springs
 from taichi_cloth.simulation.gauges import Gauges
 from taichi_cloth.simulation.history import History
 from taichi_cloth.simulation.strain import CLOTHS, allowed, borne, lengths, strains
-from taichi_cloth.ui import strained, style, text
+from taichi_cloth.ui import strained, style
 from taichi_cloth.ui.chrome import graphs, instruments, meters
 from taichi_cloth.ui.chrome.beside import DistanceReading
 from taichi_cloth.ui.chrome.errors import ErrorReading
@@ -53,12 +53,15 @@ def test_a_column_is_legible_and_cheap_at_every_size(source):
         layout = arrange(size, Parts(bar=True, strip=1, columns=("meters",)))
         rect, height = layout.columns["meters"], layout.text
         panel = meters.drawn(made, rect, height)
-        assert panel.pixels.shape == (rect.height, rect.width, 3)
-        edges = panel.pixels[[0, -1]].reshape(-1, 3), panel.pixels[:, [0, -1]].reshape(-1, 3)
+        assert panel.tile.pixels.shape == (rect.height, rect.width, 3)
+        edges = (
+            panel.tile.pixels[[0, -1]].reshape(-1, 3),
+            panel.tile.pixels[:, [0, -1]].reshape(-1, 3),
+        )
         assert all((edge == style.PAPER).all() for edge in edges)
         said = panel.words.split("\n")
         assert all(meter.title in said and meter.value in said for meter in made)
-        assert len(text.runs(panel)[0]) < 700 * height**0.8  # 3000 to 9000
+        assert len(panel.tile.runs[0]) < 700 * height**0.8  # 3000 to 9000
     for width in (220, 480):
         for height in (12, 30):
             panel = meters.drawn(made, Rect(0, 0, width, 12 * height), height)
@@ -92,7 +95,7 @@ def test_without_a_window_the_same_run_has_the_same_meters(source):
             shown.frame(0.01 * np.random.rand(), 0.0, 0.0)
         blocks.append(shown.panel(Rect(0, 0, 300, 700), 15))
     assert "frame" not in blocks[0].words.split("\n")
-    assert np.array_equal(blocks[0].pixels, blocks[1].pixels)
+    assert np.array_equal(blocks[0].tile.pixels, blocks[1].tile.pixels)
 
 
 def test_colours_go_from_pushed_to_the_limit(source):

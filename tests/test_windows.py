@@ -31,9 +31,9 @@ from taichi_cloth.simulation.diagnostics import Work
 from taichi_cloth.ui import app, hud, style, text
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.camera_moves import ZOOM_STEP
-from taichi_cloth.ui.chrome import toolbar
+from taichi_cloth.ui.chrome import strip, toolbar
 from taichi_cloth.ui.chrome.chrome import Chrome, Contents
-from taichi_cloth.ui.chrome.layout import text_height
+from taichi_cloth.ui.chrome.layout import Rect, text_height
 from taichi_cloth.ui.chrome.strip import Row
 from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.controls import Controls
@@ -395,7 +395,8 @@ def test_help_hide_and_quit():
     view = Script([press(key="f1")], [press(key="h")], [press(key="escape")], [], [])
     summary = app.run(simulation("blow"), view, device="test")
     assert summary.quit and summary.frames == 2
-    assert [len(picture.overlay) for picture in view.pictures[:2]] == [2, 3]
+    panels = [[panel for panel in picture.overlay if panel.words] for picture in view.pictures[:2]]
+    assert [len(shown) for shown in panels] == [2, 3]
     assert "this list" in words(view.pictures[1]) and "symplectic" not in words(view.pictures[1])
     assert "symplectic" in words(view.pictures[2])
 
@@ -622,17 +623,40 @@ def test_what_is_around_the_world_fits_and_runs_paint_it():
         keys = ("r\treset", "escape\tquit")
         contents = Contents((row, row), buttons, keys, "a long message " * 20)
         panels = chrome.overlay(layout, contents)
-        assert len(panels) == 4 and panels == chrome.overlay(layout, contents)
+        assert panels == chrome.overlay(layout, contents)
+        said = [panel.words for panel in panels if panel.words]
+        assert len(said) == 4 and said[1] == "playing   192 particles\nplaying   192 particles"
         for panel in panels:
-            painted = np.zeros((size[1], size[0], 3))
-            corners, colors = text.runs(panel)
-            for (x0, y0, x1, y1), color in zip(corners, colors, strict=True):
+            pixels = panel.tile.pixels
+            painted = np.zeros(pixels.shape)
+            for (x0, y0, x1, y1), color in zip(*panel.tile.runs, strict=True):
                 painted[y0:y1, x0:x1] = color * 255
-            h, w = panel.pixels.shape[:2]
+            np.testing.assert_allclose(painted, pixels, atol=0.51)
+            h, w = pixels.shape[:2]
             assert panel.x >= 0 and panel.y >= 0
             assert panel.x + w <= size[0] and panel.y + h <= size[1]
-            seen = painted[panel.y : panel.y + h, panel.x : panel.x + w]
-            np.testing.assert_allclose(seen, panel.pixels, atol=0.51)
+
+
+def test_words_of_the_status_are_those_written_on_its_paper_as_a_whole():
+    """At any size, also where a word has to be cut off; the next status has the same tiles."""
+    left = [Word("playing", (9, 200, 9)), Word("grab: take hold of a gypsy", (200, 9, 9), 2)]
+    for width, height, count in ((600, 12, 2), (1280, 15, 1), (320, 30, 2), (60, 16, 1)):
+        rect = Rect(7, 5, width, round((1.3 * count + 0.6) * height))
+        rows = [Row(tuple(left), (Word("(draw 3.1 ms)", (9, 9, 200), 3),))] * count
+        panels = strip.panels(rows, rect, height)
+        seen = np.zeros((rect.y + rect.height, rect.x + width, 3), np.uint8)
+        for panel in panels:
+            pixels = panel.tile.pixels
+            seen[panel.y :, panel.x :][: len(pixels), : pixels.shape[1]] = pixels
+        whole = np.full((rect.height, width, 3), style.PAPER, np.uint8)
+        for n, row in enumerate(rows):
+            for word, x in text.placed(row.left, row.right, width, height):
+                y = round(0.4 * height) + n * round(1.3 * height)
+                text.write(whole, word.text, (x, y), height, word.color)
+        np.testing.assert_array_equal(seen[rect.y :, rect.x :], whole)
+        other = Row((*left[:1], Word("cut", (200, 9, 9), 2)), rows[0].right)
+        again = strip.panels([other], changed(rect, height=round(1.9 * height)), height)
+        assert again[1].tile is panels[1].tile
 
 
 def test_planes_are_zoomed_and_moved_and_logs_need_not_know_it():

@@ -10,7 +10,6 @@ from taichi_cloth.scene.solids import Drawn, Inside, depths, inside_at_start, su
 from taichi_cloth.scene.spheres import too_near
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.part import Part
-from taichi_cloth.simulation.prediction import describe_size
 
 
 class Readings(Part):
@@ -28,10 +27,6 @@ class Readings(Part):
     def spring_count(self) -> int:
         """How many springs there are, broken ones included."""
         return len(self.storage.scene.springs)
-
-    def describe_size(self) -> str:
-        """What decides a step's cost besides the device: features, and sizes by powers of two."""
-        return describe_size(self.storage.scene)
 
     def positions(self) -> np.ndarray:
         """Positions, (n, dim)."""

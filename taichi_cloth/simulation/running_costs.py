@@ -41,10 +41,11 @@ class RunningCosts:
         self._mean: dict[tuple[Any, ...], float] = {}
         self._frames: dict[tuple[Any, ...], int] = {}
         self._last: tuple[tuple[Any, ...], int] = (), 0  # the last frame's way, and how many had it
+        self._sized: tuple[Scene, str] | None = None  # a scene lasts: to describe it takes 1 ms
 
     def note(self, sim: Simulation, seconds: float) -> None:
         """A frame took so many seconds to simulate."""
-        way = _way(sim)
+        way = self._way(sim)
         lately = self._last[1] + 1 if way == self._last[0] else 1
         self._last = way, lately
         if lately > WARM:
@@ -54,7 +55,7 @@ class RunningCosts:
 
     def now(self, sim: Simulation) -> FrameCost:
         """What a frame costs as the run is."""
-        seconds = self._mean.get(_way(sim))
+        seconds = self._mean.get(self._way(sim))
         return FrameCost(seconds, "not measured" if seconds is None else "measured")
 
     def of(
@@ -68,8 +69,8 @@ class RunningCosts:
         """
         now = self.now(sim)
         scene = setting.scene_with(sim, value) if setting.group == "features" else None
-        way = _way(sim, scene, **{setting.name: value})
-        if way == _way(sim):
+        way = self._way(sim, scene, **{setting.name: value})
+        if way == self._way(sim):
             return now
         if way in self._mean:
             return FrameCost(self._mean[way], "measured")
@@ -82,19 +83,22 @@ class RunningCosts:
             return FrameCost(None, "not measured")
         return FrameCost(now.seconds * factor, "predicted")
 
+    def _way(self, sim: Simulation, scene: Scene | None = None, **other: Any) -> tuple[Any, ...]:
+        """What decides the work of a frame; scene: in the place of the present one."""
+        sweeps = other.get("iterations", sim.solver.get("iterations"))
+        tolerance = other.get("tolerance", sim.solver.get("tolerance"))
+        method = other.get("method", sim.method)
+        if method != sim.method:
+            settings = methods.load(method).claims.settings
+            sweeps = sweeps if "iterations" in settings else None
+            tolerance = tolerance if "tolerance" in settings else None
+        steps = other.get("substeps", "auto" if sim.follows else sim.substeps)
+        return method, steps, sweeps, tolerance, self._size(scene or sim.storage.scene)
 
-def _way(sim: Simulation, scene: Scene | None = None, **other: Any) -> tuple[Any, ...]:
-    """What decides the work of a frame; scene: in the place of the present one."""
-    sweeps = other.get("iterations", sim.solver.get("iterations"))
-    tolerance = other.get("tolerance", sim.solver.get("tolerance"))
-    method = other.get("method", sim.method)
-    if method != sim.method:
-        settings = methods.load(method).claims.settings
-        sweeps = sweeps if "iterations" in settings else None
-        tolerance = tolerance if "tolerance" in settings else None
-    steps = other.get("substeps", "auto" if sim.follows else sim.substeps)
-    size = sim.describe_size() if scene is None else describe_size(scene)
-    return method, steps, sweeps, tolerance, size
+    def _size(self, scene: Scene) -> str:
+        if self._sized is None or self._sized[0] is not scene:
+            self._sized = scene, describe_size(scene)
+        return self._sized[1]
 
 
 def _with_features(sim: Simulation, scene: Scene, now: float) -> float:

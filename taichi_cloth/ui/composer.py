@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui import drawing, pointer, style, text
+from taichi_cloth.ui import drawing, pointer, style
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.surfaces import Topology, brightness, floor
-from taichi_cloth.ui.text import Panel
+from taichi_cloth.ui.tiles import Panel
 from taichi_cloth.ui.vertices import (
     ALPHA,
     POSITION,
@@ -35,6 +35,7 @@ from taichi_cloth.ui.vertices import (
     ghost_colors,
     ghost_lines,
     quads,
+    rectangles,
     vertices,
 )
 from taichi_cloth.ui.views.contract import Ghost, Picture
@@ -70,8 +71,8 @@ class Composer:
         # Of the picture; of its solids; of its ghost.
         self._topologies = tuple(Cached(Topology.build) for _ in range(3))
         self._surfaces: list[SurfaceMesh | None] = [None, None, None]
-        self._panel_vertices = lru_cache(maxsize=16)(self._panel_vertices_anew)
-        self._written = lru_cache(maxsize=2)(self._written_anew)
+        self._tiles = lru_cache(maxsize=256)(lambda tile: rectangles(*tile.runs))
+        self._laid = lru_cache(maxsize=2)(self._laid_anew)
 
     def compose(
         self, picture: Picture, world: World, camera: Camera | None, window: WindowMap
@@ -230,34 +231,22 @@ class Composer:
         if picture.pointer is not None:
             self._draw_pointer(picture.pointer)
         if picture.overlay:
-            for rectangles, index, pixels in self._written(picture.overlay, self._size):
-                self._triangles(rectangles, index)
-                if len(pixels):
-                    self._circles(pixels)
+            self._triangles(*self._laid(picture.overlay, self._size))
 
-    def _written_anew(
+    def _laid_anew(
         self, panels: tuple[Panel, ...], size: tuple[int, int]
-    ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Panels in a window of this size, in layers, of which none overlap within one: vertices of
-        rectangles, their triangles' corners, and circles, which single pixels are drawn as.
-        """
-        out = []
-        for layer in text.layers(panels):
-            parts = [self._panel_vertices(panel, size) for panel in layer]
-            rectangles, pixels = (np.concatenate(part) for part in zip(*parts, strict=True))
-            out.append((rectangles, quads(len(rectangles) // 4), pixels))
-        return out
-
-    def _panel_vertices_anew(
-        self, panel: Panel, size: tuple[int, int]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices of a panel's rectangles in a window of this size, and of its single pixels."""
-        corners, color = text.runs(panel)
-        single = ((corners[:, 2:] - corners[:, :2]) == 1).all(axis=1)
-        pixels = vertices(color[single])
-        pixels[:, :2] = self._map.to_canvas(corners[single, :2] + 0.5)
-        pixels[:, RADIUS] = 0.5 / size[1]
-        return self._rectangle_vertices(corners[~single], color[~single]), pixels
+        """Panels in a window of this size, one upon another: vertices and triangles' corners."""
+        points, vertex, index, count = [], [], [], 0
+        for panel in panels:
+            place, tile, corners = self._tiles(panel.tile)
+            points.append(place + np.array([panel.x, panel.y]))
+            vertex.append(tile)
+            index.append(corners + np.int32(count))
+            count += len(tile)
+        laid = np.concatenate(vertex)
+        laid[:, :2] = self._map.to_canvas(np.concatenate(points))
+        return laid, np.concatenate(index)
 
     def _look(self, picture: Picture, camera: Camera) -> None:
         """Have the eye and the lights where they are."""

@@ -14,7 +14,8 @@ from taichi_cloth.ui.chrome.beside import Second
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.depiction import Depiction
 from taichi_cloth.ui.pointer import Pointer
-from taichi_cloth.ui.text import Panel, Word
+from taichi_cloth.ui.text import Word
+from taichi_cloth.ui.tiles import Panel, Tile
 from taichi_cloth.ui.tools.contract import Marks
 from taichi_cloth.ui.views.contract import Half
 
@@ -111,7 +112,7 @@ class Pair:
 def _line(rect: Rect) -> Panel:
     pixels = np.empty((rect.height, rect.width, 3), np.uint8)
     pixels[:] = style.PAPER
-    return Panel(rect.x, rect.y, pixels)
+    return Panel(rect.x, rect.y, Tile(pixels))
 
 
 def _names_panel(
@@ -126,6 +127,7 @@ def _names_panel(
         while size > SMALLEST and text.length(some[0].text, size) + 2 * text.gap(size) > width:
             size -= 1
         block = pixels[:, side * (rect.width - width) :][:, :width]
-        text.write_row(block, some, (), (rect.height - size) / 2, size)
+        for word, x in text.placed(some, (), width, size):
+            text.write(block, word.text, (x, (rect.height - size) / 2), size, word.color)
         said += [word.text for word in some]
-    return Panel(rect.x, rect.y, pixels, ", ".join(said))
+    return Panel(rect.x, rect.y, Tile(pixels), ", ".join(said))

@@ -1,7 +1,6 @@
 """Text as small opaque pictures, laid over the frame by every view in the same pixels.
 
-Taichi's windows cannot blend, so each panel is rasterised here against its own paper; a view
-either copies the pixels or draws `runs` of equal colour as rectangles.
+Taichi's windows cannot blend, so text is rasterised here against its own paper.
 """
 
 from __future__ import annotations
@@ -18,19 +17,6 @@ if TYPE_CHECKING:
 
 Color = tuple[int, int, int]  # 0..255
 SHADES = 4  # ink coverage levels: few enough for long runs, enough for smooth letters
-
-
-@dataclass(frozen=True, eq=False)  # compared by identity: what was made of one is kept
-class Panel:
-    """Pixels (h, w, 3) uint8 whose top left corner is the window pixel (x, y).
-
-    words: what is written on it.
-    """
-
-    x: int
-    y: int
-    pixels: np.ndarray
-    words: str = ""
 
 
 @lru_cache(maxsize=8)
@@ -126,7 +112,7 @@ def rasterise(
     for ink, chosen in zip(inks, (0, 1), strict=True):
         share = np.zeros((size[1], size[0], 1), np.float32)
         for row, part in enumerate(parts):
-            y = margin + row * step - _rise(height)
+            y = margin + row * step - rise(height)
             if chosen == 1:
                 _write(share, part[-1], (margin + column * (len(part) == 2), y), height)
             elif len(part) == 2:
@@ -145,7 +131,7 @@ def pad(height: int) -> int:
     return round(0.5 * height)
 
 
-def _rise(height: int) -> int:
+def rise(height: int) -> int:
     """Pixels by which a font's letters begin below the top of its box."""
     return round(0.15 * height)
 
@@ -183,30 +169,30 @@ def gap(height: int) -> int:
     return round(0.9 * height)
 
 
-def write_row(
-    pixels: np.ndarray, left: Sequence[Word], right: Sequence[Word], y: float, height: int
-) -> None:
-    """Write words onto pixels (h, w, 3) uint8, with the top of their text at y.
+def placed(
+    left: Sequence[Word], right: Sequence[Word], width: int, height: int
+) -> list[tuple[Word, int]]:
+    """Those words of a row that fit into `width` pixels, and where each begins, pixels.
 
-    What does not fit is left out, by rank.
+    left, right: those at its left and at its right end.
     """
-    width = pixels.shape[1]
     left, right = fitted(left, right, width, height)
-    x: float = gap(height)
+    found, x = [], float(gap(height))
     for word in left:
-        write(pixels, word.text, (x, y), height, word.color)
+        found.append((word, round(x)))
         x += length(word.text, height) + gap(height)
-    x = width
+    at, x = len(found), float(width)
     for word in reversed(right):
         x -= length(word.text, height) + gap(height)
-        write(pixels, word.text, (x, y), height, word.color)
+        found.insert(at, (word, round(x)))
+    return found
 
 
 def write(
     pixels: np.ndarray, line: str, corner: tuple[float, float], height: int, color: Color
 ) -> None:
     """Write a line onto pixels (h, w, 3) uint8 from its top left corner (x, y); changes them."""
-    x, y = corner[0], corner[1] - _rise(height)
+    x, y = corner[0], corner[1] - rise(height)
     left, top = max(round(x) - 1, 0), max(round(y), 0)
     # What it covers alone: a status has ten words, and is as wide as its window.
     here = pixels[top : top + 2 * height, left : left + round(length(line, height)) + height]
@@ -220,62 +206,3 @@ def _lay(pixels: np.ndarray, share: np.ndarray, color: Color) -> None:
     inked = share[:, :, 0] > 0
     over = share[inked]
     pixels[inked] = pixels[inked] * (1 - over) + np.array(color) * over
-
-
-def layers(panels: Iterable[Panel]) -> list[list[Panel]]:
-    """Panels that lie over each other in this order, in layers of such as do not overlap."""
-    out: list[list[Panel]] = []
-    for panel in panels:
-        if not out or any(_overlap(panel, other) for other in out[-1]):
-            out.append([])
-        out[-1].append(panel)
-    return out
-
-
-def _overlap(one: Panel, other: Panel) -> bool:
-    (h, w), (h2, w2) = one.pixels.shape[:2], other.pixels.shape[:2]
-    beside = one.x + w <= other.x or other.x + w2 <= one.x
-    return not (beside or one.y + h <= other.y or other.y + h2 <= one.y)
-
-
-def runs(panel: Panel) -> tuple[np.ndarray, np.ndarray]:
-    """`panel` as rectangles: corners (k, 4) window pixels x0, y0, x1, y1, and colours (k, 3).
-
-    The first is the whole paper; the rest are runs of equal colour along rows, those that repeat
-    from row to row as one. Colours are floats 0..1.
-    """
-    pixels = panel.pixels.astype(np.int64)
-    code = (pixels[:, :, 0] << 16) | (pixels[:, :, 1] << 8) | pixels[:, :, 2]
-    h, w = code.shape
-    paper = _commonest(code)
-    key = ((np.arange(h)[:, None] << 24) | code).reshape(-1)
-    start = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
-    end = np.concatenate([start[1:], [h * w]])
-    inked = code.reshape(-1)[start] != paper
-    start, end = start[inked], end[inked]
-    row, x0 = start // w, start % w
-    boxes = np.stack([x0, row, x0 + end - start, row + 1, code.reshape(-1)[start]], axis=1)
-    boxes = np.concatenate([[[0, 0, w, h, paper]], _stacked(boxes)])
-    corners, codes = boxes[:, :4] + [panel.x, panel.y, panel.x, panel.y], boxes[:, 4]
-    colors = np.stack([codes >> 16, (codes >> 8) & 255, codes & 255], axis=1) / 255
-    return corners, colors
-
-
-def _commonest(code: np.ndarray) -> int:
-    """The colour that most pixels have, of each fourth in each fourth row."""
-    values, counts = np.unique(code[::4, ::4], return_counts=True)
-    return int(values[counts.argmax()])
-
-
-def _stacked(boxes: np.ndarray) -> np.ndarray:
-    """Boxes (k, 5) x0, y0, x1, y1, colour, those that lie upon each other in one where they can."""
-    if not len(boxes):
-        return boxes
-    x0, y0, x1, _, code = boxes.T
-    boxes = boxes[np.lexsort((y0, code, x1, x0))]
-    alike = (boxes[1:, [0, 2, 4]] == boxes[:-1, [0, 2, 4]]).all(axis=1)
-    first = np.flatnonzero(np.concatenate([[True], ~alike | (boxes[1:, 1] != boxes[:-1, 3])]))
-    last = np.concatenate([first[1:], [len(boxes)]]) - 1
-    joined: np.ndarray = boxes[first].copy()
-    joined[:, 3] = boxes[last, 3]
-    return joined

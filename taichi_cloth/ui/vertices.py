@@ -25,6 +25,7 @@ POSITION, NORMAL, RADIUS, COLOR, ALPHA, STRIDE = slice(0, 3), slice(3, 6), 3, sl
 # Layers of a line in a plane: pixels wider, and share of the colour.
 FADING = ((1.0, 0.3), (0.3, 0.62), (-0.4, 1.0))
 PLAIN = ((0.3, 1.0),)  # which software draws in half the time
+THIN = 16  # pixels up to which a row of them is one triangle: longer ones would be too sharp
 
 
 def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
@@ -71,6 +72,36 @@ def quads(count: int) -> np.ndarray:
     """The corners, int32, of the two triangles of each of so many four vertices that go round."""
     corner = 4 * np.arange(count, dtype=np.int32)[:, None] + np.array([0, 1, 2, 0, 2, 3], np.int32)
     return corner.reshape(-1)
+
+
+def rectangles(corner: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rectangles of whole pixels as triangles: points (v, 2) in pixels, their vertices (v, STRIDE)
+    float32, nowhere yet, and the triangles' corners (3t,) int32.
+
+    corner: (k, 4) x0, y0, x1, y1. color: (k, 3), floats 0..1. First are those that two triangles
+    make. What is a pixel wide or high, and no longer than THIN, is one: around the middles of its
+    pixels and of no others. Letters have thousands of these, and software takes some 0.5 µs for a
+    triangle, however small it is.
+    """
+    size = corner[:, 2:] - corner[:, :2]
+    thin = (size.min(axis=1) == 1) & (size.max(axis=1) <= THIN)
+    rows, columns = thin & (size[:, 1] == 1), thin & (size[:, 1] > 1)
+    x0, y0, x1, y1 = corner[~thin].T
+    points = [np.stack([x0, y0, x1, y0, x1, y1, x0, y1], axis=1).reshape(-1, 2)]
+    for chosen, along in ((rows, 0), (columns, 1)):
+        begin, end = corner[chosen][:, along], corner[chosen][:, along + 2]
+        side = corner[chosen][:, 1 - along]
+        first, last = begin - 0.25, end + 0.25
+        ends = np.stack([first, side - 0.4, first, side + 1.4, last, side + 0.5], axis=1)
+        points.append(ends.reshape(-1, 2)[:, :: 1 if along == 0 else -1])
+    place = np.concatenate(points)
+    colors = [
+        color[~thin].repeat(4, axis=0),
+        *(color[c].repeat(3, axis=0) for c in (rows, columns)),
+    ]
+    wide = quads(len(points[0]) // 4)
+    index = np.concatenate([wide, np.arange(len(points[0]), len(place), dtype=np.int32)])
+    return place, vertices(np.concatenate(colors)), index
 
 
 class Triangles:

@@ -12,7 +12,7 @@ from taichi_cloth.ui.chrome.layout import ROWS, Layout, Parts, Rect, arrange, at
 from taichi_cloth.ui.chrome.strip import Row
 from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.inputs import Event
-from taichi_cloth.ui.text import Panel
+from taichi_cloth.ui.tiles import Panel
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Chrome:
         self._open = opened or at_start(windowed=windowed, status=status, text=text)
         self._parts = {part.name: part for part in parts}
         self._held: Part | None = None  # whose the pointer is
-        self._strip = lru_cache(maxsize=4)(strip.panel)
+        self._strip = lru_cache(maxsize=4)(strip.panels)
         self._bar = lru_cache(maxsize=4)(toolbar.panel)
 
     def next_status(self) -> None:
@@ -93,7 +93,7 @@ class Chrome:
             found.append(self._bar(contents.buttons, layout.bar, layout.text))
         if layout.strip is not None:
             rows = contents.rows[: self._open.strip]
-            found.append(self._strip(rows, layout.strip, layout.text))
+            found += self._strip(rows, layout.strip, layout.text)
         found += [part.panel(rect, layout.text) for part, rect in self._placed(layout)]
         if contents.keys:
             found.append(messages.keys(contents.keys, layout.world, layout.text))

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.inputs import Event
-from taichi_cloth.ui.text import Panel
+from taichi_cloth.ui.tiles import Panel
 
 COLUMN, ROW = "column", "row"  # places: in the column at the right, or under the world
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from taichi_cloth.ui import style, text
 from taichi_cloth.ui.chrome.layout import Rect
-from taichi_cloth.ui.text import Panel
+from taichi_cloth.ui.tiles import Panel, Tile
 
 Meanings = tuple[tuple[str, text.Color], ...]  # of colours, in words
 
@@ -33,7 +33,7 @@ def keys(lines: tuple[str, ...], room: Rect, height: int) -> Panel:
     pixels = pixels[: room.height, : room.width]
     left = room.x + (room.width - pixels.shape[1]) // 2
     top = room.y + (room.height - pixels.shape[0]) // 2
-    return Panel(left, top, pixels, "\n".join(lines))
+    return Panel(left, top, Tile(pixels), "\n".join(lines))
 
 
 def legends(rows: list[Meanings], room: Rect, height: int) -> tuple[Panel, ...]:
@@ -61,7 +61,7 @@ def _legend(meanings: Meanings, room: Rect, height: int) -> Panel:
         x += width + gap
     pixels = pixels[: room.height, : room.width]
     words = " ".join(words for words, _ in meanings)
-    return Panel(room.x, room.y + room.height - len(pixels), pixels, words)
+    return Panel(room.x, room.y + room.height - len(pixels), Tile(pixels), words)
 
 
 @lru_cache(maxsize=4)
@@ -72,4 +72,4 @@ def banner(message: str, room: Rect, height: int) -> Panel:
     pixels = text.rasterise(
         lines, height, paper=style.BANNER_PAPER, inks=(style.BANNER_INK,) * 2, width=room.width
     )
-    return Panel(room.x, room.y, pixels[: room.height], message)
+    return Panel(room.x, room.y, Tile(pixels[: room.height]), message)

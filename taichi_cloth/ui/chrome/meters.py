@@ -16,7 +16,7 @@ from taichi_cloth.ui.chrome.errors import Errors
 from taichi_cloth.ui.chrome.instruments import Meter, Source
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.inputs import Event
-from taichi_cloth.ui.text import Panel
+from taichi_cloth.ui.tiles import Panel, Tile
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.gauges import Gauges
@@ -132,7 +132,7 @@ class Meters:
 
 def _fits(panel: Panel, rect: Rect) -> bool:
     """Whether a panel was drawn for this rectangle."""
-    size = panel.pixels.shape[:2]
+    size = panel.tile.pixels.shape[:2]
     return (panel.x, panel.y, size) == (rect.x, rect.y, (rect.height, rect.width))
 
 
@@ -156,7 +156,7 @@ def drawn(meters: list[Meter], rect: Rect, height: int) -> Panel:
         for number, meter in enumerate(meters[:count]):
             box = Rect(pad, pad + number * (head + graph + pad), rect.width - 2 * pad, head + graph)
             said += _meter(pixels, box, meter, height, head if detailed else -head)
-    return Panel(rect.x, rect.y, pixels, "\n".join(said))
+    return Panel(rect.x, rect.y, Tile(pixels), "\n".join(said))
 
 
 def _head(height: int, detailed: bool) -> int:

@@ -29,7 +29,7 @@ from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.chrome.settings_rows import OPEN, Placed, Row
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.scenes import Scenes
-from taichi_cloth.ui.text import Panel
+from taichi_cloth.ui.tiles import Panel, Tile
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.live import Setting, Value
@@ -227,7 +227,7 @@ class SettingsPanel:
                 text.write(foot, part, (rows.pad(height), y), height, color)
                 y += 1.3 * height
         self._draw_bar(pixels, room)
-        return Panel(rect.x, rect.y, pixels, "\n".join([*said, *note]))
+        return Panel(rect.x, rect.y, Tile(pixels), "\n".join([*said, *note]))
 
     def _draw_bar(self, pixels: np.ndarray, room: int) -> None:
         """Draw how far it is scrolled, where not all of it is seen."""

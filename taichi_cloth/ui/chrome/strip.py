@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from taichi_cloth.ui import style, text
 from taichi_cloth.ui.chrome.layout import Rect
-from taichi_cloth.ui.text import Panel, Word
+from taichi_cloth.ui.text import Word
+from taichi_cloth.ui.tiles import Panel, Tile
 
 SEPARATOR = "   "  # between the words, where they are read as one line
 
@@ -22,14 +24,32 @@ class Row:
     right: tuple[Word, ...] = ()
 
 
-def panel(rows: Sequence[Row], rect: Rect, height: int) -> Panel:
-    """The status in its rectangle; height: of the text, pixels."""
-    pixels = np.empty((rect.height, rect.width, 3), np.uint8)
-    pixels[:] = style.PAPER
-    step, y = round(1.3 * height), round(0.4 * height)
-    said = []
+def panels(rows: Sequence[Row], rect: Rect, height: int) -> tuple[Panel, ...]:
+    """The status in its rectangle: its paper, whose words are all that is said, and upon it a tile
+    for each of them, as few of them change from frame to frame. height: of the text, pixels.
+    """
+    step, top = round(1.3 * height), round(0.4 * height)
+    words, said = [], []
     for number, row in enumerate(rows):
-        text.write_row(pixels, row.left, row.right, y + number * step, height)
-        left, right = text.fitted(row.left, row.right, rect.width, height)
-        said.append(SEPARATOR.join(word.text for word in (*left, *right)))
-    return Panel(rect.x, rect.y, pixels, "\n".join(said))
+        placed = text.placed(row.left, row.right, rect.width, height)
+        said.append(SEPARATOR.join(word.text for word, _ in placed))
+        y = top + number * step - text.rise(height)
+        for word, x in placed:
+            room = rect.width - x + 1, min(step, rect.height - y)
+            tile = _tile(word.text, word.color, height, room)
+            words.append(Panel(rect.x + x - 1, rect.y + y, tile))
+    return Panel(rect.x, rect.y, _paper(rect.width, rect.height), "\n".join(said)), *words
+
+
+@lru_cache(maxsize=4)
+def _paper(width: int, height: int) -> Tile:
+    return Tile(np.full((height, width, 3), style.PAPER, np.uint8))
+
+
+@lru_cache(maxsize=256)
+def _tile(said: str, color: text.Color, height: int, room: tuple[int, int]) -> Tile:
+    """Words from the second column on. room: width and height that there are at most, pixels."""
+    wide = min(round(text.length(said, height)) + 3, room[0])
+    pixels = np.full((room[1], wide, 3), style.PAPER, np.uint8)
+    text.write(pixels, said, (1, text.rise(height)), height, color)
+    return Tile(pixels)

@@ -10,7 +10,7 @@ from taichi_cloth.ui import style, text
 from taichi_cloth.ui.chrome.contract import ROW
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.inputs import Event
-from taichi_cloth.ui.text import Panel
+from taichi_cloth.ui.tiles import Panel, Tile
 from taichi_cloth.ui.timeline import FRAME_RATE, Timeline
 
 
@@ -73,7 +73,7 @@ class TimelineRow:
         wide_hint = text.length(hint, height)
         x = rect.width - wide_hint - text.gap(height)
         text.write(pixels, hint, (x, y), height, style.MUTED)
-        return Panel(rect.x, rect.y, pixels, f"{said} {kept} {hint}")
+        return Panel(rect.x, rect.y, Tile(pixels), f"{said} {kept} {hint}")
 
 
 HINT = "left right: a frame   q: slower   p: go on from here"

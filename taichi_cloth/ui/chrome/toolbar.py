@@ -9,7 +9,7 @@ import numpy as np
 
 from taichi_cloth.ui import style, text
 from taichi_cloth.ui.chrome.layout import Rect
-from taichi_cloth.ui.text import Panel
+from taichi_cloth.ui.tiles import Panel, Tile
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def panel(buttons: Sequence[Button], rect: Rect, height: int) -> Panel:
             x = pad + text.length(button.key + " ", height)
             text.write(block, button.label, (x, y), height, style.INK)
             said.append(button.label)
-    return Panel(rect.x, rect.y, pixels, " ".join(said))
+    return Panel(rect.x, rect.y, Tile(pixels), " ".join(said))
 
 
 def hit(

@@ -18,7 +18,8 @@ from taichi_cloth.ui.chrome.contract import COLUMN
 from taichi_cloth.ui.chrome.graphs import Curve, Line
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.inputs import Event
-from taichi_cloth.ui.text import Color, Panel
+from taichi_cloth.ui.text import Color
+from taichi_cloth.ui.tiles import Panel, Tile
 
 APPLY_KEY = "u"
 NOTHING = "nothing has failed: here stands why a run stopped, and with which setting it survives"
@@ -96,7 +97,7 @@ def _panel(finding: Finding | None, rect: Rect, height: int) -> Panel:
         title = "energy, in powers of ten; red: from nothing"
         _graph(pixels, y, height, title, finding.time, curves, [])
         said += [finding.reads, "energy"]
-    return Panel(rect.x, rect.y, pixels, "\n".join(said))
+    return Panel(rect.x, rect.y, Tile(pixels), "\n".join(said))
 
 
 def _lines(finding: Finding | None) -> list[tuple[str, Color]]:

@@ -16,7 +16,7 @@ from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.surfaces import Solid
-from taichi_cloth.ui.text import Panel
+from taichi_cloth.ui.tiles import Panel
 from taichi_cloth.ui.window_map import Look
 
 

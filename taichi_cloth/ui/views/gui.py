@@ -9,7 +9,6 @@ import os
 import sys
 import time
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,7 @@ from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import BUTTON_NAMES, Event, fewest_moves, key_name
 from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.surfaces import Solid, Topology
-from taichi_cloth.ui.text import Panel
+from taichi_cloth.ui.tiles import Panel
 from taichi_cloth.ui.views.contract import Half, Picture, ViewKind, no_display
 from taichi_cloth.ui.window_map import Look, WindowMap
 
@@ -426,8 +425,9 @@ class GuiView:
 
     def _lay(self, panel: Panel) -> None:
         """Copy a panel over the frame."""
-        h, w = panel.pixels.shape[:2]
-        self._frame[panel.y : panel.y + h, panel.x : panel.x + w] = _block(panel)
+        packed = panel.tile.packed
+        h, w = packed.shape
+        self._frame[panel.y : panel.y + h, panel.x : panel.x + w] = packed
 
 
 def _frame_of(buffer: np.ndarray) -> np.ndarray:
@@ -442,14 +442,6 @@ def _turned(frame: np.ndarray) -> np.ndarray:
     """A picture of 0xRRGGBB as macOS shows it: opaque, with red and blue in each other's places."""
     turned: np.ndarray = (frame & 255) << 16 | (frame & 0xFF00) | (frame >> 16 & 255) | OPAQUE
     return turned
-
-
-@lru_cache(maxsize=32)
-def _block(panel: Panel) -> np.ndarray:
-    """A panel's pixels, (h, w) uint32, 0xRRGGBB."""
-    red, green, blue = np.moveaxis(panel.pixels.astype(np.uint32), 2, 0)
-    block: np.ndarray = red << 16 | green << 8 | blue
-    return block
 
 
 def _pointer(drawn: Pointer | None) -> list[Shapes]:
