@@ -525,13 +525,19 @@ def test_time_alone_is_no_reason_for_more_steps(pool, device, monkeypatch):
 class Errors:
     """An error meter that measures nothing, and says whether it is on."""
 
-    on, verdicts = False, ()
+    on, verdicts, rested = False, (), None
+
+    def rest(self, times):
+        self.rested = times
 
     def try_methods(self, trials):
         self.trials = trials
 
     def switch(self):
         self.on = not self.on
+
+    def measure_orders(self):
+        return ""
 
 
 def test_a_time_budget_measures_errors_once_there_is_time_for_more(device, monkeypatch):
@@ -547,14 +553,19 @@ def test_a_time_budget_measures_errors_once_there_is_time_for_more(device, monke
             budget.before_frame(lambda name, value: sim.set_step(substeps=value))
             sim.advance(1)
             budget.after_frame(1e-4 * sim.substeps, rest)
-    assert errors.on and sim.substeps > 2
+    assert errors.on and sim.substeps > 2 and errors.rested is None
+    for few, rested in ((1, None), (0, run_budget.RESTS)):  # after so many, it may rest
+        errors.verdicts = (Verdict(0, 60, method="another"),) * (run_budget.MEASURED - few)
+        budget.before_frame(lambda name, value: None)
+        assert errors.rested == rested
+    budget.choose("0.5%")  # which is what seconds are measured for
+    assert errors.rested == 0.0
 
 
 def test_to_hold_frames_a_second_is_a_help_where_there_are_more_substeps_than_the_fewest(pool):
     """Not where it has chosen already, and not with dt auto, which holds nothing."""
     scene = library.build("cloth", columns=8, rows=6)
     errors = Errors()
-    errors.measure_orders = lambda: ""
     for given, helps in (
         ({"substeps": 9}, True),
         ({"substeps": 1}, False),

@@ -398,6 +398,33 @@ def test_a_process_that_ends_is_said_and_leaves_nothing(monkeypatch):
     assert not os.path.exists(meter._folder.name)
 
 
+def test_one_that_rests_leaves_the_processor_to_the_run_for_a_while(monkeypatch):
+    """For so many times as long as it worked; the frames of that time pass unmeasured."""
+    sim = Simulation(library.build("chain"), topology="graph", execution="serial")
+    now = [0.0]
+
+    def asked(meter, window):
+        now[0] += 2.0
+        return Verdict(window.first, window.frames, trouble="other programs"), None
+
+    monkeypatch.setattr(meters, "time", SimpleNamespace(perf_counter=lambda: now[0]))
+    monkeypatch.setattr(ErrorMeter, "_ask", asked)
+    meter = ErrorMeter(sim)
+    meter.rests = 3.0
+    sim.advance(FRAMES)
+    meter._task.join()
+    sim.advance(5)
+    assert len(meter.verdicts) == 1 and meter.skipped == 5
+    assert "rests" in meter.progress()
+    now[0] = 7.9
+    sim.advance()
+    assert meter.skipped == 6
+    now[0] = 8.1  # 2 s of work, 6 of rest
+    sim.advance(2)  # with the first a window begins
+    assert meter.skipped == 6 and meter.progress() == f"frame 1 of {FRAMES}"
+    meter.close()
+
+
 def test_one_that_ends_before_its_process_does_not_wait_for_it(monkeypatch):
     """Closed while its thread starts the process, it ends that before anything is asked of it."""
     sim = Simulation(library.build("chain"), topology="graph", execution="serial")

@@ -106,6 +106,11 @@ class MeasuredErrors:
         if self._meter is not None:
             self._meter.trials = trials
 
+    def rest(self, times: float) -> None:
+        """Leave the processor to the run for so many times as long as each window took to judge."""
+        if self._meter is not None:
+            self._meter.rests = times
+
     def switch(self) -> None:
         """Begin to measure, or end."""
         from taichi_cloth.error_meter.meter import ErrorMeter

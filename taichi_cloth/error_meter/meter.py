@@ -42,6 +42,7 @@ JUDGE = "taichi_cloth.error_meter.judge:started"
 NICE = 19  # of the process: the run goes first
 PATIENCE = 10.0  # seconds that a window's references may take where the run goes on
 SLOW = 3.0  # seconds: what takes longer says for how long it does
+LONGEST_REST = 10.0  # seconds
 MOST_LOST = 3  # processes that may end before no other one is started
 
 
@@ -54,7 +55,8 @@ class ErrorMeter(Listener):
     sim: which it listens to until `close`. waits: whether the run waits for each window's verdict;
     else it goes on. tell: called with each verdict, in another thread unless it waits.
     orders: whether the order of each window is measured, too. trials: says at the end of a window
-    by which other methods it is made again; None: by none.
+    by which other methods it is made again; None: by none. rests: for how many times as long as it
+    judged a window it leaves the processor to the run, which has shorter frames then.
     verdicts: all of them; recent: those since the run last went elsewhere, as by a reset.
     ghost: of the last verdict that knows an error, while the run is the one it is of.
     """
@@ -70,6 +72,7 @@ class ErrorMeter(Listener):
     ) -> None:
         self._sim, self._waits, self._tell, self.orders = sim, waits, tell, orders
         self.trials: Callable[[], Sequence[Trial]] | None = None
+        self.rests, self._rested = 0.0, 0.0  # and until when it rests
         self._patience = patience or (WAITING if waits else PATIENCE)
         self._folder = tempfile.TemporaryDirectory(prefix="taichi-cloth-error-")
         self._worker: Worker | None = None
@@ -96,6 +99,11 @@ class ErrorMeter(Listener):
         return self._task is not None and self._task.is_alive()
 
     @property
+    def resting(self) -> bool:
+        """Whether it leaves the processor to the run for a while."""
+        return time.perf_counter() < self._rested
+
+    @property
     def last(self) -> Verdict | None:
         """The latest verdict before what is shown; None: the run was elsewhere then, or none is."""
         return self.shown[-1] if self.shown else None
@@ -117,6 +125,8 @@ class ErrorMeter(Listener):
         if not self.busy:
             if window:
                 return f"frame {window.frames} of {FRAMES}"
+            if self.resting:
+                return "rests, for the frames' time"
             fixed = self._sim.fixed().all()
             return "nothing can move" if fixed else "begins with the next frame"
         with suppress(OSError):
@@ -153,9 +163,9 @@ class ErrorMeter(Listener):
             self._window.note_frame(self._sim)
             if self._window.frames >= FRAMES:
                 self._end()
-        elif self.busy:
+        elif self.busy or self.resting:
             self.skipped += 1
-        if self._window is None and not self.busy:
+        if self._window is None and not (self.busy or self.resting):
             self._open()
 
     def _follow(self) -> None:
@@ -194,7 +204,7 @@ class ErrorMeter(Listener):
 
     def _judge(self, window: Window, trials: Sequence[Trial]) -> None:
         """Ask the process: for the error, and then for what it comes from."""
-        verdict = None
+        verdict, begin = None, time.perf_counter()
         try:
             verdict, ghost = self._ask(window)
             if verdict.known:
@@ -209,6 +219,8 @@ class ErrorMeter(Listener):
                 return
             verdict = verdict or Verdict(window.first, window.frames, trouble=str(failure))
         self._show(window, verdict)
+        now = time.perf_counter()
+        self._rested = now + min(self.rests * (now - begin), LONGEST_REST)
         self.verdicts.append(verdict)
         if self._tell and not self._closed:
             self._tell(verdict)
