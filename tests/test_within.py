@@ -8,7 +8,9 @@ import threading
 import pytest
 from selection import thorough
 
+from taichi_cloth import runtime
 from taichi_cloth.cli.main import main
+from taichi_cloth.limits import eigenmodes
 from taichi_cloth.scene import library
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.sweeps import TradeOptions
@@ -52,6 +54,22 @@ def test_what_waits_is_interrupted_when_the_time_is_over():
     assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
     with ending(Clock()):
         assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
+
+
+def test_stability_ends_in_time_whatever_it_waits_for(tmp_path, monkeypatch, capsys):
+    """Of a cloth whose damped modes take minutes, and a run that does not end by itself."""
+
+    def never(*_):
+        raise AssertionError("takes minutes")
+
+    monkeypatch.setattr(runtime, "start", lambda *_: None)  # of this process, once
+    monkeypatch.setattr(eigenmodes, "_damped_modes", never)
+    monkeypatch.setattr(experiment, "measure_limit", lambda *_: threading.Event().wait(600))
+    monkeypatch.chdir(tmp_path)
+    assert main(["stability", "warp", "--side", "30", "--within", "5s"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "exact limits of damped modes: the computed ones may be a percent shorter" in said
+    assert "verlet: limit, map of stiffness, map of mass" in said
 
 
 def test_quick_is_a_minute_and_times_have_units():

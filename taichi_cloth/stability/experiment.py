@@ -155,14 +155,16 @@ def drag_of_wind(scene: Scene) -> np.ndarray:
     return Network.from_scene(scene, velocity=still).by_triangles[1]
 
 
-def computed(name: str, network: Network) -> StepLimits:
-    """The limits of a method that follow from the springs, before any run."""
+def computed(name: str, network: Network, exact: bool = True) -> StepLimits:
+    """The limits of a method that follow from the springs, before any run; exact: see
+    `stable_step`.
+    """
     method = methods.load(name)
     return StepLimits(
         name,
         step_within(method, gershgorin(network)),
         step_within(method, any_geometry(network)),
-        stable_step(method, network),
+        stable_step(method, network, exact=exact),
     )
 
 
