@@ -6,8 +6,9 @@ ways of that step are listed, too, however far these went; the boxes around the 
 how far to look. So in each step the list has all that may touch, and is narrowed to those, in the
 order of their places: what comes of a step does not depend on when lists were made, but for
 neighbours in a cloth (CLOSER_SKIN). What has passed through is marked: its normal is that of the
-step's start. Who has more than MOST_KEPT in its list keeps the first ones, the step is counted as
-unsettled, and the next one lists all pairs again.
+step's start. A pair is kept by the end with the earlier place; what may touch in a step is then
+listed from both ends. Who has more than MOST_KEPT in its list keeps the first ones, the step is
+counted as unsettled, and the next one lists all pairs again.
 
 at, other: places in `state.in_patches`, which hold for a whole run, but for functions on the grid
 (`grid_at`, `grid_other`). A code of `state.kept`: the place of the other one; in its last
@@ -27,7 +28,7 @@ from taichi_cloth.kernels.collision_grid import (
     sorted_x,
     sum_over_near,
 )
-from taichi_cloth.kernels.loops import barrier, each, share
+from taichi_cloth.kernels.loops import each, share
 from taichi_cloth.kernels.packs import slot_number, slot_value
 from taichi_cloth.kernels.patches import (
     CLOTH_MARGIN,
@@ -41,6 +42,7 @@ from taichi_cloth.kernels.patches import (
     blocks_are_near,
     blocks_of,
     bound_patch,
+    by_patches,
     compare_patch,
     look_ahead,
     of_two,
@@ -64,10 +66,11 @@ def find_kept_pairs(spec: ti.template(), state: ti.template(), t):
         if state.n_stale[None] > MOST_STALE * state.n_patches[None] or state.outdated[None] == 1:
             _list_all(spec, state, t)
         elif state.n_stale[None] > 0:
-            each(spec, state, t, state.n_patches[None], _renew_patch)
+            each(spec, state, t, state.n_patches[None], ti.static(by_patches(_renew_patch)))
     each(spec, state, t, 1, _begin_lists)
     each(spec, state, t, state.n[None], _refresh)
-    _narrow_all(spec, state, t)
+    each(spec, state, t, state.n_patches[None], ti.static(by_patches(_narrow_patch)))
+    _list_both_ends(spec, state, t)
 
 
 @ti.func
@@ -113,7 +116,7 @@ def _list_particle(spec: ti.template(), state: ti.template(), grid_at):
     at = state.patch_place[state.sorted_index[grid_at]]
     state.kept_count[at] = 0
     radius = sorted_radius(spec, state, grid_at)
-    if (sorted_w(spec, state, grid_at) > 0.0) & (radius >= 0.0):
+    if radius >= 0.0:
         ahead = state.ahead[state.patch_of[at]]
         beyond = ti.max(
             state.skin[None], ahead + ti.static(2.0 * CLOTH_MARGIN) * state.largest_radius[None]
@@ -132,9 +135,9 @@ def _list_near(spec: ti.template(), state: ti.template(), grid_at, grid_other):
     way2 = d2
     if (state.far[grid_at] == 1) & (not _within(d2, reach + state.skin[None])):
         way2 = _nearest2(spec, state, grid_at, grid_other)
-    if (grid_other != grid_at) & (sorted_radius(spec, state, grid_other) >= 0.0):
-        at = state.patch_place[state.sorted_index[grid_at]]
-        other = state.patch_place[state.sorted_index[grid_other]]
+    at = state.patch_place[state.sorted_index[grid_at]]
+    other = state.patch_place[state.sorted_index[grid_other]]
+    if (other > at) & (sorted_radius(spec, state, grid_other) >= 0.0):
         _list_pair(state, at, other, reach, d2, way2, state.skin[None])
     return ti.Vector.zero(state.real, 1)
 
@@ -162,12 +165,12 @@ def take_places(spec: ti.template(), state: ti.template()):
 def _renew_patch(spec: ti.template(), state: ti.template(), a):
     """Make those lists of a patch anew that do not hold."""
     stale = 0
-    for b in range(state.n_patches[None]):
+    for b in range(a, state.n_patches[None]):
         stale |= state.stale[of_two(state, a, b)]
     if stale & STALE:
         for at in range(state.patch_start[a], state.patch_start[a + 1]):
             _drop_stale(state, a, at)
-        for b in range(state.n_patches[None]):
+        for b in range(a, state.n_patches[None]):
             row = of_two(state, a, b)
             if state.stale[row] == STALE:
                 state.stale[row] = 0
@@ -197,9 +200,11 @@ def _list_two(spec: ti.template(), state: ti.template(), a, b, row):
         if block_is_near_patch(state, a, first, b, drift, reach):
             for other_block in range(blocks_of(state, b)):
                 other_first, other_end = block_of(state, b, other_block)
-                if blocks_are_near(state, a, first, b, other_first, drift, reach):
+                if (other_end > first) and blocks_are_near(
+                    state, a, first, b, other_first, drift, reach
+                ):
                     for at in range(first, end):
-                        if sorted_w(spec, state, at) > 0.0:
+                        if sorted_radius(spec, state, at) >= 0.0:
                             _list_of_block(spec, state, at, b, other_first, other_end, drift, skin)
 
 
@@ -217,7 +222,7 @@ def _list_of_block(spec: ti.template(), state: ti.template(), at, b, first, end,
         if hits != 0:
             hits &= ~_list_closer(spec, state, at, first, end, x, skin)
             for k in range(end - first):
-                if ((hits >> k) & 1) & ti.cast(first + k != at, ti.i32):
+                if ((hits >> k) & 1) & ti.cast(first + k > at, ti.i32):
                     _put(state, at, first + k, 0)
 
 
@@ -241,7 +246,8 @@ def _list_closer(spec: ti.template(), state: ti.template(), at, first, end, x, s
         if (other >= first) & (other < end):
             closer |= 1 << (other - first)
             reach = state.closer_reach[row] + CLOSER_SKIN * skin
-            if _anchor_apart2(spec, state, other, x) <= reach * reach:
+            near = _anchor_apart2(spec, state, other, x) <= reach * reach
+            if near & (other > at):
                 _put(state, at, other, ti.min(row - start + 1, LATER))
     return closer
 
@@ -303,24 +309,17 @@ def _kept_reach(spec: ti.template(), state: ti.template(), at, code):
 
 
 @ti.func
-def _narrow_all(spec: ti.template(), state: ti.template(), t):
-    """List of the pairs that are kept those that may touch in this step, in the order of places.
-
-    Lists of one thread follow each other, so that iterations read memory from one end to the other.
-    """
-    if ti.static(spec.one_launch_per_step):
-        for at in range(state.n[None]):
-            _narrow(spec, state, at, at * MOST_KEPT)
-    else:
-        start = share(spec, state.n[None], t) * MOST_KEPT
-        for at in range(share(spec, state.n[None], t), share(spec, state.n[None], t + 1)):
-            start += _narrow(spec, state, at, start)
-        barrier(spec, state)
+def _narrow_patch(spec: ti.template(), state: ti.template(), a):
+    """Find of the pairs that a patch keeps those that may touch in this step."""
+    start = state.patch_start[a] * MOST_KEPT
+    for at in range(state.patch_start[a], state.patch_start[a + 1]):
+        start += _narrow(spec, state, at, start)
 
 
 @ti.func
 def _narrow(spec: ti.template(), state: ti.template(), at, start):
-    """List who may touch the particle at a place, from the row `start` on; how many they are."""
+    """Find who of those that a particle keeps may touch it, in the order of places, from the row
+    `start` on; how many they are."""
     count, kept = 0, state.kept_count[at]
     if kept > MOST_KEPT:
         state.overfull[None] = state.outdated[None] = 1
@@ -331,13 +330,98 @@ def _narrow(spec: ti.template(), state: ti.template(), at, start):
             now = sorted_x(spec, state, other) - sorted_x(spec, state, at)
             passed = ti.cast(before_of(spec, state, at, other).dot(now) < 0.0, ti.i32)
             to = start + count
-            while to > start and state.near[to - 1] >> NEAR_BITS > other:
-                state.near[to] = state.near[to - 1]
-                state.near_reach[to] = state.near_reach[to - 1]
+            while to > start and state.found[to - 1] >> NEAR_BITS > other:
+                state.found[to] = state.found[to - 1]
+                state.found_reach[to] = state.found_reach[to - 1]
                 to -= 1
-            state.near[to], state.near_reach[to] = (other << NEAR_BITS) + passed * PASSED, reach
+            state.found[to], state.found_reach[to] = (other << NEAR_BITS) + passed * PASSED, reach
             count += 1
-    state.near_start[at], state.near_count[at] = start, count
+    state.found_start[at], state.found_count[at] = start, count
+    return count
+
+
+# --- what may touch, from both ends ----------------------------------------------------------
+
+
+@ti.func
+def _list_both_ends(spec: ti.template(), state: ti.template(), t):
+    """List what was found from both its ends, in the order of places.
+
+    Lists of one thread follow each other, so that iterations read memory from one end to the other.
+    """
+    if ti.static(spec.one_launch_per_step):
+        for at in range(state.n[None]):
+            state.near_start[at], state.near_count[at] = at * MOST_KEPT, 0
+        for at in range(state.patch_start[state.n_patches[None]]):
+            for k in range(state.found_start[at], state.found_start[at] + state.found_count[at]):
+                other = state.found[k] >> NEAR_BITS
+                _put_near(spec, state, at, k, other)
+                _put_near(spec, state, other, k, at)
+        for at in range(state.n[None]):
+            _sort_near(state, at)
+    else:
+        # Each goes through all, and takes what is of its share: they are few.
+        first, end = share(spec, state.n[None], t), share(spec, state.n[None], t + 1)
+        in_patches = ti.min(state.patch_start[state.n_patches[None]], end)
+        for at in range(first, end):
+            state.near_count[at] = 0
+        for at in range(in_patches):
+            for k in range(state.found_start[at], state.found_start[at] + state.found_count[at]):
+                other = state.found[k] >> NEAR_BITS
+                if at >= first:
+                    state.near_count[at] = state.near_count[at] + 1  # += would be atomic
+                if (other >= first) & (other < end):
+                    state.near_count[other] = state.near_count[other] + 1
+        start = first * MOST_KEPT
+        for at in range(first, end):
+            state.near_start[at] = start
+            start += ti.min(state.near_count[at], MOST_KEPT)
+            state.near_count[at] = 0
+        for at in range(in_patches):
+            for k in range(state.found_start[at], state.found_start[at] + state.found_count[at]):
+                other = state.found[k] >> NEAR_BITS
+                if at >= first:
+                    _put_near(spec, state, at, k, other)
+                if (other >= first) & (other < end):
+                    _put_near(spec, state, other, k, at)
+    each(spec, state, t, state.n[None], _begin_iterations)
+
+
+@ti.func
+def _put_near(spec: ti.template(), state: ti.template(), at, k, other):
+    """Put the pair found in row k into the list of one of its ends, but of one that is fixed."""
+    if sorted_w(spec, state, at) > 0.0:
+        count = 0
+        if ti.static(spec.one_launch_per_step):
+            count = ti.atomic_add(state.near_count[at], 1)
+        else:
+            count = state.near_count[at]
+            state.near_count[at] = ti.min(count + 1, MOST_KEPT)
+        if count < MOST_KEPT:
+            to = state.near_start[at] + count
+            state.near[to] = (other << NEAR_BITS) + (state.found[k] & PASSED)
+            state.near_reach[to] = state.found_reach[k]
+        else:
+            state.overfull[None] = 1
+
+
+@ti.func
+def _sort_near(state: ti.template(), at):
+    """Put the list of a particle, which threads filled in any order, into that of places."""
+    start = state.near_start[at]
+    state.near_count[at] = ti.min(state.near_count[at], MOST_KEPT)
+    for k in range(start + 1, start + state.near_count[at]):
+        code, reach, to = state.near[k], state.near_reach[k], k
+        while to > start and state.near[to - 1] > code:
+            state.near[to], state.near_reach[to] = state.near[to - 1], state.near_reach[to - 1]
+            to -= 1
+        state.near[to], state.near_reach[to] = code, reach
+
+
+@ti.func
+def _begin_iterations(spec: ti.template(), state: ti.template(), at):
+    """Note who has others near, and fill what iterations read."""
+    count = state.near_count[at]
     if count > 0:
         state.active[ti.atomic_add(state.n_active[None], 1)] = at
         state.visited[at] = 0
@@ -350,7 +434,6 @@ def _narrow(spec: ti.template(), state: ti.template(), at, start):
             state.sorted[other_half, axis] = state.sorted[at, axis]
             state.sorted[at, ti.static(spec.dim + 1 + axis)] = v[axis]
             state.sorted[other_half, ti.static(spec.dim + 1 + axis)] = v[axis]
-    return count
 
 
 @ti.func

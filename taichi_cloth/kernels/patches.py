@@ -16,6 +16,8 @@ lists would be made anew, or a skin would get very wide, all are, by the collisi
 a, b in this file: patches. Places are those of `state.in_patches`.
 """
 
+import functools
+
 import taichi as ti
 
 from taichi_cloth.kernels.collision_grid import slot_of
@@ -64,8 +66,8 @@ def bound_patch(spec: ti.template(), state: ti.template(), a):
     if state.anchored[a] == 1:
         anchor_patch(spec, state, a)
         for axis in ti.static(range(3)):  # it began where it came from, and is at its anchors
-            low[axis] = -1.0 * state.box[a, ti.static(6 * WAY + 3 + axis)]
-            high[axis] = -1.0 * state.box[a, ti.static(6 * WAY + axis)]
+            low[axis] = -1.0 * state.patch_box[a, ti.static(6 * WAY + 3 + axis)]
+            high[axis] = -1.0 * state.patch_box[a, ti.static(6 * WAY + axis)]
         _store_box(state, a, ti.static(BEGINS), low, high)
         _store_box(state, a, ti.static(ENDS), 0.0 * low, 0.0 * low)
 
@@ -92,6 +94,21 @@ def anchor_patch(spec: ti.template(), state: ti.template(), a):
         low, high = ti.min(low, block_low), ti.max(high, block_high)
     _store_box(state, a, ti.static(LISTED), low, high)
     _store_box(state, a, ti.static(WAY), low_way, high_way)
+
+
+@functools.cache
+def by_patches(body):
+    """The body of a loop over all patches that runs body(spec, state, a) for each: those of early
+    and of late places by turns, as the early ones have most pairs with later ones."""
+
+    @ti.func
+    def folded(spec: ti.template(), state: ti.template(), i):
+        a = i // 2
+        if i & 1 == 1:
+            a = state.n_patches[None] - 1 - a
+        body(spec, state, a)
+
+    return folded
 
 
 @ti.func
@@ -125,8 +142,8 @@ def block_is_near(state: ti.template(), a, first, x, reach):
 def block_is_near_patch(state: ti.template(), a, first, b, drift, reach):
     """Whether anchors in a block of a patch may be within reach of those of b, with their drift."""
     low, high = _block_box(state, a, first)
-    patch_low = ti.Vector([state.box[b, 6 * LISTED + axis] for axis in range(3)])
-    patch_high = ti.Vector([state.box[b, 6 * LISTED + 3 + axis] for axis in range(3)])
+    patch_low = ti.Vector([state.patch_box[b, 6 * LISTED + axis] for axis in range(3)])
+    patch_high = ti.Vector([state.patch_box[b, 6 * LISTED + 3 + axis] for axis in range(3)])
     return _shortest2(patch_low - (high - drift), patch_high - (low - drift)) <= reach * reach
 
 
@@ -151,7 +168,8 @@ def anchor_patch_anew(spec: ti.template(), state: ti.template(), a):
 
 @ti.func
 def of_two(state: ti.template(), a, b):
-    """The row of state.drift and state.stale that two patches have, as the first one sees it."""
+    """The row of state.drift and state.stale that two patches have, of which a comes before b or is
+    b: the drift is that of b against a."""
     return a * state.n_patches[None] + b
 
 
@@ -164,8 +182,8 @@ def _nothing(state: ti.template()):
 @ti.func
 def _store_box(state: ti.template(), a, box: ti.template(), low, high):
     for axis in ti.static(range(3)):
-        state.box[a, ti.static(6 * box + axis)] = low[axis]
-        state.box[a, ti.static(6 * box + 3 + axis)] = high[axis]
+        state.patch_box[a, ti.static(6 * box + axis)] = low[axis]
+        state.patch_box[a, ti.static(6 * box + 3 + axis)] = high[axis]
 
 
 @ti.func
@@ -175,8 +193,8 @@ def _differences(state: ti.template(), a, b, box: ti.template()):
     low, high = _nothing(state), _nothing(state)
     for axis in ti.static(range(3)):
         first, last = ti.static(6 * box + axis), ti.static(6 * box + 3 + axis)
-        low[axis] = state.box[b, first] - state.box[a, last]
-        high[axis] = state.box[b, last] - state.box[a, first]
+        low[axis] = state.patch_box[b, first] - state.patch_box[a, last]
+        high[axis] = state.patch_box[b, last] - state.patch_box[a, first]
     return low, high
 
 
@@ -226,7 +244,7 @@ def compare_patch(spec: ti.template(), state: ti.template(), a):
         if b >= count:
             b -= count
         if (2 * k < count) | (a < b):
-            _compare(state, a, b)
+            _compare(state, ti.min(a, b), ti.max(a, b))
 
 
 @ti.func
@@ -235,7 +253,7 @@ def _compare(state: ti.template(), a, b):
     low_apart, high_apart = _differences(state, a, b, ti.static(SWEPT))
     if _shortest2(low_apart, high_apart) > reach_of_most(state) * reach_of_most(state):
         if anew:
-            state.stale[row] = state.stale[of_two(state, b, a)] = LAPSED
+            state.stale[row] = LAPSED
     else:
         drift = _nothing(state)
         for axis in ti.static(range(3)):
@@ -263,19 +281,14 @@ def _let_drift(state: ti.template(), a, b, drift, half, way):
     way2 = way.dot(way)
     if way2 > 0.0:
         drift += (LEADS * (skin - needed) / ti.sqrt(way2)) * way
-    _note_stale(state, of_two(state, a, b), drift, skin)
-    _note_stale(state, of_two(state, b, a), -1.0 * drift, skin)
+    row = of_two(state, a, b)
+    for axis in ti.static(range(3)):
+        state.drift[row, axis] = drift[axis]
+    state.drift[row, 3], state.stale[row] = skin, STALE
     if are_near(state, a, b, reach_of_most(state) + skin):
         ti.atomic_add(state.n_stale[None], 1)
         if skin > WIDEST * state.skin[None]:
             state.outdated[None] = 1
-
-
-@ti.func
-def _note_stale(state: ti.template(), row, drift, skin):
-    for axis in ti.static(range(3)):
-        state.drift[row, axis] = drift[axis]
-    state.drift[row, 3], state.stale[row] = skin, STALE
 
 
 @ti.func
