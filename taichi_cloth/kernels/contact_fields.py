@@ -27,13 +27,14 @@ class ContactFields(Fields):
         be listed anew, and whether some list was full in this step; n_patches, patch_start,
         in_patches, patch_place, patch_of: the particles of each patch by place, the place of each
         particle, and the patch of each place; patch_box, block_box: low and high corners of the
-        boxes around a patch and its blocks; anchored: whether it was in this step; drift, stale: of each
-        two patches, their drift and skin, and whether their lists are to be made anew; n_stale: how
-        many; ahead: how far a patch looks along its way; active, n_active: the places that have
-        near pairs; visited: the last iteration in which they are visited; touch, touch_normal,
-        touch_count: the pairs that touch in an iteration, with their normals and gaps; listed_x,
-        listed_begun: their anchors, and where the step began; kept, kept_count: codes of pairs;
-        found, found_reach, found_start, found_count: those that may touch in this step; far: whose step went far; closer_start, closer_other, closer_reach: `scene.spheres`.
+        boxes around a patch and its blocks; anchored: whether it was in this step; drift, stale: of
+        each two patches, their drift and skin, and whether their lists are to be made anew;
+        n_stale: how many; ahead: how far a patch looks along its way; active, n_active: the places
+        that have near pairs; visited: the last iteration in which they are visited; touch,
+        touch_normal, touch_count: the pairs that touch in an iteration, with their normals and
+        gaps; listed_x, listed_begun: their anchors, and where the step began; kept, kept_count:
+        codes of pairs; found, found_reach, found_start, found_count: those that may touch in this
+        step; far: whose step went far; closer_start, closer_other, closer_reach: `scene.spheres`.
 
     Obstacles (`poses.py`), a row each: obstacle_shape: its number in spec.obstacles;
         obstacle_numbers, obstacle_sizes: of contact and of its shape; obstacle_start: its pose at
