@@ -3,7 +3,8 @@
 Structural, shear and bend springs with k 1000 and axial dashpots 10, mass 0.1, spacing 0.1, two
 pinned corners, 16 steps a frame, 60 frames a second. The others are the files of the installed
 `warp-lang` (warp/examples/benchmarks/benchmark_cloth_*.py), unchanged. Warp on the CPU has one
-thread; the Taichi version copies the positions out after each frame, as written there.
+thread; the Taichi version copies the positions out after each frame, as written there. The C++,
+compiled here, goes over compressed rows, as our graph does.
 """
 
 from __future__ import annotations
@@ -22,7 +23,10 @@ from taichi_cloth.benchmarks import ours
 from taichi_cloth.benchmarks.cloths import WARP, WARP_FRAME, WARP_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
 from taichi_cloth.benchmarks.report import Measurement
+from taichi_cloth.benchmarks.structural import call, compiled, enter_compiled
 from taichi_cloth.measuring import machine
+from taichi_cloth.scene.library import build
+from taichi_cloth.simulation.storage import adjacency
 
 PART = "warp"
 SECOND = 60  # frames: when trajectories are compared
@@ -61,9 +65,20 @@ def _measure_size(bench: Bench, side: int, frames: int, checked: int) -> Iterato
     name = "ours, lanes, a round's frames in one call"
     shared = enter_ours(bench, PART, name, side, frames, "lanes", "f32", batch=None)
     peers = {name: _enter_peer(bench, name, side, size, frames) for name in PEERS}
+    cpp = enter_compiled(
+        bench,
+        "C++, csr",
+        f"{__name__}:CompiledCloth",
+        {"side": side},
+        part=PART,
+        steps=WARP_SUBSTEPS,
+        size=size,
+        particles=side * side,
+        units=frames,
+    )
     reference = ours.reference(bench, PART, scene, side * side, WARP_SUBSTEPS, [checked])
     rounds = max(bench.rounds, -(-SECOND // frames) - 1)
-    everyone = [*entered.values(), shared, *peers.values()]
+    everyone = [*entered.values(), shared, *peers.values(), cpp]
     finished = bench.race(PART, everyone, marks={checked, SECOND}, rounds=rounds)
     against = f"{ours.AGAINST}, {checked / SECOND:g} s after the start"
     numpy_version = peers["Warp's NumPy version"]
@@ -81,6 +96,7 @@ def _measure_size(bench: Bench, side: int, frames: int, checked: int) -> Iterato
     yield from compare(PART, size, "ours, lanes, f32, to Warp", lanes, warp, ">= 6")
     yield from compare(PART, size, "ours, lanes, f32, in one call, to Warp", shared, warp)
     yield from compare(PART, size, "ours, graph, f32, to Warp", graph, warp)
+    yield from compare(PART, size, "ours, graph, f32, to C++ csr", graph, cpp, ">= 1.0")
     name = "ours, lanes, f32, to Warp's Taichi version"
     yield from compare(PART, size, name, lanes, taichi, ">= 12")
     if numpy_version:
@@ -89,6 +105,7 @@ def _measure_size(bench: Bench, side: int, frames: int, checked: int) -> Iterato
     yield from separation(PART, lanes, warp, SECOND, "m", "<= 1e-4")
     yield from separation(PART, graph, warp, SECOND, "m", "<= 1e-4")
     yield from separation(PART, lanes, taichi, SECOND, "m")
+    yield from separation(PART, graph, cpp, SECOND, "m")
     for contestant in filter(None, everyone):
         contestant.drop()
 
@@ -163,6 +180,30 @@ class Theirs:
 
     def positions(self) -> np.ndarray:
         return self.at
+
+
+class CompiledCloth:
+    """The scene `warp` over compressed rows, with its dashpots; a unit is a frame."""
+
+    def __init__(self, folder: str, side: int):
+        self.step = compiled(folder).csr3_damped_steps
+        scene = build("warp", side=side)
+        p, s = scene.particles, scene.springs
+        half = adjacency.half_springs(s.between, len(p))
+        self.x, v = (np.ascontiguousarray(a, np.float32) for a in (p.position, p.velocity))
+        k, rest, c = (
+            a[half.spring].astype(np.float32) for a in (s.stiffness, s.rest_length, s.damping)
+        )
+        w = np.where(p.fixed, 0, 1 / p.mass).astype(np.float32)
+        numbers = WARP_FRAME / WARP_SUBSTEPS, scene.world.gravity[1]
+        rows = half.row, half.far, k, rest, c, w
+        self.arguments = (len(p), *numbers, *rows, self.x, v, np.empty_like(v))
+
+    def advance(self, units: int) -> None:
+        call(self.step, units * WARP_SUBSTEPS, *self.arguments)
+
+    def positions(self) -> np.ndarray:
+        return self.x
 
 
 def _their_path(name: str) -> Path:

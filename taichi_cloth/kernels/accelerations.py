@@ -47,7 +47,7 @@ def accelerate_then(spec: ti.template(), state: ti.template(), t, move: ti.templ
     On grids with several lanes and no other springs a pack can move as soon as it has its
     acceleration, which saves storing and reading it: measured, that pays. All else takes two loops.
     """
-    if ti.static(spec.lanes > 1 and not spec.springs):
+    if ti.static(spec.passes_over_rows and not spec.springs):
         compute_tractions(spec, state, t, time_of_forces, False)
         accumulate(
             spec, state, t, force_between, difference, ti.static(_moving(move)), _accelerate_more
@@ -77,7 +77,7 @@ def kicks_at_once(spec):
     """
     if has_tractions(spec):  # which come before the links of the first row
         return False
-    if spec.lanes > 1:
+    if spec.passes_over_rows:
         return not spec.springs and not spec.one_launch_per_step
     # Neighbours read positions, which a kick leaves, and for dashpots velocities.
     return not reads_velocity(spec) and not (spec.springs and spec.kinds > 0)
@@ -95,7 +95,7 @@ def kick_after(
     if ti.static(not kicks_at_once(spec)):
         each_pack_moving(spec, state, t, move)
         accelerate_then(spec, state, t, kick)
-    elif ti.static(spec.lanes > 1):
+    elif ti.static(spec.passes_over_rows):
         move_and_accumulate(
             spec, state, t, move, force_between, difference, ti.static(_moving(kick))
         )
@@ -112,7 +112,7 @@ def kick_then(
 ):
     """Run kick(spec, state, i, a) with the acceleration of every pack i, then move(spec, state, i).
 
-    Only where `kicks_at_once`, on packs of one lane: no acceleration is then stored and read.
+    Only where `kicks_at_once`, on a graph: no acceleration is then stored and read.
     """
     accumulate(
         spec, state, t, force_between, difference, ti.static(_moving(kick)), _accelerate_more

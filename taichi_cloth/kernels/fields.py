@@ -17,7 +17,9 @@ def placed(tree, field, *shape):
 class Capacity:
     """How much fits into a `State`.
 
-    particles; springs: those on the graph; packs, the empty ones included; grids; row: packs in the
+    particles; springs: those on the graph; columns: of packed rows, and copies:
+    those of them that need any (`graph.py`); packs, the empty
+    ones included; grids; row: packs in the
     widest row, with its halos; triangles: those of which the scene's forces know; elements: what is
     tested against sharp obstacles (`faces.py`); obstacles; nodes: of their grids; stencils,
     stencil_particles, stencil_sides: those that are listed, all of their particles, and the
@@ -30,6 +32,8 @@ class Capacity:
     packs: int
     grids: int
     row: int
+    columns: int = 0
+    copies: int = 0
     triangles: int = 0
     elements: int = 0
     obstacles: int = 0
@@ -53,6 +57,7 @@ class Fields:
 
     real: ti.f32 or ti.f64; capacity: a `Capacity`; packs: how many there is room for.
     number_names, count_names, vector_names, particle_names: of the fields that the host loads.
+    by_component: the fields of vectors that lie so (`packs.py`).
     """
 
     def __init__(self, real, capacity):
@@ -60,6 +65,7 @@ class Fields:
         self.packs = max(capacity.packs, 1)
         self.number_names, self.count_names = [], []
         self.particle_names, self.vector_names = [], []
+        self.by_component = []
         self._reals, self._integers = ti.FieldsBuilder(), ti.FieldsBuilder()
 
     def _scalars(self, *shape):
@@ -72,6 +78,10 @@ class Fields:
         tree, packs = tree or self._reals, packs or self.packs
         if spec.lanes == 1:
             return placed(tree, ti.Vector.field(spec.dim, self.real), packs)
+        if spec.packed_rows:  # all first components, then all second ones
+            field = placed(tree, ti.field(self.real), spec.dim * packs * spec.lanes)
+            self.by_component.append(field)
+            return field
         return placed(tree, ti.field(self.real), packs, spec.dim * spec.lanes)
 
     def _pack_numbers(self, spec, packs=None):

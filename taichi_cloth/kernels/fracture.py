@@ -21,6 +21,7 @@ from taichi_cloth.kernels.packs import (
     slot_number,
     slot_value,
 )
+from taichi_cloth.kernels.spring_numbers import stored_fields
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 from taichi_cloth.kernels.stencils import line_step
 
@@ -55,18 +56,22 @@ def is_beyond(length2, shortest2, longest2):
 def _break_spring(spec: ti.template(), state: ti.template(), s):
     """Remove spring s on the graph if it was breaking, else mark it if it is over its limit."""
     if state.status[s] == BREAKING:
-        _remove_spring(state, s)
+        _remove_spring(spec, state, s)
     else:
         _mark_spring(spec, state, s)
 
 
 @ti.func
-def _remove_spring(state: ti.template(), s):
+def _remove_spring(spec: ti.template(), state: ti.template(), s):
     """Let spring s on the graph be gone."""
     state.status[s] = GONE
     for end in ti.static(range(2)):
         # A spring from a particle to itself pulls nowhere.
-        state.csr_other[state.half[s, end]] = state.ends[s, end]
+        if ti.static(spec.packed_rows):
+            for _, field in ti.static(stored_fields(spec, state, "csr")):
+                field[state.half[s, end]] = 0.0
+        else:
+            state.csr_other[state.half[s, end]] = state.ends[s, end]
 
 
 @ti.func
@@ -248,7 +253,7 @@ def cut_springs(
             for m in range(n_springs):
                 if state.status[springs[m]] != GONE:
                     state.break_step[springs[m]] = step
-                    _remove_spring(state, springs[m])
+                    _remove_spring(spec, state, springs[m])
         if ti.static(spec.kinds > 0):
             for m in range(n_links):
                 s, i, lane = links[m, 0], links[m, 1] // spec.lanes, links[m, 1] % spec.lanes

@@ -20,7 +20,10 @@ and stiffness 0), those marked - no neighbour. A pack's vectors are stored compo
 matrix of dim x L: |x x x x|y y y y|. Rows follow each other at a pitch of W plus both halos; empty
 rows above and below let every link's neighbour be read.
 
-With L = 1, on GPUs and for particles on a graph, a pack is one particle, its value a vector of
+Where rows of a graph are packed (`graph.py`), a pack is L particles that follow each other, and all
+packs together are one array for each component: the particles from any place on are read at once.
+
+With L = 1, on GPUs and for most particles on a graph, a pack is one particle, its value a vector of
 `dim`, and there are no halos. The functions below work on both, so physics is written once.
 A *slot* is a place for one particle: its pack times L, plus its lane.
 
@@ -35,6 +38,10 @@ which Taichi 1.7 does only in part. In their kernels
 
 import taichi as ti
 
+# Packs and slots of packed rows are below these. Compilers that know it see that no sum of them is
+# too large for a whole number, hence that lanes lie side by side, and read them all at once.
+PACKS, SLOTS = 0x00FFFFFF, 0x07FFFFFF
+
 
 def lanes_of(a):
     """How many vectors the value `a` holds, which is known when a kernel is compiled."""
@@ -45,6 +52,17 @@ def lanes_of(a):
 def rows_of(spec, field):
     """How many numbers a field of packs holds for each particle."""
     return field.shape[1] // spec.lanes
+
+
+def is_by_component(spec, field):
+    """Whether a field holds vectors, all first components before all second ones: packed rows."""
+    return spec.packed_rows and len(field.shape) == 1
+
+
+def ats_of(spec, field):
+    """Where each component of a pack's lanes lies, from its first slot on, if `is_by_component`."""
+    room = field.shape[0] // spec.dim
+    return [[k * room + lane for lane in range(spec.lanes)] for k in range(spec.dim)]
 
 
 def epsilon(state):
@@ -62,6 +80,11 @@ def read(spec: ti.template(), field: ti.template(), i):
         return everywhere(spec, field[None])
     elif ti.static(spec.lanes == 1):
         return field[i]
+    elif ti.static(is_by_component(spec, field)):
+        first = (i & PACKS) * spec.lanes
+        return ti.Matrix(
+            [[field[first + at] for at in ats] for ats in ti.static(ats_of(spec, field))]
+        )
     elif ti.static(rows_of(spec, field) == 1):
         return ti.Vector([field[i, lane] for lane in range(spec.lanes)])
     else:
@@ -96,6 +119,11 @@ def write(spec: ti.template(), field: ti.template(), i, value):
     """Store the value of a field at pack i: vectors, or a number for each lane."""
     if ti.static(spec.lanes == 1):
         field[i] = value
+    elif ti.static(is_by_component(spec, field)):
+        first = (i & PACKS) * spec.lanes
+        for axis, ats in ti.static(enumerate(ats_of(spec, field))):
+            for lane, at in ti.static(enumerate(ats)):
+                field[first + at] = value[axis, lane]
     else:
         for axis in ti.static(range(rows_of(spec, field))):
             for lane in ti.static(range(spec.lanes)):
@@ -222,6 +250,8 @@ def slot_value(spec: ti.template(), field: ti.template(), slot):
     """The vector (dim,) of the particle at a slot, for code that runs particle by particle."""
     if ti.static(spec.lanes == 1):
         return field[slot]
+    elif ti.static(is_by_component(spec, field)):
+        return ti.Vector([field[slot + ats[0]] for ats in ti.static(ats_of(spec, field))])
     else:
         cell, lane = slot // spec.lanes, slot % spec.lanes
         return ti.Vector([field[cell, axis * spec.lanes + lane] for axis in range(spec.dim)])
@@ -244,6 +274,8 @@ def set_slot_value(spec: ti.template(), field: ti.template(), slot, value):
     for axis in ti.static(range(spec.dim)):
         if ti.static(spec.lanes == 1):
             field[slot][axis] = value[axis]
+        elif ti.static(is_by_component(spec, field)):
+            field[slot + ti.static(ats_of(spec, field)[axis][0])] = value[axis]
         else:
             field[slot // spec.lanes, axis * spec.lanes + slot % spec.lanes] = value[axis]
 

@@ -32,8 +32,8 @@ def _names(text):
 LOADED = _names(
     """w slot particle radius restitution held_by held_at pair_radius pair_restitution own
     n_packs n_grids grid grid_of link forward link_shortest2 link_longest2 line
-    n_csr_rows csr_slot csr_start csr_other n_colours colour_start coloured
-    n_springs ends half shortest2 longest2 link_k line_k
+    n_csr_rows csr_slot csr_start csr_other csr_run first_copy n_copies
+    n_colours colour_start coloured n_springs ends half shortest2 longest2 link_k line_k
     n_stencils stencil_start stencil_slot stencil_weight stencil_k row_stencils row_stencil
     row_weight side_start side n_stencil_colours stencil_colour
     closer_start closer_other closer_reach n_patches patch_start in_patches patch_place patch_of
@@ -106,7 +106,9 @@ def _numbers_of_springs(spec):
         f"{place}_{number.letter}"
         for number in NUMBERS
         for place in ("csr", "link", "spring")
-        if not number.changes(spec.terms) and f"{place}_{number.letter}" != "link_k"
+        if not number.changes(spec.terms)
+        and f"{place}_{number.letter}" != "link_k"
+        and not (place == "csr" and spec.packed_rows and spec.fracture)
     }
 
 
@@ -130,6 +132,8 @@ def _described(state, name, field):
         kind, columns = VECTORS, [field.n]
     of_links = rows != state.packs and rows % state.packs == 0 and name.startswith(("link", "line"))
     blocks = rows // state.packs if of_links else 1
+    if any(field is of for of in state.by_component):
+        blocks = rows // (state.lanes * state.packs)
     width, whole = columns[0] if columns else 1, field.dtype == ti.i32
     return Kept(name, field, kind, blocks, rows // blocks, width, whole)
 
@@ -142,6 +146,7 @@ def in_use(state, packs, particles, springs, patches):
     room, rows = state.capacity, {}
     counts = (
         (state.packs, packs),
+        (state.lanes * state.packs, state.lanes * packs),  # in packed rows
         (room.particles, particles),
         (room.springs, springs),
         (2 * room.springs, 2 * springs),

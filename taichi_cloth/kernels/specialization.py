@@ -17,7 +17,8 @@ class Specialization:
     held: whether fixed particles may go with obstacles that move (`grips.py`).
     resting: whether pairs that collide rest on each other (`resting_pairs.py`). thick: whether some
         are of cloths with a thickness, whose triangles must not intersect.
-    lanes: how many particles a pack has (`packs.py`); 1 on a graph and on GPUs.
+    lanes: how many particles a pack has (`packs.py`); 1 on GPUs, and on a graph whose rows are not
+        packed.
     links: (columns, rows) from the earlier end to the later one, for each kind of link; empty on a
         graph.
     lines: (columns, rows) from each particle to the next, for each kind of line along which grids
@@ -27,6 +28,8 @@ class Specialization:
         the same stiffness, none of which breaks.
     compensated: whether positions and velocities have low parts (`compensated.py`).
     together: whether several springs of a particle on the graph are computed at once (`graph.py`).
+    packed_rows: whether packs are particles of a graph that follow each other in memory, and their
+        half-springs lie in columns (`graph.py`).
     accounts_contacts: whether an account of what contacts do can be kept (`contact_account.py`).
     threads, one_launch_per_step: how loops are run (`loops.py`).
     """
@@ -53,6 +56,7 @@ class Specialization:
     rows_share_stiffness: bool = False
     compensated: bool = False
     together: bool = False
+    packed_rows: bool = False
     accounts_contacts: bool = False
     threads: int = 1
     one_launch_per_step: bool = False
@@ -76,6 +80,11 @@ class Specialization:
             and all(mine[name] or not theirs[name] for name in wider)
             and all(theirs[name] or not mine[name] for name in closer)
         )
+
+    @property
+    def passes_over_rows(self) -> bool:
+        """Whether packs are strips of grids, whose links are computed row by row (`links.py`)."""
+        return self.lanes > 1 and not self.packed_rows
 
     @property
     def keeps_begun(self) -> bool:

@@ -21,9 +21,9 @@ from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.forces import load
 from taichi_cloth.kernels.forces.contract import TENSION, has
-from taichi_cloth.kernels.graph import sum_of_half_springs
+from taichi_cloth.kernels.graph import copy_ends, sum_of_columns, sum_of_half_springs
 from taichi_cloth.kernels.links import Pass, pass_over_grids, sum_of_links
-from taichi_cloth.kernels.loops import each, each_pack_moving, join, join_parts
+from taichi_cloth.kernels.loops import each, each_pack, each_pack_moving, join, join_parts
 from taichi_cloth.kernels.packs import read, scaled, slot_value, zeros
 from taichi_cloth.kernels.stencils import pull_listed, sum_of_lines, sum_of_listed
 
@@ -134,14 +134,17 @@ def accumulate(
     """Run consume(spec, state, i, sum over its springs and stencils) for every pack i.
 
     between: see the head of this file. apart: the vectors that stencils sum (`stencils.py`). With
-    several lanes `consume` may already move its pack (see `links.pass_over_rows`); else it must
-    leave what others read.
+    several lanes on grids `consume` may already move its pack (see `links.pass_over_rows`); else it
+    must leave what others read.
     consume_graph(spec, state, slot, sum): takes the sum over what a particle has on the graph, in
     scenes with grids; it comes after all `consume`.
     """
     pull_listed(spec, state, t, apart)
-    if ti.static(spec.lanes > 1):
+    if ti.static(spec.passes_over_rows):
         pass_over_grids(spec, state, t, ti.static(Pass(between, apart, consume)))
+    elif ti.static(spec.packed_rows):
+        each(spec, state, t, state.n_copies[None], copy_ends)
+        each_pack(spec, state, t, ti.static(_summing(between, apart, consume)))
     else:
         each(spec, state, t, state.n_packs[None], ti.static(_summing(between, apart, consume)))
     if ti.static(spec.springs and spec.kinds > 0):
@@ -223,6 +226,8 @@ def sum_at_pack(
         total = sum_of_links(spec, state, between, i)
         if ti.static(spec.line_kinds > 0):
             total += sum_of_lines(spec, state, apart, i)
+    elif ti.static(spec.packed_rows):
+        total = sum_of_columns(spec, state, between, i)
     elif ti.static(spec.springs):
         total = sum_of_half_springs(spec, state, read, between, i, i)
         if ti.static(spec.stencils):

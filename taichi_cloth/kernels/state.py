@@ -48,7 +48,8 @@ class State(ContactFields):
         them that say where particles are and how they move, and not what a solver keeps.
     Springs on the graph, from both ends, in compressed rows (`graph.py`): csr_slot, csr_start,
         csr_other and csr_<letter> (`spring_numbers.py`). A spring that is gone has its own
-        particle as its other end.
+        particle as its other end. Where rows are packed: csr_start, of columns, by pack; csr_run,
+        first_copy and n_copies instead of csr_slot.
     Springs on the graph, once each (fracture): ends: their slots; shortest2, longest2: squares of
         the lengths at which the force reaches the break force (`fracture.py`); status: ALIVE,
         BREAKING or GONE; break_step: when it began to break; half: its two half-springs.
@@ -110,10 +111,13 @@ class State(ContactFields):
         `methods.contract.Method`. Raises TypeError where two declare a field of the same name.
         """
         super().__init__(real, capacity)
+        self.lanes = spec.lanes
         self.wide = ti.f32 if ti.cfg.arch == ti.metal else ti.f64
         self.position_weight, self.begin = method.position_weight, method.begin
         self.force_times = method.force_times
         self._place_packs(spec, method)
+        if spec.packed_rows:
+            self._place_columns(spec)
         if spec.links:
             self._place_links_of_packs(spec, method)
         # What threads write at every step is kept off the cache lines of what they only read.
@@ -208,6 +212,15 @@ class State(ContactFields):
             for name in method.traction_vectors:
                 setattr(self, name, self._pack_vectors(spec))
 
+    def _place_columns(self, spec):
+        """Place packed rows, whose columns are read as packs are."""
+        columns = max(self.capacity.columns, 1)
+        self._place_spring_numbers(spec, "csr", columns * spec.lanes)
+        copies = max(self.capacity.copies, 1)
+        self.csr_other, self.csr_run = self._counts(copies * spec.lanes), self._counts(columns)
+        self.csr_start = self._counts(self.packs + 1)
+        self.first_copy, self.n_copies = self._counts(), self._counts()
+
     def _place_links_of_packs(self, spec, method):
         kinds, row = spec.kinds, self.capacity.row
         self.row = row
@@ -292,10 +305,11 @@ class State(ContactFields):
     def _place_graph(self, spec, method):
         n, s = max(self.capacity.particles, 1), max(self.capacity.springs, 1)
         coloured = "spring_colours" in method.needs
-        self.n_csr_rows = self._counts()
-        self.csr_slot, self.csr_start = self._counts(n), self._counts(n + 1)
-        self.csr_other = self._counts(2 * s)
-        self._place_spring_numbers(spec, "csr", 2 * s)
+        if not spec.packed_rows:
+            self.n_csr_rows = self._counts()
+            self.csr_slot, self.csr_start = self._counts(n), self._counts(n + 1)
+            self.csr_other = self._counts(2 * s)
+            self._place_spring_numbers(spec, "csr", 2 * s)
         if spec.fracture or coloured:
             self.ends = self._counts(s, 2)
         if "kept_stiffness" in method.needs:

@@ -250,10 +250,35 @@ def load_half_springs(
 
 
 @ti.kernel
+def load_packed_rows(
+    spec: ti.template(),
+    state: ti.template(),
+    start: ti.types.ndarray(),
+    run: ti.types.ndarray(),
+    copied: ti.types.ndarray(),
+    copies: ti.i32,
+):
+    """Load the packed rows of half-springs (`graph.py`).
+
+    start: (packs + 1,), csr_start; run: (columns,), csr_run; copied: (copies * lanes,) or longer,
+    csr_other.
+    """
+    for _ in range(1):
+        state.first_copy[None], state.n_copies[None] = start.shape[0] - 1, copies
+    for i in range(start.shape[0]):
+        state.csr_start[i] = start[i]
+    for c in range(run.shape[0]):
+        state.csr_run[c] = run[c]
+    for h in range(copies * spec.lanes):
+        state.csr_other[h] = copied[h]
+
+
+@ti.kernel
 def load_spring_numbers(spec: ti.template(), state: ti.template(), rows: ti.types.ndarray()):
     """Load the numbers of half-springs.
 
-    rows: (2s, numbers), or (1, numbers) where all springs have the same.
+    rows: (2s, numbers), or (columns * lanes, numbers) where rows are packed, or (1, numbers) where
+    all springs have the same.
     """
     _fill_springs(spec, state, "csr", rows)
 

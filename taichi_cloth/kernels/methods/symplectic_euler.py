@@ -36,7 +36,7 @@ def kicks_first(spec):
 
     What meets walls and other particles needs its velocity from before, too.
     """
-    return spec.lanes == 1 and kicks_at_once(spec) and not (spec.walls or spec.collisions)
+    return not spec.passes_over_rows and kicks_at_once(spec) and not (spec.walls or spec.collisions)
 
 
 @ti.func

@@ -11,7 +11,7 @@ import numpy as np
 class HalfSprings:
     """Compressed rows: every spring seen from both of its ends, grouped by particle.
 
-    Particle i's half-springs are row[i] .. row[i + 1], in the order of the springs' numbers.
+    Particle i's half-springs are row[i] .. row[i + 1].
 
     row: (n + 1,) int32, where each particle's row begins.
     near, far: (2s,) int32, the particle of the row, and the one at the other end.
@@ -26,11 +26,14 @@ class HalfSprings:
     half: np.ndarray
 
 
-def half_springs(between: np.ndarray, particle_count: int) -> HalfSprings:
-    """The compressed rows of the springs `between` (s, 2) among `particle_count` particles."""
+def half_springs(between: np.ndarray, particle_count: int, by_place: bool = False) -> HalfSprings:
+    """The compressed rows of the springs `between` (s, 2) among `particle_count` particles.
+
+    A row is in the order of the springs' numbers, or, `by_place`, of the other ends.
+    """
     s = len(between)
     near, far = between.ravel(), between[:, ::-1].ravel()
-    order = np.argsort(near, kind="stable")
+    order = np.lexsort((far, near)) if by_place else np.argsort(near, kind="stable")
     half = np.empty(2 * s, np.int32)
     half[order] = np.arange(2 * s, dtype=np.int32)
     row = np.zeros(particle_count + 1, np.int32)

@@ -74,6 +74,8 @@ def with_room_to_spare(
         needed,
         particles=factor * needed.particles + room,
         springs=factor * needed.springs + room,
+        columns=factor * needed.columns + (room if needed.columns else 0),
+        copies=factor * needed.copies + (room // 4 if needed.columns else 0),
         packs=factor * needed.packs + room,
         elements=factor * needed.elements + (TIES if takes_clicks and needed.elements else 0),
         closer=max(needed.closer, 16 * factor * needed.particles) if thick else 0,

@@ -65,7 +65,7 @@ class DeviceState:
         self.real: Real = np.float64 if launcher.device.real == "f64" else np.float32
         self._taken = snapshot
         self.solids = solids(snapshot.scene)
-        self._placements = Placements(snapshot.scene, self._needs, lanes)
+        self._placements = self._placements_of(snapshot.scene)
         self.topology = self.path = ""
         self.loads = 0
         self.pushed = self._held = False
@@ -77,6 +77,12 @@ class DeviceState:
         self._drawn_triangles: np.ndarray | None = None
         self._drawn_broken = 0
         self._surfaces = Surfaces()
+
+    def _placements_of(self, scene: Scene) -> Placements:
+        """Finds the placements of a scene."""
+        # Solvers go through springs in ways of their own.
+        packs = self._launcher.device.arch == "cpu" and self._method.claims.forces > 0
+        return Placements(scene, self._needs, self._lanes, packs)
 
     @property
     def altered(self) -> bool:

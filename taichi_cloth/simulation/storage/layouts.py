@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taichi_cloth.kernels.packs import PACKS
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.model import Springs
 from taichi_cloth.scene.stencils import Stencils
-from taichi_cloth.simulation.storage import adjacency, lines
+from taichi_cloth.simulation.storage import adjacency, lines, packing
 
 # Offsets (columns, rows) from a particle to those that come later and are tied to it.
 FORWARD = tuple((-column, -row) for kind in LINKS.values() for column, row in kind)
@@ -48,6 +49,7 @@ class Layout:
         grid, likewise; 0 on a graph.
     rows_share_stiffness: whether all rows of each grid, but the last ones, have the same links
         with the same stiffness.
+    rows: the half-springs of all springs, where rows of a graph are packed.
     """
 
     lanes: int
@@ -66,6 +68,7 @@ class Layout:
     row: int
     beside: int
     rows_share_stiffness: bool
+    rows: packing.PackedRows | None = None
 
     @property
     def reaches(self) -> tuple[tuple[int, int], ...]:
@@ -85,11 +88,14 @@ def on_graph(
     particle_count: int,
     sort: bool,
     stencils: Stencils | None = None,
+    packs: bool = False,
 ) -> Layout:
     """The layout in which particles stand one by one, and all springs are on the graph.
 
     Particles are in the order of their numbers, or, where `sort` allows it and springs reach far
     between those, in one in which neighbours are near in memory.
+
+    packs: whether rows may be packed, which those of large nets then are if that pays.
     """
     slot = np.arange(particle_count, dtype=np.int32)
     if sort and particle_count >= WORTH_SORTING and len(springs):
@@ -97,12 +103,17 @@ def on_graph(
         near[adjacency.banded_order(springs.between, particle_count)] = slot
         if _reach(springs, near) < 0.5 * _reach(springs, slot):
             slot = near
+    rows = _packed_rows(springs, slot) if packs else None
+    lanes, n_packs, grid = 1, particle_count, [0, 1, particle_count, 0]
+    if rows is not None:
+        lanes, n_packs = packing.LANES, rows.packs
+        grid = [0, (n_packs - rows.copies) // LOOSE_WIDTH, LOOSE_WIDTH, 0]
     return Layout(
-        lanes=1,
+        lanes=lanes,
         links=(),
-        n_packs=particle_count,
+        n_packs=n_packs,
         slot=slot,
-        grid=np.array([[0, 1, particle_count, 0]], np.int32),
+        grid=np.array([grid], np.int32),
         grid_of=np.zeros(1, np.int32),
         kind=np.full(len(springs), -1),
         owner=np.zeros(len(springs), np.int64),
@@ -114,7 +125,18 @@ def on_graph(
         row=1,
         beside=0,
         rows_share_stiffness=False,
+        rows=rows,
     )
+
+
+def _packed_rows(springs: Springs, slot: np.ndarray) -> packing.PackedRows | None:
+    """The packed rows of all springs between particles in the slots `slot`; None where the net is
+    small, or larger than kernels count, or other ends follow each other too seldom.
+    """
+    if len(slot) < WORTH_SORTING or not len(slot) <= len(springs) <= PACKS:
+        return None
+    slots = -(-len(slot) // (packing.LANES * LOOSE_WIDTH)) * packing.LANES * LOOSE_WIDTH
+    return packing.worth_packing(slot[springs.between], slots)
 
 
 def _reach(springs: Springs, slot: np.ndarray) -> float:

@@ -17,7 +17,7 @@ from taichi_cloth.simulation.snapshot import Snapshot, same_but_own
 from taichi_cloth.simulation.storage import containers, requirements
 from taichi_cloth.simulation.storage.containers import Container
 from taichi_cloth.simulation.storage.device_state import DeviceState, Loaded
-from taichi_cloth.simulation.storage.placement import Placement, Placements
+from taichi_cloth.simulation.storage.placement import Placement
 
 
 class Loading(DeviceState):
@@ -28,7 +28,7 @@ class Loading(DeviceState):
         if not _same_solids(self._taken.scene, snapshot.scene):
             self.solids = solids(snapshot.scene)
         if not _same_places(self._taken.scene, snapshot.scene):
-            self._placements = Placements(snapshot.scene, self._needs, self._lanes)
+            self._placements = self._placements_of(snapshot.scene)
         self._taken = snapshot
         self.pushed = False
 

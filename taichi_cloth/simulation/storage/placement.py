@@ -9,14 +9,16 @@ import numpy as np
 
 from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.forces.contract import CURVATURE
+from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.settings.options import TOPOLOGIES
-from taichi_cloth.simulation.storage import layouts
+from taichi_cloth.simulation.storage import layouts, packing
 from taichi_cloth.simulation.storage.layouts import Layout
 
 # Packs of more lanes take minutes to compile where stencils are summed besides springs.
 BENT_LANES = 4
+COLOURED = {"spring_colours", "particle_colours"}  # what methods need that take springs in turns
 
 
 @dataclass(frozen=True)
@@ -44,11 +46,15 @@ class Placement:
 class Placements:
     """Finds the placements of one scene, each once.
 
-    needs: what the method asks of the host (`kernels.methods`). lanes: particles in a pack.
+    needs: what the method asks of the host (`kernels.methods`). lanes: particles in a pack. packs:
+    whether rows of a graph may be packed, too.
     """
 
-    def __init__(self, scene: Scene, needs: Collection[str], lanes: int) -> None:
+    def __init__(
+        self, scene: Scene, needs: Collection[str], lanes: int, packs: bool = False
+    ) -> None:
         self._scene, self._needs, self._lanes = scene, needs, lanes
+        self._packs = packs and lanes >= packing.LANES
         self._terms = forces.present_in(scene)
         bends = any(forces.load(name).adds == CURVATURE for name in self._terms)
         self._stencils = scene.stencils if bends else Stencils.none()
@@ -57,7 +63,8 @@ class Placements:
 
     def topologies(self) -> list[str]:
         """The topologies that the scene can be stored in."""
-        return [name for name in TOPOLOGIES if self._layout(name) is not None]
+        # The graph takes any springs: its layout is not looked for where nobody asks for it.
+        return [name for name in TOPOLOGIES if name == "graph" or self._layout(name) is not None]
 
     def find(self, topology: str) -> Placement | None:
         """The placement in a topology; None for lanes, where the scene has no regular grid."""
@@ -103,9 +110,8 @@ class Placements:
         count = len(scene.particles)
         if topology == "graph":
             # Collisions add up in the order of the particles, which is then that of memory too.
-            return layouts.on_graph(
-                scene.springs, count, not scene.features().collisions, self._stencils
-            )
+            sort, packs = not scene.features().collisions, self._packs and self._is_simple()
+            return layouts.on_graph(scene.springs, count, sort, self._stencils, packs)
         period = layouts.any_period
         if "spring_colours" in self._needs:
             period = layouts.spring_period
@@ -113,6 +119,22 @@ class Placements:
             period = layouts.particle_period
         lanes = min(self._lanes, BENT_LANES) if len(self._stencils) else self._lanes
         return layouts.on_grids(scene.springs, count, lanes, period, self._terms, self._stencils)
+
+    def _is_simple(self) -> bool:
+        """Whether particles have nothing but springs, walls and terms of their own.
+
+        All else takes particles one by one, or minutes to compile in packs.
+        """
+        scene, features = self._scene, self._scene.features()
+        return not (
+            len(self._stencils)
+            or features.collisions
+            or features.obstacles
+            or features.held
+            or forces.act_on_triangles(scene)
+            or any(number.changes(self._terms) for number in NUMBERS)
+            or COLOURED & set(self._needs)
+        )
 
     def _sorted_springs(self, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
         """The springs that no grid holds, in the order of memory, and their colours."""

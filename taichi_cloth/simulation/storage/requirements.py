@@ -40,6 +40,7 @@ def specialization(
     features["fracture"] |= not snapshot.alive.all()
     terms = forces.present_in(scene)
     features["uniform_springs"] &= not any(number.changes(terms) for number in NUMBERS)
+    features["uniform_springs"] &= layout.rows is None  # lanes without a spring have other ones
     return Specialization(
         **features,
         faces=bool(met_by_faces(scene, solids)),
@@ -50,7 +51,11 @@ def specialization(
         stencils=listed,
         rows_share_stiffness=layout.rows_share_stiffness and not features["fracture"],
         compensated=device.compensated,
-        together=device.arch == "cpu" and _is_large_net(scene) and "lanes" not in topologies(),
+        together=layout.rows is None
+        and device.arch == "cpu"
+        and _is_large_net(scene)
+        and "lanes" not in topologies(),
+        packed_rows=layout.rows is not None,
         accounts_contacts=accounts_contacts and touches(scene, solids),
         threads=device.threads,
         one_launch_per_step=True,
@@ -71,6 +76,8 @@ def capacity(scene: Scene, solids: Sequence[Solid], placement: Placement) -> Cap
     return Capacity(
         particles=len(scene.particles),
         springs=len(placement.graph_springs),
+        columns=0 if layout.rows is None else len(layout.rows.run),
+        copies=0 if layout.rows is None else layout.rows.copies,
         packs=layout.n_packs,
         grids=len(layout.grid) + (clicked > 0 and bool(layout.grid[:, 3].all())),
         row=max(layout.row, clicked),

@@ -25,7 +25,7 @@ from taichi_cloth.scene.triangles import corner_shares, springs_of_sides
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import Numbers
 from taichi_cloth.simulation.snapshot import Snapshot
-from taichi_cloth.simulation.storage import adjacency, layouts
+from taichi_cloth.simulation.storage import adjacency, layouts, packing
 from taichi_cloth.simulation.storage.boxes import Real, collision_grid, inner_box
 from taichi_cloth.simulation.storage.placement import Placement, Placements
 
@@ -206,6 +206,10 @@ class Upload:
         layout, mine = self.placement.layout, self.placement.graph_springs
         springs, marks = self.snapshot.scene.springs.select(mine), self.snapshot.marks[mine]
         ends, slots = layout.slot[springs.between], layout.n_packs * layout.lanes
+        if layout.rows is not None:
+            half = adjacency.half_springs(ends, slots, layout.rows.by_place)
+            self._packed_rows(layout.rows, half, springs, marks)
+            return
         half = adjacency.half_springs(ends, slots)
         near, row = np.arange(slots), half.row
         if self.spec.links:  # only those that have any
@@ -226,6 +230,26 @@ class Upload:
             self._break_marks(springs, np.column_stack([ends, half.half, marks]))
         if self.spec.stencils:
             self._stencils(near)
+
+    def _packed_rows(
+        self,
+        rows: packing.PackedRows,
+        half: adjacency.HalfSprings,
+        springs: Springs,
+        marks: np.ndarray,
+    ) -> None:
+        """The springs, all of which are on the graph, as packed rows."""
+        arrays = rows.start, rows.run, _not_empty(rows.copied)
+        indices = [array.astype(np.int32) for array in arrays]
+        self._launch(transfer.load_packed_rows, *indices, rows.copies)
+        numbers = self._spring_numbers(springs)
+        numbers[marks[:, 0] == GONE] = 0
+        placed = np.zeros((len(rows.run) * packing.LANES, numbers.shape[1]), numbers.dtype)
+        placed[rows.place] = numbers[half.spring]
+        self._launch(transfer.load_spring_numbers, placed)
+        if self.spec.fracture:
+            places = half.near[half.half], rows.place[half.half], marks
+            self._break_marks(springs, np.column_stack(places))
 
     def _half_springs(self, near: np.ndarray, row: np.ndarray, far: np.ndarray) -> None:
         """Compressed rows: those of the slots `near` begin at `row`, with far ends `far`."""

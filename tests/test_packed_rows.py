@@ -1,0 +1,132 @@
+"""Rows of a graph in packs: the same sums, to the last bit, whatever a net looks like."""
+
+from dataclasses import replace
+
+import inside
+import numpy as np
+import pytest
+
+from taichi_cloth.benchmarks.cloths import sheet
+from taichi_cloth.scene.library import build
+from taichi_cloth.scene.model import Springs
+from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.simulation.storage import adjacency, layouts, packing
+
+
+@pytest.fixture
+def small_nets(monkeypatch):
+    """Rows of nets of any size are packed."""
+    monkeypatch.setattr(layouts, "WORTH_SORTING", 0)
+
+
+def net(seed, count, most=7):
+    """Ends of springs of a net in no order: some particles have many, some none."""
+    rng = np.random.default_rng(seed)
+    between = rng.integers(count, size=(count * most // 4, 2))
+    return between[between[:, 0] != between[:, 1]]
+
+
+def lattice(columns, rows, layers):
+    """Ends of springs along the axes of a lattice, particle by particle."""
+    at = np.arange(columns * rows * layers).reshape(layers, rows, columns)
+    along = [(at[:, :, :-1], at[:, :, 1:]), (at[:, :-1], at[:, 1:]), (at[:-1], at[1:])]
+    between = np.concatenate([np.stack([a, b], axis=-1).reshape(-1, 2) for a, b in along])
+    return between[np.lexsort(between.T[::-1])]
+
+
+@pytest.mark.parametrize(
+    "between, count, copied",
+    [
+        (lattice(9, 7, 5), 320, 0.1),
+        (lattice(64, 2, 3), 384, 0.1),
+        (net(1, 64), 64, 1.0),
+        (net(2, 640, most=30), 640, 1.0),
+        (np.zeros((0, 2), np.int64), 16, 0.0),
+    ],
+)
+def test_every_half_spring_is_read_once_in_its_row_s_order(between, count, copied):
+    half = adjacency.half_springs(between, count)
+    rows = packing.packed(half)
+    packs, columns = count // packing.LANES, len(rows.run)
+    assert rows.start[0] == 0 and rows.start[-1] == columns
+    assert rows.packs == packs + rows.copies and rows.copies <= copied * columns
+    column, lane = np.divmod(rows.place, packing.LANES)
+    np.testing.assert_array_equal(lane, half.near % packing.LANES)
+    # What a column reads: of particles, or of copies.
+    slot = np.append(np.arange(count), rows.copied)
+    np.testing.assert_array_equal(slot[rows.run[column] + lane], half.far)
+    assert (rows.run >= 0).all() and (rows.run + packing.LANES <= len(slot)).all()
+    for i in range(count):
+        mine = column[half.row[i] : half.row[i + 1]]
+        pack = i // packing.LANES
+        assert (np.diff(mine) > 0).all()
+        assert ((rows.start[pack] <= mine) & (mine < rows.start[pack + 1])).all()
+
+
+def torn(scene, every):
+    """A scene without some of its springs, so that no rows of its are alike."""
+    s = scene.springs
+    kept = np.random.default_rng(3).random(len(s)) > 1 / every
+    return replace(scene, springs=s.select(kept))
+
+
+def scenes():
+    """Nets with and without dashpots, in space and in a plane, whole, torn and tearing."""
+    warp = build("warp", side=20)
+    cloth = build("cloth", columns=30, rows=24)
+    return {"dashpots": warp, "torn": torn(warp, 12), "breaking": cloth}
+
+
+@pytest.mark.parametrize(
+    "name, method",
+    [("dashpots", "symplectic_euler"), ("torn", "verlet"), ("breaking", "symplectic_euler")],
+)
+def test_a_net_moves_as_one_by_one_to_the_last_bit(name, method, small_nets):
+    scene = scenes()[name]
+    substeps = 8 if name == "breaking" else 16
+    rng = np.random.default_rng(5)
+    push = rng.normal(0, 0.3 if name != "breaking" else 6.0, scene.particles.position.shape)
+    scene.particles.velocity[:] = np.where(scene.particles.fixed[:, None], 0.0, push)
+    given = {"method": method, "substeps": substeps, "topology": "graph"}
+    one, packed = (
+        Simulation(scene, execution=path, lanes=lanes, **given)
+        for path, lanes in (("serial", 1), ("parallel", None))
+    )
+    assert not inside.spec_of(one).packed_rows and inside.spec_of(packed).packed_rows
+    for _ in range(3):
+        one.advance(2)
+        packed.advance(2)
+        np.testing.assert_array_equal(one.positions(), packed.positions())
+        np.testing.assert_array_equal(one.velocities(), packed.velocities())
+        np.testing.assert_array_equal(one.springs_alive(), packed.springs_alive())
+        np.testing.assert_array_equal(one.forces(), packed.forces())
+    assert packed.springs_alive().all() == (name != "breaking")
+    if name == "breaking":  # a checkpoint, and a load, of a net with springs that are gone
+        checkpoint = packed.checkpoint()
+        packed.advance(3)
+        after = packed.positions()
+        packed.restore(checkpoint)
+        packed.advance(3)
+        np.testing.assert_array_equal(packed.positions(), after)
+        one.advance(3)
+        np.testing.assert_array_equal(one.positions(), after)
+        for sim in (one, packed):
+            sim.spawn((50.0, 300.0))  # the springs are stored anew
+            sim.advance(2)
+        np.testing.assert_array_equal(one.positions(), packed.positions())
+
+
+def test_a_shuffled_sheet_is_packed_in_our_order_and_a_tangle_is_not(small_nets):
+    scene = sheet(80)
+    given = {"substeps": 16, "topology": "graph", "execution": "serial", "dt": 0.08 / 80}
+    one, packed = (Simulation(scene, lanes=lanes, **given) for lanes in (1, None))
+    assert inside.spec_of(packed).packed_rows
+    for sim in (one, packed):
+        sim.advance(3)
+    assert np.abs(one.positions() - scene.particles.position).max() > 1e-4
+    np.testing.assert_allclose(packed.positions(), one.positions(), atol=1e-12)
+
+    between = np.unique(np.sort(net(4, len(scene.particles)), axis=1), axis=0)
+    tangle = Springs.build(between, scene.particles.position)
+    sim = Simulation(replace(scene, springs=tangle), **given)
+    assert not inside.spec_of(sim).packed_rows
