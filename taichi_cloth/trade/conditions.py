@@ -24,7 +24,8 @@ class RunConditions:
     topology, execution, threads: as in `run`, the first two never "auto": to measure which is
     fastest takes longer than a whole study. budget: seconds of timing for each setting;
     patience: seconds for the references. solver_errors: whether solvers are run converged, too.
-    clock: when it has to end, and leave out the rest.
+    clock: when it has to end, and leave out the rest. accounts: whether what contacts do to the
+    energy is accounted for.
     """
 
     topology: str
@@ -34,6 +35,7 @@ class RunConditions:
     patience: float = 20.0
     solver_errors: bool = True
     clock: Clock = field(default_factory=Clock)
+    accounts: bool = True
 
     def of_trial(self, process: settings.Process) -> dict[str, Any]:
         """How a trial in a process of these kinds runs its scene, as its class takes it."""
@@ -45,6 +47,7 @@ class RunConditions:
             "threads": self.threads if arch == "cpu" else None,
             "topology": self.topology,
             "execution": "parallel" if arch != "cpu" else self.execution,
+            "accounts": self.accounts,
         }
 
     def words(self) -> list[str]:

@@ -28,7 +28,8 @@ _started: dict[Process, runtime.Device] = {}
 class Trial:
     """A simulation that is compiled once and run at many steps.
 
-    scene: file of a pickled `Scene`, written by the parent.
+    scene: file of a pickled `Scene`, written by the parent. accounts: whether what contacts do to
+    the energy is accounted for, where there can be any.
     """
 
     def __init__(
@@ -41,9 +42,11 @@ class Trial:
         threads: int | None,
         topology: str,
         execution: str,
+        accounts: bool = True,
     ):
         device = _start(arch, precision, fast_math, threads)
-        made, account = _load(scene), arch == "cpu"  # on a GPU it takes too many launches
+        made = _load(scene)
+        account = accounts and arch == "cpu"  # on a GPU it takes too many launches
         self._sim = self._watched = Simulation(
             made,
             method,

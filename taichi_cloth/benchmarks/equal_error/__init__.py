@@ -15,7 +15,14 @@ from pathlib import Path
 
 from taichi_cloth.benchmarks.contest import Bench
 from taichi_cloth.benchmarks.equal_error import picture, runs_file
-from taichi_cloth.benchmarks.equal_error.contestants import OURS, CannotEnter, Entrant, Kind, kinds
+from taichi_cloth.benchmarks.equal_error.contestants import (
+    OURS,
+    CannotEnter,
+    Entrant,
+    Kind,
+    kinds,
+    unfit,
+)
 from taichi_cloth.benchmarks.equal_error.problems import (
     STIFFER,
     Problem,
@@ -76,7 +83,8 @@ def measure(bench: Bench) -> Iterator[Measurement]:
     searched = _search_file(bench)
     if searched is not None and searched.exists():
         runs_file.read(searched)  # what there is can be joined
-    takers = _takers(bench)
+    if bench.quick:
+        bench.leave_out(PART, "everyone", f"Warp's cloth, {STIFFER[-1]} × k", "left to a whole run")
     rows: list[Measurement] = []
     folder = _folder(bench)
     try:
@@ -85,7 +93,7 @@ def measure(bench: Bench) -> Iterator[Measurement]:
             ending(bench.piece.clock),
         ):
             for problem in wanted:
-                rows += _scene(bench, problem, takers, journal)
+                rows += _scene(bench, problem, journal)
         folder.rmdir()
     except TimeIsUp:
         for problem in wanted:
@@ -95,19 +103,18 @@ def measure(bench: Bench) -> Iterator[Measurement]:
     yield from rows
 
 
-def _takers(bench: Bench) -> list[Kind]:
-    """All whose packages are installed; notes the others."""
+def _takers(bench: Bench, problem: Problem) -> list[Kind]:
+    """All that can solve the problem and whose packages are installed; notes the others."""
     takers = []
-    for kind in kinds(bench.quick):
-        if machine.installed(kind.package):
-            takers.append(kind)
+    for kind in kinds(bench.quick, problem.touching):
+        why = unfit(kind, problem)
+        if not machine.installed(kind.package):
+            what = f'pip install "taichi-cloth[bench]" (or {kind.package})'
+            bench.leave_out(PART, kind.group, "all scenes", what)
+        elif why:
+            bench.leave_out(PART, kind.group, problem.name, why)
         else:
-            why = f'pip install "taichi-cloth[bench]" (or {kind.package})'
-            bench.leave_out(PART, kind.name, "all scenes", why)
-    bench.leave_out(PART, "Newton, Style3D", "all scenes", "it has triangles, and no springs")
-    bench.leave_out(PART, "everyone", "a drape with contacts", "is not among the scenes yet")
-    if bench.quick:
-        bench.leave_out(PART, "everyone", f"Warp's cloth, {STIFFER[-1]} × k", "left to a whole run")
+            takers.append(kind)
     return takers
 
 
@@ -135,9 +142,7 @@ def _search_file(bench: Bench) -> Path | None:
     return bench.results / name if bench.results is not None else None
 
 
-def _scene(
-    bench: Bench, problem: Problem, takers: Sequence[Kind], journal: Journal
-) -> list[Measurement]:
+def _scene(bench: Bench, problem: Problem, journal: Journal) -> list[Measurement]:
     """The rows of a scene, from the journal where it is finished there; puts its runs into the
     file of the search, and draws that anew.
     """
@@ -147,7 +152,7 @@ def _scene(
         before = len(bench.left_out)
         runs: list[SearchRun] = []
         try:
-            rows = _measure(bench, problem, takers, runs, journal)
+            rows = _measure(bench, problem, runs, journal)
         except TimeIsUp:
             del bench.left_out[before:]  # of a scene that has no rows yet
             raise
@@ -174,11 +179,11 @@ def _scene(
 def _measure(
     bench: Bench,
     problem: Problem,
-    takers: Sequence[Kind],
     runs: list[SearchRun],
     journal: Journal,
 ) -> list[Measurement]:
     """The rows of a scene; runs: gets all runs of the search."""
+    takers = _takers(bench, problem)
     limit = QUICK_LIMIT if bench.quick else LIMIT
     truth = truth_of(problem, QUICK_PATIENCE if bench.quick else PATIENCE, bench.tell, journal)
     if isinstance(truth, str):

@@ -27,6 +27,7 @@ MOST_SUBSTEPS = 1 << 16
 ITERATIONS, QUICK_ITERATIONS = (1, 2, 5, 10, 20, 50), (2, 10)
 TOLERANCES = tuple(10.0**-k for k in range(1, 13))
 OUR_TOLERANCES, QUICK_TOLERANCES = (1e-2, 1e-4, 1e-6), (1e-4,)  # of our implicit methods
+CONTACTS = (1e3, 1e5)  # N/m
 QUICK_METHODS = ("verlet", "rk4", "tr_bdf2")
 # Seconds for timing a choice in the search, and of a run that is itself timing enough.
 BUDGET, LONG = 0.1, 1.0
@@ -49,21 +50,37 @@ class Kind:
     package: str = "taichi"
 
 
-def kinds(quick: bool) -> Iterator[Kind]:
-    """All that take part."""
-    yield from _ours(quick)
+def kinds(quick: bool, touching: bool = False) -> Iterator[Kind]:
+    """All that take part; touching: in a scene with contacts.
+
+    There ours run on the graph, as contacts in lanes take minutes to compile, and each of Newton's
+    solvers whose contacts are springs takes part with each of their stiffnesses.
+    """
+    yield from _ours(quick, "graph" if touching else "lanes")
     counts = QUICK_ITERATIONS if quick else ITERATIONS
     for name, (solver, iterates) in newton_model.SOLVERS.items():
         ladders = [_steps(iterations=count) for count in (counts if iterates else (None,))]
-        trial, arguments = f"{HERE}.newton_runs:NewtonTrial", {"solver": solver}
-        yield Kind(name, name, trial, arguments, tuple(ladders), "f32", "newton")
+        trial = f"{HERE}.newton_runs:NewtonTrial"
+        for k in CONTACTS if touching and solver in newton_model.PENALTIES else (0.0,):
+            arguments = {"solver": solver, "contact_stiffness": k}
+            full = f"{name}, contacts of {k:g} N/m" if k else name
+            yield Kind(name, full, trial, arguments, tuple(ladders), "f32", "newton")
     ladder = tuple(Choice(tolerance=tolerance) for tolerance in TOLERANCES)
     for name, solver in SCIPY.items():
         trial = f"{HERE}.scipy_runs:ScipyTrial"
         yield Kind(name, name, trial, {"solver": solver}, (ladder,), package="scipy")
 
 
-def _ours(quick: bool) -> Iterator[Kind]:
+def unfit(kind: Kind, problem: Problem) -> str:
+    """Why a solver cannot take part in a scene; '': it can."""
+    if kind.package == "newton":
+        return newton_model.lacking(problem.scene, kind.arguments["solver"])
+    if kind.package == "scipy" and problem.touching:
+        return "contacts are no part of a differential equation"
+    return ""
+
+
+def _ours(quick: bool, topology: str) -> Iterator[Kind]:
     from taichi_cloth.kernels import methods
 
     counts = QUICK_ITERATIONS if quick else ITERATIONS
@@ -86,8 +103,9 @@ def _ours(quick: bool) -> Iterator[Kind]:
                 "precision": precision,
                 "fast_math": precision == "f32",
                 "threads": TIMED_ALONE,
-                "topology": "lanes",
+                "topology": topology,
                 "execution": "serial",
+                "accounts": False,
             }
             name, trial = f"{OURS}, {method}, {precision}", "taichi_cloth.trade.trial:Trial"
             yield Kind(OURS, name, trial, arguments, ladders, precision)

@@ -15,12 +15,14 @@ from taichi_cloth.benchmarks.newton_model import Stepper, model_of
 class NewtonTrial:
     """Runs in the contestants' process, asked as `trade.trial.Trial` is.
 
-    scene: file of a pickled `Scene`. solver: the name of Newton's class.
+    scene: file of a pickled `Scene`. solver: the name of Newton's class. contact_stiffness: of its
+    contacts, where they are springs.
     """
 
-    def __init__(self, scene: str, solver: str):
+    def __init__(self, scene: str, solver: str, contact_stiffness: float = 0.0):
         self._scene = pickle.loads(Path(scene).read_bytes())
-        self._solver, self._model = solver, model_of(self._scene)
+        self._solver = solver
+        self._model = model_of(self._scene, solver, contact_stiffness)
         self._compiled = False
 
     def sample(

@@ -11,9 +11,12 @@ from taichi_cloth.console import Tell
 from taichi_cloth.sweeps.journal import Journal, key_of
 from taichi_cloth.trade.conditions import RunConditions
 from taichi_cloth.trade.errors import Samples, distance
-from taichi_cloth.trade.reference import fine_method
+from taichi_cloth.trade.reference import coarsest, fine_method
 from taichi_cloth.trade.runner import Study
 from taichi_cloth.trade.settings import Setting
+
+ANOTHER = "verlet"  # which confirms where there are contacts,
+OTHER_FINER = 16  # at steps so many times finer than the coarsest of the reference's runs
 
 
 @dataclass(frozen=True)
@@ -71,13 +74,18 @@ def compute(problem: Problem, patience: float, tell: Tell, journal: Journal) -> 
 
     DOP853 at a tolerance of 1e-13, confirmed by ours of the highest order in f64 at fine steps, or
     that alone, confirmed by steps four times as long, where the former takes too long; both over as
-    many of the frames as round-off leaves alone. patience: seconds for each of them. journal: has
+    many of the frames as round-off leaves alone. Where there are contacts, no solution is smooth:
+    there it is ours at fine steps, confirmed by steps four times as long and by ANOTHER method, and
+    the floor is not below what that differs by. patience: seconds for each of them. journal: has
     the runs that are finished, and gets them.
     """
     scene = problem.scene
     # What a study compares is of no interest here: one run, beside its references.
     asked = [Setting(fine_method(), scene.world.dt, 1)]
-    how = RunConditions("lanes", "serial", threads=1, budget=0.0, patience=patience)
+    if problem.touching:
+        asked = [Setting(ANOTHER, scene.world.dt, OTHER_FINER * coarsest(scene, scene.world.dt))]
+    stored = "graph" if problem.touching else "lanes"  # contacts in lanes take minutes to compile
+    how = RunConditions(stored, "serial", threads=1, budget=0.0, patience=patience, accounts=False)
     study = Study([scene], asked, problem.frames, how, journal=journal)
     study.tell = lambda text, done, total: tell(f"{problem.name}: reference: {text}", done, total)
     try:
@@ -91,6 +99,13 @@ def compute(problem: Problem, patience: float, tell: Tell, journal: Journal) -> 
         apart = found.apart.trajectory / horizon.scale
         what = f"{found.what}, confirmed by {found.against} to {apart:.1e}"
         free = ~scene.particles.fixed
+        if problem.touching:
+            (other,) = result.outcomes
+            if not other.ok:
+                return f"its reference is not confirmed: {other.setting.describe()} {other.status}"
+            beside = distance(other.samples(), found.samples, free).trajectory / horizon.scale
+            floor = max(floor, beside)
+            what += f", and by {ANOTHER} with {other.setting.substeps} substeps to {beside:.1e}"
         speed = float(np.linalg.norm(found.samples.v[:, free], axis=2).max())
         return Truth(found.samples.first(horizon.frames), free, what, horizon.scale, floor, speed)
     finally:
