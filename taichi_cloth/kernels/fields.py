@@ -57,7 +57,7 @@ class Fields:
 
     real: ti.f32 or ti.f64; capacity: a `Capacity`; packs: how many there is room for.
     number_names, count_names, vector_names, particle_names: of the fields that the host loads.
-    by_component: the fields of vectors that lie so (`packs.py`).
+    by_component: the fields of vectors that lie so (`packs.py`), and how many slots each has.
     """
 
     def __init__(self, real, capacity):
@@ -74,13 +74,15 @@ class Fields:
     def _counts(self, *shape):
         return placed(self._integers, ti.field(ti.i32), *shape)
 
-    def _pack_vectors(self, spec, packs=None, tree=None):
+    def _pack_vectors(self, spec, packs=None, tree=None, copied=False):
+        """Place a field of vectors; copied: with room for copies, where rows are packed."""
         tree, packs = tree or self._reals, packs or self.packs
         if spec.lanes == 1:
             return placed(tree, ti.Vector.field(spec.dim, self.real), packs)
         if spec.packed_rows:  # all first components, then all second ones
-            field = placed(tree, ti.field(self.real), spec.dim * packs * spec.lanes)
-            self.by_component.append(field)
+            room = (packs + self.capacity.copies * copied) * spec.lanes
+            field = placed(tree, ti.field(self.real), spec.dim * room)
+            self.by_component.append((field, room))
             return field
         return placed(tree, ti.field(self.real), packs, spec.dim * spec.lanes)
 

@@ -132,8 +132,9 @@ def _described(state, name, field):
         kind, columns = VECTORS, [field.n]
     of_links = rows != state.packs and rows % state.packs == 0 and name.startswith(("link", "line"))
     blocks = rows // state.packs if of_links else 1
-    if any(field is of for of in state.by_component):
-        blocks = rows // (state.lanes * state.packs)
+    for of, room in state.by_component:
+        if field is of:
+            blocks = rows // room
     width, whole = columns[0] if columns else 1, field.dtype == ti.i32
     return Kept(name, field, kind, blocks, rows // blocks, width, whole)
 
@@ -146,7 +147,7 @@ def in_use(state, packs, particles, springs, patches):
     room, rows = state.capacity, {}
     counts = (
         (state.packs, packs),
-        (state.lanes * state.packs, state.lanes * packs),  # in packed rows
+        *((slots, state.lanes * packs) for _, slots in state.by_component),
         (room.particles, particles),
         (room.springs, springs),
         (2 * room.springs, 2 * springs),

@@ -155,23 +155,21 @@ class State(ContactFields):
         Vectors are best read there.
         """
         vectors = list(method.vectors)
-        for name in ("x", "v", "a", "saved_x", "saved_v"):
-            setattr(self, name, self._pack_vectors(spec))
+        names = ["x", "v", "a", "saved_x", "saved_v"]
+        haloed = ["x", "v"] if reads_velocity(spec) else ["x"]
         if spec.compensated:
-            for name in ("x_low", "v_low", "saved_x_low", "saved_v_low"):
-                setattr(self, name, self._pack_vectors(spec))
+            names += ["x_low", "v_low", "saved_x_low", "saved_v_low"]
+            haloed.append("x_low")
             vectors += method.low_vectors
-        for name in vectors:
-            setattr(self, name, self._pack_vectors(spec))
+        read_by_neighbours = {*haloed, *method.haloed}
+        for name in (*names, *vectors):
+            setattr(self, name, self._pack_vectors(spec, copied=name in read_by_neighbours))
         for name in method.numbers:
             setattr(self, name, self._pack_numbers(spec))
         self.w = self._pack_numbers(spec)
         self.particle = self._pack_counts(spec)
         self.slot = self._counts(max(self.capacity.particles, 1))
-        self.haloed = (self.x, self.v) if reads_velocity(spec) else (self.x,)
-        if spec.compensated:
-            self.haloed = (*self.haloed, self.x_low)
-        self.haloed_motion = self.haloed
+        self.haloed = self.haloed_motion = tuple(getattr(self, name) for name in haloed)
         self.haloed += tuple(getattr(self, name) for name in method.haloed)
         if spec.keeps_begun:
             self.begun_x, self.begun_v = self._pack_vectors(spec), self._pack_vectors(spec)
@@ -391,7 +389,7 @@ class State(ContactFields):
 
         haloed: whether neighbours read it, so that its halos are to be renewed.
         """
-        field = self._pack_vectors(spec, tree=(tree := ti.FieldsBuilder()))
+        field = self._pack_vectors(spec, tree=(tree := ti.FieldsBuilder()), copied=haloed)
         self.trees.append(tree.finalize())
         setattr(self, name, field)
         if haloed:

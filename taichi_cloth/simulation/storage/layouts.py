@@ -107,7 +107,7 @@ def on_graph(
     lanes, n_packs, grid = 1, particle_count, [0, 1, particle_count, 0]
     if rows is not None:
         lanes, n_packs = packing.LANES, rows.packs
-        grid = [0, (n_packs - rows.copies) // LOOSE_WIDTH, LOOSE_WIDTH, 0]
+        grid = [0, n_packs // LOOSE_WIDTH, LOOSE_WIDTH, 0]
     return Layout(
         lanes=lanes,
         links=(),

@@ -9,7 +9,10 @@ import numpy as np
 from taichi_cloth.simulation.storage.adjacency import HalfSprings, half_springs
 
 LANES = 8  # rows in a pack: 16 take three times as long to compile, and are no faster
-MOST_COPIES = 0.25  # of the columns: each is a pack more in every field of packs
+# Parts of the columns. With more copies than these, the other order may need fewer; with more than
+# these, rows stay as they are: even if all columns need copies packs are faster in a processor's
+# caches, but copies take memory.
+FEW_COPIES, MOST_COPIES = 0.25, 0.5
 
 
 @dataclass(frozen=True)
@@ -18,7 +21,7 @@ class PackedRows:
 
     start: (p + 1,), the first column of each pack. run: (c,), the slot at which its other ends
     begin. place: (2s,), where each half-spring lies: its column times LANES, plus its lane.
-    copied: (e * LANES,), the slots of what is copied; copy n is pack p + n.
+    copied: (e * LANES,), the slots of what is copied; copy n comes as pack p + n.
     by_place: whether rows are in the order of the other ends (`adjacency.half_springs`).
     """
 
@@ -30,8 +33,8 @@ class PackedRows:
 
     @property
     def packs(self) -> int:
-        """How many there are, with the copies."""
-        return len(self.start) - 1 + self.copies
+        """How many there are, without copies."""
+        return len(self.start) - 1
 
     @property
     def copies(self) -> int:
@@ -45,11 +48,12 @@ def worth_packing(between: np.ndarray, slot_count: int) -> PackedRows | None:
     slot_count: a multiple of LANES. Rows are in the order of the springs' numbers where that will
     do. In a mesh it seldom does: its edges are numbered otherwise than its vertices.
     """
-    for by_place in (False, True):
-        rows = packed(half_springs(between, slot_count, by_place))
-        if rows.copies <= MOST_COPIES * len(rows.run):
-            return replace(rows, by_place=by_place)
-    return None
+    rows = packed(half_springs(between, slot_count))
+    if rows.copies > FEW_COPIES * len(rows.run):
+        other = packed(half_springs(between, slot_count, by_place=True))
+        if other.copies < rows.copies:
+            rows = replace(other, by_place=True)
+    return rows if rows.copies <= MOST_COPIES * len(rows.run) else None
 
 
 def packed(half: HalfSprings) -> PackedRows:
