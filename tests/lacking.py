@@ -23,6 +23,7 @@ def needs(there, what):
 needs_x = needs(shutil.which("Xvfb") and shutil.which("xdotool"), "Xvfb and xdotool")
 needs_vulkan = needs(runtime.vulkan_available(), "Vulkan")
 needs_compiler = needs(shutil.which("g++"), "g++")
+needs_peers = needs(importlib.util.find_spec("newton"), 'pip install -e ".[bench]"')
 needs_mkdocs = needs(importlib.util.find_spec("mkdocstrings"), 'pip install -e ".[docs]"')
 
 # The views as a test's parameters: only one of them can be without Vulkan.

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from goldens import golden
-from lacking import needs_compiler
+from lacking import needs_compiler, needs_peers
 from selection import thorough
 
 from taichi_cloth import benchmarks, runtime
@@ -102,9 +102,10 @@ def test_the_compiled_mesh_agrees_with_ours_in_every_order(bench, pool):
         assert contest.distance(entered.marks[4], sim.positions()) < 20 * np.spacing(np.float32(2))
 
 
+@needs_peers
+@thorough
 def test_cloth_of_warp_is_ours(tmp_path):
     """The same particles in the same order, the same springs with the same numbers."""
-    pytest.importorskip("warp")
     theirs, scene = warp_part.their_cloth(9, tmp_path), library.build("warp", side=9)
     np.testing.assert_allclose(scene.particles.position, theirs.positions, atol=1e-6)
     np.testing.assert_array_equal(scene.particles.fixed, theirs.inv_masses == 0)
