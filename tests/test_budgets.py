@@ -597,6 +597,21 @@ def test_what_a_budget_came_to_is_counted_from_its_choice_on(pool):
     assert budget.summary().startswith("hold 60fps: held in 100 % of 2 frames")
 
 
+def test_an_error_that_was_held_is_counted_by_the_frames_that_were_measured(pool):
+    """Not those of a second in which nothing moved, or whose error is not sure."""
+    sim, errors = pool(library.build("cloth", columns=4, rows=3)), Errors()
+    budget = HeldBudget(sim, errors, windowed=False, told=False)
+    budget.choose("1%")
+    budget.after_frame(1e-3, 0.0)
+    assert "held in no frame that was measured" in budget.summary()
+    good = Verdict(0, 60, error=0.5, scale=100.0, size=1.0, by_frame=[0.5] * 60, judged=60)
+    half = replace(good, error=9.0, by_frame=[0.5, 12.0] * 30)
+    unsure, still = replace(half, trouble="two references differ"), replace(half, size=1e9)
+    errors.verdicts = (good, half, unsure, still)
+    said = "held in 75 % of 120 frames that were measured, and over 1 of 2 windows as a whole"
+    assert said in budget.summary()
+
+
 @pytest.mark.parametrize(
     ("scene", "goal", "name"),
     [

@@ -366,6 +366,11 @@ def test_parts_of_the_error_are_told_apart(judge, tmp_path):
     square = ((np.array(exact) - np.array(window.shown))[1:, free] ** 2).sum(axis=2)
     assert verdict.solver == pytest.approx(np.sqrt(square.mean()), rel=1e-3)
     assert verdict.rounding < verdict.solver
+    by_frame = np.array(verdict.by_frame)
+    assert np.sqrt((by_frame**2).mean()) == pytest.approx(verdict.error)
+    aim = np.median(by_frame) / verdict.scale * (1 + 1e-9)
+    within = [verdict.frames_within(part) for part in (0, aim, 1)]
+    assert within == [0, verdict.judged // 2, verdict.judged]
     said = verdict.describe(in_metres=True)
     assert re.match(r"error over the last second: [\d.]+ % \([\d.]+ m\), of which solver", said)
 

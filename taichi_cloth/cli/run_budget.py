@@ -231,9 +231,13 @@ class HeldBudget:
         else:
             since = self._errors.verdicts[self._earlier :]
             known = [v for v in since if v.known and not (v.resting or v.trouble)]
-            kept = sum(v.relative <= (goal.error or 0.0) for v in known)
-            held = f"{kept} of {counted(len(known), 'window')}" if known else "no window"
-            held += " that was measured" if len(known) < 2 else " that were measured"
+            aim = goal.error or 0.0
+            kept, frames = sum(v.relative <= aim for v in known), sum(v.judged for v in known)
+            held = "no frame that was measured"
+            if known:
+                within = sum(v.frames_within(aim) for v in known)
+                held = f"{100 * within / frames:.3g} % of {frames} frames that were measured, "
+                held += f"and over {kept} of {counted(len(known), 'window')} as a whole"
         return f"hold {goal.words}: held in {held}, by {how}; now {self.why}"
 
 

@@ -203,11 +203,12 @@ class Judge:
         samples = found.sure or len(found.finest) - 1
         finest, seen = found.finest.first(samples), shown.first(samples)
         scale, _ = reference.extent(scene, finest)
+        by_frame = errors.rms_by_frame(seen, finest, free)[1:].tolist()
         error = errors.distance(seen, finest, free).trajectory
         apart = errors.distance(found.before.first(samples), finest, free).trajectory
         verdict = replace(
             verdict, error=error, scale=scale, apart=apart, substeps=found.substeps,
-            judged=samples * window.stride,
+            judged=samples * window.stride, by_frame=by_frame,
         )  # fmt: skip
         if not found.sure:
             what = f"two references differ by {apart / scale:.1e} of the motion"

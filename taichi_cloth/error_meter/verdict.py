@@ -35,7 +35,8 @@ class Verdict:
     growth: the rate at which a disturbance of a millionth grew [1 / frame], 0 where it did not,
     None where there was no time to see.
     seconds: that it took. trouble: why there is no error, or why it is not sure; "": it is.
-    judged: how many of its frames, from the first on, that is said of; further: why not of all.
+    judged: how many of its frames, from the first on, that is said of; further: why not of all;
+    by_frame: the root over the particles alone, at the end of each of them, or of each so many.
     """
 
     first: int
@@ -57,6 +58,7 @@ class Verdict:
     others: dict[str, Sequence[tuple[int, float]]] = field(default_factory=dict)
     judged: int = 0
     further: str = ""
+    by_frame: Sequence[float] = ()
 
     @property
     def end(self) -> int:
@@ -72,6 +74,11 @@ class Verdict:
     def relative(self) -> float:
         """The error in parts of the scale."""
         return self.error / self.scale
+
+    def frames_within(self, part: float) -> int:
+        """How many of the frames that were judged are wrong by at most so much of the scale."""
+        within = sum(error <= part * self.scale for error in self.by_frame)
+        return round(self.judged * within / max(len(self.by_frame), 1))
 
     @property
     def resting(self) -> bool:
