@@ -3,7 +3,7 @@
 Each second that was measured says how many substeps it would have taken, by e ~ h^p: p is the order
 that was measured in that second where finer steps are asked for, and at least the method's claim
 where coarser ones are, so that what is not known makes steps finer. What is chosen is enough for
-the worst of the last seconds but one in twenty, with a margin: a second to come may be worse.
+the worst of the last seconds but one in fifty, with a margin: a second to come may be worse.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ import numpy as np
 from taichi_cloth.budgets.choice import Choice, Limits, steps_in_words
 from taichi_cloth.console import percent
 
-LATELY = 20  # seconds that are looked at
-MISSED = 0.05  # of these, which may ask for more than is chosen
-MARGIN = 0.6  # of the error that is wanted: what is aimed at
+LATELY = 60  # seconds that are looked at
+MISSED = 0.02  # of these, which may ask for more than is chosen
+MARGIN = 0.5  # of the error that is wanted: what is aimed at
 FIRST = 8  # times the fewest: until a second was measured
 UNSEEN = 2  # times as many while springs tear, until a second was measured in which they do
 FARTHEST = 4.0  # times: by how much a single second may ask for more
 LOWEST = 0.6  # order that is counted on at least
 HELPLESS = 0.4  # order below which finer steps are no help
 UNTOLD = 0.1  # of an error: what steps have made of it may be so much less than what is told
-PATIENCE = 4  # seconds with as many substeps before there may be fewer, at least half
+PATIENCE = 8  # seconds with as many substeps before there may be fewer, at least half
 UNSURE = 3  # seconds in a row without a sure error: then there is none to keep to
 
 
