@@ -25,7 +25,7 @@ SPREAD_LOOP = 50e-6  # of a loop that Taichi spreads over threads
 MEETING = 1.5e-6  # of threads at the barriers of a pass over all springs
 SHARED = 0.55  # part of the work that remains for each of two threads
 # Seconds a particle and a spring, in a pass over all of them; on a graph one by one: where its rows
-# are packed it takes some 0.25 to 0.5 of that, which is more than in lanes, so it changes no choice.
+# are packed it takes some 0.25 to 0.5 of that, which is more than in lanes and changes no choice.
 PASS = {"lanes": (2.4e-9, 0.8e-9), "graph": (2.0e-9, 4.4e-9)}
 # Seconds a stencil of bending and a triangle in air, in each pass; a spring that may break, a step.
 BENDING = {"lanes": 4e-9, "graph": 5e-9}
