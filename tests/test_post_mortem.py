@@ -1,6 +1,7 @@
 """Why a run failed, and what survives: named, tried, written, and shown, with no bit changed."""
 
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import failing_runs
@@ -15,8 +16,10 @@ from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.files.events import Log
 from taichi_cloth.post_mortem import survivors
 from taichi_cloth.post_mortem.causes import STEP, TEARING, cause_of
+from taichi_cloth.post_mortem.examine import flags
 from taichi_cloth.post_mortem.trace import traced
 from taichi_cloth.scene.library import build
+from taichi_cloth.simulation.past import Settings
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app
 from taichi_cloth.ui.inputs import Event
@@ -112,6 +115,23 @@ def test_where_substeps_would_take_too_long_xpbd_is_tried_first():
     for wait, method in ((0.0, "xpbd"), (1.0, "symplectic_euler")):
         tried = survivors._wanted(trace, cause_of(trace), [], sim, wait, lambda seconds: True)
         assert next(tried).method == method
+
+
+def test_a_run_that_chooses_its_steps_goes_on_choosing_them(tmp_path):
+    """Its trials differ by the method alone, and so do the flags of what survives."""
+    now = Settings("xpbd", 0.5, 7, {"iterations": 4.0}, follows=True)
+    before = replace(now, method="verlet", solver={})
+    assert flags(now, before) == ["--method", "xpbd", "--iterations", "4"]
+    whole = ["--method", "xpbd", "--dt", "auto", "--iterations", "4"]
+    assert flags(now, before, whole=True) == whole
+    sim = Simulation(
+        failing_runs.thrown(1e9)(), "verlet", dt="auto", topology="graph", execution="serial"
+    )
+    with pytest.raises(SimulationFailure):
+        sim.advance(50)
+    found = sim.report(tmp_path / "a.html", pictures=False)
+    (trial,) = found.search.trials  # shorter frames would be none
+    assert trial.settings.follows and not trial.survived and found.command == ""
 
 
 def test_what_tore_long_ago_is_told_apart(tmp_path):

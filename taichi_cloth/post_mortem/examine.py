@@ -70,11 +70,13 @@ class PostMortem:
 def flags(settings: Settings, before: Settings, *, whole: bool = False) -> list[str]:
     """A setting as flags; whole: also what is as it was before."""
     found: list[str] = []
-    pairs = {
-        "--method": (settings.method, before.method),
-        "--dt": (_exactly(settings.dt) if whole else f"{settings.dt:.6g}", f"{before.dt:.6g}"),
-        "--substeps": (str(settings.substeps), str(before.substeps)),
-    }
+    pairs = {"--method": (settings.method, before.method)}
+    if settings.follows:
+        pairs["--dt"] = ("auto", "auto")
+    else:
+        dt = _exactly(settings.dt) if whole else f"{settings.dt:.6g}"
+        pairs["--dt"] = (dt, f"{before.dt:.6g}")
+        pairs["--substeps"] = (str(settings.substeps), str(before.substeps))
     for name, number in settings.solver.items():
         before_it = before.solver.get(name)
         pairs[f"--{name}"] = (f"{number:g}", "" if before_it is None else f"{before_it:g}")
@@ -98,7 +100,8 @@ def _calls(settings: Settings, before: Settings) -> str:
     solver = {k: v for k, v in settings.solver.items() if v != before.solver.get(k)}
     if solver:
         lines.append(f"sim.set_solver({', '.join(f'{k}={v:g}' for k, v in solver.items())})")
-    lines.append(f"sim.set_step(dt={settings.dt:.6g}, substeps={settings.substeps})")
+    if not settings.follows:
+        lines.append(f"sim.set_step(dt={settings.dt:.6g}, substeps={settings.substeps})")
     return "\n".join(lines)
 
 

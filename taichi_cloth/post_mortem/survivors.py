@@ -98,6 +98,8 @@ def search(
         for settings in _wanted(trace, cause, trials, sim, wait, tries.fits):
             if trials and (time.perf_counter() > tries.until or len(trials) >= MOST_TRIES):
                 break
+            if settings.follows and any(_same(settings, trial.settings) for trial in trials):
+                continue  # it would choose the same steps
             tell(settings)
             trials.append(tries.run(settings))
             if len(trials) == 1:
@@ -105,6 +107,11 @@ def search(
     survived = [trial for trial in trials if trial.survived]
     best = min(survived, key=lambda trial: trial.seconds / trial.settings.dt, default=None)
     return Search(trials, best, _words(trials, best, place, trace), tries.without())
+
+
+def _same(one: Settings, other: Settings) -> bool:
+    """Whether runs that choose their steps themselves are the same with either."""
+    return (one.method, dict(one.solver)) == (other.method, dict(other.solver))
 
 
 def _place(past: Past, sim: Simulation, seconds: float) -> Place | None:

@@ -29,17 +29,21 @@ BEGIN = frozenset(("reset", "load_scene", "restore"))
 
 @dataclass(frozen=True)
 class Settings:
-    """What a run goes on with: the method, the time of a frame, its steps, the solver's numbers."""
+    """What a run goes on with: the method, the time of a frame, its steps, the solver's numbers.
+
+    follows: whether it chooses the steps itself (`dt="auto"`); then substeps are those of the time.
+    """
 
     method: str
     dt: float
     substeps: int
     solver: Mapping[str, float] = field(default_factory=dict)
+    follows: bool = False
 
     @classmethod
     def of(cls, sim: Any) -> Settings:
         """Those that a simulation has now."""
-        return cls(sim.method, sim.dt, sim.substeps, dict(sim.solver))
+        return cls(sim.method, sim.dt, sim.substeps, dict(sim.solver), sim.follows)
 
 
 @dataclass(frozen=True)
