@@ -41,7 +41,7 @@ class RunningCosts:
         self._mean: dict[tuple[Any, ...], float] = {}
         self._frames: dict[tuple[Any, ...], int] = {}
         self._last: tuple[tuple[Any, ...], int] = (), 0  # the last frame's way, and how many had it
-        self._sized: tuple[Scene, str] | None = None  # a scene lasts: to describe it takes 1 ms
+        self._sized: tuple[Scene, str] | None = None  # it lasts: to describe it takes up to 0.3 ms
 
     def note(self, sim: Simulation, seconds: float) -> None:
         """A frame took so many seconds to simulate."""
