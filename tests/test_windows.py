@@ -53,13 +53,10 @@ class FakeSimulation:
     held_up, follows = None, False
     solver = {}
 
-    def describe_size(self):
-        return "fake"
-
     def __init__(self, scene):
         self.scene, self.frame, self.calls = scene, 0, []
         self.prepared = 0
-        self.storage = SimpleNamespace(loads=0, altered=False)
+        self.storage = SimpleNamespace(loads=0, altered=False, scene=scene)
         self.x, self.pairs = list(scene.particles.position), []
 
     def held(self):
