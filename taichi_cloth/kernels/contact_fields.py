@@ -29,8 +29,8 @@ class ContactFields(Fields):
         particle, and the patch of each place; patch_box, block_box: low and high corners of the
         boxes around a patch and its blocks; anchored: whether it was in this step; drift, stale: of
         each two patches, their drift and skin, and whether their lists are to be made anew;
-        n_stale: how many; ahead: how far a patch looks along its way; active, n_active: the places
-        that have near pairs; visited: the last iteration in which they are visited; touch,
+        n_stale: how many; patch_ahead: how far a patch looks along its way; active, n_active: the
+        places that have near pairs; visited: the last iteration in which they are visited; touch,
         touch_normal, touch_count: the pairs that touch in an iteration, with their normals and
         gaps; listed_x, listed_begun: their anchors, and where the step began; kept, kept_count:
         codes of pairs; found, found_reach, found_start, found_count: those that may touch in this
@@ -94,7 +94,7 @@ class ContactFields(Fields):
         self.anchored = self._counts(patches)
         self.block_box = self._scalars(n // PATCH_BLOCK + patches + 1, 6)
         self.drift, self.stale = self._scalars(patches**2, 4), self._counts(patches**2)
-        self.patch_box, self.ahead = self._scalars(patches, 30), self._scalars(patches)
+        self.patch_box, self.patch_ahead = self._scalars(patches, 30), self._scalars(patches)
         self.active, self.n_active = self._counts(n), self._counts()
         self.visited, self.near_start = self._counts(n), self._counts(n)
         self.found, self.found_reach = self._counts(n * MOST_KEPT), self._scalars(n * MOST_KEPT)

@@ -117,7 +117,7 @@ def _list_particle(spec: ti.template(), state: ti.template(), grid_at):
     state.kept_count[at] = 0
     radius = sorted_radius(spec, state, grid_at)
     if radius >= 0.0:
-        ahead = state.ahead[state.patch_of[at]]
+        ahead = state.patch_ahead[state.patch_of[at]]
         beyond = ti.max(
             state.skin[None], ahead + ti.static(2.0 * CLOTH_MARGIN) * state.largest_radius[None]
         )

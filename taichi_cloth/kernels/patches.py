@@ -302,4 +302,4 @@ def look_ahead(spec: ti.template(), state: ti.template(), a):
             differ = ti.sqrt(differ2)
             if are_near(state, a, b, reach_of_most(state) + differ):
                 most = differ
-    state.ahead[a] = most
+    state.patch_ahead[a] = most
