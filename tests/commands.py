@@ -13,11 +13,13 @@ import re
 import select
 import subprocess
 import sys
+import tempfile
 import traceback
 from pathlib import Path
 
 PROGRAM = [sys.executable, "-m", "taichi_cloth"]
 PATIENCE = 300  # seconds that a command may take
+LAST_WORDS = 4000  # bytes of standard error that are shown of a process that ended
 COMPILING = re.compile(r"taichi-cloth: compiling kernels for this run: [^\n]*\n")
 
 
@@ -52,14 +54,17 @@ class Commands:
     def __init__(self, **environment):
         folders = [str(Path(__file__).parent), *(path for path in sys.path if path)]
         environment["PYTHONPATH"] = os.pathsep.join(folders)
-        self._environment = {**os.environ, **environment}
+        # Where it crashes, it says in which line.
+        self._environment = {**os.environ, "PYTHONFAULTHANDLER": "1", **environment}
         self._start()
 
     def _start(self):
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (open while the process is)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "commands"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            stderr=self._errors,
             text=True,
             env=self._environment,
         )
@@ -82,9 +87,12 @@ class Commands:
         ready, _, _ = select.select([self._process.stdout], [], [], PATIENCE)
         line = self._process.stdout.readline() if ready else ""
         if not line:
+            how = f"it ended with {self._process.wait()}" if ready else f"not in {PATIENCE} s"
             self.close()
+            self._errors.seek(0)
+            last = self._errors.read()[-LAST_WORDS:].decode(errors="replace")
             self._start()  # for those that come after
-            raise AssertionError(f"no answer to {request}")
+            raise AssertionError(f"no answer to {request}: {how}; its last words: {last}")
         return json.loads(line)
 
     def close(self):
