@@ -170,11 +170,12 @@ def test_stiff_springs_do_not_hide_gravity_from_implicit_steps(pool):
     """A chain swings alike however stiff it is, or its steps count as unconverged."""
     fall = swung(pool, 1e6).positions()[-1, 1] - 50
     assert fall > 0.05
-    for stiffness in (1e11, 1e12):
+    for stiffness in (1e11, 1e14):
         assert swung(pool, stiffness).positions()[-1, 1] - 50 == pytest.approx(fall, rel=1e-4)
-    sim = swung(pool, 1e30)
-    with pytest.raises(RunFailure, match="rounding of .* hides gravity.*; remedy: use softer"):
-        sim.check_converged()
+    for stiffness in (1e23, 1e30):  # residuals are small there, as nothing moves at all
+        sim = swung(pool, stiffness)
+        with pytest.raises(RunFailure, match="rounding of .* hides gravity.*; remedy: use softer"):
+            sim.check_converged()
     sim = swung(pool, 1e12, gravity=0.0)  # nothing to hide: it stays where it is
     assert sim.work().unconverged == 0 and (sim.velocities() == 0).all()
 

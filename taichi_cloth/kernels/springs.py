@@ -110,7 +110,14 @@ def force_between(
     spec: ti.template(), state: ti.template(), value: ti.template(), i, j, numbers: ti.template()
 ):
     """The force on i of the spring to j, with its dashpot: a contribution for `accumulate`."""
-    d = difference(spec, state, value, i, j)
+    return force_along(spec, state, value, i, j, difference(spec, state, value, i, j), numbers)
+
+
+@ti.func
+def force_along(
+    spec: ti.template(), state: ti.template(), value: ti.template(), i, j, d, numbers: ti.template()
+):
+    """The same, where d are the vectors from i to j."""
     dv = 0.0 * d
     if ti.static(reads_velocity(spec)):
         dv = value(spec, state.v, j) - value(spec, state.v, i)

@@ -34,6 +34,7 @@ def stability_function(z):
 def stay(spec: ti.template(), state: ti.template(), i):
     """Start with pack i where it is: the trapezoidal rule needs the acceleration there."""
     stages.keep_start(spec, state, i)
+    stages.begin_at(spec, state, i, read(spec, state.x, i))
     v = read(spec, state.v, i)
     write(spec, state.gain, i, 0.0 * v)  # so that the residual is the acceleration
 

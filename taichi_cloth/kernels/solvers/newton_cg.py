@@ -27,8 +27,12 @@ Baraff, Witkin, "Large steps in cloth simulation", 1998; Choi, Ko, "Stable but r
 A stage has converged when its largest residual is at most state.tolerance times the largest
 residual that it began with (gravity at least), or is as small as rounding leaves it; what is left
 must be small beside gravity, too (`stages.SOLVED`). Otherwise it ends after MOST_DIRECTIONS, after
-MOST_STALLS directions that brought little, or where numbers are no longer finite, and state.work
-counts its step as unconverged.
+MOST_STALLS directions that brought little (fewer where rounding may be why), or where numbers are
+no longer finite, and state.work counts its step as unconverged.
+
+The vectors of springs are those at the stage's start, and by how much their ends have moved against
+each other since (`stages.apart`): in f32 rounding of positions, times a stiff spring's stiffness,
+is more than gravity, and no direction can take it from the residual.
 
 Wind that would move a cloth by more than its spacing in a step leaves no minimum to go to: Newton's
 method may then wander for ever. So in air a step is cut in two where a stage has not converged
@@ -37,7 +41,6 @@ steps, each solved to its tolerance, with one end for contacts and tears.
 """
 
 import functools
-import operator
 
 import taichi as ti
 
@@ -45,7 +48,6 @@ from taichi_cloth.kernels.accelerations import (
     acceleration,
 )
 from taichi_cloth.kernels.clock import time_of_forces
-from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.contact import compute_contacts
 from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.links import Pass
@@ -80,6 +82,7 @@ from taichi_cloth.kernels.solvers.stages import (
     ROUNDED,
     SINGULAR,
     STALLED,
+    apart,
     iterate_from,
     largest_component,
     momentum_of,
@@ -90,7 +93,7 @@ from taichi_cloth.kernels.solvers.stages import (
     time_of_part,
     wanted_residual,
 )
-from taichi_cloth.kernels.springs import accumulate_and_join, force_between
+from taichi_cloth.kernels.springs import accumulate_and_join, force_along
 from taichi_cloth.kernels.state import FORCES, UNCONVERGED
 from taichi_cloth.kernels.surfaces import compute_tractions
 from taichi_cloth.kernels.watchdog import is_finite
@@ -99,6 +102,7 @@ SCALARS = (
     "tau",  # time of a stage
     "scale",  # acceleration that the residual is compared with
     "rounding",  # residual that rounding alone leaves
+    "longest",  # the length of the longest spring
     "load",  # largest acceleration by gravity or by the iterate's gain
     "residual_max",  # largest component of the residual, without its sign
     "residual_rms",  # root of the mean square of its components
@@ -121,7 +125,8 @@ MOST_DIRECTIONS = 60
 MOST_BEFORE_CUT = 16  # directions after which a step that may be cut in two is
 MOST_HALVINGS = 6
 MOST_TRIALS = 12  # lengths of one direction
-MOST_STALLS = 6  # directions one after the other that bring little progress
+# Directions one after the other that bring little progress; where rounding may be why, fewer.
+MOST_STALLS, MOST_STALLS_ROUNDED = 6, 2
 # Rounding of a spring's force, in epsilons: several add up in a residual, with either sign.
 ROUNDING = 0.5
 MOST_ROUNDINGS = 16.0  # where progress has ended, a residual is ROUNDED up to this times `rounding`
@@ -134,14 +139,15 @@ def keeps(*vectors):
 
     vectors: names of further vectors that the method keeps itself.
     The shared ones are old_x, old_v: the state at the step's start; start_x, start_v: that at a
-    stage's start; gain: the iterate's; change: the Newton direction, which conjugate gradients
-    build up from residual, direction (theirs) and product (that of A with it).
+    stage's start; gain, moved: by how much the iterate's v and x are more; change: the Newton
+    direction, which conjugate gradients build up from residual, direction (theirs) and product
+    (that of A with it).
     """
-    state = ("old_x", "old_v", "start_x", "start_v", "gain")
+    state = ("old_x", "old_v", "start_x", "start_v", "gain", "moved")
     return {
         "vectors": (*state, "change", "residual", "direction", "product", *vectors),
         "low_vectors": ("old_x_low", "start_x_low"),
-        "haloed": ("direction",),
+        "haloed": ("direction", "start_x", "moved"),
         "numbers": ("over_diagonal",),
         "needs": ("summed_springs", "kept_stiffness"),
         "scalars": SCALARS,
@@ -155,7 +161,7 @@ def keeps(*vectors):
         ),
         "sums": SUMS,
         "launches": ((BEGIN, CUT), (EVALUATE,), (DIRECT, ITERATE), (FINISH,)),
-        "lanes": 8,  # with 4 a step takes 1.6 times as long, and half as long to compile
+        "lanes": 8,  # with 4 a step takes 1.5 times as long, and 0.4 of the time to compile
     }
 
 
@@ -196,7 +202,7 @@ def _begin_stage(spec: ti.template(), state: ti.template(), i):
     """Clear what is counted in a stage, and go to its first evaluation."""
     state.directions[None], state.trials[None], state.stalls[None] = 0, 0, 0
     state.outcome[None], state.indefinite[None] = CONVERGED, 0
-    state.ahead[None], state.go[None] = 0.0, 0.0
+    state.ahead[None], state.go[None], state.longest[None] = 0.0, 0.0, 0.0
     state.phase[None] = EVALUATE
 
 
@@ -285,14 +291,27 @@ def _evaluating(move):
     """The pass that moves the iterate by `move`, and computes its residual."""
     joins = (_rounding_of, ti.max), (_gained, ti.max), (_size, ti.max), (_square, plus)
     return Pass(
-        force_between,
-        difference,
+        _force_between,
+        apart,
         _store_residual,
         move,
         joins=(*joins, (_slope, plus)),
-        moved=operator.attrgetter("haloed_motion"),
+        moved=_shifted,
         consumed=_nothing,
     )
+
+
+@ti.func
+def _force_between(
+    spec: ti.template(), state: ti.template(), value: ti.template(), i, j, numbers: ti.template()
+):
+    """The force on i of the spring to j at the iterate: a contribution for `accumulate`."""
+    return force_along(spec, state, value, i, j, apart(spec, state, value, i, j), numbers)
+
+
+def _shifted(state):
+    """What a shift of the iterate changes of what neighbours read."""
+    return (*state.haloed_motion, state.moved)
 
 
 def _nothing(state):
@@ -330,9 +349,11 @@ def _residual_more(spec: ti.template(), state: ti.template(), slot, f):
 
 @ti.func
 def _rounding_of(spec: ti.template(), state: ti.template(), i):
-    """The residual that rounding of positions, over all springs, can make up; w is 0 if fixed."""
-    w, x = read(spec, state.w, i), largest_component(spec, state.x, i)
-    return w * read(spec, state.summed_k, i) * x
+    """The residual that rounding of lengths, over all springs, can make up; w is 0 if fixed."""
+    w, of = read(spec, state.w, i), state.longest[None] + largest_component(spec, state.moved, i)
+    if ti.static(spec.compensated):
+        of = largest_component(spec, state.x, i)
+    return w * read(spec, state.summed_k, i) * of
 
 
 @ti.func
@@ -345,7 +366,7 @@ def _gained(spec: ti.template(), state: ti.template(), i):
 def _judge(spec: ti.template(), state: ti.template(), i):
     """Decide after an evaluation whether the stage is done, and what comes next if it is not."""
     state.work[FORCES] += 1
-    # That of positions over all springs, and of the gain.
+    # That of lengths over all springs, and of the gain.
     rounding = ti.static(epsilon(state)) * (state.sums[0, 0] + state.sums[1, 0])
     state.rounding[None] = ROUNDING * rounding
     state.load[None] = ti.max(state.least_scale[None], state.sums[1, 0])
@@ -381,7 +402,7 @@ def _judge(spec: ti.template(), state: ti.template(), i):
         state.stalls[None] = ti.select(most > 0.7 * state.best[None], state.stalls[None] + 1, 0)
         if state.outcome[None] == SINGULAR:
             next_phase = FINISH
-        elif not first and state.stalls[None] > MOST_STALLS:
+        elif not first and state.stalls[None] > _most_stalls(state):
             rounded = most <= MOST_ROUNDINGS * state.rounding[None]
             state.outcome[None] = ti.select(rounded, outcome_of_rounding(state), STALLED)
             next_phase = FINISH
@@ -405,6 +426,13 @@ def _may_be_cut(spec: ti.template(), state: ti.template()):
         return state.halvings[None] < MOST_HALVINGS
     else:
         return False
+
+
+@ti.func
+def _most_stalls(state: ti.template()):
+    """After how many directions that bring little progress a stage ends."""
+    rounded = state.best[None] <= state.rounding[None]
+    return ti.select(rounded, MOST_STALLS_ROUNDED, MOST_STALLS)
 
 
 @ti.func

@@ -16,7 +16,6 @@ from taichi_cloth.kernels.accelerations import (
     resists,
     stiffness_of,
 )
-from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.graph import numbers_of
 from taichi_cloth.kernels.grids import link_index, link_offset, pitch_of
@@ -24,6 +23,8 @@ from taichi_cloth.kernels.links import link_numbers, link_stiffness
 from taichi_cloth.kernels.loops import each, each_pack
 from taichi_cloth.kernels.packs import (
     dot,
+    everywhere,
+    largest,
     read,
     scaled,
     set_slot_value,
@@ -36,10 +37,11 @@ from taichi_cloth.kernels.solvers.stages import (
     EVALUATE,
     FINISH,
     ITERATE,
+    apart,
     mass_of,
     momentum_of,
     outcome_of_rounding,
-    wanted_residual,
+    reachable_residual,
 )
 from taichi_cloth.kernels.spring_numbers import OfStiffness
 from taichi_cloth.kernels.springs import reads_velocity, stiffness_of_springs
@@ -65,15 +67,18 @@ def _keep_links(spec: ti.template(), state: ti.template(), i):
     g = state.grid_of[i]
     if g >= 0:
         pitch = pitch_of(spec, state, g)
+        longest = everywhere(spec, ti.cast(0.0, state.real))
         for s in range(spec.kinds):
             far, at = i + link_offset(state, s, pitch), link_index(state, s, i)
             k = link_stiffness(spec, state, s, i)
             numbers = link_numbers(spec, state, read, s, g, at, k)
-            d = difference(spec, state, read, i, far)
+            d = apart(spec, state, read, i, far)
             direction, along, across = _stiffness(spec, state, d, numbers)
             write(spec, state.link_direction, at, direction)
             write(spec, state.link_along, at, along)
             write(spec, state.link_across, at, across)
+            longest = ti.max(longest, ti.select(k > 0.0, laws.length(d), 0.0 * k))
+        _note_length(state, largest(spec, longest))
 
 
 @ti.func
@@ -81,11 +86,19 @@ def _keep_half_springs(spec: ti.template(), state: ti.template(), p):
     """Keep direction and stiffness of the half-springs of row p of the compressed rows."""
     slot = state.csr_slot[p]
     for h in range(state.csr_start[p], state.csr_start[p + 1]):
-        d = difference(spec, state, slot_value, slot, state.csr_other[h])
+        d = apart(spec, state, slot_value, slot, state.csr_other[h])
         direction, along, across = _stiffness(spec, state, d, numbers_of(spec, state, h))
         for axis in ti.static(range(spec.dim)):
             state.csr_direction[h, axis] = direction[axis]
         state.csr_along[h], state.csr_across[h] = along, across
+        _note_length(state, laws.length(d))
+
+
+@ti.func
+def _note_length(state: ti.template(), length):
+    """Note the length of a spring, of which the longest counts."""
+    if length > state.longest[None]:
+        ti.atomic_max(state.longest[None], length)
 
 
 @ti.func
@@ -186,7 +199,7 @@ def _least(state):
 def begin_iterating(spec: ti.template(), state: ti.template(), i):
     """Set the energy at which conjugate gradients end, and go to their first step."""
     energy = state.sums[0, 0]
-    part = ti.min(ti.max(0.3 * wanted_residual(state) / state.residual_max[None], FORCING), 0.5)
+    part = ti.min(ti.max(0.3 * reachable_residual(state) / state.residual_max[None], FORCING), 0.5)
     state.energy[None], state.goal[None] = energy, part * part * energy
     state.slope[None] = 0.0
     state.sweeps[None] = 0

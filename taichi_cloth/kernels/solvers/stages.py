@@ -7,7 +7,11 @@ computed as for all methods (`newton_cg.py`).
 
 import taichi as ti
 
-from taichi_cloth.kernels.compensated import add_to_position, add_to_velocity
+from taichi_cloth.kernels.compensated import (
+    add_to_position,
+    add_to_velocity,
+    difference,
+)
 from taichi_cloth.kernels.contact import store_held_by_walls, velocity_jump
 from taichi_cloth.kernels.copies import keep, return_to
 from taichi_cloth.kernels.forces import has_tractions
@@ -40,6 +44,9 @@ OUTCOMES = (
 # Rounding acts along springs, and moves only what is far softer than it: measured, swings and
 # cloths lose a percent of their motion at 4 times the load, and most of it at 40 times.
 SOLVED, HIDING = 0.1, 5.0
+# Where rounding alone may leave so many times the load, a residual that is small says nothing:
+# springs are then so stiff that the least change of a length gives more than any load.
+MOST_HIDING = 40.0
 CLAMPED, EXACT = 0.0, -1e30  # state.least: how K is taken across springs
 ONLY_EVALUATE = -1  # number of a stage that only computes the acceleration, as its residual
 
@@ -80,12 +87,32 @@ def start_from(spec: ti.template(), state: ti.template(), i, change, v):
     change: how far its positions are from those at the step's start; v: its velocities, which are
     the first iterate's, too.
     """
-    x = moved_from_old(spec, state, i, change)
-    write(spec, state.start_x, i, x)
+    begin_at(spec, state, i, moved_from_old(spec, state, i, change))
     write(spec, state.start_v, i, v)
     if ti.static(spec.compensated):
         write(spec, state.start_x_low, i, read(spec, state.x_low, i))
     iterate_from(spec, state, i, 0.0 * v)
+
+
+@ti.func
+def begin_at(spec: ti.template(), state: ti.template(), i, x):
+    """Set where a stage starts for pack i, and its iterate, which has not moved yet."""
+    write(spec, state.start_x, i, x)
+    write(spec, state.moved, i, 0.0 * x)
+
+
+@ti.func
+def apart(spec: ti.template(), state: ti.template(), value: ti.template(), i, j):
+    """The vectors from i to j at the iterate: those at the stage's start, and by how much more.
+
+    Their rounding is that of their own length and of the way in the stage, and not that of the
+    positions, which stiff springs would answer with forces that hide gravity.
+    """
+    if ti.static(spec.compensated):
+        return difference(spec, state, value, i, j)
+    else:
+        d = value(spec, state.start_x, j) - value(spec, state.start_x, i)
+        return d + (value(spec, state.moved, j) - value(spec, state.moved, i))
 
 
 @ti.func
@@ -104,12 +131,10 @@ def iterate_from(spec: ti.template(), state: ti.template(), i, gain):
     write(spec, state.v, i, v)
     if ti.static(spec.compensated):
         write(spec, state.x_low, i, read(spec, state.start_x_low, i))
-    write(
-        spec,
-        state.x,
-        i,
-        add_to_position(spec, state, i, read(spec, state.start_x, i), state.tau[None] * v),
-    )
+    moved = state.tau[None] * v
+    write(spec, state.moved, i, moved)
+    start_x = read(spec, state.start_x, i)
+    write(spec, state.x, i, add_to_position(spec, state, i, start_x, moved))
 
 
 @ti.func
@@ -164,6 +189,12 @@ def momentum_of(spec: ti.template(), state: ti.template(), i, residual):
 
 
 @ti.func
+def reachable_residual(state: ti.template()):
+    """The residual that ends a stage: the wanted one, or what rounding leaves."""
+    return ti.max(wanted_residual(state), rounding_accepted(state))
+
+
+@ti.func
 def wanted_residual(state: ti.template()):
     """The residual at which a stage has converged."""
     wanted = state.tolerance[None] * state.scale[None]
@@ -184,5 +215,6 @@ def rounding_accepted(state: ti.template()):
 @ti.func
 def outcome_of_rounding(state: ti.template()):
     """What came of a stage whose residual rounding does not let become smaller."""
-    hidden = state.residual_max[None] > HIDING * state.load[None]
+    load = state.load[None]
+    hidden = state.residual_max[None] > HIDING * load or state.rounding[None] > MOST_HIDING * load
     return ti.select(state.least_scale[None] > 0.0 and hidden, HIDDEN, ROUNDED)
