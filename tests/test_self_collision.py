@@ -13,6 +13,7 @@ from taichi_cloth.errors import SimulationFailure
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.kept_pairs import NEAR_BITS
 from taichi_cloth.kernels.near_pairs import find_pairs
+from taichi_cloth.kernels.pair_colours import COLOURS, colour_pairs
 from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import Particles, Scene, World
@@ -131,16 +132,52 @@ def test_lists_of_patches_have_all_that_may_touch_in_each_step(pool):
         along = -(before * (now - before)).sum(2) / ((now - before) ** 2).sum(2).clip(1e-30)
         nearest = before + along.clip(0, 1)[..., None] * (now - before)
         distance = np.linalg.norm(nearest, axis=2)
-        count, start = state.near_count.to_numpy()[:n], state.near_start.to_numpy()[:n]
-        near, others = np.zeros((n, n), bool), state.near.to_numpy() >> NEAR_BITS
+        count, start = state.found_count.to_numpy()[:n], state.found_start.to_numpy()[:n]
+        near, others = np.zeros((n, n), bool), state.found.to_numpy() >> NEAR_BITS
         for at in range(n):
             pairs = others[start[at] : start[at] + count[at]]
             near[spheres.in_patches[at], spheres.in_patches[pairs]] = True
+        near |= near.T
         may = (distance < 0.9999 * reach) & ~closer & ~np.eye(n, dtype=bool)
         assert not (may & ~near).any(), step
         assert not (near & (distance > 1.0001 * reach)).any(), step
         found += may.sum()
     assert found > 10_000 and ways["some"] > 20 and ways["none"] > 3 and 2 <= ways["all"] < 10, ways
+
+
+@ti.kernel
+def find_and_colour(spec: ti.template(), state: ti.template()):
+    """What comes before the sweeps of a step, on one thread."""
+    for _ in range(1):
+        find_pairs(spec, state, 0)
+        colour_pairs(spec, state, 0)
+
+
+def test_pairs_of_a_colour_have_no_particle_in_common(pool):
+    """Of sheets as they lie, and of all particles in a ball: more pairs than there are colours."""
+    scene = sheets(9, [0.3, 0.43, 0.56])
+    sim = pool(scene, topology="graph", execution="serial")
+    state, n = sim.storage.state, len(scene.particles)
+    ball = np.random.default_rng(5).normal(size=(n, 3)) * 0.02 + 0.5
+    for x, rest in ((scene.particles.position, False), (ball, True)):
+        state.begun_x.from_numpy(x)
+        state.x.from_numpy(x)
+        state.outdated[None] = 1
+        state.colours_at.fill(0)
+        find_and_colour(sim.storage.specialization, state)
+        first, second = state.near_from.to_numpy(), state.near.to_numpy() >> NEAR_BITS
+        listed = []
+        for colour, size in enumerate(state.colour_size.to_numpy()):
+            rows = slice(colour * (n // 2), colour * (n // 2) + size)
+            ends = np.concatenate([first[rows], second[rows]])
+            assert colour == COLOURS or len(np.unique(ends)) == 2 * size
+            listed += zip(first[rows], second[rows], strict=True)
+        assert (state.colour_size[COLOURS] > 0) == rest
+        count, start = state.found_count.to_numpy()[:n], state.found_start.to_numpy()[:n]
+        others, pairs = state.found.to_numpy() >> NEAR_BITS, set()
+        for at in range(n):
+            pairs |= {(at, other) for other in others[start[at] : start[at] + count[at]]}
+        assert len(listed) == count.sum() > 100 and {*listed} == pairs
 
 
 def crossing(**more):

@@ -6,6 +6,7 @@ from taichi_cloth.kernels import poses
 from taichi_cloth.kernels.collision_grid import BLOCK, MOST_BINS, MOST_KEPT, MOST_NEAR, most_cells
 from taichi_cloth.kernels.fields import Fields, Surface, placed
 from taichi_cloth.kernels.obstacles import contract
+from taichi_cloth.kernels.pair_colours import COLOURS
 from taichi_cloth.kernels.patches import BLOCK as PATCH_BLOCK
 
 FACE_COLUMNS = 20  # of state.face (`faces.py`)
@@ -19,9 +20,8 @@ class ContactFields(Fields):
         axis; per_cell: cells per length along each; largest_radius; cell_end, sorted_index, sorted:
         the particles by cell; cell_of, block_start, bins, bin_bits (binary logarithm of the cells
         in a bin), bin_fill, bin_start, bin_size, binned_cell, binned_index: the sort's.
-    Resting pairs (`resting_pairs.py`): near, near_count, near_start and near_reach (both with
-        thickness), touching, pair_friction, pair_residual, pair_iteration;
-        unsettled: steps that ended before all pairs were apart.
+    Resting pairs (`resting_pairs.py`): near, near_count, touching, pair_friction,
+        pair_residual, pair_iteration; unsettled: steps that ended before all pairs were apart.
     With thickness (`kept_pairs.py`, `patches.py`): pair_radius, pair_restitution: of particles for
         each other; skin: how much farther pairs are kept; outdated, overfull: whether they are to
         be listed anew, and whether some list was full in this step; n_patches, patch_start,
@@ -29,12 +29,16 @@ class ContactFields(Fields):
         particle, and the patch of each place; patch_box, block_box: low and high corners of the
         boxes around a patch and its blocks; anchored: whether it was in this step; drift, stale: of
         each two patches, their drift and skin, and whether their lists are to be made anew;
-        n_stale: how many; patch_ahead: how far a patch looks along its way; active, n_active: the
-        places that have near pairs; visited: the last iteration in which they are visited; touch,
-        touch_normal, touch_count: the pairs that touch in an iteration, with their normals and
-        gaps; listed_x, listed_begun: their anchors, and where the step began; kept, kept_count:
-        codes of pairs; found, found_reach, found_start, found_count: those that may touch in this
-        step; far: whose step went far; closer_start, closer_other, closer_reach: `scene.spheres`.
+        n_stale: how many; patch_ahead: how far a patch looks along its way; listed_x, listed_begun:
+        their anchors, and where the step began; kept, kept_count: codes of pairs; found,
+        found_reach, found_start, found_count: those that may touch in this step; far: whose step
+        went far; closer_start, closer_other, closer_reach: `scene.spheres`.
+        What is swept (`pair_colours.py`, `swept_pairs.py`): near_from, near, near_reach: pairs by
+        colour; colour_size: how many; colours_at: the colours of a particle, as bits; changed: the
+        sweep that changed it last, and one more. With one launch per step: near_start: the
+        first row of those near a place; active, n_active: who has any; visited: the last iteration
+        in which they are visited; touch, touch_normal, touch_count: the pairs that touch in one,
+        with normals and gaps.
 
     Obstacles (`poses.py`), a row each: obstacle_shape: its number in spec.obstacles;
         obstacle_numbers, obstacle_sizes: of contact and of its shape; obstacle_start: its pose at
@@ -95,13 +99,16 @@ class ContactFields(Fields):
         self.block_box = self._scalars(n // PATCH_BLOCK + patches + 1, 6)
         self.drift, self.stale = self._scalars(patches**2, 4), self._counts(patches**2)
         self.patch_box, self.patch_ahead = self._scalars(patches, 30), self._scalars(patches)
-        self.active, self.n_active = self._counts(n), self._counts()
-        self.visited, self.near_start = self._counts(n), self._counts(n)
         self.found, self.found_reach = self._counts(n * MOST_KEPT), self._scalars(n * MOST_KEPT)
         self.found_start, self.found_count = self._counts(n), self._counts(n)
         self.near, self.near_reach = self._counts(n * MOST_KEPT), self._scalars(n * MOST_KEPT)
-        self.touch, self.touch_count = self._counts(n * MOST_KEPT), self._counts(n)
-        self.touch_normal = self._scalars(n * MOST_KEPT, spec.dim + 1)
+        self.near_from, self.colour_size = self._counts(n * MOST_KEPT), self._counts(COLOURS + 1)
+        self.colours_at, self.changed = self._counts(n), self._counts(n)
+        if ti.cfg.arch != ti.cpu:  # where all pairs act at once
+            self.active, self.n_active = self._counts(n), self._counts()
+            self.visited, self.near_start = self._counts(n), self._counts(n)
+            self.touch, self.touch_count = self._counts(n * MOST_KEPT), self._counts(n)
+            self.touch_normal = self._scalars(n * MOST_KEPT, spec.dim + 1)
         self.listed_x, self.listed_begun = (self._scalars(n, spec.dim) for _ in range(2))
         self.kept, self.kept_count = self._counts(n, MOST_KEPT), self._counts(n)
         self.far = self._counts(n)

@@ -6,9 +6,9 @@ ways of that step are listed, too, however far these went; the boxes around the 
 how far to look. So in each step the list has all that may touch, and is narrowed to those, in the
 order of their places: what comes of a step does not depend on when lists were made, but for
 neighbours in a cloth (CLOSER_SKIN). What has passed through is marked: its normal is that of the
-step's start. A pair is kept by the end with the earlier place; what may touch in a step is then
-listed from both ends. Who has more than MOST_KEPT in its list keeps the first ones, the step is
-counted as unsettled, and the next one lists all pairs again.
+step's start. A pair is kept by the end with the earlier place, and found by it; with one launch
+per step what may touch is then listed from both ends. Who has more than MOST_KEPT in its list keeps
+the first ones, the step is counted as unsettled, and the next one lists all pairs again.
 
 at, other: places in `state.in_patches`, which hold for a whole run, but for functions on the grid
 (`grid_at`, `grid_other`). A code of `state.kept`: the place of the other one; in its last
@@ -28,7 +28,7 @@ from taichi_cloth.kernels.collision_grid import (
     sorted_x,
     sum_over_near,
 )
-from taichi_cloth.kernels.loops import each, share
+from taichi_cloth.kernels.loops import each
 from taichi_cloth.kernels.packs import slot_number, slot_value
 from taichi_cloth.kernels.patches import (
     CLOTH_MARGIN,
@@ -70,13 +70,16 @@ def find_kept_pairs(spec: ti.template(), state: ti.template(), t):
     each(spec, state, t, 1, _begin_lists)
     each(spec, state, t, state.n[None], _refresh)
     each(spec, state, t, state.n_patches[None], ti.static(by_patches(_narrow_patch)))
-    _list_both_ends(spec, state, t)
+    if ti.static(spec.one_launch_per_step):
+        _list_both_ends(spec, state, t)
 
 
 @ti.func
 def _begin_lists(spec: ti.template(), state: ti.template(), i):
     """The lists of the next step are those of this one, as far as is known; and none is active."""
-    state.outdated[None] = state.n_stale[None] = state.n_active[None] = 0
+    state.outdated[None] = state.n_stale[None] = 0
+    if ti.static(spec.one_launch_per_step):
+        state.n_active[None] = 0
 
 
 @ti.func
@@ -340,50 +343,21 @@ def _narrow(spec: ti.template(), state: ti.template(), at, start):
     return count
 
 
-# --- what may touch, from both ends ----------------------------------------------------------
+# --- what may touch, from both ends, where all act at once ------------------------------------
 
 
 @ti.func
 def _list_both_ends(spec: ti.template(), state: ti.template(), t):
-    """List what was found from both its ends, in the order of places.
-
-    Lists of one thread follow each other, so that iterations read memory from one end to the other.
-    """
-    if ti.static(spec.one_launch_per_step):
-        for at in range(state.n[None]):
-            state.near_start[at], state.near_count[at] = at * MOST_KEPT, 0
-        for at in range(state.patch_start[state.n_patches[None]]):
-            for k in range(state.found_start[at], state.found_start[at] + state.found_count[at]):
-                other = state.found[k] >> NEAR_BITS
-                _put_near(spec, state, at, k, other)
-                _put_near(spec, state, other, k, at)
-        for at in range(state.n[None]):
-            _sort_near(state, at)
-    else:
-        # Each goes through all, and takes what is of its share: they are few.
-        first, end = share(spec, state.n[None], t), share(spec, state.n[None], t + 1)
-        in_patches = ti.min(state.patch_start[state.n_patches[None]], end)
-        for at in range(first, end):
-            state.near_count[at] = 0
-        for at in range(in_patches):
-            for k in range(state.found_start[at], state.found_start[at] + state.found_count[at]):
-                other = state.found[k] >> NEAR_BITS
-                if at >= first:
-                    state.near_count[at] = state.near_count[at] + 1  # += would be atomic
-                if (other >= first) & (other < end):
-                    state.near_count[other] = state.near_count[other] + 1
-        start = first * MOST_KEPT
-        for at in range(first, end):
-            state.near_start[at] = start
-            start += ti.min(state.near_count[at], MOST_KEPT)
-            state.near_count[at] = 0
-        for at in range(in_patches):
-            for k in range(state.found_start[at], state.found_start[at] + state.found_count[at]):
-                other = state.found[k] >> NEAR_BITS
-                if at >= first:
-                    _put_near(spec, state, at, k, other)
-                if (other >= first) & (other < end):
-                    _put_near(spec, state, other, k, at)
+    """List what was found from both its ends, in the order of places."""
+    for at in range(state.n[None]):
+        state.near_start[at], state.near_count[at] = at * MOST_KEPT, 0
+    for at in range(state.patch_start[state.n_patches[None]]):
+        for k in range(state.found_start[at], state.found_start[at] + state.found_count[at]):
+            other = state.found[k] >> NEAR_BITS
+            _put_near(spec, state, at, k, other)
+            _put_near(spec, state, other, k, at)
+    for at in range(state.n[None]):
+        _sort_near(state, at)
     each(spec, state, t, state.n[None], _begin_iterations)
 
 
@@ -391,12 +365,7 @@ def _list_both_ends(spec: ti.template(), state: ti.template(), t):
 def _put_near(spec: ti.template(), state: ti.template(), at, k, other):
     """Put the pair found in row k into the list of one of its ends, but of one that is fixed."""
     if sorted_w(spec, state, at) > 0.0:
-        count = 0
-        if ti.static(spec.one_launch_per_step):
-            count = ti.atomic_add(state.near_count[at], 1)
-        else:
-            count = state.near_count[at]
-            state.near_count[at] = ti.min(count + 1, MOST_KEPT)
+        count = ti.atomic_add(state.near_count[at], 1)
         if count < MOST_KEPT:
             to = state.near_start[at] + count
             state.near[to] = (other << NEAR_BITS) + (state.found[k] & PASSED)

@@ -1,9 +1,9 @@
 """Pairs of particles that rest on each other: at a step's end none overlaps or approaches another.
 
 From a step's free end the positions of pairs that overlap are moved apart and the velocities of
-pairs that touch are changed until none closes in, with friction (Coulomb, 1785), and with
-restitution in the first iteration (Newton, 1687), for pairs that meet faster than gravity lets them
-in some steps. All pairs act at once, by mass splitting (Tonge, Benevolenski, Voroshilov, "Mass
+pairs that touch are changed until none closes in, with friction and restitution (`pair_laws.py`).
+Pairs of cloths do so one after the other (`swept_pairs.py`), where loops need no launches of their
+own. All other pairs act at once, by mass splitting (Tonge, Benevolenski, Voroshilov, "Mass
 splitting for jitter-free parallel rigid body simulation", ACM Trans. Graphics 31, 2012): a particle
 in m contacts takes part in each with 1/m of its mass, and goes on with the mean of what comes of
 its parts. Each pair conserves momentum and loses energy, and a mean of velocities has at most their
@@ -21,10 +21,9 @@ import functools
 
 import taichi as ti
 
-from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.collision_grid import slot_of, sorted_radius, sorted_w
+from taichi_cloth.kernels.collision_grid import slot_of, sorted_w
 from taichi_cloth.kernels.compensated import joined
-from taichi_cloth.kernels.kept_pairs import before_of, has_passed
+from taichi_cloth.kernels.kept_pairs import has_passed
 from taichi_cloth.kernels.loops import each, each_pack_moving, leave
 from taichi_cloth.kernels.near_pairs import (
     find_pairs,
@@ -33,46 +32,21 @@ from taichi_cloth.kernels.near_pairs import (
     sizes,
     sum_over_pairs,
 )
-from taichi_cloth.kernels.obstacles.contract import FRICTION
 from taichi_cloth.kernels.obstruction import is_free
-from taichi_cloth.kernels.packs import (
-    epsilon,
-    set_slot_value,
-    slot_number,
-    slot_value,
-)
-from taichi_cloth.kernels.poses import (
-    END,
-    centre_of,
-    signed_distance,
-    to_local,
-    to_world,
-    velocity_at,
-)
+from taichi_cloth.kernels.packs import set_slot_value, slot_value
+from taichi_cloth.kernels.pair_laws import impulse, may_touch, meeting, out_of_obstacles
+from taichi_cloth.kernels.swept_pairs import is_swept, sweep_pairs
 from taichi_cloth.kernels.watchdog import note_fault
 
 MOST_ITERATIONS = 96  # of a step; a column of ten needs about as many
 LAUNCHED = 32  # on a GPU, which does not look at what came of an iteration
-SLACK = 1e-4  # of a pair's reach, within which they touch
 SETTLED = 2e-4  # of a pair's reach: overlap, and approach in a step, at which iterations end
 UNSETTLED = 1e-2  # of a pair's reach: an overlap that is counted
 # The same where cloths have a thickness: their spheres are a quarter wider than they must be.
-CLOTH_ITERATIONS, CLOTH_SETTLED, CLOTH_UNSETTLED = 12, 2e-2, 0.1
-MEETS = 4.0  # gravity times dt: a pair that closes in faster bounces
-ROUNDINGS = 4.0  # of the coordinates, that an overlap may have
+CLOTH_SWEEPS, CLOTH_SETTLED, CLOTH_UNSETTLED = 12, 2e-2, 0.1
 # Bits of state.touch; above them the pair's place among those near its particle.
 OVERLAPS, APPROACHES, TOUCH_BITS = 1, 2, 2
 OVERLAP, APPROACH = range(2)  # columns of state.touching and state.pair_residual
-
-
-def most_iterations(spec):
-    """How many iterations a step has at most."""
-    return CLOTH_ITERATIONS if spec.thick else MOST_ITERATIONS
-
-
-def settled(spec):
-    """The overlap, in parts of a pair's reach, and approach in a step, at which iterations end."""
-    return CLOTH_SETTLED if spec.thick else SETTLED
 
 
 def unsettled(spec):
@@ -92,22 +66,23 @@ def settle(spec: ti.template(), state: ti.template(), t):
     With one launch per step it only ends what `begin` and `iterate` began, in launches of their
     own: a launch cannot repeat loops that Taichi makes parallel.
     """
-    if ti.static(not spec.one_launch_per_step):
+    if ti.static(is_swept(spec)):
         begin(spec, state, t)
-        done, going = 0, 1
-        if ti.static(spec.thick):
-            going = ti.min(state.n_active[None], 1)
-        if going == 0:
-            each(spec, state, t, 1, _leave_as_it_is)
-        while going == 1:
-            iterate(spec, state, t, done)
-            worst = ti.max(
-                state.pair_residual[done % 2, OVERLAP], state.pair_residual[done % 2, APPROACH]
-            )
-            done += 1
-            if worst <= ti.static(settled(spec)) or done == ti.static(most_iterations(spec)):
-                going = 0
-    _each_active(spec, state, t, _store)
+        sweep_pairs(spec, state, t, ti.static(CLOTH_SWEEPS), ti.static(CLOTH_SETTLED))
+        each(spec, state, t, state.n[None], _store)
+    else:
+        if ti.static(not spec.one_launch_per_step):
+            begin(spec, state, t)
+            done, going = 0, 1
+            while going == 1:
+                iterate(spec, state, t, done)
+                worst = ti.max(
+                    state.pair_residual[done % 2, OVERLAP], state.pair_residual[done % 2, APPROACH]
+                )
+                done += 1
+                if worst <= ti.static(SETTLED) or done == ti.static(MOST_ITERATIONS):
+                    going = 0
+        _each_active(spec, state, t, _store)
     each(spec, state, t, 1, _judge)
     if ti.static(spec.halo > 0):
         each_pack_moving(spec, state, t, leave)
@@ -152,13 +127,6 @@ def _at_active(body):
 
 
 @ti.func
-def _leave_as_it_is(spec: ti.template(), state: ti.template(), i):
-    """What a step without near pairs has instead of iterations."""
-    state.pair_iteration[None] = 0
-    state.pair_residual[0, OVERLAP] = 0.0
-
-
-@ti.func
 def _number(spec: ti.template(), state: ti.template(), done):
     state.pair_iteration[None] = done
 
@@ -198,24 +166,11 @@ def _between(spec: ti.template(), state: ti.template(), at, pair, x, v):
     other = place_of(spec, state, at, pair)
     d = _value(spec, state, other, 0) - x
     reach = reach_of(spec, state, at, pair)
-    distance = laws.length(d)
-    n = laws.unit(d, distance)
+    passed = 0
     if ti.static(spec.thick):
-        if has_passed(state, pair):
-            before = before_of(spec, state, at, other)
-            n = laws.unit(before, laws.length(before))
-            distance = d.dot(n)
-    if distance == 0.0:  # they have no normal: any will do, the other way for the other one
-        n[0] = ti.select(state.sorted_index[at] < state.sorted_index[other], 1.0, -1.0)
-    gap = distance - reach
-    size = ti.abs(x[0])
-    for axis in ti.static(range(1, spec.dim)):
-        size = ti.max(size, ti.abs(x[axis]))
+        passed = ti.cast(has_passed(state, pair), ti.i32)
     relative = _velocity(spec, state, other) - v
-    u = relative.dot(n)
-    rounding = ti.static(ROUNDINGS * epsilon(state)) * size
-    overlaps = ti.select(gap < -1.0 * rounding, 1, 0)
-    approaches = ti.select((gap <= SLACK * reach + rounding) & (u < 0.0), 1, 0)
+    n, gap, u, overlaps, approaches = meeting(spec, state, at, other, x, d, relative, reach, passed)
     return n, gap, reach, relative, u, overlaps, approaches
 
 
@@ -281,10 +236,8 @@ def _list_touching(spec: ti.template(), state: ti.template(), at):
 def _may_touch(spec: ti.template(), state: ti.template(), at, pair, x):
     """Whether a pair of cloth is near enough to be asked whether it touches; x: of `at`."""
     d = _value(spec, state, place_of(spec, state, at, pair), 0) - x
-    far = ti.static(1.0 + 2.0 * SLACK) * reach_of(spec, state, at, pair)
-    for axis in ti.static(range(spec.dim)):  # `abs` of vectors crashes in lanes
-        far += ti.static(2.0 * ROUNDINGS * epsilon(state)) * ti.abs(x[axis])
-    return (d.dot(d) <= far * far) | has_passed(state, pair)
+    reach = reach_of(spec, state, at, pair)
+    return may_touch(spec, state, x, d, reach) | has_passed(state, pair)
 
 
 @ti.func
@@ -321,7 +274,7 @@ def _take_to_other_half(spec: ti.template(), state: ti.template(), at, touches, 
         if ti.static(len(spec.obstacles) > 0):
             slot = slot_of(spec, state, state.sorted_index[at])
             if may_enter and not is_free(spec, state, slot, x):
-                x, v = _out_of_obstacles(spec, state, at, x, v)
+                x, v = out_of_obstacles(spec, state, at, x, v)
     to = at + ((state.pair_iteration[None] + 1) & 1) * ti.static(state.sorted_half)
     for axis in ti.static(range(spec.dim)):
         state.sorted[to, axis], state.sorted[to, ti.static(spec.dim + 1 + axis)] = x[axis], v[axis]
@@ -387,30 +340,15 @@ def _change_by(
         _note_residual(state, OVERLAP, -1.0 * gap / reach)
     if approaches > 0:
         split = state.touching[at, APPROACH] * w + state.touching[other, APPROACH] * other_w
-        e = 0.0 * u
-        if state.pair_iteration[None] == 0 and -1.0 * u > MEETS * state.least_scale[None] * dt:
-            a = slot_of(spec, state, state.sorted_index[at])
-            b = slot_of(spec, state, state.sorted_index[other])
-            e = _restitution(spec, state, a) * _restitution(spec, state, b)
-        lost = -(1.0 + e) * u
-        taken, _ = laws.friction(relative - u * n, lost, state.pair_friction[None])
+        change, taken = impulse(spec, state, at, other, n, relative, u)
         part = -1.0 * w / split
         dx += (part * ti.static(state.position_weight) * dt) * taken
-        dv += part * (lost * n + taken)
+        dv += part * change
         _note_residual(state, APPROACH, -1.0 * u * dt / reach)
     found = ti.Vector.zero(state.real, ti.static(sizes(spec)))
     for axis in ti.static(range(spec.dim)):
         found[axis], found[ti.static(spec.dim + axis)] = dx[axis], dv[axis]
     return found
-
-
-@ti.func
-def _restitution(spec: ti.template(), state: ti.template(), slot):
-    """The restitution of a particle against others: a cloth has none."""
-    if ti.static(spec.thick):
-        return slot_number(spec, state.pair_restitution, slot)
-    else:
-        return slot_number(spec, state.restitution, slot)
 
 
 @ti.func
@@ -422,37 +360,23 @@ def _note_residual(state: ti.template(), kind: ti.template(), size):
 
 
 @ti.func
-def _out_of_obstacles(spec: ti.template(), state: ti.template(), at, x, v):
-    """Position and velocity of a particle, put onto the obstacles that it was pushed into."""
-    radius = sorted_radius(spec, state, at)
-    if ti.static(spec.thick):
-        radius = slot_number(spec, state.radius, slot_of(spec, state, state.sorted_index[at]))
-    for o in range(state.n_obstacles[None]):
-        d = x - centre_of(spec, state, o, END)
-        distance, local_n = signed_distance(spec, state, o, to_local(spec, state, o, END, d))
-        gap = distance - radius
-        if gap <= SLACK * radius:
-            n = to_world(spec, state, o, END, local_n)
-            surface_v = velocity_at(spec, state, o, d - gap * n)
-            relative = v - surface_v
-            u = relative.dot(n)
-            x += (-1.0 * ti.min(gap, 0.0)) * n  # `-=` of vectors crashes in lanes
-            if u < 0.0:
-                taken, _ = laws.friction(
-                    relative - u * n, -1.0 * u, state.obstacle_numbers[o, FRICTION]
-                )
-                v += taken - u * n
-                x += (ti.static(state.position_weight) * state.dt[None]) * taken
-    return x, v
+def _store(spec: ti.template(), state: ti.template(), at):
+    """Give a particle what all iterations changed."""
+    slot = slot_of(spec, state, state.sorted_index[at])
+    row, acted = at, 1
+    if ti.static(is_swept(spec)):
+        acted = ti.cast(state.changed[at] > 0, ti.i32)
+    else:
+        row += (state.pair_iteration[None] + 1) % 2 * ti.static(state.sorted_half)
+    if acted:
+        _store_row(spec, state, slot, row)
 
 
 @ti.func
-def _store(spec: ti.template(), state: ti.template(), at):
-    """Give a particle what all iterations changed."""
-    end, slot = state.pair_iteration[None] + 1, slot_of(spec, state, state.sorted_index[at])
+def _store_row(spec: ti.template(), state: ti.template(), slot, row):
+    """Give a particle what is in a row of state.sorted."""
     x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)
     dx, dv, moved = 0.0 * x, 0.0 * v, 0.0
-    row = at + end % 2 * ti.static(state.sorted_half)
     for axis in ti.static(range(spec.dim)):
         dx[axis] = state.sorted[row, axis] - x[axis]
         dv[axis] = state.sorted[row, ti.static(spec.dim + 1 + axis)] - v[axis]
