@@ -4,7 +4,9 @@ import csv
 import json
 import signal
 import threading
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from selection import thorough
 
@@ -18,9 +20,10 @@ from taichi_cloth.stability import command as stability
 from taichi_cloth.stability import experiment
 from taichi_cloth.sweeps.journal import Journal
 from taichi_cloth.sweeps.within import Clock, TimeIsUp, clock, ending, said_of_left_out
-from taichi_cloth.trade import command
+from taichi_cloth.trade import command, runner
 from taichi_cloth.trade.outcomes import Outcome
-from taichi_cloth.trade.pace import FEWEST_FRAMES, Pace, Share, left_out
+from taichi_cloth.trade.pace import FEWEST_FRAMES, PAST, Pace, Share, left_out
+from taichi_cloth.trade.process import Stopped
 from taichi_cloth.trade.settings import Setting
 
 
@@ -111,6 +114,7 @@ def test_methods_that_do_not_compile_in_time_are_left_out():
     hand.at += 49.0
     assert pace.fits("verlet") and not pace.fits("tr_bdf2")
     assert not pace.over(referenced=True)
+    pace.found = True
     hand.at += 10.0
     assert pace.over(referenced=True) and not pace.over(referenced=False)
     hand.at += 14.0
@@ -127,12 +131,121 @@ def test_settings_run_from_the_longest_step_as_long_as_their_share_lasts():
     share = Share(7.0, budget=0.1)
     assert share.fits(Setting("vbd", 1.0, 1000, iterations=1))  # the first one, whatever it takes
     share.took(outcome(0.5, 1, iterations=1))
-    assert share.expected(Setting("vbd", 1.0, 2, iterations=1)) == 1.0
-    assert share.expected(Setting("vbd", 1.0, 2, iterations=8)) == 8.0
+    assert share.expected(Setting("vbd", 1.0, 2, iterations=1)) == (1.0, 0.0)
+    assert share.expected(Setting("vbd", 1.0, 2, iterations=8)) == (8.0, 0.0)
     assert share.fits(Setting("vbd", 1.0, 4, iterations=1))
     share.took(outcome(2.0, 4, iterations=1))
     assert not share.fits(Setting("vbd", 1.0, 8, iterations=1))
     assert share.fits(Setting("vbd", 1.0, 2, iterations=1))
+
+
+def test_reading_states_takes_no_longer_with_more_substeps():
+    """A run of 0.1 s whose states took 1 s to read: of four times the substeps 0.4 s, and 1."""
+    share = Share(4.0, budget=0.1)
+    share.took(Outcome(Setting("rk4", 1.0, 1), sampled_in=1.1, read_in=1.0))
+    run, read = share.expected(Setting("rk4", 1.0, 4))
+    assert run == pytest.approx(0.4) and read == 1.0
+    assert share.fits(Setting("rk4", 1.0, 4)) and not share.fits(Setting("rk4", 1.0, 32))
+
+
+def test_until_there_is_a_row_nothing_begins_that_may_keep_it_from_its_timing():
+    hand = Hand()
+    pace = Pace(Clock(60.0, hand))
+    pace.compiled("rk4", 20.0)
+    hand.at += 40.0  # 16.4 s are left, more than HOPE of 20
+    assert pace.fits("rk4", made=True) and not pace.fits("verlet")
+    pace.found = True
+    assert pace.fits("verlet")
+    pace.found = False
+    hand.at += 20.0
+    assert not pace.over(referenced=True) and pace.fits("rk4", made=True)
+    pace.found = True
+    assert pace.over(referenced=True) and not pace.fits("rk4", made=True)
+
+
+class Machine:
+    """Processes of a study whose seconds are made up: all share one clock, as on one core.
+
+    compiling: of a method in a process; step: of a frame with one substep.
+    """
+
+    def __init__(self, hand, clock, compiling, step):
+        self.hand, self.clock, self.compiling, self.step = hand, clock, compiling, step
+        self.lock = threading.Lock()
+
+    def process(self, kind, scene, how, folder, stop):
+        return Made(self, kind, scene, stop)
+
+
+class Made:
+    """A process of a `Machine`: the oscillator's closed form, off by the fourth power of the step.
+
+    It is one that ends when the study does, as a `TrialProcess`.
+    """
+
+    def __init__(self, machine, kind, scene, stop):
+        self.machine, self.kind, self.scene, self.stop = machine, kind, scene, stop
+        self.made = set()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def kill(self):
+        pass
+
+    def about(self, method):
+        return {"device": "made up"} if method in self.made else {}
+
+    def drop(self, method):
+        return method in self.made
+
+    def ask(self, setting, scene, do, frames=0, file=None, budget=0.0):
+        run = frames * setting.substeps * self.machine.step
+        took = run if do == "sample" else 3 * run
+        if setting.method not in self.made:
+            took += self.machine.compiling
+        with self.machine.lock:
+            rest = self.machine.clock.left() + PAST * self.machine.clock.seconds
+            self.machine.hand.at += min(took, max(rest, 0.0) + 1e-3)
+        if took > rest:  # it is killed before it is done
+            assert self.stop.wait(timeout=30)
+        if self.stop.is_set():
+            raise Stopped
+        self.made.add(setting.method)
+        if do == "sample":
+            return self.sampled(setting, scene, frames, file) | {"sampled_in": run}
+        return [run] if do == "time" else None
+
+    def sampled(self, setting, scene, frames, file):
+        times = np.arange(frames + 1) * setting.dt
+        x, v = SceneSource("oscillator").solution()(scene, times)
+        x = x + (times * setting.step**4)[:, None, None]
+        none = np.ones((frames + 1, 0), bool)
+        np.savez(file, x=x, v=v, alive=none, contacts=np.zeros((frames + 1, 3)))
+        return {"failed": "", "force_evaluations": 1, "sweeps": 0, "unconverged": 0, "read_in": 0.0}
+
+
+@pytest.mark.parametrize("compiling", [1.0, 5.0, 12.0, 19.0, 24.0])
+def test_a_minute_has_rows_wherever_a_reference_and_a_timing_fit(compiling, tmp_path, monkeypatch):
+    """However long a method compiles, up to two fifths of the time, of which two do at least."""
+    source, options = SceneSource("oscillator"), TradeOptions.from_given({"quick": True})
+    scene, chosen, how = command.prepare(source, options)
+    hand = Hand()
+    how = replace(how, clock=Clock(60.0, hand))
+    machine = Machine(hand, how.clock, compiling, 1e-4)
+    monkeypatch.setattr(runner, "TrialProcess", machine.process)
+    with command.measured(source, options, scene, chosen, how, quiet=True) as result:
+        found = {outcome.setting for outcome in result.outcomes if outcome.seconds}
+        assert result.reference and len(found) >= 4
+        assert hand.at - 100.0 <= 66.0
+        of = {(setting.method, setting.process) for setting in chosen}
+        whole = {(setting.method, setting.process) for setting in found}
+        named = "\n".join(result.left_out)
+        for method, (arch, precision, _) in of - whole:
+            assert f"{method}, {arch} {precision}: all of it" in named
 
 
 def test_what_is_left_out_is_said_by_method_and_nothing_without_a_limit():

@@ -26,7 +26,7 @@ class Outcome:
     name of the machine that they were taken on.
 
     lost: whether it came to nothing because of the machine, such as a full disk. sampled_in:
-    seconds that the run took of which there are samples.
+    seconds that the run took of which there are samples; read_in: those in which they were read.
     """
 
     setting: Setting
@@ -40,6 +40,7 @@ class Outcome:
     timed_on: str = ""
     about: dict[str, Any] = field(default_factory=dict)
     sampled_in: float = 0.0
+    read_in: float = 0.0
 
     @property
     def ok(self) -> bool:

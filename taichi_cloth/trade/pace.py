@@ -2,11 +2,13 @@
 
 Methods come in the order of what they take to compile, each with its share of the time that is
 left, in which its settings run from the longest step to the shortest. What does not fit is left
-out, and said; what is running when the time is over is left out, too. The reference always runs.
+out, and said; what is running when the time is over is left out, too. The reference always runs,
+and until there is a row to show nothing begins that might keep the first one from its timing.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Sequence
 from typing import Any
@@ -26,7 +28,8 @@ GREED = 1.5  # even shares of the time left that a method may take: the next one
 CONVERGED = 8.0  # times as long as a run that is not, about
 ELSEWHERE = 0.4  # of the time: for timing here, with compiling, what was run elsewhere
 HOPE = 0.6  # of the time that a method is expected to compile in, that it may do with
-PAST = 0.1  # of the time, by which references alone may exceed it
+PAST = 0.1  # of the time, by which the reference and the first row alone may exceed it
+HALF = 0.5  # of the time left, that references take at most: rows have to follow
 
 
 def rank(method: str) -> tuple[int, bool]:
@@ -51,6 +54,7 @@ class Pace:
         self.clock = clock
         self._lock = threading.Lock()
         self._compiled: dict[int, float] = {}  # by kind, the longest seconds so far
+        self.found = False  # whether there is a row to show: a setting with its error and its time
 
     @property
     def timing(self) -> float:
@@ -61,12 +65,21 @@ class Pace:
         """The frames to compare, out of those asked for; seconds: of the coarsest fine run's."""
         if not self.clock.limited:
             return asked
-        fitting = REFERENCES * self.clock.seconds / (COARSE_RUNS * max(seconds_a_frame, 1e-9))
+        fitting = self.patience(math.inf) / (COARSE_RUNS * max(seconds_a_frame, 1e-9))
         return min(asked, max(FEWEST_FRAMES, int(fitting)))
 
+    def patience(self, most: float) -> float:
+        """Seconds that references may take from now on, of `most` where time is no matter."""
+        if not self.clock.limited:
+            return most
+        return min(most, REFERENCES * self.clock.seconds, max(HALF * self.clock.left(), 0.0))
+
     def over(self, referenced: bool) -> bool:
-        """Whether the study is to end; referenced: whether there is what to compare to."""
-        late = 0.0 if referenced else -PAST * self.clock.seconds
+        """Whether the study is to end, which is later while there is nothing to show.
+
+        referenced: whether there is what to compare to.
+        """
+        late = 0.0 if referenced and self.found else -PAST * self.clock.seconds
         return self.clock.limited and self.clock.left() < late
 
     def compiled(self, method: str, seconds: float) -> None:
@@ -83,11 +96,16 @@ class Pace:
             guessed = [of * SLOWER[kind] / SLOWER[k] for k, of in self._compiled.items()]
         return known if known is not None else max(guessed, default=0.0)
 
-    def fits(self, method: str) -> bool:
-        """Whether a method may be compiled in time: one that is not has cost nothing but the time
-        that nothing else would have used.
+    def fits(self, method: str, made: bool = False) -> bool:
+        """Whether a method may be compiled in time. made: whether it is compiled already.
+
+        One that is not done in time has cost nothing but the time that nothing else would have
+        used: unless what is finished waits for its timing until then, and is not timed at all.
         """
-        return not self.clock.limited or HOPE * self.to_compile(method) < self.clock.left()
+        if made or not self.clock.limited:
+            return not self.over(True)
+        hope = HOPE if self.found else 1.0
+        return hope * self.to_compile(method) < self.clock.left()
 
     def share(self, methods: int) -> float:
         """Seconds that the first of so many methods of a process may take."""
@@ -106,25 +124,28 @@ class Share:
 
     def fits(self, setting: Setting) -> bool:
         """Whether a setting fits, by those that ran; the first one always does."""
-        return not self._done or self._cost(self.expected(setting)) <= self._left
+        return not self._done or self._cost(*self.expected(setting)) <= self._left
 
     def took(self, outcome: Outcome) -> None:
         """Take note of a setting that ran."""
         self._done.append(outcome)
-        self._left -= self._cost(outcome.sampled_in)
+        self._left -= self._cost(outcome.sampled_in - outcome.read_in, outcome.read_in)
 
-    def _cost(self, seconds: float) -> float:
-        """Of a run and its timing, which takes no less than a run."""
-        return seconds + max(self._budget, seconds)
+    def _cost(self, run: float, read: float) -> float:
+        """Of a run, of reading its states and of its timing, which takes no less than a run."""
+        return run + read + max(self._budget, run)
 
-    def expected(self, setting: Setting) -> float:
-        """Seconds of a run, from those that are most like it: at so many substeps, and sweeps."""
+    def expected(self, setting: Setting) -> tuple[float, float]:
+        """Seconds of a run, from those that are most like it, at so many substeps and sweeps; and
+        of reading its states, which takes the same whatever runs.
+        """
         same = [of for of in self._done if of.setting.series == setting.series]
-        seconds = min(of.sampled_in / of.setting.substeps for of in same or self._done)
+        runs = [(of.sampled_in - of.read_in) / of.setting.substeps for of in same or self._done]
+        seconds, read = min(runs), min(of.read_in for of in self._done)
         last = (same or self._done)[-1].setting
         sweeps = (setting.iterations or 1) / (last.iterations or 1)
         harder = setting.tolerance is not None and last.tolerance is None
-        return setting.substeps * seconds * max(sweeps, CONVERGED if harder else 1.0)
+        return setting.substeps * seconds * max(sweeps, CONVERGED if harder else 1.0), read
 
 
 def left_out(clock: Clock, chosen: Sequence[Setting], outcomes: Sequence[Outcome]) -> list[str]:

@@ -10,7 +10,7 @@ import queue
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -22,6 +22,8 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.measuring.timing import Quiet
 from taichi_cloth.measuring.worker import ENDED, WorkerFailed
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.penetration import touches
+from taichi_cloth.scene.solids import solids
 from taichi_cloth.sweeps.journal import Journal
 from taichi_cloth.sweeps.tasks import Elsewhere, Task, fill
 from taichi_cloth.trade import ode, reference, settings
@@ -97,6 +99,7 @@ class Study:
         self.tell: Tell = tell_nobody
         self._asked, self._dt = frames, self.settings[0].dt
         self._wished, self._planned = frames, threading.Event()
+        self._computing = threading.Event()  # the reference is, so there is time to compile beside
         self._pace = Pace(how.clock)
         self._courses = [_Course(scene, lambda times: None) for scene in scenes]
         self._courses[0].closed = closed
@@ -153,6 +156,7 @@ class Study:
                 interrupted = interrupt
             self._stop.set()
             self._planned.set()
+            self._computing.set()
             for course in self._courses:
                 course.horizon_known.set()
             self._came.set()
@@ -172,6 +176,10 @@ class Study:
         """Note in a result the time that there was, and what was left out for it."""
         result.clock = self.how.clock
         result.left_out = left_out(result.clock, self.settings, result.outcomes)
+        unaccounted = result.clock.limited and not self.how.accounts
+        if unaccounted and touches(result.scene, solids(result.scene)):
+            account = "what contacts do to the energy, and when they touch first"
+            result.left_out.insert(0, f"{account}, which takes long to compile")
         if self._asked < self._wished:
             lacking = f"frames {self._asked + 1} to {self._wished}"
             result.left_out.insert(0, f"{lacking}, for which references would take too long")
@@ -220,7 +228,8 @@ class Study:
                 course.smooth = self._records.solved(course.scene, times)
                 if course.smooth is None:
                     with self._quiet.working():
-                        course.smooth = ode.solve(course.scene, times, self.how.patience, tell)
+                        patience = self._pace.patience(self.how.patience)
+                        course.smooth = ode.solve(course.scene, times, patience, tell)
                     self._records.keep_solution(course.scene, times, course.smooth)
                 self._news.put(("the differential equation is solved", MAKING))
 
@@ -256,6 +265,8 @@ class Study:
                 (f"{method}, {' '.join(kind[:2])}", MAKING)
             )
             try:
+                if kind != EXACT and not self._elsewhere:
+                    self._compile_ahead(process, next(filter(None, methods.values())))
                 for number, (method, of) in enumerate(methods.items()):
                     if kind == EXACT and number == 0:
                         with self._quiet.working():
@@ -268,6 +279,22 @@ class Study:
             except (Stopped, WorkerFailed):
                 if not self._stop.is_set():
                     raise
+
+    def _compile_ahead(self, process: TrialProcess, of: list[Setting]) -> None:
+        """Compile a process's first method while the first frames of the reference are computed.
+
+        Nothing else could: no setting runs before the horizon is known. Where the reference has
+        been computed by an earlier run there is nothing to wait for.
+        """
+        course = self._courses[0]
+        self._computing.wait()
+        if course.horizon_known.is_set() or self._stop.is_set():
+            return
+        begin = time.monotonic()
+        # What cannot be compiled is an outcome of the settings that are asked for later.
+        with self._quiet.working(), contextlib.suppress(WorkerFailed):
+            process.ask(of[0], course.scene, "compile")
+            self._pace.compiled(of[0].method, time.monotonic() - begin)
 
     def _run_settings(
         self, process: TrialProcess, of: list[Setting], course: _Course, methods: int
@@ -286,11 +313,13 @@ class Study:
             outcomes = self._sample_fitting(process, scene, of, frames, seconds)
         wanted = [of for of in outcomes if of.ok and of.setting in self._wanted]
         missing = [of for of in wanted if not self._records.timed(scene, of, frames)]
+        for outcome in outcomes:
+            if outcome not in missing:
+                self._finish(course, outcome)
         if missing:
             with self._quiet.alone():
-                self._time(process, scene, missing, frames)
-        for outcome in outcomes:
-            self._finish(course, outcome)
+                for outcome in self._time(process, scene, missing, frames):
+                    self._finish(course, outcome)
 
     def _sample_fitting(
         self,
@@ -305,10 +334,12 @@ class Study:
         share = Share(seconds, self.how.budget)
         outcomes: list[Outcome] = []
         for setting in of:
-            if not (self._pace.fits(setting.method) if not outcomes else share.fits(setting)):
+            made = bool(process.about(setting.method))
+            fits = share.fits(setting) if outcomes else self._pace.fits(setting.method, made)
+            if not fits:
                 continue
             outcome = self._sample(process, scene, setting, frames)
-            if not outcomes:
+            if not made:
                 self._pace.compiled(setting.method, time.monotonic() - begin - outcome.sampled_in)
             share.took(outcome)
             outcomes.append(outcome)
@@ -341,6 +372,7 @@ class Study:
         second = run(substeps, self._asked, reference.disturbed(scene, size)).samples()
         horizon = course.horizon = reference.limit_horizon(scene, first, second)
         course.horizon_known.set()
+        self._computing.set()
         self._news.put((horizon.describe(), MAKING // 2))
 
         spent = last = 0.0
@@ -355,7 +387,7 @@ class Study:
             return samples
 
         def enough(times_longer: float) -> bool:
-            return spent + times_longer * last > self.how.patience
+            return spent + times_longer * last > self._pace.patience(self.how.patience)
 
         reference.refine(timed, scene, substeps, enough)
         self._news.put(("the references are there", MAKING // 2))
@@ -369,6 +401,7 @@ class Study:
         outcome = self._records.sampled(scene, setting, frames)
         if outcome is not None:
             return outcome
+        self._computing.set()
         file = self._records.journal.new_file(".npz")
         try:
             found = process.ask(setting, scene, "sample", frames=frames, file=str(file))
@@ -381,10 +414,13 @@ class Study:
 
     def _time(
         self, process: TrialProcess, scene: Scene, outcomes: list[Outcome], frames: int
-    ) -> None:
-        """The times of settings of one method, here or where times are taken."""
+    ) -> Iterator[Outcome]:
+        """Take the times of settings of one method, here or where times are taken; each outcome,
+        as soon as it has them: an end of the time comes when it will.
+        """
         if self._elsewhere and self._elsewhere.timing:
             self._time_elsewhere(self._elsewhere, process.kind, scene, outcomes, frames)
+            yield from outcomes
             return
         budget = self.how.budget
         for outcome in outcomes:
@@ -396,6 +432,7 @@ class Study:
             else:
                 about = process.about(setting.method)
                 self._records.keep_times(scene, outcome, frames, seconds, about)
+            yield outcome
 
     def _time_elsewhere(
         self, there: Elsewhere, kind: Process, scene: Scene, outcomes: list[Outcome], frames: int
@@ -420,6 +457,7 @@ class Study:
         """Keep an outcome: of a setting that is compared, of a converged solver, or of both."""
         if outcome.setting in self._wanted:
             course.outcomes[outcome.setting] = outcome
+            self._pace.found |= outcome.ok and bool(outcome.seconds)
         if settings.converged(outcome.setting) == outcome.setting and outcome.ok:
             course.converged[outcome.setting] = outcome
         self._news.put((outcome.setting.describe(), 1))

@@ -72,18 +72,23 @@ class Trial:
         for sim in {self._sim, self._watched}:
             sim.load_scene(_load(scene))
 
+    def compile(self, dt: float, substeps: int, solver: dict[str, Any]) -> None:
+        """Compile what samples are taken with, by a frame."""
+        for of in {self._begin(dt, substeps, solver), self._watched}:
+            self._warm_up(f"compiled {id(of)}", of, 1)
+
     def sample(
         self, dt: float, substeps: int, solver: dict[str, Any], frames: int, file: str
     ) -> dict[str, Any]:
         """Run `frames` frames; the state at the start and after each goes to `file` (npz).
 
         Arrays are those of `errors.Samples`; rows of a run that fails end with its last good frame.
-        Returns its work, its seconds, and `failed`, how it ended: also one most of whose
-        steps did not converge has failed.
+        Returns its work, its seconds, those of them in which states were read, and `failed`, how it
+        ended: also one most of whose steps did not converge has failed.
         """
-        for of in {self._begin(dt, substeps, solver), self._watched}:
-            self._warm_up(f"compiled {id(of)}", of, 1)
+        self.compile(dt, substeps, solver)
         start = time.perf_counter()
+        read_in = 0.0
         sim, watched = self._begin(dt, substeps, solver), self._watched
         breaks = sim.scene.features().fracture
         shape = (frames + 1, sim.particle_count, sim.scene.world.dim)
@@ -105,12 +110,14 @@ class Trial:
                         f"{failure.what}; {failure.cause}"
                     )
                     break
+            reading = time.perf_counter()
             x[frame], v[frame] = sim.positions(), sim.velocities()
             if breaks:
                 alive[frame] = sim.springs_alive()
             if frame and sim.can_touch():
                 deepest = max(deepest, sim.penetration())
             contacts[frame] = self._contacts(deepest)
+            read_in += time.perf_counter() - reading
             done = frame + 1
         if not failed and sim.work().mostly_unconverged:
             failed = f"failed: {sim.describe_convergence()}"
@@ -126,6 +133,7 @@ class Trial:
             "sweeps": work.sweeps,
             "unconverged": work.unconverged,
             "sampled_in": time.perf_counter() - start,
+            "read_in": read_in,
         }
 
     def _warm_up(self, key: str, sim: Simulation, frames: int) -> None:
