@@ -273,7 +273,7 @@ class Study:
                             for course in self._courses:
                                 self._find_references(process, method, course)
                     for course in self._courses:
-                        self._run_settings(process, of, course, len(methods) - number)
+                        self._run_settings(process, of, course, list(methods)[number + 1 :])
                     if not process.drop(method):
                         self._news.put((f"{method}, {' '.join(kind[:2])}", MAKING))
             except (Stopped, WorkerFailed):
@@ -297,11 +297,11 @@ class Study:
             self._pace.compiled(of[0].method, time.monotonic() - begin)
 
     def _run_settings(
-        self, process: TrialProcess, of: list[Setting], course: _Course, methods: int
+        self, process: TrialProcess, of: list[Setting], course: _Course, later: Sequence[str]
     ) -> None:
         """Errors of all settings of one method, of what fits in the time, then, alone, their times.
 
-        methods: of this process that are still to come, with this one.
+        later: the methods of this process that are still to come: those that fit have a share, too.
         """
         course.horizon_known.wait()
         self._came.wait()
@@ -309,7 +309,7 @@ class Study:
             raise Stopped
         scene, frames = course.scene, course.horizon.frames
         with self._quiet.working():
-            seconds = self._pace.share(methods)
+            seconds = self._pace.share(1 + sum(map(self._pace.fits, later)))
             outcomes = self._sample_fitting(process, scene, of, frames, seconds)
         wanted = [of for of in outcomes if of.ok and of.setting in self._wanted]
         missing = [of for of in wanted if not self._records.timed(scene, of, frames)]
