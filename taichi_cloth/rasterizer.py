@@ -5,10 +5,13 @@ For the view that has nothing else to draw with; a picture has the same bits on 
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import dataclass, field
 
 import numpy as np
 import taichi as ti
+from taichi.lang import impl
+from taichi.lang._ndarray import ScalarNdarray
 
 from taichi_cloth.kernels import raster
 
@@ -91,8 +94,20 @@ class Floor:
         return np.concatenate([[self.above], *given]).astype(np.float32)
 
 
-def _image(shape: tuple[int, ...]) -> ti.Ndarray:
-    return ti.ndarray(ti.i32, shape)
+class Image(ScalarNdarray):  # type: ignore[misc]  # Taichi says nothing of its types
+    """Pixels (h, w) int32 on the device, all 0; they are gone where Taichi is started anew.
+
+    Taichi takes back whatever lies where an array lay when Python drops it: were it made before a
+    new start, that would be an array of after it, at the same address, which others draw in.
+    """
+
+    def __init__(self, *shape: int):
+        self._made_in = weakref.ref(impl.get_runtime().prog)
+        super().__init__(ti.i32, shape)
+
+    def __del__(self) -> None:
+        if impl is not None and self._made_in() is impl.get_runtime().prog:  # None: Python ends
+            super().__del__()
 
 
 class Rasterizer:
@@ -102,14 +117,10 @@ class Rasterizer:
         self._samples = samples
         shape = samples * size[1], samples * size[0]
         tiles = tuple(-(-n // tile) for n, tile in zip(shape, raster.TILE, strict=True))
-        self._drawn = (
-            ti.ndarray(ti.i32, shape),
-            ti.ndarray(ti.i32, shape),
-            ti.ndarray(ti.i32, tiles),
-        )
-        self._behind = ti.ndarray(ti.i32, shape), ti.ndarray(ti.i32, shape)
-        self._laid = ti.ndarray(ti.i32, (size[1], size[0]))
-        self._under: ti.Ndarray | None = None  # what is seen through veils
+        self._drawn = Image(*shape), Image(*shape), Image(*tiles)
+        self._behind = Image(*shape), Image(*shape)
+        self._laid = Image(size[1], size[0])
+        self._under: Image | None = None  # what is seen through veils
         self._wanted: bytes | None = None  # what lies behind everything, and
         self._still: Still | None = None
 
@@ -160,7 +171,7 @@ class Rasterizer:
         if not any(veils):
             return
         if self._under is None:
-            self._under = _image(self._drawn[1].shape)
+            self._under = Image(*self._drawn[1].shape)
         _, color, touched = self._drawn
         self._draw(0, lens, lights, *veils, [])
         raster.set_back(color, touched, self._under)

@@ -316,6 +316,28 @@ def test_what_stands_still_is_kept_and_what_moves_is_wiped_away():
     view.close()
 
 
+TWO_STARTS = """
+from taichi_cloth import runtime
+from taichi_cloth.kernels import raster
+from taichi_cloth.rasterizer import Image
+
+runtime.start()
+before = Image(32, 64)
+runtime.start(threads=1)
+color, touched, under = Image(32, 64), Image(2, 1), Image(32, 64)
+touched.fill(1)
+before.arr = color.arr  # memory is given anew where what was there is gone
+del before
+raster.set_back(color, touched, under)
+print(set(color.to_numpy().ravel().tolist()))
+"""
+
+
+def test_pictures_of_before_a_new_start_leave_what_is_drawn_after_it_alone(cli):
+    """They are dropped whenever Python looks; Taichi frees what lies where they lay."""
+    assert cli.call("commands:printed_by", program=TWO_STARTS).strip() == "{-1}"
+
+
 def test_an_upright_plane_has_y_up():
     window = WindowMap.of(World(size=(4.0, 2.0), gravity=(0.0, -1.0), up="y"), (400, 300))
     points = np.array([[0.0, 0.0], [1.0, 1.5]])
