@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import ctypes.util
+import gc
 import io
 import os
 import subprocess
@@ -198,8 +199,9 @@ def _initialize(
         return False
     ti = _import_taichi()
     ti.set_logging_level(ti.CRITICAL)  # it warns of the fallback that we refuse ourselves
-    before = _own_threads()
     with _silence():
+        _end()
+        before = _own_threads()
         ti.init(
             arch=getattr(ti, arch),
             default_fp=getattr(ti, _real(precision)),
@@ -216,6 +218,26 @@ def _initialize(
     if arch == "cpu":
         _pin(sorted(_own_threads() - before)[-threads:], threads)
     return ti.cfg.arch in ((ti.x64, ti.arm64) if arch == "cpu" else (getattr(ti, arch),))
+
+
+def _end() -> None:
+    """End what was started before, and have Taichi give its memory back now.
+
+    It does once nobody holds its program, by address. Trees of fields hold it, and wait in cycles
+    for Python to look: by then what was started next has its arrays at these addresses.
+    """
+    import taichi
+    from taichi._snode.snode_tree import SNodeTree
+    from taichi.lang import impl
+
+    program = impl.get_runtime().prog
+    if program is None:
+        return
+    for holder in gc.get_referrers(program):
+        if isinstance(holder, SNodeTree):
+            holder.prog = None  # as of any earlier program: `destroy` does nothing
+    del program
+    taichi.reset()
 
 
 def kernel_cache() -> Path:
