@@ -176,6 +176,13 @@ def start(
     return _device
 
 
+def stop() -> None:
+    """End what `start` began: only then does Taichi write what it compiled to its cache."""
+    global _device
+    _device = None
+    _import_taichi().reset()
+
+
 def _real(precision: str) -> str:
     """The type of numbers that a precision computes in."""
     return "f64" if precision == "f64" else "f32"

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taichi_cloth import console, runtime
+from taichi_cloth.errors import counted
 from taichi_cloth.measuring import machine, vulkan
 from taichi_cloth.settings.options import PATHS, TOPOLOGIES
 from taichi_cloth.version import __version__
@@ -89,6 +90,7 @@ def findings() -> Iterator[Finding]:
     for name, lack in usable_views().items():
         yield Finding(f"view {name}", "usable" if lack is None else lack, lack is None)
     yield _video_writer()
+    yield _sixteen_lanes()
     yield from _cache_folders()
 
 
@@ -108,6 +110,22 @@ def _video_writer() -> Finding:
         needs = "needs ffmpeg: pip install imageio imageio-ffmpeg (.gif works without)"
         return Finding("video writer", needs, False)
     return Finding("video writer", f"ffmpeg {version} ({program})")
+
+
+def _sixteen_lanes() -> Finding:
+    """What runs have compiled beside themselves, and where that went wrong."""
+    from taichi_cloth.simulation import sixteen
+
+    name, tried = "sixteen lanes", sixteen.all_tried()
+    if machine.vector_unit() != machine.WIDEST:
+        return Finding(name, f"need vectors of 64 bytes ({machine.WIDEST})", False)
+    done = counted(sum(one.done > 0 for one in tried), "kind")
+    text = f"compiled beside runs, for later ones: {done} of run"
+    failed = [one for one in tried if one.failed]
+    if failed:
+        times = counted(sum(one.failed for one in failed), "time")
+        text += f"; failed {times}, last in {failed[-1].what}: {failed[-1].why}"
+    return Finding(name, text, not failed)
 
 
 def _cache_folders() -> Iterator[Finding]:

@@ -21,6 +21,7 @@ from taichi_cloth.cli import (
     run_notes,
     run_options,
     run_report,
+    run_sixteen,
 )
 from taichi_cloth.cli.run_scenes import Run, Wanted, Window
 from taichi_cloth.errors import InputError, RunFailure
@@ -112,7 +113,8 @@ def _simulate(first: Wanted, log: Log | None, resumed: saved.Saved | None) -> in
 def _ready(wanted: Wanted) -> Run:
     """The run of a scene from its start, on the device that was started."""
     told = run_notes.compiling(wanted.scene, wanted.options)
-    sim = _begun(wanted.scene, wanted.options, None, told)
+    # What an earlier process compiled is for the fields of the first scene of a window.
+    sim = _begun(wanted.scene, replace(wanted.options, lanes="8"), None, told)
     run_notes.note_inside(sim, wanted.options)
     return Run(wanted, sim, None)
 
@@ -144,6 +146,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
         run_files.kept(source, sim, device, files, beside.sim if beside else None),
         run_meter.measured(sim, options, waits=not view.visible) as errors,
         run_budget.held(sim, options, errors, view) as budget,
+        run_sixteen.compiled_beside(sim, options),
     ):
         summary = app.run(
             sim,
@@ -252,6 +255,7 @@ def _simulation(scene: Scene, options: RunOptions, told: Callable[[], None] | No
         substeps=options.substeps,
         execution=options.execution,
         topology=options.topology,
+        lanes=run_sixteen.lanes_of(scene, options),
         tolerance=options.tolerance,
         iterations=options.iterations,
         compiling=told,

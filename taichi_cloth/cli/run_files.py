@@ -181,6 +181,7 @@ def _meta(source: SceneSource, began: Scene, sim: Simulation, device: Device) ->
         "device": device.describe(),
         "execution": sim.execution,
         "topology": sim.topology,
+        "lanes": sim.lanes,
         "versions": {
             "taichi_cloth": __version__,
             "taichi": ".".join(map(str, taichi.__version__)),

@@ -101,7 +101,7 @@ def _first_line(sim: Simulation, device: Device, view: View) -> str:
     return (
         f"{sim.scene.name}: {particles}, {springs}; "
         f"{sim.method}, dt {sim.dt:g}, {counted(sim.substeps, 'substep')}; "
-        f"{device.describe()}, {sim.execution} {sim.topology}; {window}"
+        f"{device.describe()}, {sim.way}; {window}"
     )
 
 
@@ -119,7 +119,7 @@ def last_line(sim: Simulation, summary: Summary, seconds: float, waited: float) 
     a_frame = (summary.simulate - waited) / (frames - 1)
     return (
         f"{done}: {1e3 * a_frame:.3g} ms a frame to simulate after the first, "
-        f"{sim.substeps / a_frame:.4g} steps/s, {sim.execution} {sim.topology}"
+        f"{sim.substeps / a_frame:.4g} steps/s, {sim.way}"
     )
 
 

@@ -26,7 +26,7 @@ OWN = ("method", "dt", "substeps")  # settings of every run, in the order in whi
 # Flags that are to be the same where a run is made again.
 ALIKE = (
     *("arch", "precision", "execution", "topology", "threads", "fast_math", "seed", "resume"),
-    "unconverged",
+    *("unconverged", "lanes"),
 )
 
 

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 # Of one scene alone: its steps, what solves them, the layout of its springs, what it begins with.
 OF_ONE_SCENE = (
     *("method", "dt", "substeps", "tolerance", "iterations", "topology"),
+    "lanes",
     "resume",
     "beside",
 )

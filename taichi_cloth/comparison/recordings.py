@@ -18,7 +18,7 @@ SAME_TIME = 1e-6  # of the shortest frame: times as near as this are one, howeve
 # What of a run's settings is shown beside the other's.
 SETTINGS = (
     *("scene", "arguments", "scene_hash", "method", "dt", "substeps", "tolerance", "iterations"),
-    *("precision", "arch", "topology", "execution", "version"),
+    *("precision", "arch", "topology", "lanes", "execution", "version"),
 )
 
 

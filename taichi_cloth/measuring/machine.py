@@ -14,6 +14,7 @@ from pathlib import Path
 from taichi_cloth.version import __version__
 
 VECTOR_UNITS = ("avx512f", "avx2", "avx", "asimd", "neon")  # best first
+WIDEST = VECTOR_UNITS[0]  # whose vectors have 64 bytes
 
 
 def describe() -> dict[str, str]:
@@ -21,7 +22,7 @@ def describe() -> dict[str, str]:
     return {
         "processor": processor(),
         "cores": str(os.cpu_count()),
-        "vectors": _vector_unit(),
+        "vectors": vector_unit(),
         "memory": _memory(),
         "system": platform.platform(),
         "python": platform.python_version(),
@@ -76,7 +77,9 @@ def installed(package: str) -> bool:
     return _version(package) is not None
 
 
-def _vector_unit() -> str:
+@functools.cache
+def vector_unit() -> str:
+    """The processor's best vector unit, out of VECTOR_UNITS."""
     try:
         text = Path("/proc/cpuinfo").read_text("utf-8", "replace")
     except OSError:

@@ -145,6 +145,12 @@ class RunOptions(Options):
         "regular grids in vector lanes, all springs as a graph, or the faster",
         choices=("auto", *TOPOLOGIES),
     )
+    lanes: str = setting(
+        "auto",
+        "particles in a vector of a regular grid: 8 (or the method's fewer), 16, which take longer "
+        "to compile, or 16 where they pay and earlier runs have compiled them",
+        choices=("auto", "8", "16"),
+    )
     threads: int | None = setting(
         None,
         "CPU threads; 1 runs serially, more in parallel (default: all, where that is faster)",

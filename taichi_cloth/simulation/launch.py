@@ -50,11 +50,15 @@ class Launcher:
         threads = 1 if path == "serial" else self.device.threads
         return replace(spec, threads=threads, one_launch_per_step=per_step)
 
+    def kind(self, spec: Specialization, capacity: Capacity) -> str:
+        """Which kernels frames of what is specialized so are launched with (`compiled.kind`)."""
+        return compiled.kind(self.device, self._method, spec, capacity)
+
     def expect(self, spec: Specialization, capacity: Capacity) -> None:
         """Say, where someone wants to hear it, if kernels for this are yet to be compiled."""
         if self._compiling is None:
             return
-        kind = compiled.kind(self.device, self._method, spec, capacity)
+        kind = self.kind(spec, capacity)
         if not compiled.was_before(kind):
             self._tell()
         self._kind = kind

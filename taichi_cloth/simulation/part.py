@@ -49,6 +49,7 @@ class Part(ABC):
     topology: str
     storage: Storage
     held_up: tuple[float, float] | None
+    aside: str
     listeners: tuple[Listener, ...] = ()
     past: Past | None
     _module: Method

@@ -8,7 +8,7 @@ from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.penetration import deepest, touches
 from taichi_cloth.scene.solids import Drawn, Inside, depths, inside_at_start, surface
 from taichi_cloth.scene.spheres import too_near
-from taichi_cloth.simulation import diagnostics
+from taichi_cloth.simulation import diagnostics, sixteen
 from taichi_cloth.simulation.part import Part
 
 
@@ -27,6 +27,17 @@ class Readings(Part):
     def spring_count(self) -> int:
         """How many springs there are, broken ones included."""
         return len(self.storage.scene.springs)
+
+    @property
+    def lanes(self) -> int:
+        """How many particles of a regular grid are in a vector; 1 on the graph, and on GPUs."""
+        return self.storage.specialization.lanes if self.topology == "lanes" else 1
+
+    @property
+    def way(self) -> str:
+        """How it is run, in words: "parallel lanes", "serial graph", "serial lanes of 16"."""
+        wide = f" of {self.lanes}" if self.lanes == sixteen.LANES else ""
+        return f"{self.execution} {self.topology}{wide}"
 
     def positions(self) -> np.ndarray:
         """Positions, (n, dim)."""

@@ -22,7 +22,7 @@ from taichi_cloth.scene.model import Particles, Scene, Springs
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import PATHS, TOPOLOGIES
-from taichi_cloth.simulation import autotune, diagnosis
+from taichi_cloth.simulation import autotune, diagnosis, sixteen
 from taichi_cloth.simulation.accounts import Accounts
 from taichi_cloth.simulation.acts import act
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
@@ -47,7 +47,7 @@ from taichi_cloth.simulation.start import Starts
 from taichi_cloth.simulation.storage.storage import Storage
 
 # Particles in a pack on CPUs: 8 fill the widest vectors there are in f64, half of one in f32, where
-# 16 are faster only on large cloths and take three times as long to compile; docs/speed.md.
+# 16 are faster and take three times as long to compile; `sixteen.py`.
 LANES = 8
 MOST_LANES = 64  # more fill no vector, and take minutes to compile
 
@@ -64,13 +64,15 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
     particles; the rest on the graph), or "graph" (all springs by lists of neighbours).
     "auto" is, for both, what is predicted to be fastest for such a scene, or was measured to be in
     earlier runs on this machine.
-    lanes: particles in a pack of that topology; LANES on CPUs and 1 on GPUs where absent.
+    lanes: particles in a pack of that topology; LANES on CPUs and 1 on GPUs where absent. "auto":
+    16 where they pay and earlier runs have compiled their kernels, else as where absent.
     tolerance: relative residual of a step's solution, of methods that solve for it; iterations:
     sweeps a step, of methods that iterate (`options.SOLVER_SETTINGS` where absent). InputError for
     a method that does not take it.
     compiling: called before kernels are compiled that no earlier run has left, once.
     accounts_contacts: whether `account_contacts` may be called, which takes more to compile.
 
+    aside: what goes on beside the run, in words, for whoever shows its state; "": nothing.
     held_up: seconds a frame on one thread, as estimated, and on all of them, where the execution
     "parallel" was asked for and threads only wait, because other programs want the cores.
     storage: the state on the device, to look at. speed_limit: above it a particle runs away.
@@ -85,7 +87,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         substeps: int = 1,
         execution: str = "auto",
         topology: str = "auto",
-        lanes: int | None = None,
+        lanes: int | str | None = None,
         tolerance: float | None = None,
         iterations: int | None = None,
         compiling: Callable[[], None] | None = None,
@@ -93,6 +95,9 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
     ) -> None:
         accepted.word("--method", method, methods.METHODS)
         follows = isinstance(dt, str) and dt == "auto"
+        self._widens = lanes == "auto"
+        if self._widens:
+            lanes = None
         if lanes is not None:
             lanes = accepted.whole_number("lanes", lanes, 1, MOST_LANES)
         if follows and substeps != 1:
@@ -120,7 +125,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         )
         self.topology = self.execution = self._preferred = ""  # until the first `reset` has chosen
         self._watch = None
-        self.held_up = None
+        self.held_up, self.aside = None, ""
         self._unprepared = None  # until a window asks
         # What the run began with, for who changes it and wants it back.
         self.began: dict[str, Any] = {
@@ -235,7 +240,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             cost = watch.cost(min(self._time_launch() for _ in range(watch.ENOUGH)))
             if cost:
                 way = f"{self.topology} {self.execution}"
-                autotune.remember(self._prediction().key, way, cost)
+                autotune.remember(self.kind_of_run(), way, cost)
         if not watch.lost(seconds, steps, had):
             return
         if watch.choice.forced:
@@ -249,6 +254,10 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         begin = time.perf_counter()
         self._launch_frames(0)
         return time.perf_counter() - begin
+
+    def kind_of_run(self) -> str:
+        """In words: device, method, features and size, by which is kept what runs have learned."""
+        return self._prediction().key
 
     def _prediction(self) -> Prediction:
         return Prediction(self.storage, self._launcher, self.substeps, self.method, self._module)
@@ -330,6 +339,8 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         if not self.execution:  # at the start, and under another method
             choice = autotune.choose(*self._requested, self._prediction())
             self._preferred, self.execution = choice.topology, choice.execution
+            if self._widens and self._preferred == "lanes":
+                self._widen(snapshot)
             self._watch = autotune.Watch(choice, self.substeps)
         self.storage.load(self._preferred, self.execution, self._numbers())
         self.topology = self.storage.topology  # the graph, while there is no regular grid
@@ -339,6 +350,15 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             choice = autotune.choose(self.topology, self.execution, self._prediction())
             choice = replace(choice, forced=self._watch.choice.forced)
             self._watch = autotune.Watch(choice, self.substeps)
+
+    def _widen(self, start: Snapshot) -> None:
+        """At the start: take sixteen lanes where they pay and earlier runs have compiled them."""
+        self._widens = False
+        accounts, what = self.storage.accounts_contacts, self.kind_of_run()
+        wide = Storage(self._module, sixteen.LANES, self._launcher, start, accounts)
+        pays = sixteen.pays(wide, self.method)
+        if pays and sixteen.are_compiled(wide, what, self.execution):
+            self._lanes, self.storage = sixteen.LANES, wide
 
     @act
     def load_as(self, topology: str, path: str, x: np.ndarray, v: np.ndarray) -> None:

@@ -215,8 +215,9 @@ def _settings(sim: Simulation, device: str, *, windowed: bool) -> tuple[Word, ..
         words.append(Word(f"{unconverged} steps unconverged", style.BAD))
     if unsettled:
         words.append(Word(f"{unsettled} steps with overlaps", style.WARN))
-    path = f"{device}, {sim.execution} {sim.topology}" if windowed else device
-    return (*words, Word(step, style.INK, 1), Word(path, style.MUTED, 2))
+    path = f"{device}, {sim.way}" if windowed else device
+    aside = (Word(sim.aside, style.MUTED, 3),) if windowed and sim.aside else ()
+    return (*words, Word(step, style.INK, 1), Word(path, style.MUTED, 2), *aside)
 
 
 def reset_notice(frames: int) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from taichi_cloth.kernels import readback
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.specialization import Specialization
+from taichi_cloth.runtime import Device
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.solids import Solid, solids
 from taichi_cloth.simulation.launch import Launcher
@@ -83,6 +84,11 @@ class DeviceState:
         # Solvers go through springs in ways of their own.
         packs = self._launcher.device.arch == "cpu" and self._method.claims.forces > 0
         return Placements(scene, self._needs, self._lanes, packs)
+
+    @property
+    def device(self) -> Device:
+        """What it is on."""
+        return self._launcher.device
 
     @property
     def altered(self) -> bool:

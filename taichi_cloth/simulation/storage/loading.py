@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from taichi_cloth.kernels import forces
+from taichi_cloth.kernels.fields import Capacity
 from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.scene.model import Scene
@@ -39,6 +40,17 @@ class Loading(DeviceState):
     def topologies(self) -> list[str]:
         """The topologies that the scene can be stored in."""
         return self._placements.topologies()
+
+    def is_simple(self) -> bool:
+        """Whether particles have nothing but springs, walls and terms of their own."""
+        return self._placements.is_simple()
+
+    def kind(self, topology: str, path: str) -> str:
+        """Which kernels a first load would need (`compiled.kind`); nothing is made."""
+        placement, topology = self._find_placement(topology)
+        spec = self._needed(placement)
+        capacity = self._capacity(placement, spec)
+        return self._launcher.kind(self._launcher.specialize(spec, path), capacity)
 
     def load(self, topology: str, path: str, numbers: Numbers) -> None:
         """Put the state that was taken on the device.
@@ -128,8 +140,7 @@ class Loading(DeviceState):
         A new container compiles every kernel again, so it is made with room to spare.
         like: a specialization that it is to have, if that can run what is needed.
         """
-        scene, device = self.scene, self._launcher.device
-        needed = requirements.capacity(scene, self.solids, placement)
+        needed = requirements.capacity(self.scene, self.solids, placement)
         spec = self._needed(placement)
         if like is not None and like.can_run(spec):
             spec = like
@@ -142,10 +153,18 @@ class Loading(DeviceState):
             factor = 2 if fits else 1
             self._loaded = None  # its memory goes with `old`, unless a checkpoint holds it
             del old
-        capacity = containers.with_room_to_spare(
-            needed, factor, takes_clicks=scene.world.takes_clicks, thick=spec.thick
+        capacity = self._capacity(placement, spec, factor)
+        return Container.make(spec, topology, capacity, self._method, self.device, self.real)
+
+    def _capacity(self, placement: Placement, spec: Specialization, factor: int = 1) -> Capacity:
+        """The room that fields are made with. factor: as in `containers.with_room_to_spare`."""
+        scene = self.scene
+        return containers.with_room_to_spare(
+            requirements.capacity(scene, self.solids, placement),
+            factor,
+            takes_clicks=scene.world.takes_clicks,
+            thick=spec.thick,
         )
-        return Container.make(spec, topology, capacity, self._method, device, self.real)
 
     def _needed(self, placement: Placement) -> Specialization:
         """What the state that was taken needs, in a placement."""

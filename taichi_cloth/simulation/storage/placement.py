@@ -81,6 +81,22 @@ class Placements:
         count, grids = len(scene.particles), self._layout("lanes")
         return layouts.particle_colours(scene.springs, grids, count, self._stencils)
 
+    def is_simple(self) -> bool:
+        """Whether particles have nothing but springs, walls and terms of their own.
+
+        All else takes particles one by one, or minutes to compile in packs.
+        """
+        scene, features = self._scene, self._scene.features()
+        return not (
+            len(self._stencils)
+            or features.collisions
+            or features.obstacles
+            or features.held
+            or forces.act_on_triangles(scene)
+            or any(number.changes(self._terms) for number in NUMBERS)
+            or COLOURED & set(self._needs)
+        )
+
     def _place(self, layout: Layout) -> Placement:
         links = np.flatnonzero(layout.kind >= 0)
         graph_springs, colours = self._sorted_springs(layout)
@@ -110,7 +126,7 @@ class Placements:
         count = len(scene.particles)
         if topology == "graph":
             # Collisions add up in the order of the particles, which is then that of memory too.
-            sort, packs = not scene.features().collisions, self._packs and self._is_simple()
+            sort, packs = not scene.features().collisions, self._packs and self.is_simple()
             return layouts.on_graph(scene.springs, count, sort, self._stencils, packs)
         period = layouts.any_period
         if "spring_colours" in self._needs:
@@ -119,22 +135,6 @@ class Placements:
             period = layouts.particle_period
         lanes = min(self._lanes, BENT_LANES) if len(self._stencils) else self._lanes
         return layouts.on_grids(scene.springs, count, lanes, period, self._terms, self._stencils)
-
-    def _is_simple(self) -> bool:
-        """Whether particles have nothing but springs, walls and terms of their own.
-
-        All else takes particles one by one, or minutes to compile in packs.
-        """
-        scene, features = self._scene, self._scene.features()
-        return not (
-            len(self._stencils)
-            or features.collisions
-            or features.obstacles
-            or features.held
-            or forces.act_on_triangles(scene)
-            or any(number.changes(self._terms) for number in NUMBERS)
-            or COLOURED & set(self._needs)
-        )
 
     def _sorted_springs(self, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
         """The springs that no grid holds, in the order of memory, and their colours."""
