@@ -7,6 +7,7 @@ from taichi_cloth.kernels.collision_grid import BLOCK, MOST_BINS, MOST_KEPT, MOS
 from taichi_cloth.kernels.fields import Fields, Surface, placed
 from taichi_cloth.kernels.obstacles import contract
 from taichi_cloth.kernels.pair_colours import COLOURS
+from taichi_cloth.kernels.patches import ANCHOR_ROWS
 from taichi_cloth.kernels.patches import BLOCK as PATCH_BLOCK
 
 FACE_COLUMNS = 20  # of state.face (`faces.py`)
@@ -27,8 +28,9 @@ class ContactFields(Fields):
         be listed anew, and whether some list was full in this step; n_patches, patch_start,
         in_patches, patch_place, patch_of: the particles of each patch by place, the place of each
         particle, and the patch of each place; patch_box, block_box: low and high corners of the
-        boxes around a patch and its blocks; anchored: whether it was in this step; drift, stale: of
-        each two patches, their drift and skin, and whether their lists are to be made anew;
+        boxes around a patch and its blocks; block_anchors: of the places of a block, with their
+        radii; anchored: whether it was in this step; drift, stale: of each two patches, their drift
+        and skin, and whether their lists are to be made anew;
         n_stale: how many; patch_ahead: how far a patch looks along its way; listed_x, listed_begun:
         their anchors, and where the step began; kept, kept_count: codes of pairs; found,
         found_reach, found_start, found_count: those that may touch in this step; far: whose step
@@ -96,7 +98,9 @@ class ContactFields(Fields):
         self.n_patches, self.patch_start = self._counts(), self._counts(patches + 1)
         self.in_patches, self.patch_place, self.patch_of = (self._counts(n) for _ in range(3))
         self.anchored = self._counts(patches)
-        self.block_box = self._scalars(n // PATCH_BLOCK + patches + 1, 6)
+        blocks = n // PATCH_BLOCK + patches + 1
+        self.block_box = self._scalars(blocks, 6)
+        self.block_anchors = self._scalars(blocks, ANCHOR_ROWS * PATCH_BLOCK)
         self.drift, self.stale = self._scalars(patches**2, 4), self._counts(patches**2)
         self.patch_box, self.patch_ahead = self._scalars(patches, 30), self._scalars(patches)
         self.found, self.found_reach = self._counts(n * MOST_KEPT), self._scalars(n * MOST_KEPT)
@@ -112,7 +116,7 @@ class ContactFields(Fields):
         self.listed_x, self.listed_begun = (self._scalars(n, spec.dim) for _ in range(2))
         self.kept, self.kept_count = self._counts(n, MOST_KEPT), self._counts(n)
         self.far = self._counts(n)
-        closer = max(self.capacity.closer, 1)
+        closer = self.capacity.closer + 1  # one more is read, of who has none
         self.closer_start, self.closer_other = self._counts(n + 1), self._counts(closer)
         self.closer_reach = self._scalars(closer)
 

@@ -36,7 +36,6 @@ from taichi_cloth.kernels.patches import (
     STALE,
     anchor_patch_anew,
     are_near,
-    block_is_near,
     block_is_near_patch,
     block_of,
     blocks_are_near,
@@ -44,6 +43,7 @@ from taichi_cloth.kernels.patches import (
     bound_patch,
     by_patches,
     compare_patch,
+    hits_in_block,
     look_ahead,
     of_two,
     reach_of_most,
@@ -215,18 +215,12 @@ def _list_two(spec: ti.template(), state: ti.template(), a, b, row):
 def _list_of_block(spec: ti.template(), state: ti.template(), at, b, first, end, drift, skin):
     """List the pairs of a particle with those of a block of a patch."""
     x, radius = vector(spec, state.listed_x, at) - drift, sorted_radius(spec, state, at)
-    if block_is_near(state, b, first, x, radius + state.largest_radius[None] + skin):
-        # First without branches, which are mostly guessed wrong here.
-        hits = 0
+    hits = hits_in_block(state, b, first, x, radius + skin)
+    if hits != 0:
+        hits &= ~_list_closer(spec, state, at, first, end, x, skin)
         for k in range(end - first):
-            d2 = _anchor_apart2(spec, state, first + k, x)
-            reach = radius + sorted_radius(spec, state, first + k) + skin
-            hits |= ti.cast(d2 <= reach * reach, ti.i32) << k
-        if hits != 0:
-            hits &= ~_list_closer(spec, state, at, first, end, x, skin)
-            for k in range(end - first):
-                if ((hits >> k) & 1) & ti.cast(first + k > at, ti.i32):
-                    _put(state, at, first + k, 0)
+            if ((hits >> k) & 1) & ti.cast(first + k > at, ti.i32):
+                _put(state, at, first + k, 0)
 
 
 @ti.func
@@ -302,13 +296,11 @@ def _row_of(state: ti.template(), at, other):
 def _kept_reach(spec: ti.template(), state: ti.template(), at, code):
     """How near a pair that is kept may come."""
     other, place = code >> CODE_BITS, code & LATER
+    row = state.closer_start[at] + ti.max(place - 1, 0)
+    if place == LATER:
+        row = _row_of(state, at, other)
     reach = sorted_radius(spec, state, at) + sorted_radius(spec, state, other)
-    if place != 0:
-        row = state.closer_start[at] + place - 1
-        if place == LATER:
-            row = _row_of(state, at, other)
-        reach = state.closer_reach[row]
-    return reach
+    return ti.select(place != 0, state.closer_reach[row], reach)
 
 
 @ti.func
@@ -326,19 +318,23 @@ def _narrow(spec: ti.template(), state: ti.template(), at, start):
     count, kept = 0, state.kept_count[at]
     if kept > MOST_KEPT:
         state.overfull[None] = state.outdated[None] = 1
+    x, begun = sorted_x(spec, state, at), vector(spec, state.listed_begun, at)
     for k in range(ti.min(kept, MOST_KEPT)):
         code = state.kept[at, k]
         other, reach = code >> CODE_BITS, _kept_reach(spec, state, at, code)
-        if _within(_nearest2(spec, state, at, other), (1.0 + CLOTH_MARGIN) * reach):
-            now = sorted_x(spec, state, other) - sorted_x(spec, state, at)
-            passed = ti.cast(before_of(spec, state, at, other).dot(now) < 0.0, ti.i32)
-            to = start + count
-            while to > start and state.found[to - 1] >> NEAR_BITS > other:
-                state.found[to] = state.found[to - 1]
-                state.found_reach[to] = state.found_reach[to - 1]
-                to -= 1
-            state.found[to], state.found_reach[to] = (other << NEAR_BITS) + passed * PASSED, reach
-            count += 1
+        before = vector(spec, state.listed_begun, other) - begun
+        now = sorted_x(spec, state, other) - x
+        # Without branches, which are mostly guessed wrong here: the next pair takes its row.
+        passed = ti.cast(before.dot(now) < 0.0, ti.i32)
+        state.found[start + count] = (other << NEAR_BITS) + passed * PASSED
+        state.found_reach[start + count] = reach
+        count += ti.cast(_within(_shortest2(before, now), (1.0 + CLOTH_MARGIN) * reach), ti.i32)
+    for k in range(start + 1, start + count):
+        code, reach, to = state.found[k], state.found_reach[k], k
+        while to > start and state.found[to - 1] > code:
+            state.found[to], state.found_reach[to] = state.found[to - 1], state.found_reach[to - 1]
+            to -= 1
+        state.found[to], state.found_reach[to] = code, reach
     state.found_start[at], state.found_count[at] = start, count
     return count
 
@@ -413,14 +409,18 @@ def _within(distance2, reach):
 @ti.func
 def _nearest2(spec: ti.template(), state: ti.template(), at, other):
     """The square of the distance of two particles where they are nearest on the step's ways."""
-    before = before_of(spec, state, at, other)
     now = sorted_x(spec, state, other) - sorted_x(spec, state, at)
+    return _shortest2(before_of(spec, state, at, other), now)
+
+
+@ti.func
+def _shortest2(before, now):
+    """The square of the shortest vector on the straight way from `before` to `now`."""
     way = now - before
-    nearest2, along, way2 = ti.min(before.dot(before), now.dot(now)), -before.dot(way), way.dot(way)
-    if (along > 0.0) & (along < way2):
-        nearest = before + along / way2 * way
-        nearest2 = nearest.dot(nearest)
-    return nearest2
+    way2 = way.dot(way)
+    part = ti.select(way2 > 0.0, -before.dot(way) / way2, 0.0 * way2)
+    nearest = before + ti.min(ti.max(part, 0.0), 1.0) * way
+    return ti.min(nearest.dot(nearest), now.dot(now))
 
 
 @ti.func

@@ -21,7 +21,7 @@ import functools
 import taichi as ti
 
 from taichi_cloth.kernels.collision_grid import slot_of
-from taichi_cloth.kernels.packs import slot_value
+from taichi_cloth.kernels.packs import slot_number, slot_value
 
 CLOTH_MARGIN = 0.05  # of a pair's reach, within which particles may come to touch in a step
 ANCHORED = 0.5  # of the skin: half the diagonal of the box around a patch's displacements
@@ -33,6 +33,8 @@ MOST_STALE = 6  # lists of each patch, that are made anew one by one
 # far it is from its anchors when this step begins and when it ends, and of all its places in it.
 LISTED, WAY, BEGINS, ENDS, SWEPT = range(5)
 BLOCK = 16  # places of a patch with a box of their own around their anchors
+ANCHOR_ROWS = 4  # of a block in state.block_anchors: coordinates and radius, each of BLOCK places
+NOWHERE = 1e18  # the coordinate of a place that a block does not have: its square is finite
 # Of state.stale: a list that is to be made, and one that is when both patches are near each other.
 STALE, LAPSED = 1, 2
 
@@ -80,6 +82,7 @@ def anchor_patch(spec: ti.template(), state: ti.template(), a):
     for block in range(blocks_of(state, a)):
         first, end = block_of(state, a, block)
         block_low, block_high = _nothing(state), -1.0 * _nothing(state)
+        row = _row_of_block(a, first)
         for at in range(first, end):
             slot = slot_of(spec, state, state.in_patches[at])
             x = slot_value(spec, state.x, slot)
@@ -88,9 +91,14 @@ def anchor_patch(spec: ti.template(), state: ti.template(), a):
             low_way, high_way = ti.min(low_way, way), ti.max(high_way, way)
             for axis in ti.static(range(spec.dim)):
                 state.listed_x[at, axis] = x[axis]
+                state.block_anchors[row, at - first + ti.static(axis * BLOCK)] = x[axis]
+            radius = slot_number(spec, state.pair_radius, slot)
+            state.block_anchors[row, at - first + ti.static(3 * BLOCK)] = radius
+        for k in range(end - first, BLOCK):
+            state.block_anchors[row, k] = NOWHERE
         for axis in ti.static(range(3)):
-            state.block_box[_box_of_block(a, first), axis] = block_low[axis]
-            state.block_box[_box_of_block(a, first), ti.static(3 + axis)] = block_high[axis]
+            state.block_box[row, axis] = block_low[axis]
+            state.block_box[row, ti.static(3 + axis)] = block_high[axis]
         low, high = ti.min(low, block_low), ti.max(high, block_high)
     _store_box(state, a, ti.static(LISTED), low, high)
     _store_box(state, a, ti.static(WAY), low_way, high_way)
@@ -125,17 +133,25 @@ def block_of(state: ti.template(), a, block):
 
 
 @ti.func
-def _box_of_block(a, first):
-    """The row of state.block_box of the block of a patch that begins at the place `first`."""
+def _row_of_block(a, first):
+    """The row of state.block_box and block_anchors of the block of a patch that begins at the
+    place `first`."""
     # Patches are not whole blocks, so each has one row more than places say.
     return first // BLOCK + a
 
 
 @ti.func
-def block_is_near(state: ti.template(), a, first, x, reach):
-    """Whether anchors in the block of a patch that begins at `first` may be within reach of x."""
-    low, high = _block_box(state, a, first)
-    return _shortest2(low - x, high - x) <= reach * reach
+def hits_in_block(state: ti.template(), a, first, x, reach):
+    """Whose anchors, in the block of a patch that begins at `first`, are within their radius and
+    reach of x, as bits."""
+    hits, row = 0, _row_of_block(a, first)
+    for k in range(BLOCK):  # without branches, and along memory
+        dx = state.block_anchors[row, k] - x[0]
+        dy = state.block_anchors[row, k + ti.static(BLOCK)] - x[1]
+        dz = state.block_anchors[row, k + ti.static(2 * BLOCK)] - x[2]
+        far = reach + state.block_anchors[row, k + ti.static(3 * BLOCK)]
+        hits |= ti.cast(dx * dx + dy * dy + dz * dz <= far * far, ti.i32) << k
+    return hits
 
 
 @ti.func
@@ -215,7 +231,7 @@ def _shortest2(low, high):
 @ti.func
 def _block_box(state: ti.template(), a, first):
     """The low and high corners of the box around the block of a patch that begins at `first`."""
-    row = _box_of_block(a, first)
+    row = _row_of_block(a, first)
     low = ti.Vector([state.block_box[row, axis] for axis in range(3)])
     high = ti.Vector([state.block_box[row, 3 + axis] for axis in range(3)])
     return low, high
