@@ -200,7 +200,9 @@ def status_rows(
         return first, Row(settings)
     title = (state, Word(sim.scene.name, style.INK, 2))
     hand = (Word(tool, style.KEY_INK, 1),) if tool else ()
-    left = (state, Word(notice, style.KEY_INK)) if notice else (*title, *hand, *more, *counts)
+    aside = (Word(sim.aside, style.MUTED, 7),) if sim.aside else ()
+    usual = (*title, *hand, *more, *counts, *aside)
+    left = (state, Word(notice, style.KEY_INK)) if notice else usual
     hints = (Word("h more", style.MUTED, 9), Word("tab keys", style.MUTED, 9))
     pace = rates or names[:1]  # where time stands still, which frame is seen
     return Row(left, (*pace, *hints)), Row((*settings,), names)
@@ -216,8 +218,7 @@ def _settings(sim: Simulation, device: str, *, windowed: bool) -> tuple[Word, ..
     if unsettled:
         words.append(Word(f"{unsettled} steps with overlaps", style.WARN))
     path = f"{device}, {sim.way}" if windowed else device
-    aside = (Word(sim.aside, style.MUTED, 3),) if windowed and sim.aside else ()
-    return (*words, Word(step, style.INK, 1), Word(path, style.MUTED, 2), *aside)
+    return (*words, Word(step, style.INK, 1), Word(path, style.MUTED, 2))
 
 
 def reset_notice(frames: int) -> str:
