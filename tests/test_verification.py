@@ -10,10 +10,12 @@ import pytest
 from discrete import DISCRETE
 from selection import mostly_thorough
 
+from taichi_cloth.benchmarks.equal_error.problems import warp
 from taichi_cloth.errors import RunFailure, SimulationFailure
 from taichi_cloth.kernels import methods
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.trade import ode
 
 every_method = pytest.mark.parametrize("method", methods.METHODS)
@@ -153,6 +155,31 @@ def test_energy_falls_under_implicit_euler(pool):
         energies.append(sim.energy().total)
     assert (np.diff(energies) < 0).all()
     assert sim.work().unconverged == 0
+
+
+@pytest.mark.parametrize("dim", mostly_thorough([2, 3], default=[2]))
+def test_blocks_of_stiff_cloth_change_the_sweeps_and_not_the_solution(device, dim):
+    """Against the graph, whose directions are preconditioned by the diagonal alone."""
+    scene, dt = warp(20, times=100, damped=False), None
+    if dim == 2:
+        scene = library.build("cloth", columns=21, rows=18, shear=1.0)
+        scene, dt = scene.with_world(mouse="none", walls=()), 30.0
+    works, at = [], []
+    for topology, execution in (SERIAL, GRIDS, ("lanes", "serial")):
+        lanes = {"lanes": 2} if topology == "lanes" else {}
+        how = {"topology": topology, "execution": execution, **lanes}
+        sim = Simulation(scene, "implicit_euler", dt, **how)
+        sim.advance(4)
+        works.append(sim.work())
+        at.append(sim.positions())
+    assert not any(work.unconverged for work in works)
+    assert works[1].sweeps < works[0].sweeps / 3
+    size = np.ptp(at[0], axis=0).max()
+    assert at[1] == pytest.approx(at[0], rel=0, abs=1e-5 * size)
+    assert works[1] == works[2] and (at[1] == at[2]).all()  # with any number of threads
+    sim.reset()  # nothing of what blocks were is left
+    sim.advance(4)
+    assert (sim.positions() == at[2]).all()
 
 
 def swung(pool, stiffness, gravity=1.0):

@@ -87,6 +87,12 @@ class Specialization:
         return self.lanes > 1 and not self.packed_rows
 
     @property
+    def only_links(self) -> bool:
+        """Whether all that acts between particles that follow each other are links of strips."""
+        others = self.springs or self.stencils or self.lines
+        return self.passes_over_rows and bool(self.links) and not others
+
+    @property
     def keeps_begun(self) -> bool:
         """Whether contacts that end a step look at where it began (`settling.py`)."""
         return bool(self.obstacles or self.thick)

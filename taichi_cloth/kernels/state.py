@@ -30,6 +30,13 @@ WORK = FORCES, SWEEPS, UNCONVERGED = range(3)
 
 CACHE_LINE = 32  # whole numbers in two lines of 64 bytes, which processors fetch in pairs
 
+MOST_BLOCKS = 64  # of particles, that a preconditioner moves as one (`solvers/two_levels.py`)
+
+
+def block_packs(spec):
+    """How many packs of blocks there are at most."""
+    return max(MOST_BLOCKS // spec.lanes, 1)
+
 
 @ti.data_oriented
 class State(ContactFields):
@@ -88,6 +95,11 @@ class State(ContactFields):
         What is kept of each link and half-spring (needs "kept_stiffness"): link_direction,
         link_along and link_across, csr_ likewise: its direction, and its stiffness along that and
         across it (`spring_numbers.OfStiffness`). joined: what a pass over links joins of a row.
+        Where links are all (`solvers/two_levels.py`): over_pivots, below: what A does to each
+        particle alone, factored; blocks: (grids, 3): first coarse pack, rows and columns of them;
+        block_of, holds_fixed: a pack's coarse pack, and whether any of it is fixed; coarse: two
+        matrices; coarse_residual, coarse_downhill, coarse_product, coarse_solved: vectors of
+        blocks, and one that stays 0.
         one (compensated): 1, which compilers do not know (`compensated.py`).
     Colours of springs on the graph (needs "spring_colours"; `solvers/colours.py`): those of colour
         k are colour_start[k] .. colour_start[k+1], each with its ends and spring_<letter>.
@@ -233,6 +245,8 @@ class State(ContactFields):
             self.link_along = self._pack_numbers(spec, kinds * self.packs)
             self.link_across = self._pack_numbers(spec, kinds * self.packs)
             self.joined = self._pack_numbers(spec, (spec.threads + 2) * JOIN_ROOM)
+            if spec.only_links:
+                self._place_two_levels(spec)
         if "spring_colours" in method.needs:
             self.link_impulse = self._pack_vectors(spec, kinds * self.packs)
         carried = max(self.capacity.grids, 1) * (spec.threads + 1) * spec.depth
@@ -250,6 +264,18 @@ class State(ContactFields):
             self.link_status = self._pack_counts(spec, kinds * self.packs)
             self.link_step = self._pack_counts(spec, kinds * self.packs)
             self.breaking = self._counts(self.packs)
+
+    def _place_two_levels(self, spec):
+        """Place what a preconditioner keeps of particles, and of blocks of them."""
+        self.over_pivots, self.below = self._pack_vectors(spec), self._pack_vectors(spec)
+        blocks = block_packs(spec)
+        self.coarse_residual, self.coarse_downhill, self.coarse_product, self.coarse_solved = (
+            self._pack_vectors(spec, blocks + 1) for _ in range(4)
+        )
+        rows = blocks * spec.dim
+        self.coarse = self._pack_numbers(spec, 2 * rows * rows * spec.lanes)
+        self.block_of, self.holds_fixed = self._counts(self.packs), self._counts(self.packs)
+        self.blocks, self.n_blocks = self._counts(max(self.capacity.grids, 1), 3), self._counts()
 
     def _place_progress(self):
         self.arrivals = self._counts(COUNTER_SIZE)

@@ -16,6 +16,7 @@ from taichi_cloth.kernels.packs import dot, plus, read, write
 from taichi_cloth.kernels.solvers.newton_matrix import (
     PRODUCT,
     begin_iterating,
+    energy_between,
     first_energy,
     keep_springs,
     moved_apart,
@@ -25,6 +26,14 @@ from taichi_cloth.kernels.solvers.newton_matrix import (
     take_change,
 )
 from taichi_cloth.kernels.solvers.stages import CLAMPED, SINGULAR
+from taichi_cloth.kernels.solvers.two_levels import (
+    begin_coarse,
+    coarse_dot,
+    coarse_product,
+    factor_particles,
+    has_two_levels,
+    step_coarse,
+)
 from taichi_cloth.kernels.springs import accumulate_and_join
 from taichi_cloth.kernels.state import SWEEPS
 
@@ -33,7 +42,11 @@ from taichi_cloth.kernels.state import SWEEPS
 def direct(spec: ti.template(), state: ti.template(), t):
     """Begin conjugate gradients: no change yet."""
     keep_springs(spec, state, t)
+    if ti.static(has_two_levels(spec)):
+        factor_particles(spec, state, t)
     add_up(spec, state, t, first_energy, 0)
+    if ti.static(has_two_levels(spec)):
+        begin_coarse(spec, state, t)
     each_pack(spec, state, t, _begin_pack)
     each(spec, state, t, 1, _begin)
 
@@ -48,6 +61,9 @@ def _begin_pack(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _begin(spec: ti.template(), state: ti.template(), i):
+    if ti.static(has_two_levels(spec)):
+        on_blocks = coarse_dot(spec, state, state.coarse_residual, state.coarse_downhill)
+        state.sums[0, 0] += on_blocks
     begin_iterating(spec, state, i)
     state.ahead[None], state.part[None] = 0.0, 0.0
 
@@ -56,6 +72,8 @@ def _begin(spec: ti.template(), state: ti.template(), i):
 def iterate(spec: ti.template(), state: ti.template(), t):
     """Make one step of conjugate gradients, and compute how far the next one goes."""
     accumulate_and_join(spec, state, t, ti.static(STEP), product_more)
+    if ti.static(has_two_levels(spec)):
+        coarse_product(spec, state, t)
     each(spec, state, t, 1, _count_iteration)
 
 
@@ -80,21 +98,21 @@ def _curvature(spec: ti.template(), state: ti.template(), i):
 def _energy(spec: ti.template(), state: ti.template(), i):
     """The energy of pack i's residual: its product with itself, preconditioned."""
     residual = read(spec, state.residual, i)
-    return dot(residual, preconditioned(spec, state, i, residual))
+    return energy_between(spec, state, i, residual, residual)
 
 
 @ti.func
 def _mixed_energy(spec: ti.template(), state: ti.template(), i):
     """The product of pack i's residual with that of A and `direction`, preconditioned."""
-    product = preconditioned(spec, state, i, read(spec, state.product, i))
-    return dot(read(spec, state.residual, i), product)
+    residual, product = read(spec, state.residual, i), read(spec, state.product, i)
+    return energy_between(spec, state, i, residual, product)
 
 
 @ti.func
 def _product_energy(spec: ti.template(), state: ti.template(), i):
     """The product of that of A and `direction` with itself, preconditioned, for pack i."""
     product = read(spec, state.product, i)
-    return dot(product, preconditioned(spec, state, i, product))
+    return energy_between(spec, state, i, product, product)
 
 
 def _changed(state):
@@ -125,11 +143,19 @@ def _count_iteration(spec: ti.template(), state: ti.template(), i):
     The step itself, state.ahead times the direction, is made in the pass that comes next.
     """
     curvature, energy = state.sums[0, 0], state.sums[1, 0]
+    mixed, of_product = state.sums[2, 0], state.sums[3, 0]
+    if ti.static(has_two_levels(spec)):
+        solved = ti.static(state.coarse_solved)
+        energy += coarse_dot(spec, state, state.coarse_residual, state.coarse_downhill)
+        mixed += coarse_dot(spec, state, state.coarse_residual, solved)
+        of_product += coarse_dot(spec, state, state.coarse_product, solved)
     # 0 where A is not positive along the direction, or numbers are no longer finite.
     step = ti.select(curvature > 0.0, energy / ti.select(curvature > 0.0, curvature, 1.0), 0.0)
-    after = energy + step * (step * state.sums[3, 0] - 2.0 * state.sums[2, 0])
+    after = energy + step * (step * of_product - 2.0 * mixed)
     state.ahead[None], state.energy[None] = step, ti.max(after, 0.0)
     state.part[None] = ti.select(energy > 0.0, ti.max(after, 0.0) / energy, 0.0)
+    if ti.static(has_two_levels(spec)):
+        step_coarse(spec, state, step)
     state.slope[None] += step * energy
     state.sweeps[None] += 1
     state.work[SWEEPS] += 1

@@ -63,11 +63,13 @@ from taichi_cloth.kernels.packs import (
     where_positive,
     write,
 )
-from taichi_cloth.kernels.solvers import bicgstab, conjugate_gradients
+from taichi_cloth.kernels.solvers import bicgstab, conjugate_gradients, two_levels
+from taichi_cloth.kernels.solvers.newton_matrix import keep_springs
 from taichi_cloth.kernels.solvers.phases import DONE, set_alone
 from taichi_cloth.kernels.solvers.stages import (
     BEGIN,
     CLAMPED,
+    COARSEN,
     CONVERGED,
     CUT,
     DIRECT,
@@ -93,6 +95,7 @@ from taichi_cloth.kernels.solvers.stages import (
     time_of_part,
     wanted_residual,
 )
+from taichi_cloth.kernels.solvers.two_levels import STIFF, has_two_levels
 from taichi_cloth.kernels.springs import accumulate_and_join, force_along
 from taichi_cloth.kernels.state import FORCES, UNCONVERGED
 from taichi_cloth.kernels.surfaces import compute_tractions
@@ -130,7 +133,7 @@ MOST_STALLS, MOST_STALLS_ROUNDED = 6, 2
 # Rounding of a spring's force, in epsilons: several add up in a residual, with either sign.
 ROUNDING = 0.5
 MOST_ROUNDINGS = 16.0  # where progress has ended, a residual is ROUNDED up to this times `rounding`
-SUMS = 5  # most of an evaluation, and of the methods that find directions
+SUMS = 6  # most of an evaluation, and of the methods that find directions
 NEAR = 0.1  # part of the first residual below which K is taken as it is
 
 
@@ -155,12 +158,13 @@ def keeps(*vectors):
         "counts": (
             *("indefinite", "directions", "trials", "stalls", "sweeps"),
             *("outcome", "step_outcome"),
+            "coarsened",  # whether a step has asked for the coarse level (`two_levels.py`)
             # How often the step was cut in two, parts that are done, whether one of them failed.
             *("halvings", "parts_done", "failed"),
             *bicgstab.COUNTS,
         ),
         "sums": SUMS,
-        "launches": ((BEGIN, CUT), (EVALUATE,), (DIRECT, ITERATE), (FINISH,)),
+        "launches": ((BEGIN, CUT), (EVALUATE,), (DIRECT, ITERATE), (FINISH,), (COARSEN,)),
         "lanes": 8,  # with 4 a step takes 1.5 times as long, and 0.4 of the time to compile
     }
 
@@ -187,7 +191,7 @@ def phases(fraction, start, move, first=0, last=0):
         each_pack_moving(spec, state, t, move)
         each(spec, state, t, 1, ti.static(_ending(last)))
 
-    return begin, evaluate, direct, iterate, finish, cut
+    return begin, evaluate, direct, iterate, finish, cut, coarsen
 
 
 @ti.func
@@ -275,6 +279,21 @@ def iterate(spec: ti.template(), state: ti.template(), t):
 
 
 @ti.func
+def coarsen(spec: ti.template(), state: ti.template(), t):
+    """Make what this step's directions need of the coarse level."""
+    if ti.static(has_two_levels(spec)):
+        keep_springs(spec, state, t)
+        two_levels.coarsen(spec, state, t)
+    each(spec, state, t, 1, _go_to_direct)
+
+
+@ti.func
+def _go_to_direct(spec: ti.template(), state: ti.template(), i):
+    state.coarsened[None] = 1
+    state.phase[None] = DIRECT
+
+
+@ti.func
 def evaluate(spec: ti.template(), state: ti.template(), t):
     """Move the iterate by what is still to go, compute its residual, and decide what comes next."""
     if ti.static(has_tractions(spec)):  # which come before the links of the first row
@@ -295,7 +314,7 @@ def _evaluating(move):
         apart,
         _store_residual,
         move,
-        joins=(*joins, (_slope, plus)),
+        joins=(*joins, (_slope, plus), (_stiffness, ti.max)),
         moved=_shifted,
         consumed=_nothing,
     )
@@ -363,6 +382,13 @@ def _gained(spec: ti.template(), state: ti.template(), i):
 
 
 @ti.func
+def _stiffness(spec: ti.template(), state: ti.template(), i):
+    """A bound of (tau*omega)^2 for pack i; w is 0 if fixed."""
+    tau = state.tau[None]
+    return (tau * tau) * read(spec, state.w, i) * read(spec, state.summed_k, i)
+
+
+@ti.func
 def _judge(spec: ti.template(), state: ti.template(), i):
     """Decide after an evaluation whether the stage is done, and what comes next if it is not."""
     state.work[FORCES] += 1
@@ -412,6 +438,9 @@ def _judge(spec: ti.template(), state: ti.template(), i):
     near = state.indefinite[None] == 0 and most < NEAR * state.scale[None]
     state.indefinite[None] = 0
     state.least[None] = ti.select(near, EXACT, CLAMPED)
+    if ti.static(has_two_levels(spec)):
+        if next_phase == DIRECT and state.coarsened[None] == 0 and state.sums[5, 0] > STIFF:
+            next_phase = COARSEN
     if next_phase == FINISH and state.outcome[None] > HIDDEN and _may_be_cut(spec, state):
         next_phase = CUT
     if next_phase == FINISH:

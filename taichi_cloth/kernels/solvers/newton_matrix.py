@@ -2,20 +2,15 @@
 
 A is that of `newton_cg.py`, never stored, only multiplied with vectors (`springs.accumulate`). All
 products for a direction have the same springs, so these are computed once, when it is begun: the
-direction of each, its stiffness along that and across it. The preconditioner is the diagonal of A,
-with every spring counted along every axis. What solvers for such a system share is here, too: how
+direction of each, its stiffness along that and across it. The preconditioner is that of
+`two_levels.py` where there are only links, else the diagonal of A with every spring counted along
+every axis. What solvers for such a system share is here, too: how
 they begin, and how they hand over what they have found.
 """
 
 import taichi as ti
 
 from taichi_cloth.kernels import laws
-from taichi_cloth.kernels.accelerations import (
-    binds,
-    damping_of,
-    resists,
-    stiffness_of,
-)
 from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.graph import numbers_of
 from taichi_cloth.kernels.grids import link_index, link_offset, pitch_of
@@ -38,11 +33,12 @@ from taichi_cloth.kernels.solvers.stages import (
     FINISH,
     ITERATE,
     apart,
-    mass_of,
     momentum_of,
     outcome_of_rounding,
+    own_diagonal,
     reachable_residual,
 )
+from taichi_cloth.kernels.solvers.two_levels import downhill, fine_energy, has_two_levels
 from taichi_cloth.kernels.spring_numbers import OfStiffness
 from taichi_cloth.kernels.springs import reads_velocity, stiffness_of_springs
 
@@ -133,12 +129,7 @@ def store_product(spec: ti.template(), state: ti.template(), i, pulled):
     """Store the product of A with `direction` in pack i; pulled: what it gets from its springs."""
     tau = state.tau[None]
     direction = read(spec, state.direction, i)
-    diagonal = mass_of(spec, state, i)
-    if ti.static(binds(spec)):
-        diagonal = diagonal + tau * tau * stiffness_of(spec, state, read, i)
-    if ti.static(resists(spec)):
-        diagonal = diagonal + tau * damping_of(spec, state, read, i)
-    product = scaled(diagonal, direction) - (tau * tau) * pulled
+    product = scaled(own_diagonal(spec, state, i), direction) - (tau * tau) * pulled
     if ti.static(has_tractions(spec)):
         product += tau * read(spec, state.traction, i)
     w = read(spec, state.w, i)
@@ -159,8 +150,23 @@ def product_more(spec: ti.template(), state: ti.template(), slot, pulled):
 
 @ti.func
 def preconditioned(spec: ti.template(), state: ti.template(), i, residual):
-    """The residual of pack i over the diagonal of A; 0 where particles are fixed."""
-    return scaled(read(spec, state.over_diagonal, i), residual)
+    """The residual of pack i, preconditioned; 0 where particles are fixed."""
+    if ti.static(has_two_levels(spec)):
+        return downhill(spec, state, i, residual)
+    else:
+        return scaled(read(spec, state.over_diagonal, i), residual)
+
+
+@ti.func
+def energy_between(spec: ti.template(), state: ti.template(), i, a, b):
+    """The product of the vectors a with b, preconditioned, for pack i; of two levels the fine one.
+
+    The coarse level's is that of all particles together (`two_levels.coarse_dot`).
+    """
+    if ti.static(has_two_levels(spec)):
+        return fine_energy(spec, state, i, a, b)
+    else:
+        return dot(a, preconditioned(spec, state, i, b))
 
 
 @ti.func
@@ -168,11 +174,7 @@ def _keep_over_diagonal(spec: ti.template(), state: ti.template(), i):
     """Keep one over the diagonal of A for pack i; 0 where particles are fixed."""
     tau = state.tau[None]
     w = read(spec, state.w, i)
-    diagonal = mass_of(spec, state, i) + tau * tau * read(spec, state.summed_k, i)
-    if ti.static(binds(spec)):
-        diagonal = diagonal + tau * tau * stiffness_of(spec, state, read, i)
-    if ti.static(resists(spec)):
-        diagonal = diagonal + tau * damping_of(spec, state, read, i)
+    diagonal = own_diagonal(spec, state, i) + tau * tau * read(spec, state.summed_k, i)
     if ti.static(has_tractions(spec)):
         diagonal = diagonal + tau * read(spec, state.traction_damping, i)
     if ti.static(reads_velocity(spec)):
@@ -183,11 +185,12 @@ def _keep_over_diagonal(spec: ti.template(), state: ti.template(), i):
 @ti.func
 def first_energy(spec: ti.template(), state: ti.template(), i):
     """The energy of pack i's residual, which becomes tau*M times what it was; change becomes 0."""
-    _keep_over_diagonal(spec, state, i)
+    if ti.static(not has_two_levels(spec)):
+        _keep_over_diagonal(spec, state, i)
     residual = momentum_of(spec, state, i, read(spec, state.residual, i))
     write(spec, state.residual, i, residual)
     write(spec, state.change, i, 0.0 * residual)
-    return dot(residual, preconditioned(spec, state, i, residual))
+    return energy_between(spec, state, i, residual, residual)
 
 
 def _least(state):

@@ -7,6 +7,12 @@ computed as for all methods (`newton_cg.py`).
 
 import taichi as ti
 
+from taichi_cloth.kernels.accelerations import (
+    binds,
+    damping_of,
+    resists,
+    stiffness_of,
+)
 from taichi_cloth.kernels.compensated import (
     add_to_position,
     add_to_velocity,
@@ -25,7 +31,7 @@ from taichi_cloth.kernels.packs import (
 from taichi_cloth.kernels.solvers.phases import set_alone
 from taichi_cloth.kernels.watchdog import commit
 
-BEGIN, EVALUATE, DIRECT, ITERATE, FINISH, CUT = range(6)  # phases
+BEGIN, EVALUATE, DIRECT, ITERATE, FINISH, CUT, COARSEN = range(7)  # phases
 # What came of a stage. ROUNDED: its residual is as small as rounding lets it be; HIDDEN: so it is,
 # but what rounding leaves hides what moves the particles. From HIDDEN on a stage is not solved.
 CONVERGED, ROUNDED, HIDDEN, EXHAUSTED, STALLED, SINGULAR, NOT_FINITE = range(7)
@@ -56,6 +62,9 @@ def set_tau(spec: ti.template(), state: ti.template(), t, tau):
     """Set the time of a step's stages; it comes before all else of the step."""
     set_alone(spec, state.tau, t, tau)
     set_alone(spec, state.step_outcome, t, CONVERGED)
+    set_alone(spec, state.coarsened, t, 0)
+    if ti.static(spec.only_links):
+        set_alone(spec, state.n_blocks, t, 0)
     barrier(spec, state)
 
 
@@ -169,6 +178,17 @@ def mass_of(spec: ti.template(), state: ti.template(), i):
     """The masses of pack i's particles; 0 where they are fixed."""
     w = read(spec, state.w, i)
     return ti.select(w > 0.0, 1.0 / w, 0.0 * w)
+
+
+@ti.func
+def own_diagonal(spec: ti.template(), state: ti.template(), i):
+    """What stands on the diagonal of A for pack i without its springs: masses, holds and drag."""
+    tau, diagonal = state.tau[None], mass_of(spec, state, i)
+    if ti.static(binds(spec)):
+        diagonal = diagonal + tau * tau * stiffness_of(spec, state, read, i)
+    if ti.static(resists(spec)):
+        diagonal = diagonal + tau * damping_of(spec, state, read, i)
+    return diagonal
 
 
 @ti.func

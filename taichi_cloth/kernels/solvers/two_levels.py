@@ -1,0 +1,478 @@
+"""A preconditioner of two levels for Newton directions on grids in lanes (`newton_matrix.py`).
+
+The fine level is what A does to each particle alone, a block of dim x dim numbers. It is factored
+as L D L^T, and no pivot is less than the particle's mass, as without rounding none would be; so it
+stays positive definite however stiff springs are. The coarse level moves *blocks* of particles, at
+most MOST of them, as rigidly as springs between them allow: with P, which gives every free particle
+of a block the block's movement, it is P (P^T A P)^-1 P^T. Both levels are added. Smith, Bjorstad,
+Gropp, "Domain decomposition", 1996, 1.3 and 2.1; Nicolaides, "Deflation of conjugate gradients with
+applications to boundary value problems", SIAM J. Numer. Anal. 24, 1987 (such a P).
+
+A block is some rows of a grid by some columns of its strips, so each of its packs gives every lane
+a block of its own, and a *coarse pack* holds these, as packs hold particles. P^T A P is made once a
+step, where springs are stiff, and inverted: it serves all directions of the step. It leaves out
+negative stiffness, and each diagonal is a little larger, so that the inverse is positive in spite
+of rounding. What conjugate gradients ask of the coarse level follows from the steps that they make
+(`conjugate_gradients.py`), with one product by the inverse for each.
+"""
+
+import functools
+
+import taichi as ti
+
+from taichi_cloth.kernels.forces import has_tractions
+from taichi_cloth.kernels.grids import (
+    link_index,
+    link_offset,
+    pitch_of,
+    renew_left_halo,
+    renew_right_halo,
+)
+from taichi_cloth.kernels.loops import barrier, each, each_row, share
+from taichi_cloth.kernels.packs import (
+    component,
+    dot,
+    epsilon,
+    everywhere,
+    for_each_axis,
+    over_lanes,
+    read,
+    scaled,
+    set_slot_number,
+    slot_number,
+    slot_value,
+    where_positive,
+    write,
+    zeros,
+)
+from taichi_cloth.kernels.solvers.stages import own_diagonal
+from taichi_cloth.kernels.state import block_packs
+
+ALONG = 8  # blocks of a grid along each of its sides, where there is room for them
+# (tau*omega)^2, of which springs' stiffness and masses give a bound, from which blocks pay.
+STIFF = 400.0
+LIFTED = 128.0  # by so many epsilons diagonals of P^T A P are larger
+
+
+def has_two_levels(spec):
+    """Whether directions are preconditioned so: A is symmetric, and all springs are links."""
+    return spec.only_links and not has_tractions(spec)
+
+
+# --- the fine level ------------------------------------------------------------------------------
+
+
+@ti.func
+def factor_particles(spec: ti.template(), state: ti.template(), t):
+    """Factor what A does to each particle alone; it comes after `newton_matrix.keep_springs`."""
+    each_row(spec, state, t, _renew_kept)
+    each_row(spec, state, t, _factor_row)
+
+
+@ti.func
+def _renew_kept(spec: ti.template(), state: ti.template(), begin, width):
+    """Renew the halos of what is kept of the links of a row."""
+    for s in range(spec.kinds):
+        first, columns = link_index(state, s, begin), state.link[s, 0]
+        renew_left_halo(spec, state.link_direction, first, width, columns)
+        renew_right_halo(spec, state.link_direction, first, width, -columns)
+        for field in ti.static((state.link_along, state.link_across)):
+            for h in range(1, columns + 1):
+                a = read(spec, field, first + width - h)
+                shifted = [0.0] + [a[lane] for lane in range(spec.lanes - 1)]
+                write(spec, field, first - h, ti.Vector(shifted))
+            for h in range(-columns):
+                a = read(spec, field, first + h)
+                shifted = [a[lane] for lane in range(1, spec.lanes)] + [0.0]
+                write(spec, field, first + width + h, ti.Vector(shifted))
+
+
+@ti.func
+def _factor_row(spec: ti.template(), state: ti.template(), begin, width):
+    """Factor what A does to each particle of a row."""
+    g = state.grid_of[begin]
+    pitch = pitch_of(spec, state, g)
+    row = (begin - state.grid[g, 0]) // pitch
+    for i in range(begin, begin + width):
+        on, across = zeros(spec, state), zeros(spec, state)
+        if state.grid[g, 3] == 1:
+            for end in range(2 * spec.kinds):  # links that begin at the pack, then those that end
+                s = end % spec.kinds
+                at = link_index(state, s, i)
+                if end >= spec.kinds:
+                    at -= link_offset(state, s, pitch)
+                if end < spec.kinds or row >= state.link[s, 1]:
+                    u = read(spec, state.link_direction, at)
+                    c = ti.max(read(spec, state.link_across, at), 0.0)
+                    more = scaled(read(spec, state.link_along, at) - c, u)
+                    on += more * u + for_each_axis(c, u)
+                    across += more * _turned(spec, u)
+        _factor_pack(spec, state, i, on, across)
+
+
+@ti.func
+def _turned(spec: ti.template(), u):
+    """The vectors u with each component where the one before it was."""
+    dim = ti.static(spec.dim)
+    return ti.Matrix([[u[(k + 1) % dim, lane] for lane in range(spec.lanes)] for k in range(dim)])
+
+
+@ti.func
+def _factor_pack(spec: ti.template(), state: ti.template(), i, on, across):
+    """Factor A of each particle of pack i, from the sums over its springs.
+
+    on: the diagonal; across: beside it, xy, and in space yz and zx.
+    """
+    w, tau = read(spec, state.w, i), state.tau[None]
+    least = ti.select(w > 0.0, own_diagonal(spec, state, i), 0.0 * w + 1.0)
+    k = tau * tau
+    xy = k * component(across, 0)
+    p0 = least + ti.max(k * component(on, 0), 0.0)
+    below = xy / p0
+    p1 = ti.max(least + k * component(on, 1) - below * xy, least)
+    none = 0.0 * w
+    over0, over1 = ti.select(w > 0.0, 1.0 / p0, none), ti.select(w > 0.0, 1.0 / p1, none)
+    if ti.static(spec.dim == 2):
+        write(spec, state.over_pivots, i, _stacked(spec, [over0, over1]))
+        write(spec, state.below, i, _stacked(spec, [below, none]))
+    else:
+        zx = k * component(across, 2)
+        yz = k * component(across, 1) - below * zx
+        below2, below1 = zx / p0, yz / p1
+        p2 = ti.max(least + k * component(on, 2) - below2 * zx - below1 * yz, least)
+        over2 = ti.select(w > 0.0, 1.0 / p2, none)
+        write(spec, state.over_pivots, i, _stacked(spec, [over0, over1, over2]))
+        write(spec, state.below, i, _stacked(spec, [below, below1, below2]))
+
+
+@ti.func
+def _stacked(spec: ti.template(), rows: ti.template()):
+    """The vectors whose components are the numbers in `rows`."""
+    return ti.Matrix(
+        [[rows[k][lane] for lane in range(spec.lanes)] for k in ti.static(range(spec.dim))]
+    )
+
+
+@ti.func
+def _lowered(spec: ti.template(), below, r):
+    """L^-1 r for pack i's vectors r."""
+    first = component(r, 0)
+    second = component(r, 1) - component(below, 0) * first
+    if ti.static(spec.dim == 2):
+        return _stacked(spec, [first, second])
+    else:
+        third = component(r, 2) - component(below, 2) * first - component(below, 1) * second
+        return _stacked(spec, [first, second, third])
+
+
+@ti.func
+def fine_energy(spec: ti.template(), state: ti.template(), i, a, b):
+    """The product of the vectors a with b, preconditioned by the fine level, for pack i."""
+    below = read(spec, state.below, i)
+    over = read(spec, state.over_pivots, i)
+    return dot(_lowered(spec, below, a), over * _lowered(spec, below, b))
+
+
+@ti.func
+def downhill(spec: ti.template(), state: ti.template(), i, residual):
+    """The residual of pack i, preconditioned by both levels; 0 where particles are fixed."""
+    below = read(spec, state.below, i)
+    over = read(spec, state.over_pivots, i)
+    z = over * _lowered(spec, below, residual)
+    coarse = read(spec, state.coarse_downhill, state.block_of[i])
+    if ti.static(spec.dim == 2):
+        second = component(z, 1)
+        first = component(z, 0) - component(below, 0) * second
+        z = _stacked(spec, [first, second])
+    else:
+        third = component(z, 2)
+        second = component(z, 1) - component(below, 1) * third
+        first = component(z, 0) - component(below, 0) * second - component(below, 2) * third
+        z = _stacked(spec, [first, second, third])
+    return z + where_positive(component(over, 0), coarse, 0.0 * coarse)
+
+
+# --- the coarse level: its matrix and inverse ----------------------------------------------------
+
+
+def unknowns(spec):
+    """How many numbers the coarse level has at most."""
+    return block_packs(spec) * spec.dim * spec.lanes
+
+
+@ti.func
+def _entry(spec: ti.template(), row, column):
+    """Where the number of the coarse matrix at `row` and `column` is."""
+    return row * ti.static(unknowns(spec)) + column
+
+
+@ti.func
+def _unknown(spec: ti.template(), b, axis, lane):
+    """The number of what a block moves along an axis: that in a lane of coarse pack b."""
+    return (b * spec.dim + axis) * spec.lanes + lane
+
+
+@ti.func
+def coarsen(spec: ti.template(), state: ti.template(), t):
+    """Make the coarse matrix, and invert it; it comes after `newton_matrix.keep_springs`."""
+    each(spec, state, t, 1, _lay_out)
+    each_row(spec, state, t, _note_blocks)
+    each(spec, state, t, state.n_blocks[None], _sum_block)
+    n = state.n_blocks[None] * spec.dim * spec.lanes
+    for k in range(n):
+        for j in range(share(spec, n, t), share(spec, n, t + 1)):
+            _eliminate(spec, state, j, k, n)
+        barrier(spec, state)
+
+
+@ti.func
+def _lay_out(spec: ti.template(), state: ti.template(), _):
+    """Choose how many rows and columns of coarse packs each grid has, and number them."""
+    grids, last = 0, 0
+    for g in range(state.n_grids[None]):
+        grids += state.grid[g, 3]
+    room = ti.static(block_packs(spec)) // ti.max(grids, 1)
+    for g in range(state.n_grids[None]):
+        rows, width = state.grid[g, 1], state.grid[g, 2]
+        columns = ti.min(ti.max(ti.static(ALONG // spec.lanes), 1), width)
+        along = 0
+        if state.grid[g, 3] == 1:
+            along = ti.min(ti.min(ALONG, rows), room // columns)
+        state.blocks[g, 0], state.blocks[g, 1], state.blocks[g, 2] = last, along, columns
+        last += along * columns
+    state.n_blocks[None] = last
+
+
+@ti.func
+def _note_blocks(spec: ti.template(), state: ti.template(), begin, width):
+    """Note of each pack of a row which coarse pack it is in, and whether any of it is fixed."""
+    g = state.grid_of[begin]
+    rows, along = state.grid[g, 1], state.blocks[g, 1]
+    row = (begin - state.grid[g, 0]) // pitch_of(spec, state, g)
+    for p in range(width):
+        columns = state.blocks[g, 2]
+        at = state.blocks[g, 0] + (row * along // rows) * columns + p * columns // width
+        if along == 0:
+            at = ti.static(block_packs(spec))  # one that never moves
+        state.block_of[begin + p] = at
+        w = read(spec, state.w, begin + p)
+        fixed = over_lanes(spec, ti.select(w > 0.0, 0.0 * w, 0.0 * w + 1.0))
+        state.holds_fixed[begin + p] = ti.select(fixed > 0.0, 1, 0)
+
+
+@ti.func
+def _first_of(part, whole, parts):
+    """The first of `whole` things that falls to one of so many parts."""
+    return (part * whole + parts - 1) // parts
+
+
+@ti.func
+def _sum_block(spec: ti.template(), state: ti.template(), b):
+    """Make the rows of the coarse matrix that belong to coarse pack b."""
+    n = state.n_blocks[None] * spec.dim
+    for row in range(_unknown(spec, b, 0, 0), _unknown(spec, b + 1, 0, 0)):
+        for h in range(n):
+            at = _entry(spec, row, h * spec.lanes) // spec.lanes
+            write(spec, state.coarse, at, everywhere(spec, ti.cast(0.0, state.real)))
+    alone = everywhere(spec, ti.cast(0.0, state.real))
+    for g in range(state.n_grids[None]):
+        along, columns, rows = state.blocks[g, 1], state.blocks[g, 2], state.grid[g, 1]
+        k = b - state.blocks[g, 0]
+        if k >= 0 and k < along * columns:
+            top, bottom = _first_of(k // columns, rows, along), 0
+            bottom = _first_of(k // columns + 1, rows, along)
+            width = state.grid[g, 2]
+            left = _first_of(k % columns, width, columns)
+            right = _first_of(k % columns + 1, width, columns)
+            for r in range(top, bottom):
+                for p in range(left, right):
+                    i = state.grid[g, 0] + r * pitch_of(spec, state, g) + p
+                    w = read(spec, state.w, i)
+                    alone += ti.select(w > 0.0, own_diagonal(spec, state, i), 0.0 * w)
+                    _add_links(spec, state, b, g, r, p)
+    for lane in ti.static(range(spec.lanes)):
+        for axis in range(spec.dim):
+            u = _unknown(spec, b, axis, lane)
+            at = _entry(spec, u, u)
+            diagonal = slot_number(spec, state.coarse, at) + alone[lane]
+            lifted = ti.static(1.0 + LIFTED * epsilon(state))
+            set_slot_number(spec, state.coarse, at, lifted * diagonal)
+
+
+@ti.func
+def _add_links(spec: ti.template(), state: ti.template(), b, g, r, p):
+    """Add those links of a pack that leave its block, or hold it: the pack in row r, column p."""
+    first, pitch, width = state.grid[g, 0], pitch_of(spec, state, g), state.grid[g, 2]
+    i = first + r * pitch + p
+    for end in range(2 * spec.kinds):
+        s, shift = end % spec.kinds, 0
+        row, column = r + state.link[s, 1], p + state.link[s, 0]
+        if end >= spec.kinds:
+            row, column = r - state.link[s, 1], p - state.link[s, 0]
+        if column >= width:
+            column, shift = column - width, 1
+        elif column < 0:
+            column, shift = column + width, -1
+        if row >= 0 and row < state.grid[g, 1]:
+            other = first + row * pitch + column
+            leaves = shift != 0 or state.block_of[other] != b
+            if leaves or state.holds_fixed[other] == 1:
+                for lane in range(ti.max(0, -shift), spec.lanes - ti.max(0, shift)):
+                    far = other * spec.lanes + lane + shift
+                    at = link_index(state, s, i) * spec.lanes + lane
+                    if end >= spec.kinds:
+                        at = link_index(state, s, other) * spec.lanes + lane + shift
+                    held = slot_number(spec, state.w, far) == 0.0
+                    if (leaves or held) and slot_number(spec, state.w, i * spec.lanes + lane) > 0.0:
+                        to = _unknown(spec, state.block_of[other], 0, lane + shift)
+                        _add_link(spec, state, at, _unknown(spec, b, 0, lane), to, held)
+
+
+@ti.func
+def _add_link(spec: ti.template(), state: ti.template(), at, own, to, held):
+    """Add the link at `at` to the rows of the block whose first unknown is `own`.
+
+    to: the first unknown of the block that it leads to; held: whether its other end is fixed.
+    """
+    u = slot_value(spec, state.link_direction, at)
+    c = ti.max(slot_number(spec, state.link_across, at), 0.0)
+    more = slot_number(spec, state.link_along, at) - c
+    tau = state.tau[None]
+    for a in ti.static(range(spec.dim)):
+        for k in ti.static(range(spec.dim)):
+            stiffness = tau * tau * more * u[a] * u[k]
+            if ti.static(a == k):
+                stiffness += tau * tau * c
+            row = own + a * spec.lanes
+            _add(spec, state, _entry(spec, row, own + k * spec.lanes), stiffness)
+            if not held:
+                _add(spec, state, _entry(spec, row, to + k * spec.lanes), -stiffness)
+
+
+@ti.func
+def _add(spec: ti.template(), state: ti.template(), at, number):
+    set_slot_number(spec, state.coarse, at, slot_number(spec, state.coarse, at) + number)
+
+
+@ti.func
+def _eliminate(spec: ti.template(), state: ti.template(), j, k, n):
+    """Take unknown k out of row j of n (Gauss, Jordan), from one half of the room to the other.
+
+    After all of them the rows are those of the inverse, in the first half, as n is even. What no
+    particle moves, or rounding has left no stiffness, stays where it is.
+    """
+    half = ti.static(unknowns(spec))
+    old, new = (k & 1) * half, ((k + 1) & 1) * half
+    pivot = slot_number(spec, state.coarse, _entry(spec, old + k, k))
+    over = ti.select(pivot > 0.0, 1.0 / ti.select(pivot > 0.0, pivot, 1.0), 0.0)
+    factor, keep = -over * slot_number(spec, state.coarse, _entry(spec, old + j, k)), 1.0
+    if j == k:
+        factor, keep = over, 0.0
+    own, by, to = _pack_of(spec, old + j), _pack_of(spec, old + k), _pack_of(spec, new + j)
+    for h in range(n // spec.lanes):
+        row = keep * read(spec, state.coarse, own + h) + factor * read(spec, state.coarse, by + h)
+        write(spec, state.coarse, to + h, row)
+    set_slot_number(spec, state.coarse, _entry(spec, new + j, k), factor)
+
+
+@ti.func
+def _pack_of(spec: ti.template(), row):
+    """The first pack of a row of the coarse matrix."""
+    return row * ti.static(unknowns(spec) // spec.lanes)
+
+
+# --- what conjugate gradients ask of the coarse level -------------------------------------------
+
+
+@ti.func
+def begin_coarse(spec: ti.template(), state: ti.template(), t):
+    """Begin with the coarse level of the residual."""
+    each(spec, state, t, ti.static(block_packs(spec) + 1), _clear)
+    each(spec, state, t, state.n_blocks[None], ti.static(_summing("residual", "coarse_residual")))
+    each(
+        spec,
+        state,
+        t,
+        state.n_blocks[None],
+        ti.static(_solving("coarse_residual", "coarse_downhill")),
+    )
+
+
+@ti.func
+def _clear(spec: ti.template(), state: ti.template(), b):
+    write(spec, state.coarse_downhill, b, zeros(spec, state))
+
+
+@ti.func
+def coarse_product(spec: ti.template(), state: ti.template(), t):
+    """Compute the coarse level of a product, and what the inverse makes of it."""
+    each(spec, state, t, state.n_blocks[None], ti.static(_summing("product", "coarse_product")))
+    each(
+        spec,
+        state,
+        t,
+        state.n_blocks[None],
+        ti.static(_solving("coarse_product", "coarse_solved")),
+    )
+
+
+@functools.cache
+def _summing(name, to):
+    """The body of a loop over coarse packs that sums the vectors `name` of their particles."""
+
+    @ti.func
+    def body(spec: ti.template(), state: ti.template(), b):
+        total = zeros(spec, state)
+        for g in range(state.n_grids[None]):
+            along, columns, rows = state.blocks[g, 1], state.blocks[g, 2], state.grid[g, 1]
+            k = b - state.blocks[g, 0]
+            if k >= 0 and k < along * columns:
+                width, pitch = state.grid[g, 2], pitch_of(spec, state, g)
+                left = _first_of(k % columns, width, columns)
+                right = _first_of(k % columns + 1, width, columns)
+                top = _first_of(k // columns, rows, along)
+                for r in range(top, _first_of(k // columns + 1, rows, along)):
+                    row = state.grid[g, 0] + r * pitch
+                    for i in range(row + left, row + right):
+                        total += read(spec, ti.static(getattr(state, name)), i)
+        write(spec, ti.static(getattr(state, to)), b, total)
+
+    return body
+
+
+@functools.cache
+def _solving(name, to):
+    """The body of a loop over coarse packs that multiplies the vectors `name` by the inverse."""
+
+    @ti.func
+    def body(spec: ti.template(), state: ti.template(), b):
+        field = ti.static(getattr(state, name))
+        total = zeros(spec, state)
+        numbers = ti.static(spec.dim * spec.lanes)
+        for other in range(state.n_blocks[None]):
+            for k in range(numbers):
+                at = _pack_of(spec, other * numbers + k) + b * spec.dim
+                rows = [read(spec, state.coarse, at + axis) for axis in ti.static(range(spec.dim))]
+                total += field[other, k] * _stacked(spec, rows)
+        write(spec, ti.static(getattr(state, to)), b, total)
+
+    return body
+
+
+@ti.func
+def coarse_dot(spec: ti.template(), state: ti.template(), a: ti.template(), b: ti.template()):
+    """The scalar product of two fields of vectors of the coarse level."""
+    total = ti.cast(0.0, state.real)
+    for k in range(state.n_blocks[None]):
+        total += over_lanes(spec, dot(read(spec, a, k), read(spec, b, k)))
+    return total
+
+
+@ti.func
+def step_coarse(spec: ti.template(), state: ti.template(), step):
+    """Go a step of so many directions, on the coarse level."""
+    for b in range(state.n_blocks[None]):
+        r = read(spec, state.coarse_residual, b) - step * read(spec, state.coarse_product, b)
+        z = read(spec, state.coarse_downhill, b) - step * read(spec, state.coarse_solved, b)
+        write(spec, state.coarse_residual, b, r)
+        write(spec, state.coarse_downhill, b, z)
