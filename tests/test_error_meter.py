@@ -84,6 +84,8 @@ def act(sim, frame):
     if frame == 30:
         sim.pin([11])
         sim.add_spring(0, 13)
+    if frame == FRAMES - 2:  # and holds as the second ends
+        sim.grab([14], sim.positions()[14], 0.4)
 
 
 def run(sim, frames=FRAMES):
@@ -109,11 +111,13 @@ def test_it_changes_no_bit_and_a_window_is_made_again_to_the_bit(torn, judge):
         (window,) = meter.windows
         assert window.frames == FRAMES and len(window.acts) > 20
 
-        torn.advance()  # a window that begins with broken springs and particles that were added
+        torn.advance()  # a window that begins with broken springs, added particles, and a hold
+        torn.drag(torn.held().place + (2.0, -3.0))
         torn.blow((150.0, 120.0), (3.0, -2.0))
         torn.advance(FRAMES - 1)
         (_, second) = meter.windows
-        for of in (window, second):
+        assert second.start.snapshot.scene.world.held is not None
+        for of in (window, second, second):
             plan = _Plan(of.method, of.substeps, of.solver, of.start)
             np.testing.assert_array_equal(judge._run(of, plan).x, of.shown)
     finally:

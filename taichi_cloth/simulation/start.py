@@ -71,7 +71,7 @@ class Starts(Part):
         self.frame, self._since = frame, (frame, start.time, start.steps)
         self._work[:], self._counted, self._first = 0, (0, start.steps), start.steps
         self.speed_limit = runaway_speed(start.snapshot.scene, self.dt)
-        self._store(start.snapshot)
+        self._store(with_own_hold(start.snapshot))  # it may begin from there once more
         if self.past is not None:
             self.past.forget()
         if start.force is not None:
