@@ -61,6 +61,8 @@ def lanes_of(scene: Scene, options: RunOptions) -> int | str | None:
     most = methods.load(options.method).lanes
     if options.lanes == SIXTEEN:
         if most is not None and most < sixteen.LANES:
+            if "lanes" not in options.given:
+                return None  # a log says it, of another method
             raise InputError(
                 f"--lanes {SIXTEEN}: method {options.method} takes at most {most}; leave it out"
             )
@@ -134,14 +136,20 @@ class Compiler:
         device = runtime.current_device()
         self._sim, self._what = sim, what
         # As they are now: the run may change them, while a later one begins with them.
-        self._scene = pickle.dumps(sim.scene)
+        self._scene = sim.scene
         self._asked = {
             "device": {
                 "precision": device.precision,
                 "threads": device.threads,
                 "fast_math": device.fast_math,
             },
-            "how": {"method": sim.method, "execution": sim.execution, "lanes": sixteen.LANES},
+            "how": {
+                "method": sim.method,
+                "dt": sim.dt,
+                "substeps": sim.substeps,
+                "execution": sim.execution,
+                "lanes": sixteen.LANES,
+            },
         }
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._wait_and_compile, daemon=True)
@@ -183,7 +191,7 @@ class Compiler:
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
             folder = Path(name)
             file = folder / "scene.pickle"
-            file.write_bytes(self._scene)
+            file.write_bytes(pickle.dumps(self._scene))
             asked: dict[str, Any] = {**self._asked, "scene": str(file)}
             with self._lock:
                 if self._ended.is_set():
