@@ -49,8 +49,8 @@ class FakeSimulation:
     """What `app` and `Controls` use of a Simulation, remembering the calls."""
 
     method, dt, substeps, execution = "symplectic_euler", 1.0, 1, "serial"
-    topology = "graph"
-    held_up, follows = None, False
+    topology, lanes, way = "graph", 1, "serial graph"
+    held_up, follows, aside = None, False, ""
     solver = {}
 
     def __init__(self, scene):
