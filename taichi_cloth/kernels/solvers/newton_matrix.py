@@ -37,10 +37,11 @@ from taichi_cloth.kernels.solvers.stages import (
     outcome_of_rounding,
     own_diagonal,
     reachable_residual,
+    whole_diagonal,
 )
 from taichi_cloth.kernels.solvers.two_levels import downhill, fine_energy, has_two_levels
 from taichi_cloth.kernels.spring_numbers import OfStiffness
-from taichi_cloth.kernels.springs import reads_velocity, stiffness_of_springs
+from taichi_cloth.kernels.springs import stiffness_of_springs
 
 FORCING = 0.1  # this part of the residual is left to the next direction
 
@@ -174,11 +175,9 @@ def _keep_over_diagonal(spec: ti.template(), state: ti.template(), i):
     """Keep one over the diagonal of A for pack i; 0 where particles are fixed."""
     tau = state.tau[None]
     w = read(spec, state.w, i)
-    diagonal = own_diagonal(spec, state, i) + tau * tau * read(spec, state.summed_k, i)
+    diagonal = whole_diagonal(spec, state, i)
     if ti.static(has_tractions(spec)):
         diagonal = diagonal + tau * read(spec, state.traction_damping, i)
-    if ti.static(reads_velocity(spec)):
-        diagonal = diagonal + tau * read(spec, state.summed_c, i)
     write(spec, state.over_diagonal, i, ti.select(w > 0.0, 1.0 / diagonal, 0.0 * w))
 
 

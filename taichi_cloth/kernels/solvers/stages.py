@@ -29,6 +29,7 @@ from taichi_cloth.kernels.packs import (
     write,
 )
 from taichi_cloth.kernels.solvers.phases import set_alone
+from taichi_cloth.kernels.springs import reads_velocity
 from taichi_cloth.kernels.watchdog import commit
 
 BEGIN, EVALUATE, DIRECT, ITERATE, FINISH, CUT, COARSEN = range(7)  # phases
@@ -188,6 +189,16 @@ def own_diagonal(spec: ti.template(), state: ti.template(), i):
         diagonal = diagonal + tau * tau * stiffness_of(spec, state, read, i)
     if ti.static(resists(spec)):
         diagonal = diagonal + tau * damping_of(spec, state, read, i)
+    return diagonal
+
+
+@ti.func
+def whole_diagonal(spec: ti.template(), state: ti.template(), i):
+    """The same with every spring of pack i's particles counted along every axis."""
+    tau = state.tau[None]
+    diagonal = own_diagonal(spec, state, i) + tau * tau * read(spec, state.summed_k, i)
+    if ti.static(reads_velocity(spec)):
+        diagonal = diagonal + tau * read(spec, state.summed_c, i)
     return diagonal
 
 

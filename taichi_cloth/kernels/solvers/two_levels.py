@@ -28,7 +28,7 @@ from taichi_cloth.kernels.grids import (
     renew_left_halo,
     renew_right_halo,
 )
-from taichi_cloth.kernels.loops import barrier, each, each_row, share
+from taichi_cloth.kernels.loops import barrier, each, each_pack, each_row, share
 from taichi_cloth.kernels.packs import (
     component,
     dot,
@@ -45,12 +45,12 @@ from taichi_cloth.kernels.packs import (
     write,
     zeros,
 )
-from taichi_cloth.kernels.solvers.stages import own_diagonal
+from taichi_cloth.kernels.solvers.stages import own_diagonal, whole_diagonal
 from taichi_cloth.kernels.state import block_packs
 
 ALONG = 8  # blocks of a grid along each of its sides, where there is room for them
 # (tau*omega)^2, of which springs' stiffness and masses give a bound, from which blocks pay.
-STIFF = 400.0
+STIFF = 1500.0
 LIFTED = 128.0  # by so many epsilons diagonals of P^T A P are larger
 
 
@@ -64,9 +64,16 @@ def has_two_levels(spec):
 
 @ti.func
 def factor_particles(spec: ti.template(), state: ti.template(), t):
-    """Factor what A does to each particle alone; it comes after `newton_matrix.keep_springs`."""
-    each_row(spec, state, t, _renew_kept)
-    each_row(spec, state, t, _factor_row)
+    """Factor what A does to each particle alone; it comes after `newton_matrix.keep_springs`.
+
+    Where springs are soft, and blocks do not pay, the diagonal with every spring counted along
+    every axis stands for it, which costs less than it needs sweeps.
+    """
+    if state.coarsened[None] == 1:
+        each_row(spec, state, t, _renew_kept)
+        each_row(spec, state, t, _factor_row)
+    else:
+        each_pack(spec, state, t, _take_diagonal)
 
 
 @ti.func
@@ -108,6 +115,15 @@ def _factor_row(spec: ti.template(), state: ti.template(), begin, width):
                     on += more * u + for_each_axis(c, u)
                     across += more * _turned(spec, u)
         _factor_pack(spec, state, i, on, across)
+
+
+@ti.func
+def _take_diagonal(spec: ti.template(), state: ti.template(), i):
+    """Take `stages.whole_diagonal` for what A does to each particle of pack i alone."""
+    w = read(spec, state.w, i)
+    over = ti.select(w > 0.0, 1.0 / whole_diagonal(spec, state, i), 0.0 * w)
+    write(spec, state.over_pivots, i, for_each_axis(over, read(spec, state.x, i)))
+    write(spec, state.below, i, zeros(spec, state))
 
 
 @ti.func
