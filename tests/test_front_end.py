@@ -4,7 +4,7 @@ import pytest
 import taichi as ti
 from taichi.lang import kernel_impl
 
-from taichi_cloth import front_end
+from taichi_cloth import front_end, runtime
 
 
 @pytest.fixture(autouse=True)
@@ -71,3 +71,22 @@ def test_a_taichi_that_is_made_otherwise_is_left_alone(monkeypatch):
     monkeypatch.delattr(kernel_impl, "_inside_class")
     front_end.quicken()
     assert kernel_impl.getsourcelines is plain
+
+
+def test_what_is_compiled_soon_reads_what_was_stored():
+    """Taichi without its search alone keeps two copies of a place that two expressions read."""
+    stored, seen = ti.field(ti.f32, 8), ti.field(ti.f32, 8)
+
+    @ti.kernel
+    def count(times: ti.i32):
+        for i in range(8):
+            for _ in range(times):
+                stored[i] = stored[i] + 1.0
+                seen[i] = stored[i]
+
+    config = ti.lang.impl.get_runtime().prog.config()
+    before = config.opt_level, config.cache_loop_invariant_global_vars
+    with runtime.compiled_soon():
+        count(3)
+    assert (config.opt_level, config.cache_loop_invariant_global_vars) == before == (1, True)
+    assert seen.to_numpy().tolist() == stored.to_numpy().tolist() == [3.0] * 8

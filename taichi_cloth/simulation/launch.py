@@ -17,7 +17,13 @@ from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.solvers import phases
 from taichi_cloth.kernels.specialization import Specialization
-from taichi_cloth.runtime import Device, compilation_time, sums_in_order, whole_vectors
+from taichi_cloth.runtime import (
+    Device,
+    compilation_time,
+    compiled_soon,
+    sums_in_order,
+    whole_vectors,
+)
 from taichi_cloth.simulation import compiled
 
 # Particles and springs times steps in one launch: some tenths of a second, so that Ctrl-C is heard.
@@ -87,7 +93,8 @@ class Launcher:
         spec: one with parallel loops, one launch per step. done: steps so far.
         """
         if self._method.begin:
-            with self._settings(spec):
+            soon = compiled_soon if self.device.arch == "cpu" else contextlib.nullcontext
+            with self._settings(spec), soon():
                 stepping.begin_launch(self._method.begin, spec, state, done)
 
     def frames_per_launch(self, substeps: int, size: int) -> int:
