@@ -49,7 +49,7 @@ class FakeSimulation:
     """What `app` and `Controls` use of a Simulation, remembering the calls."""
 
     method, dt, substeps, execution = "symplectic_euler", 1.0, 1, "serial"
-    topology, lanes, way = "graph", 1, "serial graph"
+    topology, lanes, wide, way = "graph", 1, False, "serial graph"
     held_up, follows, aside = None, False, ""
     solver = {}
 

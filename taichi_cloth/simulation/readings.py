@@ -34,9 +34,14 @@ class Readings(Part):
         return self.storage.specialization.lanes if self.topology == "lanes" else 1
 
     @property
+    def wide(self) -> bool:
+        """Whether it has sixteen lanes, whose bits may differ from those of eight."""
+        return self.lanes == sixteen.LANES
+
+    @property
     def way(self) -> str:
         """How it is run, in words: "parallel lanes", "serial graph", "serial lanes of 16"."""
-        wide = f" of {self.lanes}" if self.lanes == sixteen.LANES else ""
+        wide = f" of {self.lanes}" if self.wide else ""
         return f"{self.execution} {self.topology}{wide}"
 
     def positions(self) -> np.ndarray:

@@ -13,7 +13,6 @@ import numpy as np
 from taichi_cloth import runtime
 from taichi_cloth.console import progress
 from taichi_cloth.errors import RunFailure
-from taichi_cloth.simulation import sixteen
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import rescue
 from taichi_cloth.ui.interaction import Log
@@ -42,7 +41,7 @@ def log_header(
         "method": sim.method,
         **sim.solver,
         "topology": sim.topology,
-        **({"lanes": sim.lanes} if sim.lanes == sixteen.LANES else {}),
+        **({"lanes": sim.lanes} if sim.wide else {}),
         "precision": runtime.current_device().precision,
         **({"tools": True} if sim.scene.world.tools else {}),
         **({"start_frame": sim.frame} if sim.frame else {}),  # of a checkpoint that it went on from
