@@ -85,6 +85,26 @@ def test_a_bounce_rises_as_its_closed_form_says(device):
     assert np.diff(energies).max() < 1e-12 and abs(energies[-1]) < 1e-12
 
 
+@pytest.mark.parametrize(
+    ("method", "fall"), [("verlet", 1.25), ("symplectic_euler", 1.25 * 33 / 32)]
+)
+def test_a_step_that_ends_on_the_surface_bounces_in_the_next_one(device, method, fall):
+    """All numbers are whole in binary: the 32nd step ends on the floor, to the bit."""
+    world = World(size=(64.0, 64.0), gravity=(0.0, -10.0), dt=1 / 64, up="y")
+    floor = Obstacle.build("plane", point=[0.0, 8.0], normal=[0.0, 1.0], restitution=0.5)
+    ball = Particles.build([[20.0, 8.5 + fall]], radius=0.5)
+    sim = Simulation(Scene("arrival", world, ball, obstacles=(floor,)), method, execution="serial")
+    sim.advance(31)
+    arriving = sim.velocities()[0, 1] - 10 / 64
+    sim.advance()
+    assert sim.positions()[0, 1] == 8.5 and sim.velocities()[0, 1] == -0.5 * arriving
+    heights = []
+    for _ in range(16):
+        sim.advance()
+        heights.append(sim.positions()[0, 1] - 8.5)
+    assert max(heights) == pytest.approx(0.25 * 1.25, rel=0.1) and min(heights) > 0.0
+
+
 def one_of_each(**more):
     """An obstacle of each shape, with what lies on top of it, in 3-D."""
     shapes = {

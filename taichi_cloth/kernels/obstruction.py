@@ -274,7 +274,7 @@ def bounce(u_before, u, part, e, position_weight: ti.template(), dt):
     rest = (1.0 - part) * (u - u_before)
     new_u = rest - e * met
     lift = (1.0 - part) * dt * (0.5 * rest - e * met)
-    if new_u <= 0.0 or lift <= 0.0:
+    if new_u <= 0.0 or lift < 0.0:
         new_u, lift = ti.max(u, 0.0), 0.0 * lift
     return new_u, lift
 
