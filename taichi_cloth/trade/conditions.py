@@ -25,7 +25,7 @@ class RunConditions:
     fastest takes longer than a whole study. budget: seconds of timing for each setting;
     patience: seconds for the references. solver_errors: whether solvers are run converged, too.
     clock: when it has to end, and leave out the rest. accounts: whether what contacts do to the
-    energy is accounted for, which can take as long to compile as all else.
+    energy is accounted for, which in lanes can take as long to compile as all else.
     """
 
     topology: str
@@ -78,7 +78,7 @@ def conditions(
         return made
     budget = min(max(TIMING * end.seconds / settings_compared, 0.01), made.budget)
     patience = min(REFERENCES * end.seconds, made.patience)
-    accounts = made.accounts and not end.short
+    accounts = made.accounts and not (end.short and stored == "lanes")
     return replace(made, budget=budget, patience=patience, clock=end, accounts=accounts)
 
 
