@@ -88,7 +88,7 @@ def test_a_bounce_rises_as_its_closed_form_says(device):
 @pytest.mark.parametrize(
     ("method", "fall"), [("verlet", 1.25), ("symplectic_euler", 1.25 * 33 / 32)]
 )
-def test_a_step_that_ends_on_the_surface_bounces_in_the_next_one(device, method, fall):
+def test_a_step_that_ends_on_the_surface_is_a_bounce(device, method, fall):
     """All numbers are whole in binary: the 32nd step ends on the floor, to the bit."""
     world = World(size=(64.0, 64.0), gravity=(0.0, -10.0), dt=1 / 64, up="y")
     floor = Obstacle.build("plane", point=[0.0, 8.0], normal=[0.0, 1.0], restitution=0.5)
