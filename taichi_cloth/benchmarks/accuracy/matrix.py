@@ -3,10 +3,10 @@ how wrong each is, or why it does not run.
 
 Each scene has a process for each precision. All cells of a scene are run over the same few frames
 in the same steps, short ones that every explicit method follows, with a method's own default
-settings. Nearly all of the time goes into compiling, so that leaves out what would make longer runs
-shorter, and changes no bit (`runtime.compiled_soon`): with everything in lanes a quarter of a
-minute. What takes longer than PATIENCE all the same is not measured, nor what is left of a scene
-that has taken its BUDGET.
+settings. Nearly all of the time goes into compiling, so that leaves out what would only make longer
+runs shorter (`runtime.compiled_soon`): with everything in lanes a quarter of a minute. What takes
+longer than PATIENCE all the same is not measured, nor what is left of a scene that has taken its
+BUDGET.
 """
 
 from __future__ import annotations
