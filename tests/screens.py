@@ -46,12 +46,13 @@ def end_server(screen):
 def wait_for(seen, process, what, seconds=60):
     """What `seen()` returns, as soon as that is something; fails where the window's process ends.
 
-    seconds: after which it counts as hung: many times what a busy machine takes, as that is no
-    measure of speed.
+    process: None where what is waited for has no window. seconds: after which it counts as hung:
+    many times what a busy machine takes, as that is no measure of speed.
     """
     end = time.monotonic() + seconds
     while not (found := seen()):
-        assert process.poll() is None, f"waiting for {what}: the window's process ended"
+        if process is not None:
+            assert process.poll() is None, f"waiting for {what}: the window's process ended"
         if time.monotonic() > end:
             pytest.fail(f"waited {seconds} s in vain for {what}")
         time.sleep(0.05)

@@ -7,12 +7,12 @@ import json
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commands import PATIENCE
+from screens import wait_for
 
 from taichi_cloth.cli import doctor, run_sixteen
 from taichi_cloth.errors import InputError
@@ -115,20 +115,17 @@ def compiler_of(monkeypatch, of=run_sixteen.COMPILED):
     return sim, run_sixteen.compiled_beside(sim, RunOptions(view="none"))
 
 
-def wait_until(there):
-    deadline = time.monotonic() + 60
-    while not there():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
 def test_a_failure_is_noted_for_doctor_and_said_to_nobody_else(
     device, few_lanes, own_caches, monkeypatch, capfd
 ):
     for count in range(1, sixteen.TRIES + 1):
         sim, beside = compiler_of(monkeypatch, of="taichi_cloth.cli.run_sixteen:Missing")
         with beside:
-            wait_until(lambda n=count: sum(one.failed for one in sixteen.all_tried()) == n)
+            wait_for(
+                lambda n=count: sum(one.failed for one in sixteen.all_tried()) == n,
+                None,
+                "a failure that is noted",
+            )
         assert sim.aside == ""
     assert capfd.readouterr() == ("", "")
     finding = doctor._sixteen_lanes()
@@ -140,7 +137,7 @@ def test_a_failure_is_noted_for_doctor_and_said_to_nobody_else(
 def test_what_is_not_done_when_the_run_ends_is_left(device, few_lanes, own_caches, monkeypatch):
     sim, beside = compiler_of(monkeypatch)
     with beside:
-        wait_until(lambda: sim.aside)
+        wait_for(lambda: sim.aside, None, "what compiles beside the run")
         row, _ = hud.status_rows(sim, "cpu f64", state=Word("playing", style.INK))
         assert run_sixteen.DOING in [word.text for word in row.left]
     assert sixteen.all_tried() == []
