@@ -302,9 +302,10 @@ def sums_in_order() -> Iterator[None]:
 def compiled_soon() -> Iterator[None]:
     """While it lasts, kernels are compiled without the search for common subexpressions.
 
-    They have the same bits and compile in half the time, but run up to 2.3 times as long: for those
-    that run once where others run on and on. For what loops do not change Taichi keeps a copy for
-    each expression that reads it, which is wrong where two of them read one place: that goes, too.
+    They compile in half the time, but run up to 2.3 times as long: for those that run once where
+    others run on and on. In all runs that were compared they had the same bits. For what loops do
+    not change Taichi keeps a copy for each expression that reads it, which is wrong where two of
+    them read one place: that goes, too.
     """
     from taichi.lang import impl
 
