@@ -17,8 +17,11 @@ from selection import mostly_thorough
 
 @pytest.fixture(scope="session")
 def device():
+    import inside
+
     from taichi_cloth import runtime
 
+    inside.refuse_both_ways()
     return runtime.start("cpu", "f64", threads=2)
 
 

@@ -8,13 +8,30 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
+import taichi as ti
+from taichi.lang import impl
 
 from taichi_cloth import runtime
-from taichi_cloth.kernels import methods
+from taichi_cloth.kernels import lane_memory, methods
 from taichi_cloth.simulation import autotune, simulation
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.prediction import Cost, Prediction
 from taichi_cloth.simulation.storage import containers
+
+
+def refuse_both_ways():
+    """From here on no kernel that sees the memory of lanes may read a field that lies in it.
+
+    Taichi would take them for different memory (`kernels/lane_memory.py`).
+    """
+    subscript = impl.subscript
+
+    def refusing(ast_builder, value, *indices, **given):
+        both = isinstance(value, ti.Field) and lane_memory.sees(value)
+        assert not both, "a kernel that sees the memory of lanes reads a field of it"
+        return subscript(ast_builder, value, *indices, **given)
+
+    impl.subscript = refusing
 
 
 def state_of(sim):

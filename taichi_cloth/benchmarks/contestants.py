@@ -9,10 +9,10 @@ import taichi as ti
 
 from taichi_cloth import runtime
 from taichi_cloth.benchmarks.cloths import STRUCTURAL_SUBSTEPS, SceneCall, structural
-from taichi_cloth.kernels import stepping
 from taichi_cloth.kernels.collision_grid import sort_into_cells
 from taichi_cloth.kernels.contact import compute_pair_bounces
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.simulation.launch import kernels_of
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.simulation.storage import adjacency
 
@@ -138,7 +138,7 @@ class Collisions(Ours):
     def _repeat(self, part: Any, units: int) -> None:
         """Run a part of a step, a ti.func(spec, state, t), so many times in a launch."""
         spec, state = self.sim.storage.specialization, self.sim.storage.state
-        stepping.frames_in_one_launch(part, spec, state, 0, 1, units)
+        kernels_of(state).frames(part, spec, state, state.lane_memory, 0, 1, units)
         ti.sync()
 
 

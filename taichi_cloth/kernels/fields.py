@@ -4,6 +4,8 @@ from dataclasses import astuple, dataclass
 
 import taichi as ti
 
+from taichi_cloth.kernels.lane_memory import open_lane_memory
+
 
 def placed(tree, field, *shape):
     """The field, after it was placed in a tree with one axis inside the other."""
@@ -67,6 +69,7 @@ class Fields:
         self.particle_names, self.vector_names = [], []
         self.by_component = []
         self._reals, self._integers = ti.FieldsBuilder(), ti.FieldsBuilder()
+        self._lanes, self._in_lanes = None, []  # a tree of packs of several lanes, and its fields
 
     def _scalars(self, *shape):
         return placed(self._reals, ti.field(self.real), *shape)
@@ -75,20 +78,47 @@ class Fields:
         return placed(self._integers, ti.field(ti.i32), *shape)
 
     def _pack_vectors(self, spec, packs=None, tree=None, copied=False):
-        """Place a field of vectors; copied: with room for copies, where rows are packed."""
-        tree, packs = tree or self._reals, packs or self.packs
+        """Place a field of vectors; copied: with room for copies, where rows are packed.
+
+        tree: its own, or that of all.
+        """
+        packs = packs or self.packs
         if spec.lanes == 1:
-            return placed(tree, ti.Vector.field(spec.dim, self.real), packs)
+            return placed(tree or self._reals, ti.Vector.field(spec.dim, self.real), packs)
         if spec.packed_rows:  # all first components, then all second ones
             room = (packs + self.capacity.copies * copied) * spec.lanes
-            field = placed(tree, ti.field(self.real), spec.dim * room)
+            field = placed(tree or self._reals, ti.field(self.real), spec.dim * room)
             self.by_component.append((field, room))
             return field
-        return placed(tree, ti.field(self.real), packs, spec.dim * spec.lanes)
+        return self._packs_of_lanes(packs, spec.dim * spec.lanes, tree)
 
     def _pack_numbers(self, spec, packs=None):
         packs = packs or self.packs
-        return self._scalars(packs) if spec.lanes == 1 else self._scalars(packs, spec.lanes)
+        return self._scalars(packs) if spec.lanes == 1 else self._packs_of_lanes(packs, spec.lanes)
+
+    def _finalize(self, lanes):
+        """Allocate the trees; a list of them. lanes: how many particles there are in a pack.
+
+        With several, lane_memory is what is in packs, as `lane_memory.py` says.
+        """
+        trees = [self._reals.finalize(), self._integers.finalize()]
+        self.lane_memory = None
+        if self._in_lanes:
+            trees.append(self._lanes.finalize())
+            self.lane_memory = open_lane_memory(self._in_lanes, lanes, self.real)
+        return trees
+
+    def _packs_of_lanes(self, packs, numbers, tree=None):
+        """Place a field with so many numbers for each pack of several lanes.
+
+        All of them are in a tree with nothing else: so each pack lies at a multiple of its
+        vectors' size, where processors read them best, or at all.
+        """
+        if tree:
+            return placed(tree, ti.field(self.real), packs, numbers)
+        self._lanes = self._lanes or ti.FieldsBuilder()
+        self._in_lanes.append(placed(self._lanes, ti.field(self.real), packs, numbers))
+        return self._in_lanes[-1]
 
     def _pack_counts(self, spec, packs=None):
         packs = packs or self.packs

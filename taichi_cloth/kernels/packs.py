@@ -38,9 +38,12 @@ which Taichi 1.7 does only in part. In their kernels
 
 import taichi as ti
 
-# Packs and slots of packed rows are below these. Compilers that know it see that no sum of them is
-# too large for a whole number, hence that lanes lie side by side, and read them all at once.
-PACKS, SLOTS = 0x00FFFFFF, 0x07FFFFFF
+from taichi_cloth.kernels.lane_memory import seen, sees
+
+# Packs and slots of packed rows, and vectors of lanes, are below these. Compilers that know it see
+# that no sum of them is too large for a whole number, hence that lanes lie side by side, and read
+# them all at once.
+PACKS, SLOTS, VECTORS = 0x00FFFFFF, 0x07FFFFFF, 0x0FFFFFFF
 
 
 def lanes_of(a):
@@ -86,14 +89,66 @@ def read(spec: ti.template(), field: ti.template(), i):
             [[field[first + at] for at in ats] for ats in ti.static(ats_of(spec, field))]
         )
     elif ti.static(rows_of(spec, field) == 1):
-        return ti.Vector([field[i, lane] for lane in range(spec.lanes)])
+        return _vector(spec, field, i, 0)
     else:
+        rows = [_vector(spec, field, i, k) for k in ti.static(range(rows_of(spec, field)))]
         return ti.Matrix(
             [
-                [field[i, axis * spec.lanes + lane] for lane in range(spec.lanes)]
-                for axis in range(rows_of(spec, field))
+                [rows[k][lane] for lane in range(spec.lanes)]
+                for k in ti.static(range(rows_of(spec, field)))
             ]
         )
+
+
+@ti.func
+def number_in_pack(spec: ti.template(), field: ti.template(), i, k):
+    """Number k of all of pack i's, component by component; k: also one known only at run time."""
+    return _number(spec, field, i, k // spec.lanes, k % spec.lanes)
+
+
+# --- a field's numbers in packs of several lanes: by `lane_memory.py`, or from the field ----------
+#
+# A pack in the memory of lanes is named by the place of its first vector alone, and each of its
+# numbers by how far it lies from there, past that vector's end, too, and only so: to Taichi numbers
+# at two places, or a vector and a number in it, are different memory unless it is told the same
+# place. Hence a pack must not be reached in one block of a kernel by two whole numbers that Taichi
+# does not know to be equal, be it a slot of it: it would read again what was there before.
+
+
+@ti.func
+def _vector(spec: ti.template(), field: ti.template(), i, k: ti.template()):
+    """The component k of pack i of a field: a number for each lane."""
+    if ti.static(sees(field)):
+        at = _first_vector(spec, field, i)
+        return ti.Vector(
+            [ti.static(seen())[at][k * spec.lanes + lane] for lane in range(spec.lanes)]
+        )
+    else:
+        return ti.Vector([field[i, k * spec.lanes + lane] for lane in range(spec.lanes)])
+
+
+@ti.func
+def _number(spec: ti.template(), field: ti.template(), i, k, lane):
+    """The component k of a lane of pack i of a field; both also ones known only at run time."""
+    if ti.static(sees(field)):
+        return ti.static(seen())[_first_vector(spec, field, i)][k * spec.lanes + lane]
+    else:
+        return field[i, k * spec.lanes + lane]
+
+
+@ti.func
+def _set_number(spec: ti.template(), field: ti.template(), i, k, lane, value):
+    """Store the component k of a lane of pack i of a field."""
+    if ti.static(sees(field)):
+        ti.static(seen())[_first_vector(spec, field, i)][k * spec.lanes + lane] = value
+    else:
+        field[i, k * spec.lanes + lane] = value
+
+
+@ti.func
+def _first_vector(spec: ti.template(), field: ti.template(), i):
+    """Where pack i of a field begins in the memory of lanes."""
+    return (ti.static(field.first_vector) + i * ti.static(rows_of(spec, field))) & VECTORS
 
 
 @ti.func
@@ -125,12 +180,27 @@ def write(spec: ti.template(), field: ti.template(), i, value):
             for lane, at in ti.static(enumerate(ats)):
                 field[first + at] = value[axis, lane]
     else:
-        for axis in ti.static(range(rows_of(spec, field))):
+        _write_lanes(spec, field, i, value)
+
+
+@ti.func
+def _write_lanes(spec: ti.template(), field: ti.template(), i, value):
+    """Store the value of a field at a pack of several lanes; each place is found but once."""
+    if ti.static(sees(field)):
+        at = _first_vector(spec, field, i)
+        for k in ti.static(range(rows_of(spec, field))):
+            for lane in ti.static(range(spec.lanes)):
+                if ti.static(rows_of(spec, field) == 1):
+                    ti.static(seen())[at][lane] = value[lane]
+                else:
+                    ti.static(seen())[at][k * spec.lanes + lane] = value[k, lane]
+    else:
+        for k in ti.static(range(rows_of(spec, field))):
             for lane in ti.static(range(spec.lanes)):
                 if ti.static(rows_of(spec, field) == 1):
                     field[i, lane] = value[lane]
                 else:
-                    field[i, axis * spec.lanes + lane] = value[axis, lane]
+                    field[i, k * spec.lanes + lane] = value[k, lane]
 
 
 @ti.func
@@ -254,7 +324,7 @@ def slot_value(spec: ti.template(), field: ti.template(), slot):
         return ti.Vector([field[slot + ats[0]] for ats in ti.static(ats_of(spec, field))])
     else:
         cell, lane = slot // spec.lanes, slot % spec.lanes
-        return ti.Vector([field[cell, axis * spec.lanes + lane] for axis in range(spec.dim)])
+        return ti.Vector([_number(spec, field, cell, k, lane) for k in range(spec.dim)])
 
 
 @ti.func
@@ -265,7 +335,7 @@ def slot_number(spec: ti.template(), field: ti.template(), slot):
     elif ti.static(spec.lanes == 1):
         return field[slot]
     else:
-        return field[slot // spec.lanes, slot % spec.lanes]
+        return _number(spec, field, slot // spec.lanes, 0, slot % spec.lanes)
 
 
 @ti.func
@@ -277,7 +347,7 @@ def set_slot_value(spec: ti.template(), field: ti.template(), slot, value):
         elif ti.static(is_by_component(spec, field)):
             field[slot + ti.static(ats_of(spec, field)[axis][0])] = value[axis]
         else:
-            field[slot // spec.lanes, axis * spec.lanes + slot % spec.lanes] = value[axis]
+            _set_number(spec, field, slot // spec.lanes, axis, slot % spec.lanes, value[axis])
 
 
 @ti.func
@@ -288,4 +358,4 @@ def set_slot_number(spec: ti.template(), field: ti.template(), slot, value):
     elif ti.static(spec.lanes == 1):
         field[slot] = value
     else:
-        field[slot // spec.lanes, slot % spec.lanes] = value
+        _set_number(spec, field, slot // spec.lanes, 0, slot % spec.lanes, value)

@@ -154,7 +154,7 @@ class State(ContactFields):
             self._place_account(spec)
         if spec.faces:
             self._place_faces(spec.dim)
-        self.trees = [self._reals.finalize(), self._integers.finalize()]
+        self.trees = self._finalize(spec.lanes)
         if spec.accounts_contacts:
             self.trees.append(self.wide_tree)
         if method.sums + spec.accounts_contacts:

@@ -4,15 +4,19 @@
 how many steps came before; steps are numbered from 1.
 """
 
+import functools
+from collections.abc import Callable
+from typing import NamedTuple
+
 import taichi as ti
 
 from taichi_cloth.kernels.forces import load
 from taichi_cloth.kernels.forces.contract import has
 from taichi_cloth.kernels.fracture import break_springs
+from taichi_cloth.kernels.lane_memory import lane_memory_type, see
 from taichi_cloth.kernels.loops import COUNTER, PIECE, barrier
 from taichi_cloth.kernels.resting_pairs import iterate
 from taichi_cloth.kernels.settling import begin_settling, ends_step, settle
-from taichi_cloth.kernels.solvers.phases import run_one_of
 from taichi_cloth.kernels.watchdog import all_well, begin_step, checkpoint
 
 
@@ -69,39 +73,102 @@ def frames_as_thread(
         state.passed[None] = passed
 
 
-@ti.kernel
-def frames_in_one_launch(
-    method: ti.template(),
-    spec: ti.template(),
-    state: ti.template(),
-    done: ti.i32,
-    frames: ti.i32,
-    substeps: ti.i32,
-) -> ti.i32:
-    """Run frames on spec.threads threads; return how many passed (see `frames_as_thread`)."""
-    if ti.static(spec.threads == 1):
-        ti.loop_config(serialize=True)
-        for t in range(1):
-            frames_as_thread(method, spec, state, t, done, frames, substeps)
-    else:
-        state.arrivals[COUNTER] = 0
-        # Else Taichi starts no more threads than there are cores, and the others wait forever.
-        ti.loop_config(parallelize=spec.threads)
-        for i in range(spec.threads * PIECE):
-            if i % PIECE == 0:
-                frames_as_thread(method, spec, state, i // PIECE, done, frames, substeps)
-    return state.passed[None]
+class Kernels(NamedTuple):
+    """Kernels that see the memory of lanes: see `kernels_of`."""
+
+    frames: Callable
+    phases: Callable
+    end_of_step: Callable
+    begin: Callable
 
 
-@ti.kernel
-def begin_launch(begin: ti.template(), spec: ti.template(), state: ti.template(), done: ti.i32):
-    """Compute what a method wants before its next step, with every loop run in parallel.
+@functools.cache
+def kernels_of(lanes, real):
+    """The kernels for packs of so many lanes of numbers of a type.
 
-    It is a kernel by itself because compile time grows with the square of what is in one.
+    memory: of each kernel State.lane_memory (`lane_memory.py`).
     """
-    for _ in range(1):
-        state.step[None] = done
-    begin(spec, state, 0)
+    memory_type = lane_memory_type(lanes, real)
+
+    @ti.kernel
+    def run_frames(
+        method: ti.template(),
+        spec: ti.template(),
+        state: ti.template(),
+        memory: memory_type,
+        done: ti.i32,
+        frames: ti.i32,
+        substeps: ti.i32,
+    ) -> ti.i32:
+        """Run frames on spec.threads threads; return how many passed (see `frames_as_thread`)."""
+        ti.static(see(memory))
+        if ti.static(spec.threads == 1):
+            ti.loop_config(serialize=True)
+            for t in range(1):
+                frames_as_thread(method, spec, state, t, done, frames, substeps)
+        else:
+            state.arrivals[COUNTER] = 0
+            # Else Taichi starts no more threads than there are cores, and the others wait forever.
+            ti.loop_config(parallelize=spec.threads)
+            for i in range(spec.threads * PIECE):
+                if i % PIECE == 0:
+                    frames_as_thread(method, spec, state, i // PIECE, done, frames, substeps)
+        return state.passed[None]
+
+    @ti.kernel
+    def run_phases(
+        together: ti.template(), spec: ti.template(), state: ti.template(), memory: memory_type
+    ) -> ti.i32:
+        """Run phases of a step on spec.threads threads for as long as the next one is one of them.
+
+        together: `phases.together` of some. Returns the phase that is next.
+        """
+        ti.static(see(memory))
+        if ti.static(spec.threads == 1):
+            ti.loop_config(serialize=True)
+            for t in range(1):
+                together(spec, state, t)
+        else:
+            state.arrivals[COUNTER] = 0
+            ti.loop_config(parallelize=spec.threads)
+            for i in range(spec.threads * PIECE):
+                if i % PIECE == 0:
+                    together(spec, state, i // PIECE)
+        return state.phase[None]
+
+    @ti.kernel
+    def run_end(spec: ti.template(), state: ti.template(), memory: memory_type):
+        """End a step after its phases, on spec.threads threads."""
+        ti.static(see(memory))
+        if ti.static(spec.threads == 1):
+            ti.loop_config(serialize=True)
+            for t in range(1):
+                end_step(spec, state, t)
+        else:
+            state.arrivals[COUNTER] = 0
+            ti.loop_config(parallelize=spec.threads)
+            for i in range(spec.threads * PIECE):
+                if i % PIECE == 0:
+                    end_step(spec, state, i // PIECE)
+
+    @ti.kernel
+    def run_begin(
+        begin: ti.template(),
+        spec: ti.template(),
+        state: ti.template(),
+        memory: memory_type,
+        done: ti.i32,
+    ):
+        """Compute what a method wants before its next step, with every loop run in parallel.
+
+        It is a kernel by itself because compile time grows with the square of what is in one.
+        """
+        ti.static(see(memory))
+        for _ in range(1):
+            state.step[None] = done
+        begin(spec, state, 0)
+
+    return Kernels(run_frames, run_phases, run_end, run_begin)
 
 
 @ti.kernel
@@ -120,48 +187,9 @@ def phase_launch(phase: ti.template(), spec: ti.template(), state: ti.template()
 
 
 @ti.kernel
-def phases_in_one_launch(
-    phased: ti.template(), these: ti.template(), spec: ti.template(), state: ti.template()
-) -> ti.i32:
-    """Run phases of a step on spec.threads threads for as long as the next one is among `these`.
-
-    phased: all phases of the method; these: numbers of those that this kernel holds. Returns the
-    phase that is next.
-    """
-    if ti.static(spec.threads == 1):
-        ti.loop_config(serialize=True)
-        for t in range(1):
-            while run_one_of(phased, these, spec, state, t):
-                pass
-    else:
-        state.arrivals[COUNTER] = 0
-        ti.loop_config(parallelize=spec.threads)
-        for i in range(spec.threads * PIECE):
-            if i % PIECE == 0:
-                while run_one_of(phased, these, spec, state, i // PIECE):
-                    pass
-    return state.phase[None]
-
-
-@ti.kernel
 def end_step_launch(spec: ti.template(), state: ti.template()):
     """End a step after its phases."""
     end_step(spec, state, 0)
-
-
-@ti.kernel
-def end_step_in_one_launch(spec: ti.template(), state: ti.template()):
-    """End a step after its phases, on spec.threads threads."""
-    if ti.static(spec.threads == 1):
-        ti.loop_config(serialize=True)
-        for t in range(1):
-            end_step(spec, state, t)
-    else:
-        state.arrivals[COUNTER] = 0
-        ti.loop_config(parallelize=spec.threads)
-        for i in range(spec.threads * PIECE):
-            if i % PIECE == 0:
-                end_step(spec, state, i // PIECE)
 
 
 @ti.kernel

@@ -95,7 +95,7 @@ class Launcher:
         if self._method.begin:
             soon = compiled_soon if self.device.arch == "cpu" else contextlib.nullcontext
             with self._settings(spec), soon():
-                stepping.begin_launch(self._method.begin, spec, state, done)
+                kernels_of(state).begin(self._method.begin, spec, state, state.lane_memory, done)
 
     def frames_per_launch(self, substeps: int, size: int) -> int:
         """Frames that may share a launch. size: particles and springs."""
@@ -119,8 +119,8 @@ class Launcher:
     ) -> int:
         with self._settings(spec):
             if not spec.one_launch_per_step and not self._by_phases(spec):
-                passed: int = stepping.frames_in_one_launch(
-                    self._step, spec, state, done, frames, substeps
+                passed: int = kernels_of(state).frames(
+                    self._step, spec, state, state.lane_memory, done, frames, substeps
                 )
                 return passed
             for frame in range(frames):
@@ -156,7 +156,7 @@ class Launcher:
             for done in range(resting_pairs.LAUNCHED):
                 stepping.iterate_launch(spec, state, done)
         if spec.resting and not spec.one_launch_per_step:
-            stepping.end_step_in_one_launch(spec, state)
+            kernels_of(state).end_of_step(spec, state, state.lane_memory)
         else:
             stepping.end_step_launch(replace(spec, one_launch_per_step=True), state)
 
@@ -169,7 +169,8 @@ class Launcher:
                 phase = stepping.phase_launch(self._method.phases[phase], spec, state)
             else:
                 these = next(these for these in self._method.launches if phase in these)
-                phase = stepping.phases_in_one_launch(self._method.phases, these, spec, state)
+                together = phases.together(self._method.phases, these)
+                phase = kernels_of(state).phases(together, spec, state, state.lane_memory)
 
     @contextlib.contextmanager
     def _settings(self, spec: object) -> Iterator[None]:
@@ -180,6 +181,13 @@ class Launcher:
             if self._method.sums or isinstance(spec, Specialization) and _has_long_sums(spec):
                 settings.enter_context(sums_in_order())
             yield
+
+
+def kernels_of(state: Any) -> stepping.Kernels:
+    """The kernels that fit the packs of a state."""
+    lanes = 1 if state.lane_memory is None else state.lane_memory.shape[1]
+    kernels: stepping.Kernels = stepping.kernels_of(lanes, state.real)
+    return kernels
 
 
 def _has_long_sums(spec: Specialization) -> bool:

@@ -164,7 +164,7 @@ def keeps(*vectors):
             *bicgstab.COUNTS,
         ),
         "sums": SUMS,
-        "launches": ((BEGIN, CUT), (EVALUATE,), (DIRECT, ITERATE), (FINISH,), (COARSEN,)),
+        "launches": ((BEGIN, FINISH, CUT), (EVALUATE, DIRECT, ITERATE), (COARSEN,)),
         "lanes": 8,  # with 4 a step takes 1.5 times as long, and 0.4 of the time to compile
     }
 

@@ -49,13 +49,28 @@ def stepping(phases):
     def step(spec: ti.template(), state: ti.template(), t):
         go_to(spec, state, t, 0)
         while state.phase[None] != DONE:
-            run_one_of(phases, every, spec, state, t)
+            _run_one_of(phases, every, spec, state, t)
 
     return step
 
 
+@functools.cache
+def together(phases, these):
+    """A ti.func(spec, state, t) that runs phases for as long as the next one is one of `these`.
+
+    phases: all phases of a method; these: the numbers of some.
+    """
+
+    @ti.func
+    def run(spec: ti.template(), state: ti.template(), t):
+        while _run_one_of(phases, these, spec, state, t):
+            pass
+
+    return run
+
+
 @ti.func
-def run_one_of(
+def _run_one_of(
     phases: ti.template(), these: ti.template(), spec: ti.template(), state: ti.template(), t
 ):
     """Run the phase that comes next, if it is one of `these`; return 1 if it was, else 0.

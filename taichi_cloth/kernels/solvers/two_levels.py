@@ -35,6 +35,7 @@ from taichi_cloth.kernels.packs import (
     epsilon,
     everywhere,
     for_each_axis,
+    number_in_pack,
     over_lanes,
     read,
     scaled,
@@ -468,8 +469,9 @@ def _solving(name, to):
         for other in range(state.n_blocks[None]):
             for k in range(numbers):
                 at = _pack_of(spec, other * numbers + k) + b * spec.dim
+                number = number_in_pack(spec, field, other, k)
                 rows = [read(spec, state.coarse, at + axis) for axis in ti.static(range(spec.dim))]
-                total += field[other, k] * _stacked(spec, rows)
+                total += number * _stacked(spec, rows)
         write(spec, ti.static(getattr(state, to)), b, total)
 
     return body
