@@ -52,7 +52,7 @@ def test_what_a_kernel_stores_it_reads(sim):
     x = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
     for k, lane in np.ndindex(x.shape):
         state.x[0, k * spec.lanes + lane] = x[k, lane]
-    run = stepping.kernels_of(spec.lanes, state.real).phases
+    run = stepping.kernels_of(spec.lanes, state.real).once
     with runtime.whole_vectors():
         run(stored, replace(spec, threads=1), state, state.lane_memory)
 
@@ -74,6 +74,6 @@ def test_a_kernel_that_reads_it_both_ways_is_refused(sim):
         state.x[0, 0] = 1.0
 
     state, spec = inside.state_of(sim), sim.storage.specialization
-    run = stepping.kernels_of(spec.lanes, state.real).phases
+    run = stepping.kernels_of(spec.lanes, state.real).once
     with pytest.raises(Exception, match="reads a field of it"):
         run(both, spec, state, state.lane_memory)

@@ -77,8 +77,7 @@ class Kernels(NamedTuple):
     """Kernels that see the memory of lanes: see `kernels_of`."""
 
     frames: Callable
-    phases: Callable
-    end_of_step: Callable
+    once: Callable
     begin: Callable
 
 
@@ -116,40 +115,25 @@ def kernels_of(lanes, real):
         return state.passed[None]
 
     @ti.kernel
-    def run_phases(
-        together: ti.template(), spec: ti.template(), state: ti.template(), memory: memory_type
+    def run_once(
+        body: ti.template(), spec: ti.template(), state: ti.template(), memory: memory_type
     ) -> ti.i32:
-        """Run phases of a step on spec.threads threads for as long as the next one is one of them.
+        """Run body(spec, state, t) on spec.threads threads; return the phase that is next.
 
-        together: `phases.together` of some. Returns the phase that is next.
+        body: `phases.together` of some phases of a step, what ends a step, or a frame's checkpoint.
         """
         ti.static(see(memory))
         if ti.static(spec.threads == 1):
             ti.loop_config(serialize=True)
             for t in range(1):
-                together(spec, state, t)
+                body(spec, state, t)
         else:
             state.arrivals[COUNTER] = 0
             ti.loop_config(parallelize=spec.threads)
             for i in range(spec.threads * PIECE):
                 if i % PIECE == 0:
-                    together(spec, state, i // PIECE)
+                    body(spec, state, i // PIECE)
         return state.phase[None]
-
-    @ti.kernel
-    def run_end(spec: ti.template(), state: ti.template(), memory: memory_type):
-        """End a step after its phases, on spec.threads threads."""
-        ti.static(see(memory))
-        if ti.static(spec.threads == 1):
-            ti.loop_config(serialize=True)
-            for t in range(1):
-                end_step(spec, state, t)
-        else:
-            state.arrivals[COUNTER] = 0
-            ti.loop_config(parallelize=spec.threads)
-            for i in range(spec.threads * PIECE):
-                if i % PIECE == 0:
-                    end_step(spec, state, i // PIECE)
 
     @ti.kernel
     def run_begin(
@@ -168,7 +152,7 @@ def kernels_of(lanes, real):
             state.step[None] = done
         begin(spec, state, 0)
 
-    return Kernels(run_frames, run_phases, run_end, run_begin)
+    return Kernels(run_frames, run_once, run_begin)
 
 
 @ti.kernel

@@ -136,8 +136,11 @@ class Launcher:
 
     def _launch_steps(self, spec: Specialization, state: Any, done: int, substeps: int) -> None:
         """Advance a frame after `done` steps, with a launch or more for each step."""
-        by_phases, beside = self._by_phases(spec), replace(spec, one_launch_per_step=True)
-        watchdog.checkpoint_launch(beside, state)
+        by_phases = self._by_phases(spec)
+        if spec.one_launch_per_step:
+            watchdog.checkpoint_launch(spec, state)
+        else:
+            kernels_of(state).once(watchdog.checkpoint, spec, state, state.lane_memory)
         for step in range(done + 1, done + substeps + 1):
             if by_phases:
                 self._launch_phases(spec, state, step)
@@ -156,7 +159,7 @@ class Launcher:
             for done in range(resting_pairs.LAUNCHED):
                 stepping.iterate_launch(spec, state, done)
         if spec.resting and not spec.one_launch_per_step:
-            kernels_of(state).end_of_step(spec, state, state.lane_memory)
+            kernels_of(state).once(stepping.end_step, spec, state, state.lane_memory)
         else:
             stepping.end_step_launch(replace(spec, one_launch_per_step=True), state)
 
@@ -170,7 +173,7 @@ class Launcher:
             else:
                 these = next(these for these in self._method.launches if phase in these)
                 together = phases.together(self._method.phases, these)
-                phase = kernels_of(state).phases(together, spec, state, state.lane_memory)
+                phase = kernels_of(state).once(together, spec, state, state.lane_memory)
 
     @contextlib.contextmanager
     def _settings(self, spec: object) -> Iterator[None]:
