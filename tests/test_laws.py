@@ -35,7 +35,7 @@ def evaluate(law: ti.template(), a: ti.types.ndarray(), out: ti.types.ndarray())
             length = laws.length(d)
             along = laws.unit(d, length)
             across = laws.spring_stiffness_across(length, a[9], a[10], a[11])
-            f = laws.stiffness_product(u, along, a[9], across)
+            f = laws.stiffness_product(u, laws.stiffness_axis(along, a[9], across), across)
         for axis in ti.static(range(3)):
             out[axis] = f[axis]
 

@@ -77,8 +77,8 @@ def half_spring(
 ):
     """What half-spring h gives its particle i."""
     if ti.static(takes_stiffness(between)):
-        along = ti.Vector([state.csr_direction[h, axis] for axis in range(spec.dim)])
-        kept = [along, state.csr_along[h], state.csr_across[h]]
+        axis = ti.Vector([state.csr_axis[h, k] for k in range(spec.dim)])
+        kept = [axis, state.csr_across[h]]
         return between.between(spec, state, value, i, state.csr_other[h], kept)
     else:
         return between(spec, state, value, i, state.csr_other[h], numbers_of(spec, state, h))

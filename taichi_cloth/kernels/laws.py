@@ -42,13 +42,19 @@ def spring_tension(length, k, rest):
 
 
 @ti.func
-def stiffness_product(d, along, k, across):
-    """The product of a spring's stiffness matrix with the vectors d.
+def stiffness_axis(along, k, across):
+    """The vector a of which a spring's stiffness matrix is across*I + a a^T.
 
-    The matrix has the stiffness k along the unit vectors `along` and the stiffness `across` in
-    every direction at right angles to them.
+    The matrix has the stiffness k along the unit vectors `along` and the stiffness `across`, which
+    is not more, in every direction at right angles to them.
     """
-    return scaled(across, d) + scaled((k - across) * dot(along, d), along)
+    return scaled(ti.sqrt(ti.max(k - across, 0.0)), along)
+
+
+@ti.func
+def stiffness_product(d, axis, across):
+    """The product of a spring's stiffness matrix with the vectors d; axis: `stiffness_axis`."""
+    return scaled(across, d) + scaled(dot(axis, d), axis)
 
 
 @ti.func

@@ -83,10 +83,7 @@ def link_value(
     k: the stiffness of these links; at: the index of their other numbers in the fields of links.
     """
     if ti.static(takes_stiffness(between)):
-        kept = [
-            read(spec, field, at)
-            for field in ti.static((state.link_direction, state.link_along, state.link_across))
-        ]
+        kept = [read(spec, field, at) for field in ti.static((state.link_axis, state.link_across))]
         return between.between(spec, state, read, i, far, kept)
     else:
         numbers = link_numbers(spec, state, read, s, g, at, k)

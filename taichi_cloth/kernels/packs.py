@@ -106,6 +106,12 @@ def number_in_pack(spec: ti.template(), field: ti.template(), i, k):
     return _number(spec, field, i, k // spec.lanes, k % spec.lanes)
 
 
+@ti.func
+def set_number_in_pack(spec: ti.template(), field: ti.template(), i, k, value):
+    """Store number k of all of pack i's, as `number_in_pack` reads it."""
+    _set_number(spec, field, i, k // spec.lanes, k % spec.lanes, value)
+
+
 # --- a field's numbers in packs of several lanes: by `lane_memory.py`, or from the field ----------
 #
 # A pack in the memory of lanes is named by the place of its first vector alone, and each of its

@@ -45,9 +45,9 @@ CHANGED_BY_FRACTURE = frozenset({"csr_other", "link_k", "line_k", "stencil_k"})
 WITHIN_STEP = _names(
     """saved_x saved_v saved_x_low saved_v_low begun_x begun_v begun_x_low jump ring_forces sums
     arrivals passed phase fault watching traction traction_damping
-    link_direction link_along link_across csr_direction csr_along csr_across joined
+    link_axis link_across csr_axis csr_across joined
     over_pivots below blocks n_blocks block_of holds_fixed
-    coarse coarse_residual coarse_downhill coarse_product coarse_solved
+    coarse pivots coarse_residual coarse_downhill coarse_product coarse_solved
     impulse link_impulse line_impulse stencil_impulse stencil_pull
     cell_end cell_of sorted_index sorted block_start bin_fill bin_start bin_size binned_cell
     binned_index near near_count near_start near_reach touching

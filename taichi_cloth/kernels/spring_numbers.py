@@ -102,9 +102,9 @@ def is_stored(field):
 class OfStiffness:
     """A contribution of springs (`springs.py`) that takes what a solver keeps of each spring.
 
-    between(spec, state, value, i, j, kept): what i gets from the spring to j. kept: its direction,
-    its stiffness along that and the one across (`springs.stiffness_of_springs`), which the solver
-    has left in state.link_direction, link_along and link_across, csr_ likewise.
+    between(spec, state, value, i, j, kept): what i gets from the spring to j. kept: the axis of its
+    stiffness matrix, and its stiffness across that (`springs.stiffness_of_springs`), which the
+    solver has left in state.link_axis and link_across, csr_ likewise.
     """
 
     between: Callable

@@ -81,10 +81,10 @@ def stiffness_across(spec: ti.template(), length, numbers: ti.template(), least)
 
 @ti.func
 def stiffness_of_springs(spec: ti.template(), d, tau, numbers: ti.template(), least):
-    """The direction of springs, their stiffness along it and the one across [force / length].
+    """The axis of springs' stiffness matrices, and the stiffness across it [force / length].
 
-    These make the matrix whose product with a movement of the other end (`laws.stiffness_product`)
-    is the change of the force on one end.
+    These make the matrix (`laws.stiffness_axis`) whose product with a movement of the other end is
+    the change of the force on one end.
     d: vectors from one end to the other; tau: the time of the movement, in which a velocity changes
     by it over tau, so that dashpots count as stiffness, too; least: what the stiffness across is at
     least, times that along.
@@ -93,7 +93,8 @@ def stiffness_of_springs(spec: ti.template(), d, tau, numbers: ti.template(), le
     stiffness = sum_of([part(numbers) for part in ti.static(_parts(spec, "stiffness"))])
     for damping in ti.static(_parts(spec, "damping")):
         stiffness += (1.0 / tau) * damping(numbers)
-    return [laws.unit(d, length), stiffness, stiffness_across(spec, length, numbers, least)]
+    across = stiffness_across(spec, length, numbers, least)
+    return [laws.stiffness_axis(laws.unit(d, length), stiffness, across), across]
 
 
 @ti.func

@@ -92,14 +92,14 @@ class State(ContactFields):
     Solvers (`solvers/`): phase: the one that comes next; tolerance, iterations: settings; work:
         the counts `WORK` since the host last asked; summed_k, summed_c: sums of the stiffness and
         damping of a particle's springs (needs "summed_springs").
-        What is kept of each link and half-spring (needs "kept_stiffness"): link_direction,
-        link_along and link_across, csr_ likewise: its direction, and its stiffness along that and
-        across it (`spring_numbers.OfStiffness`). joined: what a pass over links joins of a row.
+        What is kept of each link and half-spring (needs "kept_stiffness"): link_axis and
+        link_across, csr_ likewise: the axis of its stiffness matrix, and its stiffness across that
+        (`spring_numbers.OfStiffness`). joined: what a pass over links joins of a row.
         Where links are all (`solvers/two_levels.py`): over_pivots, below: what A does to each
         particle alone, factored; blocks: (grids, 3): first coarse pack, rows and columns of them;
         block_of, holds_fixed: a pack's coarse pack, and whether any of it is fixed; coarse: two
-        matrices; coarse_residual, coarse_downhill, coarse_product, coarse_solved: vectors of
-        blocks, and one that stays 0.
+        matrices; pivots: what a pack of unknowns does to itself, inverted; coarse_residual,
+        coarse_downhill, coarse_product, coarse_solved: vectors of blocks, and one that stays 0.
         one (compensated): 1, which compilers do not know (`compensated.py`).
     Colours of springs on the graph (needs "spring_colours"; `solvers/colours.py`): those of colour
         k are colour_start[k] .. colour_start[k+1], each with its ends and spring_<letter>.
@@ -241,8 +241,7 @@ class State(ContactFields):
                 numbers = self._pack_numbers(spec, kinds * self.packs)
                 setattr(self, f"link_{number.letter}", numbers)
         if "kept_stiffness" in method.needs:
-            self.link_direction = self._pack_vectors(spec, kinds * self.packs)
-            self.link_along = self._pack_numbers(spec, kinds * self.packs)
+            self.link_axis = self._pack_vectors(spec, kinds * self.packs)
             self.link_across = self._pack_numbers(spec, kinds * self.packs)
             self.joined = self._pack_numbers(spec, (spec.threads + 2) * JOIN_ROOM)
             if spec.only_links:
@@ -274,6 +273,7 @@ class State(ContactFields):
         )
         rows = blocks * spec.dim
         self.coarse = self._pack_numbers(spec, 2 * rows * rows * spec.lanes)
+        self.pivots = self._pack_numbers(spec, spec.lanes)
         self.block_of, self.holds_fixed = self._counts(self.packs), self._counts(self.packs)
         self.blocks, self.n_blocks = self._counts(max(self.capacity.grids, 1), 3), self._counts()
 
@@ -337,8 +337,8 @@ class State(ContactFields):
         if spec.fracture or coloured:
             self.ends = self._counts(s, 2)
         if "kept_stiffness" in method.needs:
-            self.csr_direction = self._scalars(2 * s, spec.dim)
-            self.csr_along, self.csr_across = self._scalars(2 * s), self._scalars(2 * s)
+            self.csr_axis = self._scalars(2 * s, spec.dim)
+            self.csr_across = self._scalars(2 * s)
         if coloured or "particle_colours" in method.needs:
             self.n_colours = self._counts()
             self.colour_start = self._counts(max(n, s) + 1)

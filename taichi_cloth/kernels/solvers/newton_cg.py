@@ -129,7 +129,8 @@ MOST_BEFORE_CUT = 16  # directions after which a step that may be cut in two is
 MOST_HALVINGS = 6
 MOST_TRIALS = 12  # lengths of one direction
 # Directions one after the other that bring little progress; where rounding may be why, fewer.
-MOST_STALLS, MOST_STALLS_ROUNDED = 6, 2
+MOST_STALLS, MOST_STALLS_ROUNDED = 20, 2
+MOST_STALLS_BEFORE_CUT = 6
 # Rounding of a spring's force, in epsilons: several add up in a residual, with either sign.
 ROUNDING = 0.5
 MOST_ROUNDINGS = 16.0  # where progress has ended, a residual is ROUNDED up to this times `rounding`
@@ -428,7 +429,7 @@ def _judge(spec: ti.template(), state: ti.template(), i):
         state.stalls[None] = ti.select(most > 0.7 * state.best[None], state.stalls[None] + 1, 0)
         if state.outcome[None] == SINGULAR:
             next_phase = FINISH
-        elif not first and state.stalls[None] > _most_stalls(state):
+        elif not first and state.stalls[None] > _most_stalls(spec, state):
             rounded = most <= MOST_ROUNDINGS * state.rounding[None]
             state.outcome[None] = ti.select(rounded, outcome_of_rounding(state), STALLED)
             next_phase = FINISH
@@ -458,10 +459,11 @@ def _may_be_cut(spec: ti.template(), state: ti.template()):
 
 
 @ti.func
-def _most_stalls(state: ti.template()):
+def _most_stalls(spec: ti.template(), state: ti.template()):
     """After how many directions that bring little progress a stage ends."""
     rounded = state.best[None] <= state.rounding[None]
-    return ti.select(rounded, MOST_STALLS_ROUNDED, MOST_STALLS)
+    most = ti.select(_may_be_cut(spec, state), MOST_STALLS_BEFORE_CUT, MOST_STALLS)
+    return ti.select(rounded, MOST_STALLS_ROUNDED, most)
 
 
 @ti.func

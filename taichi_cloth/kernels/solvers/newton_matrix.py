@@ -43,7 +43,7 @@ from taichi_cloth.kernels.solvers.two_levels import downhill, fine_energy, has_t
 from taichi_cloth.kernels.spring_numbers import OfStiffness
 from taichi_cloth.kernels.springs import stiffness_of_springs
 
-FORCING = 0.1  # this part of the residual is left to the next direction
+FORCING = 0.03  # this part of the residual is left to the next direction
 
 
 # --- what is kept for all products of a direction -------------------------------------------------
@@ -51,7 +51,7 @@ FORCING = 0.1  # this part of the residual is left to the next direction
 
 @ti.func
 def keep_springs(spec: ti.template(), state: ti.template(), t):
-    """Keep direction and stiffness of every spring, for `PRODUCT`."""
+    """Keep the stiffness matrix of every spring, for `PRODUCT`."""
     if ti.static(spec.kinds > 0):
         each_pack(spec, state, t, _keep_links)
     if ti.static(spec.springs):
@@ -60,7 +60,7 @@ def keep_springs(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def _keep_links(spec: ti.template(), state: ti.template(), i):
-    """Keep direction and stiffness of the links that begin at pack i."""
+    """Keep the stiffness matrices of the links that begin at pack i."""
     g = state.grid_of[i]
     if g >= 0:
         pitch = pitch_of(spec, state, g)
@@ -70,9 +70,8 @@ def _keep_links(spec: ti.template(), state: ti.template(), i):
             k = link_stiffness(spec, state, s, i)
             numbers = link_numbers(spec, state, read, s, g, at, k)
             d = apart(spec, state, read, i, far)
-            direction, along, across = _stiffness(spec, state, d, numbers)
-            write(spec, state.link_direction, at, direction)
-            write(spec, state.link_along, at, along)
+            axis, across = _stiffness(spec, state, d, numbers)
+            write(spec, state.link_axis, at, axis)
             write(spec, state.link_across, at, across)
             longest = ti.max(longest, ti.select(k > 0.0, laws.length(d), 0.0 * k))
         _note_length(state, largest(spec, longest))
@@ -80,14 +79,14 @@ def _keep_links(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _keep_half_springs(spec: ti.template(), state: ti.template(), p):
-    """Keep direction and stiffness of the half-springs of row p of the compressed rows."""
+    """Keep the stiffness matrices of the half-springs of row p of the compressed rows."""
     slot = state.csr_slot[p]
     for h in range(state.csr_start[p], state.csr_start[p + 1]):
         d = apart(spec, state, slot_value, slot, state.csr_other[h])
-        direction, along, across = _stiffness(spec, state, d, numbers_of(spec, state, h))
-        for axis in ti.static(range(spec.dim)):
-            state.csr_direction[h, axis] = direction[axis]
-        state.csr_along[h], state.csr_across[h] = along, across
+        axis, across = _stiffness(spec, state, d, numbers_of(spec, state, h))
+        for k in ti.static(range(spec.dim)):
+            state.csr_axis[h, k] = axis[k]
+        state.csr_across[h] = across
         _note_length(state, laws.length(d))
 
 
@@ -100,7 +99,7 @@ def _note_length(state: ti.template(), length):
 
 @ti.func
 def _stiffness(spec: ti.template(), state: ti.template(), d, numbers: ti.template()):
-    """The direction of springs, and their stiffness along and across it."""
+    """The axis of springs' stiffness matrices, and the stiffness across it."""
     return stiffness_of_springs(spec, d, state.tau[None], numbers, state.least[None])
 
 
@@ -113,7 +112,7 @@ def _product_between(
 ):
     """What i gets from the spring to j in the product of K and dashpots with `direction`."""
     moved = value(spec, state.direction, j) - value(spec, state.direction, i)
-    return laws.stiffness_product(moved, kept[0], kept[1], kept[2])
+    return laws.stiffness_product(moved, kept[0], kept[1])
 
 
 PRODUCT = OfStiffness(_product_between)

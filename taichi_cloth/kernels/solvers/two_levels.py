@@ -39,9 +39,9 @@ from taichi_cloth.kernels.packs import (
     over_lanes,
     read,
     scaled,
+    set_number_in_pack,
     set_slot_number,
     slot_number,
-    slot_value,
     where_positive,
     write,
     zeros,
@@ -51,7 +51,7 @@ from taichi_cloth.kernels.state import block_packs
 
 ALONG = 8  # blocks of a grid along each of its sides, where there is room for them
 # (tau*omega)^2, of which springs' stiffness and masses give a bound, from which blocks pay.
-STIFF = 1500.0
+STIFF = 100.0
 LIFTED = 128.0  # by so many epsilons diagonals of P^T A P are larger
 
 
@@ -82,17 +82,16 @@ def _renew_kept(spec: ti.template(), state: ti.template(), begin, width):
     """Renew the halos of what is kept of the links of a row."""
     for s in range(spec.kinds):
         first, columns = link_index(state, s, begin), state.link[s, 0]
-        renew_left_halo(spec, state.link_direction, first, width, columns)
-        renew_right_halo(spec, state.link_direction, first, width, -columns)
-        for field in ti.static((state.link_along, state.link_across)):
-            for h in range(1, columns + 1):
-                a = read(spec, field, first + width - h)
-                shifted = [0.0] + [a[lane] for lane in range(spec.lanes - 1)]
-                write(spec, field, first - h, ti.Vector(shifted))
-            for h in range(-columns):
-                a = read(spec, field, first + h)
-                shifted = [a[lane] for lane in range(1, spec.lanes)] + [0.0]
-                write(spec, field, first + width + h, ti.Vector(shifted))
+        renew_left_halo(spec, state.link_axis, first, width, columns)
+        renew_right_halo(spec, state.link_axis, first, width, -columns)
+        for h in range(1, columns + 1):
+            a = read(spec, state.link_across, first + width - h)
+            shifted = [0.0] + [a[lane] for lane in range(spec.lanes - 1)]
+            write(spec, state.link_across, first - h, ti.Vector(shifted))
+        for h in range(-columns):
+            a = read(spec, state.link_across, first + h)
+            shifted = [a[lane] for lane in range(1, spec.lanes)] + [0.0]
+            write(spec, state.link_across, first + width + h, ti.Vector(shifted))
 
 
 @ti.func
@@ -102,7 +101,7 @@ def _factor_row(spec: ti.template(), state: ti.template(), begin, width):
     pitch = pitch_of(spec, state, g)
     row = (begin - state.grid[g, 0]) // pitch
     for i in range(begin, begin + width):
-        on, across = zeros(spec, state), zeros(spec, state)
+        on, beside = zeros(spec, state), zeros(spec, state)
         if state.grid[g, 3] == 1:
             for end in range(2 * spec.kinds):  # links that begin at the pack, then those that end
                 s = end % spec.kinds
@@ -110,12 +109,11 @@ def _factor_row(spec: ti.template(), state: ti.template(), begin, width):
                 if end >= spec.kinds:
                     at -= link_offset(state, s, pitch)
                 if end < spec.kinds or row >= state.link[s, 1]:
-                    u = read(spec, state.link_direction, at)
+                    a = read(spec, state.link_axis, at)
                     c = ti.max(read(spec, state.link_across, at), 0.0)
-                    more = scaled(read(spec, state.link_along, at) - c, u)
-                    on += more * u + for_each_axis(c, u)
-                    across += more * _turned(spec, u)
-        _factor_pack(spec, state, i, on, across)
+                    on += a * a + for_each_axis(c, a)  # too much along springs that push
+                    beside += a * _turned(spec, a)
+        _factor_pack(spec, state, i, on, beside)
 
 
 @ti.func
@@ -135,15 +133,15 @@ def _turned(spec: ti.template(), u):
 
 
 @ti.func
-def _factor_pack(spec: ti.template(), state: ti.template(), i, on, across):
+def _factor_pack(spec: ti.template(), state: ti.template(), i, on, beside):
     """Factor A of each particle of pack i, from the sums over its springs.
 
-    on: the diagonal; across: beside it, xy, and in space yz and zx.
+    on: the diagonal; beside: what stands beside it, xy, and in space yz and zx.
     """
     w, tau = read(spec, state.w, i), state.tau[None]
     least = ti.select(w > 0.0, own_diagonal(spec, state, i), 0.0 * w + 1.0)
     k = tau * tau
-    xy = k * component(across, 0)
+    xy = k * component(beside, 0)
     p0 = least + ti.max(k * component(on, 0), 0.0)
     below = xy / p0
     p1 = ti.max(least + k * component(on, 1) - below * xy, least)
@@ -153,8 +151,8 @@ def _factor_pack(spec: ti.template(), state: ti.template(), i, on, across):
         write(spec, state.over_pivots, i, _stacked(spec, [over0, over1]))
         write(spec, state.below, i, _stacked(spec, [below, none]))
     else:
-        zx = k * component(across, 2)
-        yz = k * component(across, 1) - below * zx
+        zx = k * component(beside, 2)
+        yz = k * component(beside, 1) - below * zx
         below2, below1 = zx / p0, yz / p1
         p2 = ti.max(least + k * component(on, 2) - below2 * zx - below1 * yz, least)
         over2 = ti.select(w > 0.0, 1.0 / p2, none)
@@ -218,9 +216,9 @@ def unknowns(spec):
 
 
 @ti.func
-def _entry(spec: ti.template(), row, column):
-    """Where the number of the coarse matrix at `row` and `column` is."""
-    return row * ti.static(unknowns(spec)) + column
+def _entry(spec: ti.template(), state: ti.template(), row, column):
+    """Where the number at `row` and `column` of the coarse matrix is, before it is inverted."""
+    return (_half(spec, state, 0) + row) * ti.static(unknowns(spec)) + column
 
 
 @ti.func
@@ -234,11 +232,16 @@ def coarsen(spec: ti.template(), state: ti.template(), t):
     """Make the coarse matrix, and invert it; it comes after `newton_matrix.keep_springs`."""
     each(spec, state, t, 1, _lay_out)
     each_row(spec, state, t, _note_blocks)
+    each_row(spec, state, t, _renew_kept)
     each(spec, state, t, state.n_blocks[None], _sum_block)
-    n = state.n_blocks[None] * spec.dim * spec.lanes
+    n = state.n_blocks[None] * spec.dim
     for k in range(n):
-        for j in range(share(spec, n, t), share(spec, n, t + 1)):
-            _eliminate(spec, state, j, k, n)
+        if t == 0:
+            _invert_pivots(spec, state, k)
+        barrier(spec, state)
+        pairs = n * ti.static(spec.lanes // 2)
+        for pair in range(share(spec, pairs, t), share(spec, pairs, t + 1)):
+            _eliminate(spec, state, pair, k, n)
         barrier(spec, state)
 
 
@@ -284,118 +287,217 @@ def _first_of(part, whole, parts):
 
 
 @ti.func
+def _box(state: ti.template(), b, g):
+    """The rows and the columns of packs of grid g that are in coarse pack b: from, to, from, to.
+
+    There are none where the pack is of another grid.
+    """
+    along, columns, k = state.blocks[g, 1], state.blocks[g, 2], b - state.blocks[g, 0]
+    rows, width = state.grid[g, 1], state.grid[g, 2]
+    box = ti.Vector([0, 0, 0, 0])
+    if k >= 0 and k < along * columns:
+        row, column = k // columns, k % columns
+        top, bottom = _first_of(row, rows, along), _first_of(row + 1, rows, along)
+        left, right = _first_of(column, width, columns), _first_of(column + 1, width, columns)
+        box = ti.Vector([top, bottom, left, right])
+    return box
+
+
+@ti.func
 def _sum_block(spec: ti.template(), state: ti.template(), b):
     """Make the rows of the coarse matrix that belong to coarse pack b."""
     n = state.n_blocks[None] * spec.dim
     for row in range(_unknown(spec, b, 0, 0), _unknown(spec, b + 1, 0, 0)):
         for h in range(n):
-            at = _entry(spec, row, h * spec.lanes) // spec.lanes
+            at = _entry(spec, state, row, h * spec.lanes) // spec.lanes
             write(spec, state.coarse, at, everywhere(spec, ti.cast(0.0, state.real)))
-    alone = everywhere(spec, ti.cast(0.0, state.real))
+    on, beside = zeros(spec, state), zeros(spec, state)
     for g in range(state.n_grids[None]):
-        along, columns, rows = state.blocks[g, 1], state.blocks[g, 2], state.grid[g, 1]
-        k = b - state.blocks[g, 0]
-        if k >= 0 and k < along * columns:
-            top, bottom = _first_of(k // columns, rows, along), 0
-            bottom = _first_of(k // columns + 1, rows, along)
-            width = state.grid[g, 2]
-            left = _first_of(k % columns, width, columns)
-            right = _first_of(k % columns + 1, width, columns)
-            for r in range(top, bottom):
-                for p in range(left, right):
-                    i = state.grid[g, 0] + r * pitch_of(spec, state, g) + p
-                    w = read(spec, state.w, i)
-                    alone += ti.select(w > 0.0, own_diagonal(spec, state, i), 0.0 * w)
-                    _add_links(spec, state, b, g, r, p)
-    for lane in ti.static(range(spec.lanes)):
-        for axis in range(spec.dim):
-            u = _unknown(spec, b, axis, lane)
-            at = _entry(spec, u, u)
-            diagonal = slot_number(spec, state.coarse, at) + alone[lane]
-            lifted = ti.static(1.0 + LIFTED * epsilon(state))
-            set_slot_number(spec, state.coarse, at, lifted * diagonal)
+        box = _box(state, b, g)
+        for r in range(box[0], box[1]):
+            row = state.grid[g, 0] + r * pitch_of(spec, state, g)
+            for i in range(row + box[2], row + box[3]):
+                w = read(spec, state.w, i)
+                alone = ti.select(w > 0.0, own_diagonal(spec, state, i), 0.0 * w)
+                on += for_each_axis(alone, on)
+        if box[1] > box[0]:
+            for end in range(2 * spec.kinds):
+                held_on, held_beside = _sum_ends(spec, state, b, g, box, end)
+                on += held_on
+                beside += held_beside
+    lifted = ti.static(1.0 + LIFTED * epsilon(state))
+    _add_to_rows(spec, state, b, lifted * on, beside, b, 0)
 
 
 @ti.func
-def _add_links(spec: ti.template(), state: ti.template(), b, g, r, p):
-    """Add those links of a pack that leave its block, or hold it: the pack in row r, column p."""
-    first, pitch, width = state.grid[g, 0], pitch_of(spec, state, g), state.grid[g, 2]
-    i = first + r * pitch + p
-    for end in range(2 * spec.kinds):
-        s, shift = end % spec.kinds, 0
-        row, column = r + state.link[s, 1], p + state.link[s, 0]
-        if end >= spec.kinds:
-            row, column = r - state.link[s, 1], p - state.link[s, 0]
-        if column >= width:
-            column, shift = column - width, 1
-        elif column < 0:
-            column, shift = column + width, -1
-        if row >= 0 and row < state.grid[g, 1]:
-            other = first + row * pitch + column
-            leaves = shift != 0 or state.block_of[other] != b
+def _sum_ends(spec: ti.template(), state: ti.template(), b, g, box, end):
+    """Sum those links of coarse pack b that leave their block, or hold it, of one kind and end.
+
+    box: `_box`; end: links of kind `end` begin in it, those of kind `end` - spec.kinds end there.
+    What the block's movement makes of their forces on it is returned (`_own_part`), what that of
+    other blocks does is added to the coarse matrix.
+    """
+    s, first, pitch = end % spec.kinds, state.grid[g, 0], pitch_of(spec, state, g)
+    down, aside, begins = state.link[s, 1], state.link[s, 0], 0
+    if end >= spec.kinds:
+        down, aside, begins = -down, -aside, link_offset(state, s, pitch)
+    width = state.grid[g, 2]
+    on, beside = zeros(spec, state), zeros(spec, state)
+    # What other blocks do is that of lanes `shift` farther in coarse pack `to`, one after another.
+    to, shift = b, 0
+    tied_on, tied_beside = zeros(spec, state), zeros(spec, state)
+    for r in range(ti.max(box[0], -down), ti.min(box[1], state.grid[g, 1] - down)):
+        for p in range(box[2], box[3]):
+            i, column, over = first + r * pitch + p, p + aside, 0
+            if column >= width:
+                column, over = column - width, 1
+            elif column < 0:
+                column, over = column + width, -1
+            other = first + (r + down) * pitch + column
+            leaves = over != 0 or state.block_of[other] != b
             if leaves or state.holds_fixed[other] == 1:
-                for lane in range(ti.max(0, -shift), spec.lanes - ti.max(0, shift)):
-                    far = other * spec.lanes + lane + shift
-                    at = link_index(state, s, i) * spec.lanes + lane
-                    if end >= spec.kinds:
-                        at = link_index(state, s, other) * spec.lanes + lane + shift
-                    held = slot_number(spec, state.w, far) == 0.0
-                    if (leaves or held) and slot_number(spec, state.w, i * spec.lanes + lane) > 0.0:
-                        to = _unknown(spec, state.block_of[other], 0, lane + shift)
-                        _add_link(spec, state, at, _unknown(spec, b, 0, lane), to, held)
+                if leaves and (to != state.block_of[other] or shift != over):
+                    _add_to_rows(spec, state, b, -1.0 * tied_on, -1.0 * tied_beside, to, shift)
+                    to, shift = state.block_of[other], over
+                    tied_on, tied_beside = 0.0 * tied_on, 0.0 * tied_beside
+                w, far = read(spec, state.w, i), read(spec, state.w, other)
+                far = _from_lane(spec, state, far, over)
+                counts = ti.select(w > 0.0, 0.0 * w + 1.0, 0.0 * w)
+                ties = ti.select(far > 0.0, counts, 0.0 * w)
+                if not leaves:
+                    counts, ties = counts - ties, 0.0 * w
+                link_on, link_beside = _own_part(spec, state, link_index(state, s, i) - begins)
+                on += scaled(counts, link_on)
+                beside += scaled(counts, link_beside)
+                tied_on += scaled(ties, link_on)
+                tied_beside += scaled(ties, link_beside)
+    _add_to_rows(spec, state, b, -1.0 * tied_on, -1.0 * tied_beside, to, shift)
+    return on, beside
 
 
 @ti.func
-def _add_link(spec: ti.template(), state: ti.template(), at, own, to, held):
-    """Add the link at `at` to the rows of the block whose first unknown is `own`.
+def _from_lane(spec: ti.template(), state: ti.template(), a, shift):
+    """The numbers a, of each lane those of the lane `shift` farther; 0 where there is none."""
+    later = ti.Vector([a[lane] for lane in range(1, spec.lanes)] + [0.0])
+    earlier = ti.Vector([0.0] + [a[lane] for lane in range(spec.lanes - 1)])
+    to = 0.0 * a + ti.cast(shift, state.real)
+    return ti.select(to > 0.0, later, ti.select(to < 0.0, earlier, a))
 
-    to: the first unknown of the block that it leads to; held: whether its other end is fixed.
+
+@ti.func
+def _own_part(spec: ti.template(), state: ti.template(), at):
+    """What the links at `at` add to A on their ends' diagonals, and beside them (xy, yz, zx)."""
+    a, across = read(spec, state.link_axis, at), read(spec, state.link_across, at)
+    square, tau = dot(a, a), state.tau[None]
+    # Without negative stiffness across, the stiffness along the axis stays what it is.
+    one = 0.0 * across + 1.0
+    part = ti.max(square + across, 0.0) / ti.select(across < 0.0, square, one)
+    more = ti.select(across < 0.0, part, one)
+    k, c = tau * tau * more, tau * tau * ti.max(across, 0.0)
+    return scaled(k, a * a) + for_each_axis(c, a), scaled(k, a * _turned(spec, a))
+
+
+@ti.func
+def _add_to_rows(spec: ti.template(), state: ti.template(), b, on, beside, to, shift):
+    """Add a symmetric matrix for each lane to the rows of coarse pack b.
+
+    on, beside: what is on its diagonal and beside that (xy, yz, zx); to, shift: it goes to the
+    columns of coarse pack `to`, lanes `shift` farther.
     """
-    u = slot_value(spec, state.link_direction, at)
-    c = ti.max(slot_number(spec, state.link_across, at), 0.0)
-    more = slot_number(spec, state.link_along, at) - c
-    tau = state.tau[None]
-    for a in ti.static(range(spec.dim)):
-        for k in ti.static(range(spec.dim)):
-            stiffness = tau * tau * more * u[a] * u[k]
-            if ti.static(a == k):
-                stiffness += tau * tau * c
-            row = own + a * spec.lanes
-            _add(spec, state, _entry(spec, row, own + k * spec.lanes), stiffness)
-            if not held:
-                _add(spec, state, _entry(spec, row, to + k * spec.lanes), -stiffness)
+    write(spec, state.coarse_product, b, on)  # which nobody needs yet, for its numbers one by one
+    write(spec, state.coarse_solved, b, beside)
+    for lane in range(ti.max(0, -shift), spec.lanes - ti.max(0, shift)):
+        for a in range(spec.dim):
+            for k in range(spec.dim):
+                number = number_in_pack(spec, state.coarse_product, b, a * spec.lanes + lane)
+                if a != k:
+                    which = ti.select((a + 1) % spec.dim == k, a, k)
+                    which = which * spec.lanes + lane
+                    number = number_in_pack(spec, state.coarse_solved, b, which)
+                to_column = _unknown(spec, to, k, lane + shift)
+                at = _entry(spec, state, _unknown(spec, b, a, lane), to_column)
+                number += slot_number(spec, state.coarse, at)
+                set_slot_number(spec, state.coarse, at, number)
 
 
 @ti.func
-def _add(spec: ti.template(), state: ti.template(), at, number):
-    set_slot_number(spec, state.coarse, at, slot_number(spec, state.coarse, at) + number)
+def _invert_pivots(spec: ti.template(), state: ti.template(), k):
+    """Invert what pack k of unknowns does to itself: pack m of pivots is row m of the inverse.
 
-
-@ti.func
-def _eliminate(spec: ti.template(), state: ti.template(), j, k, n):
-    """Take unknown k out of row j of n (Gauss, Jordan), from one half of the room to the other.
-
-    After all of them the rows are those of the inverse, in the first half, as n is even. What no
-    particle moves, or rounding has left no stiffness, stays where it is.
+    What no particle moves, or rounding has left no stiffness, becomes 0 (Gauss, Jordan).
     """
-    half = ti.static(unknowns(spec))
-    old, new = (k & 1) * half, ((k + 1) & 1) * half
-    pivot = slot_number(spec, state.coarse, _entry(spec, old + k, k))
-    over = ti.select(pivot > 0.0, 1.0 / ti.select(pivot > 0.0, pivot, 1.0), 0.0)
-    factor, keep = -over * slot_number(spec, state.coarse, _entry(spec, old + j, k)), 1.0
-    if j == k:
-        factor, keep = over, 0.0
-    own, by, to = _pack_of(spec, old + j), _pack_of(spec, old + k), _pack_of(spec, new + j)
-    for h in range(n // spec.lanes):
-        row = keep * read(spec, state.coarse, own + h) + factor * read(spec, state.coarse, by + h)
-        write(spec, state.coarse, to + h, row)
-    set_slot_number(spec, state.coarse, _entry(spec, new + j, k), factor)
+    first = _half(spec, state, k) + k * spec.lanes
+    for m in range(spec.lanes):
+        write(spec, state.pivots, m, read(spec, state.coarse, _pack_of(spec, first + m) + k))
+    for m in range(spec.lanes):
+        pivot = number_in_pack(spec, state.pivots, m, m)
+        over = ti.select(pivot > 0.0, 1.0 / ti.select(pivot > 0.0, pivot, 1.0), 0.0)
+        own = over * read(spec, state.pivots, m)
+        for j in range(spec.lanes):
+            if j != m:
+                factor = number_in_pack(spec, state.pivots, j, m)
+                write(spec, state.pivots, j, read(spec, state.pivots, j) - factor * own)
+                set_number_in_pack(spec, state.pivots, j, m, -over * factor)
+        write(spec, state.pivots, m, own)
+        set_number_in_pack(spec, state.pivots, m, m, over)
+
+
+@ti.func
+def _eliminate(spec: ti.template(), state: ti.template(), pair, k, n):
+    """Take pack k of unknowns out of a pair of rows, from one half of the room to the other.
+
+    After all n packs the rows are those of the inverse, in the first half (Gauss, Jordan, by
+    blocks; Golub, Van Loan, "Matrix Computations", 4th ed., 2013, 3.2.10). What is taken from two
+    rows at once is read once for both.
+    """
+    j = 2 * pair
+    own = _pack_of(spec, _half(spec, state, k) + j)
+    by = _pack_of(spec, _half(spec, state, k) + k * spec.lanes)
+    to = _pack_of(spec, _half(spec, state, k + 1) + j)
+    keep = ti.select(j // spec.lanes == k, 0.0, 1.0)
+    a, b = _taken(spec, state, j, k), _taken(spec, state, j + 1, k)
+    for h in range(n):
+        first = keep * read(spec, state.coarse, own + h)
+        second = keep * read(spec, state.coarse, own + ti.static(_pitch(spec)) + h)
+        for m in ti.static(range(spec.lanes)):
+            taken = read(spec, state.coarse, by + ti.static(m * _pitch(spec)) + h)
+            first, second = first + a[m] * taken, second + b[m] * taken
+        if h == k:
+            first, second = a, b
+        write(spec, state.coarse, to + h, first)
+        write(spec, state.coarse, to + ti.static(_pitch(spec)) + h, second)
+
+
+@ti.func
+def _taken(spec: ti.template(), state: ti.template(), j, k):
+    """How much of each row of pack k of unknowns row j gets, as they are taken out of it."""
+    factors = read(spec, state.pivots, j % spec.lanes)
+    if j // spec.lanes != k:
+        mine = read(spec, state.coarse, _pack_of(spec, _half(spec, state, k) + j) + k)
+        factors = 0.0 * mine
+        for m in ti.static(range(spec.lanes)):
+            factors = factors - mine[m] * read(spec, state.pivots, m)
+    return factors
+
+
+@ti.func
+def _half(spec: ti.template(), state: ti.template(), k):
+    """The first row of the half of the room that has the coarse matrix before pack k is out.
+
+    As all are out, it is the first half.
+    """
+    return ((state.n_blocks[None] * spec.dim - k) & 1) * ti.static(unknowns(spec))
+
+
+def _pitch(spec):
+    """How many packs a row of the coarse matrix has room for."""
+    return unknowns(spec) // spec.lanes
 
 
 @ti.func
 def _pack_of(spec: ti.template(), row):
     """The first pack of a row of the coarse matrix."""
-    return row * ti.static(unknowns(spec) // spec.lanes)
+    return row * ti.static(_pitch(spec))
 
 
 # --- what conjugate gradients ask of the coarse level -------------------------------------------
@@ -441,17 +543,11 @@ def _summing(name, to):
     def body(spec: ti.template(), state: ti.template(), b):
         total = zeros(spec, state)
         for g in range(state.n_grids[None]):
-            along, columns, rows = state.blocks[g, 1], state.blocks[g, 2], state.grid[g, 1]
-            k = b - state.blocks[g, 0]
-            if k >= 0 and k < along * columns:
-                width, pitch = state.grid[g, 2], pitch_of(spec, state, g)
-                left = _first_of(k % columns, width, columns)
-                right = _first_of(k % columns + 1, width, columns)
-                top = _first_of(k // columns, rows, along)
-                for r in range(top, _first_of(k // columns + 1, rows, along)):
-                    row = state.grid[g, 0] + r * pitch
-                    for i in range(row + left, row + right):
-                        total += read(spec, ti.static(getattr(state, name)), i)
+            box = _box(state, b, g)
+            for r in range(box[0], box[1]):
+                row = state.grid[g, 0] + r * pitch_of(spec, state, g)
+                for i in range(row + box[2], row + box[3]):
+                    total += read(spec, ti.static(getattr(state, name)), i)
         write(spec, ti.static(getattr(state, to)), b, total)
 
     return body
