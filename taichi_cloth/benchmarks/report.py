@@ -258,7 +258,7 @@ SPARED = ("quartiles", "path", "threads", "numbers")
 
 def show(title: str, rows: Sequence[Measurement], to: Console) -> None:
     """Print a part's tables and notes."""
-    left, left_out = ("contestant", "compared", "path", "target"), []
+    left, left_out = ("contestant", "compared", "size", "path", "target"), []
     for number, (headers, lines) in enumerate(tables(rows)):
         shown = None if number else title
         left_out += console.print_table(to, shown, headers, lines, left, spared=SPARED)
