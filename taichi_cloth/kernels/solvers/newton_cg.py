@@ -371,8 +371,6 @@ def _residual_more(spec: ti.template(), state: ti.template(), slot, f):
 def _rounding_of(spec: ti.template(), state: ti.template(), i):
     """The residual that rounding of lengths, over all springs, can make up; w is 0 if fixed."""
     w, of = read(spec, state.w, i), state.longest[None] + largest_component(spec, state.moved, i)
-    if ti.static(spec.compensated):
-        of = largest_component(spec, state.x, i)
     return w * read(spec, state.summed_k, i) * of
 
 
