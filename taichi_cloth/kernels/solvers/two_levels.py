@@ -86,12 +86,10 @@ def _renew_kept(spec: ti.template(), state: ti.template(), begin, width):
         renew_right_halo(spec, state.link_axis, first, width, -columns)
         for h in range(1, columns + 1):
             a = read(spec, state.link_across, first + width - h)
-            shifted = [0.0] + [a[lane] for lane in range(spec.lanes - 1)]
-            write(spec, state.link_across, first - h, ti.Vector(shifted))
+            write(spec, state.link_across, first - h, _from_lane(spec, state, a, -1))
         for h in range(-columns):
             a = read(spec, state.link_across, first + h)
-            shifted = [a[lane] for lane in range(1, spec.lanes)] + [0.0]
-            write(spec, state.link_across, first + width + h, ti.Vector(shifted))
+            write(spec, state.link_across, first + width + h, _from_lane(spec, state, a, 1))
 
 
 @ti.func
@@ -235,11 +233,11 @@ def coarsen(spec: ti.template(), state: ti.template(), t):
     each_row(spec, state, t, _renew_kept)
     each(spec, state, t, state.n_blocks[None], _sum_block)
     n = state.n_blocks[None] * spec.dim
+    pairs = n * ti.static(spec.lanes // 2)
     for k in range(n):
         if t == 0:
             _invert_pivots(spec, state, k)
         barrier(spec, state)
-        pairs = n * ti.static(spec.lanes // 2)
         for pair in range(share(spec, pairs, t), share(spec, pairs, t + 1)):
             _eliminate(spec, state, pair, k, n)
         barrier(spec, state)
