@@ -27,6 +27,7 @@ def read_vectors(
 @ti.kernel
 def take_work(state: ti.template(), out: ti.types.ndarray()):
     """Copy the counts of the solver's work (`state.WORK`) to `out` (3,), and set them to 0."""
+    ti.loop_config(serialize=True)  # to wake another thread takes longer
     for i in range(out.shape[0]):
         out[i] = state.work[i]
         state.work[i] = 0

@@ -25,6 +25,7 @@ from taichi_cloth.runtime import (
     whole_vectors,
 )
 from taichi_cloth.simulation import compiled
+from taichi_cloth.simulation.prepared import PreparedLaunches
 
 # Particles and springs times steps in one launch: some tenths of a second, so that Ctrl-C is heard.
 LAUNCH_WORK = 20_000_000
@@ -47,6 +48,7 @@ class Launcher:
         self.device = device
         self._compiling = compiling
         self._kind: str | None = None  # what is compiled, until its first frames are done
+        self._prepared = PreparedLaunches() if device.arch == "cpu" else None
         self._method = method
         self._step = phases.stepping(method.phases) if method.phases else method.step
 
@@ -79,11 +81,22 @@ class Launcher:
 
         arguments: the kernel's own: a specialization first, unless it touches no packs.
         """
-        with self._settings(arguments[0]):
-            result = kernel(*arguments)
+        result = self._launch(kernel, *arguments)
         # The first kernels of a start are short, and tell whether those of earlier runs are there.
         if self._compiling and compilation_time() > COMPILED:
             self._tell()
+        return result
+
+    def _launch(self, kernel: Callable[..., Any], *arguments: Any) -> Any:
+        """Launch a kernel as `launch` does; the specialization may be any of its arguments."""
+        prepared = self._prepared.find(kernel, arguments) if self._prepared is not None else None
+        if prepared is not None:
+            return prepared(arguments)
+        spec = next((one for one in arguments if isinstance(one, Specialization)), None)
+        with self._settings(spec):
+            result = kernel(*arguments)
+            if self._prepared is not None:
+                self._prepared.note(kernel, arguments)
         return result
 
     def begin(self, spec: Specialization, state: Any, done: int) -> None:
@@ -94,8 +107,9 @@ class Launcher:
         """
         if self._method.begin:
             soon = compiled_soon if self.device.arch == "cpu" else contextlib.nullcontext
-            with self._settings(spec), soon():
-                kernels_of(state).begin(self._method.begin, spec, state, state.lane_memory, done)
+            with soon():
+                kernel = kernels_of(state).begin
+                self._launch(kernel, self._method.begin, spec, state, state.lane_memory, done)
 
     def frames_per_launch(self, substeps: int, size: int) -> int:
         """Frames that may share a launch. size: particles and springs."""
@@ -117,17 +131,15 @@ class Launcher:
     def _advance(
         self, spec: Specialization, state: Any, done: int, frames: int, substeps: int
     ) -> int:
-        with self._settings(spec):
-            if not spec.one_launch_per_step and not self._by_phases(spec):
-                passed: int = kernels_of(state).frames(
-                    self._step, spec, state, state.lane_memory, done, frames, substeps
-                )
-                return passed
-            for frame in range(frames):
-                self._launch_steps(spec, state, done + frame * substeps, substeps)
-                if watchdog.last_fault(state) != watchdog.NO_FAULT:
-                    return frame
-            return frames
+        if not spec.one_launch_per_step and not self._by_phases(spec):
+            of = self._step, spec, state, state.lane_memory
+            passed: int = self._launch(kernels_of(state).frames, *of, done, frames, substeps)
+            return passed
+        for frame in range(frames):
+            self._launch_steps(spec, state, done + frame * substeps, substeps)
+            if self._launch(watchdog.last_fault, state) != watchdog.NO_FAULT:
+                return frame
+        return frames
 
     def _by_phases(self, spec: Specialization) -> bool:
         """Whether each step takes several launches."""
@@ -138,50 +150,56 @@ class Launcher:
         """Advance a frame after `done` steps, with a launch or more for each step."""
         by_phases = self._by_phases(spec)
         if spec.one_launch_per_step:
-            watchdog.checkpoint_launch(spec, state)
+            self._launch(watchdog.checkpoint_launch, spec, state)
         else:
-            kernels_of(state).once(watchdog.checkpoint, spec, state, state.lane_memory)
+            self._once(watchdog.checkpoint, spec, state)
         for step in range(done + 1, done + substeps + 1):
             if by_phases:
                 self._launch_phases(spec, state, step)
                 if stepping.has_end(spec):
                     self._end_step(spec, state)
             elif settling.in_launches(spec):
-                stepping.method_launch(self._step, spec, state, step)
+                self._launch(stepping.method_launch, self._step, spec, state, step)
                 self._end_step(spec, state)
             else:
-                stepping.substep_launch(self._step, spec, state, step)
+                self._launch(stepping.substep_launch, self._step, spec, state, step)
 
     def _end_step(self, spec: Specialization, state: Any) -> None:
         """Launch what ends a step by itself."""
         if settling.in_launches(spec):
-            stepping.settle_launch(spec, state)
+            self._launch(stepping.settle_launch, spec, state)
             for done in range(resting_pairs.LAUNCHED):
-                stepping.iterate_launch(spec, state, done)
+                self._launch(stepping.iterate_launch, spec, state, done)
         if spec.resting and not spec.one_launch_per_step:
-            kernels_of(state).once(stepping.end_step, spec, state, state.lane_memory)
+            self._once(stepping.end_step, spec, state)
         else:
-            stepping.end_step_launch(replace(spec, one_launch_per_step=True), state)
+            by_loops = replace(spec, one_launch_per_step=True)
+            self._launch(stepping.end_step_launch, by_loops, state)
 
     def _launch_phases(self, spec: Specialization, state: Any, step: int) -> None:
         """Launch the phases of a step; the device says after each launch which one is next."""
-        stepping.begin_step_launch(state, step)
+        self._launch(stepping.begin_step_launch, state, step)
         phase = 0
         while phase != phases.DONE:
             if spec.one_launch_per_step:
-                phase = stepping.phase_launch(self._method.phases[phase], spec, state)
+                of = self._method.phases[phase]
+                phase = self._launch(stepping.phase_launch, of, spec, state)
             else:
                 these = next(these for these in self._method.launches if phase in these)
-                together = phases.together(self._method.phases, these)
-                phase = kernels_of(state).once(together, spec, state, state.lane_memory)
+                phase = self._once(phases.together(self._method.phases, these), spec, state)
+
+    def _once(self, body: Callable[..., Any], spec: Specialization, state: Any) -> int:
+        """Run a part of a step on the threads of `spec`, and return the phase that is next."""
+        phase: int = self._launch(kernels_of(state).once, body, spec, state, state.lane_memory)
+        return phase
 
     @contextlib.contextmanager
-    def _settings(self, spec: object) -> Iterator[None]:
-        """How kernels on the packs of a specialization are compiled."""
+    def _settings(self, spec: Specialization | None) -> Iterator[None]:
+        """How kernels on the packs of a specialization are compiled; None: they touch no packs."""
         with contextlib.ExitStack() as settings:
-            if isinstance(spec, Specialization) and spec.lanes > 1:
+            if spec is not None and spec.lanes > 1:
                 settings.enter_context(whole_vectors())
-            if self._method.sums or isinstance(spec, Specialization) and _has_long_sums(spec):
+            if self._method.sums or spec is not None and _has_long_sums(spec):
                 settings.enter_context(sums_in_order())
             yield
 

@@ -1,0 +1,164 @@
+"""Launches of kernels with what they were launched with before, at a twentieth of the usual cost.
+
+Taichi looks at all arguments of a kernel anew at every launch, for what has been compiled for them,
+and packs them one by one: some 50 to 70 us in Python before a kernel begins (1.7.4), and 100 more
+where it runs on several threads, which have gone to sleep meanwhile. A step of a small cloth takes
+less. What was found at the first launch is kept here; a launch then takes some 4 us.
+
+It is Taichi's own machinery, called in its own order. A Taichi that is made otherwise, and kernels
+with arguments of other kinds, are launched as usual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache, partial
+from types import FunctionType, NoneType
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from taichi_cloth.kernels.specialization import Specialization
+
+STATE = "state"  # the name of the argument that has the fields, in all kernels
+KEPT = Specialization, FunctionType, NoneType  # what templates may be, besides
+
+
+class _Signature(NamedTuple):
+    """Where a kernel's arguments are, by kind.
+
+    templates: all but the state. arrays: each with the number of axes of its elements. numbers:
+    each with its type, float or int.
+    """
+
+    state: int
+    templates: tuple[int, ...]
+    arrays: tuple[tuple[int, int], ...]
+    numbers: tuple[tuple[int, type], ...]
+
+
+class PreparedLaunches:
+    """The launches that one launcher has made, by kernel and by what is compiled into it.
+
+    They do not keep the fields that they are of.
+    """
+
+    def __init__(self) -> None:
+        self._of: WeakKeyDictionary[Any, dict[Any, _Prepared]] = WeakKeyDictionary()
+
+    def find(self, kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> _Prepared | None:
+        """What launches a kernel with these arguments; None if it has yet to be launched so."""
+        signature = _signature(kernel)
+        if signature is None or not _are_whole(signature, arguments):
+            return None
+        known = self._of.get(arguments[signature.state])
+        return known.get(_key(kernel, signature, arguments)) if known is not None else None
+
+    def note(self, kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+        """Keep how a kernel was just launched, under the settings that it was compiled with."""
+        signature = _signature(kernel)
+        if signature is None or not _are_whole(signature, arguments):
+            return
+        if not all(isinstance(arguments[at], KEPT) for at in signature.templates):
+            return
+        known = self._of.setdefault(arguments[signature.state], {})
+        known[_key(kernel, signature, arguments)] = _Prepared(kernel, signature, arguments)
+
+
+class _Prepared:
+    """A kernel, compiled for some arguments, and the context in which it gets the others."""
+
+    def __init__(
+        self, kernel: Callable[..., Any], signature: _Signature, arguments: tuple[Any, ...]
+    ) -> None:
+        primal = _primal(kernel)
+        made = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
+        program = _runtime().prog
+        self._compiled = program.compile_kernel(program.config(), program.get_device_caps(), made)
+        self._context = made.make_launch_context()
+        given = sorted(at for at, _ in (*signature.arrays, *signature.numbers))
+        place = {at: (k,) for k, at in enumerate(given)}  # templates are compiled in, and have none
+        self._arrays = [(at, place[at], inner) for at, inner in signature.arrays]
+        put = {int: self._context.set_arg_int, float: self._context.set_arg_float}
+        self._numbers = [(at, place[at], kind, put[kind]) for at, kind in signature.numbers]
+        self._result: Callable[[], Any] | None = None
+        if primal.return_type:
+            (kind,) = primal.return_type
+            self._result = partial(primal.construct_kernel_ret, self._context, kind, (0,))
+
+    def __call__(self, arguments: tuple[Any, ...]) -> Any:
+        """Launch it; return what it returns."""
+        for at, place, inner in self._arrays:
+            array = arguments[at]
+            address, _ = array.__array_interface__["data"]
+            shape = array.shape[: array.ndim - inner]
+            self._context.set_arg_external_array_with_shape(place, address, array.nbytes, shape, 0)
+        for at, place, kind, put in self._numbers:
+            put(place, kind(arguments[at]))
+        program = _runtime().prog
+        program.launch_kernel(self._compiled, self._context)
+        if self._result is None:
+            return None
+        program.synchronize()
+        return self._result()
+
+
+def _runtime() -> Any:
+    from taichi.lang import impl
+
+    return impl.get_runtime()
+
+
+def _primal(kernel: Callable[..., Any]) -> Any:
+    """Taichi's object of a kernel that is no method of a class."""
+    return getattr(kernel, "_primal", None)
+
+
+@cache
+def _signature(kernel: Callable[..., Any]) -> _Signature | None:
+    """Where a kernel's arguments are; None if it is not launched in this way."""
+    from taichi.lang.util import cook_dtype
+    from taichi.types import ndarray_type, primitive_types, template
+    from taichi.types.utils import is_signed
+
+    primal = _primal(kernel)
+    parts = "compiled_kernels", "ensure_compiled", "construct_kernel_ret", "arguments"
+    if not all(hasattr(primal, part) for part in parts) or len(primal.return_type or ()) > 1:
+        return None
+    state: int | None = None
+    templates: list[int] = []
+    arrays: list[tuple[int, int]] = []
+    numbers: list[tuple[int, type]] = []
+    for at, argument in enumerate(primal.arguments):
+        kind = argument.annotation
+        if isinstance(kind, template):
+            if argument.name == STATE:
+                state = at
+            else:
+                templates.append(at)
+        elif isinstance(kind, ndarray_type.NdarrayType):
+            arrays.append((at, getattr(kind.dtype, "ndim", 0)))
+        elif id(kind) in primitive_types.real_type_ids:
+            numbers.append((at, float))
+        elif id(kind) in primitive_types.integer_type_ids and is_signed(cook_dtype(kind)):
+            numbers.append((at, int))
+        else:
+            return None
+    if state is None:
+        return None
+    return _Signature(state, tuple(templates), tuple(arrays), tuple(numbers))
+
+
+def _key(kernel: Callable[..., Any], signature: _Signature, arguments: tuple[Any, ...]) -> Any:
+    """All that decides what of a kernel is compiled, besides the state."""
+    arrays = [(arguments[at].dtype, arguments[at].ndim) for at, _ in signature.arrays]
+    return kernel, *[arguments[at] for at in signature.templates], *arrays
+
+
+def _are_whole(signature: _Signature, arguments: tuple[Any, ...]) -> bool:
+    """Whether all arrays are NumPy's, and lie in memory as they are indexed."""
+    return all(
+        isinstance(arguments[at], np.ndarray) and arguments[at].flags.c_contiguous
+        for at, _ in signature.arrays
+    )
