@@ -341,6 +341,38 @@ def test_the_part_tells_who_is_cheapest_at_each_level(monkeypatch, tmp_path):
     assert drawn.read_bytes()[:4] == picture.draw(runs)[:4] == b"\x89PNG"
 
 
+def test_ours_is_raced_on_all_cores_too(monkeypatch):
+    """At each level its rows, and the ratio of the quicker, with its target; of one thread, too,
+    where that is not the quicker.
+    """
+    ours = next(contestants.kinds(True, touching=True))  # on the graph, which compiles soon
+    bdf = next(k for k in contestants.kinds(True) if k.name == "SciPy, BDF")
+    assert ours.threads == bdf.threads == 1 and bdf.on(2) is ours.on(1) is None
+    little(monkeypatch, [ours, bdf])
+    bench = contest.Bench(rounds=2, quick=True)
+    bench.threads = 2
+    try:
+        rows = [row for row in equal_error.measure(bench) if row.size == AT_ONE]
+    finally:
+        bench.close()
+    timed = {row.contestant.partition(":")[0]: row for row in rows if row.seconds is not None}
+    assert list(timed) == ["ours", "ours, 2 threads", "SciPy, BDF"]
+    one, two = timed["ours"], timed["ours, 2 threads"]
+    assert (one.threads, one.execution) == (1, "serial")
+    assert (two.threads, two.execution) == (2, "parallel") and two.error == one.error
+    settings = {row.contestant.partition(": ")[2] for row in (one, two)}
+    assert len(settings) == 1 and "threads" not in settings.pop()
+    ratios = {row.contestant.partition(":")[0]: row for row in rows if row.is_ratio}
+    quicker = min(one.seconds, two.seconds)
+    main = ratios.pop("best peer's time to ours")
+    assert main.rate == pytest.approx(timed["SciPy, BDF"].seconds / quicker)
+    assert main.target == ">= 10"
+    assert list(ratios) == ["best peer's time to ours, one thread"] * (quicker == two.seconds)
+    for row in ratios.values():
+        assert row.rate == pytest.approx(timed["SciPy, BDF"].seconds / one.seconds)
+        assert row.target == ""
+
+
 def count_runs(monkeypatch, at=None, act=None):
     """A list that gets (solver, setting) of each run; before run number `at`, `act(entrant)`."""
     made, run = [], contestants.Entrant._run

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from taichi_cloth.benchmarks import newton_model
@@ -31,7 +31,7 @@ CONTACTS = (1e3, 1e5)  # N/m
 QUICK_METHODS = ("verlet", "rk4", "tr_bdf2")
 # Seconds for timing a choice in the search, and of a run that is itself timing enough.
 BUDGET, LONG = 0.1, 1.0
-TIMED_ALONE = 1  # threads of everyone: scenes this small gain nothing by more
+ALONE = 1  # threads of everyone in the search, and of peers always: they have no more
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,20 @@ class Kind:
     ladders: tuple[tuple[Choice, ...], ...]
     precision: str = "f64"
     package: str = "taichi"
+
+    @property
+    def threads(self) -> int:
+        """How many it runs on."""
+        threads: int = self.arguments.get("threads", ALONE)
+        return threads
+
+    def on(self, threads: int) -> Kind | None:
+        """The same on so many threads, with the same bits; None: it runs on one alone."""
+        if threads == self.threads or "execution" not in self.arguments:
+            return None
+        more = {"threads": threads, "execution": "parallel"}
+        name = f"{self.name}, {threads} threads"
+        return replace(self, name=name, arguments=self.arguments | more)
 
 
 def kinds(quick: bool, touching: bool = False) -> Iterator[Kind]:
@@ -102,7 +116,7 @@ def _ours(quick: bool, topology: str) -> Iterator[Kind]:
                 "arch": "cpu",
                 "precision": precision,
                 "fast_math": precision == "f32",
-                "threads": TIMED_ALONE,
+                "threads": ALONE,
                 "topology": topology,
                 "execution": "serial",
                 "accounts": False,
@@ -195,7 +209,7 @@ class Entrant:
             asked["substeps"] = choice.substeps
         lost = ""
         for _ in range(1 + AGAIN):
-            worker = self.bench.worker(self.kind.package, self.kind.precision, TIMED_ALONE)
+            worker = self.bench.worker(self.kind.package, self.kind.precision, self.kind.threads)
             try:
                 if worker is not self._worker:
                     self._enter(worker)
