@@ -2,6 +2,7 @@
 
 import gc
 import weakref
+from types import SimpleNamespace
 
 import inside
 import numpy as np
@@ -10,6 +11,7 @@ import small
 import taichi as ti
 
 from taichi_cloth.kernels import readback
+from taichi_cloth.simulation import prepared
 from taichi_cloth.simulation.prepared import PreparedLaunches
 from taichi_cloth.simulation.simulation import Simulation
 
@@ -38,13 +40,13 @@ def test_what_is_given_anew_is_used_anew(sim):
         numbers = np.arange(length, dtype=np.float64)
         expected = numbers[start:].sum() + (length - start) * factor * count
         given = state, start, numbers, factor
-        prepared = launches.find(mix, given)
-        if prepared is None:
+        found = launches.find(mix, given)
+        if found is None:
             assert length == 3
             result = mix(*given)
             launches.note(mix, given)
         else:
-            result = prepared(given)
+            result = found(given)
         assert result == expected
         np.testing.assert_array_equal(numbers, [*range(start), *[0] * (length - start)])
 
@@ -91,6 +93,15 @@ def test_fields_that_are_dropped_are_not_kept():
     del sim, state, given
     gc.collect()
     assert seen() is None
+
+
+def test_what_another_start_of_taichi_prepared_is_not_launched(sim, monkeypatch):
+    launches, given = PreparedLaunches(), (inside.state_of(sim), 0, np.zeros(4), 1.0)
+    mix(*given)
+    launches.note(mix, given)
+    assert launches.find(mix, given) is not None
+    monkeypatch.setattr(prepared, "_runtime", lambda: SimpleNamespace())
+    assert launches.find(mix, given) is None
 
 
 def test_a_run_has_the_bits_of_one_without(topology, few_lanes, monkeypatch):

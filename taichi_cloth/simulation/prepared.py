@@ -15,7 +15,7 @@ from collections.abc import Callable
 from functools import cache, partial
 from types import FunctionType, NoneType
 from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, ref
 
 import numpy as np
 
@@ -53,7 +53,8 @@ class PreparedLaunches:
         if signature is None or not _are_whole(signature, arguments):
             return None
         known = self._of.get(arguments[signature.state])
-        return known.get(_key(kernel, signature, arguments)) if known is not None else None
+        prepared = known and known.get(_key(kernel, signature, arguments))
+        return prepared if prepared and prepared.is_of(_runtime()) else None
 
     def note(self, kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
         """Keep how a kernel was just launched, under the settings that it was compiled with."""
@@ -74,6 +75,7 @@ class _Prepared:
     ) -> None:
         primal = _primal(kernel)
         made = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
+        self._start = ref(_runtime())
         program = _runtime().prog
         self._compiled = program.compile_kernel(program.config(), program.get_device_caps(), made)
         self._context = made.make_launch_context()
@@ -86,6 +88,10 @@ class _Prepared:
         if primal.return_type:
             (kind,) = primal.return_type
             self._result = partial(primal.construct_kernel_ret, self._context, kind, (0,))
+
+    def is_of(self, runtime: Any) -> bool:
+        """Whether it is of this start of Taichi; what is of another one is no longer there."""
+        return self._start() is runtime
 
     def __call__(self, arguments: tuple[Any, ...]) -> Any:
         """Launch it; return what it returns."""
