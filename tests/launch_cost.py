@@ -9,7 +9,7 @@ import statistics
 import sys
 import time
 
-ASKED = "cloth:symplectic_euler:1", "cloth:rk4:1", "warp:verlet:32:32", "warp:tr_bdf2:1:32"
+ASKED = "cloth:symplectic_euler:1", "cloth:rk4:1", "warp:verlet:32:32"
 WAYS = (("lanes", "serial"), ("graph", "serial"), ("lanes", "parallel"))
 TURNS, FRAMES = 50, 10
 
