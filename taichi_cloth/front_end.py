@@ -1,4 +1,4 @@
-"""Makes Taichi's front end quicker: the part, in Python, that reads each kernel before its cache.
+"""Mends Taichi's front end, the part, in Python, that reads each kernel before its cache.
 
 A kernel whose machine code is cached is read and checked by that part all the same, at every start:
 with what it inlines, up to some seconds for a solver's. Profiled (Taichi 1.7.4), three quarters of
@@ -10,24 +10,66 @@ it are spent on three things, which this module replaces by what leads to the sa
   Here it is kept.
 - whether a function stands in a class is read off the source of whoever executes the class. Here
   the class's own frame tells.
+
+And where a real function calls an inlined one, that comes into the kernel instead of the function
+(Taichi 1.7.4 ends the process then). Here it comes into what calls it. And what a real function was
+made of, with the fields that it was given, is kept no longer than it is read.
 """
 
 from __future__ import annotations
 
 import functools
+import inspect
 import sys
 import textwrap
 from types import SimpleNamespace
 from typing import Any
 
 
-def quicken() -> None:
+def mend() -> None:
     """Replace them in the Taichi that is imported; once is enough, and more does no harm.
 
     It should come before kernels are defined.
 
     A Taichi that is made otherwise is left as it is: it is only slower.
     """
+    _quicken()
+    _inline_where_called()
+
+
+def functions_work() -> bool:
+    """Whether real functions may call others, as `mend` makes them."""
+    from taichi.lang import kernel_impl
+
+    return hasattr(kernel_impl._get_tree_and_ctx, "into_caller")
+
+
+def _inline_where_called() -> None:
+    from taichi.lang import impl, kernel_impl
+
+    read = getattr(kernel_impl, "_get_tree_and_ctx", None)
+    if read is None or "ast_builder" not in inspect.signature(read).parameters or functions_work():
+        return
+
+    @functools.wraps(read)
+    def read_into_caller(*args: Any, ast_builder: Any = None, **named: Any) -> Any:
+        if ast_builder is not None:  # of the kernel, which calls the function that is under way
+            ast_builder = impl.get_runtime().compiling_callable.ast_builder()
+        return read(*args, ast_builder=ast_builder, **named)
+
+    read_into_caller.into_caller = True  # type: ignore[attr-defined]
+    kernel_impl._get_tree_and_ctx = read_into_caller
+    do_compile = kernel_impl.Func.do_compile
+
+    @functools.wraps(do_compile)
+    def compile_and_drop(self: Any, key: Any, *args: Any, **named: Any) -> None:
+        do_compile(self, key, *args, **named)
+        self.compiled[key.instance_id] = None
+
+    kernel_impl.Func.do_compile = compile_and_drop
+
+
+def _quicken() -> None:
     from taichi.lang import kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 

@@ -194,7 +194,7 @@ def _import_taichi() -> Any:
     os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
     import taichi
 
-    front_end.quicken()
+    front_end.mend()
     return taichi
 
 
@@ -316,6 +316,24 @@ def compiled_soon() -> Iterator[None]:
         yield
     finally:
         config.opt_level, config.cache_loop_invariant_global_vars = before
+
+
+@contextlib.contextmanager
+def nothing_kept_over_calls() -> Iterator[None]:
+    """While it lasts, kernels are compiled to read anew what their loops do not change.
+
+    Taichi keeps it otherwise, and stores what is new only after the loop, without a look at what
+    real functions that are called there read and store (`kernels/parts.py`).
+    """
+    from taichi.lang import impl
+
+    config = impl.get_runtime().prog.config()
+    before = config.cache_loop_invariant_global_vars
+    config.cache_loop_invariant_global_vars = False
+    try:
+        yield
+    finally:
+        config.cache_loop_invariant_global_vars = before
 
 
 def _own_threads() -> set[int]:

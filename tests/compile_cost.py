@@ -2,7 +2,7 @@
 
 A process each, with an empty cache of kernels, to the end of its first frame; SIDE: of a cloth
 of so many particles a row and a column. Seconds are the processor's, which other work on the
-machine hardly changes.
+machine hardly changes. --in-a-piece: as if no step were compiled in parts.
 """
 
 import json
@@ -20,13 +20,15 @@ ASKED = [f"cloth:{method}" for method in EACH] + [
 HEADS = "start", "front end", "machine code", "largest", "rest", "total"
 
 
-def measure(scene, method, side=None):
+def measure(in_a_piece, scene, method, side=None):
     """The processor's seconds of what `HEADS` names, how many kernels there are, and the path."""
     marks = [0.0]
-    from taichi_cloth import runtime
+    from taichi_cloth import front_end, runtime
     from taichi_cloth.scene.source import SceneSource
     from taichi_cloth.simulation.simulation import Simulation
 
+    if in_a_piece:
+        front_end.functions_work = lambda: False
     runtime.start("cpu")
     marks.append(time.process_time())
     front, code = _watch_kernels()
@@ -63,7 +65,7 @@ def _watch_kernels():
     return front, code
 
 
-def main(asked):
+def main(asked, in_a_piece):
     """Print a table, a line for each."""
     print("| scene | method | path | kernels | " + " | ".join(HEADS) + " |")
     print("|---" * (4 + len(HEADS)) + "|")
@@ -71,7 +73,7 @@ def main(asked):
         scene, method, *side = words.split(":")
         with tempfile.TemporaryDirectory() as folder:
             places = {"TI_OFFLINE_CACHE_FILE_PATH": folder, "XDG_CACHE_HOME": folder}
-            child = [sys.executable, __file__, "--one", scene, method, *side]
+            child = [sys.executable, __file__, "--one", *in_a_piece, scene, method, *side]
             text = subprocess.run(
                 child, env=os.environ | places, check=True, capture_output=True, text=True
             ).stdout
@@ -83,7 +85,9 @@ def main(asked):
 
 
 if __name__ == "__main__":
+    in_a_piece = [word for word in sys.argv[1:] if word == "--in-a-piece"]
+    asked = [word for word in sys.argv[1:] if word not in ("--one", *in_a_piece)]
     if sys.argv[1:2] == ["--one"]:
-        print(json.dumps(measure(*sys.argv[2:])))
+        print(json.dumps(measure(bool(in_a_piece), *asked)))
     else:
-        main(sys.argv[1:] or ASKED)
+        main(asked or ASKED, in_a_piece)

@@ -1,4 +1,4 @@
-"""Taichi's front end after `front_end.quicken`: it reads the same kernels, and says the same."""
+"""Taichi's front end after `front_end.mend`: it reads the same kernels, and says the same."""
 
 import pytest
 import taichi as ti
@@ -69,8 +69,32 @@ def test_a_taichi_that_is_made_otherwise_is_left_alone(monkeypatch):
     plain = kernel_impl.getsourcelines.__wrapped__
     monkeypatch.setattr(kernel_impl, "getsourcelines", plain)
     monkeypatch.delattr(kernel_impl, "_inside_class")
-    front_end.quicken()
+    front_end.mend()
     assert kernel_impl.getsourcelines is plain
+
+
+def test_functions_inline_what_they_call():
+    """Taichi alone inlines it into the kernel, where no such variable is, and the process ends."""
+
+    @ti.func
+    def fall(x, n: ti.template()):
+        for k in range(x):
+            n[None] += k * x  # x: the function's own
+
+    @ti.real_func
+    def twice(x: ti.i32, n: ti.template()) -> ti.i32:
+        fall(x + 1, n)
+        fall(x, n)
+        return n[None]
+
+    total = ti.field(ti.i32, ())
+
+    @ti.kernel
+    def run(x: ti.i32) -> ti.i32:
+        return 10 * twice(x, total)
+
+    assert front_end.functions_work()
+    assert run(3) == 10 * (4 * 6 + 3 * 3)
 
 
 def test_what_is_compiled_soon_reads_what_was_stored():

@@ -39,12 +39,12 @@ ROOMS = {
     "errors": set(),
     "version": set(),
     "declarations": set(),
-    "kernels": {"declarations"},  # device code: knows no scene, file or window
+    "front_end": set(),
+    "kernels": {"declarations", "front_end"},  # device code: knows no scene, file or window
     "files": set(),
     "measuring": set(),
     "settings": {"kernels"},
     "console": set(),
-    "front_end": set(),
     "runtime": {"front_end", "settings"},
     "scene": {"files", "kernels", "settings"},
     "sweeps": {"measuring", "scene", "settings"},

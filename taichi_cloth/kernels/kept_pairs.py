@@ -55,18 +55,32 @@ LATER, CODE_BITS = 31, 5
 PASSED, NEAR_BITS = 1, 1
 
 
+def finding(spec):
+    """What finds who may touch whom at the end of this step: ti.funcs(spec, state, t), in turn."""
+    if spec.one_launch_per_step:
+        return [_list_all, _narrow_all]
+    return [_compare_patches, _list_anew, _narrow_all]
+
+
 @ti.func
-def find_kept_pairs(spec: ti.template(), state: ti.template(), t):
-    """Find who may touch whom at the end of this step."""
-    if ti.static(spec.one_launch_per_step):
+def _compare_patches(spec: ti.template(), state: ti.template(), t):
+    """Find the patches whose lists no longer hold."""
+    each(spec, state, t, state.n_patches[None], bound_patch)
+    each(spec, state, t, state.n_patches[None], compare_patch)
+
+
+@ti.func
+def _list_anew(spec: ti.template(), state: ti.template(), t):
+    """List anew what no longer holds."""
+    if state.n_stale[None] > MOST_STALE * state.n_patches[None] or state.outdated[None] == 1:
         _list_all(spec, state, t)
-    else:
-        each(spec, state, t, state.n_patches[None], bound_patch)
-        each(spec, state, t, state.n_patches[None], compare_patch)
-        if state.n_stale[None] > MOST_STALE * state.n_patches[None] or state.outdated[None] == 1:
-            _list_all(spec, state, t)
-        elif state.n_stale[None] > 0:
-            each(spec, state, t, state.n_patches[None], ti.static(by_patches(_renew_patch)))
+    elif state.n_stale[None] > 0:
+        each(spec, state, t, state.n_patches[None], ti.static(by_patches(_renew_patch)))
+
+
+@ti.func
+def _narrow_all(spec: ti.template(), state: ti.template(), t):
+    """List who may touch whom, of those who are near."""
     each(spec, state, t, 1, _begin_lists)
     each(spec, state, t, state.n[None], _refresh)
     each(spec, state, t, state.n_patches[None], ti.static(by_patches(_narrow_patch)))

@@ -12,6 +12,7 @@ import functools
 
 import taichi as ti
 
+from taichi_cloth.kernels import kept_pairs
 from taichi_cloth.kernels.collision_grid import (
     MOST_NEAR,
     slot_of,
@@ -20,21 +21,23 @@ from taichi_cloth.kernels.collision_grid import (
     sorted_w,
     sum_over_near,
 )
-from taichi_cloth.kernels.kept_pairs import NEAR_BITS, find_kept_pairs
+from taichi_cloth.kernels.kept_pairs import NEAR_BITS
 from taichi_cloth.kernels.loops import each
 from taichi_cloth.kernels.packs import slot_value
 
 MARGIN = 0.25  # of a pair's reach, within which particles may come to touch in a step
 
 
+def finding(spec):
+    """What finds who may touch whom at the end of this step: ti.funcs(spec, state, t), in turn."""
+    return kept_pairs.finding(spec) if spec.thick else [_list_all]
+
+
 @ti.func
 def find_pairs(spec: ti.template(), state: ti.template(), t):
     """Find who may touch whom at the end of this step."""
-    if ti.static(spec.thick):
-        find_kept_pairs(spec, state, t)
-    else:
-        sort_into_cells(spec, state, t)
-        each(spec, state, t, state.n[None], _begin)
+    for act in ti.static(finding(spec)):
+        act(spec, state, t)
 
 
 def sizes(spec):
@@ -43,6 +46,12 @@ def sizes(spec):
 
 
 # --- without thickness: anew in each step ----------------------------------------------------
+
+
+@ti.func
+def _list_all(spec: ti.template(), state: ti.template(), t):
+    sort_into_cells(spec, state, t)
+    each(spec, state, t, state.n[None], _begin)
 
 
 @ti.func

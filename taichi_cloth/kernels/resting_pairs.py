@@ -27,6 +27,7 @@ from taichi_cloth.kernels.kept_pairs import has_passed
 from taichi_cloth.kernels.loops import each, each_pack_moving, leave
 from taichi_cloth.kernels.near_pairs import (
     find_pairs,
+    finding,
     place_of,
     reach_of,
     sizes,
@@ -59,29 +60,42 @@ def needed(spec):
     return spec.resting
 
 
-@ti.func
-def settle(spec: ti.template(), state: ti.template(), t):
-    """Take all pairs apart, with what contact and friction leave of their velocities.
+def acts(spec):
+    """What takes all pairs apart, with what contact and friction leave of their velocities, as
+    ti.funcs(spec, state, t).
 
     With one launch per step it only ends what `begin` and `iterate` began, in launches of their
     own: a launch cannot repeat loops that Taichi makes parallel.
     """
+    if spec.one_launch_per_step:
+        return [_end]
+    return [*finding(spec), _sweep if is_swept(spec) else _iterate_all, _end]
+
+
+@ti.func
+def _sweep(spec: ti.template(), state: ti.template(), t):
+    sweep_pairs(spec, state, t, ti.static(CLOTH_SWEEPS), ti.static(CLOTH_SETTLED))
+
+
+@ti.func
+def _iterate_all(spec: ti.template(), state: ti.template(), t):
+    done, going = 0, 1
+    while going == 1:
+        iterate(spec, state, t, done)
+        worst = ti.max(
+            state.pair_residual[done % 2, OVERLAP], state.pair_residual[done % 2, APPROACH]
+        )
+        done += 1
+        if worst <= ti.static(SETTLED) or done == ti.static(MOST_ITERATIONS):
+            going = 0
+
+
+@ti.func
+def _end(spec: ti.template(), state: ti.template(), t):
+    """Store what came of it."""
     if ti.static(is_swept(spec)):
-        begin(spec, state, t)
-        sweep_pairs(spec, state, t, ti.static(CLOTH_SWEEPS), ti.static(CLOTH_SETTLED))
         each(spec, state, t, state.n[None], _store)
     else:
-        if ti.static(not spec.one_launch_per_step):
-            begin(spec, state, t)
-            done, going = 0, 1
-            while going == 1:
-                iterate(spec, state, t, done)
-                worst = ti.max(
-                    state.pair_residual[done % 2, OVERLAP], state.pair_residual[done % 2, APPROACH]
-                )
-                done += 1
-                if worst <= ti.static(SETTLED) or done == ti.static(MOST_ITERATIONS):
-                    going = 0
         _each_active(spec, state, t, _store)
     each(spec, state, t, 1, _judge)
     if ti.static(spec.halo > 0):

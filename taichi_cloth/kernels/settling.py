@@ -6,10 +6,11 @@ state.position_weight times dt of what a velocity is changed by, which is the we
 method's step gives a constant acceleration in its position (`methods.contract.Method`). So what
 lies on something stays there, under every method: it neither sinks nor hovers nor trembles.
 
-A part is a pair of functions in a file of its own: needed(spec), whether a scene has it, and the
-ti.func settle(spec, state, t), which changes state.x and state.v (with the low parts of the
-precision `compensated`) and renews halos, as `loops.each_pack_moving` does. Where the step began is
-in state.begun_x and begun_v, with begun_x_low, if spec.keeps_begun says so.
+A part is a pair of functions in a file of its own: needed(spec), whether a scene has it, and
+acts(spec), a list of ti.funcs(spec, state, t) that come one after the other. They change state.x
+and state.v (with the low parts of the precision `compensated`) and renew halos, as
+`loops.each_pack_moving` does. Where the step began is in state.begun_x and begun_v, with
+begun_x_low, if spec.keeps_begun says so.
 """
 
 import taichi as ti
@@ -18,12 +19,12 @@ from taichi_cloth.kernels import contact_account, faces, grips, obstruction, res
 from taichi_cloth.kernels.copies import keep
 from taichi_cloth.kernels.loops import each_pack
 
-# (needed, settle), in the order in which they act
+# (needed, acts), in the order in which they act
 PARTS = (
-    (grips.needed, grips.settle),
-    (faces.needed, faces.settle),
-    (obstruction.needed, obstruction.settle),
-    (resting_pairs.needed, resting_pairs.settle),
+    (grips.needed, grips.acts),
+    (faces.needed, faces.acts),
+    (obstruction.needed, obstruction.acts),
+    (resting_pairs.needed, resting_pairs.acts),
 )
 
 
@@ -37,17 +38,30 @@ def ends_step(spec):
     return settles(spec) or spec.accounts_contacts
 
 
-def _acts(spec, state):
+def acts_of(spec, state):
     """What is run one after the other at the end of a step, as ti.funcs."""
-    acts = [settle for needed, settle in PARTS if needed(spec)]
-    begins = [state.begin] if acts and state.begin else []
-    if spec.accounts_contacts:
-        acts = [contact_account.open_step, *acts, contact_account.close_step]
-    if in_launches(spec):
-        acts = acts[acts.index(resting_pairs.settle) :]
+    before, after = _acts_of_parts(spec)
+    acts = after if in_launches(spec) else before + after
     if spec.keeps_begun:
-        acts.append(_keep_begun)
-    return acts + begins
+        acts = [*acts, _keep_begun]
+    begins = [state.begin] if settles(spec) and state.begin else []
+    return (*acts, *begins)
+
+
+def _acts_of_parts(spec):
+    """The acts of contacts and of their account: up to the iterations of resting pairs, and on.
+
+    Where there are no resting pairs, all are in the first list.
+    """
+    before, after = [], []
+    if spec.accounts_contacts:
+        before.append(contact_account.open_step)
+    for needed, acts in PARTS:
+        if needed(spec):
+            (after if needed is resting_pairs.needed else before).extend(acts(spec))
+    if spec.accounts_contacts:
+        (after or before).append(contact_account.close_step)
+    return before, after
 
 
 def in_launches(spec):
@@ -55,16 +69,10 @@ def in_launches(spec):
     return bool(spec.resting and spec.one_launch_per_step)
 
 
-def _acts_before_pairs(spec):
-    acts = [settle for needed, settle in PARTS if needed(spec)]
-    opened = [contact_account.open_step] * spec.accounts_contacts
-    return opened + acts[: acts.index(resting_pairs.settle)]
-
-
 @ti.func
 def begin_settling(spec: ti.template(), state: ti.template()):
     """Do what comes before the iterations of resting pairs, where those are launches."""
-    for act in ti.static(_acts_before_pairs(spec)):
+    for act in ti.static(_acts_of_parts(spec)[0]):
         act(spec, state, 0)
     resting_pairs.begin(spec, state, 0)
 
@@ -85,5 +93,5 @@ def settle(spec: ti.template(), state: ti.template(), t):
 
     What the method keeps of forces from step to step is then computed anew.
     """
-    for act in ti.static(_acts(spec, state)):
+    for act in ti.static(acts_of(spec, state)):
         act(spec, state, t)

@@ -124,6 +124,7 @@ class State(ContactFields):
         """
         super().__init__(real, capacity)
         self.lanes = spec.lanes
+        self.functions = {}  # what is compiled by itself (`parts.py`)
         self.wide = ti.f32 if ti.cfg.arch == ti.metal else ti.f64
         self.position_weight, self.begin = method.position_weight, method.begin
         self.force_times = method.force_times

@@ -15,17 +15,27 @@ from taichi_cloth.kernels.forces.contract import has
 from taichi_cloth.kernels.fracture import break_springs
 from taichi_cloth.kernels.lane_memory import lane_memory_type, see
 from taichi_cloth.kernels.loops import COUNTER, PIECE, barrier
+from taichi_cloth.kernels.parts import has_parts, in_turn
 from taichi_cloth.kernels.resting_pairs import iterate
-from taichi_cloth.kernels.settling import begin_settling, ends_step, settle
+from taichi_cloth.kernels.settling import acts_of, begin_settling, ends_step, settle
 from taichi_cloth.kernels.watchdog import all_well, begin_step, checkpoint
+
+
+def _parts(method, spec, state):
+    """The method's step and the acts of contacts at its end, as ti.funcs(spec, state, t)."""
+    return method, *acts_of(spec, state)
 
 
 @ti.func
 def substep(method: ti.template(), spec: ti.template(), state: ti.template(), t, step):
     """Run step number `step` of a method, then break springs by the positions that it reached."""
     begin_step(state, step)
-    method(spec, state, t)
-    end_step(spec, state, t)
+    if ti.static(has_parts(spec)):
+        ti.static(in_turn(state, _parts(method, spec, state)))(spec, state, t)
+    else:
+        method(spec, state, t)
+        settle(spec, state, t)
+    _leave_step(spec, state, t)
 
 
 def after_steps(spec):
@@ -43,6 +53,11 @@ def has_end(spec):
 def end_step(spec: ti.template(), state: ti.template(), t):
     """End a step: its contacts, what forces do then, and fracture from the positions it reached."""
     settle(spec, state, t)
+    _leave_step(spec, state, t)
+
+
+@ti.func
+def _leave_step(spec: ti.template(), state: ti.template(), t):
     for after_step in ti.static(after_steps(spec)):
         after_step(spec, state, t)
     if ti.static(spec.fracture):

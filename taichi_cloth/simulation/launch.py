@@ -15,12 +15,14 @@ from taichi_cloth.kernels import resting_pairs, settling, stepping, watchdog
 from taichi_cloth.kernels.fields import Capacity
 from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.methods.contract import Method
+from taichi_cloth.kernels.parts import has_parts
 from taichi_cloth.kernels.solvers import phases
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.runtime import (
     Device,
     compilation_time,
     compiled_soon,
+    nothing_kept_over_calls,
     sums_in_order,
     whole_vectors,
 )
@@ -201,6 +203,8 @@ class Launcher:
                 settings.enter_context(whole_vectors())
             if self._method.sums or spec is not None and _has_long_sums(spec):
                 settings.enter_context(sums_in_order())
+            if spec is not None and has_parts(spec):
+                settings.enter_context(nothing_kept_over_calls())
             yield
 
 
