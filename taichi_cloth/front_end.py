@@ -27,7 +27,7 @@ from typing import Any
 
 
 def mend() -> None:
-    """Replace them in the Taichi that is imported; once is enough, and more does no harm.
+    """Mend the Taichi that is imported; once is enough, and more does no harm.
 
     It should come before kernels are defined.
 
