@@ -261,45 +261,27 @@ def compilation_time() -> float:
     return float(impl.get_runtime().prog.get_total_compilation_time())
 
 
-@contextlib.contextmanager
-def whole_vectors() -> Iterator[None]:
+def whole_vectors() -> contextlib.AbstractContextManager[None]:
     """While it lasts, kernels are compiled with each vector or matrix as one vector of LLVM's.
 
     Taichi takes them apart into numbers otherwise, and LLVM (15), told nothing of the processor's
     width, packs those into vectors of 16 bytes again. Kept whole, they become the widest
     instructions that the processor has. `kernels/packs.py` says what such kernels must not do.
     """
-    from taichi.lang import impl
-
-    config = impl.get_runtime().prog.config()
-    config.real_matrix_scalarize = False
-    try:
-        yield
-    finally:
-        config.real_matrix_scalarize = True
+    return _compiled_with(real_matrix_scalarize=False)
 
 
-@contextlib.contextmanager
-def sums_in_order() -> Iterator[None]:
+def sums_in_order() -> contextlib.AbstractContextManager[None]:
     """While it lasts, kernels are compiled without `fast_math`.
 
     It lets the compiler add in another order, and another one for each number of threads: sums over
     all particles, which decide when a solver stops, would then not have the same bits, nor what
     contacts leave of a step and what air does to a triangle.
     """
-    from taichi.lang import impl
-
-    config = impl.get_runtime().prog.config()
-    before = config.fast_math
-    config.fast_math = False
-    try:
-        yield
-    finally:
-        config.fast_math = before
+    return _compiled_with(fast_math=False)
 
 
-@contextlib.contextmanager
-def compiled_soon() -> Iterator[None]:
+def compiled_soon() -> contextlib.AbstractContextManager[None]:
     """While it lasts, kernels are compiled without the search for common subexpressions.
 
     They compile in half the time, but run up to 2.3 times as long: for those that run once where
@@ -307,33 +289,32 @@ def compiled_soon() -> Iterator[None]:
     not change Taichi keeps a copy for each expression that reads it, which is wrong where two of
     them read one place: that goes, too.
     """
-    from taichi.lang import impl
-
-    config = impl.get_runtime().prog.config()
-    before = config.opt_level, config.cache_loop_invariant_global_vars
-    config.opt_level, config.cache_loop_invariant_global_vars = 0, False
-    try:
-        yield
-    finally:
-        config.opt_level, config.cache_loop_invariant_global_vars = before
+    return _compiled_with(opt_level=0, cache_loop_invariant_global_vars=False)
 
 
-@contextlib.contextmanager
-def nothing_kept_over_calls() -> Iterator[None]:
+def nothing_kept_over_calls() -> contextlib.AbstractContextManager[None]:
     """While it lasts, kernels are compiled to read anew what their loops do not change.
 
     Taichi keeps it otherwise, and stores what is new only after the loop, without a look at what
     real functions that are called there read and store (`kernels/parts.py`).
     """
+    return _compiled_with(cache_loop_invariant_global_vars=False)
+
+
+@contextlib.contextmanager
+def _compiled_with(**settings: Any) -> Iterator[None]:
+    """While it lasts, kernels are compiled with these settings of Taichi's."""
     from taichi.lang import impl
 
     config = impl.get_runtime().prog.config()
-    before = config.cache_loop_invariant_global_vars
-    config.cache_loop_invariant_global_vars = False
+    before = {name: getattr(config, name) for name in settings}
+    for name, value in settings.items():
+        setattr(config, name, value)
     try:
         yield
     finally:
-        config.cache_loop_invariant_global_vars = before
+        for name, value in before.items():
+            setattr(config, name, value)
 
 
 def _own_threads() -> set[int]:

@@ -1,12 +1,8 @@
 """Steps compiled in parts (`kernels/parts.py`) against steps that are one kernel."""
 
 import gc
-import os
-import subprocess
-import sys
 import weakref
 from dataclasses import replace
-from pathlib import Path
 
 import inside
 import numpy as np
@@ -20,20 +16,6 @@ from taichi_cloth.kernels import parts
 from taichi_cloth.simulation.simulation import Simulation
 
 FRAMES = 8
-SEEN = """
-import os, sys
-from pathlib import Path
-import small
-from taichi_cloth import runtime
-from taichi_cloth.simulation.simulation import Simulation
-
-runtime.start("cpu")
-Simulation(small.build("drape"), "verlet", topology="graph", substeps=8).advance()
-runtime.stop()
-print(sum(file.suffix == ".tic" for file in Path(sys.argv[1]).rglob("*")))
-"""
-
-
 RUNS = [("symplectic_euler", "parallel"), as_thorough(("implicit_euler", "serial"))]
 
 
@@ -89,21 +71,3 @@ def test_acts_take_their_turns_and_keep_no_fields():
     del sim, state
     gc.collect()
     assert seen() is None
-
-
-def test_what_is_compiled_in_parts_is_found_again(tmp_path):
-    """In the cache that another process left: it is looked for by all functions that are called."""
-    places = {"TI_OFFLINE_CACHE_FILE_PATH": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "own")}
-    child = [sys.executable, "-c", SEEN, str(tmp_path)]
-    kept = [
-        subprocess.run(
-            child,
-            env=os.environ | places,
-            cwd=Path(__file__).parent,
-            check=True,
-            capture_output=True,
-            text=True,
-        ).stdout.split()[-1]
-        for _ in range(3)
-    ]
-    assert int(kept[0]) > 0 and len(set(kept)) == 1

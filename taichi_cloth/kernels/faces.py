@@ -65,11 +65,6 @@ def needed(spec):
     return bool(spec.obstacles) and spec.faces
 
 
-def acts(spec):
-    """What is done at a step's end, as ti.funcs(spec, state, t)."""
-    return [settle]
-
-
 @ti.func
 def settle(spec: ti.template(), state: ti.template(), t):
     """Take the faces of the scene's triangles out of obstacles."""

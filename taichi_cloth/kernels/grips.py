@@ -25,11 +25,6 @@ def needed(spec):
     return spec.held
 
 
-def acts(spec):
-    """What is done at a step's end, as ti.funcs(spec, state, t)."""
-    return [settle]
-
-
 @ti.func
 def settle(spec: ti.template(), state: ti.template(), t):
     """Put what is held where its obstacle is at the step's end, and let it go on with it."""

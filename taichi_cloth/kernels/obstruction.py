@@ -56,11 +56,6 @@ def needed(spec):
     return bool(spec.obstacles)
 
 
-def acts(spec):
-    """What is done at a step's end, as ti.funcs(spec, state, t)."""
-    return [settle]
-
-
 @ti.func
 def settle(spec: ti.template(), state: ti.template(), t):
     """Take all particles out of all obstacles, with what contact and friction leave of v."""

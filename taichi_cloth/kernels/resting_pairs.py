@@ -26,7 +26,6 @@ from taichi_cloth.kernels.compensated import joined
 from taichi_cloth.kernels.kept_pairs import has_passed
 from taichi_cloth.kernels.loops import each, each_pack_moving, leave
 from taichi_cloth.kernels.near_pairs import (
-    find_pairs,
     finding,
     place_of,
     reach_of,
@@ -64,8 +63,8 @@ def acts(spec):
     """What takes all pairs apart, with what contact and friction leave of their velocities, as
     ti.funcs(spec, state, t).
 
-    With one launch per step it only ends what `begin` and `iterate` began, in launches of their
-    own: a launch cannot repeat loops that Taichi makes parallel.
+    With one launch per step it only ends what `find_pairs` and `iterate` began, in launches of
+    their own: a launch cannot repeat loops that Taichi makes parallel.
     """
     if spec.one_launch_per_step:
         return [_end]
@@ -100,12 +99,6 @@ def _end(spec: ti.template(), state: ti.template(), t):
     each(spec, state, t, 1, _judge)
     if ti.static(spec.halo > 0):
         each_pack_moving(spec, state, t, leave)
-
-
-@ti.func
-def begin(spec: ti.template(), state: ti.template(), t):
-    """Find who is near whom."""
-    find_pairs(spec, state, t)
 
 
 @ti.func

@@ -6,11 +6,11 @@ state.position_weight times dt of what a velocity is changed by, which is the we
 method's step gives a constant acceleration in its position (`methods.contract.Method`). So what
 lies on something stays there, under every method: it neither sinks nor hovers nor trembles.
 
-A part is a pair of functions in a file of its own: needed(spec), whether a scene has it, and
-acts(spec), a list of ti.funcs(spec, state, t) that come one after the other. They change state.x
-and state.v (with the low parts of the precision `compensated`) and renew halos, as
-`loops.each_pack_moving` does. Where the step began is in state.begun_x and begun_v, with
-begun_x_low, if spec.keeps_begun says so.
+A part is a pair of functions in a file of its own: needed(spec), whether a scene has it, and the
+ti.func settle(spec, state, t), which changes state.x and state.v (with the low parts of the
+precision `compensated`) and renews halos, as `loops.each_pack_moving` does. Resting pairs, the last
+part, have several such functions in place of one: acts(spec). Where the step began is in
+state.begun_x and begun_v, with begun_x_low, if spec.keeps_begun says so.
 """
 
 import taichi as ti
@@ -18,19 +18,19 @@ import taichi as ti
 from taichi_cloth.kernels import contact_account, faces, grips, obstruction, resting_pairs
 from taichi_cloth.kernels.copies import keep
 from taichi_cloth.kernels.loops import each_pack
+from taichi_cloth.kernels.near_pairs import find_pairs
 
-# (needed, acts), in the order in which they act
+# (needed, settle), in the order in which they act; resting pairs come after them
 PARTS = (
-    (grips.needed, grips.acts),
-    (faces.needed, faces.acts),
-    (obstruction.needed, obstruction.acts),
-    (resting_pairs.needed, resting_pairs.acts),
+    (grips.needed, grips.settle),
+    (faces.needed, faces.settle),
+    (obstruction.needed, obstruction.settle),
 )
 
 
 def settles(spec):
     """Whether a specialization has any contact that ends a step."""
-    return any(needed(spec) for needed, _ in PARTS)
+    return any(needed(spec) for needed, _ in PARTS) or resting_pairs.needed(spec)
 
 
 def ends_step(spec):
@@ -40,28 +40,21 @@ def ends_step(spec):
 
 def acts_of(spec, state):
     """What is run one after the other at the end of a step, as ti.funcs."""
-    before, after = _acts_of_parts(spec)
-    acts = after if in_launches(spec) else before + after
+    acts = [] if in_launches(spec) else _acts_before_pairs(spec)
+    if resting_pairs.needed(spec):
+        acts += resting_pairs.acts(spec)
+    if spec.accounts_contacts:
+        acts.append(contact_account.close_step)
     if spec.keeps_begun:
-        acts = [*acts, _keep_begun]
-    begins = [state.begin] if settles(spec) and state.begin else []
-    return (*acts, *begins)
+        acts.append(_keep_begun)
+    if settles(spec) and state.begin:
+        acts.append(state.begin)
+    return tuple(acts)
 
 
-def _acts_of_parts(spec):
-    """The acts of contacts and of their account: up to the iterations of resting pairs, and on.
-
-    Where there are no resting pairs, all are in the first list.
-    """
-    before, after = [], []
-    if spec.accounts_contacts:
-        before.append(contact_account.open_step)
-    for needed, acts in PARTS:
-        if needed(spec):
-            (after if needed is resting_pairs.needed else before).extend(acts(spec))
-    if spec.accounts_contacts:
-        (after or before).append(contact_account.close_step)
-    return before, after
+def _acts_before_pairs(spec):
+    opened = [contact_account.open_step] * spec.accounts_contacts
+    return opened + [settle for needed, settle in PARTS if needed(spec)]
 
 
 def in_launches(spec):
@@ -72,9 +65,9 @@ def in_launches(spec):
 @ti.func
 def begin_settling(spec: ti.template(), state: ti.template()):
     """Do what comes before the iterations of resting pairs, where those are launches."""
-    for act in ti.static(_acts_of_parts(spec)[0]):
+    for act in ti.static(_acts_before_pairs(spec)):
         act(spec, state, 0)
-    resting_pairs.begin(spec, state, 0)
+    find_pairs(spec, state, 0)
 
 
 @ti.func
