@@ -1,15 +1,18 @@
 """Mends Taichi's front end, the part, in Python, that reads each kernel before its cache.
 
 A kernel whose machine code is cached is read and checked by that part all the same, at every start:
-with what it inlines, up to some seconds for a solver's. Profiled (Taichi 1.7.4), three quarters of
-it are spent on three things, which this module replaces by what leads to the same kernels:
+with what it inlines, up to some seconds for a solver's. Profiled (Taichi 1.7.4), most of them are
+spent on what this module replaces by what leads to the same kernels:
 
 - each expression gets a drawing of its source line, wrapped and underlined, for messages of errors.
   Here it gets the line as it is.
-- the source of a function is looked for anew, in its whole file, wherever the function is inlined.
-  Here it is kept.
+- the source of a function is looked for anew, in its whole file, and parsed anew, wherever the
+  function is inlined. Here it is kept, with as many trees of it as are read at once.
 - whether a function stands in a class is read off the source of whoever executes the class. Here
   the class's own frame tells.
+- what reads a node of a tree is looked up by a name that is made anew, with an object that notes
+  where the node stands. Here it is kept for each kind of node, and the place noted by itself.
+- NumPy tells the range of integers anew at each constant. Here it is kept.
 
 And where a real function calls an inlined one, that comes into the kernel instead of the function
 (Taichi 1.7.4 ends the process then). Here it comes into what calls it. And what a real function was
@@ -18,12 +21,27 @@ made of, with the fields that it was given, is kept no longer than it is read.
 
 from __future__ import annotations
 
+import ast
 import functools
-import inspect
 import sys
 import textwrap
-from types import SimpleNamespace
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import CodeType
 from typing import Any
+
+# What is replaced or called here of Taichi's modules: a Taichi that lacks any of it is left alone.
+NEEDED = {
+    "kernel_impl": (
+        *("_get_tree_and_ctx", "_get_global_vars", "transform_tree", "_inside_class"),
+        *("getsourcefile", "getsourcelines", "Func"),
+    ),
+    "expr": ("_check_in_range", "_clamp_unsigned_to_range"),
+    "ast.ast_transformer_utils": ("Builder", "ASTTransformerContext", "handle_exception_from_cpp"),
+}
+# Nodes of syntax trees that Taichi writes nothing on: there is one of each kind for all trees.
+SHARED = ast.expr_context, ast.boolop, ast.operator, ast.unaryop, ast.cmpop
 
 
 def mend() -> None:
@@ -33,74 +51,245 @@ def mend() -> None:
 
     A Taichi that is made otherwise is left as it is: it is only slower.
     """
-    _quicken()
-    _inline_where_called()
+    if functions_work() or not _is_as_known():
+        return
+    from taichi.lang import expr, impl, kernel_impl
+    from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext, Builder
+
+    kernel_impl._inside_class = _inside_class
+    kernel_impl._get_tree_and_ctx = _tree_and_context
+    kernel_impl.transform_tree = _giving_back(kernel_impl.transform_tree)
+    kernel_impl.Func.do_compile = _dropping(kernel_impl.Func.do_compile)
+    ASTTransformerContext.get_pos_info = _place
+    Builder.__call__ = _visiting(impl.get_runtime)
+    expr._check_in_range = _is_in_range
+    expr._clamp_unsigned_to_range = _wrapped_into_range
 
 
 def functions_work() -> bool:
-    """Whether real functions may call others, as `mend` makes them."""
+    """Whether real functions may call others: `mend` has found the Taichi that it knows."""
     from taichi.lang import kernel_impl
 
-    return hasattr(kernel_impl._get_tree_and_ctx, "into_caller")
+    return kernel_impl._get_tree_and_ctx is _tree_and_context
 
 
-def _inline_where_called() -> None:
+def _is_as_known() -> bool:
+    """Whether Taichi has all that is replaced or called here."""
+    import importlib
+
+    modules = {name: importlib.import_module(f"taichi.lang.{name}") for name in NEEDED}
+    return all(hasattr(modules[of], name) for of, names in NEEDED.items() for name in names)
+
+
+# --- sources and their trees ----------------------------------------------------------------------
+
+
+@dataclass
+class _Source:
+    """The source of a function, and those trees of it that nobody reads at the moment.
+
+    lines: as they stand in `file`, from line number `start` on. places: by line of the function,
+    what messages of errors say of it. nodes: by tree, those that Taichi writes its results on.
+    """
+
+    file: str
+    lines: list[str]
+    start: int
+    places: dict[int, str] = field(default_factory=dict)
+    trees: list[ast.Module] = field(default_factory=list)
+    nodes: dict[ast.Module, list[ast.AST]] = field(default_factory=dict)
+
+    def parsed(self) -> ast.Module:
+        """A new tree."""
+        tree = ast.parse(textwrap.dedent("\n".join(self.lines)))
+        tree.body[0].decorator_list = []  # type: ignore[attr-defined]
+        return tree
+
+    def take(self) -> ast.Module:
+        """A tree that is the caller's until it is given back."""
+        if self.trees:
+            return self.trees.pop()
+        tree = self.parsed()
+        self.nodes[tree] = [node for node in ast.walk(tree) if not isinstance(node, SHARED)]
+        return tree
+
+    def give_back(self, tree: ast.Module) -> None:
+        """Have a tree for others, without what was written on it; no more for one of `parsed`."""
+        if tree in self.nodes:
+            for node in self.nodes[tree]:
+                vars(node).pop("ptr", None)
+                vars(node).pop("caller", None)
+            self.trees.append(tree)
+
+
+@functools.cache
+def _source_of(code: CodeType) -> _Source:
+    """The source of the functions that have this code: of those of a closure it is kept once."""
+    from taichi.lang import kernel_impl
+
+    lines, start = kernel_impl.getsourcelines(code)
+    wide = [textwrap.fill(line, tabsize=4, width=9999) for line in lines]
+    return _Source(kernel_impl.getsourcefile(code), wide, start)
+
+
+def _tree_and_context(
+    self: Any,
+    excluded_parameters: Any = (),
+    is_kernel: bool = True,
+    arg_features: Any = None,
+    args: Any = None,
+    ast_builder: Any = None,
+    is_real_function: bool = False,
+) -> tuple[ast.Module, Any]:
+    """The tree of a kernel or function, and the context in which Taichi is to read it.
+
+    self: Taichi's object of it; the other parameters are those of Taichi's context.
+    """
     from taichi.lang import impl, kernel_impl
+    from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
-    read = getattr(kernel_impl, "_get_tree_and_ctx", None)
-    if read is None or "ast_builder" not in inspect.signature(read).parameters or functions_work():
-        return
+    source, names = _source_of(self.func.__code__), kernel_impl._get_global_vars(self.func)
+    if is_kernel or is_real_function:  # their trees are changed, and read once
+        tree = source.parsed()
+        for at in self.template_slot_locations:
+            names[self.arguments[at].name] = args[at]
+    else:
+        tree = source.take()
+    if ast_builder is not None:  # of the kernel, which calls the function that is under way
+        ast_builder = impl.get_runtime().compiling_callable.ast_builder()
+    context = ASTTransformerContext(
+        excluded_parameters=excluded_parameters,
+        is_kernel=is_kernel,
+        func=self,
+        arg_features=arg_features,
+        global_vars=names,
+        argument_data=args,
+        src=source.lines,
+        start_lineno=source.start,
+        file=source.file,
+        ast_builder=ast_builder,
+        is_real_function=is_real_function,
+    )
+    context.source = source
+    return tree, context
 
-    @functools.wraps(read)
-    def read_into_caller(*args: Any, ast_builder: Any = None, **named: Any) -> Any:
-        if ast_builder is not None:  # of the kernel, which calls the function that is under way
-            ast_builder = impl.get_runtime().compiling_callable.ast_builder()
-        return read(*args, ast_builder=ast_builder, **named)
 
-    read_into_caller.into_caller = True  # type: ignore[attr-defined]
-    kernel_impl._get_tree_and_ctx = read_into_caller
-    do_compile = kernel_impl.Func.do_compile
+def _giving_back(transform: Callable[..., Any]) -> Callable[..., Any]:
+    """Taichi's function that reads a tree, which gives it back afterwards."""
+
+    @functools.wraps(transform)
+    def transform_and_give_back(tree: ast.Module, ctx: Any) -> Any:
+        try:
+            return transform(tree, ctx)
+        finally:
+            ctx.source.give_back(tree)
+
+    return transform_and_give_back
+
+
+def _dropping(do_compile: Callable[..., None]) -> Callable[..., None]:
+    """Taichi's method that compiles a real function, which drops what it was made of afterwards."""
 
     @functools.wraps(do_compile)
     def compile_and_drop(self: Any, key: Any, *args: Any, **named: Any) -> None:
         do_compile(self, key, *args, **named)
         self.compiled[key.instance_id] = None
 
-    kernel_impl.Func.do_compile = compile_and_drop
-
-
-def _quicken() -> None:
-    from taichi.lang import kernel_impl
-    from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
-
-    reads = "getsourcefile", "getsourcelines", "textwrap", "_inside_class"
-    if not all(hasattr(kernel_impl, name) for name in reads):
-        return
-    if not hasattr(ASTTransformerContext, "get_pos_info") or _is_quick(kernel_impl):
-        return
-    ASTTransformerContext.get_pos_info = _position
-    kernel_impl._inside_class = _inside_class
-    kernel_impl.getsourcefile = functools.cache(kernel_impl.getsourcefile)
-    kernel_impl.getsourcelines = functools.cache(kernel_impl.getsourcelines)
-    kernel_impl.textwrap = SimpleNamespace(
-        fill=functools.cache(textwrap.fill), dedent=functools.cache(textwrap.dedent)
-    )
-
-
-def _is_quick(kernel_impl: Any) -> bool:
-    return hasattr(kernel_impl.getsourcelines, "cache_info")
-
-
-def _position(self: Any, node: Any) -> str:
-    """Where a node of a function's syntax tree stands: file, line, function, and the line itself.
-
-    self: Taichi's context of that function.
-    """
-    line = node.lineno + self.lineno_offset
-    source = self.src[node.lineno - 1].strip()
-    return f'File "{self.file}", line {line}, in {self.func.func.__name__}:\n{source}\n'
+    return compile_and_drop
 
 
 def _inside_class(level_of_class_stackframe: int) -> bool:
     """Whether a function is defined in a class, from how many frames up executes that class."""
     return "__qualname__" in sys._getframe(level_of_class_stackframe - 1).f_locals
+
+
+# --- nodes of trees -------------------------------------------------------------------------------
+
+
+def _visiting(runtime_of: Callable[[], Any]) -> Callable[..., Any]:
+    """What reads a node, as Taichi's `Builder` does, and notes for as long where it stands.
+
+    runtime_of: Taichi's function that gives its runtime; it is called for each node.
+    """
+
+    def visit(self: Any, ctx: Any, node: ast.AST) -> Any:
+        kinds: Any = (type(self), type(node))
+        build, has_place = _builder_of(*kinds)
+        runtime = runtime_of()
+        runtime.src_info_stack.append(ctx.get_pos_info(node) if has_place else "")
+        try:
+            return build(ctx, node)
+        except Exception as error:
+            if runtime.print_full_traceback:
+                raise
+            if ctx.raised or not has_place:
+                raise error.with_traceback(None) from None
+            ctx.raised = True
+            raise _placed(error, ctx.get_pos_info(node)) from None
+        finally:
+            runtime.src_info_stack.pop()
+
+    return visit
+
+
+@functools.cache
+def _builder_of(builder: type, kind: type[ast.AST]) -> tuple[Callable[..., Any], bool]:
+    """What of a builder reads nodes of a kind, and whether these stand somewhere in the source."""
+    build = getattr(builder, "build_" + kind.__name__, _refuse)
+    return build, issubclass(kind, (ast.stmt, ast.expr))
+
+
+def _refuse(ctx: Any, node: ast.AST) -> None:
+    from taichi.lang.exception import TaichiSyntaxError
+
+    raise TaichiSyntaxError(f'Unsupported node "{node.__class__.__name__}"')
+
+
+def _placed(error: Exception, place: str) -> Exception:
+    """The error that Taichi raises for one that came up at a place."""
+    from taichi.lang.ast.ast_transformer_utils import handle_exception_from_cpp
+    from taichi.lang.exception import TaichiCompilationError
+
+    found: Exception = handle_exception_from_cpp(error)
+    is_known = isinstance(found, TaichiCompilationError)
+    kind = type(found) if is_known else TaichiCompilationError
+    placed: Exception = kind(place + (str(found) if is_known else traceback.format_exc()))
+    return placed
+
+
+def _place(self: Any, node: Any) -> str:
+    """Where a node of a function's syntax tree stands: file, line, function, and the line itself.
+
+    self: Taichi's context of that function.
+    """
+    places: dict[int, str] = self.source.places
+    line = node.lineno
+    if line not in places:
+        at, source = line + self.lineno_offset, self.src[line - 1].strip()
+        places[line] = f'File "{self.file}", line {at}, in {self.func.func.__name__}:\n{source}\n'
+    return places[line]
+
+
+# --- constants ------------------------------------------------------------------------------------
+
+
+@functools.cache
+def _range_of(kind: Any) -> tuple[int, int]:
+    """The least and the largest integer of a kind of NumPy's."""
+    import numpy as np
+
+    return int(np.iinfo(kind).min), int(np.iinfo(kind).max)
+
+
+def _is_in_range(kind: Any, value: int) -> bool:
+    """Whether a kind of integers of NumPy's has a value."""
+    least, most = _range_of(kind)
+    return bool(least <= value <= most)
+
+
+def _wrapped_into_range(kind: Any, value: int) -> int:
+    """The signed integer of a kind that has the same bits as an unsigned one."""
+    least, most = _range_of(kind)
+    if least <= value <= most:
+        return value
+    return value - (most - least + 1)

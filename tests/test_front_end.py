@@ -1,5 +1,8 @@
 """Taichi's front end after `front_end.mend`: it reads the same kernels, and says the same."""
 
+import gc
+import weakref
+
 import pytest
 import taichi as ti
 from taichi.lang import kernel_impl
@@ -9,7 +12,7 @@ from taichi_cloth import front_end, runtime
 
 @pytest.fixture(autouse=True)
 def started(device):
-    assert hasattr(kernel_impl.getsourcelines, "cache_info"), "the replacements are not there"
+    assert front_end.functions_work(), "the replacements are not there"
 
 
 def test_functions_of_classes_and_of_functions_are_told_apart():
@@ -65,12 +68,77 @@ def test_an_error_in_a_kernel_names_its_line():
     assert source.startswith("_x = nobody_defined_this + 1")
 
 
+def test_an_error_in_what_is_inlined_leaves_others_a_whole_tree():
+    """It names the innermost line, and the next kernel that inlines the function is right."""
+
+    @ti.func
+    def at(x: ti.template(), i):
+        return x[i, i] + 1
+
+    @ti.kernel
+    def read(x: ti.template()) -> ti.i32:
+        return at(x, 1)
+
+    row, square = ti.field(ti.i32, 2), ti.field(ti.i32, (2, 2))
+    for _ in range(2):
+        with pytest.raises(ti.TaichiCompilationError) as error:
+            read(row)
+        assert "in at:\nreturn x[i, i] + 1" in str(error.value)
+        assert read(square) == 1
+
+
+def test_a_function_that_comes_into_itself_has_a_tree_for_each():
+    @ti.func
+    def apply(depth: ti.template(), x):
+        y = 2 * x
+        if ti.static(depth > 0):
+            y += apply(depth - 1, y) * apply(depth - 1, x)
+        return y + x  # its own, whatever was read in between
+
+    @ti.kernel
+    def run(x: ti.i32) -> ti.i32:
+        return apply(2, x)
+
+    def expected(depth, x):
+        y = 2 * x
+        return y + x + (expected(depth - 1, y) * expected(depth - 1, x) if depth else 0)
+
+    assert run(3) == expected(2, 3)
+
+
+def test_what_functions_were_given_is_not_kept_with_their_trees():
+    @ti.func
+    def first(of: ti.template()):
+        return of.x[0]
+
+    def used():
+        class Container:
+            def __init__(self):
+                self.x = ti.field(ti.f32, 4)
+
+        container = Container()
+
+        @ti.kernel
+        def run() -> ti.f32:
+            return first(container)
+
+        run()
+        return weakref.ref(container)
+
+    kernels = ti.lang.impl.get_runtime().kernels
+    before = len(kernels)
+    left = used()
+    del kernels[before:]  # Taichi keeps all of them, with what they close over
+    gc.collect()
+    assert left() is None
+
+
 def test_a_taichi_that_is_made_otherwise_is_left_alone(monkeypatch):
-    plain = kernel_impl.getsourcelines.__wrapped__
-    monkeypatch.setattr(kernel_impl, "getsourcelines", plain)
+    plain = object()
+    monkeypatch.setattr(kernel_impl, "_get_tree_and_ctx", plain)
     monkeypatch.delattr(kernel_impl, "_inside_class")
     front_end.mend()
-    assert kernel_impl.getsourcelines is plain
+    assert kernel_impl._get_tree_and_ctx is plain
 
 
 def test_functions_inline_what_they_call():
