@@ -1,16 +1,17 @@
-"""Where each second of a cold start goes: `python tests/compile_cost.py [SCENE:METHOD[:SIDE]] ...`.
+"""Where each second of a cold start goes: `python tests/compile_cost.py [SCENE:METHOD ...]`.
 
-A process each, with an empty cache of kernels, to the end of its first frame; SIDE: of a cloth
-of so many particles a row and a column. Seconds are the processor's, which other work on the
-machine hardly changes. --in-a-piece: as if no step were compiled in parts.
+A process each, with an empty cache of kernels, to the end of its first frame. Seconds are the
+processor's, which other work on the machine hardly changes.
 """
 
+import argparse
 import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
+from typing import NamedTuple
 
 EACH = ("verlet", "implicit_euler", "tr_bdf2", "xpbd", "vbd")
 ASKED = [f"cloth:{method}" for method in EACH] + [
@@ -20,20 +21,36 @@ ASKED = [f"cloth:{method}" for method in EACH] + [
 HEADS = "start", "front end", "machine code", "largest", "rest", "total"
 
 
-def measure(in_a_piece, scene, method, side=None):
+class Start(NamedTuple):
+    """A start that is asked for; side: of a cloth of so many particles a row and a column."""
+
+    scene: str
+    method: str
+    side: str = ""
+    topology: str = ""
+
+    def __str__(self):
+        words = [f"`{self.scene}`", f"{self.side}²" if self.side else "", self.topology]
+        return ", ".join(word for word in words if word) + f" | `{self.method}`"
+
+
+def measure(asked, in_a_piece):
     """The processor's seconds of what `HEADS` names, how many kernels there are, and the path."""
     marks = [0.0]
-    from taichi_cloth import front_end, runtime
+    from taichi_cloth import runtime
     from taichi_cloth.scene.source import SceneSource
     from taichi_cloth.simulation.simulation import Simulation
 
     if in_a_piece:
-        front_end.functions_work = lambda: False
+        from taichi_cloth.kernels import stepping
+
+        stepping.has_parts = lambda spec: False
     runtime.start("cpu")
     marks.append(time.process_time())
     front, code = _watch_kernels()
-    values = {"columns": int(side), "rows": int(side)} if side else {}
-    sim = Simulation(SceneSource(scene, values).build(), method)
+    values = {"columns": int(asked.side), "rows": int(asked.side)} if asked.side else {}
+    way = {"topology": asked.topology} if asked.topology else {}
+    sim = Simulation(SceneSource(asked.scene, values).build(), asked.method, **way)
     sim.advance()
     marks.append(time.process_time())
     start, end = marks[1:]
@@ -65,29 +82,58 @@ def _watch_kernels():
     return front, code
 
 
-def main(asked, in_a_piece):
-    """Print a table, a line for each."""
-    print("| scene | method | path | kernels | " + " | ".join(HEADS) + " |")
-    print("|---" * (4 + len(HEADS)) + "|")
-    for words in asked:
-        scene, method, *side = words.split(":")
-        with tempfile.TemporaryDirectory() as folder:
-            places = {"TI_OFFLINE_CACHE_FILE_PATH": folder, "XDG_CACHE_HOME": folder}
-            child = [sys.executable, __file__, "--one", *in_a_piece, scene, method, *side]
-            text = subprocess.run(
-                child, env=os.environ | places, check=True, capture_output=True, text=True
-            ).stdout
-        found = json.loads(text.splitlines()[-1])
-        name = f"`{scene}`" + "".join(f", {n}²" for n in side)
+def started(asked, flags, checkout=""):
+    """What `measure` says of a start in a process of its own; checkout: of another version."""
+    with tempfile.TemporaryDirectory() as folder:
+        places = {"TI_OFFLINE_CACHE_FILE_PATH": folder, "XDG_CACHE_HOME": folder}
+        if checkout:
+            places["PYTHONPATH"] = checkout
+        child = [sys.executable, __file__, "--one", *flags, ":".join(asked)]
+        text = subprocess.run(
+            child, env=os.environ | places, check=True, capture_output=True, text=True
+        ).stdout
+    return json.loads(text.splitlines()[-1])
+
+
+def rows(asked, flags):
+    """A row of a table for each start: where its seconds go."""
+    yield "| scene | method | path | kernels | " + " | ".join(HEADS) + " |"
+    yield "|---" * (4 + len(HEADS)) + "|"
+    for start in asked:
+        found = started(start, flags)
         seconds = " | ".join(f"{value:.2f}" for value in found["seconds"])
-        print(f"| {name} | `{method}` | {found['topology']} | {found['kernels']} | {seconds} |")
-        sys.stdout.flush()
+        yield f"| {start} | {found['topology']} | {found['kernels']} | {seconds} |"
+
+
+def rows_beside(asked, flags, checkout):
+    """A row of a table for each start: what it took in another version, and what in this one."""
+    yield "| scene | method | path | largest kernel before | now | total before | now | ratio |"
+    yield "|---" * 8 + "|"
+    for start in asked:
+        before, now = started(start, flags, checkout), started(start, flags)
+        cells = [before["seconds"][3], now["seconds"][3], before["seconds"][5], now["seconds"][5]]
+        cells.append(cells[3] / cells[2])
+        seconds = " | ".join(f"{value:.2f}" for value in cells)
+        yield f"| {start} | {now['topology']} | {seconds} |"
+
+
+def main():
+    """Measure what the command line asks for, and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("asked", nargs="*", metavar="SCENE:METHOD[:SIDE[:TOPOLOGY]]", default=ASKED)
+    parser.add_argument("--before", metavar="CHECKOUT", help="a version to compare with")
+    parser.add_argument("--in-a-piece", action="store_true", help="compile no step in parts")
+    parser.add_argument("--one", action="store_true", help="in this process, as JSON")
+    given = parser.parse_args()
+    asked = [Start(*words.split(":")) for words in given.asked]
+    if given.one:
+        print(json.dumps(measure(*asked, given.in_a_piece)))
+        return
+    flags = ["--in-a-piece"] * given.in_a_piece
+    table = rows_beside(asked, flags, given.before) if given.before else rows(asked, flags)
+    for row in table:
+        print(row, flush=True)
 
 
 if __name__ == "__main__":
-    in_a_piece = [word for word in sys.argv[1:] if word == "--in-a-piece"]
-    asked = [word for word in sys.argv[1:] if word not in ("--one", *in_a_piece)]
-    if sys.argv[1:2] == ["--one"]:
-        print(json.dumps(measure(bool(in_a_piece), *asked)))
-    else:
-        main(asked or ASKED, in_a_piece)
+    main()
