@@ -13,10 +13,13 @@ move what reads one past what writes the other.
 """
 
 import ctypes
+import math
 
 import numpy as np
 import taichi as ti
+from taichi._lib import core
 from taichi.lang import impl
+from taichi.lang.expr import Expr, make_expr_group
 
 
 def lane_memory_type(lanes, real):
@@ -48,6 +51,21 @@ def sees(field):
 def seen():
     """The memory of lanes of the kernel that is being compiled, as its argument."""
     return impl.get_runtime().lane_memory[1]
+
+
+def numbers_at(at, shape):
+    """The numbers of a pack in the memory of lanes, of one number a lane or of a vector each.
+
+    at: the place of the pack's first vector; shape: (lanes,) or (dim, lanes). They are read or
+    assigned to as a whole, of which the place is looked up once, and not for each number. Returned
+    in a tuple, as `ti.static` wants it.
+    """
+    builder = impl.get_runtime().compiling_callable.ast_builder()
+    place = core.DebugInfo(impl.get_runtime().get_current_src_info())
+    pack = impl.subscript(builder, seen(), at)
+    numbers = [make_expr_group(n) for n in range(math.prod(shape))]
+    whole = Expr(core.subscript_with_multiple_indices(pack.ptr, numbers, shape, place))
+    return (whole,)
 
 
 def open_lane_memory(fields, lanes, real):

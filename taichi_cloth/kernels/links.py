@@ -19,7 +19,7 @@ from taichi_cloth.kernels.grids import (
     renew_left_halo,
     renew_right_halo,
 )
-from taichi_cloth.kernels.loops import PIECE, barrier, leave, numbered, share
+from taichi_cloth.kernels.loops import PIECE, barrier, leave, share
 from taichi_cloth.kernels.packs import everywhere, folded, read, write, zeros
 from taichi_cloth.kernels.spring_numbers import NUMBERS, fields_of, is_stored, takes_stiffness
 from taichi_cloth.kernels.stencils import compute_lines
@@ -120,7 +120,7 @@ class Pass(NamedTuple):
 
     move(spec, state, i): run for each pack of a row right before the first links that reach that
         row are computed; `loops.leave` moves nothing.
-    joins: what is joined over all packs, pairs as `loops.join` takes them, of numbers that are read
+    numbers, ops: what is joined over all packs, as `loops.join` takes them; the numbers are read
         right after a pack's `consume`. The parts of each row are left to `loops.join_parts`.
     moved, consumed: (state) -> those fields of state.haloed that `move` and `consume` change.
     """
@@ -129,7 +129,8 @@ class Pass(NamedTuple):
     apart: Callable
     consume: Callable
     move: Callable = leave
-    joins: tuple = ()
+    numbers: Callable | None = None
+    ops: tuple = ()
     moved: Callable = operator.attrgetter("haloed")
     consumed: Callable = operator.attrgetter("haloed")
 
@@ -204,25 +205,26 @@ def _joined_at(spec: ti.template(), t, k: ti.template()):
 
 
 @ti.func
-def _begin_joins(spec: ti.template(), state: ti.template(), t, joins: ti.template()):
+def _begin_joins(spec: ti.template(), state: ti.template(), t, ops: ti.template()):
     """Begin to join the numbers of a row."""
-    for k in ti.static(range(len(joins))):
+    for k in ti.static(range(len(ops))):
         nothing = everywhere(spec, ti.cast(0.0, state.real))
         write(spec, state.joined, _joined_at(spec, t, k), nothing)
 
 
 @ti.func
-def _join_pack(spec: ti.template(), state: ti.template(), t, i, joins: ti.template()):
-    """Join the numbers of pack i with those of its row."""
-    for k, number, op in ti.static(numbered(joins)):
+def _join_pack(spec: ti.template(), state: ti.template(), t, i, of: ti.template()):
+    """Join the numbers of pack i, in the pass `of`, with those of its row."""
+    numbers = of.numbers(spec, state, i)
+    for k, op in ti.static(enumerate(of.ops)):
         at = _joined_at(spec, t, k)
-        write(spec, state.joined, at, op(read(spec, state.joined, at), number(spec, state, i)))
+        write(spec, state.joined, at, op(read(spec, state.joined, at), numbers[k]))
 
 
 @ti.func
-def _end_joins(spec: ti.template(), state: ti.template(), t, row, joins: ti.template()):
+def _end_joins(spec: ti.template(), state: ti.template(), t, row, ops: ti.template()):
     """Keep what was joined of the row that begins with the pack `row`."""
-    for k, _, op in ti.static(numbered(joins)):
+    for k, op in ti.static(enumerate(ops)):
         state.sums[k, row] = folded(op, read(spec, state.joined, _joined_at(spec, t, k)))
 
 
@@ -299,7 +301,7 @@ def pass_over_rows(
                     from_here[n] = from_here[n + 1] = carried_row(spec, state, g, -1)
                     from_above[n] = from_above[n + 1] = from_here[n]
             if consumes:
-                _begin_joins(spec, state, t, ti.static(of.joins))
+                _begin_joins(spec, state, t, ti.static(of.ops))
             for i in range(width):
                 if computes:
                     next_pack = row + pitch + i
@@ -315,14 +317,15 @@ def pass_over_rows(
                     for s in range(spec.kinds + 2 * spec.line_kinds):
                         total += read(spec, state.ring_forces, from_here[s] + i)
                     of.consume(spec, state, row + i, total)
-                    _join_pack(spec, state, t, row + i, ti.static(of.joins))
+                    if ti.static(len(of.ops) > 0):
+                        _join_pack(spec, state, t, row + i, of)
             if computes:
                 for s in range(spec.kinds + spec.line_kinds):
                     to, columns = s * state.ring_size + ahead, state.link[s, 0]
                     renew_left_halo(spec, state.ring_forces, to, width, columns)
                     renew_right_halo(spec, state.ring_forces, to, width, -columns)
             if consumes:
-                _end_joins(spec, state, t, row, ti.static(of.joins))
+                _end_joins(spec, state, t, row, ti.static(of.ops))
                 renew_halos(spec, state, row, width, ti.static(of.consumed(state)))
 
 

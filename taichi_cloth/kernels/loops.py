@@ -117,6 +117,12 @@ def leave(spec: ti.template(), state: ti.template(), i):
 
 
 @ti.func
+def renew_all_halos(spec: ti.template(), state: ti.template(), t):
+    """Renew the halos of all rows."""
+    each_pack_moving(spec, state, t, leave)
+
+
+@ti.func
 def each_row(spec: ti.template(), state: ti.template(), t, body: ti.template()):
     """Run body(spec, state, begin, width) for every row of packs that holds particles.
 
@@ -180,53 +186,58 @@ def _join(
 
 
 @ti.func
-def join(spec: ti.template(), state: ti.template(), t, joins: ti.template()):
+def join(spec: ti.template(), state: ti.template(), t, numbers: ti.template(), ops: ti.template()):
     """Join several numbers over all packs in one loop, the one at place k into state.sums[k, 0].
 
-    joins: a tuple of pairs (number, op) of functions: number(spec, state, i), which only reads, is
-    that of `add_up` where op is `packs.plus`, and that of `find_largest` where it is ti.max.
+    numbers(spec, state, i), which only reads, gives a list of them, each as `add_up` takes it where
+    its op of `ops` is `packs.plus`, and as `find_largest` does where it is ti.max.
     """
     if ti.static(spec.lanes == 1):
-        each(spec, state, t, pieces_of(state), ti.static(_joining(joins, False)))
+        each(spec, state, t, pieces_of(state), ti.static(_joining_piece_at_once(numbers, ops)))
     else:
-        each_row(spec, state, t, ti.static(_joining(joins, True)))
-    join_parts(spec, state, t, joins)
+        for k, op in ti.static(enumerate(ops)):
+            each_row(spec, state, t, ti.static(_joining_row(_one_of(numbers, k), k, op)))
+    join_parts(spec, state, t, ops)
 
 
 @ti.func
-def join_parts(spec: ti.template(), state: ti.template(), t, joins: ti.template()):
+def join_parts(spec: ti.template(), state: ti.template(), t, ops: ti.template()):
     """Join what `join`, or a pass over links, has joined of each row or piece."""
-    each(spec, state, t, ti.static(len(joins)), ti.static(_joining_all_parts(joins)))
-
-
-def numbered(joins):
-    """The triples (k, number, op) of joins."""
-    return [(k, number, op) for k, (number, op) in enumerate(joins)]
+    each(spec, state, t, ti.static(len(ops)), ti.static(_joining_all_parts(ops)))
 
 
 @functools.cache
-def _joining(joins, row):
-    """The body of a loop over rows, or over pieces, that joins all numbers of one."""
-    of_one = _joining_row if row else _joining_piece
-    bodies = [of_one(number, k, op) for k, number, op in numbered(joins)]
+def _one_of(numbers, k):
+    """A function that gives the number at place k of those that `numbers` gives."""
 
     @ti.func
-    def pieces(spec: ti.template(), state: ti.template(), piece):
-        for body in ti.static(bodies):
-            body(spec, state, piece)
+    def number(spec: ti.template(), state: ti.template(), i):
+        return numbers(spec, state, i)[k]
 
-    @ti.func
-    def rows(spec: ti.template(), state: ti.template(), begin, width):
-        for body in ti.static(bodies):
-            body(spec, state, begin, width)
-
-    return rows if row else pieces
+    return number
 
 
 @functools.cache
-def _joining_all_parts(joins):
+def _joining_piece_at_once(numbers, ops):
+    """The body of a loop over pieces that joins all numbers of one in sums[k, piece + 1]."""
+
+    @ti.func
+    def body(spec: ti.template(), state: ti.template(), piece):
+        totals = ti.Vector.zero(state.real, ti.static(len(ops)))
+        for i in range(piece * PIECE, ti.min((piece + 1) * PIECE, state.n_packs[None])):
+            found = numbers(spec, state, i)
+            for k, op in ti.static(enumerate(ops)):
+                totals[k] = op(totals[k], found[k])
+        for k in ti.static(range(len(ops))):
+            state.sums[k, piece + 1] = totals[k]
+
+    return body
+
+
+@functools.cache
+def _joining_all_parts(ops):
     """The body of a loop over numbers that joins the parts of each."""
-    bodies = [(k, _joining_parts(k, op)) for k, _, op in numbered(joins)]
+    bodies = [(k, _joining_parts(k, op)) for k, op in enumerate(ops)]
 
     @ti.func
     def body(spec: ti.template(), state: ti.template(), i):

@@ -38,7 +38,7 @@ which Taichi 1.7 does only in part. In their kernels
 
 import taichi as ti
 
-from taichi_cloth.kernels.lane_memory import seen, sees
+from taichi_cloth.kernels.lane_memory import numbers_at, seen, sees
 
 # Packs and slots of packed rows, and vectors of lanes, are below these. Compilers that know it see
 # that no sum of them is too large for a whole number, hence that lanes lie side by side, and read
@@ -89,15 +89,9 @@ def read(spec: ti.template(), field: ti.template(), i):
             [[field[first + at] for at in ats] for ats in ti.static(ats_of(spec, field))]
         )
     elif ti.static(rows_of(spec, field) == 1):
-        return _vector(spec, field, i, 0)
+        return _vector(spec, field, i)
     else:
-        rows = [_vector(spec, field, i, k) for k in ti.static(range(rows_of(spec, field)))]
-        return ti.Matrix(
-            [
-                [rows[k][lane] for lane in range(spec.lanes)]
-                for k in ti.static(range(rows_of(spec, field)))
-            ]
-        )
+        return _matrix(spec, field, i)
 
 
 @ti.func
@@ -122,15 +116,28 @@ def set_number_in_pack(spec: ti.template(), field: ti.template(), i, k, value):
 
 
 @ti.func
-def _vector(spec: ti.template(), field: ti.template(), i, k: ti.template()):
-    """The component k of pack i of a field: a number for each lane."""
+def _vector(spec: ti.template(), field: ti.template(), i):
+    """Pack i of a field that holds a number for each lane."""
     if ti.static(sees(field)):
         at = _first_vector(spec, field, i)
-        return ti.Vector(
-            [ti.static(seen())[at][k * spec.lanes + lane] for lane in range(spec.lanes)]
-        )
+        return ti.static(numbers_at(at, (spec.lanes,)))[0]
     else:
-        return ti.Vector([field[i, k * spec.lanes + lane] for lane in range(spec.lanes)])
+        return ti.Vector([field[i, lane] for lane in range(spec.lanes)])
+
+
+@ti.func
+def _matrix(spec: ti.template(), field: ti.template(), i):
+    """Pack i of a field that holds vectors, component by component."""
+    if ti.static(sees(field)):
+        at = _first_vector(spec, field, i)
+        return ti.static(numbers_at(at, (rows_of(spec, field), spec.lanes)))[0]
+    else:
+        return ti.Matrix(
+            [
+                [field[i, k * spec.lanes + lane] for lane in range(spec.lanes)]
+                for k in range(rows_of(spec, field))
+            ]
+        )
 
 
 @ti.func
@@ -191,22 +198,16 @@ def write(spec: ti.template(), field: ti.template(), i, value):
 
 @ti.func
 def _write_lanes(spec: ti.template(), field: ti.template(), i, value):
-    """Store the value of a field at a pack of several lanes; each place is found but once."""
+    """Store the value of a field at a pack of several lanes."""
     if ti.static(sees(field)):
         at = _first_vector(spec, field, i)
-        for k in ti.static(range(rows_of(spec, field))):
-            for lane in ti.static(range(spec.lanes)):
-                if ti.static(rows_of(spec, field) == 1):
-                    ti.static(seen())[at][lane] = value[lane]
-                else:
-                    ti.static(seen())[at][k * spec.lanes + lane] = value[k, lane]
+        ti.static(numbers_at(at, value.get_shape()))[0] = value
+    elif ti.static(rows_of(spec, field) == 1):
+        for lane in ti.static(range(spec.lanes)):
+            field[i, lane] = value[lane]
     else:
-        for k in ti.static(range(rows_of(spec, field))):
-            for lane in ti.static(range(spec.lanes)):
-                if ti.static(rows_of(spec, field) == 1):
-                    field[i, lane] = value[lane]
-                else:
-                    field[i, k * spec.lanes + lane] = value[k, lane]
+        for k, lane in ti.static(ti.ndrange(rows_of(spec, field), spec.lanes)):
+            field[i, k * spec.lanes + lane] = value[k, lane]
 
 
 @ti.func
@@ -280,13 +281,7 @@ def folded(op: ti.template(), a):
         return a[0]
     else:
         half = ti.static(a.n // 2)
-        return folded(
-            op,
-            op(
-                ti.Vector([a[i] for i in range(half)]),
-                ti.Vector([a[half + i] for i in range(half)]),
-            ),
-        )
+        return folded(op, op(a[0:half], a[half : 2 * half]))
 
 
 @ti.func
@@ -295,7 +290,7 @@ def component(a, axis: ti.template()):
     if ti.static(lanes_of(a) == 1):
         return a[axis]
     else:
-        return ti.Vector([a[axis, lane] for lane in range(lanes_of(a))])
+        return a[axis, :]
 
 
 @ti.func
@@ -307,8 +302,7 @@ def with_component(a, axis: ti.template(), value):
         return b
     else:
         b = a
-        for lane in ti.static(range(lanes_of(a))):
-            b[axis, lane] = value[lane]
+        b[axis, :] = value
         return b
 
 

@@ -185,17 +185,17 @@ def accumulate_and_join(
 ):
     """Move all packs as the pass `of` does, accumulate as it does, then join its numbers.
 
-    of: a `links.Pass`, whose `consume` may store what neighbours do not read, and whose joins end
+    of: a `links.Pass`, whose `consume` may store what neighbours do not read, and whose numbers end
     in state.sums[k, 0]. consume_graph: as for `accumulate`. With several lanes, and no springs on
     the graph, all of it is one pass over memory.
     """
     if ti.static(spec.lanes > 1 and not spec.springs):
         pass_over_grids(spec, state, t, of)
-        join_parts(spec, state, t, ti.static(of.joins))
+        join_parts(spec, state, t, ti.static(of.ops))
     else:
         each_pack_moving(spec, state, t, ti.static(of.move))
         accumulate(spec, state, t, of.between, of.apart, of.consume, consume_graph)
-        join(spec, state, t, ti.static(of.joins))
+        join(spec, state, t, of.numbers, ti.static(of.ops))
 
 
 @functools.cache

@@ -7,7 +7,6 @@ Arrays have the device's precision, or are int32. n: particles; s: springs on th
 import taichi as ti
 
 from taichi_cloth.kernels.grids import link_index, pitch_of
-from taichi_cloth.kernels.loops import each_pack_moving, leave
 from taichi_cloth.kernels.packs import set_slot_number, set_slot_value, slot_number
 from taichi_cloth.kernels.spring_numbers import (
     NUMBERS,
@@ -97,7 +96,7 @@ def load_particles(
     slots: ti.types.ndarray(),
     rows: ti.types.ndarray(),
 ):
-    """Load the particles, after `load_packs`.
+    """Load the particles, after `load_packs`; halos are left to `loops.renew_all_halos`.
 
     slots: (n,), the slot of each; rows: (n, columns): the vectors state.vector_names, dim columns
     each, then the numbers state.particle_names.
@@ -115,8 +114,6 @@ def load_particles(
             set_slot_value(spec, field, slot, vector)
         for field, at in ti.static(state.particle_places):
             set_slot_number(spec, field, slot, rows[i, at])
-    if ti.static(spec.halo > 0):
-        each_pack_moving(spec, state, 0, leave)
 
 
 @ti.kernel

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
-from taichi_cloth.kernels import resting_pairs, settling, stepping, watchdog
+from taichi_cloth.kernels import loops, resting_pairs, settling, stepping, watchdog
 from taichi_cloth.kernels.fields import Capacity
 from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.methods.contract import Method
@@ -112,6 +112,11 @@ class Launcher:
             with soon():
                 kernel = kernels_of(state).begin
                 self._launch(kernel, self._method.begin, spec, state, state.lane_memory, done)
+
+    def renew_halos(self, spec: Specialization, state: Any) -> None:
+        """Fill the halos of all rows of packs anew, after their particles were loaded."""
+        if spec.halo > 0:
+            self._once(loops.renew_all_halos, self.specialize(spec, "serial"), state)
 
     def frames_per_launch(self, substeps: int, size: int) -> int:
         """Frames that may share a launch. size: particles and springs."""

@@ -16,7 +16,7 @@ from taichi_cloth.kernels.packs import dot, plus, read, write
 from taichi_cloth.kernels.solvers.newton_matrix import (
     PRODUCT,
     begin_iterating,
-    energy_between,
+    energies_between,
     first_energy,
     keep_springs,
     moved_apart,
@@ -89,30 +89,15 @@ def _step(spec: ti.template(), state: ti.template(), i):
 
 
 @ti.func
-def _curvature(spec: ti.template(), state: ti.template(), i):
-    """The product of `direction` with A and itself, for pack i."""
-    return dot(read(spec, state.direction, i), read(spec, state.product, i))
+def _sums(spec: ti.template(), state: ti.template(), i):
+    """What pack i adds to the sums of a step.
 
-
-@ti.func
-def _energy(spec: ti.template(), state: ti.template(), i):
-    """The energy of pack i's residual: its product with itself, preconditioned."""
-    residual = read(spec, state.residual, i)
-    return energy_between(spec, state, i, residual, residual)
-
-
-@ti.func
-def _mixed_energy(spec: ti.template(), state: ti.template(), i):
-    """The product of pack i's residual with that of A and `direction`, preconditioned."""
-    residual, product = read(spec, state.residual, i), read(spec, state.product, i)
-    return energy_between(spec, state, i, residual, product)
-
-
-@ti.func
-def _product_energy(spec: ti.template(), state: ti.template(), i):
-    """The product of that of A and `direction` with itself, preconditioned, for pack i."""
+    That is the product of `direction` with A and itself; then, preconditioned, those of the
+    residual with itself, of the residual with that of A and `direction`, and of this with itself.
+    """
     product = read(spec, state.product, i)
-    return energy_between(spec, state, i, product, product)
+    curvature = dot(read(spec, state.direction, i), product)
+    return [curvature] + energies_between(spec, state, i, read(spec, state.residual, i), product)
 
 
 def _changed(state):
@@ -130,7 +115,8 @@ STEP = Pass(
     moved_apart,
     store_product,
     move=_step,
-    joins=((_curvature, plus), (_energy, plus), (_mixed_energy, plus), (_product_energy, plus)),
+    numbers=_sums,
+    ops=(plus, plus, plus, plus),
     moved=_changed,
     consumed=_nothing,
 )

@@ -309,13 +309,13 @@ def evaluate(spec: ti.template(), state: ti.template(), t):
 @functools.cache
 def _evaluating(move):
     """The pass that moves the iterate by `move`, and computes its residual."""
-    joins = (_rounding_of, ti.max), (_gained, ti.max), (_size, ti.max), (_square, plus)
     return Pass(
         _force_between,
         apart,
         _store_residual,
         move,
-        joins=(*joins, (_slope, plus), (_stiffness, ti.max)),
+        numbers=_numbers,
+        ops=(ti.max, ti.max, ti.max, plus, plus, ti.max),
         moved=_shifted,
         consumed=_nothing,
     )
@@ -368,23 +368,29 @@ def _residual_more(spec: ti.template(), state: ti.template(), slot, f):
 
 
 @ti.func
-def _rounding_of(spec: ti.template(), state: ti.template(), i):
-    """The residual that rounding of lengths, over all springs, can make up; w is 0 if fixed."""
-    w, of = read(spec, state.w, i), state.longest[None] + largest_component(spec, state.moved, i)
-    return w * read(spec, state.summed_k, i) * of
+def _numbers(spec: ti.template(), state: ti.template(), i):
+    """What an evaluation joins of pack i over all packs, for `_judge`.
 
-
-@ti.func
-def _gained(spec: ti.template(), state: ti.template(), i):
-    """The acceleration that gives pack i its gain."""
-    return (1.0 / state.tau[None]) * largest_component(spec, state.gain, i)
-
-
-@ti.func
-def _stiffness(spec: ti.template(), state: ti.template(), i):
-    """A bound of (tau*omega)^2 for pack i; w is 0 if fixed."""
-    tau = state.tau[None]
-    return (tau * tau) * read(spec, state.w, i) * read(spec, state.summed_k, i)
+    - the residual that rounding of lengths, over all springs, can make up; w is 0 if fixed
+    - the acceleration that gives the pack its gain
+    - the largest component, without its sign, of each residual
+    - the square of each residual
+    - the directional derivative along `change` of what a stage minimizes, negated
+    - a bound of (tau*omega)^2
+    """
+    tau, residual = state.tau[None], read(spec, state.residual, i)
+    w, k = read(spec, state.w, i), read(spec, state.summed_k, i)
+    lengths = state.longest[None] + largest_component(spec, read(spec, state.moved, i))
+    gained = (1.0 / tau) * largest_component(spec, read(spec, state.gain, i))
+    slope = dot(read(spec, state.change, i), momentum_of(spec, state, i, residual))
+    return [
+        w * k * lengths,
+        gained,
+        largest_component(spec, residual),
+        dot(residual, residual),
+        slope,
+        (tau * tau) * w * k,
+    ]
 
 
 @ti.func
@@ -491,23 +497,3 @@ def _next_length(state: ti.template(), slope, finite):
         part = short_slope / (short_slope - state.long_slope[None])
         longer = short + ti.min(ti.max(part, 0.1), 0.9) * width
     return longer
-
-
-@ti.func
-def _size(spec: ti.template(), state: ti.template(), i):
-    """The largest component, without its sign, of each residual in pack i."""
-    return largest_component(spec, state.residual, i)
-
-
-@ti.func
-def _square(spec: ti.template(), state: ti.template(), i):
-    """The square of each residual in pack i."""
-    residual = read(spec, state.residual, i)
-    return dot(residual, residual)
-
-
-@ti.func
-def _slope(spec: ti.template(), state: ti.template(), i):
-    """The directional derivative along `change` of what a stage minimizes, negated, for pack i."""
-    change, residual = read(spec, state.change, i), read(spec, state.residual, i)
-    return dot(change, momentum_of(spec, state, i, residual))

@@ -39,7 +39,7 @@ from taichi_cloth.kernels.solvers.stages import (
     reachable_residual,
     whole_diagonal,
 )
-from taichi_cloth.kernels.solvers.two_levels import downhill, fine_energy, has_two_levels
+from taichi_cloth.kernels.solvers.two_levels import downhill, fine_energies, has_two_levels
 from taichi_cloth.kernels.spring_numbers import OfStiffness
 from taichi_cloth.kernels.springs import stiffness_of_springs
 
@@ -158,15 +158,17 @@ def preconditioned(spec: ti.template(), state: ti.template(), i, residual):
 
 
 @ti.func
-def energy_between(spec: ti.template(), state: ti.template(), i, a, b):
-    """The product of the vectors a with b, preconditioned, for pack i; of two levels the fine one.
+def energies_between(spec: ti.template(), state: ti.template(), i, a, b):
+    """The products of the vectors a with a, a with b, and b with b, preconditioned, for pack i.
 
-    The coarse level's is that of all particles together (`two_levels.coarse_dot`).
+    Of two levels it is the fine one. The coarse one's products are those of all particles together
+    (`two_levels.coarse_dot`).
     """
     if ti.static(has_two_levels(spec)):
-        return fine_energy(spec, state, i, a, b)
+        return fine_energies(spec, state, i, a, b)
     else:
-        return dot(a, preconditioned(spec, state, i, b))
+        of_a, of_b = preconditioned(spec, state, i, a), preconditioned(spec, state, i, b)
+        return [dot(a, of_a), dot(a, of_b), dot(b, of_b)]
 
 
 @ti.func
@@ -188,7 +190,7 @@ def first_energy(spec: ti.template(), state: ti.template(), i):
     residual = momentum_of(spec, state, i, read(spec, state.residual, i))
     write(spec, state.residual, i, residual)
     write(spec, state.change, i, 0.0 * residual)
-    return energy_between(spec, state, i, residual, residual)
+    return energies_between(spec, state, i, residual, residual)[0]
 
 
 def _least(state):

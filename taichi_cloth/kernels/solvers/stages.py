@@ -203,9 +203,8 @@ def whole_diagonal(spec: ti.template(), state: ti.template(), i):
 
 
 @ti.func
-def largest_component(spec: ti.template(), field: ti.template(), i):
-    """The largest component, without its sign, of each vector of a field at pack i."""
-    a = read(spec, field, i)
+def largest_component(spec: ti.template(), a):
+    """The largest component, without its sign, of each of the vectors a of a pack."""
     most = 0.0 * component(a, 0)
     for axis in ti.static(range(spec.dim)):
         part = component(a, axis)

@@ -179,11 +179,13 @@ def _lowered(spec: ti.template(), below, r):
 
 
 @ti.func
-def fine_energy(spec: ti.template(), state: ti.template(), i, a, b):
-    """The product of the vectors a with b, preconditioned by the fine level, for pack i."""
-    below = read(spec, state.below, i)
-    over = read(spec, state.over_pivots, i)
-    return dot(_lowered(spec, below, a), over * _lowered(spec, below, b))
+def fine_energies(spec: ti.template(), state: ti.template(), i, a, b):
+    """The products of the vectors a with a, a with b, and b with b, for pack i, preconditioned by
+    the fine level.
+    """
+    below, over = read(spec, state.below, i), read(spec, state.over_pivots, i)
+    low_a, low_b = _lowered(spec, below, a), _lowered(spec, below, b)
+    return [dot(low_a, over * low_a), dot(low_a, over * low_b), dot(low_b, over * low_b)]
 
 
 @ti.func

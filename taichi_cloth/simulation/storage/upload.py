@@ -179,6 +179,7 @@ class Upload:
         if vanished.any():
             raise _wrong_size(self.real, "particle", int(vanished.argmax()))
         self._launch(transfer.load_particles, self.placement.layout.slot, rows)
+        self.launcher.renew_halos(self.spec, self.state)
 
     def _summed_springs(self) -> None:
         """Sums of the stiffness and damping of each particle's springs."""
