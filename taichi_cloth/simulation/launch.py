@@ -159,7 +159,7 @@ class Launcher:
         if spec.one_launch_per_step:
             self._launch(watchdog.checkpoint_launch, spec, state)
         else:
-            self._once(watchdog.checkpoint, spec, state)
+            self._once(watchdog.checkpoint, _for_one_pass(spec, state), state)
         for step in range(done + 1, done + substeps + 1):
             if by_phases:
                 self._launch_phases(spec, state, step)
@@ -193,7 +193,8 @@ class Launcher:
                 phase = self._launch(stepping.phase_launch, of, spec, state)
             else:
                 these = next(these for these in self._method.launches if phase in these)
-                phase = self._once(phases.together(self._method.phases, these), spec, state)
+                on = _for_one_pass(spec, state) if these == self._method.launches[0] else spec
+                phase = self._once(phases.together(self._method.phases, these), on, state)
 
     def _once(self, body: Callable[..., Any], spec: Specialization, state: Any) -> int:
         """Run a part of a step on the threads of `spec`, and return the phase that is next."""
@@ -211,6 +212,13 @@ class Launcher:
             if spec is not None and has_parts(spec):
                 settings.enter_context(nothing_kept_over_calls())
             yield
+
+
+def _for_one_pass(spec: Specialization, state: Any) -> Specialization:
+    """What is compiled for a launch that goes over all packs but once: one thread where they are
+    few, as to wake the others takes longer.
+    """
+    return replace(spec, threads=1) if loops.is_short(state.packs * spec.lanes) else spec
 
 
 def kernels_of(state: Any) -> stepping.Kernels:

@@ -53,7 +53,8 @@ class Method:
     phases: a tuple of such functions, where it is not known beforehand how often each is run
         (`solvers/phases.py`): a step is the first one and then all phases that `go_to` leads to.
     launches: which phases share a kernel on packs of several lanes, where one kernel of all of them
-        would be too large; empty: all do.
+        would be too large; empty: all do. Those of the first, which begin and end stages, go over
+        all packs but once.
     position_weight: the part of dt^2 a that a constant acceleration a adds to the position in a
         step that begins at rest: 0, 1/2 or 1. Contacts that end a step change positions by it
         (`settling.py`).
