@@ -47,7 +47,7 @@ from taichi_cloth.simulation.start import Starts
 from taichi_cloth.simulation.storage.storage import Storage
 
 # Particles in a pack on CPUs: 8 fill the widest vectors there are in f64, half of one in f32, where
-# 16 are faster and take three times as long to compile; `sixteen.py`.
+# 16 are faster and take half as long again to compile; `sixteen.py`.
 LANES = 8
 MOST_LANES = 64  # more fill no vector, and take minutes to compile
 

@@ -1,6 +1,6 @@
 """Sixteen lanes: where they are faster than eight, and what of them earlier runs have compiled.
 
-In f32 eight lanes are half of a vector of 64 bytes. Kernels of sixteen compile three times as long,
+In f32 eight lanes are half of a vector of 64 bytes. Kernels of sixteen compile half as long again,
 so a run that may choose begins with eight, unless an earlier one of its kind has left those of
 sixteen: it compiles them beside itself (`cli/run_sixteen.py`), for runs to come. Taichi would not
 take them up in the middle of a run: it looks once, when it starts, at what other processes have
