@@ -23,6 +23,8 @@ from __future__ import annotations
 
 import ast
 import functools
+import importlib
+import inspect
 import sys
 import textwrap
 import traceback
@@ -74,11 +76,12 @@ def functions_work() -> bool:
 
 
 def _is_as_known() -> bool:
-    """Whether Taichi has all that is replaced or called here."""
-    import importlib
-
+    """Whether Taichi has all that is replaced or called here, and reads functions as is known."""
     modules = {name: importlib.import_module(f"taichi.lang.{name}") for name in NEEDED}
-    return all(hasattr(modules[of], name) for of, names in NEEDED.items() for name in names)
+    if not all(hasattr(modules[of], name) for of, names in NEEDED.items() for name in names):
+        return False
+    theirs = inspect.signature(modules["kernel_impl"]._get_tree_and_ctx)
+    return list(theirs.parameters) == list(inspect.signature(_tree_and_context).parameters)
 
 
 # --- sources and their trees ----------------------------------------------------------------------

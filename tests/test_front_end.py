@@ -134,11 +134,15 @@ def test_what_functions_were_given_is_not_kept_with_their_trees():
 
 
 def test_a_taichi_that_is_made_otherwise_is_left_alone(monkeypatch):
-    plain = object()
+    def plain(self, is_kernel, something_new):
+        """As of another Taichi."""
+
     monkeypatch.setattr(kernel_impl, "_get_tree_and_ctx", plain)
-    monkeypatch.delattr(kernel_impl, "_inside_class")
     front_end.mend()
     assert kernel_impl._get_tree_and_ctx is plain
+    monkeypatch.delattr(kernel_impl, "_inside_class")
+    front_end.mend()
+    assert kernel_impl._get_tree_and_ctx is plain and not front_end.functions_work()
 
 
 def test_functions_inline_what_they_call():
