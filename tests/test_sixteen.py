@@ -158,7 +158,7 @@ def test_who_may_choose(device, few_lanes, own_caches, monkeypatch):
         lanes(lanes="16", topology="graph")
     with pytest.raises(InputError, match="--lanes 16: only --arch cpu has lanes, not vulkan"):
         lanes(lanes="16", arch="vulkan")
-    with pytest.raises(InputError, match="--lanes 16: method xpbd takes at most 4"):
+    with pytest.raises(InputError, match="--lanes 16: method xpbd takes at most 8"):
         lanes(lanes="16", method="xpbd")
     recorded = RunOptions(view="none", lanes="16", method="xpbd")  # a log says so, of another one
     assert run_sixteen.lanes_of(large, recorded) is None

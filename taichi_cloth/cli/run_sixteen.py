@@ -58,7 +58,7 @@ def lanes_of(scene: Scene, options: RunOptions) -> int | str | None:
 
     if runtime.current_device().arch != "cpu":
         return None  # a log of a run that had some may be replayed there
-    most = methods.load(options.method).lanes
+    most = methods.load(options.method).most_lanes(scene.world.dim)
     if options.lanes == SIXTEEN:
         if most is not None and most < sixteen.LANES:
             if "lanes" not in options.given:

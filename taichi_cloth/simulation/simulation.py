@@ -144,7 +144,8 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         """How many particles a pack has under a method."""
         if self._launcher.device.arch != "cpu":
             return self._lanes or 1
-        return self._lanes or min(LANES, module.lanes or LANES)
+        most = module.most_lanes(self.scene.world.dim)
+        return self._lanes or min(LANES, most or LANES)
 
     @act
     def load_scene(self, scene: Scene, dt: float | None = None, substeps: int = 1) -> None:

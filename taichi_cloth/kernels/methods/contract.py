@@ -77,7 +77,7 @@ class Method:
     scalars, counts: names of 0-D fields of real and of whole numbers.
     sums: how many sums over all particles it takes (`loops.add_up`).
     needs: what it needs of the host, out of `NEEDS`.
-    lanes: how many lanes its packs have at most; None: any number.
+    lanes: how many lanes its packs have at most, in planes and in space; None: any number.
 
     Raises ValueError where something is missing, there twice, or unknown.
     """
@@ -100,7 +100,7 @@ class Method:
     counts: tuple[str, ...] = ()
     sums: int = 0
     needs: tuple[str, ...] = ()
-    lanes: int | None = None
+    lanes: tuple[int, int] | None = None
 
     def __post_init__(self):
         if bool(self.step) == bool(self.phases):
@@ -122,6 +122,10 @@ class Method:
         for name in names:
             if not name.isidentifier() or names.count(name) > 1:
                 raise ValueError(f"{name!r} is no name of a field, or names two")
+
+    def most_lanes(self, dim):
+        """How many lanes its packs have at most, in so many dimensions; None: any number."""
+        return self.lanes and self.lanes[dim - 2]
 
 
 def _check_known(what, words, known):
