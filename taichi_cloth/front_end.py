@@ -53,7 +53,7 @@ def mend() -> None:
 
     A Taichi that is made otherwise is left as it is: it is only slower.
     """
-    if functions_work() or not _is_as_known():
+    if _is_mended() or not _is_as_known():
         return
     from taichi.lang import expr, impl, kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext, Builder
@@ -70,6 +70,10 @@ def mend() -> None:
 
 def functions_work() -> bool:
     """Whether real functions may call others: `mend` has found the Taichi that it knows."""
+    return _is_mended()
+
+
+def _is_mended() -> bool:
     from taichi.lang import kernel_impl
 
     return kernel_impl._get_tree_and_ctx is _tree_and_context
@@ -117,7 +121,7 @@ class _Source:
         return tree
 
     def give_back(self, tree: ast.Module) -> None:
-        """Have a tree for others, without what was written on it; no more for one of `parsed`."""
+        """Have a tree for others, without what was written on it, if it is one of `take`."""
         if tree in self.nodes:
             for node in self.nodes[tree]:
                 vars(node).pop("ptr", None)

@@ -145,6 +145,14 @@ def test_a_taichi_that_is_made_otherwise_is_left_alone(monkeypatch):
     assert kernel_impl._get_tree_and_ctx is plain and not front_end.functions_work()
 
 
+def test_what_is_mended_is_not_mended_again(monkeypatch):
+    """Trees would be given back twice, and read by two at once."""
+    transform = kernel_impl.transform_tree
+    monkeypatch.setattr(front_end, "functions_work", lambda: False)  # as tests of parts do
+    front_end.mend()
+    assert kernel_impl.transform_tree is transform
+
+
 def test_functions_inline_what_they_call():
     """Taichi alone inlines it into the kernel, where no such variable is, and the process ends."""
 

@@ -3,8 +3,8 @@
 Taichi lowers every number of a field to some ten statements, and searches all of a kernel for each
 of them that is there twice: of a pack's 24 numbers in space that was most of what lanes took to
 compile. As an argument of a kernel the same memory is an array of vectors, of which a pack's place
-is looked up once, and each number takes three. Compiling takes about half the time; steps take as
-long, or up to a seventh longer (docs/speed.md, "Start-up").
+is looked up once, and each number takes three. Compiling takes a quarter to a half of the time
+(docs/speed.md, "Start-up").
 
 Kernels that hold steps take `State.lane_memory` as an argument of the type `lane_memory_type`,
 and say so by `see` before all else. In them `packs.read` and its like go through it. Others read

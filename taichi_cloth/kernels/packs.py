@@ -29,7 +29,7 @@ A *slot* is a place for one particle: its pack times L, plus its lane.
 
 Methods on packs of several lanes are compiled with vectors kept whole (`runtime.whole_vectors`),
 which Taichi 1.7 does only in part. In their kernels
-- fields are read and written number by number, as `read` and `write` do: fields of vectors crash;
+- fields hold numbers, which `read` and `write` make vectors of: fields of vectors crash;
 - vectors take + - * /, min, max, sqrt, comparisons and select; not unary minus (-1.0 * a), -=
   (a = a - b), abs, nor casts;
 - conditions are used at once, in a select: vectors of them cannot be taken apart (`largest`,
@@ -88,10 +88,8 @@ def read(spec: ti.template(), field: ti.template(), i):
         return ti.Matrix(
             [[field[first + at] for at in ats] for ats in ti.static(ats_of(spec, field))]
         )
-    elif ti.static(rows_of(spec, field) == 1):
-        return _vector(spec, field, i)
     else:
-        return _matrix(spec, field, i)
+        return _read_lanes(spec, field, i)
 
 
 @ti.func
@@ -115,22 +113,20 @@ def set_number_in_pack(spec: ti.template(), field: ti.template(), i, k, value):
 # does not know to be equal, be it a slot of it: it would read again what was there before.
 
 
+def _shape(spec, field):
+    """The shape of a pack of a field: of a number for each lane, or of vectors by component."""
+    rows = rows_of(spec, field)
+    return (spec.lanes,) if rows == 1 else (rows, spec.lanes)
+
+
 @ti.func
-def _vector(spec: ti.template(), field: ti.template(), i):
-    """Pack i of a field that holds a number for each lane."""
+def _read_lanes(spec: ti.template(), field: ti.template(), i):
+    """The value of a field at a pack of several lanes."""
     if ti.static(sees(field)):
         at = _first_vector(spec, field, i)
-        return ti.static(numbers_at(at, (spec.lanes,)))[0]
-    else:
+        return ti.static(numbers_at(at, _shape(spec, field)))[0]
+    elif ti.static(rows_of(spec, field) == 1):
         return ti.Vector([field[i, lane] for lane in range(spec.lanes)])
-
-
-@ti.func
-def _matrix(spec: ti.template(), field: ti.template(), i):
-    """Pack i of a field that holds vectors, component by component."""
-    if ti.static(sees(field)):
-        at = _first_vector(spec, field, i)
-        return ti.static(numbers_at(at, (rows_of(spec, field), spec.lanes)))[0]
     else:
         return ti.Matrix(
             [
@@ -201,7 +197,7 @@ def _write_lanes(spec: ti.template(), field: ti.template(), i, value):
     """Store the value of a field at a pack of several lanes."""
     if ti.static(sees(field)):
         at = _first_vector(spec, field, i)
-        ti.static(numbers_at(at, value.get_shape()))[0] = value
+        ti.static(numbers_at(at, _shape(spec, field)))[0] = value
     elif ti.static(rows_of(spec, field) == 1):
         for lane in ti.static(range(spec.lanes)):
             field[i, lane] = value[lane]

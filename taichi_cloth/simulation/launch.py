@@ -7,6 +7,7 @@ compiled with vectors kept whole, and whoever launched one by itself would forge
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -218,7 +219,14 @@ def _for_one_pass(spec: Specialization, state: Any) -> Specialization:
     """What is compiled for a launch that goes over all packs but once: one thread where they are
     few, as to wake the others takes longer.
     """
-    return replace(spec, threads=1) if loops.is_short(state.packs * spec.lanes) else spec
+    short = spec.threads > 1 and loops.is_short(state.packs * spec.lanes)
+    return _on_one_thread(spec) if short else spec
+
+
+@functools.lru_cache
+def _on_one_thread(spec: Specialization) -> Specialization:
+    """The same on one thread; kept, as to make it takes as long as a launch."""
+    return replace(spec, threads=1)
 
 
 def kernels_of(state: Any) -> stepping.Kernels:
