@@ -19,3 +19,7 @@ These names mean the same in every file of this folder, and docstrings do not re
 - begin, first: the first pack of a row or of a grid; width: how many packs a row has without its
   halos; pitch: how many lie from the start of one row to the start of the next.
 """
+
+from taichi_cloth import front_end
+
+front_end.mend()  # before they are defined: Taichi reads files for each definition otherwise

@@ -192,8 +192,7 @@ def _keep_start(spec: ti.template(), state: ti.template(), i):
 @ti.kernel
 def begin_account(spec: ti.template(), state: ti.template()):
     """Begin an account with the next step."""
-    for _ in range(1):
-        state.accounting[None], state.first_touch[None] = 1, NEVER
-        state.contact_energy[None] = ti.cast(0.0, state.wide)
-        state.contact_balance[None] = ti.cast(0.0, state.wide)
+    state.accounting[None], state.first_touch[None] = 1, NEVER
+    state.contact_energy[None] = ti.cast(0.0, state.wide)
+    state.contact_balance[None] = ti.cast(0.0, state.wide)
     each_pack(spec, state, 0, _keep_start)

@@ -420,9 +420,9 @@ def _give(spec: ti.template(), state: ti.template(), p):
 @ti.kernel
 def load_rows(state: ti.template()):
     """Note the row of each corner of each triangle; forget what was given up, and what is clear."""
-    for _ in range(1):
-        state.faces_unsettled[None] = 0
-        state.face_unseen[None] = 1
+    state.faces_unsettled[None] = 0
+    state.face_unseen[None] = 1
+    ti.loop_config(serialize=state.is_short)
     for p in range(state.elements.n_rows[None]):
         for h in range(state.elements.row_start[p], state.elements.row_start[p + 1]):
             m = state.elements.row_triangle[h]

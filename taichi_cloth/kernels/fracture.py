@@ -225,8 +225,7 @@ def mark_new_springs(spec: ti.template(), state: ti.template(), step: ti.i32):
     """Mark the springs that are over their limit after step number `step`, outside of any: they
     break in the next one.
     """
-    for _ in range(1):
-        state.step[None] = step
+    state.step[None] = step
     if ti.static(spec.kinds > 0):
         each_pack(spec, state, 0, _mark_links)
     if ti.static(spec.springs):

@@ -52,6 +52,5 @@ def _carry_pack(spec: ti.template(), state: ti.template(), i):
 @ti.kernel
 def begin_launch(spec: ti.template(), state: ti.template(), done: ti.i32):
     """Do the same before the step that comes after `done` of them."""
-    for _ in range(1):
-        state.step[None] = done
+    state.step[None] = done
     settle(spec, state, 0)

@@ -55,25 +55,26 @@ def load_obstacles(
     what `start_size` counts. nodes: (nodes, 4), distance and normal, or one row where there are
     none.
     """
-    for _ in range(1):
-        state.n_obstacles[None] = counts.shape[0]
+    state.n_obstacles[None] = counts.shape[0]
+    ti.loop_config(serialize=state.is_short)
     for o in range(counts.shape[0]):
         state.obstacle_shape[o] = counts[o, 0]
-        for k in ti.static(range(4)):
+        for k in range(4):
             state.obstacle_nodes[o, k] = counts[o, 1 + k]
-        for k in ti.static(NUMBERS):
+        for k in range(SIZES_AT):
             state.obstacle_numbers[o, k] = rows[o, k]
-        for k in ti.static(range(SIZES)):
+        for k in range(SIZES):
             state.obstacle_sizes[o, k] = rows[o, SIZES_AT + k]
-        for k in ti.static(range(3)):
+        for k in range(3):
             state.obstacle_low[o, k] = rows[o, LOW_AT + k]
-        for k in ti.static(range(start_size(spec.dim))):
+        for k in range(ti.static(start_size(spec.dim))):
             state.obstacle_start[o, k] = rows[o, START_AT + k]
         size = ti.static(pose_size(spec.dim))
-        for k in ti.static(range(2 * pose_size(spec.dim))):
+        for k in range(ti.static(2 * pose_size(spec.dim))):
             state.obstacle_pose[o, k] = rows[o, START_AT + k % size]
+    ti.loop_config(serialize=state.is_short)
     for n in range(nodes.shape[0]):
-        for k in ti.static(range(4)):
+        for k in range(4):
             if ti.static(state.has_nodes):
                 state.obstacle_grid[n, k] = nodes[n, k]
 

@@ -16,8 +16,7 @@ def read_vectors(
     spec: ti.template(), state: ti.template(), field: ti.template(), out: ti.types.ndarray()
 ):
     """Copy a field of vectors in packs to `out` (n, dim), in the order of the particles."""
-    if ti.static(is_short(state.slot.shape[0])):
-        ti.loop_config(serialize=True)
+    ti.loop_config(serialize=state.is_short)
     for i in range(out.shape[0]):
         vector = slot_value(spec, field, state.slot[i])
         for axis in ti.static(range(spec.dim)):

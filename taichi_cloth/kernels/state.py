@@ -18,7 +18,7 @@ from taichi_cloth.kernels.forces.contract import (
     VECTOR,
 )
 from taichi_cloth.kernels.links import JOIN_ROOM
-from taichi_cloth.kernels.loops import COUNTER_SIZE
+from taichi_cloth.kernels.loops import COUNTER_SIZE, is_short
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.springs import reads_velocity
 
@@ -124,6 +124,7 @@ class State(ContactFields):
         """
         super().__init__(real, capacity)
         self.lanes = spec.lanes
+        self.is_short = is_short(capacity.particles)
         self.functions = {}  # what is compiled by itself (`parts.py`)
         self.wide = ti.f32 if ti.cfg.arch == ti.metal else ti.f64
         self.position_weight, self.begin = method.position_weight, method.begin

@@ -173,10 +173,8 @@ def kernels_of(lanes, real):
 @ti.kernel
 def begin_step_launch(state: ti.template(), step: ti.i32):
     """Prepare the phases of step number `step`, of which the first comes next."""
-    ti.loop_config(serialize=True)  # to wake another thread takes longer
-    for _ in range(1):
-        begin_step(state, step)
-        state.phase[None] = 0
+    begin_step(state, step)
+    state.phase[None] = 0
 
 
 @ti.kernel

@@ -18,7 +18,7 @@ import taichi as ti
 from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.forces import has_tractions, load
 from taichi_cloth.kernels.forces.contract import TRACTION, has
-from taichi_cloth.kernels.loops import each, each_pack
+from taichi_cloth.kernels.loops import each, each_pack, is_short
 from taichi_cloth.kernels.packs import (
     read,
     set_slot_number,
@@ -294,18 +294,21 @@ def load_surface(
     its corners it is. triangle_count, row_count: how many count of m
     and of rows.
     """
-    for _ in range(1):
-        surface.n_triangles[None] = triangle_count
-        surface.n_rows[None] = row_count
+    surface.n_triangles[None] = triangle_count
+    surface.n_rows[None] = row_count
+    ti.loop_config(serialize=ti.static(is_short(surface.capacity[1])))
     for m in range(triangle_count):
         for k in ti.static(range(3)):
             surface.corner[m, k] = corners[m, k]
             surface.side[m, k] = corners[m, 3 + k]
             surface.share[m, k] = shares[m, k]
+    ti.loop_config(serialize=ti.static(is_short(surface.capacity[1])))
     for p in range(row_count):
         surface.row_slot[p] = rows[p]
+    ti.loop_config(serialize=ti.static(is_short(surface.capacity[1])))
     for p in range(start.shape[0]):
         surface.row_start[p] = start[p]
+    ti.loop_config(serialize=ti.static(is_short(surface.capacity[1])))
     for h in range(start[row_count]):
         surface.row_triangle[h] = at[h] // 3
         surface.row_share[h] = shares[at[h] // 3, at[h] % 3]

@@ -21,8 +21,7 @@ def compute_forces(spec: ti.template(), state: ti.template(), step: ti.i32):
     Forces go to state.saved_x, accelerations that do not depend on mass to state.saved_v: between
     frames the fields of the checkpoint are free, and all that the method keeps stays as it is.
     """
-    for _ in range(1):
-        state.step[None] = step
+    state.step[None] = step
     compute_tractions(spec, state, 0, time_at_end, False)
     accumulate(spec, state, 0, force_between, difference, _store, _store_more)
 

@@ -26,19 +26,18 @@ def load_numbers(state: ti.template(), counts: ti.types.ndarray(), numbers: ti.t
 
     counts, numbers: 1-D, in the order of state.count_names and of state.number_names.
     """
-    for _ in range(1):
-        for field, at, size in ti.static(state.count_places):
-            if ti.static(size == 0):
-                field[None] = counts[at]
-            else:
-                for axis in ti.static(range(size)):
-                    field[axis] = counts[at + axis]
-        for field, at, size in ti.static(state.number_places):
-            if ti.static(size == 0):
-                field[None] = numbers[at]
-            else:
-                for axis in ti.static(range(size)):
-                    field[axis] = numbers[at + axis]
+    for field, at, size in ti.static(state.count_places):
+        if ti.static(size == 0):
+            field[None] = counts[at]
+        else:
+            for axis in ti.static(range(size)):
+                field[axis] = counts[at + axis]
+    for field, at, size in ti.static(state.number_places):
+        if ti.static(size == 0):
+            field[None] = numbers[at]
+        else:
+            for axis in ti.static(range(size)):
+                field[axis] = numbers[at + axis]
 
 
 @ti.kernel
@@ -53,16 +52,17 @@ def load_packs(
 
     n_packs: packs in use; grid: (grids, 4); grid_of: (n_packs,), read only where there are links.
     """
-    for _ in range(1):
-        state.n_packs[None] = n_packs
-        if ti.static(spec.resting):
-            state.unsettled[None] = 0
-        if ti.static(spec.thick):
-            state.outdated[None], state.overfull[None] = 1, 0
-        state.n_grids[None] = grid.shape[0]
-        for g in range(grid.shape[0]):
-            for i in ti.static(range(4)):
-                state.grid[g, i] = grid[g, i]
+    state.n_packs[None] = n_packs
+    if ti.static(spec.resting):
+        state.unsettled[None] = 0
+    if ti.static(spec.thick):
+        state.outdated[None], state.overfull[None] = 1, 0
+    state.n_grids[None] = grid.shape[0]
+    ti.loop_config(serialize=state.is_short)
+    for g in range(grid.shape[0]):
+        for i in ti.static(range(4)):
+            state.grid[g, i] = grid[g, i]
+    ti.loop_config(serialize=state.is_short)
     for c in range(n_packs):
         if ti.static(spec.links):
             state.grid_of[c] = grid_of[c]
@@ -101,6 +101,7 @@ def load_particles(
     slots: (n,), the slot of each; rows: (n, columns): the vectors state.vector_names, dim columns
     each, then the numbers state.particle_names.
     """
+    ti.loop_config(serialize=state.is_short)
     for i in range(rows.shape[0]):
         slot = slots[i]
         state.slot[i] = slot
@@ -127,6 +128,7 @@ def load_summed_springs(
 
     slots: (n,), the slot of each particle; rows: (n, 2), for summed_k and summed_c.
     """
+    ti.loop_config(serialize=state.is_short)
     for i in range(rows.shape[0]):
         set_slot_number(spec, state.summed_k, slots[i], rows[i, 0])
         set_slot_number(spec, state.summed_c, slots[i], rows[i, 1])
@@ -138,6 +140,7 @@ def load_halo_numbers(spec: ti.template(), state: ti.template()):
 
     Methods that read such numbers of neighbours need it; the halos of vectors are renewed by loops.
     """
+    ti.loop_config(serialize=state.is_short)
     for g in range(state.n_grids[None]):
         first, width = state.grid[g, 0], state.grid[g, 2]
         for r in range(state.grid[g, 1]):
@@ -167,6 +170,7 @@ def _fill_springs(
     spec: ti.template(), state: ti.template(), place: ti.template(), rows: ti.template()
 ):
     """Fill the springs' numbers at a place (`spring_numbers.fields_of`) from rows (s, numbers)."""
+    ti.loop_config(serialize=state.is_short)
     for s in range(rows.shape[0]):
         for column, field in ti.static(stored_fields(spec, state, place)):
             if ti.static(spec.uniform_springs):
@@ -189,10 +193,11 @@ def load_colours(
     start: (colours + 1,), the first spring of each colour; ends: (s, 2), their slots; numbers:
     (s, numbers), or (1, numbers) where all springs have the same.
     """
-    for _ in range(1):
-        state.n_colours[None] = colours
+    state.n_colours[None] = colours
+    ti.loop_config(serialize=state.is_short)
     for k in range(colours + 1):
         state.colour_start[k] = start[k]
+    ti.loop_config(serialize=state.is_short)
     for s in range(start[colours]):
         for end in ti.static(range(2)):
             state.ends[s, end] = ends[s, end]
@@ -211,12 +216,14 @@ def load_particle_colours(
 
     start: (colours + 1,), the first of each colour; coloured: (rows,), their compressed rows.
     """
-    for _ in range(1):
-        state.n_colours[None] = colours
+    state.n_colours[None] = colours
+    ti.loop_config(serialize=state.is_short)
     for k in range(colours + 1):
         state.colour_start[k] = start[k]
+    ti.loop_config(serialize=state.is_short)
     for slot in range(state.n_packs[None] * spec.lanes):
         set_slot_number(spec, state.own, slot, 1.0)
+    ti.loop_config(serialize=state.is_short)
     for i in range(start[colours]):
         state.coloured[i] = coloured[i]
         set_slot_number(spec, state.own, state.csr_slot[coloured[i]], 0.0)
@@ -236,12 +243,14 @@ def load_half_springs(
     near: (near_count,), the slot of each row's particle; row: (near_count + 1,), the first
     half-spring of each row; far: (far_count,), the slot of each half-spring's other end.
     """
-    for _ in range(1):
-        state.n_csr_rows[None] = near_count
+    state.n_csr_rows[None] = near_count
+    ti.loop_config(serialize=state.is_short)
     for i in range(near_count):
         state.csr_slot[i] = near[i]
+    ti.loop_config(serialize=state.is_short)
     for i in range(row.shape[0]):
         state.csr_start[i] = row[i]
+    ti.loop_config(serialize=state.is_short)
     for h in range(far_count):
         state.csr_other[h] = far[h]
 
@@ -260,12 +269,14 @@ def load_packed_rows(
     start: (packs + 1,), csr_start; run: (columns,), csr_run; copied: (copies * lanes,) or longer,
     csr_other.
     """
-    for _ in range(1):
-        state.first_copy[None], state.n_copies[None] = start.shape[0] - 1, copies
+    state.first_copy[None], state.n_copies[None] = start.shape[0] - 1, copies
+    ti.loop_config(serialize=state.is_short)
     for i in range(start.shape[0]):
         state.csr_start[i] = start[i]
+    ti.loop_config(serialize=state.is_short)
     for c in range(run.shape[0]):
         state.csr_run[c] = run[c]
+    ti.loop_config(serialize=state.is_short)
     for h in range(copies * spec.lanes):
         state.csr_other[h] = copied[h]
 
@@ -294,14 +305,15 @@ def load_springs(
     squares of the shortest and the longest length at which they hold [length^2], or (1, 2) where
     all springs have the same.
     """
-    for _ in range(1):
-        state.n_springs[None] = count
+    state.n_springs[None] = count
+    ti.loop_config(serialize=state.is_short)
     for s in range(count):
         for end in ti.static(range(2)):
             state.ends[s, end] = indices[s, end]
             state.half[s, end] = indices[s, 2 + end]
         state.status[s] = indices[s, 4]
         state.break_step[s] = indices[s, 5]
+    ti.loop_config(serialize=state.is_short)
     for s in range(held.shape[0]):
         for field, at in ti.static(((state.shortest2, 0), (state.longest2, 1))):
             if ti.static(spec.uniform_springs):
@@ -326,15 +338,16 @@ def load_links(
     links: (l, 4): kind, slot of the earlier end, status, break_step.
     own: (l, numbers): the numbers, of which those are read that each link has itself.
     """
-    for _ in range(1):
-        for s in ti.static(range(spec.kinds)):
-            state.link[s, 0], state.link[s, 1] = spec.links[s][0], spec.links[s][1]
-            state.forward[s] = spec.forward[s]
+    for s in ti.static(range(spec.kinds)):
+        state.link[s, 0], state.link[s, 1] = spec.links[s][0], spec.links[s][1]
+        state.forward[s] = spec.forward[s]
+    ti.loop_config(serialize=state.is_short)
     for s, g in ti.ndrange(shared.shape[0], shared.shape[1]):
         for column, field in ti.static(shared_columns(spec, state)):
             field[s, g] = shared[s, g, column]
         state.link_shortest2[s, g] = shared[s, g, ti.static(len(NUMBERS))]
         state.link_longest2[s, g] = shared[s, g, ti.static(len(NUMBERS) + 1)]
+    ti.loop_config(serialize=state.is_short)
     for i in range(links.shape[0]):
         slot, status = links[i, 1], links[i, 2]
         link = link_index(state, links[i, 0], 0) * spec.lanes + slot
@@ -361,11 +374,11 @@ def load_lines(
 
     places: (m, 2), each one's kind of line and the slot of its earliest particle; k: (m,).
     """
-    for _ in range(1):
-        for h in ti.static(range(spec.line_kinds)):
-            for axis in ti.static(range(2)):
-                state.line[h, axis] = spec.lines[h][axis]
-                state.link[spec.kinds + h, axis] = 2 * spec.lines[h][axis]
+    for h in ti.static(range(spec.line_kinds)):
+        for axis in ti.static(range(2)):
+            state.line[h, axis] = spec.lines[h][axis]
+            state.link[spec.kinds + h, axis] = 2 * spec.lines[h][axis]
+    ti.loop_config(serialize=state.is_short)
     for i in range(k.shape[0]):
         line = link_index(state, places[i, 0], 0) * spec.lanes + places[i, 1]
         set_slot_number(spec, state.line_k, line, k[i])
@@ -386,13 +399,15 @@ def load_stencils(
     start: (m + 1,); slots, weights: (q,), their particles. rows: (rows + 1,), where the parts of
     each compressed row begin; of, row_weights: (q,), each part's stencil and weight.
     """
-    for _ in range(1):
-        state.n_stencils[None] = start.shape[0] - 1
+    state.n_stencils[None] = start.shape[0] - 1
+    ti.loop_config(serialize=state.is_short)
     for m in range(start.shape[0]):
         state.stencil_start[m] = start[m]
+    ti.loop_config(serialize=state.is_short)
     for e in range(slots.shape[0]):
         state.stencil_slot[e], state.stencil_weight[e] = slots[e], weights[e]
         state.row_stencil[e], state.row_weight[e] = of[e], row_weights[e]
+    ti.loop_config(serialize=state.is_short)
     for p in range(rows.shape[0]):
         state.row_stencils[p] = rows[p]
 
@@ -400,6 +415,7 @@ def load_stencils(
 @ti.kernel
 def load_stencil_numbers(state: ti.template(), k: ti.types.ndarray()):
     """Load what multiplies the curvature vectors of the listed stencils, (m,)."""
+    ti.loop_config(serialize=state.is_short)
     for m in range(k.shape[0]):
         state.stencil_k[m] = k[m]
 
@@ -410,8 +426,10 @@ def load_stencil_sides(state: ti.template(), start: ti.types.ndarray(), side: ti
 
     start: (m + 1,); side: (q,), a spring on the graph, or -1 less the index of a link's number.
     """
+    ti.loop_config(serialize=state.is_short)
     for m in range(start.shape[0]):
         state.side_start[m] = start[m]
+    ti.loop_config(serialize=state.is_short)
     for e in range(side.shape[0]):
         state.side[e] = side[e]
 
@@ -419,8 +437,8 @@ def load_stencil_sides(state: ti.template(), start: ti.types.ndarray(), side: ti
 @ti.kernel
 def load_stencil_colours(state: ti.template(), start: ti.types.ndarray()):
     """Load where the colours of listed stencils begin, (colours + 1,)."""
-    for _ in range(1):
-        state.n_stencil_colours[None] = start.shape[0] - 1
+    state.n_stencil_colours[None] = start.shape[0] - 1
+    ti.loop_config(serialize=state.is_short)
     for k in range(start.shape[0]):
         state.stencil_colour[k] = start[k]
 
@@ -435,8 +453,10 @@ def load_closer_pairs(
     count: ti.i32,
 ):
     """Load the pairs that keep less than the sum of their radii: `Spheres.rows_by_place`."""
+    ti.loop_config(serialize=state.is_short)
     for i in range(rows + 1):
         state.closer_start[i] = start[i]
+    ti.loop_config(serialize=state.is_short)
     for k in range(count):
         state.closer_other[k], state.closer_reach[k] = other[k], reach[k]
 
@@ -447,10 +467,13 @@ def load_patches(
 ):
     """Load the patches of particles that are compared as one: `scene.spheres.Spheres`."""
     state.n_patches[None] = patches
+    ti.loop_config(serialize=state.is_short)
     for b in range(patches + 1):
         state.patch_start[b] = start[b]
+    ti.loop_config(serialize=state.is_short)
     for at in range(particles.shape[0]):
         state.in_patches[at], state.patch_place[particles[at]] = particles[at], at
+    ti.loop_config(serialize=state.is_short)
     for b in range(patches):
         for at in range(start[b], start[b + 1]):
             state.patch_of[at] = b

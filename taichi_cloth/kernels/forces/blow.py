@@ -66,14 +66,13 @@ def compute_push(spec: ti.template(), state: ti.template(), numbers: ti.types.nd
     is only that point, as in 2-D), the pointer's displacement, all in world units; then reach
     [length] and strength [force / length^2].
     """
-    for _ in range(1):
-        state.pushing[None] = 1
-        for axis in ti.static(range(spec.dim)):
-            state.pointer[axis] = numbers[axis]
-            state.pointer_ray[axis] = numbers[spec.dim + axis]
-            state.pointer_moved[axis] = numbers[2 * spec.dim + axis]
-        state.pointer_reach[None] = numbers[3 * spec.dim]
-        state.pointer_strength[None] = numbers[3 * spec.dim + 1]
+    state.pushing[None] = 1
+    for axis in ti.static(range(spec.dim)):
+        state.pointer[axis] = numbers[axis]
+        state.pointer_ray[axis] = numbers[spec.dim + axis]
+        state.pointer_moved[axis] = numbers[2 * spec.dim + axis]
+    state.pointer_reach[None] = numbers[3 * spec.dim]
+    state.pointer_strength[None] = numbers[3 * spec.dim + 1]
     each_pack(spec, state, 0, _push_pack)
 
 
@@ -98,8 +97,7 @@ def _push_pack(spec: ti.template(), state: ti.template(), i):
 @ti.kernel
 def clear_push(state: ti.template()):
     """End the pointer's force."""
-    for _ in range(1):
-        state.pushing[None] = 0
+    state.pushing[None] = 0
 
 
 @ti.kernel
@@ -108,8 +106,7 @@ def hold_push(spec: ti.template(), state: ti.template(), forces: ti.types.ndarra
 
     forces: (n, dim), in the order of the particles.
     """
-    for _ in range(1):
-        state.pushing[None] = 1
+    state.pushing[None] = 1
     for i in range(forces.shape[0]):
         force = ti.Vector.zero(state.real, ti.static(spec.dim))
         for axis in ti.static(range(spec.dim)):

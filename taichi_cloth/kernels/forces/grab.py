@@ -69,8 +69,7 @@ def hold(
     particles: (count,) or longer, their numbers; rows: (count, dim + 3) or longer: offsets from the
     pointer, stiffness, damping and inverse mass. grabbing: whether any particle is held then.
     """
-    for _ in range(1):
-        state.grabbing[None] = grabbing
+    state.grabbing[None] = grabbing
     for m in range(count):
         slot = state.slot[particles[m]]
         offset = ti.Vector.zero(state.real, ti.static(spec.dim))
