@@ -252,9 +252,9 @@ def along(spec: ti.template(), state: ti.template(), o, slot, began, begun_v, sl
 @ti.func
 def size_of(a):
     """The sum of the sizes of a vector's components."""
-    total = a[0] - a[0]
-    for axis in ti.static(range(a.n)):
-        total += ti.max(a[axis], -1.0 * a[axis])
+    total = ti.abs(a[0])
+    for axis in ti.static(range(1, a.n)):
+        total += ti.abs(a[axis])
     return total
 
 

@@ -137,21 +137,22 @@ def _sine(turn):
 @ti.func
 def prepare(spec: ti.template(), state: ti.template(), time):
     """Compute the wind at a time."""
-    waves = ti.cast(0.0, state.real)
-    for rate, phase in ti.static(_waves(state)):
+    turns = ti.Vector.zero(state.real, ti.static(len(WAVES)))
+    for k in ti.static(range(len(WAVES))):
+        rate, phase = ti.static(_wave(state, k))
         turn = time * ti.cast(rate[None], state.wide) + ti.cast(phase[None], state.wide)
-        waves += _sine(ti.cast(turn - ti.floor(turn), state.real))
+        turns[k] = ti.cast(turn - ti.floor(turn), state.real)
+    waves = ti.cast(0.0, state.real)
+    for k in range(ti.static(len(WAVES))):  # the series is compiled once
+        waves += _sine(turns[k])
     for axis in ti.static(range(3)):
         change = 1.0 + state.wind_gust[None] * ti.static(HEIGHT) * waves
         state.wind[axis] = state.wind_velocity[axis] * change
 
 
-def _waves(state):
-    """The fields of the rate and the phase of each wave."""
-    return [
-        (getattr(state, f"gust_rate_{k}"), getattr(state, f"gust_phase_{k}"))
-        for k in range(len(WAVES))
-    ]
+def _wave(state, k):
+    """The fields of the rate and the phase of wave number k."""
+    return getattr(state, f"gust_rate_{k}"), getattr(state, f"gust_phase_{k}")
 
 
 @ti.func
