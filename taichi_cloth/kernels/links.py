@@ -283,10 +283,10 @@ def pass_over_rows(
             # What a pack loses, then what it gets: of links, and of lines.
             from_above = ti.Vector([0 for _ in range(spec.kinds + 2 * spec.line_kinds)])
             from_here = ti.Vector([0 for _ in range(spec.kinds + 2 * spec.line_kinds)])
-            for s in ti.static(range(spec.kinds)):
-                giver = ring_row(spec, state, g, t, begin, end, r - spec.links[s][1])
-                from_above[s] = s * state.ring_size + giver - spec.links[s][0]
-                from_here[s] = spec.forward[s] * state.ring_size + here
+            for s in range(spec.kinds):  # at run time: it is compiled once
+                giver = ring_row(spec, state, g, t, begin, end, r - state.link[s, 1])
+                from_above[s] = s * state.ring_size + giver - state.link[s, 0]
+                from_here[s] = state.forward[s] * state.ring_size + here
                 if not linked:
                     from_above[s] = from_here[s] = carried_row(spec, state, g, -1)
             for h in ti.static(range(spec.line_kinds)):

@@ -109,6 +109,7 @@ class State(ContactFields):
         in the slots csr_slot[coloured[n]], n from colour_start[k] to colour_start[k+1]; own: 0 for
         these particles, 1 for all others.
     What contacts need: see `ContactFields`.
+    is_short: whether loops over what the host loads are one thread's (`loops.is_short`).
 
     What the host loads is listed by name, so that it comes in the order in which kernels take it:
     number_names, count_names, vector_names and particle_names; number_places and count_places:
