@@ -158,9 +158,10 @@ def test_who_may_choose(device, few_lanes, own_caches, monkeypatch):
         lanes(lanes="16", topology="graph")
     with pytest.raises(InputError, match="--lanes 16: only --arch cpu has lanes, not vulkan"):
         lanes(lanes="16", arch="vulkan")
-    with pytest.raises(InputError, match="--lanes 16: method xpbd takes at most 8"):
-        lanes(lanes="16", method="xpbd")
-    recorded = RunOptions(view="none", lanes="16", method="xpbd")  # a log says so, of another one
+    with pytest.raises(InputError, match="--lanes 16: method tr_bdf2 takes at most 8"):
+        lanes(lanes="16", method="tr_bdf2")
+    # A log says so, of another method.
+    recorded = RunOptions(view="none", lanes="16", method="tr_bdf2")
     assert run_sixteen.lanes_of(large, recorded) is None
     monkeypatch.setattr(run_sixteen, "WORTH", 1e9)
     assert lanes(frames=100) is None and lanes(frames=100_000) == "auto"

@@ -13,7 +13,7 @@ from taichi_cloth.kernels.graph import number
 from taichi_cloth.kernels.grids import link_index, link_offset, pitch_of
 from taichi_cloth.kernels.links import link_stiffness, link_value
 from taichi_cloth.kernels.loops import add_up, each_pack_moving
-from taichi_cloth.kernels.packs import dot, read, scaled, set_slot_value, slot_value, write
+from taichi_cloth.kernels.packs import dot, read, set_slot_value, slot_value, write
 from taichi_cloth.kernels.spring_numbers import REST, K, fields_of
 from taichi_cloth.kernels.springs import accumulate, force_between
 from taichi_cloth.simulation.simulation import Simulation
@@ -32,7 +32,7 @@ def stiffness_between(
     length = laws.length(d)
     along = laws.unit(d, length)
     k, slack = numbers[K], ti.select(length > 0.0, numbers[REST] / length, 0.0 * length)
-    return scaled(k * (1.0 - slack), du) + scaled(k * slack * dot(along, du), along)
+    return k * (1.0 - slack) * du + k * slack * dot(along, du) * along
 
 
 @ti.func

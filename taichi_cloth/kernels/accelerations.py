@@ -11,7 +11,6 @@ from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, has
 from taichi_cloth.kernels.loops import each_pack_moving
 from taichi_cloth.kernels.packs import (
     read,
-    scaled,
     set_slot_value,
     slot_number,
     slot_value,
@@ -175,9 +174,9 @@ def acceleration(spec: ti.template(), state: ti.template(), i, f):
         a += term.law(spec, state, i)
     for term in ti.static(terms_on_particles(spec, FORCE, True)):
         if ti.static(not has(term.acts)):
-            a += scaled(w, term.law(spec, state, i))
+            a += w * term.law(spec, state, i)
         elif term.acts(state):
-            a += scaled(w, term.law(spec, state, i))
+            a += w * term.law(spec, state, i)
     for term in ti.static(terms_on_particles(spec, FORCE, False)):
         if ti.static(not has(term.acts)):
             total += term.law(spec, state, i)
@@ -185,7 +184,7 @@ def acceleration(spec: ti.template(), state: ti.template(), i, f):
             total += term.law(spec, state, i)
     if ti.static(has_tractions(spec)):
         total += read(spec, state.traction, i)
-    return where_positive(w, a + scaled(w, total), none)
+    return where_positive(w, a + w * total, none)
 
 
 def _derivatives(spec, part):

@@ -23,6 +23,7 @@ from taichi_cloth.kernels.packs import (
     largest,
     read,
     set_slot_value,
+    set_vector_of_lane,
     slot_number,
     vector_of_lane,
     where_positive,
@@ -182,9 +183,8 @@ def store_held_by_walls(
                         vector_of_lane(kept_x, lane),
                         vector_of_lane(kept_v, lane),
                     )
-                    for axis in ti.static(range(spec.dim)):
-                        kept_x[axis, lane] = lane_x[axis]
-                        kept_v[axis, lane] = lane_v[axis]
+                    set_vector_of_lane(kept_x, lane, lane_x)
+                    set_vector_of_lane(kept_v, lane, lane_v)
                 store(spec, state, i, kept_x, kept_v)
 
 

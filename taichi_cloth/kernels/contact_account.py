@@ -27,7 +27,6 @@ from taichi_cloth.kernels.packs import (
     dot,
     largest,
     read,
-    scaled,
     set_slot_number,
     slot_number,
     slot_value,
@@ -130,7 +129,7 @@ def _pull_between(
     """The force on i of the spring to j, without its dashpot: for `springs.accumulate`."""
     d = difference(spec, state, value, i, j)
     _, along, tension = pull(spec, d, 0.0 * d, numbers)
-    return scaled(tension, along)
+    return tension * along
 
 
 @ti.func

@@ -20,7 +20,7 @@ packs: SELL-C-sigma).
 
 import taichi as ti
 
-from taichi_cloth.kernels.packs import PACKS, SLOTS, ats_of, set_slot_value, slot_value
+from taichi_cloth.kernels.packs import PACKS, SLOTS, ats_of, set_slot_value, slot_value, vectors
 from taichi_cloth.kernels.spring_numbers import fields_of, is_stored, takes_stiffness
 
 
@@ -116,7 +116,7 @@ def sum_of_columns(spec: ti.template(), state: ti.template(), between: ti.templa
             for field in ti.static(fields_of(spec, state, "csr"))
         ]
         total += between(spec, state, lanes_from, near, state.csr_run[c] & SLOTS, numbers)
-    return ti.Matrix([[total[k, lane] for lane in range(spec.lanes)] for k in range(spec.dim)])
+    return total
 
 
 @ti.func
@@ -130,12 +130,7 @@ def column_number(spec: ti.template(), field: ti.template(), h):
 
 @ti.func
 def lanes_from(spec: ti.template(), field: ti.template(), slot):
-    """The vectors of a field at a slot and those that follow it.
-
-    They have as many components as the next power of two, the last 0: LLVM takes vectors of other
-    lengths apart, into numbers, wherever they are carried through a loop.
-    """
-    return ti.Matrix(
-        [[field[slot + at] for at in ats] for ats in ti.static(ats_of(spec, field))]
-        + ti.static([[0.0] * spec.lanes] * ((1 << (spec.dim - 1).bit_length()) - spec.dim))
+    """The vectors of a field at a slot and those that follow it."""
+    return vectors(
+        [ti.Vector([field[slot + at] for at in ats]) for ats in ti.static(ats_of(spec, field))]
     )

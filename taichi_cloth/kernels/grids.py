@@ -7,7 +7,14 @@ halos.
 
 import taichi as ti
 
-from taichi_cloth.kernels.packs import read, set_slot_number, slot_number, write
+from taichi_cloth.kernels.packs import (
+    component,
+    read,
+    set_slot_number,
+    slot_number,
+    vectors,
+    write,
+)
 
 
 @ti.func
@@ -29,6 +36,28 @@ def link_index(state: ti.template(), s, i):
 
 
 @ti.func
+def _pushed(spec: ti.template(), a, first: ti.template()):
+    """The vectors a one lane farther on; first: the components of those that come into lane 0."""
+    return vectors(
+        [
+            ti.Vector([first[axis]] + [component(a, axis)[n] for n in range(spec.lanes - 1)])
+            for axis in ti.static(range(spec.dim))
+        ]
+    )
+
+
+@ti.func
+def _pulled(spec: ti.template(), a, last: ti.template()):
+    """The vectors a one lane farther back; last: the components of those in the last lane."""
+    return vectors(
+        [
+            ti.Vector([component(a, axis)[n] for n in range(1, spec.lanes)] + [last[axis]])
+            for axis in ti.static(range(spec.dim))
+        ]
+    )
+
+
+@ti.func
 def renew_left_halo(spec: ti.template(), field: ti.template(), first, width, reach):
     """Fill the halo left of a row with the columns that come before each strip's first one.
 
@@ -37,8 +66,7 @@ def renew_left_halo(spec: ti.template(), field: ti.template(), first, width, rea
     """
     for h in range(1, reach + 1):
         a = read(spec, field, first + width - h)
-        rows = [[0.0] + [a[i, lane] for lane in range(spec.lanes - 1)] for i in range(spec.dim)]
-        write(spec, field, first - h, ti.Matrix(rows))
+        write(spec, field, first - h, _pushed(spec, a, ti.static([0.0] * spec.dim)))
 
 
 @ti.func
@@ -49,8 +77,7 @@ def renew_right_halo(spec: ti.template(), field: ti.template(), first, width, re
     """
     for h in range(reach):
         a = read(spec, field, first + h)
-        rows = [[a[i, lane] for lane in range(1, spec.lanes)] + [0.0] for i in range(spec.dim)]
-        write(spec, field, first + width + h, ti.Matrix(rows))
+        write(spec, field, first + width + h, _pulled(spec, a, ti.static([0.0] * spec.dim)))
 
 
 @ti.func
@@ -61,9 +88,8 @@ def return_left_halo(spec: ti.template(), field: ti.template(), first, width, re
     """
     for h in range(1, reach + 1):
         a, b = read(spec, field, first - h), read(spec, field, first + width - h)
-        last = ti.static(spec.lanes - 1)
-        rows = [[a[i, lane + 1] for lane in range(last)] + [b[i, last]] for i in range(spec.dim)]
-        write(spec, field, first + width - h, ti.Matrix(rows))
+        last = [component(b, axis)[spec.lanes - 1] for axis in ti.static(range(spec.dim))]
+        write(spec, field, first + width - h, _pulled(spec, a, last))
 
 
 @ti.func
@@ -74,8 +100,8 @@ def return_right_halo(spec: ti.template(), field: ti.template(), first, width, r
     """
     for h in range(reach):
         a, b = read(spec, field, first + width + h), read(spec, field, first + h)
-        rows = [[b[i, 0]] + [a[i, lane] for lane in range(spec.lanes - 1)] for i in range(spec.dim)]
-        write(spec, field, first + h, ti.Matrix(rows))
+        beyond = [component(b, axis)[0] for axis in ti.static(range(spec.dim))]
+        write(spec, field, first + h, _pushed(spec, a, beyond))
 
 
 @ti.func

@@ -2,8 +2,8 @@
 
 Taichi lowers every number of a field to some ten statements, and searches all of a kernel for each
 of them that is there twice: of a pack's 24 numbers in space that was most of what lanes took to
-compile. As an argument of a kernel the same memory is an array of vectors, of which a pack's place
-is looked up once, and each number takes three. Compiling takes a quarter to a half of the time
+compile. As an argument of a kernel the same memory is an array of vectors, of which a pack has one
+for each component, read and written as a whole. Compiling takes a tenth to a third of the time
 (docs/speed.md, "Start-up").
 
 Kernels that hold steps take `State.lane_memory` as an argument of the type `lane_memory_type`,
@@ -13,13 +13,10 @@ move what reads one past what writes the other.
 """
 
 import ctypes
-import math
 
 import numpy as np
 import taichi as ti
-from taichi._lib import core
 from taichi.lang import impl
-from taichi.lang.expr import Expr, make_expr_group
 
 
 def lane_memory_type(lanes, real):
@@ -53,19 +50,13 @@ def seen():
     return impl.get_runtime().lane_memory[1]
 
 
-def numbers_at(at, shape):
-    """The numbers of a pack in the memory of lanes, of one number a lane or of a vector each.
+def rows_at(at, rows):
+    """The rows of a pack in the memory of lanes, each a number for each lane, from vector `at` on.
 
-    at: the place of the pack's first vector; shape: (lanes,) or (dim, lanes). They are read or
-    assigned to as a whole, of which the place is looked up once, and not for each number. Returned
-    in a tuple, as `ti.static` wants it.
+    Returned in a tuple, as `ti.static` wants it.
     """
     builder = impl.get_runtime().compiling_callable.ast_builder()
-    place = core.DebugInfo(impl.get_runtime().get_current_src_info())
-    pack = impl.subscript(builder, seen(), at)
-    numbers = [make_expr_group(n) for n in range(math.prod(shape))]
-    whole = Expr(core.subscript_with_multiple_indices(pack.ptr, numbers, shape, place))
-    return (whole,)
+    return tuple(impl.subscript(builder, seen(), at + row if row else at) for row in range(rows))
 
 
 def open_lane_memory(fields, lanes, real):

@@ -7,7 +7,7 @@ w inverse mass (0 = fixed), e restitution, n unit normal. Vectors are (dim,) or,
 
 import taichi as ti
 
-from taichi_cloth.kernels.packs import dot, scaled
+from taichi_cloth.kernels.packs import dot
 
 # Inverse mass of a fixed particle in a collision. Exactly zero would do as well, but the reference
 # trajectories were computed with this mass, and collisions amplify the difference of 1e-8 past
@@ -28,7 +28,7 @@ def unit(d, length):
 
     length: that of d.
     """
-    return scaled(ti.select(length > 0.0, 1.0 / length, 0.0 * length), d)
+    return ti.select(length > 0.0, 1.0 / length, 0.0 * length) * d
 
 
 @ti.func
@@ -48,13 +48,13 @@ def stiffness_axis(along, k, across):
     The matrix has the stiffness k along the unit vectors `along` and the stiffness `across`, which
     is not more, in every direction at right angles to them.
     """
-    return scaled(ti.sqrt(ti.max(k - across, 0.0)), along)
+    return ti.sqrt(ti.max(k - across, 0.0)) * along
 
 
 @ti.func
 def stiffness_product(d, axis, across):
     """The product of a spring's stiffness matrix with the vectors d; axis: `stiffness_axis`."""
-    return scaled(across, d) + scaled(dot(axis, d), axis)
+    return across * d + dot(axis, d) * axis
 
 
 @ti.func
@@ -82,7 +82,7 @@ def dashpot_tension(dv, along, c):
 @ti.func
 def drag_force(v, viscous):
     """The viscous drag on particles, -viscous*v (Stokes, 1851); viscous: [force / velocity]."""
-    return scaled(-1.0 * viscous, v)
+    return -1.0 * viscous * v
 
 
 @ti.func

@@ -16,9 +16,9 @@ packs becomes vector instructions:
 The column with number n in its row is in lane n // W of the pack first + n % W. Right of a strip's
 last column is the next strip's first one: the *halo* packs beside a row hold the row's other end,
 one lane on, and are renewed when a row has moved. Places marked . have no particle (inverse mass
-and stiffness 0), those marked - no neighbour. A pack's vectors are stored component by component, a
-matrix of dim x L: |x x x x|y y y y|. Rows follow each other at a pitch of W plus both halos; empty
-rows above and below let every link's neighbour be read.
+and stiffness 0), those marked - no neighbour. A pack's vectors lie component by component,
+|x x x x|y y y y|, and are computed with so (`vectors.py`). Rows follow each other at a pitch of W
+plus both halos; empty rows above and below let every link's neighbour be read.
 
 Where rows of a graph are packed (`graph.py`), a pack is L particles that follow each other, and all
 packs together are one array for each component: the particles from any place on are read at once.
@@ -30,15 +30,16 @@ A *slot* is a place for one particle: its pack times L, plus its lane.
 Methods on packs of several lanes are compiled with vectors kept whole (`runtime.whole_vectors`),
 which Taichi 1.7 does only in part. In their kernels
 - fields hold numbers, which `read` and `write` make vectors of: fields of vectors crash;
-- vectors take + - * /, min, max, sqrt, comparisons and select; not unary minus (-1.0 * a), -=
-  (a = a - b), abs, nor casts;
+- what has a number for each lane takes + - * /, min, max, sqrt, comparisons and select; not unary
+  minus (-1.0 * a), -= (a = a - b), abs, nor casts;
 - conditions are used at once, in a select: vectors of them cannot be taken apart (`largest`,
   `where_positive`).
 """
 
 import taichi as ti
 
-from taichi_cloth.kernels.lane_memory import numbers_at, seen, sees
+from taichi_cloth.kernels.lane_memory import rows_at, seen, sees
+from taichi_cloth.kernels.vectors import Vectors
 
 # Packs and slots of packed rows, and vectors of lanes, are below these. Compilers that know it see
 # that no sum of them is too large for a whole number, hence that lanes lie side by side, and read
@@ -46,10 +47,9 @@ from taichi_cloth.kernels.lane_memory import numbers_at, seen, sees
 PACKS, SLOTS, VECTORS = 0x00FFFFFF, 0x07FFFFFF, 0x0FFFFFFF
 
 
-def lanes_of(a):
-    """How many vectors the value `a` holds, which is known when a kernel is compiled."""
-    shape = a.get_shape()
-    return 1 if len(shape) == 1 else shape[1]
+def in_lanes(a):
+    """Whether `a` are vectors in several lanes, and not one vector: known as kernels are read."""
+    return isinstance(a, Vectors)
 
 
 def rows_of(spec, field):
@@ -75,7 +75,7 @@ def epsilon(state):
 
 @ti.func
 def read(spec: ti.template(), field: ti.template(), i):
-    """The value of a field at pack i: vectors (dim, lanes), or a number for each lane.
+    """The value of a field at pack i: vectors (`vectors.py`), or a number for each lane.
 
     With one lane it is a vector (dim,) or a number. A 0-D field holds one number for all lanes.
     """
@@ -85,8 +85,8 @@ def read(spec: ti.template(), field: ti.template(), i):
         return field[i]
     elif ti.static(is_by_component(spec, field)):
         first = (i & PACKS) * spec.lanes
-        return ti.Matrix(
-            [[field[first + at] for at in ats] for ats in ti.static(ats_of(spec, field))]
+        return vectors(
+            [ti.Vector([field[first + at] for at in ats]) for ats in ti.static(ats_of(spec, field))]
         )
     else:
         return _read_lanes(spec, field, i)
@@ -106,41 +106,41 @@ def set_number_in_pack(spec: ti.template(), field: ti.template(), i, k, value):
 
 # --- a field's numbers in packs of several lanes: by `lane_memory.py`, or from the field ----------
 #
-# A pack in the memory of lanes is named by the place of its first vector alone, and each of its
-# numbers by how far it lies from there, past that vector's end, too, and only so: to Taichi numbers
-# at two places, or a vector and a number in it, are different memory unless it is told the same
-# place. Hence a pack must not be reached in one block of a kernel by two whole numbers that Taichi
-# does not know to be equal, be it a slot of it: it would read again what was there before.
-
-
-def _shape(spec, field):
-    """The shape of a pack of a field: of a number for each lane, or of vectors by component."""
-    rows = rows_of(spec, field)
-    return (spec.lanes,) if rows == 1 else (rows, spec.lanes)
+# To Taichi a vector in the memory of lanes and a number in it are different memory: what it has
+# read of the one it does not read again after a store to the other. So only vectors are read, also
+# for one number, and beside each store of a number stands one of a vector, to a place that Taichi
+# does not know, which never happens.
 
 
 @ti.func
 def _read_lanes(spec: ti.template(), field: ti.template(), i):
     """The value of a field at a pack of several lanes."""
+    rows = _rows(spec, field, i)
+    if ti.static(rows_of(spec, field) == 1):
+        return rows[0]
+    else:
+        return vectors(rows)
+
+
+@ti.func
+def _rows(spec: ti.template(), field: ti.template(), i):
+    """A list of the numbers that a field holds for each lane of a pack, row by row."""
     if ti.static(sees(field)):
         at = _first_vector(spec, field, i)
-        return ti.static(numbers_at(at, _shape(spec, field)))[0]
-    elif ti.static(rows_of(spec, field) == 1):
-        return ti.Vector([field[i, lane] for lane in range(spec.lanes)])
+        return ti.static(rows_at(at, rows_of(spec, field)))
     else:
-        return ti.Matrix(
-            [
-                [field[i, k * spec.lanes + lane] for lane in range(spec.lanes)]
-                for k in range(rows_of(spec, field))
-            ]
-        )
+        return [
+            ti.Vector([field[i, k * spec.lanes + lane] for lane in range(spec.lanes)])
+            for k in ti.static(range(rows_of(spec, field)))
+        ]
 
 
 @ti.func
 def _number(spec: ti.template(), field: ti.template(), i, k, lane):
     """The component k of a lane of pack i of a field; both also ones known only at run time."""
     if ti.static(sees(field)):
-        return ti.static(seen())[_first_vector(spec, field, i)][k * spec.lanes + lane]
+        row = ti.static(seen())[_first_vector(spec, field, i) + k]
+        return row[lane]
     else:
         return field[i, k * spec.lanes + lane]
 
@@ -149,7 +149,11 @@ def _number(spec: ti.template(), field: ti.template(), i, k, lane):
 def _set_number(spec: ti.template(), field: ti.template(), i, k, lane, value):
     """Store the component k of a lane of pack i of a field."""
     if ti.static(sees(field)):
-        ti.static(seen())[_first_vector(spec, field, i)][k * spec.lanes + lane] = value
+        at = _first_vector(spec, field, i) + k
+        ti.static(seen())[at][lane] = value
+        size = ti.static(seen()).shape[0]
+        if size < 0:
+            ti.static(seen())[at + size] = everywhere(spec, value)
     else:
         field[i, k * spec.lanes + lane] = value
 
@@ -175,7 +179,8 @@ def zeros(spec: ti.template(), state: ti.template()):
     if ti.static(spec.lanes == 1):
         return ti.Vector.zero(state.real, spec.dim)
     else:
-        return ti.Matrix.zero(state.real, spec.dim, spec.lanes)
+        none = everywhere(spec, ti.cast(0.0, state.real))
+        return vectors([none for _ in ti.static(range(spec.dim))])
 
 
 @ti.func
@@ -187,7 +192,7 @@ def write(spec: ti.template(), field: ti.template(), i, value):
         first = (i & PACKS) * spec.lanes
         for axis, ats in ti.static(enumerate(ats_of(spec, field))):
             for lane, at in ti.static(enumerate(ats)):
-                field[first + at] = value[axis, lane]
+                field[first + at] = component(value, axis)[lane]
     else:
         _write_lanes(spec, field, i, value)
 
@@ -195,52 +200,56 @@ def write(spec: ti.template(), field: ti.template(), i, value):
 @ti.func
 def _write_lanes(spec: ti.template(), field: ti.template(), i, value):
     """Store the value of a field at a pack of several lanes."""
+    rows = ti.static(components_of(value))
     if ti.static(sees(field)):
         at = _first_vector(spec, field, i)
-        ti.static(numbers_at(at, _shape(spec, field)))[0] = value
-    elif ti.static(rows_of(spec, field) == 1):
-        for lane in ti.static(range(spec.lanes)):
-            field[i, lane] = value[lane]
+        for k in ti.static(range(rows_of(spec, field))):
+            ti.static(rows_at(at, rows_of(spec, field)))[k] = rows[k]
     else:
         for k, lane in ti.static(ti.ndrange(rows_of(spec, field), spec.lanes)):
-            field[i, k * spec.lanes + lane] = value[k, lane]
+            field[i, k * spec.lanes + lane] = rows[k][lane]
+
+
+def components_of(value):
+    """A list of the components of a pack's vectors, or of its numbers alone."""
+    return value.components if isinstance(value, Vectors) else [value]
+
+
+@ti.func
+def vectors(components: ti.template()):
+    """The vectors of a pack with these components, each a number for each lane."""
+    return ti.static(_joined(components))[0]
+
+
+def _joined(components):
+    """The same in a tuple, as `ti.static` wants it."""
+    return (Vectors(components),)
 
 
 @ti.func
 def dot(a, b):
     """The scalar product of the vectors a and b, for each lane."""
-    if ti.static(lanes_of(a) == 1):
+    if ti.static(not in_lanes(a)):
         return a.dot(b)
     else:
-        products = a * b
-        total = component(products, 0)
+        total = component(a, 0) * component(b, 0)
         for axis in ti.static(range(1, a.n)):
-            total += component(products, axis)
+            total += component(a, axis) * component(b, axis)
         return total
-
-
-@ti.func
-def for_each_axis(s, a: ti.template()):
-    """A number for each lane, repeated for every component of the vectors a."""
-    return ti.Matrix([[s[lane] for lane in range(lanes_of(a))] for _ in range(a.n)])
-
-
-@ti.func
-def scaled(s, d):
-    """The vectors d times a number for each lane."""
-    if ti.static(lanes_of(d) == 1):
-        return s * d
-    else:
-        return for_each_axis(s, d) * d
 
 
 @ti.func
 def where_positive(s, a, b):
     """The vectors a in lanes where the number s is positive, else b."""
-    if ti.static(lanes_of(a) == 1):
+    if ti.static(not in_lanes(a)):
         return ti.select(s > 0.0, a, b)
     else:
-        return ti.select(for_each_axis(s, a) > 0.0, a, b)
+        return vectors(
+            [
+                ti.select(s > 0.0, component(a, axis), component(b, axis))
+                for axis in ti.static(range(a.n))
+            ]
+        )
 
 
 @ti.func
@@ -283,23 +292,21 @@ def folded(op: ti.template(), a):
 @ti.func
 def component(a, axis: ti.template()):
     """One component of the vectors a: a number for each lane."""
-    if ti.static(lanes_of(a) == 1):
+    if ti.static(not in_lanes(a)):
         return a[axis]
     else:
-        return a[axis, :]
+        return ti.static(a.components)[axis]
 
 
 @ti.func
 def with_component(a, axis: ti.template(), value):
     """The vectors a with one component replaced by `value`, a number for each lane."""
-    if ti.static(lanes_of(a) == 1):
-        b = a
+    b = a
+    if ti.static(not in_lanes(a)):
         b[axis] = value
-        return b
     else:
-        b = a
-        b[axis, :] = value
-        return b
+        ti.static(b.components)[axis] = value
+    return b
 
 
 @ti.func
@@ -308,7 +315,14 @@ def vector_of_lane(a: ti.template(), lane):
 
     `a` is kept in memory for it, so it should be a copy, of what is otherwise in registers.
     """
-    return ti.Vector([a[axis, lane] for axis in range(a.n)])
+    return ti.Vector([a.components[axis][lane] for axis in range(a.n)])
+
+
+@ti.func
+def set_vector_of_lane(a: ti.template(), lane, value):
+    """Set the vector in one lane of the vectors a, which `vector_of_lane` reads."""
+    for axis in ti.static(range(a.n)):
+        ti.static(a.components)[axis][lane] = value[axis]
 
 
 @ti.func

@@ -24,7 +24,7 @@ from taichi_cloth.kernels.forces.contract import TENSION, has
 from taichi_cloth.kernels.graph import copy_ends, sum_of_columns, sum_of_half_springs
 from taichi_cloth.kernels.links import Pass, pass_over_grids, sum_of_links
 from taichi_cloth.kernels.loops import each, each_pack, each_pack_moving, join, join_parts
-from taichi_cloth.kernels.packs import read, scaled, slot_value, zeros
+from taichi_cloth.kernels.packs import read, slot_value, zeros
 from taichi_cloth.kernels.stencils import pull_listed, sum_of_lines, sum_of_listed
 
 # --- the terms along a spring --------------------------------------------------------------------
@@ -123,7 +123,7 @@ def force_along(
     if ti.static(reads_velocity(spec)):
         dv = value(spec, state.v, j) - value(spec, state.v, i)
     _, along, tension = pull(spec, d, dv, numbers)
-    return scaled(tension, along)
+    return tension * along
 
 
 # --- sums over the springs of each particle ------------------------------------------------------

@@ -1,7 +1,7 @@
 """Sixteen lanes: where they are faster than eight, and what of them earlier runs have compiled.
 
-In f32 eight lanes are half of a vector of 64 bytes. Kernels of sixteen compile half as long again,
-so a run that may choose begins with eight, unless an earlier one of its kind has left those of
+In f32 eight lanes are half of a vector of 64 bytes. Kernels of sixteen compile a quarter longer, so
+a run that may choose begins with eight, unless an earlier one of its kind has left those of
 sixteen: it compiles them beside itself (`cli/run_sixteen.py`), for runs to come. Taichi would not
 take them up in the middle of a run: it looks once, when it starts, at what other processes have
 compiled (`engine.ALONE`). And the bits of f32 may differ: its sums of products are rounded once or
@@ -25,9 +25,9 @@ PRECISION = "f32"  # in f64 eight fill a vector
 # Particles of scenes for which it is done: a step of fewer is short anyway, more would be in memory
 # twice meanwhile.
 LEAST, MOST = 16_000, 5_000_000
-# Methods under which it was measured to pay, by dimension: steps take 1.25 to 1.42 times as long in
-# eight lanes (docs/speed.md). In space `verlet` and `rk4` gain a tenth or less.
-METHODS = {2: ("symplectic_euler", "verlet", "rk4"), 3: ("symplectic_euler",)}
+# Methods under which it was measured to pay: steps take 1.2 to 1.8 times as long in eight lanes
+# (docs/speed.md).
+METHODS = "symplectic_euler", "verlet", "rk4", "xpbd", "vbd"
 
 FILE = "sixteen.json"
 TRIES = 2  # of a kind of run, after which it is left alone
@@ -55,7 +55,7 @@ def pays(storage: Storage, method: str) -> bool:
     return (
         storage.device.arch == "cpu"
         and storage.device.precision == PRECISION
-        and method in METHODS[storage.scene.world.dim]
+        and method in METHODS
         and LEAST <= len(storage.scene.particles) <= MOST
         and not storage.scene.world.tools  # ready for all of them it would compile for minutes
         and storage.is_simple()

@@ -12,13 +12,12 @@ import taichi as ti
 
 from taichi_cloth.errors import counted
 from taichi_cloth.kernels.forces.contract import CURVATURE, Absent, Term, Variant
-from taichi_cloth.kernels.packs import scaled
 
 
 @ti.func
 def law(curvature, k):
     """The force on a particle of weight 1."""
-    return scaled(-1.0 * k, curvature)
+    return -1.0 * k * curvature
 
 
 @ti.func

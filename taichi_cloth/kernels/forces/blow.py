@@ -28,7 +28,6 @@ from taichi_cloth.kernels.packs import (
     component,
     dot,
     read,
-    scaled,
     set_slot_value,
     with_component,
     write,
@@ -85,7 +84,7 @@ def _push_pack(spec: ti.template(), state: ti.template(), i):
         from_pointer = component(x, axis) - state.pointer[axis]
         d = with_component(d, axis, from_pointer)
         ray = with_component(ray, axis, 0.0 * from_pointer + state.pointer_ray[axis])
-    d = d - scaled(dot(d, ray), ray)  # not -=, which whole vectors do not take
+    d = d - dot(d, ray) * ray  # not -=, which whole vectors do not take
     reach, strength = state.pointer_reach[None], state.pointer_strength[None]
     distance, push = laws.length(d), 0.0 * x
     for axis in ti.static(range(spec.dim)):

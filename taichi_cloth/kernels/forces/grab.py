@@ -21,7 +21,6 @@ from taichi_cloth.kernels.forces.contract import (
 from taichi_cloth.kernels.packs import (
     component,
     read,
-    scaled,
     set_slot_number,
     set_slot_value,
     with_component,
@@ -34,8 +33,8 @@ def law(spec: ti.template(), state: ti.template(), i):
     away = read(spec, state.x, i) - read(spec, state.grab_offset, i)
     for axis in ti.static(range(spec.dim)):
         away = with_component(away, axis, component(away, axis) - state.grab_place[axis])
-    pull = scaled(-1.0 * read(spec, state.grab_k, i), away)
-    return pull - scaled(read(spec, state.grab_c, i), read(spec, state.v, i))
+    pull = -1.0 * read(spec, state.grab_k, i) * away
+    return pull - read(spec, state.grab_c, i) * read(spec, state.v, i)
 
 
 @ti.func

@@ -25,7 +25,6 @@ from taichi_cloth.kernels.methods.contract import Claims, Method, backward_euler
 from taichi_cloth.kernels.packs import (
     component,
     read,
-    scaled,
     slot_number,
     slot_value,
     with_component,
@@ -154,15 +153,15 @@ def with_spring(spec: ti.template(), dt, w, d, dv, numbers: ti.template(), pulle
     length, along, tension = pull(spec, d + dt * dv, dv, numbers)
     stiffness = stiffness_along(spec, dt, numbers)
     across = dt * dt * w * stiffness_across(spec, length, numbers, 0.0)
-    more = scaled(dt * w * stiffness - across, along)
-    new_pull = pulled + scaled(dt * w * tension, along)
+    more = (dt * w * stiffness - across) * along
+    new_pull = pulled + dt * w * tension * along
     x, y, z = hx, hy, hz
-    x += scaled(component(along, 0), more)
+    x += component(along, 0) * more
     x = with_component(x, 0, component(x, 0) + across)
-    y += scaled(component(along, 1), more)
+    y += component(along, 1) * more
     y = with_component(y, 1, component(y, 1) + across)
     if ti.static(spec.dim == 3):
-        z += scaled(component(along, 2), more)
+        z += component(along, 2) * more
         z = with_component(z, 2, component(z, 2) + across)
     return new_pull, x, y, z
 
@@ -179,7 +178,7 @@ def with_stencils(spec: ti.template(), dt, w, bent, k, pulled, hx, hy, hz):
     y = with_component(y, 1, component(y, 1) + across)
     if ti.static(spec.dim == 3):
         z = with_component(z, 2, component(z, 2) + across)
-    return pulled + scaled(dt * w, bent), x, y, z
+    return pulled + dt * w * bent, x, y, z
 
 
 @ti.func

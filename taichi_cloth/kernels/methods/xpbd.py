@@ -33,7 +33,6 @@ from taichi_cloth.kernels.methods.contract import Claims, Method, backward_euler
 from taichi_cloth.kernels.packs import (
     dot,
     read,
-    scaled,
     set_slot_value,
     slot_number,
     slot_value,
@@ -86,8 +85,8 @@ def project_links(spec: ti.template(), state: ti.template(), s, g, i, far, stiff
     change = impulse_change(spec, state.dt[None], d, dv, w + far_w, numbers, p)
     if state.sweep[None] + 1 < state.iterations[None]:
         write(spec, state.link_impulse, at, p + change)
-    write(spec, state.v, i, v + scaled(w, change))
-    write(spec, state.v, far, far_v - scaled(far_w, change))
+    write(spec, state.v, i, v + w * change)
+    write(spec, state.v, far, far_v - far_w * change)
 
 
 @ti.func
@@ -126,13 +125,13 @@ def project_lines(spec: ti.template(), state: ti.template(), h, i, step):
     w, middle_w = mobility(spec, state, read, i), mobility(spec, state, read, middle)
     last_w = mobility(spec, state, read, last)
     resists = 1.0 + dt * dt * stiffness_by(spec, k) * (w + 4.0 * middle_w + last_w)
-    change = scaled(1.0 / resists, dt * pull_by(spec, curvature, k) - p)
+    change = (1.0 / resists) * (dt * pull_by(spec, curvature, k) - p)
     if state.sweep[None] + 1 < state.iterations[None]:
         write(spec, state.line_impulse, at, p + change)
-    write(spec, state.v, i, read(spec, state.v, i) + scaled(w, change))
-    moved = read(spec, state.v, middle) - scaled(2.0 * middle_w, change)
+    write(spec, state.v, i, read(spec, state.v, i) + w * change)
+    moved = read(spec, state.v, middle) - 2.0 * middle_w * change
     write(spec, state.v, middle, moved)
-    write(spec, state.v, last, read(spec, state.v, last) + scaled(last_w, change))
+    write(spec, state.v, last, read(spec, state.v, last) + last_w * change)
 
 
 @ti.func
@@ -175,7 +174,7 @@ def impulse_change(spec: ti.template(), dt, d, dv, w, numbers: ti.template(), p)
     # and must not be taken apart into axes.
     has = dot(p, along)
     more = along_part * (dt * tension - has) + across_part * has
-    return scaled(more, along) - scaled(across_part, p)
+    return more * along - across_part * p
 
 
 METHOD = Method(

@@ -32,7 +32,6 @@ from taichi_cloth.kernels.links import link_stiffness
 from taichi_cloth.kernels.loops import PIECE, barrier, each_row, share
 from taichi_cloth.kernels.packs import (
     read,
-    scaled,
     set_slot_number,
     set_slot_value,
     slot_number,
@@ -347,7 +346,7 @@ def _set_own(spec: ti.template(), state: ti.template(), g, i, on_pack: ti.templa
     v = on_pack(spec, state, g, i)
     if ti.static(spec.springs):
         old_v = read(spec, state.v, i)
-        v = old_v + scaled(read(spec, state.own, i), v - old_v)
+        v = old_v + read(spec, state.own, i) * (v - old_v)
     write(spec, state.v, i, v)
 
 

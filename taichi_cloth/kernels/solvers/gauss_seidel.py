@@ -37,7 +37,7 @@ from taichi_cloth.kernels.contact import compute_contacts, store_held_by_walls, 
 from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.grids import renew_number
 from taichi_cloth.kernels.loops import each, each_pack_moving, each_row
-from taichi_cloth.kernels.packs import read, scaled, write, zeros
+from taichi_cloth.kernels.packs import read, write, zeros
 from taichi_cloth.kernels.solvers.phases import DONE, go_to
 from taichi_cloth.kernels.state import SWEEPS
 from taichi_cloth.kernels.surfaces import compute_traction_damping, compute_tractions
@@ -51,8 +51,6 @@ KEEPS = {
     # change to goal_v; and by how much goal_v has followed these forces since.
     "traction_vectors": ("first_traction", "first_v", "followed"),
     "counts": ("colour", "sweep"),
-    # With 8 for 4 a step takes 0.5 to 0.8 times as long in planes, and 1.3 to 2 times in space.
-    "lanes": (8, 4),
 }
 SWEEP, FINISH, RENEW = 1, 2, 3  # phases, after the first one
 
@@ -177,9 +175,9 @@ def predict(spec: ti.template(), state: ti.template(), i):
     a = acceleration(spec, state, i, zeros(spec, state))
     if ti.static(binds(spec)):  # its force where the particle goes, not where it is
         back = state.dt[None] * read(spec, state.w, i) * stiffness_of(spec, state, read, i)
-        a = a - scaled(back, v)
+        a = a - back * v
     if ti.static(_resists(spec) or binds(spec)):
-        a = scaled(_softened(spec, state, read, i), a)
+        a = _softened(spec, state, read, i) * a
     if ti.static(has_tractions(spec)):
         write(spec, state.first_traction, i, read(spec, state.traction, i))
         write(spec, state.followed, i, zeros(spec, state))
@@ -214,8 +212,8 @@ def _follow(spec: ti.template(), state: ti.template(), i):
     v, first_v = read(spec, state.v, i), read(spec, state.first_v, i)
     gained = v + first_v if ti.static(spec.compensated) else v - first_v
     force = read(spec, state.traction, i) - read(spec, state.first_traction, i)
-    force += scaled(read(spec, state.traction_damping, i), gained)
-    follows = scaled(state.dt[None] * mobility(spec, state, read, i), force)
+    force += read(spec, state.traction_damping, i) * gained
+    follows = state.dt[None] * mobility(spec, state, read, i) * force
     change = follows - read(spec, state.followed, i)
     write(spec, state.followed, i, follows)
     write(spec, state.v, i, v + change)

@@ -21,7 +21,6 @@ from taichi_cloth.kernels.packs import (
     everywhere,
     largest,
     read,
-    scaled,
     set_slot_value,
     slot_number,
     slot_value,
@@ -129,7 +128,7 @@ def store_product(spec: ti.template(), state: ti.template(), i, pulled):
     """Store the product of A with `direction` in pack i; pulled: what it gets from its springs."""
     tau = state.tau[None]
     direction = read(spec, state.direction, i)
-    product = scaled(own_diagonal(spec, state, i), direction) - (tau * tau) * pulled
+    product = own_diagonal(spec, state, i) * direction - (tau * tau) * pulled
     if ti.static(has_tractions(spec)):
         product += tau * read(spec, state.traction, i)
     w = read(spec, state.w, i)
@@ -154,7 +153,7 @@ def preconditioned(spec: ti.template(), state: ti.template(), i, residual):
     if ti.static(has_two_levels(spec)):
         return downhill(spec, state, i, residual)
     else:
-        return scaled(read(spec, state.over_diagonal, i), residual)
+        return read(spec, state.over_diagonal, i) * residual
 
 
 @ti.func

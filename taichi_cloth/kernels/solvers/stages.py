@@ -25,7 +25,6 @@ from taichi_cloth.kernels.loops import barrier
 from taichi_cloth.kernels.packs import (
     component,
     read,
-    scaled,
     write,
 )
 from taichi_cloth.kernels.solvers.phases import set_alone
@@ -215,7 +214,7 @@ def largest_component(spec: ti.template(), a):
 @ti.func
 def momentum_of(spec: ti.template(), state: ti.template(), i, residual):
     """The product of tau*M with the accelerations `residual` of pack i."""
-    return scaled(state.tau[None] * mass_of(spec, state, i), residual)
+    return state.tau[None] * mass_of(spec, state, i) * residual
 
 
 @ti.func

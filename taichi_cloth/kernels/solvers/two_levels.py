@@ -34,14 +34,13 @@ from taichi_cloth.kernels.packs import (
     dot,
     epsilon,
     everywhere,
-    for_each_axis,
     number_in_pack,
     over_lanes,
     read,
-    scaled,
     set_number_in_pack,
     set_slot_number,
     slot_number,
+    vectors,
     where_positive,
     write,
     zeros,
@@ -109,7 +108,7 @@ def _factor_row(spec: ti.template(), state: ti.template(), begin, width):
                 if end < spec.kinds or row >= state.link[s, 1]:
                     a = read(spec, state.link_axis, at)
                     c = ti.max(read(spec, state.link_across, at), 0.0)
-                    on += a * a + for_each_axis(c, a)  # too much along springs that push
+                    on += a * a + c  # too much along springs that push
                     beside += a * _turned(spec, a)
         _factor_pack(spec, state, i, on, beside)
 
@@ -119,15 +118,14 @@ def _take_diagonal(spec: ti.template(), state: ti.template(), i):
     """Take `stages.whole_diagonal` for what A does to each particle of pack i alone."""
     w = read(spec, state.w, i)
     over = ti.select(w > 0.0, 1.0 / whole_diagonal(spec, state, i), 0.0 * w)
-    write(spec, state.over_pivots, i, for_each_axis(over, read(spec, state.x, i)))
+    write(spec, state.over_pivots, i, vectors([over for _ in ti.static(range(spec.dim))]))
     write(spec, state.below, i, zeros(spec, state))
 
 
 @ti.func
 def _turned(spec: ti.template(), u):
     """The vectors u with each component where the one before it was."""
-    dim = ti.static(spec.dim)
-    return ti.Matrix([[u[(k + 1) % dim, lane] for lane in range(spec.lanes)] for k in range(dim)])
+    return vectors([component(u, (k + 1) % spec.dim) for k in ti.static(range(spec.dim))])
 
 
 @ti.func
@@ -146,24 +144,16 @@ def _factor_pack(spec: ti.template(), state: ti.template(), i, on, beside):
     none = 0.0 * w
     over0, over1 = ti.select(w > 0.0, 1.0 / p0, none), ti.select(w > 0.0, 1.0 / p1, none)
     if ti.static(spec.dim == 2):
-        write(spec, state.over_pivots, i, _stacked(spec, [over0, over1]))
-        write(spec, state.below, i, _stacked(spec, [below, none]))
+        write(spec, state.over_pivots, i, vectors([over0, over1]))
+        write(spec, state.below, i, vectors([below, none]))
     else:
         zx = k * component(beside, 2)
         yz = k * component(beside, 1) - below * zx
         below2, below1 = zx / p0, yz / p1
         p2 = ti.max(least + k * component(on, 2) - below2 * zx - below1 * yz, least)
         over2 = ti.select(w > 0.0, 1.0 / p2, none)
-        write(spec, state.over_pivots, i, _stacked(spec, [over0, over1, over2]))
-        write(spec, state.below, i, _stacked(spec, [below, below1, below2]))
-
-
-@ti.func
-def _stacked(spec: ti.template(), rows: ti.template()):
-    """The vectors whose components are the numbers in `rows`."""
-    return ti.Matrix(
-        [[rows[k][lane] for lane in range(spec.lanes)] for k in ti.static(range(spec.dim))]
-    )
+        write(spec, state.over_pivots, i, vectors([over0, over1, over2]))
+        write(spec, state.below, i, vectors([below, below1, below2]))
 
 
 @ti.func
@@ -172,10 +162,10 @@ def _lowered(spec: ti.template(), below, r):
     first = component(r, 0)
     second = component(r, 1) - component(below, 0) * first
     if ti.static(spec.dim == 2):
-        return _stacked(spec, [first, second])
+        return vectors([first, second])
     else:
         third = component(r, 2) - component(below, 2) * first - component(below, 1) * second
-        return _stacked(spec, [first, second, third])
+        return vectors([first, second, third])
 
 
 @ti.func
@@ -198,12 +188,12 @@ def downhill(spec: ti.template(), state: ti.template(), i, residual):
     if ti.static(spec.dim == 2):
         second = component(z, 1)
         first = component(z, 0) - component(below, 0) * second
-        z = _stacked(spec, [first, second])
+        z = vectors([first, second])
     else:
         third = component(z, 2)
         second = component(z, 1) - component(below, 1) * third
         first = component(z, 0) - component(below, 0) * second - component(below, 2) * third
-        z = _stacked(spec, [first, second, third])
+        z = vectors([first, second, third])
     return z + where_positive(component(over, 0), coarse, 0.0 * coarse)
 
 
@@ -319,7 +309,7 @@ def _sum_block(spec: ti.template(), state: ti.template(), b):
             for i in range(row + box[2], row + box[3]):
                 w = read(spec, state.w, i)
                 alone = ti.select(w > 0.0, own_diagonal(spec, state, i), 0.0 * w)
-                on += for_each_axis(alone, on)
+                on += alone
         if box[1] > box[0]:
             for end in range(2 * spec.kinds):
                 held_on, held_beside = _sum_ends(spec, state, b, g, box, end)
@@ -367,10 +357,10 @@ def _sum_ends(spec: ti.template(), state: ti.template(), b, g, box, end):
                 if not leaves:
                     counts, ties = counts - ties, 0.0 * w
                 link_on, link_beside = _own_part(spec, state, link_index(state, s, i) - begins)
-                on += scaled(counts, link_on)
-                beside += scaled(counts, link_beside)
-                tied_on += scaled(ties, link_on)
-                tied_beside += scaled(ties, link_beside)
+                on += counts * link_on
+                beside += counts * link_beside
+                tied_on += ties * link_on
+                tied_beside += ties * link_beside
     _add_to_rows(spec, state, b, -1.0 * tied_on, -1.0 * tied_beside, to, shift)
     return on, beside
 
@@ -394,7 +384,7 @@ def _own_part(spec: ti.template(), state: ti.template(), at):
     part = ti.max(square + across, 0.0) / ti.select(across < 0.0, square, one)
     more = ti.select(across < 0.0, part, one)
     k, c = tau * tau * more, tau * tau * ti.max(across, 0.0)
-    return scaled(k, a * a) + for_each_axis(c, a), scaled(k, a * _turned(spec, a))
+    return k * (a * a) + c, k * (a * _turned(spec, a))
 
 
 @ti.func
@@ -567,7 +557,7 @@ def _solving(name, to):
                 at = _pack_of(spec, other * numbers + k) + b * spec.dim
                 number = number_in_pack(spec, field, other, k)
                 rows = [read(spec, state.coarse, at + axis) for axis in ti.static(range(spec.dim))]
-                total += number * _stacked(spec, rows)
+                total += number * vectors(rows)
         write(spec, ti.static(getattr(state, to)), b, total)
 
     return body

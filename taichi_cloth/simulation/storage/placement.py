@@ -16,8 +16,6 @@ from taichi_cloth.settings.options import TOPOLOGIES
 from taichi_cloth.simulation.storage import layouts, packing
 from taichi_cloth.simulation.storage.layouts import Layout
 
-# Packs of more lanes take minutes to compile where stencils are summed besides springs.
-BENT_LANES = 4
 COLOURED = {"spring_colours", "particle_colours"}  # what methods need that take springs in turns
 
 
@@ -133,8 +131,9 @@ class Placements:
             period = layouts.spring_period
         elif "particle_colours" in self._needs:
             period = layouts.particle_period
-        lanes = min(self._lanes, BENT_LANES) if len(self._stencils) else self._lanes
-        return layouts.on_grids(scene.springs, count, lanes, period, self._terms, self._stencils)
+        return layouts.on_grids(
+            scene.springs, count, self._lanes, period, self._terms, self._stencils
+        )
 
     def _sorted_springs(self, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
         """The springs that no grid holds, in the order of memory, and their colours."""
