@@ -17,6 +17,7 @@ from taichi_cloth.simulation.storage import adjacency, layouts, packing
 def small_nets(monkeypatch):
     """Rows of nets of any size are packed."""
     monkeypatch.setattr(layouts, "WORTH_SORTING", 0)
+    monkeypatch.setattr(layouts, "WORTH_PACKING", 0)
 
 
 def net(seed, count, most=7):

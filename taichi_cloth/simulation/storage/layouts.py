@@ -22,6 +22,9 @@ from taichi_cloth.simulation.storage import adjacency, lines, packing
 # Offsets (columns, rows) from a particle to those that come later and are tied to it.
 FORWARD = tuple((-column, -row) for kind in LINKS.values() for column, row in kind)
 WORTH_SORTING = 4096  # particles; fewer are in the processor's fastest caches anyway
+# Particles of nets whose rows may be packed: steps of fewer are some microseconds, and packed rows
+# take a second or two longer to compile.
+WORTH_PACKING = 1024
 LOOSE_WIDTH = 16  # packs in a row of particles that are on no grid
 WORTH_LANES = 10  # one of so many springs must be a link, or lanes only add what they cost
 # Rest lengths of links of one kind may differ by the rounding of the positions they come from.
@@ -133,7 +136,7 @@ def _packed_rows(springs: Springs, slot: np.ndarray) -> packing.PackedRows | Non
     """The packed rows of all springs between particles in the slots `slot`; None where the net is
     small, or larger than kernels count, or other ends follow each other too seldom.
     """
-    if len(slot) < WORTH_SORTING or not len(slot) <= len(springs) <= PACKS:
+    if len(slot) < WORTH_PACKING or not len(slot) <= len(springs) <= PACKS:
         return None
     slots = -(-len(slot) // (packing.LANES * LOOSE_WIDTH)) * packing.LANES * LOOSE_WIDTH
     return packing.worth_packing(slot[springs.between], slots)
