@@ -91,11 +91,15 @@ def test_many_substeps_share_a_launch_and_want_the_faster_step(empty_cache):
 
 @pytest.mark.parametrize("substeps", [4, 16])
 def test_a_solver_on_16384_particles_takes_all_threads(substeps, empty_cache):
-    """Measured: 1.4 times as fast as one, though threads are woken for each of its launches."""
+    """Measured: 1.4 times as fast as one, though threads are woken for each of its launches.
+
+    With fewer particles one thread in lanes is faster, measured: 0.24 ms a step at 64 x 64, where
+    the graph takes 0.72 on one.
+    """
     scene = build("cloth", columns=128, rows=128)
     assert chosen(ways_of(scene, "implicit_euler", substeps)) == "lanes parallel"
     smaller = build("cloth", columns=64, rows=48)
-    assert chosen(ways_of(smaller, "implicit_euler", substeps)) == "graph parallel"
+    assert chosen(ways_of(smaller, "implicit_euler", substeps)) == "lanes serial"
 
 
 def test_what_a_run_with_substeps_cost_does_not_mislead_one_without(empty_cache):

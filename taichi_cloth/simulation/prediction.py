@@ -40,6 +40,7 @@ LONGER = {
 # Passes of a solver's step, typically, by the setting that it takes.
 SOLVER_PASSES = {"tolerance": 26, "iterations": 18}
 HANDOVERS = 15  # launches of a step whose solver takes several kernels, typically
+HANDOVER = 5e-6  # seconds from one of them to the next, which are prepared (`prepared.py`)
 COLLIDING = 50e-9  # seconds a particle to sort it into cells and find whom it meets
 COLLISION_LOOPS = 8  # loops that do it
 RESTING_ITERATIONS = 10  # of pairs that rest on each other, typically
@@ -106,7 +107,7 @@ def predict(scene: Scene, method: Method, device: Device, topology: str, path: s
     iterations = RESTING_ITERATIONS * features.resting
     work += iterations * RESTING * len(scene.particles)
     counts = COUNT if method.claims.forces == 0 else 0.0
-    handovers = HANDOVERS * LAUNCH if topology == "lanes" and method.launches else 0.0
+    handovers = HANDOVERS * HANDOVER if topology == "lanes" and method.launches else 0.0
     if path == "serial":
         return Cost(LAUNCH + counts, work + handovers)
     shared = work * (SHARED if device.threads > 1 else 1.0) * 2 / max(device.threads, 2)
