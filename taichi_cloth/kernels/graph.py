@@ -20,7 +20,7 @@ packs: SELL-C-sigma).
 
 import taichi as ti
 
-from taichi_cloth.kernels.packs import PACKS, SLOTS, ats_of, set_slot_value, slot_value, vectors
+from taichi_cloth.kernels.packs import PACKS, SLOTS, lanes_from, set_slot_value, slot_value
 from taichi_cloth.kernels.spring_numbers import fields_of, is_stored, takes_stiffness
 
 
@@ -126,11 +126,3 @@ def column_number(spec: ti.template(), field: ti.template(), h):
         return ti.Vector([field[h + lane] for lane in range(spec.lanes)])
     else:
         return 0.0
-
-
-@ti.func
-def lanes_from(spec: ti.template(), field: ti.template(), slot):
-    """The vectors of a field at a slot and those that follow it."""
-    return vectors(
-        [ti.Vector([field[slot + at] for at in ats]) for ats in ti.static(ats_of(spec, field))]
-    )

@@ -3,7 +3,7 @@
 Taichi lowers every number of a field to some ten statements, and searches all of a kernel for each
 of them that is there twice: of a pack's 24 numbers in space that was most of what lanes took to
 compile. As an argument of a kernel the same memory is an array of vectors, of which a pack has one
-for each component, read and written as a whole. Compiling takes a tenth to a third of the time
+for each component, read and written as a whole. Compiling takes a seventh to a half of the time
 (docs/speed.md, "Start-up").
 
 Kernels that hold steps take `State.lane_memory` as an argument of the type `lane_memory_type`,

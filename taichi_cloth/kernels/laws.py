@@ -1,8 +1,8 @@
 """The physical laws, each written once, as functions on values: those of one particle or of a pack.
 
 Letters are those of the field's papers: x position, v velocity, k stiffness, c damping,
-w inverse mass (0 = fixed), e restitution, n unit normal. Vectors are (dim,) or, for a pack,
-(dim, lanes); numbers are one, or (lanes,). Units are the scene's own.
+w inverse mass (0 = fixed), e restitution, n unit normal. Vectors are (dim,) or, for a pack, those
+of `vectors.py`; numbers are one, or (lanes,). Units are the scene's own.
 """
 
 import taichi as ti

@@ -84,12 +84,17 @@ def read(spec: ti.template(), field: ti.template(), i):
     elif ti.static(spec.lanes == 1):
         return field[i]
     elif ti.static(is_by_component(spec, field)):
-        first = (i & PACKS) * spec.lanes
-        return vectors(
-            [ti.Vector([field[first + at] for at in ats]) for ats in ti.static(ats_of(spec, field))]
-        )
+        return lanes_from(spec, field, (i & PACKS) * spec.lanes)
     else:
         return _read_lanes(spec, field, i)
+
+
+@ti.func
+def lanes_from(spec: ti.template(), field: ti.template(), slot):
+    """The vectors of a field at a slot and those that follow it, if `is_by_component`."""
+    return vectors(
+        [ti.Vector([field[slot + at] for at in ats]) for ats in ti.static(ats_of(spec, field))]
+    )
 
 
 @ti.func
@@ -203,8 +208,9 @@ def _write_lanes(spec: ti.template(), field: ti.template(), i, value):
     rows = ti.static(components_of(value))
     if ti.static(sees(field)):
         at = _first_vector(spec, field, i)
+        to = ti.static(rows_at(at, rows_of(spec, field)))
         for k in ti.static(range(rows_of(spec, field))):
-            ti.static(rows_at(at, rows_of(spec, field)))[k] = rows[k]
+            to[k] = rows[k]
     else:
         for k, lane in ti.static(ti.ndrange(rows_of(spec, field), spec.lanes)):
             field[i, k * spec.lanes + lane] = rows[k][lane]

@@ -26,13 +26,14 @@ def load_numbers(state: ti.template(), counts: ti.types.ndarray(), numbers: ti.t
 
     counts, numbers: 1-D, in the order of state.count_names and of state.number_names.
     """
-    for field, at, size in ti.static(state.count_places):
-        if ti.static(size == 0):
-            field[None] = counts[at]
-        else:
-            for axis in ti.static(range(size)):
-                field[axis] = counts[at + axis]
-    for field, at, size in ti.static(state.number_places):
+    _fill(state.count_places, counts)
+    _fill(state.number_places, numbers)
+
+
+@ti.func
+def _fill(places: ti.template(), numbers: ti.template()):
+    """Fill the fields at `State.count_places` or `State.number_places` from what lies there."""
+    for field, at, size in ti.static(places):
         if ti.static(size == 0):
             field[None] = numbers[at]
         else:
