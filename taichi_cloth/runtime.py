@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from taichi_cloth import front_end
 from taichi_cloth.errors import InputError
+from taichi_cloth.front_end import mending
 from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import ARCHS, PRECISIONS
 
@@ -194,7 +194,7 @@ def _import_taichi() -> Any:
     os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
     import taichi
 
-    front_end.mend()
+    mending.mend()
     return taichi
 
 

@@ -1,18 +1,22 @@
-"""Taichi's front end after `front_end.mend`: it reads the same kernels, and says the same."""
+"""Taichi's front end after `mending.mend`: it reads the same kernels, and says the same."""
 
+import functools
 import gc
+import itertools
 import weakref
 
+import numpy as np
 import pytest
 import taichi as ti
 from taichi.lang import kernel_impl
 
-from taichi_cloth import front_end, runtime
+from taichi_cloth import runtime
+from taichi_cloth.front_end import mending
 
 
 @pytest.fixture(autouse=True)
 def started(device):
-    assert front_end.functions_work(), "the replacements are not there"
+    assert mending.functions_work(), "the replacements are not there"
 
 
 def test_functions_of_classes_and_of_functions_are_told_apart():
@@ -138,18 +142,18 @@ def test_a_taichi_that_is_made_otherwise_is_left_alone(monkeypatch):
         """As of another Taichi."""
 
     monkeypatch.setattr(kernel_impl, "_get_tree_and_ctx", plain)
-    front_end.mend()
+    mending.mend()
     assert kernel_impl._get_tree_and_ctx is plain
     monkeypatch.delattr(kernel_impl, "_inside_class")
-    front_end.mend()
-    assert kernel_impl._get_tree_and_ctx is plain and not front_end.functions_work()
+    mending.mend()
+    assert kernel_impl._get_tree_and_ctx is plain and not mending.functions_work()
 
 
 def test_what_is_mended_is_not_mended_again(monkeypatch):
     """Trees would be given back twice, and read by two at once."""
     transform = kernel_impl.transform_tree
-    monkeypatch.setattr(front_end, "functions_work", lambda: False)  # as tests of parts do
-    front_end.mend()
+    monkeypatch.setattr(mending, "functions_work", lambda: False)  # as tests of parts do
+    mending.mend()
     assert kernel_impl.transform_tree is transform
 
 
@@ -173,7 +177,7 @@ def test_functions_inline_what_they_call():
     def run(x: ti.i32) -> ti.i32:
         return 10 * twice(x, total)
 
-    assert front_end.functions_work()
+    assert mending.functions_work()
     assert run(3) == 10 * (4 * 6 + 3 * 3)
 
 
@@ -194,3 +198,109 @@ def test_what_is_compiled_soon_reads_what_was_stored():
         count(3)
     assert (config.opt_level, config.cache_loop_invariant_global_vars) == before == (1, True)
     assert seen.to_numpy().tolist() == stored.to_numpy().tolist() == [3.0] * 8
+
+
+def test_conditions_have_the_values_that_they_have_in_python():
+    def conditions(a, b, c, x):
+        return [
+            a < b,
+            a < b < c,
+            a <= b and b != c or a == c,
+            not a > b,
+            not a >= c or b and c,  # numbers are conditions, too
+            (a and 4) and (b and 2),  # which have no bit in common
+            x > 0.5 and a < c,
+            a == b or x < 0.5 and not b < c,
+        ]
+
+    @ti.kernel
+    def count(a: ti.i32, b: ti.i32, c: ti.i32, x: ti.f32) -> ti.i32:
+        found = 0
+        if a < b:
+            found += 1
+        if a < b < c:
+            found += 2
+        if a <= b and b != c or a == c:
+            found += 4
+        found += 8 * ti.select(not a > b, 1, 0)
+        if not a >= c or b and c:
+            found += 16
+        if (a and 4) and (b and 2):
+            found += 32
+        found += 64 * ti.select(x > 0.5 and a < c, 1, 0)
+        found += 128 if a == b or x < 0.5 and not b < c else 0
+        return found
+
+    for a, b, c, x in itertools.product((0, 1, 2), (0, 1, 3), (0, 2), (0.0, 1.0)):
+        expected = sum(2**k for k, true in enumerate(conditions(a, b, c, x)) if true)
+        assert count(a, b, c, x) == expected, (a, b, c, x)
+
+
+def test_what_is_not_needed_is_neither_read_nor_divided_by():
+    """By zero a processor divides no whole numbers: the process would end."""
+    numbers = ti.field(ti.i32, 4)
+
+    @ti.kernel
+    def divide(a: ti.i32, b: ti.i32) -> ti.i32:
+        return ti.select(b != 0 and a // b == 2, 1, 0) + ti.select(b == 0 or a % b == 1, 10, 0)
+
+    @ti.kernel
+    def read(i: ti.i32) -> ti.i32:
+        found = 0
+        if 0 <= i < 4 and numbers[i] == 0:
+            found = 1
+        return found
+
+    assert [divide(7, b) for b in (0, 3, 4)] == [10, 11, 0]
+    assert [read(i) for i in (0, 3, 2**30)] == [1, 1, 0]
+
+
+def test_what_components_come_to_is_what_it_was():
+    """Added up from the first component on, as before: floating-point numbers would tell."""
+
+    @ti.kernel
+    def of_vector(a: ti.types.vector(4, ti.f32)) -> ti.types.vector(5, ti.f32):
+        b = ti.Vector([2.0, 0.5, 1.0, 4.0], ti.f32)
+        return ti.Vector([a.dot(b), a.sum(), a.max(), (a * b).min(), a.norm_sqr()])
+
+    @ti.kernel
+    def of_matrix(a: ti.types.matrix(2, 2, ti.i32)) -> ti.types.vector(3, ti.i32):
+        return ti.Vector([a.sum(), a.max(), ti.select((a > 0).all(), 1, 0)])
+
+    large = np.float32(2**24)
+    a, b = np.array([large, 1.0, 1.0, -large], np.float32), np.array([2.0, 0.5, 1.0, 4.0])
+    products = (a * b).astype(np.float32)
+    total = functools.reduce(np.add, a)
+    assert total == 0.0  # 2**24 + 1 is 2**24
+    expected = [functools.reduce(np.add, products), total, large, products.min()]
+    found = of_vector(a)
+    assert list(found)[:4] == expected and found[4] == functools.reduce(np.add, a * a)
+    assert list(of_matrix(ti.Matrix([[1, -2], [7, 3]]))) == [9, 7, 0]
+
+
+def test_branches_on_the_same_condition_may_follow_each_other():
+    """Taichi joins them, and ends with an error where one alone has an `else`."""
+
+    @ti.kernel
+    def count(a: ti.i32, b: ti.i32) -> ti.i32:
+        found, k = 0, 0
+        if a < b:
+            found += 1
+        else:
+            found += 2
+        if a < b:
+            found += 4
+        if not a < b:
+            found += 8
+        else:
+            for _ in range(a):
+                found += 16
+        while a > b + k:
+            if a > b + k:
+                found += 100
+            else:
+                found += 1000
+            k += 1
+        return found
+
+    assert [count(*ab) for ab in ((1, 2), (2, 2), (4, 2))] == [1 + 4 + 16, 2 + 8, 2 + 8 + 200]

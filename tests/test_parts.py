@@ -11,7 +11,7 @@ import small
 import taichi as ti
 from selection import as_thorough
 
-from taichi_cloth import front_end
+from taichi_cloth.front_end import mending
 from taichi_cloth.kernels import parts
 from taichi_cloth.simulation.simulation import Simulation
 
@@ -35,7 +35,7 @@ def test_a_run_in_parts_has_the_bits_of_one_in_a_piece(method, execution, monkey
     sim, *in_parts = run()
     state = inside.state_of(sim)
     assert state.functions and state.colour_size.to_numpy().any()
-    monkeypatch.setattr(front_end, "functions_work", lambda: False)
+    monkeypatch.setattr(mending, "functions_work", lambda: False)
     sim, *in_a_piece = run()
     assert not inside.state_of(sim).functions
     np.testing.assert_array_equal(in_parts, in_a_piece)

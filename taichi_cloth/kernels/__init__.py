@@ -20,6 +20,6 @@ These names mean the same in every file of this folder, and docstrings do not re
   halos; pitch: how many lie from the start of one row to the start of the next.
 """
 
-from taichi_cloth import front_end
+from taichi_cloth.front_end import mending
 
-front_end.mend()  # before they are defined: Taichi reads files for each definition otherwise
+mending.mend()  # before they are defined: Taichi reads files for each definition otherwise

@@ -14,7 +14,7 @@ addresses decide: of two it would often not find what it has.
 
 import taichi as ti
 
-from taichi_cloth import front_end
+from taichi_cloth.front_end import mending
 
 
 def has_parts(spec):
@@ -23,7 +23,7 @@ def has_parts(spec):
     Lanes would be slower so: those of implicit methods half as fast.
     """
     runs_frames = spec.lanes == 1 and not spec.one_launch_per_step
-    return runs_frames and spec.thick and front_end.functions_work()
+    return runs_frames and spec.thick and mending.functions_work()
 
 
 def in_turn(state, acts):

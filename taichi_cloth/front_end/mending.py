@@ -14,9 +14,10 @@ spent on what this module replaces by what leads to the same kernels:
   where the node stands. Here it is kept for each kind of node, and the place noted by itself.
 - NumPy tells the range of integers anew at each constant. Here it is kept.
 
-And where a real function calls an inlined one, that comes into the kernel instead of the function
-(Taichi 1.7.4 ends the process then). Here it comes into what calls it. And what a real function was
-made of, with the fields that it was given, is kept no longer than it is read.
+What it makes of conditions and of sums takes the compiler long, which `conditions` and `reductions`
+mend. And where a real function calls an inlined one, that comes into the kernel instead of the
+function (Taichi 1.7.4 ends the process then). Here it comes into what calls it. And what a real
+function was made of, with the fields that it was given, is kept no longer than it is read.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ from dataclasses import dataclass, field
 from types import CodeType
 from typing import Any
 
+from taichi_cloth.front_end import conditions, reductions
+
 # What is replaced or called here of Taichi's modules: a Taichi that lacks any of it is left alone.
 NEEDED = {
     "kernel_impl": (
@@ -41,6 +44,8 @@ NEEDED = {
     ),
     "expr": ("_check_in_range", "_clamp_unsigned_to_range"),
     "ast.ast_transformer_utils": ("Builder", "ASTTransformerContext", "handle_exception_from_cpp"),
+    **conditions.NEEDED,
+    **reductions.NEEDED,
 }
 # Nodes of syntax trees that Taichi writes nothing on: there is one of each kind for all trees.
 SHARED = ast.expr_context, ast.boolop, ast.operator, ast.unaryop, ast.cmpop
@@ -58,6 +63,8 @@ def mend() -> None:
     from taichi.lang import expr, impl, kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext, Builder
 
+    conditions.mend()
+    reductions.mend()
     kernel_impl._inside_class = _inside_class
     kernel_impl._get_tree_and_ctx = _tree_and_context
     kernel_impl.transform_tree = _giving_back(kernel_impl.transform_tree)
