@@ -36,7 +36,7 @@ def share(spec: ti.template(), count, t):
     if ti.static(spec.threads == 1):
         return count * t
     else:
-        return ti.cast(ti.cast(count, ti.i64) * t // spec.threads, ti.i32)
+        return ti.cast(ti.raw_div(ti.cast(count, ti.i64) * t, ti.i64(spec.threads)), ti.i32)
 
 
 @ti.func
@@ -49,7 +49,7 @@ def barrier(spec: ti.template(), state: ti.template()):
     """
     if ti.static(spec.threads > 1 and not spec.one_launch_per_step):
         arrived = ti.atomic_add(state.arrivals[COUNTER], 1)
-        goal = (arrived // spec.threads + 1) * spec.threads
+        goal = (ti.raw_div(arrived, spec.threads) + 1) * spec.threads
         while ti.atomic_max(state.arrivals[COUNTER], 0) < goal:
             pass
 
@@ -57,7 +57,7 @@ def barrier(spec: ti.template(), state: ti.template()):
 @ti.func
 def each(spec: ti.template(), state: ti.template(), t, count, body: ti.template()):
     """Run body(spec, state, i) for every i below `count`."""
-    if ti.static(spec.one_launch_per_step):
+    if ti.static(spec.one_launch_per_step or spec.threads == 1):
         for i in range(count):
             body(spec, state, i)
     else:

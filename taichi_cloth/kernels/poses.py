@@ -157,51 +157,43 @@ def pose_after(spec: ti.template(), state: ti.template(), o, time):
     return pose
 
 
+def _first(spec, end):
+    """Where a pose begins among an obstacle's numbers: what is at rest is read at one end alone."""
+    return pose_size(spec.dim) * (END if end == START and not spec.moving else end)
+
+
+@ti.func
+def _vector(
+    spec: ti.template(), state: ti.template(), o, first: ti.template(), stride: ti.template()
+):
+    """Every stride-th number of obstacle o's poses from `first`, (dim,)."""
+    return ti.Vector([state.obstacle_pose[o, first + k * stride] for k in range(spec.dim)])
+
+
 @ti.func
 def centre_of(spec: ti.template(), state: ti.template(), o, end: ti.template()):
     """The centre (dim,) of obstacle o at one end of the step."""
-    first = ti.static(end * pose_size(spec.dim))
-    return ti.Vector([state.obstacle_pose[o, first + axis] for axis in range(spec.dim)])
-
-
-@ti.func
-def _product(
-    spec: ti.template(),
-    state: ti.template(),
-    o,
-    first: ti.template(),
-    stride: ti.template(),
-    d,
-):
-    """The sum of d's components times every stride-th number of obstacle o's pose from `first`."""
-    total = state.obstacle_pose[o, first] * d[0]
-    for k in ti.static(range(1, spec.dim)):
-        total += state.obstacle_pose[o, first + k * stride] * d[k]
-    return total
+    return _vector(spec, state, o, ti.static(_first(spec, end)), 1)
 
 
 @ti.func
 def to_local(spec: ti.template(), state: ti.template(), o, end: ti.template(), d):
     """A vector d (dim,) of the world in the frame of obstacle o at one end of the step."""
-    first = ti.static(end * pose_size(spec.dim) + spec.dim)
-    return ti.Vector(
-        [
-            _product(spec, state, o, ti.static(first + b), spec.dim, d)
-            for b in ti.static(range(spec.dim))
-        ]
-    )
+    first = ti.static(_first(spec, end) + spec.dim)
+    q = d[0] * _vector(spec, state, o, first, 1)
+    for row in ti.static(range(1, spec.dim)):
+        q += d[row] * _vector(spec, state, o, ti.static(first + row * spec.dim), 1)
+    return q
 
 
 @ti.func
 def to_world(spec: ti.template(), state: ti.template(), o, end: ti.template(), q):
     """A vector q (dim,) of the frame of obstacle o at one end of the step, in the world."""
-    first = ti.static(end * pose_size(spec.dim) + spec.dim)
-    return ti.Vector(
-        [
-            _product(spec, state, o, ti.static(first + a * spec.dim), 1, q)
-            for a in ti.static(range(spec.dim))
-        ]
-    )
+    first = ti.static(_first(spec, end) + spec.dim)
+    d = q[0] * _vector(spec, state, o, first, spec.dim)
+    for column in ti.static(range(1, spec.dim)):
+        d += q[column] * _vector(spec, state, o, ti.static(first + column), spec.dim)
+    return d
 
 
 @ti.func
