@@ -232,17 +232,20 @@ def load_particle_colours(
 
 @ti.kernel
 def load_half_springs(
+    spec: ti.template(),
     state: ti.template(),
     near: ti.types.ndarray(),
     row: ti.types.ndarray(),
     far: ti.types.ndarray(),
+    numbers: ti.types.ndarray(),
     near_count: ti.i32,
     far_count: ti.i32,
 ):
     """Load the compressed rows of half-springs (`graph.py`): csr_slot, csr_start and csr_other.
 
     near: (near_count,), the slot of each row's particle; row: (near_count + 1,), the first
-    half-spring of each row; far: (far_count,), the slot of each half-spring's other end.
+    half-spring of each row; far: (far_count,), the slot of each half-spring's other end; numbers:
+    (far_count, numbers), or (1, numbers) where all springs have the same or there are none.
     """
     state.n_csr_rows[None] = near_count
     ti.loop_config(serialize=state.is_short)
@@ -254,6 +257,7 @@ def load_half_springs(
     ti.loop_config(serialize=state.is_short)
     for h in range(far_count):
         state.csr_other[h] = far[h]
+    _fill_springs(spec, state, "csr", numbers)
 
 
 @ti.kernel
@@ -263,12 +267,13 @@ def load_packed_rows(
     start: ti.types.ndarray(),
     run: ti.types.ndarray(),
     copied: ti.types.ndarray(),
+    numbers: ti.types.ndarray(),
     copies: ti.i32,
 ):
     """Load the packed rows of half-springs (`graph.py`).
 
     start: (packs + 1,), csr_start; run: (columns,), csr_run; copied: (copies * lanes,) or longer,
-    csr_other.
+    csr_other; numbers: (columns * lanes, numbers).
     """
     state.first_copy[None], state.n_copies[None] = start.shape[0] - 1, copies
     ti.loop_config(serialize=state.is_short)
@@ -280,16 +285,7 @@ def load_packed_rows(
     ti.loop_config(serialize=state.is_short)
     for h in range(copies * spec.lanes):
         state.csr_other[h] = copied[h]
-
-
-@ti.kernel
-def load_spring_numbers(spec: ti.template(), state: ti.template(), rows: ti.types.ndarray()):
-    """Load the numbers of half-springs.
-
-    rows: (2s, numbers), or (columns * lanes, numbers) where rows are packed, or (1, numbers) where
-    all springs have the same.
-    """
-    _fill_springs(spec, state, "csr", rows)
+    _fill_springs(spec, state, "csr", numbers)
 
 
 @ti.kernel

@@ -111,7 +111,7 @@ class Loading(DeviceState):
         self._drawn_springs = None
         if container.spec.accounts_contacts:
             container.state.accounting[None] = 0
-        if "blow" in container.spec.terms and not self.pushed:
+        if "blow" in container.spec.terms and self._held and not self.pushed:
             self._launcher.launch(blow.clear_push, container.state)
             self._held = False
         self._altered = True

@@ -19,9 +19,8 @@ from taichi_cloth.kernels import (
     transfer,
     watchdog,
 )
-from taichi_cloth.kernels.forces import grab
+from taichi_cloth.kernels.forces import blow, grab
 from taichi_cloth.kernels.specialization import Specialization
-from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import ALIVE, BREAKING, GONE
 from taichi_cloth.scene.holding import Hold
 from taichi_cloth.simulation.numbers import Numbers
@@ -158,11 +157,13 @@ class Storage(Loading, Download, Handling):
 
         Called between frames, they change nothing of the state.
         """
+        found: list[Callable[[], None]] = [self._prepare_return]
+        if "blow" in self.specialization.terms:
+            found.append(self._prepare_end_of_push)
         if not self.scene.world.takes_clicks:
-            return [self._prepare_return]
+            return found
         n, dim, state = len(self.scene.particles), self.scene.world.dim, self.state
         row = np.zeros((1, dim), self.real)
-        found: list[Callable[[], None]] = [self._prepare_return]
         for field in (state.x, state.v):
             found.append(partial(self._launch, readback.read_vectors, field, row))
         if n == 0:  # a particle of infinite mass that nobody counts; the first load clears it
@@ -179,9 +180,12 @@ class Storage(Loading, Download, Handling):
         if self.specialization.fracture and len(self._now.placement.graph_springs) == 0:
             none = np.zeros((1, 2), np.int32)
             found.append(partial(self._launcher.launch, readback.read_fracture, state, none))
-            rows = np.zeros((1, len(NUMBERS)), self.real)  # of no spring, until the next load
-            found.append(partial(self._launch, transfer.load_spring_numbers, rows))
         return found
+
+    def _prepare_end_of_push(self) -> None:
+        """Compile what ends a push, unless one goes on: then it is compiled soon anyway."""
+        if not self._held:
+            self._launcher.launch(blow.clear_push, self.state)
 
     def _prepare_edit(self) -> None:
         """Compile what an edit reads of the state."""

@@ -221,12 +221,12 @@ class Upload:
             numbers = numbers[:1]
         if "spring_colours" in self.needs:
             self._spring_colours(ends, numbers)
-        self._half_springs(near, row, np.where(marks[half.spring, 0] == GONE, half.near, half.far))
+        far = np.where(marks[half.spring, 0] == GONE, half.near, half.far)
+        self._half_springs(
+            near, row, far, numbers if self.spec.uniform_springs else numbers[half.spring]
+        )
         if "particle_colours" in self.needs:
             self._particle_colours(near)
-        if len(springs):
-            rows = numbers if self.spec.uniform_springs else numbers[half.spring]
-            self._launch(transfer.load_spring_numbers, rows)
         if self.spec.fracture:
             self._break_marks(springs, np.column_stack([ends, half.half, marks]))
         if self.spec.stencils:
@@ -242,24 +242,25 @@ class Upload:
         """The springs, all of which are on the graph, as packed rows."""
         arrays = rows.start, rows.run, _not_empty(rows.copied)
         indices = [array.astype(np.int32) for array in arrays]
-        self._launch(transfer.load_packed_rows, *indices, rows.copies)
         numbers = self._spring_numbers(springs)
         numbers[marks[:, 0] == GONE] = 0
         placed = np.zeros((len(rows.run) * packing.LANES, numbers.shape[1]), numbers.dtype)
         placed[rows.place] = numbers[half.spring]
-        self._launch(transfer.load_spring_numbers, placed)
+        self._launch(transfer.load_packed_rows, *indices, placed, rows.copies)
         if self.spec.fracture:
             places = half.near[half.half], rows.place[half.half], marks
             self._break_marks(springs, np.column_stack(places))
 
-    def _half_springs(self, near: np.ndarray, row: np.ndarray, far: np.ndarray) -> None:
+    def _half_springs(
+        self, near: np.ndarray, row: np.ndarray, far: np.ndarray, numbers: np.ndarray
+    ) -> None:
         """Compressed rows: those of the slots `near` begin at `row`, with far ends `far`."""
-        self.launcher.launch(
+        self._launch(
             transfer.load_half_springs,
-            self.state,
             _not_empty(near.astype(np.int32)),
             row.astype(np.int32),
             _not_empty(far.astype(np.int32)),
+            _not_empty(numbers),
             len(near),
             len(far),
         )
