@@ -6,10 +6,15 @@ Public names are imported when they are first used: importing this package start
 from __future__ import annotations
 
 import importlib
+import os
 from typing import Any
 
 from taichi_cloth.simulation import showing as _showing
 from taichi_cloth.version import __version__
+
+# NumPy's OpenBLAS keeps a processor busy for a tenth of a second after its start and each use, to
+# be quick if more comes: 2**4 ticks of the clock have to do. It reads this once NumPy is imported.
+os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
 
 _HOMES = {  # public name: (module, name in it; None: the module itself)
     "InputError": ("errors", "InputError"),
