@@ -35,7 +35,7 @@ def share(spec: ti.template(), count, t):
     """The first of thread t's share of `count` things; share(.., t + 1) is the share's end."""
     if ti.static(spec.threads == 1):
         return count * t
-    else:
+    else:  # C's division, as nothing is negative here: Taichi floors `//` by further statements
         return ti.cast(ti.raw_div(ti.cast(count, ti.i64) * t, ti.i64(spec.threads)), ti.i32)
 
 

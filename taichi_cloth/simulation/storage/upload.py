@@ -254,7 +254,10 @@ class Upload:
     def _half_springs(
         self, near: np.ndarray, row: np.ndarray, far: np.ndarray, numbers: np.ndarray
     ) -> None:
-        """Compressed rows: those of the slots `near` begin at `row`, with far ends `far`."""
+        """Compressed rows: those of the slots `near` begin at `row`, with far ends `far`.
+
+        numbers: of each half-spring, or one row where all have the same.
+        """
         self._launch(
             transfer.load_half_springs,
             _not_empty(near.astype(np.int32)),
