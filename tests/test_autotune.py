@@ -12,6 +12,7 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.runtime import Device
 from taichi_cloth.scene.library import build
+from taichi_cloth.scene.solids import solids
 from taichi_cloth.simulation import autotune, compiled
 from taichi_cloth.simulation.autotune import Choice, Watch
 from taichi_cloth.simulation.launch import Launcher
@@ -40,7 +41,7 @@ def ways_of(scene, method="symplectic_euler", substeps=1, key="k"):
         key=key,
         paths=("serial", "parallel"),
         substeps=substeps,
-        slow_to_compile=slow_to_compile(scene),
+        slow_to_compile=slow_to_compile(scene, solids(scene)),
         topologies=lambda: ["lanes", "graph"],
         predict=lambda t, p: predict(scene, declared, DEVICE, t, p),
     )
@@ -51,10 +52,17 @@ def chosen(candidates, topology="auto", execution="auto"):
     return f"{choice.topology} {choice.execution}"
 
 
-def test_lanes_that_take_minutes_to_compile_are_asked_for(empty_cache):
-    flag = ways_of(build("flag", columns=257), substeps=64)
-    assert chosen(flag).startswith("graph")
-    assert chosen(flag, "lanes").startswith("lanes")
+@pytest.mark.parametrize("name", ["flag", "trampoline"])
+def test_lanes_that_are_not_worth_compiling_are_asked_for(name, empty_cache):
+    """Where faces meet obstacles, or pairs rest; faces of a finer flag are too small to meet it."""
+    ways = ways_of(build(name), "rk4", substeps=64)
+    assert chosen(ways).startswith("graph")
+    assert chosen(ways, "lanes").startswith("lanes")
+
+
+def test_what_only_particles_touch_is_met_in_lanes(empty_cache):
+    ways = ways_of(build("flag", columns=257), "rk4", substeps=64)
+    assert chosen(ways) == "lanes parallel"
 
 
 def test_a_run_starts_in_one_way_and_remembers_what_it_costs(device, empty_cache, monkeypatch):

@@ -234,7 +234,7 @@ def test_who_takes_part_where():
     fit = [k for k in contestants.kinds(True, True) if not contestants.unfit(k, drape)]
     assert {kind.group for kind in fit} == {"ours", *newton_model.SOLVERS}
     assert sum(kind.group == "Newton, VBD" for kind in fit) == len(contestants.CONTACTS)
-    assert all(k.arguments["topology"] == "graph" for k in fit if k.group == "ours")
+    assert all(k.arguments["topology"] == "lanes" for k in fit if k.group == "ours")
     seed, warp, *_ = problems.all_problems(quick=True)
     fit = {k.name for k in contestants.kinds(True) if not contestants.unfit(k, seed)}
     left = {k.name for k in contestants.kinds(True) if contestants.unfit(k, warp)}

@@ -32,7 +32,6 @@ from taichi_cloth.error_meter.window import (
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation.acts import do_again
-from taichi_cloth.simulation.prediction import slow_to_compile
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.start import Start
@@ -353,8 +352,6 @@ class Judge:
         sim = self._sims.get(plan.method)
         if sim is None:
             stored, run = conditions.best_for(scene, self._threads)
-            if stored in slow_to_compile(scene):
-                stored = "graph"
             sim = Simulation(scene, plan.method, topology=stored, execution=run)
             self._sims[plan.method] = sim
         sim.solver.update({k: v for k, v in plan.solver.items() if k in sim.claims.settings})

@@ -119,6 +119,11 @@ def solids(scene: Scene) -> list[Solid]:
     return found
 
 
+def number_of_solids(scene: Scene) -> int:
+    """How many `solids` a scene has."""
+    return len(scene.obstacles) + len(list(_planes(scene.world)))
+
+
 def held(scene: Scene, solids: Sequence[Solid]) -> tuple[np.ndarray, np.ndarray]:
     """Which solid each particle goes with, (n,), -1: none, and where in its frame, (n, dim).
 

@@ -36,8 +36,8 @@ class Candidates(Protocol):
     """The ways in which a scene can be run.
 
     scene_name: for messages. key: device, method, features and size, which decide what is fastest.
-    paths: the paths worth a look here; substeps: steps a frame. slow_to_compile: topologies whose
-    kernels take minutes to compile, which nobody gets who does not ask for them.
+    paths: the paths worth a look here; substeps: steps a frame. slow_to_compile: topologies that
+    take longer to compile than their steps are worth: who does not ask for them gets none.
     """
 
     scene_name: str

@@ -7,12 +7,14 @@ another one all of them are faster or slower, and what was remembered there corr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.runtime import Device
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.solids import Solid, met_by_faces, number_of_solids
 from taichi_cloth.settings.options import PATHS
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.storage.storage import Storage
@@ -29,8 +31,10 @@ SHARED = 0.55  # part of the work that remains for each of two threads
 PASS = {"lanes": (2.4e-9, 0.8e-9), "graph": (2.0e-9, 4.4e-9)}
 # Seconds a stencil of bending and a triangle in air, in each pass; a spring that may break, a step.
 BENDING = {"lanes": 4e-9, "graph": 5e-9}
-AIR = {"lanes": 23e-9, "graph": 18e-9}
+AIR = {"lanes": 15e-9, "graph": 19e-9}
 FRACTURE = {"lanes": 0.4e-9, "graph": 1.4e-9}
+# Seconds a particle and obstacle, a step: 9e-9 where they touch, 1e-9 where they are far apart.
+OBSTRUCTED = 5e-9
 # How much longer it takes in other precisions than f32.
 LONGER = {
     "f32": {"lanes": 1.0, "graph": 1.0},
@@ -76,7 +80,7 @@ class Prediction:
         self._scene, self.substeps = storage.scene, substeps
         self.scene_name = storage.scene.name
         self.key = "/".join([launcher.device.describe(), name, describe_size(storage.scene)])
-        self.slow_to_compile = slow_to_compile(storage.scene)
+        self.slow_to_compile = slow_to_compile(storage.scene, storage.solids)
         self.paths: tuple[str, ...] = PATHS if launcher.device.arch == "cpu" else ("parallel",)
 
     def topologies(self) -> list[str]:
@@ -100,6 +104,7 @@ def predict(scene: Scene, method: Method, device: Device, topology: str, path: s
     if "air" in scene.world.more:
         work += AIR[topology] * len(scene.triangles)
     work = passes * work + FRACTURE[topology] * features.fracture * len(scene.springs)
+    work += OBSTRUCTED * number_of_solids(scene) * len(scene.particles)
     work *= LONGER[device.precision][topology]
     collisions = features.collisions
     if collisions:
@@ -120,9 +125,13 @@ def predict(scene: Scene, method: Method, device: Device, topology: str, path: s
     return Cost(LAUNCH + counts + WAKE, shared + handovers + woken + meetings * MEETING)
 
 
-def slow_to_compile(scene: Scene) -> tuple[str, ...]:
-    """The topologies whose kernels take minutes to compile: what ends a step is part of them."""
-    return ("lanes",) if scene.obstacles or scene.features().resting else ()
+def slow_to_compile(scene: Scene, solids: Sequence[Solid]) -> tuple[str, ...]:
+    """The topologies that take longer to compile than their steps are worth (docs/design.md).
+
+    solids: what is in the scene's way. That is lanes where a cloth's faces meet it, or pairs rest.
+    """
+    slow = scene.features().resting or bool(met_by_faces(scene, solids))
+    return ("lanes",) if slow else ()
 
 
 def describe_size(scene: Scene) -> str:

@@ -7,7 +7,9 @@ from typing import Any
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.solids import solids
 from taichi_cloth.settings.sweeps import ComparisonOptions
+from taichi_cloth.simulation.prediction import slow_to_compile
 from taichi_cloth.simulation.storage import adjacency
 from taichi_cloth.sweeps.within import Clock, clock
 from taichi_cloth.trade import settings
@@ -25,7 +27,7 @@ class RunConditions:
     fastest takes longer than a whole study. budget: seconds of timing for each setting;
     patience: seconds for the references. solver_errors: whether solvers are run converged, too.
     clock: when it has to end, and leave out the rest. accounts: whether what contacts do to the
-    energy is accounted for, which in lanes can take as long to compile as all else.
+    energy is accounted for.
     """
 
     topology: str
@@ -78,15 +80,14 @@ def conditions(
         return made
     budget = min(max(TIMING * end.seconds / settings_compared, 0.01), made.budget)
     patience = min(REFERENCES * end.seconds, made.patience)
-    accounts = made.accounts and not (end.short and stored == "lanes")
-    return replace(made, budget=budget, patience=patience, clock=end, accounts=accounts)
+    return replace(made, budget=budget, patience=patience, clock=end)
 
 
 def best_for(scene: Scene, threads: int | None) -> tuple[str, str]:
     """Topology and execution that suit a scene by its size, on so many threads (None: all)."""
     n = len(scene.particles)
-    large = n >= settings.FEW_PARTICLES
-    lanes = large and bool(adjacency.find_grids(scene.springs.between, n))
+    lanes = n >= settings.FEW_PARTICLES and bool(adjacency.find_grids(scene.springs.between, n))
+    lanes = lanes and "lanes" not in slow_to_compile(scene, solids(scene))
     one = threads == 1 or (threads is None and n < settings.SERIAL_BEST)
     return "lanes" if lanes else "graph", "serial" if one else "parallel"
 

@@ -47,18 +47,9 @@ class Trial:
         device = _start(arch, precision, fast_math, threads)
         made = _load(scene)
         account = accounts and arch == "cpu"  # on a GPU it takes too many launches
-        self._sim = self._watched = Simulation(
-            made,
-            method,
-            topology=topology,
-            execution=execution,
-            accounts_contacts=account and topology == "graph",
+        self._sim = Simulation(
+            made, method, topology=topology, execution=execution, accounts_contacts=account
         )
-        # In lanes the account of contacts takes minutes to compile: the same on the graph has it.
-        if account and topology == "lanes" and self._sim.can_touch():
-            self._watched = Simulation(
-                made, method, topology="graph", execution=execution, accounts_contacts=True
-            )
         self._ran: set[str] = set()  # what was run here, so that it is compiled and warm
         self.about = {
             "device": device.describe(),
@@ -69,13 +60,12 @@ class Trial:
 
     def load(self, scene: str) -> None:
         """Another scene with the same features and springs; nothing is compiled anew."""
-        for sim in {self._sim, self._watched}:
-            sim.load_scene(_load(scene))
+        self._sim.load_scene(_load(scene))
 
     def compile(self, dt: float, substeps: int, solver: dict[str, Any]) -> None:
         """Compile what samples are taken with, by a frame."""
-        for of in {self._begin(dt, substeps, solver), self._watched}:
-            self._warm_up(f"compiled {id(of)}", of, 1)
+        self._begin(dt, substeps, solver)
+        self._warm_up("compiled", 1)
 
     def sample(
         self, dt: float, substeps: int, solver: dict[str, Any], frames: int, file: str
@@ -89,13 +79,13 @@ class Trial:
         self.compile(dt, substeps, solver)
         start = time.perf_counter()
         read_in = 0.0
-        sim, watched = self._begin(dt, substeps, solver), self._watched
+        sim = self._begin(dt, substeps, solver)
         breaks = sim.scene.features().fracture
         shape = (frames + 1, sim.particle_count, sim.scene.world.dim)
         x, v = np.zeros(shape), np.zeros(shape)
         contacts = np.zeros((frames + 1, len(CONTACTS)))
         deepest = 0.0
-        watched.account_contacts()
+        sim.account_contacts()
         alive = np.ones((frames + 1, sim.spring_count if breaks else 0), bool)
         failed = ""
         done = 0
@@ -103,8 +93,6 @@ class Trial:
             if frame:
                 try:
                     sim.advance()
-                    if watched is not sim:
-                        watched.advance()
                 except SimulationFailure as failure:
                     failed = f"failed: frame {failure.frame}, particle {failure.particle} " + (
                         f"{failure.what}; {failure.cause}"
@@ -136,11 +124,12 @@ class Trial:
             "read_in": read_in,
         }
 
-    def _warm_up(self, key: str, sim: Simulation, frames: int) -> None:
+    def _warm_up(self, key: str, frames: int) -> None:
         """Compile, and run what is to be timed, where nothing like it was run here before."""
         if key in self._ran:
             return
         self._ran.add(key)
+        sim = self._sim
         sim.account_contacts()  # until the next reset
         with contextlib.suppress(SimulationFailure):
             sim.advance(frames)
@@ -151,7 +140,7 @@ class Trial:
 
     def _contacts(self, deepest: float) -> list[float]:
         """What `errors.CONTACTS` names, until now; deepest: the first of it."""
-        account = self._watched.contact_account()
+        account = self._sim.contact_account()
         if not self._sim.can_touch():
             return [np.nan] * len(CONTACTS)
         if account is None:
@@ -167,8 +156,8 @@ class Trial:
 
         A first one, that of `sample` or one that is not counted, has compiled everything.
         """
-        sim = self._begin(dt, substeps, solver, alone=True)
-        self._warm_up(_run_of(dt, substeps, solver), sim, frames)
+        sim = self._begin(dt, substeps, solver)
+        self._warm_up(_run_of(dt, substeps, solver), frames)
         sim.reset()
         seconds: list[float] = []
         while len(seconds) < MOST_REPEATS:
@@ -182,16 +171,11 @@ class Trial:
                 break
         return seconds
 
-    def _begin(
-        self, dt: float, substeps: int, solver: dict[str, Any], alone: bool = False
-    ) -> Simulation:
-        """The simulation at its start, with a step and its solver's settings; alone: not the one
-        beside it that accounts for contacts.
-        """
-        for sim in {self._sim} if alone else {self._sim, self._watched}:
-            sim.set_step(dt, substeps)
-            sim.solver.update(solver)
-            sim.reset()
+    def _begin(self, dt: float, substeps: int, solver: dict[str, Any]) -> Simulation:
+        """The simulation at its start, with a step and its solver's settings."""
+        self._sim.set_step(dt, substeps)
+        self._sim.solver.update(solver)
+        self._sim.reset()
         return self._sim
 
 

@@ -67,10 +67,10 @@ class Kind:
 def kinds(quick: bool, touching: bool = False) -> Iterator[Kind]:
     """All that take part; touching: in a scene with contacts.
 
-    There ours run on the graph, as contacts in lanes take minutes to compile, and each of Newton's
-    solvers whose contacts are springs takes part with each of their stiffnesses.
+    There each of Newton's solvers whose contacts are springs takes part with each of their
+    stiffnesses.
     """
-    yield from _ours(quick, "graph" if touching else "lanes")
+    yield from _ours(quick)
     counts = QUICK_ITERATIONS if quick else ITERATIONS
     for name, (solver, iterates) in newton_model.SOLVERS.items():
         ladders = [_steps(iterations=count) for count in (counts if iterates else (None,))]
@@ -94,7 +94,7 @@ def unfit(kind: Kind, problem: Problem) -> str:
     return ""
 
 
-def _ours(quick: bool, topology: str) -> Iterator[Kind]:
+def _ours(quick: bool) -> Iterator[Kind]:
     from taichi_cloth.kernels import methods
 
     counts = QUICK_ITERATIONS if quick else ITERATIONS
@@ -117,7 +117,7 @@ def _ours(quick: bool, topology: str) -> Iterator[Kind]:
                 "precision": precision,
                 "fast_math": precision == "f32",
                 "threads": ALONE,
-                "topology": topology,
+                "topology": "lanes",
                 "execution": "serial",
                 "accounts": False,
             }

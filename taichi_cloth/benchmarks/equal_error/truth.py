@@ -84,8 +84,7 @@ def compute(problem: Problem, patience: float, tell: Tell, journal: Journal) -> 
     asked = [Setting(fine_method(), scene.world.dt, 1)]
     if problem.touching:
         asked = [Setting(ANOTHER, scene.world.dt, OTHER_FINER * coarsest(scene, scene.world.dt))]
-    stored = "graph" if problem.touching else "lanes"  # contacts in lanes take minutes to compile
-    how = RunConditions(stored, "serial", threads=1, budget=0.0, patience=patience, accounts=False)
+    how = RunConditions("lanes", "serial", threads=1, budget=0.0, patience=patience, accounts=False)
     study = Study([scene], asked, problem.frames, how, journal=journal)
     study.tell = lambda text, done, total: tell(f"{problem.name}: reference: {text}", done, total)
     try:
