@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from taichi_cloth.benchmarks.cloths import sheet
+from taichi_cloth.benchmarks.equal_error.problems import NEAR, drape
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import Springs
+from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.simulation.storage import adjacency, layouts, packing
 
@@ -71,16 +73,34 @@ def torn(scene, every):
     return replace(scene, springs=s.select(kept))
 
 
+def thrown():
+    """A torn sheet that a ball is thrown and turned against, and that goes with it where held."""
+    sheet = torn(drape(33), 12)
+    x = sheet.particles.position
+    held = (abs(x[:, :1] - 1.0) < 0.1) & (abs(x[:, 2:]) < 0.1)
+    moves = {"velocity": [0.5, 1.0, 0.2], "spin": [0.0, 90.0, 30.0]}
+    ball = Obstacle.build(
+        "sphere", centre=[1.0, 0.3, 0.0], radius=0.3, friction=0.5, grip=0.1, **moves
+    )
+    particles = replace(sheet.particles, fixed=held[:, 0])
+    return replace(sheet, particles=particles, obstacles=(ball,))
+
+
 def scenes():
     """Nets with and without dashpots, in space and in a plane, whole, torn and tearing."""
     warp = build("warp", side=20)
     cloth = build("cloth", columns=30, rows=24)
-    return {"dashpots": warp, "torn": torn(warp, 12), "breaking": cloth}
+    return {"dashpots": warp, "torn": torn(warp, 12), "breaking": cloth, "thrown": thrown()}
 
 
 @pytest.mark.parametrize(
     "name, method",
-    [("dashpots", "symplectic_euler"), ("torn", "verlet"), ("breaking", "symplectic_euler")],
+    [
+        ("dashpots", "symplectic_euler"),
+        ("torn", "verlet"),
+        ("breaking", "symplectic_euler"),
+        ("thrown", "rk4"),
+    ],
 )
 def test_a_net_moves_as_one_by_one_to_the_last_bit(name, method, small_nets):
     scene = scenes()[name]
@@ -89,11 +109,14 @@ def test_a_net_moves_as_one_by_one_to_the_last_bit(name, method, small_nets):
     push = rng.normal(0, 0.3 if name != "breaking" else 6.0, scene.particles.position.shape)
     scene.particles.velocity[:] = np.where(scene.particles.fixed[:, None], 0.0, push)
     given = {"method": method, "substeps": substeps, "topology": "graph"}
+    given["accounts_contacts"] = name == "thrown"
     one, packed = (
         Simulation(scene, execution=path, lanes=lanes, **given)
         for path, lanes in (("serial", 1), ("parallel", None))
     )
     assert not inside.spec_of(one).packed_rows and inside.spec_of(packed).packed_rows
+    for sim in (one, packed):
+        sim.account_contacts()
     for _ in range(3):
         one.advance(2)
         packed.advance(2)
@@ -102,6 +125,13 @@ def test_a_net_moves_as_one_by_one_to_the_last_bit(name, method, small_nets):
         np.testing.assert_array_equal(one.springs_alive(), packed.springs_alive())
         np.testing.assert_array_equal(one.forces(), packed.forces())
     assert packed.springs_alive().all() == (name != "breaking")
+    if name == "thrown":
+        centre = np.array([1.0, 0.3, 0.0]) + 0.1 * np.array([0.5, 1.0, 0.2])
+        reach = np.linalg.norm(packed.positions() - centre, axis=1) - 0.3 - NEAR
+        assert 20 < (abs(reach) < 1e-9).sum() < 500  # that lie on the ball
+        account, same = one.contact_account(), packed.contact_account()
+        assert account.gained > 0.01 and account.gained == pytest.approx(same.gained)
+        assert account.first_touch == same.first_touch
     if name == "breaking":  # a checkpoint, and a load, of a net with springs that are gone
         checkpoint = packed.checkpoint()
         packed.advance(3)

@@ -14,7 +14,7 @@ from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.runtime import Device
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.scene.solids import Solid, solids
+from taichi_cloth.scene.solids import Solid, met_by_faces, solids
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import Numbers
 from taichi_cloth.simulation.snapshot import Snapshot
@@ -80,9 +80,11 @@ class DeviceState:
         self._surfaces = Surfaces()
 
     def _placements_of(self, scene: Scene) -> Placements:
-        """Finds the placements of a scene."""
-        # Solvers go through springs in ways of their own.
-        packs = self._launcher.device.arch == "cpu" and self._method.claims.forces > 0
+        """Finds the placements of a scene, of which self.solids are."""
+        # Solvers go through springs in ways of their own. Where a cloth's faces meet what is in
+        # its way, most of a step is that, and packs would take seconds more to compile.
+        explicit = self._launcher.device.arch == "cpu" and self._method.claims.forces > 0
+        packs = explicit and not met_by_faces(scene, self.solids)
         return Placements(scene, self._needs, self._lanes, packs)
 
     @property

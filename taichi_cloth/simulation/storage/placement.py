@@ -80,16 +80,18 @@ class Placements:
         return layouts.particle_colours(scene.springs, grids, count, self._stencils)
 
     def is_simple(self) -> bool:
-        """Whether particles have nothing but springs, walls and terms of their own.
+        """Whether particles have nothing but springs, walls and terms of their own."""
+        return self._may_be_packed() and not self._scene.features().obstacles
 
-        All else takes particles one by one, or minutes to compile in packs.
+    def _may_be_packed(self) -> bool:
+        """Whether a scene has nothing that packed rows of a graph do not know, or gain nothing in.
+
+        That is what acts on triangles, stencils and pairs, or changes numbers of springs.
         """
         scene, features = self._scene, self._scene.features()
         return not (
             len(self._stencils)
             or features.collisions
-            or features.obstacles
-            or features.held
             or forces.act_on_triangles(scene)
             or any(number.changes(self._terms) for number in NUMBERS)
             or COLOURED & set(self._needs)
@@ -124,7 +126,7 @@ class Placements:
         count = len(scene.particles)
         if topology == "graph":
             # Collisions add up in the order of the particles, which is then that of memory too.
-            sort, packs = not scene.features().collisions, self._packs and self.is_simple()
+            sort, packs = not scene.features().collisions, self._packs and self._may_be_packed()
             return layouts.on_graph(scene.springs, count, sort, self._stencils, packs)
         period = layouts.any_period
         if "spring_colours" in self._needs:
