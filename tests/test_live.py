@@ -112,13 +112,31 @@ def test_stiffness_by_kind_is_that_of_its_links_alone():
 
 
 @pytest.mark.thorough
-def test_another_method_is_on_the_graph_however_lanes_came_about():
-    """A replay asks for the lanes that its run had chosen by itself."""
-    sim = Simulation(cloth(8, 6), topology="lanes", execution="serial")
+@pytest.mark.parametrize(
+    ("scene", "there"), [(cloth(8, 6), "lanes"), (build("flag", columns=16), "graph")]
+)
+def test_another_method_has_the_lanes_of_the_first_unless_they_compile_long(scene, there):
+    """However they came about: a replay asks for the lanes that its run had chosen by itself."""
+    sim = Simulation(scene, topology="lanes", execution="serial")
     sim.set_method("verlet")
-    assert sim.topology == "graph"
+    assert sim.topology == there
     sim.set_method("symplectic_euler")
     assert sim.topology == "lanes"
+
+
+@pytest.mark.thorough
+def test_a_run_in_sixteen_lanes_goes_on_with_a_method_of_eight():
+    scene = build("warp", side=20)
+    how = {"topology": "lanes", "execution": "serial", "substeps": 8}
+    sim = Simulation(scene, lanes=16, **how)
+    sim.set_method("implicit_euler")
+    assert (sim.topology, sim.lanes) == ("lanes", 8)
+    sim.advance(2)
+    other = Simulation(scene, "implicit_euler", lanes=8, **how)
+    other.advance(2)
+    assert_same(state(sim), state(other))
+    sim.set_method("symplectic_euler")
+    assert (sim.topology, sim.lanes) == ("lanes", 16)
 
 
 @pytest.mark.parametrize(

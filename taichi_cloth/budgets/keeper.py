@@ -35,9 +35,6 @@ OFTEN = 10  # frames between choices by time
 MOVED = 60  # frames after which a limit that depends on speeds is found anew
 ANEW = 2.0  # times: by how much what is measured differs from what is known, to be taken for it
 UNMEASURED = 64  # times as many as the fewest at most, until a second is: they may be of no use
-# Times: by how much a step on the graph may take longer, beside one in lanes, than is predicted. In
-# cloths of 32 x 24 to 256 x 192 it took 2 to 5 times as long, where 2.8 are predicted.
-OFF_LANES = 1.5
 LONGEST = 0.1  # seconds of a frame: no error is worth slower ones
 
 
@@ -157,8 +154,7 @@ class Keeper:
         """Seconds that a step of a method takes here, as predicted: only ratios count."""
         sim, module = self._sim, methods.load(method)
         ways = sim.topology_of(method), sim.execution
-        off = OFF_LANES if ways[0] == "graph" else 1.0
-        return off * predict(sim.storage.scene, module, current_device(), *ways).step
+        return predict(sim.storage.scene, module, current_device(), *ways).step
 
     def _with_method(self, choice: Choice, now: int, limits: Limits) -> Choice:
         """A choice with the method: another one, where that is clearly better."""

@@ -13,6 +13,7 @@ from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import solver_settings
 from taichi_cloth.simulation.part import Part
+from taichi_cloth.simulation.prediction import slow_to_compile
 from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.storage.storage import Storage
 
@@ -61,10 +62,10 @@ class Engine(Part):
 
         Settings that the new method takes stay as they were, where the old one took them, too; what
         it keeps from step to step is computed anew. With dt "auto" the substeps are chosen for it.
-        It compiles the method's kernels, as at a start, but on the graph: those of lanes may take a
-        minute, and which are there would be the machine's matter. However lanes came about: a
-        log's replay asks for those that its run had chosen. A method that the run had before
-        compiles nothing.
+        It compiles the method's kernels, as at a start. In which topology, is no matter of what the
+        machine knows of costs, so that a log's replay does the same: in lanes where the run has
+        lanes, unless these take long to compile (`prediction.slow_to_compile`), else on the graph.
+        A method that the run had before compiles nothing.
         InputError for an unknown one, and for one that dt "auto" refuses; all is then as it was.
         """
         accepted.word("--method", method, methods.METHODS)
@@ -91,7 +92,12 @@ class Engine(Part):
         if method == self.method:
             return self.topology
         kept = self._engines.get(method)
-        return str(kept["topology"]) if kept else "graph"
+        return str(kept["topology"]) if kept else self._topology_of_others()
+
+    def _topology_of_others(self) -> str:
+        """The topology of a method that the run has not had yet."""
+        slow = slow_to_compile(self.storage.scene, self.storage.solids)
+        return "graph" if self.topology in slow else self.topology
 
     def _take_method(self, method: str, now: Snapshot) -> None:
         module, solver = methods.load(method), self.solver
@@ -114,9 +120,15 @@ class Engine(Part):
 
     def _make_engine(self, method: str, module: Method, now: Snapshot) -> None:
         device, accounts = self._launcher.device, self.storage.accounts_contacts
+        topology = self._topology_of_others()
         self.method, self._module, self.claims = method, module, module.claims
         self._launcher = Launcher(module, device)
-        self.storage = Storage(module, self._lanes_for(module), self._launcher, now, accounts)
+        lanes = self._lanes_for(module)
+        # A run in sixteen lanes may go on with a method that takes but eight.
+        lanes = min(lanes, module.most_lanes(now.scene.world.dim) or lanes)
+        self.storage = Storage(module, lanes, self._launcher, now, accounts)
         self.execution = self.topology = ""  # `_store` chooses them
         self._watch = self.held_up = self._unprepared = None
-        self._requested = "graph", self._requested[1]
+        if topology not in self.storage.topologies():
+            topology = "graph"
+        self._requested = topology, self._requested[1]
