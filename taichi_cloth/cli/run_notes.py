@@ -41,7 +41,7 @@ def compiling(scene: Scene, options: RunOptions) -> Callable[[], None] | None:
     if options.quiet:
         return None
     touches = scene.obstacles or scene.features().resting
-    takes = "up to some minutes" if touches else "some seconds"
+    takes = "up to half a minute" if touches else "some seconds"
     lines = [f"compiling kernels for this run: {takes}, once; later runs find them"]
 
     def tell() -> None:

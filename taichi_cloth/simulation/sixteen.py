@@ -57,7 +57,6 @@ def pays(storage: Storage, method: str) -> bool:
         and storage.device.precision == PRECISION
         and method in METHODS
         and LEAST <= len(storage.scene.particles) <= MOST
-        and not storage.scene.world.tools  # ready for all of them it would compile for minutes
         and storage.is_simple()
     )
 

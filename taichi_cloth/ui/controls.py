@@ -178,7 +178,7 @@ class Controls:
         hand.notice = f"{chosen.name}: {chosen.help}" if chosen else None
         if chosen and prepare is not None:
             self._waiting = prepare
-            takes = "some seconds, minutes where bodies touch"
+            takes = "some seconds, up to half a minute where bodies touch"
             hand.notice = f"{chosen.name}: compiling for it, {takes}"
 
     def _view(self, event: Event) -> None:
