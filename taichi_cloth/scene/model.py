@@ -33,6 +33,7 @@ from taichi_cloth.scene.properties import (
 )
 from taichi_cloth.scene.spheres import Spheres, spheres
 from taichi_cloth.scene.stencils import Stencils
+from taichi_cloth.scene.triangles import springs_of_sides
 from taichi_cloth.settings import accepted
 
 if TYPE_CHECKING:
@@ -435,6 +436,36 @@ class Scene:
             self.springs.rest_length,
             self.world.collisions,
         )
+
+    @functools.cached_property
+    def elements(self) -> np.ndarray:
+        """What of cloths is tested against sharp obstacles, as triangles (m, 3).
+
+        In 3-D the triangles, in 2-D the springs along their sides; in both the springs between
+        particles that are in no triangle, such as those of ropes. Springs are triangles whose last
+        corners are one. Links to the next but one are left out: they are in no cloth's surface.
+        """
+        between = self.springs.between
+        in_triangle = np.zeros(len(self.particles), bool)
+        in_triangle[self.triangles.ravel()] = True
+        as_edge = ~in_triangle[between].any(axis=1)
+        if self.world.dim == 2:
+            sides = springs_of_sides(self.triangles, between)
+            as_edge[sides[sides >= 0]] = True
+        edges = between[as_edge][:, [0, 1, 1]]
+        found = edges if self.world.dim == 2 else np.concatenate([self.triangles, edges])
+        return found.astype(np.int64)
+
+    @functools.cached_property
+    def longest_side(self) -> float:
+        """The length of the longest side of `elements`, at the start or, if longer, of its spring
+        at rest; 0 where there are none.
+        """
+        x = self.particles.position[self.elements]
+        longest = float(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(initial=0.0))
+        springs = np.unique(springs_of_sides(self.elements, self.springs.between))
+        rest = self.springs.rest_length[springs[springs >= 0]]
+        return max(longest, float(rest.max(initial=0.0)))
 
     @functools.cached_property
     def stencil_sides(self) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,6 @@ import numpy as np
 
 from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.scene.obstacles import keys_of
-from taichi_cloth.scene.triangles import springs_of_sides
 
 if TYPE_CHECKING:
     from taichi_cloth.kernels.obstacles.contract import Placed
@@ -141,30 +140,10 @@ def held(scene: Scene, solids: Sequence[Solid]) -> tuple[np.ndarray, np.ndarray]
     return which, local
 
 
-def elements(scene: Scene) -> np.ndarray:
-    """What of a scene's cloths is tested against sharp obstacles, as triangles (m, 3).
-
-    In 3-D the triangles, in 2-D the springs along their sides; in both the springs between
-    particles that are in no triangle, such as those of ropes. Springs are triangles whose last
-    corners are one. Links to the next but one are left out: they are in no cloth's surface.
-    """
-    between = scene.springs.between
-    in_triangle = np.zeros(len(scene.particles), bool)
-    in_triangle[scene.triangles.ravel()] = True
-    as_edge = ~in_triangle[between].any(axis=1)
-    if scene.world.dim == 2:
-        sides = springs_of_sides(scene.triangles, between)
-        as_edge[sides[sides >= 0]] = True
-    edges = between[as_edge][:, [0, 1, 1]]
-    found = edges if scene.world.dim == 2 else np.concatenate([scene.triangles, edges])
-    return found.astype(np.int64)
-
-
 def met_by_faces(scene: Scene, solids: Sequence[Solid]) -> list[str]:
-    """The names of those solids that are sharper than SHARP of a scene's `elements` are long.
+    """The names of those solids that are sharper than SHARP of a scene's sides are long.
 
-    They could pass between a cloth's particles, or be far inside its sides. Sides are as long as
-    at the start, or as their springs at rest where those are longer.
+    They could pass between a cloth's particles, or be far inside its sides.
     """
     if not solids:
         return []
@@ -172,13 +151,7 @@ def met_by_faces(scene: Scene, solids: Sequence[Solid]) -> list[str]:
 
     if all(solid.placed.round >= FAR for solid in solids):
         return []
-    triangles, springs = elements(scene), scene.springs
-    x = scene.particles.position[triangles]
-    longest = float(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(initial=0.0))
-    of_sides = np.unique(springs_of_sides(triangles, springs.between))
-    rest = springs.rest_length[of_sides[of_sides >= 0]]
-    longest = max(longest, float(rest.max(initial=0.0)))
-    return [solid.name for solid in solids if solid.placed.round < SHARP * longest]
+    return [solid.name for solid in solids if solid.placed.round < SHARP * scene.longest_side]
 
 
 def _placed(shape: str, values: Mapping[str, Any], dim: int, margin: float) -> Placed:

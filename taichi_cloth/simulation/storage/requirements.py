@@ -11,7 +11,7 @@ from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.runtime import Device
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.penetration import touches
-from taichi_cloth.scene.solids import Solid, elements, met_by_faces
+from taichi_cloth.scene.solids import Solid, met_by_faces
 from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.storage.layouts import WORTH_SORTING
 from taichi_cloth.simulation.storage.placement import Placement
@@ -84,7 +84,7 @@ def capacity(scene: Scene, solids: Sequence[Solid], placement: Placement) -> Cap
         obstacles=len(solids),
         nodes=sum(solid.nodes for solid in solids),
         triangles=len(scene.triangles) if forces.act_on_triangles(scene) else 0,
-        elements=len(elements(scene)) if met_by_faces(scene, solids) else 0,
+        elements=len(scene.elements) if met_by_faces(scene, solids) else 0,
         stencils=len(placement.graph_stencils),
         stencil_particles=int(scene.stencils.sizes[placement.graph_stencils].sum()),
         stencil_sides=len(scene.stencil_sides[0]),

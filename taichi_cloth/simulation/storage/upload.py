@@ -20,7 +20,7 @@ from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.kernels.state import GONE
 from taichi_cloth.scene.model import Springs
-from taichi_cloth.scene.solids import Solid, elements, held, met_by_faces
+from taichi_cloth.scene.solids import Solid, held, met_by_faces
 from taichi_cloth.scene.triangles import corner_shares, springs_of_sides
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import Numbers
@@ -114,7 +114,7 @@ class Upload:
         if has_tractions(self.spec):
             self.surface(self.state.surface, self.snapshot.scene.triangles)
         if self.spec.faces:
-            self.surface(self.state.elements, elements(self.snapshot.scene))
+            self.surface(self.state.elements, self.snapshot.scene.elements)
             self.launcher.launch(faces.load_rows, self.state)
         if self.spec.thick:
             self._closer_pairs()
