@@ -345,7 +345,7 @@ def test_ours_is_raced_on_all_cores_too(monkeypatch):
     """At each level its rows, and the ratio of the quicker, with its target; of one thread, too,
     where that is not the quicker.
     """
-    ours = next(contestants.kinds(True, touching=True))  # on the graph, which compiles soon
+    ours = next(contestants.kinds(True))
     bdf = next(k for k in contestants.kinds(True) if k.name == "SciPy, BDF")
     assert ours.threads == bdf.threads == 1 and bdf.on(2) is ours.on(1) is None
     little(monkeypatch, [ours, bdf])

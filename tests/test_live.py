@@ -125,6 +125,21 @@ def test_another_method_has_the_lanes_of_the_first_unless_they_compile_long(scen
 
 
 @pytest.mark.thorough
+def test_frames_that_a_run_went_back_from_do_not_say_where_a_method_is_stored():
+    """As a log that ends before them does not have them, and its replay has the same bits."""
+    sim = Simulation(build("warp", side=12), topology="lanes", execution="serial", substeps=8)
+    there = sim.checkpoint()
+    sim.prepare_balls()
+    sim.set_method("verlet")
+    assert sim.topology == "graph"
+    sim.set_method("symplectic_euler")
+    sim.restore(there)
+    assert sim.topology_of("verlet") == "lanes"
+    sim.set_method("verlet")
+    assert sim.topology == "lanes"
+
+
+@pytest.mark.thorough
 def test_a_run_in_sixteen_lanes_goes_on_with_a_method_of_eight():
     scene = build("warp", side=20)
     how = {"topology": "lanes", "execution": "serial", "substeps": 8}

@@ -524,6 +524,7 @@ class Scene:
 
 
 # What a scene works out once, and of what: `Scene.with_parts`.
+OF_SIDES = [*map(attrgetter, ("particles.position", "springs.between", "triangles"))]
 DERIVED = {
     "spheres": [
         *map(attrgetter, ("particles.position", "particles.radius", "particles.thickness")),
@@ -531,4 +532,6 @@ DERIVED = {
         *map(attrgetter, ("triangles", "world.collisions")),
     ],
     "stencil_sides": [attrgetter("stencils"), attrgetter("springs.between")],
+    "elements": OF_SIDES,
+    "longest_side": [*OF_SIDES, attrgetter("springs.rest_length")],
 }

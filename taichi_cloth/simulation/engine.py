@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.methods.contract import Method
@@ -65,7 +67,8 @@ class Engine(Part):
         It compiles the method's kernels, as at a start. In which topology, is no matter of what the
         machine knows of costs, so that a log's replay does the same: in lanes where the run has
         lanes, unless these take long to compile (`prediction.slow_to_compile`), else on the graph.
-        A method that the run had before compiles nothing.
+        A method that the run had before compiles nothing, unless it would be stored otherwise now;
+        the first one goes back to how it was.
         InputError for an unknown one, and for one that dt "auto" refuses; all is then as it was.
         """
         accepted.word("--method", method, methods.METHODS)
@@ -91,8 +94,17 @@ class Engine(Part):
         """The topology that the run has under a method, or would have after `set_method`."""
         if method == self.method:
             return self.topology
-        kept = self._engines.get(method)
+        kept = self._kept(method)
         return str(kept["topology"]) if kept else self._topology_of_others()
+
+    def _kept(self, method: str) -> dict[str, Any] | None:
+        """What is kept of a method; None also where it would be made in another topology now, as by
+        the replay of a log that knows nothing of frames which a run went back from.
+        """
+        kept = self._engines.get(method)
+        first = method == self.began["method"]
+        same = kept is None or first or kept["topology"] == self._topology_of_others()
+        return kept if same else None
 
     def _topology_of_others(self) -> str:
         """The topology of a method that the run has not had yet."""
@@ -102,8 +114,10 @@ class Engine(Part):
     def _take_method(self, method: str, now: Snapshot) -> None:
         module, solver = methods.load(method), self.solver
         self._engines[self.method] = {name: getattr(self, name) for name in self.ENGINE}
-        if method in self._engines:
-            for name, value in self._engines.pop(method).items():
+        kept = self._kept(method)
+        self._engines.pop(method, None)
+        if kept:
+            for name, value in kept.items():
                 setattr(self, name, value)
         else:
             self._make_engine(method, module, now)

@@ -29,6 +29,7 @@ class Part(ABC):
     _module: the method's declaration. _auto: what chooses the substeps with dt "auto", else None.
     _requested: topology and execution as asked for; _preferred: the topology of the next load.
     _watch: what times launches. _engines: of methods that the run had, by name (`Engine.ENGINE`).
+    began: method, dt, substeps and solver settings that the run began with.
     _unprepared: what only a first click needs compiled; None: nobody has asked.
     _since: frame, time and steps when the step last changed.
     _work: counts of the solver's work (`kernels.state.WORK`), evaluations of forces since the
@@ -59,6 +60,7 @@ class Part(ABC):
     _preferred: str
     _watch: autotune.Watch | None
     _engines: dict[str, dict[str, Any]]
+    began: dict[str, Any]
     _unprepared: list[Callable[[], None]] | None
     _since: tuple[int, float, int]
     _work: np.ndarray

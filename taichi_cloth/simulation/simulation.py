@@ -6,7 +6,6 @@ import copy
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -128,7 +127,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         self.held_up, self.aside = None, ""
         self._unprepared = None  # until a window asks
         # What the run began with, for who changes it and wants it back.
-        self.began: dict[str, Any] = {
+        self.began = {
             "method": method,
             "dt": self.dt,
             "substeps": substeps,

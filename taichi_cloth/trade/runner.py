@@ -22,8 +22,6 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.measuring.timing import Quiet
 from taichi_cloth.measuring.worker import ENDED, WorkerFailed
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.scene.penetration import touches
-from taichi_cloth.scene.solids import solids
 from taichi_cloth.sweeps.journal import Journal
 from taichi_cloth.sweeps.tasks import Elsewhere, Task, fill
 from taichi_cloth.trade import ode, reference, settings
@@ -176,10 +174,6 @@ class Study:
         """Note in a result the time that there was, and what was left out for it."""
         result.clock = self.how.clock
         result.left_out = left_out(result.clock, self.settings, result.outcomes)
-        unaccounted = result.clock.limited and not self.how.accounts
-        if unaccounted and touches(result.scene, solids(result.scene)):
-            account = "what contacts do to the energy, and when they touch first"
-            result.left_out.insert(0, f"{account}, which takes long to compile")
         if self._asked < self._wished:
             lacking = f"frames {self._asked + 1} to {self._wished}"
             result.left_out.insert(0, f"{lacking}, for which references would take too long")

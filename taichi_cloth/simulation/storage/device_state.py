@@ -81,11 +81,16 @@ class DeviceState:
 
     def _placements_of(self, scene: Scene) -> Placements:
         """Finds the placements of a scene, of which self.solids are."""
-        # Solvers go through springs in ways of their own. Where a cloth's faces meet what is in
-        # its way, most of a step is that, and packs would take seconds more to compile.
+        return Placements(scene, self._needs, self._lanes, self._may_pack(scene))
+
+    def _may_pack(self, scene: Scene) -> bool:
+        """Whether rows of a graph may be packed here, in a scene of which self.solids are.
+
+        Solvers go through springs in ways of their own. Where a cloth's faces meet what is in its
+        way, most of a step is that, and packs would take seconds more to compile.
+        """
         explicit = self._launcher.device.arch == "cpu" and self._method.claims.forces > 0
-        packs = explicit and not met_by_faces(scene, self.solids)
-        return Placements(scene, self._needs, self._lanes, packs)
+        return explicit and not met_by_faces(scene, self.solids)
 
     @property
     def device(self) -> Device:

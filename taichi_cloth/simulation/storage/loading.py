@@ -28,7 +28,8 @@ class Loading(DeviceState):
         """Hold another state from the next load on, without a push."""
         if not _same_solids(self._taken.scene, snapshot.scene):
             self.solids = solids(snapshot.scene)
-        if not _same_places(self._taken.scene, snapshot.scene):
+        fits = self._placements.packs == self._may_pack(snapshot.scene)
+        if not fits or not _same_places(self._taken.scene, snapshot.scene):
             self._placements = self._placements_of(snapshot.scene)
         self._taken = snapshot
         self.pushed = False
@@ -191,6 +192,7 @@ def _same_places(one: Scene, other: Scene) -> bool:
         and one.stencils is other.stencils
         and one.particles.position is other.particles.position
         and one.triangles is other.triangles
+        and bool(one.features().obstacles) == bool(other.features().obstacles)
         and one.features().collisions == other.features().collisions
         and forces.present_in(one) == forces.present_in(other)
     )

@@ -52,7 +52,7 @@ class Placements:
         self, scene: Scene, needs: Collection[str], lanes: int, packs: bool = False
     ) -> None:
         self._scene, self._needs, self._lanes = scene, needs, lanes
-        self._packs = packs and lanes >= packing.LANES
+        self.packs, self._wide = packs, lanes >= packing.LANES
         self._terms = forces.present_in(scene)
         bends = any(forces.load(name).adds == CURVATURE for name in self._terms)
         self._stencils = scene.stencils if bends else Stencils.none()
@@ -126,7 +126,8 @@ class Placements:
         count = len(scene.particles)
         if topology == "graph":
             # Collisions add up in the order of the particles, which is then that of memory too.
-            sort, packs = not scene.features().collisions, self._packs and self._may_be_packed()
+            sort = not scene.features().collisions
+            packs = self.packs and self._wide and self._may_be_packed()
             return layouts.on_graph(scene.springs, count, sort, self._stencils, packs)
         period = layouts.any_period
         if "spring_colours" in self._needs:
