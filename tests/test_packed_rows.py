@@ -77,12 +77,12 @@ def thrown():
     """A torn sheet that a ball is thrown and turned against, and that goes with it where held."""
     sheet = torn(drape(33), 12)
     x = sheet.particles.position
-    held = (abs(x[:, :1] - 1.0) < 0.1) & (abs(x[:, 2:]) < 0.1)
+    held = (abs(x[:, 0] - 1.0) < 0.1) & (abs(x[:, 2]) < 0.1)
     moves = {"velocity": [0.5, 1.0, 0.2], "spin": [0.0, 90.0, 30.0]}
     ball = Obstacle.build(
         "sphere", centre=[1.0, 0.3, 0.0], radius=0.3, friction=0.5, grip=0.1, **moves
     )
-    particles = replace(sheet.particles, fixed=held[:, 0])
+    particles = replace(sheet.particles, fixed=held)
     return replace(sheet, particles=particles, obstacles=(ball,))
 
 
