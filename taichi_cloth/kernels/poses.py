@@ -13,6 +13,7 @@ from taichi_cloth.kernels.clock import time_at_end, time_at_start, wide
 from taichi_cloth.kernels.loops import each
 from taichi_cloth.kernels.obstacles import load
 from taichi_cloth.kernels.obstacles.contract import NUMBERS, SIZES
+from taichi_cloth.kernels.sine import sine_and_cosine
 
 START, END, NEXT = range(3)  # of a step; mean rates in the next one, where particles are held
 SIZES_AT = len(NUMBERS)  # columns of what `load_obstacles` takes
@@ -139,7 +140,7 @@ def pose_after(spec: ti.template(), state: ti.template(), o, time):
     rate = ti.sqrt(x * x + y * y + z * z)
     if rate > 0.0:
         x, y, z = x / rate, y / rate, z / rate
-    s, c = ti.sin(rate * time), ti.cos(rate * time)
+    s, c = sine_and_cosine(rate * time)
     d = 1.0 - c
     # Rodrigues' matrix, row by row (`contract.about`); in 2-D only its first two rows and columns.
     turn = [

@@ -36,13 +36,13 @@ from taichi_cloth.kernels.forces.contract import (
     Term,
     Variant,
 )
+from taichi_cloth.kernels.sine import sine_of_turn
 
 # Frequencies of a gust's waves, times the period: square roots of primes over that of the third, of
 # which no two have a common multiple.
 WAVES = tuple(math.sqrt(prime / 5) for prime in (2, 3, 5, 7))
 PEAK = math.sqrt(2 * len(WAVES))  # what the sum of all waves never exceeds
 HEIGHT = math.sqrt(2 / len(WAVES))  # of each, for a root mean square of 1
-TERMS_OF_SINE = 11  # of its series, to double precision up to a quarter turn
 LIGHT = 0.01  # part of its speed that a variant's air takes from a sheet that crosses its cell
 
 AIR = Key(
@@ -120,21 +120,6 @@ def _phase(k):
 
 
 @ti.func
-def _sine(turn):
-    """The sine of an angle in turns, by its series: not every backend has it in every precision."""
-    q = 0.5 - (turn - ti.floor(turn))  # sin(2 pi turn) = sin(2 pi q), and |q| <= 1/2
-    if q > 0.25:
-        q = 0.5 - q
-    elif q < -0.25:
-        q = -0.5 - q
-    x = ti.static(2.0 * math.pi) * q
-    total = 0.0 * x
-    for n in ti.static(range(TERMS_OF_SINE - 1, -1, -1)):
-        total = ti.static((-1.0) ** n / math.factorial(2 * n + 1)) + x * x * total
-    return x * total
-
-
-@ti.func
 def prepare(spec: ti.template(), state: ti.template(), time):
     """Compute the wind at a time."""
     turns = ti.Vector.zero(state.real, ti.static(len(WAVES)))
@@ -143,8 +128,14 @@ def prepare(spec: ti.template(), state: ti.template(), time):
         turn = time * ti.cast(rate[None], state.wide) + ti.cast(phase[None], state.wide)
         turns[k] = ti.cast(turn - ti.floor(turn), state.real)
     waves = ti.cast(0.0, state.real)
-    for k in range(ti.static(len(WAVES))):  # the series is compiled once
-        waves += _sine(turns[k])
+    if ti.static(ti.cfg.arch == ti.cpu):
+        for k in range(ti.static(len(WAVES))):  # the series is compiled once
+            waves += sine_of_turn(turns[k])
+    else:
+        # Where a vector is read at a place known only at run time, loops of a kernel share Taichi's
+        # constants, which Vulkan's do not find where there are several such loops, as with `rk4`.
+        for k in ti.static(range(len(WAVES))):
+            waves += sine_of_turn(turns[k])
     for axis in ti.static(range(3)):
         change = 1.0 + state.wind_gust[None] * ti.static(HEIGHT) * waves
         state.wind[axis] = state.wind_velocity[axis] * change
