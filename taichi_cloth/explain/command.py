@@ -197,7 +197,10 @@ def show(explanation: Explanation, to: Console) -> None:
 def _path(compiled: Compiled) -> str:
     plan = compiled.plan
     packs = f", packs of {plan['lanes']} particles" if plan["lanes"] > 1 else ""
-    if plan["one_launch_per_step"]:
+    if plan["blocks"]:
+        blocks = counted(plan["blocks"], "block")
+        loops = f"whole frames in one launch by {blocks} of threads that stay on the GPU"
+    elif plan["one_launch_per_step"]:
         loops = "each step a launch whose loops are parallel"
     else:
         loops = f"whole frames in one launch on {counted(plan['threads'], 'thread')}"

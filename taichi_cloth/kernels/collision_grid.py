@@ -14,7 +14,7 @@ import math
 
 import taichi as ti
 
-from taichi_cloth.kernels.loops import barrier, share
+from taichi_cloth.kernels.loops import barrier, each, share
 from taichi_cloth.kernels.packs import (
     epsilon,
     slot_number,
@@ -89,8 +89,8 @@ def sort_into_cells(spec: ti.template(), state: ti.template(), t):
     cell_end[c] that at which it begins; and, by place, sorted_index and sorted: position, radius,
     velocity and inverse mass.
     """
-    if ti.static(spec.one_launch_per_step):
-        _sort_on_gpu(spec, state)
+    if ti.static(spec.one_launch_per_step or spec.blocks > 0):
+        _sort_on_gpu(spec, state, t)
     else:
         _sort_into_bins(spec, state, t)
         _sort_bins(spec, state, t)
@@ -109,7 +109,7 @@ def _sort_into_bins(spec: ti.template(), state: ti.template(), t):
         state.cell_of[i] = c
         at = mine + (c >> bits)
         state.bin_fill[at] = state.bin_fill[at] + 1  # += would be atomic, and slower
-    barrier(spec, state)
+    barrier(spec, state, t)
     # In each bin, what is of the threads before comes before.
     for b in range(share(spec, bins, t), share(spec, bins, t + 1)):
         total = 0
@@ -118,7 +118,7 @@ def _sort_into_bins(spec: ti.template(), state: ti.template(), t):
             state.bin_fill[other * MOST_BINS + b] = total
             total += count
         state.bin_size[b] = total
-    barrier(spec, state)
+    barrier(spec, state, t)
     start = 0
     for b in range(bins):
         state.bin_fill[mine + b] = state.bin_fill[mine + b] + start
@@ -132,7 +132,7 @@ def _sort_into_bins(spec: ti.template(), state: ti.template(), t):
         state.bin_fill[at] = place + 1
         state.binned_cell[place], state.binned_index[place] = c, i
         _copy_particle(spec, state, slot, ti.static(state.sorted_half) + place)
-    barrier(spec, state)
+    barrier(spec, state, t)
 
 
 @ti.func
@@ -146,7 +146,7 @@ def _sort_bins(spec: ti.template(), state: ti.template(), t):
         before = state.bin_start[b] / ti.cast(ti.max(n, 1), ti.f32) + b / ti.cast(bins, ti.f32)
         if ti.min(ti.cast(0.5 * spec.threads * before, ti.i32), spec.threads - 1) == t:
             _sort_bin(spec, state, b)
-    barrier(spec, state)
+    barrier(spec, state, t)
 
 
 @ti.func
@@ -191,50 +191,83 @@ def _copy_particle(spec: ti.template(), state: ti.template(), slot, at):
 
 
 @ti.func
-def _sort_on_gpu(spec: ti.template(), state: ti.template()):
-    """Sort the particles by cell with loops that Taichi makes parallel."""
-    for c in range(cell_count(spec, state) + 1):
-        state.cell_end[c] = 0
-    for i in range(state.n[None]):
-        c = _cell_at(spec, state, slot_value(spec, state.x, slot_of(spec, state, i)))
-        state.cell_of[i] = c
-        ti.atomic_add(state.cell_end[c + 1], 1)
-
+def _sort_on_gpu(spec: ti.template(), state: ti.template(), t):
+    """Sort the particles by cell on very many threads."""
+    each(spec, state, t, cell_count(spec, state) + 1, _clear_cell)
+    each(spec, state, t, state.n[None], _count_in_cell)
     # An exclusive prefix sum in blocks: first over each block, then over these, then inside each.
-    for b in range((cell_count(spec, state) + BLOCK - 1) // BLOCK):
-        total = 0
-        for c in range(b * BLOCK, ti.min((b + 1) * BLOCK, cell_count(spec, state))):
-            total += state.cell_end[c + 1]
+    each(spec, state, t, _block_count(spec, state), _sum_block)
+    each(spec, state, t, 1, _begin_blocks)
+    each(spec, state, t, _block_count(spec, state), _begin_cells)
+    each(spec, state, t, state.n[None], _put_in_cell)
+    each(spec, state, t, cell_count(spec, state), _order_cell)
+    each(spec, state, t, state.n[None], _copy_to_place)
+
+
+@ti.func
+def _clear_cell(spec: ti.template(), state: ti.template(), c):
+    state.cell_end[c] = 0
+
+
+@ti.func
+def _count_in_cell(spec: ti.template(), state: ti.template(), i):
+    c = _cell_at(spec, state, slot_value(spec, state.x, slot_of(spec, state, i)))
+    state.cell_of[i] = c
+    ti.atomic_add(state.cell_end[c + 1], 1)
+
+
+@ti.func
+def _block_count(spec: ti.template(), state: ti.template()):
+    return (cell_count(spec, state) + BLOCK - 1) // BLOCK
+
+
+@ti.func
+def _sum_block(spec: ti.template(), state: ti.template(), b):
+    total = 0
+    for c in range(b * BLOCK, ti.min((b + 1) * BLOCK, cell_count(spec, state))):
+        total += state.cell_end[c + 1]
+    state.block_start[b] = total
+
+
+@ti.func
+def _begin_blocks(spec: ti.template(), state: ti.template(), _):
+    total = 0
+    for b in range(_block_count(spec, state)):
+        count = state.block_start[b]
         state.block_start[b] = total
-    for _ in range(1):
-        total = 0
-        for b in range((cell_count(spec, state) + BLOCK - 1) // BLOCK):
-            count = state.block_start[b]
-            state.block_start[b] = total
-            total += count
-    for b in range((cell_count(spec, state) + BLOCK - 1) // BLOCK):
-        total = state.block_start[b]
-        for c in range(b * BLOCK, ti.min((b + 1) * BLOCK, cell_count(spec, state))):
-            count = state.cell_end[c + 1]
-            state.cell_end[c + 1] = total
-            total += count
+        total += count
 
-    for i in range(state.n[None]):
-        state.sorted_index[ti.atomic_add(state.cell_end[state.cell_of[i] + 1], 1)] = i
 
-    # They may have filled a cell in any order: an insertion sort by index fixes it.
-    for c in range(cell_count(spec, state)):
-        first = state.cell_end[c]
-        for at in range(first + 1, state.cell_end[c + 1]):
-            i = state.sorted_index[at]
-            to = at
-            while to > first and state.sorted_index[to - 1] > i:
-                state.sorted_index[to] = state.sorted_index[to - 1]
-                to -= 1
-            state.sorted_index[to] = i
-    for at in range(state.n[None]):
-        slot = slot_of(spec, state, state.sorted_index[at])
-        _copy_particle(spec, state, slot, at)
+@ti.func
+def _begin_cells(spec: ti.template(), state: ti.template(), b):
+    total = state.block_start[b]
+    for c in range(b * BLOCK, ti.min((b + 1) * BLOCK, cell_count(spec, state))):
+        count = state.cell_end[c + 1]
+        state.cell_end[c + 1] = total
+        total += count
+
+
+@ti.func
+def _put_in_cell(spec: ti.template(), state: ti.template(), i):
+    state.sorted_index[ti.atomic_add(state.cell_end[state.cell_of[i] + 1], 1)] = i
+
+
+@ti.func
+def _order_cell(spec: ti.template(), state: ti.template(), c):
+    """Sort a cell, which may have been filled in any order, by index: by insertion."""
+    first = state.cell_end[c]
+    for at in range(first + 1, state.cell_end[c + 1]):
+        i = state.sorted_index[at]
+        to = at
+        while to > first and state.sorted_index[to - 1] > i:
+            state.sorted_index[to] = state.sorted_index[to - 1]
+            to -= 1
+        state.sorted_index[to] = i
+
+
+@ti.func
+def _copy_to_place(spec: ti.template(), state: ti.template(), at):
+    _copy_particle(spec, state, slot_of(spec, state, state.sorted_index[at]), at)
 
 
 @ti.func

@@ -24,6 +24,19 @@ def pitch_of(spec: ti.template(), state: ti.template(), g):
 
 
 @ti.func
+def grid_at(spec: ti.template(), state: ti.template(), i):
+    """The grid with links that pack i is in; -1: none. Where there is one grid, nothing is read of
+    each pack: a step of a large cloth on a GPU waits for what is read.
+    """
+    if ti.static(state.capacity.grids == 1):
+        first, rows = state.grid[0, 0], state.grid[0, 1]
+        end = first + rows * pitch_of(spec, state, 0)
+        return ti.select(state.grid[0, 3] == 1 and first <= i and i < end, 0, -1)
+    else:
+        return state.grid_of[i]
+
+
+@ti.func
 def link_offset(state: ti.template(), s, pitch):
     """How many packs lie from a pack to the later end of its links of kind s."""
     return state.link[s, 0] + state.link[s, 1] * pitch

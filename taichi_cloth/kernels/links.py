@@ -12,6 +12,7 @@ from typing import NamedTuple
 import taichi as ti
 
 from taichi_cloth.kernels.grids import (
+    grid_at,
     link_index,
     link_offset,
     pitch_of,
@@ -91,18 +92,24 @@ def link_value(
 
 
 @ti.func
+def _static_offset(spec: ti.template(), s: ti.template(), pitch):
+    """What `grids.link_offset` is, of a kind that is known as a kernel is compiled."""
+    return ti.static(spec.links[s][0]) + ti.static(spec.links[s][1]) * pitch
+
+
+@ti.func
 def sum_of_links(spec: ti.template(), state: ti.template(), between: ti.template(), i):
     """The sum over all links of pack i, with each link computed from both of its ends: for GPUs."""
-    g = state.grid_of[i]
+    g = grid_at(spec, state, i)
     pitch = pitch_of(spec, state, ti.max(g, 0))
     total = zeros(spec, state)
     if g >= 0:  # not an empty row, beyond which there may be nothing
         for s in ti.static(range(spec.kinds)):
-            giver = i - link_offset(state, s, pitch)
+            giver = i - _static_offset(spec, s, pitch)
             k, at = link_stiffness(spec, state, s, giver), link_index(state, s, giver)
             total = total - link_value(spec, state, between, s, g, giver, i, k, at)
         for s in ti.static(spec.forward):
-            far = i + link_offset(state, s, pitch)
+            far = i + _static_offset(spec, s, pitch)
             k, at = link_stiffness(spec, state, s, i), link_index(state, s, i)
             total += link_value(spec, state, between, s, g, i, far, k, at)
     return total
@@ -342,9 +349,9 @@ def pass_over_grids(spec: ti.template(), state: ti.template(), t, of: ti.templat
         # At run time: unrolled, it takes twice as long to compile.
         for k in range(ti.static(len(_phases(spec, of.move)))):
             if k > 0:
-                barrier(spec, state)
+                barrier(spec, state, t)
             pass_over_rows(spec, state, t, first + k * step, of)
-    barrier(spec, state)
+    barrier(spec, state, t)
 
 
 def _phases(spec, move):

@@ -1,14 +1,21 @@
-"""Loops over packs, written once and run in one of three ways.
+"""Loops over packs, written once and run in one of four ways.
 
 serial (spec.threads is 1): a launch holds whole frames, on one thread.
 threads (spec.threads is more): a launch holds whole frames, on all CPU threads; each takes its
     share of every loop, and they meet at a barrier after it. Starting a parallel loop takes Taichi
     some 50 us, a barrier less than one.
+blocks that stay (spec.blocks is more than 0): a launch holds whole frames on a CUDA GPU, whose
+    multiprocessors can hold that many blocks of BLOCK threads at once. They take turns at each
+    loop, and meet at a barrier after it (2.1 us on an H100; to start a loop takes Taichi some 9).
 one launch per step (spec.one_launch_per_step): a launch is one step, and every loop in it is a
-    top-level loop that Taichi makes parallel. GPUs are run so.
+    top-level loop that Taichi makes parallel. Other GPUs are run so, and what is large.
+
+Xiao, Feng, "Inter-block GPU communication via fast barrier synchronization", IPDPS 2010 (blocks
+that stay).
 """
 
 import functools
+import math
 
 import taichi as ti
 
@@ -21,6 +28,8 @@ PIECE = 512
 # A top-level loop of at most so many rows runs on the processor's calling thread: to wake others
 # takes as long as some 10 000 rows, and milliseconds where other programs have the cores.
 SHORT = 20_000
+# Threads in a block that stays: a multiprocessor has room for one, whatever registers these take.
+BLOCK = 256
 # The counter at which threads wait has a cache line to itself.
 COUNTER, COUNTER_SIZE = 32, 64
 
@@ -28,6 +37,11 @@ COUNTER, COUNTER_SIZE = 32, 64
 def is_short(rows):
     """Whether a top-level loop of so many rows, that a field has room for, is one thread's."""
     return rows <= SHORT and ti.cfg.arch == ti.cpu
+
+
+def in_blocks(spec):
+    """Whether threads are those of a GPU's blocks; in tests a CPU's take turns as these do."""
+    return spec.blocks > 0 and ti.cfg.arch != ti.cpu
 
 
 @ti.func
@@ -40,18 +54,39 @@ def share(spec: ti.template(), count, t):
 
 
 @ti.func
-def barrier(spec: ti.template(), state: ti.template()):
-    """Wait until all threads of a launch are here.
+def barrier(spec: ti.template(), state: ti.template(), t):
+    """Wait as thread t until all threads of a launch are here.
 
     It does nothing on one thread, and with one launch per step, where Taichi ends each loop itself.
     Each thread adds its arrival to a count, and a round is over when the count is a multiple of the
-    number of threads. Reading by an atomic maximum keeps compilers from reading only once.
+    number of threads. Reading by an atomic maximum keeps compilers from reading only once. Of each
+    block that stays on a GPU the first thread does so, for all of it, and makes what they wrote
+    known to the others.
     """
-    if ti.static(spec.threads > 1 and not spec.one_launch_per_step):
+    if ti.static(in_blocks(spec)):
+        ti.simt.block.sync()
+        if ti.static(spec.blocks > 1):
+            if t % BLOCK == 0:
+                ti.simt.grid.memfence()
+                _meet_of_blocks(state, spec.blocks)
+                ti.simt.grid.memfence()
+            ti.simt.block.sync()
+    elif ti.static(spec.threads > 1 and not spec.one_launch_per_step):
         arrived = ti.atomic_add(state.arrivals[COUNTER], 1)
         goal = (ti.raw_div(arrived, spec.threads) + 1) * spec.threads
         while ti.atomic_max(state.arrivals[COUNTER], 0) < goal:
             pass
+
+
+@ti.func
+def _meet_of_blocks(state: ti.template(), blocks: ti.template()):
+    """Arrive for a block, and wait for all the others, of which there is a power of two.
+
+    The count goes on from launch to launch, and may overflow: to set it back takes a task.
+    """
+    goal = (ti.atomic_add(state.arrivals[COUNTER], 1) | (blocks - 1)) + 1
+    while ti.atomic_add(state.arrivals[COUNTER], 0) - goal < 0:
+        pass
 
 
 @ti.func
@@ -60,10 +95,13 @@ def each(spec: ti.template(), state: ti.template(), t, count, body: ti.template(
     if ti.static(spec.one_launch_per_step or spec.threads == 1):
         for i in range(count):
             body(spec, state, i)
+    elif ti.static(spec.blocks > 0):  # neighbours in memory at once
+        for turn in range(ti.raw_div(ti.max(count - t, 0) + spec.threads - 1, spec.threads)):
+            body(spec, state, t + turn * spec.threads)
     else:
         for i in range(share(spec, count, t), share(spec, count, t + 1)):
             body(spec, state, i)
-    barrier(spec, state)
+    barrier(spec, state, t)
 
 
 @ti.func
@@ -134,7 +172,7 @@ def each_row(spec: ti.template(), state: ti.template(), t, body: ti.template()):
                 _share_of_rows(spec, state, i // PIECE, body)
     else:
         _share_of_rows(spec, state, t, body)
-        barrier(spec, state)
+        barrier(spec, state, t)
 
 
 @ti.func
@@ -151,8 +189,9 @@ def add_up(spec: ti.template(), state: ti.template(), t, number: ti.template(), 
     """Sum number(spec, state, i), one for each lane, over all packs i into state.sums[k, 0].
 
     First each row is summed, or on a graph each piece of consecutive packs, then these sums in
-    their order: so the result has the same bits for every number of threads. `number` may change
-    its pack. `State.add_sums` makes the room.
+    their order: so the result has the same bits for every number of threads. On a GPU packs are
+    summed in three levels (`levels_of`). `number` may change its pack. `State.add_sums` makes the
+    room.
     """
     _join(spec, state, t, number, k, plus)
 
@@ -182,6 +221,8 @@ def _join(
         each(spec, state, t, pieces_of(state), ti.static(_joining_piece(number, k, op)))
     else:
         each_row(spec, state, t, ti.static(_joining_row(number, k, op)))
+    if ti.static(in_three_levels()):
+        each(spec, state, t, state.n_groups[None], ti.static(_joining_groups((op,), k)))
     each(spec, state, t, 1, ti.static(_joining_parts(k, op)))
 
 
@@ -203,6 +244,8 @@ def join(spec: ti.template(), state: ti.template(), t, numbers: ti.template(), o
 @ti.func
 def join_parts(spec: ti.template(), state: ti.template(), t, ops: ti.template()):
     """Join what `join`, or a pass over links, has joined of each row or piece."""
+    if ti.static(in_three_levels()):
+        each(spec, state, t, state.n_groups[None], ti.static(_joining_groups(ops)))
     each(spec, state, t, ti.static(len(ops)), ti.static(_joining_all_parts(ops)))
 
 
@@ -224,10 +267,17 @@ def _joining_piece_at_once(numbers, ops):
     @ti.func
     def body(spec: ti.template(), state: ti.template(), piece):
         totals = ti.Vector.zero(state.real, ti.static(len(ops)))
-        for i in range(piece * PIECE, ti.min((piece + 1) * PIECE, state.n_packs[None])):
-            found = numbers(spec, state, i)
-            for k, op in ti.static(enumerate(ops)):
-                totals[k] = op(totals[k], found[k])
+        if ti.static(in_three_levels()):
+            pieces = state.n_pieces[None]
+            for n in range(ti.raw_div(state.n_packs[None] - piece + pieces - 1, pieces)):
+                found = numbers(spec, state, piece + n * pieces)
+                for k, op in ti.static(enumerate(ops)):
+                    totals[k] = op(totals[k], found[k])
+        else:
+            for i in range(piece * PIECE, ti.min((piece + 1) * PIECE, state.n_packs[None])):
+                found = numbers(spec, state, i)
+                for k, op in ti.static(enumerate(ops)):
+                    totals[k] = op(totals[k], found[k])
         for k in ti.static(range(len(ops))):
             state.sums[k, piece + 1] = totals[k]
 
@@ -248,10 +298,28 @@ def _joining_all_parts(ops):
     return body
 
 
+def in_three_levels():
+    """Whether packs are joined in three levels: on GPUs, whose threads are many and slow."""
+    return ti.cfg.arch != ti.cpu
+
+
+def levels_of(packs):
+    """How many pieces so many packs are joined in, and how many groups these, on GPUs.
+
+    The numbers that are joined at once, by one thread, are about as many at each of three levels.
+    """
+    fan = max(1, math.ceil(packs ** (1 / 3)))
+    pieces = -(-packs // fan)
+    return pieces, -(-pieces // fan)
+
+
 @ti.func
 def pieces_of(state: ti.template()):
-    """How many pieces of at most PIECE consecutive packs there are."""
-    return (state.n_packs[None] + PIECE - 1) // PIECE
+    """How many pieces of packs there are: on a CPU of at most PIECE consecutive ones."""
+    if ti.static(in_three_levels()):
+        return state.n_pieces[None]
+    else:
+        return (state.n_packs[None] + PIECE - 1) // PIECE
 
 
 @functools.cache
@@ -261,9 +329,32 @@ def _joining_piece(number, k, op):
     @ti.func
     def body(spec: ti.template(), state: ti.template(), piece):
         total = ti.cast(0.0, state.real)
-        for i in range(piece * PIECE, ti.min((piece + 1) * PIECE, state.n_packs[None])):
-            total = op(total, number(spec, state, i))
+        if ti.static(in_three_levels()):
+            pieces = state.n_pieces[None]
+            for n in range(ti.raw_div(state.n_packs[None] - piece + pieces - 1, pieces)):
+                total = op(total, number(spec, state, piece + n * pieces))
+        else:
+            for i in range(piece * PIECE, ti.min((piece + 1) * PIECE, state.n_packs[None])):
+                total = op(total, number(spec, state, i))
         state.sums[k, piece + 1] = total
+
+    return body
+
+
+@functools.cache
+def _joining_groups(ops, first=0):
+    """The body of a loop over groups of pieces that joins the parts of each, of each number from
+    `first` on.
+    """
+
+    @ti.func
+    def body(spec: ti.template(), state: ti.template(), group):
+        pieces, groups = state.n_pieces[None], state.n_groups[None]
+        for k, op in ti.static(enumerate(ops, first)):
+            total = ti.cast(0.0, state.real)
+            for n in range(ti.raw_div(pieces - group + groups - 1, groups)):
+                total = op(total, state.sums[k, group + n * groups + 1])
+            state.sums[k, pieces + group + 1] = total
 
     return body
 
@@ -289,7 +380,10 @@ def _joining_parts(k, op):
     @ti.func
     def body(spec: ti.template(), state: ti.template(), i):
         total = ti.cast(0.0, state.real)
-        if ti.static(spec.lanes == 1):
+        if ti.static(in_three_levels()):
+            for group in range(state.n_groups[None]):
+                total = op(total, state.sums[k, state.n_pieces[None] + group + 1])
+        elif ti.static(spec.lanes == 1):
             for part in range(pieces_of(state)):
                 total = op(total, state.sums[k, part + 1])
         else:

@@ -33,7 +33,7 @@ def colour_pairs(spec: ti.template(), state: ti.template(), t):
         for at in range(state.patch_start[state.n_patches[None]]):
             for k in range(state.found_start[at], state.found_start[at] + state.found_count[at]):
                 _colour(spec, state, at, k)
-    barrier(spec, state)
+    barrier(spec, state, t)
 
 
 @ti.func

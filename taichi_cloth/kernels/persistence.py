@@ -31,7 +31,7 @@ def _names(text):
 # obstacles.
 LOADED = _names(
     """w slot particle radius restitution held_by held_at pair_radius pair_restitution own
-    n_packs n_grids grid grid_of link forward link_shortest2 link_longest2 line
+    n_packs n_pieces n_groups n_grids grid grid_of link forward link_shortest2 link_longest2 line
     n_csr_rows csr_slot csr_start csr_other csr_run first_copy n_copies
     n_colours colour_start coloured n_springs ends half shortest2 longest2 link_k line_k
     n_stencils stencil_start stencil_slot stencil_weight stencil_k row_stencils row_stencil

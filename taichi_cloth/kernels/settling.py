@@ -18,7 +18,6 @@ import taichi as ti
 from taichi_cloth.kernels import contact_account, faces, grips, obstruction, resting_pairs
 from taichi_cloth.kernels.copies import keep
 from taichi_cloth.kernels.loops import each_pack
-from taichi_cloth.kernels.near_pairs import find_pairs
 
 # (needed, settle), in the order in which they act; resting pairs come after them
 PARTS = (
@@ -58,16 +57,15 @@ def _acts_before_pairs(spec):
 
 
 def in_launches(spec):
-    """Whether what ends a step takes several launches, of which `begin_settling` is the first."""
+    """Whether what ends a step takes several launches: `before_pairs`, the pairs, their end."""
     return bool(spec.resting and spec.one_launch_per_step)
 
 
 @ti.func
-def begin_settling(spec: ti.template(), state: ti.template()):
-    """Do what comes before the iterations of resting pairs, where those are launches."""
+def before_pairs(spec: ti.template(), state: ti.template(), t):
+    """Do what comes before resting pairs, where those have launches of their own."""
     for act in ti.static(_acts_before_pairs(spec)):
-        act(spec, state, 0)
-    find_pairs(spec, state, 0)
+        act(spec, state, t)
 
 
 @ti.func

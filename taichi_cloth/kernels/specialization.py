@@ -31,7 +31,7 @@ class Specialization:
     packed_rows: whether packs are particles of a graph that follow each other in memory, and their
         half-springs lie in columns (`graph.py`).
     accounts_contacts: whether an account of what contacts do can be kept (`contact_account.py`).
-    threads, one_launch_per_step: how loops are run (`loops.py`).
+    threads, blocks, one_launch_per_step: how loops are run (`loops.py`).
     """
 
     dim: int
@@ -59,6 +59,7 @@ class Specialization:
     packed_rows: bool = False
     accounts_contacts: bool = False
     threads: int = 1
+    blocks: int = 0
     one_launch_per_step: bool = False
 
     def can_run(self, other: "Specialization") -> bool:

@@ -290,6 +290,7 @@ class State(ContactFields):
         """Place the numbers of the scene and the run."""
         dim = spec.dim
         self.n, self.n_packs, self.n_grids = self._counts(), self._counts(), self._counts()
+        self.n_pieces, self.n_groups = self._counts(), self._counts()
         self.grid = self._counts(max(self.capacity.grids, 1), 4)
         self.dt, self.speed_limit = self._scalars(), self._scalars()
         self.tolerance, self.least_scale = self._scalars(), self._scalars()
@@ -426,7 +427,8 @@ class State(ContactFields):
 
     def add_sums(self, count):
         """Allocate state.sums for `count` sums by `loops.add_up`: sums[k, 0], then its parts."""
-        self.sums = placed(tree := ti.FieldsBuilder(), ti.field(self.real), count, self.packs + 1)
+        room = self.packs + 3  # few packs make as many pieces, and a group of these
+        self.sums = placed(tree := ti.FieldsBuilder(), ti.field(self.real), count, room)
         self.trees.append(tree.finalize())
 
     def free(self):

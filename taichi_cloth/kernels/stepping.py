@@ -14,10 +14,11 @@ from taichi_cloth.kernels.forces import load
 from taichi_cloth.kernels.forces.contract import has
 from taichi_cloth.kernels.fracture import break_springs
 from taichi_cloth.kernels.lane_memory import lane_memory_type, see
-from taichi_cloth.kernels.loops import COUNTER, PIECE, barrier
+from taichi_cloth.kernels.loops import BLOCK, COUNTER, PIECE, barrier, in_blocks
+from taichi_cloth.kernels.near_pairs import find_pairs
 from taichi_cloth.kernels.parts import has_parts, in_turn
 from taichi_cloth.kernels.resting_pairs import iterate
-from taichi_cloth.kernels.settling import acts_of, begin_settling, ends_step, settle
+from taichi_cloth.kernels.settling import acts_of, before_pairs, ends_step, settle
 from taichi_cloth.kernels.watchdog import all_well, begin_step, checkpoint
 
 
@@ -83,7 +84,7 @@ def frames_as_thread(
             if (k + 1) % substeps == 0:
                 if all_well(state):
                     passed += 1
-                barrier(spec, state)  # before the next frame forgets the fault
+                barrier(spec, state, t)  # before the next frame forgets the fault
     if t == 0:
         state.passed[None] = passed
 
@@ -120,6 +121,10 @@ def kernels_of(lanes, real):
             ti.loop_config(serialize=True)
             for t in range(1):
                 frames_as_thread(method, spec, state, t, done, frames, substeps)
+        elif ti.static(in_blocks(spec)):
+            ti.loop_config(block_dim=BLOCK)
+            for t in range(spec.threads):
+                frames_as_thread(method, spec, state, t, done, frames, substeps)
         else:
             state.arrivals[COUNTER] = 0
             # Else Taichi starts no more threads than there are cores, and the others wait forever.
@@ -141,6 +146,10 @@ def kernels_of(lanes, real):
         if ti.static(spec.threads == 1):
             ti.loop_config(serialize=True)
             for t in range(1):
+                body(spec, state, t)
+        elif ti.static(in_blocks(spec)):
+            ti.loop_config(block_dim=BLOCK)
+            for t in range(spec.threads):
                 body(spec, state, t)
         else:
             state.arrivals[COUNTER] = 0
@@ -198,9 +207,15 @@ def method_launch(method: ti.template(), spec: ti.template(), state: ti.template
 
 
 @ti.kernel
-def settle_launch(spec: ti.template(), state: ti.template()):
-    """Do what comes before the iterations of resting pairs."""
-    begin_settling(spec, state)
+def before_pairs_launch(spec: ti.template(), state: ti.template()):
+    """Do what comes before resting pairs."""
+    before_pairs(spec, state, 0)
+
+
+@ti.kernel
+def find_pairs_launch(spec: ti.template(), state: ti.template()):
+    """Find who may rest on whom."""
+    find_pairs(spec, state, 0)
 
 
 @ti.kernel

@@ -103,7 +103,7 @@ def _sweep_colour(spec: ti.template(), state: ti.template(), t, colour, sweep):
         ti.atomic_max(state.pair_residual[k, APPROACH], approach)
     # What one thread does needs no barrier before what it does next.
     if together or (after > FEW and colour + 1 < COLOURS) or colour == COLOURS:
-        barrier(spec, state)
+        barrier(spec, state, t)
 
 
 @ti.func

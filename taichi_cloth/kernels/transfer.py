@@ -46,14 +46,18 @@ def load_packs(
     spec: ti.template(),
     state: ti.template(),
     n_packs: ti.i32,
+    n_pieces: ti.i32,
+    n_groups: ti.i32,
     grid: ti.types.ndarray(),
     grid_of: ti.types.ndarray(),
 ):
     """Empty all packs and load the grids.
 
-    n_packs: packs in use; grid: (grids, 4); grid_of: (n_packs,), read only where there are links.
+    n_packs: packs in use; n_pieces, n_groups: their `loops.levels_of`; grid: (grids, 4); grid_of:
+    (n_packs,), read only where there are links.
     """
     state.n_packs[None] = n_packs
+    state.n_pieces[None], state.n_groups[None] = n_pieces, n_groups
     if ti.static(spec.resting):
         state.unsettled[None] = 0
     if ti.static(spec.thick):

@@ -34,6 +34,9 @@ from taichi_cloth.simulation.prepared import PreparedLaunches
 LAUNCH_WORK = 20_000_000
 # Iterations of a loop in a shader: Mesa's drivers leave one after 65535, and say nothing.
 MOST_ITERATIONS = 65_000
+# Where threads that stay would take more turns at a loop over all packs, each step is a launch: it
+# has more threads, which wait less for memory.
+MOST_TURNS = 8
 # Seconds of compiling in a process, above which kernels are not only read from Taichi's cache.
 COMPILED = 0.4
 
@@ -51,15 +54,41 @@ class Launcher:
         self.device = device
         self._compiling = compiling
         self._kind: str | None = None  # what is compiled, until its first frames are done
-        self._prepared = PreparedLaunches() if device.arch == "cpu" else None
+        self._prepared = PreparedLaunches()
         self._method = method
         self._step = phases.stepping(method.phases) if method.phases else method.step
 
-    def specialize(self, spec: Specialization, path: str) -> Specialization:
-        """What is compiled for frames on a path, "serial" or "parallel", of what `spec` stores."""
-        per_step = path == "parallel" and self.device.arch != "cpu"
+    def specialize(self, spec: Specialization, path: str, packs: int) -> Specialization:
+        """What is compiled for frames on a path, "serial" or "parallel", of what `spec` stores.
+
+        packs: for how many there is room.
+        """
         threads = 1 if path == "serial" else self.device.threads
-        return replace(spec, threads=threads, one_launch_per_step=per_step)
+        if path == "serial" or self.device.arch == "cpu":
+            return replace(spec, threads=threads, one_launch_per_step=False)
+        if self._frames_stay(spec, packs):
+            return self._staying(spec, packs)
+        return replace(spec, threads=threads, one_launch_per_step=True)
+
+    def _frames_stay(self, spec: Specialization, packs: int) -> bool:
+        """Whether the blocks that run so many packs on a GPU may stay for whole frames.
+
+        Not where cloths rest on each other: by colours, of which each would be a few pairs for all
+        threads, that takes a GPU too long.
+        """
+        most = self.device.multiprocessors
+        few = packs <= MOST_TURNS * _power_of_two_below(most) * loops.BLOCK
+        return most > 0 and not spec.thick and (few or bool(self._method.phases))
+
+    def _staying(self, spec: Specialization, packs: int) -> Specialization:
+        """What is compiled for blocks that stay on a GPU, and are as many as it holds at most.
+
+        That is a power of two, so that scenes of like sizes share kernels.
+        """
+        wanted = 1 << (-(-packs // loops.BLOCK) - 1).bit_length()
+        blocks = min(wanted, _power_of_two_below(self.device.multiprocessors))
+        threads = blocks * loops.BLOCK
+        return replace(spec, threads=threads, blocks=blocks, one_launch_per_step=False)
 
     def kind(self, spec: Specialization, capacity: Capacity) -> str:
         """Which kernels frames of what is specialized so are launched with (`compiled.kind`)."""
@@ -92,14 +121,13 @@ class Launcher:
 
     def _launch(self, kernel: Callable[..., Any], *arguments: Any) -> Any:
         """Launch a kernel as `launch` does; the specialization may be any of its arguments."""
-        prepared = self._prepared.find(kernel, arguments) if self._prepared is not None else None
+        prepared = self._prepared.find(kernel, arguments)
         if prepared is not None:
             return prepared(arguments)
         spec = next((one for one in arguments if isinstance(one, Specialization)), None)
         with self._settings(spec):
             result = kernel(*arguments)
-            if self._prepared is not None:
-                self._prepared.note(kernel, arguments)
+            self._prepared.note(kernel, arguments)
         return result
 
     def begin(self, spec: Specialization, state: Any, done: int) -> None:
@@ -117,7 +145,8 @@ class Launcher:
     def renew_halos(self, spec: Specialization, state: Any) -> None:
         """Fill the halos of all rows of packs anew, after their particles were loaded."""
         if spec.halo > 0:
-            self._once(loops.renew_all_halos, self.specialize(spec, "serial"), state)
+            one = self.specialize(spec, "serial", state.packs)
+            self._once(loops.renew_all_halos, one, state)
 
     def frames_per_launch(self, substeps: int, size: int) -> int:
         """Frames that may share a launch. size: particles and springs."""
@@ -175,7 +204,12 @@ class Launcher:
     def _end_step(self, spec: Specialization, state: Any) -> None:
         """Launch what ends a step by itself."""
         if settling.in_launches(spec):
-            self._launch(stepping.settle_launch, spec, state)
+            # What stays until it has settled is looked at; launches end after so many turns.
+            if self.device.multiprocessors > 0:
+                self._once(settling.before_pairs, self._staying(spec, state.packs), state)
+            else:
+                self._launch(stepping.before_pairs_launch, spec, state)
+            self._launch(stepping.find_pairs_launch, spec, state)
             for done in range(resting_pairs.LAUNCHED):
                 self._launch(stepping.iterate_launch, spec, state, done)
         if spec.resting and not spec.one_launch_per_step:
@@ -185,8 +219,15 @@ class Launcher:
             self._launch(stepping.end_step_launch, by_loops, state)
 
     def _launch_phases(self, spec: Specialization, state: Any, step: int) -> None:
-        """Launch the phases of a step; the device says after each launch which one is next."""
+        """Launch the phases of a step: at once where blocks may stay for it; else the device says
+        after each launch which one is next.
+        """
         self._launch(stepping.begin_step_launch, state, step)
+        if self.device.multiprocessors > 0:
+            every = tuple(range(len(self._method.phases)))
+            on = self._staying(spec, state.packs)
+            self._once(phases.together(self._method.phases, every), on, state)
+            return
         phase = 0
         while phase != phases.DONE:
             if spec.one_launch_per_step:
@@ -213,6 +254,11 @@ class Launcher:
             if spec is not None and has_parts(spec):
                 settings.enter_context(nothing_kept_over_calls())
             yield
+
+
+def _power_of_two_below(count: int) -> int:
+    """The largest power of two that is at most `count`; 0 of 0."""
+    return 1 << (count.bit_length() - 1) if count else 0
 
 
 def _for_one_pass(spec: Specialization, state: Any) -> Specialization:

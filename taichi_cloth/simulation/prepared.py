@@ -3,7 +3,7 @@
 Taichi looks at all arguments of a kernel anew at every launch, for what has been compiled for them,
 and packs them one by one: some 50 to 70 us in Python before a kernel begins (1.7.4), and 100 more
 where it runs on several threads, which have gone to sleep meanwhile. A step of a small cloth takes
-less. What was found at the first launch is kept here; a launch then takes some 4 us.
+less. What was found at the first launch is kept here; a launch then takes some 5 us.
 
 It is Taichi's own machinery, called in its own order. A Taichi that is made otherwise, and kernels
 with arguments of other kinds, are launched as usual.
@@ -68,7 +68,7 @@ class PreparedLaunches:
 
 
 class _Prepared:
-    """A kernel, compiled for some arguments, and the context in which it gets the others."""
+    """A kernel, compiled for some arguments, and how it gets the others."""
 
     def __init__(
         self, kernel: Callable[..., Any], signature: _Signature, arguments: tuple[Any, ...]
@@ -78,36 +78,47 @@ class _Prepared:
         self._start = ref(_runtime())
         program = _runtime().prog
         self._compiled = program.compile_kernel(program.config(), program.get_device_caps(), made)
-        self._context = made.make_launch_context()
+        self._make_context = made.make_launch_context
         given = sorted(at for at, _ in (*signature.arrays, *signature.numbers))
         place = {at: (k,) for k, at in enumerate(given)}  # templates are compiled in, and have none
         self._arrays = [(at, place[at], inner) for at, inner in signature.arrays]
-        put = {int: self._context.set_arg_int, float: self._context.set_arg_float}
-        self._numbers = [(at, place[at], kind, put[kind]) for at, kind in signature.numbers]
-        self._result: Callable[[], Any] | None = None
+        self._numbers = [(at, place[at], kind) for at, kind in signature.numbers]
+        self._result: Callable[[Any], Any] | None = None
         if primal.return_type:
             (kind,) = primal.return_type
-            self._result = partial(primal.construct_kernel_ret, self._context, kind, (0,))
+            self._result = partial(_result_of, primal, kind)
 
     def is_of(self, runtime: Any) -> bool:
         """Whether it is of this start of Taichi; what is of another one is no longer there."""
         return self._start() is runtime
 
     def __call__(self, arguments: tuple[Any, ...]) -> Any:
-        """Launch it; return what it returns."""
+        """Launch it; return what it returns.
+
+        The context is a new one: a launch on a GPU leaves it pointing to memory that is given back.
+        """
+        context = self._make_context()
         for at, place, inner in self._arrays:
             array = arguments[at]
             address, _ = array.__array_interface__["data"]
             shape = array.shape[: array.ndim - inner]
-            self._context.set_arg_external_array_with_shape(place, address, array.nbytes, shape, 0)
-        for at, place, kind, put in self._numbers:
-            put(place, kind(arguments[at]))
+            context.set_arg_external_array_with_shape(place, address, array.nbytes, shape, 0)
+        for at, place, kind in self._numbers:
+            if kind is int:
+                context.set_arg_int(place, int(arguments[at]))
+            else:
+                context.set_arg_float(place, float(arguments[at]))
         program = _runtime().prog
-        program.launch_kernel(self._compiled, self._context)
+        program.launch_kernel(self._compiled, context)
         if self._result is None:
             return None
         program.synchronize()
-        return self._result()
+        return self._result(context)
+
+
+def _result_of(primal: Any, kind: Any, context: Any) -> Any:
+    """What a kernel that was launched in a context returns, a number of a kind."""
+    return primal.construct_kernel_ret(context, kind, (0,))
 
 
 def _runtime() -> Any:

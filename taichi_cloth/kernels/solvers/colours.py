@@ -79,7 +79,7 @@ def each_spring(
             first = state.colour_start[colour - 2 * spec.kinds]
             end = state.colour_start[colour - 2 * spec.kinds + 1]
         _each_from(spec, state, t, first, end, on_spring)
-    barrier(spec, state)
+    barrier(spec, state, t)
 
 
 @ti.func
@@ -223,7 +223,7 @@ def each_stencil(
             first = state.stencil_colour[colour - lines]
             end = state.stencil_colour[colour - lines + 1]
         _each_from(spec, state, t, first, end, on_stencil)
-    barrier(spec, state)
+    barrier(spec, state, t)
 
 
 @ti.func
@@ -323,7 +323,7 @@ def each_particle(
             first = state.colour_start[colour - ti.static(turns(spec))]
             end = state.colour_start[colour - ti.static(turns(spec)) + 1]
         _each_from(spec, state, t, first, end, ti.static(_setting(on_particle)))
-    barrier(spec, state)
+    barrier(spec, state, t)
 
 
 @ti.func

@@ -2,11 +2,12 @@
 
 A method with phases is a small state machine. Each phase is a ti.func(spec, state, t) that ends by
 saying which one is next: by `go_to`, or by setting state.phase in a loop. In a launch of whole
-frames all threads go from phase to phase together. With spec.one_launch_per_step each phase is a
-launch, and the host asks which one is next. A phase must then not put its loops under a condition:
-what is not wanted is a loop over nothing, or becomes another phase. On packs of several lanes a
-launch holds only some of the phases (the method's `launches`), for as long as these lead to each
-other, because compile time grows with the square of what is in a kernel.
+frames all threads go from phase to phase together, and so do the blocks that stay on a CUDA GPU,
+be it for one step. On other GPUs each phase is a launch, with spec.one_launch_per_step, and the
+host asks which one is next. A phase must then not put its loops under a condition: what is not
+wanted is a loop over nothing, or becomes another phase. On packs of several lanes a launch holds
+only some of the phases (the method's `launches`), for as long as these lead to each other, because
+compile time grows with the square of what is in a kernel.
 """
 
 import functools
@@ -24,9 +25,9 @@ def go_to(spec: ti.template(), state: ti.template(), t, phase):
 
     All threads must give the same one.
     """
-    barrier(spec, state)
+    barrier(spec, state, t)
     set_alone(spec, state.phase, t, phase)
-    barrier(spec, state)
+    barrier(spec, state, t)
 
 
 @ti.func

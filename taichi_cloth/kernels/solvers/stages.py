@@ -65,7 +65,7 @@ def set_tau(spec: ti.template(), state: ti.template(), t, tau):
     set_alone(spec, state.coarsened, t, 0)
     if ti.static(spec.only_links):
         set_alone(spec, state.n_blocks, t, 0)
-    barrier(spec, state)
+    barrier(spec, state, t)
 
 
 @ti.func

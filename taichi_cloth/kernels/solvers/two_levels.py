@@ -229,10 +229,10 @@ def coarsen(spec: ti.template(), state: ti.template(), t):
     for k in range(n):
         if t == 0:
             _invert_pivots(spec, state, k)
-        barrier(spec, state)
+        barrier(spec, state, t)
         for pair in range(share(spec, pairs, t), share(spec, pairs, t + 1)):
             _eliminate(spec, state, pair, k, n)
-        barrier(spec, state)
+        barrier(spec, state, t)
 
 
 @ti.func

@@ -51,7 +51,7 @@ class Loading(DeviceState):
         placement, topology = self._find_placement(topology)
         spec = self._needed(placement)
         capacity = self._capacity(placement, spec)
-        return self._launcher.kind(self._launcher.specialize(spec, path), capacity)
+        return self._launcher.kind(self._launcher.specialize(spec, path, capacity.packs), capacity)
 
     def load(self, topology: str, path: str, numbers: Numbers) -> None:
         """Put the state that was taken on the device.
@@ -90,7 +90,7 @@ class Loading(DeviceState):
     ) -> None:
         """Put the state that was taken into a container."""
         self.topology, self.path, self.loads = container.topology, path, self.loads + 1
-        specialization = self._launcher.specialize(container.spec, path)
+        specialization = self._launcher.specialize(container.spec, path, container.state.packs)
         self._launcher.expect(specialization, container.state.capacity)
         self._loaded = Loaded(
             number=self.loads,

@@ -42,7 +42,8 @@ class Storage(Loading, Download, Handling):
     def set_path(self, path: str) -> None:
         """From now on run on a path, "serial" or "parallel"."""
         self.path = path
-        specialization = self._launcher.specialize(self._now.container.spec, path)
+        container = self._now.container
+        specialization = self._launcher.specialize(container.spec, path, container.state.packs)
         self._loaded = replace(self._now, specialization=specialization)
 
     def set_numbers(self, numbers: Numbers) -> None:

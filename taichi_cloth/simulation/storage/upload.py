@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.kernels import clock, faces, poses, surfaces, transfer
+from taichi_cloth.kernels import clock, faces, loops, poses, surfaces, transfer
 from taichi_cloth.kernels.collision_grid import most_cells
 from taichi_cloth.kernels.forces import device_fields, has_tractions
 from taichi_cloth.kernels.obstacles.contract import FAR, SIZES
@@ -154,7 +154,9 @@ class Upload:
 
     def _cells(self) -> None:
         layout = self.placement.layout
-        self._launch(transfer.load_packs, layout.n_packs, layout.grid, layout.grid_of)
+        packs = layout.n_packs
+        levels = loops.levels_of(packs)
+        self._launch(transfer.load_packs, packs, *levels, layout.grid, layout.grid_of)
 
     def _particles(self) -> None:
         p, x = self.snapshot.scene.particles, self.snapshot.x
