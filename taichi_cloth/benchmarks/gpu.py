@@ -1,8 +1,9 @@
-"""The structural cloth on a GPU, beside the bandwidth of its memory.
+"""Cloths on a GPU, beside the bandwidth of its memory; and every scene there, beside the CPU.
 
-A step must read and write each particle's position and velocity and read its inverse mass: 36
-bytes in f32 and two dimensions; whatever else a topology moves counts against it. The bandwidth is
-that of a copy of 256 MiB on the same backend.
+A step of the structural cloth must read and write each particle's position and velocity and read
+its inverse mass: 36 bytes in f32 and two dimensions; whatever else a topology moves counts against
+it. The bandwidth is that of a copy of 256 MiB on the same backend. Warp's cloth is that of its own
+benchmark (part `warp`): many frames in a call, and one by one, as a window asks for them.
 """
 
 from __future__ import annotations
@@ -14,8 +15,13 @@ from collections.abc import Iterator
 from typing import Any
 
 from taichi_cloth import runtime
-from taichi_cloth.benchmarks import ours
-from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SUBSTEPS
+from taichi_cloth.benchmarks import agreement, ours
+from taichi_cloth.benchmarks.cloths import (
+    STRUCTURAL_FRAME,
+    STRUCTURAL_SUBSTEPS,
+    WARP,
+    WARP_SUBSTEPS,
+)
 from taichi_cloth.benchmarks.contest import Bench
 from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.benchmarks.structural import SCENE
@@ -29,6 +35,9 @@ WORK = 30_000_000  # particle-steps in a round, about
 FRAMES = 1  # of 16 steps: when the error is measured
 BYTES = 36  # that must move for a step of a particle
 COPIED = 2**26  # floats
+WANTED, LARGE = 40, 2048  # percent of the copy's speed, from this side on
+WARP_SIDE, WARP_FRAMES = 128, 60  # frames in a round, and when the error is measured
+WARP_WANTED = 0.2  # ms a frame: what Warp says of itself
 SOFTWARE = re.compile("llvmpipe|lavapipe|swiftshader|softpipe|basic render", re.I)
 
 
@@ -86,6 +95,8 @@ def _measure_backend(bench: Bench, arch: str, note: str) -> Iterator[Measurement
         copy.drop()
     for side in QUICK_SIDES if bench.quick else SIDES:
         yield from _measure_size(bench, arch, side, note, bandwidth)
+    yield from _measure_warp(bench, arch, note)
+    yield from agreement.measure(bench, PART, arch, note)
 
 
 def _measure_size(
@@ -121,6 +132,48 @@ def _measure_size(
                 size=size,
                 rate=100 * BYTES * row.rate / bandwidth,
                 unit="%",
+                target=f">= {WANTED}" if side >= LARGE else "",
+            )
+    for contestant in finished:
+        contestant.drop()
+
+
+def _measure_warp(bench: Bench, arch: str, note: str) -> Iterator[Measurement]:
+    """Warp's cloth, whose frames are to be as short as Warp's own."""
+    side, steps = WARP_SIDE, WARP_SUBSTEPS
+    size, scene = f"{side} x {side}", (WARP, {"side": side})
+    reference = ours.reference(bench, PART, scene, side * side, steps, [WARP_FRAMES])
+    contestants = [
+        ours.enter(
+            bench,
+            PART,
+            f"{arch}: Warp's cloth, {layout}, {how}",
+            scene,
+            precision="f32",
+            arch=arch,
+            size=size,
+            particles=side * side,
+            units=WARP_FRAMES,
+            substeps=steps,
+            topology=layout,
+            batch=batch,
+        )
+        for layout in ours.TOPOLOGIES
+        for how, batch in (("a round's frames in one call", None), ("frame by frame", 1))
+    ]
+    finished = bench.race(PART, contestants, marks=[WARP_FRAMES])
+    against = f"{ours.AGAINST} on the CPU, after {WARP_FRAMES} frames"
+    for row in bench.rows(PART, finished, reference, against):
+        row.threads, row.note = None, note
+        yield row
+        if row.seconds:
+            yield Measurement(
+                part=PART,
+                contestant=f"{row.contestant}: a frame",
+                size=size,
+                rate=1e3 * steps * row.seconds,
+                unit="ms",
+                target=f"<= {WARP_WANTED}",
             )
     for contestant in finished:
         contestant.drop()

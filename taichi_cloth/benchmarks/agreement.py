@@ -1,0 +1,109 @@
+"""Every scene under every method on a GPU, beside the same on the CPU, in f64.
+
+Both run the same frames from the same start, with the substeps that `--dt auto` chooses there. A
+pair of them has a process of its own: compiling takes most of it, and ends together with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from taichi_cloth import runtime
+from taichi_cloth.benchmarks.contest import Bench, distance
+from taichi_cloth.benchmarks.report import Measurement
+from taichi_cloth.errors import InputError
+from taichi_cloth.kernels.methods import METHODS
+from taichi_cloth.measuring.worker import Worker, WorkerFailed
+from taichi_cloth.scene import library
+from taichi_cloth.simulation.simulation import Simulation
+
+FRAMES = 2
+# Of a scene's extent. What tolerances leave of implicit steps differs by up to as much; without
+# them a pair is apart by the last bits.
+BOUND = 1e-6
+SHORTER = 16  # steps of methods that no step makes stable, than those of the default method
+# Scenes that are empty until something is spawned get some particles, which hit each other.
+GIVEN: dict[str, dict[str, Any]] = {"box": {"particles": 60}, "sandbox": {"particles": 60}}
+QUICK_SCENES, QUICK_METHODS = ("box", "cloth"), ("symplectic_euler", "implicit_euler", "xpbd")
+
+
+def measure(bench: Bench, part: str, arch: str, note: str) -> Iterator[Measurement]:
+    """A row for each scene: how far the backend is from the CPU under its worst method."""
+    scenes = QUICK_SCENES if bench.quick else tuple(library.names())
+    methods = QUICK_METHODS if bench.quick else tuple(METHODS)
+    wanted = [(scene, method) for scene in scenes for method in methods]
+    apart: dict[tuple[str, str], float] = {}
+    with ThreadPoolExecutor(max(1, bench.threads // 2)) as pool:
+        asked = {pair: pool.submit(_compare, bench, *pair, arch) for pair in wanted}
+        for done, (pair, answer) in enumerate(asked.items()):
+            bench.tell(f"{arch} beside the CPU: {', '.join(pair)}", done, len(wanted))
+            try:
+                apart[pair] = answer.result()
+            except WorkerFailed as failure:
+                bench.leave_out(part, f"{arch}: beside the CPU, {pair[1]}", pair[0], str(failure))
+    yield from rows(part, arch, apart, note)
+
+
+def rows(
+    part: str, arch: str, apart: dict[tuple[str, str], float], note: str
+) -> Iterator[Measurement]:
+    """The rows of what was measured: of each scene the method under which it is farthest."""
+    for scene in dict.fromkeys(scene for scene, _ in apart):
+        of_scene = {method: far for (named, method), far in apart.items() if named == scene}
+        worst = max(of_scene, key=of_scene.__getitem__)
+        yield Measurement(
+            part=part,
+            contestant=f"{arch}: beside the CPU, farthest of {len(of_scene)} methods ({worst})",
+            size=scene,
+            rate=of_scene[worst],
+            unit="of its extent",
+            target=f"<= {BOUND:g}",
+            note=note,
+        )
+
+
+def _compare(bench: Bench, scene: str, method: str, arch: str) -> float:
+    """How far a pair is apart, by a process of its own; raises WorkerFailed."""
+    worker = Worker(bench.folder, {"OMP_NUM_THREADS": "1"})
+    try:
+        given = {"scene": scene, "method": method, "arch": arch}
+        about = worker.ask(make=f"{__name__}:Pair", **{"as": "pair", "with": given})["result"]
+        return float(about["apart"])
+    finally:
+        worker.close()
+
+
+class Pair:
+    """A scene under a method on the CPU and on a backend, as `about` says how far apart: in parts
+    of its extent.
+    """
+
+    def __init__(self, scene: str, method: str, arch: str):
+        on_cpu, there = (positions(scene, method, where) for where in ("cpu", arch))
+        self.about = {"apart": relative(on_cpu, there)}
+
+
+def relative(one: np.ndarray, other: np.ndarray) -> float:
+    """The largest distance of a particle in `one` from the same in `other`, both (n, dim), in
+    parts of the extent of `one`.
+    """
+    return distance(one, other) / float(np.ptp(one, axis=0).max())
+
+
+def positions(scene: str, method: str, arch: str) -> np.ndarray:
+    """Where the particles of a scene are after FRAMES frames, (n, dim)."""
+    runtime.start(arch, "f64")
+    made = library.build(scene, **GIVEN.get(scene, {}))
+    way: dict[str, Any] = {"topology": "graph"}
+    way["execution"] = "serial" if arch == "cpu" else "parallel"
+    try:
+        sim = Simulation(made, method, dt="auto", **way)
+    except InputError:  # of `explicit_euler`, which no step makes stable: so short it lasts
+        substeps = Simulation(made, dt="auto", **way).substeps
+        sim = Simulation(made, method, substeps=SHORTER * substeps, **way)
+    sim.advance(FRAMES)
+    return sim.positions()
