@@ -154,6 +154,13 @@ def test_pairs_of_cloth_have_launches_of_their_own(pool):
     assert made.one_launch_per_step and made.blocks == 0
 
 
+@pytest.mark.parametrize(("method", "frames"), [("verlet", 4000), ("implicit_euler", 64)])
+def test_launches_of_small_scenes_end_soon(method, frames):
+    launcher = Launcher(methods.load(method), H100)
+    assert launcher.frames_per_launch(substeps=4, size=3) == frames
+    assert launcher.frames_per_launch(substeps=10**6, size=3) == 1
+
+
 @pytest.mark.parametrize("arch", ["vulkan", "metal", "opengl"])
 def test_other_gpus_have_no_blocks_that_stay(arch, pool):
     spec = inside.spec_of(pool(small.build("net"), "verlet"))

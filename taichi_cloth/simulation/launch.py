@@ -37,6 +37,9 @@ MOST_ITERATIONS = 65_000
 # Where threads that stay would take more turns at a loop over all packs, each step is a launch: it
 # has more threads, which wait less for memory.
 MOST_TURNS = 8
+# Steps in one launch of blocks that stay, of methods without and with phases: some tenths of a
+# second, as above, however small the scene is; many systems end a longer one.
+STAYING_STEPS = 16_000, 256
 # Seconds of compiling in a process, above which kernels are not only read from Taichi's cache.
 COMPILED = 0.4
 
@@ -151,7 +154,9 @@ class Launcher:
     def frames_per_launch(self, substeps: int, size: int) -> int:
         """Frames that may share a launch. size: particles and springs."""
         frames = LAUNCH_WORK // (substeps * max(size, 1))
-        if self.device.arch != "cpu":
+        if self.device.multiprocessors > 0:
+            frames = min(frames, STAYING_STEPS[bool(self._method.phases)] // substeps)
+        elif self.device.arch != "cpu":
             frames = min(frames, MOST_ITERATIONS // substeps)
         return max(1, frames)
 
