@@ -9,7 +9,7 @@ from inside import spec_of, state_of
 from selection import mostly_thorough
 
 from taichi_cloth.errors import InputError, SimulationFailure
-from taichi_cloth.kernels import forces, methods
+from taichi_cloth.kernels import forces, methods, sine
 from taichi_cloth.kernels.forces import air
 from taichi_cloth.kernels.packs import set_slot_value, slot_number, slot_value
 from taichi_cloth.kernels.solvers import newton_cg
@@ -399,3 +399,18 @@ def test_wind_is_set_while_a_scene_runs(falling):
     assert force == pytest.approx(weight + 0.5 * 1.2 * 2.0 * 9.0 * 0.09, rel=1e-12)
     with pytest.raises(InputError, match=r"set: wind: unknown key 'speed'"):
         falling.set(wind={"speed": 1.0})
+
+
+def test_the_series_of_a_sine_is_one(device, monkeypatch):
+    """To rounding of the angle in turns: for backends that have no sine of f64."""
+    monkeypatch.setattr(sine, "has_sine", lambda: False)
+    angles = np.linspace(-50.0, 900.0, 501)
+    found = np.zeros((2, 501))
+
+    @ti.kernel
+    def compute(angles: ti.types.ndarray(), found: ti.types.ndarray()):
+        for k in range(angles.shape[0]):
+            found[0, k], found[1, k] = sine.sine_and_cosine(ti.f64, angles[k])
+
+    compute(angles, found)
+    np.testing.assert_allclose(found, [np.sin(angles), np.cos(angles)], rtol=0, atol=1e-12)

@@ -5,6 +5,7 @@ as those of blocks do, sums are joined in three levels, particles are sorted by 
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import inside
 import numpy as np
@@ -17,6 +18,7 @@ from selection import mostly_thorough
 
 from taichi_cloth.kernels import loops, methods
 from taichi_cloth.kernels.packs import plus
+from taichi_cloth.kernels.watchdog import NO_FAULT
 from taichi_cloth.runtime import Device
 from taichi_cloth.simulation.launch import MOST_TURNS, Launcher
 from taichi_cloth.simulation.simulation import Simulation
@@ -158,12 +160,34 @@ def test_pairs_of_cloth_have_launches_of_their_own(pool):
 def test_launches_of_small_scenes_end_soon(method, frames):
     launcher = Launcher(methods.load(method), H100)
     assert launcher.frames_per_launch(substeps=4, size=3) == frames
-    assert launcher.frames_per_launch(substeps=10**6, size=3) == 1
 
 
-@pytest.mark.parametrize("arch", ["vulkan", "metal", "opengl"])
-def test_other_gpus_have_no_blocks_that_stay(arch, pool):
+@pytest.mark.parametrize(
+    ("method", "substeps", "packs", "by_steps"),
+    [
+        ("verlet", 16, 128**2, False),
+        ("verlet", 16_001, 3, True),
+        ("implicit_euler", 256, 3, False),
+        ("implicit_euler", 257, 3, True),
+        ("implicit_euler", 16, 2048**2, True),
+    ],
+)
+def test_frames_that_take_long_have_a_launch_for_each_step(
+    method, substeps, packs, by_steps, pool, monkeypatch
+):
+    launcher, launched = Launcher(methods.load(method), H100), []
+    spec = launcher.specialize(inside.spec_of(pool(small.build("net"), "verlet")), "parallel", 3)
+    monkeypatch.setattr(launcher, "_launch_steps", lambda spec, *_: launched.append(spec))
+    monkeypatch.setattr(launcher, "_launch", lambda *_: NO_FAULT)
+    state = SimpleNamespace(packs=packs, lane_memory=None, real=ti.f64)
+    launcher.advance(spec, state, 0, 1, substeps)
+    assert bool(launched) == by_steps
+    assert all(made.one_launch_per_step and made.blocks == 0 for made in launched)
+
+
+def test_a_gpu_whose_multiprocessors_are_not_known_has_no_blocks_that_stay(pool):
+    """As those of Vulkan, Metal and OpenGL, whose blocks may not wait for each other."""
     spec = inside.spec_of(pool(small.build("net"), "verlet"))
-    launcher = Launcher(methods.load("implicit_euler"), Device(arch, "f32", 1, True))
+    launcher = Launcher(methods.load("implicit_euler"), replace(H100, multiprocessors=0))
     made = launcher.specialize(spec, "parallel", 100)
     assert made.one_launch_per_step and made.blocks == 0

@@ -37,14 +37,24 @@ def measure(bench: Bench, part: str, arch: str, note: str) -> Iterator[Measureme
     methods = QUICK_METHODS if bench.quick else tuple(METHODS)
     wanted = [(scene, method) for scene in scenes for method in methods]
     apart: dict[tuple[str, str], float] = {}
-    with ThreadPoolExecutor(max(1, bench.threads // 2)) as pool:
-        asked = {pair: pool.submit(_compare, bench, *pair, arch) for pair in wanted}
+    if arch == "metal":
+        bench.leave_out(part, f"{arch}: beside the CPU", "all scenes", "Metal has no f64")
+        return
+    running: set[Worker] = set()
+    pool = ThreadPoolExecutor(max(1, bench.threads // 2))
+    try:
+        asked = {pair: pool.submit(_compare, bench, running, *pair, arch) for pair in wanted}
         for done, (pair, answer) in enumerate(asked.items()):
             bench.tell(f"{arch} beside the CPU: {', '.join(pair)}", done, len(wanted))
             try:
                 apart[pair] = answer.result()
             except WorkerFailed as failure:
                 bench.leave_out(part, f"{arch}: beside the CPU, {pair[1]}", pair[0], str(failure))
+    finally:  # also where it is interrupted: what has yet to begin does not, and the rest ends
+        pool.shutdown(wait=False, cancel_futures=True)
+        for worker in list(running):
+            worker.kill()
+        pool.shutdown()
     yield from rows(part, arch, apart, note)
 
 
@@ -66,14 +76,19 @@ def rows(
         )
 
 
-def _compare(bench: Bench, scene: str, method: str, arch: str) -> float:
-    """How far a pair is apart, by a process of its own; raises WorkerFailed."""
+def _compare(bench: Bench, running: set[Worker], scene: str, method: str, arch: str) -> float:
+    """How far a pair is apart, by a process of its own; raises WorkerFailed.
+
+    running: has that process while it runs.
+    """
     worker = Worker(bench.folder, {"OMP_NUM_THREADS": "1"})
+    running.add(worker)
     try:
         given = {"scene": scene, "method": method, "arch": arch}
         about = worker.ask(make=f"{__name__}:Pair", **{"as": "pair", "with": given})["result"]
         return float(about["apart"])
     finally:
+        running.discard(worker)
         worker.close()
 
 

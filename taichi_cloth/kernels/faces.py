@@ -46,7 +46,7 @@ from taichi_cloth.kernels.watchdog import note_fault
 
 FINDS = 8  # searches for contacts in a step, at most
 SWEEPS = 32  # at most, after each: what corners share is spread
-LAUNCHED_FINDS, LAUNCHED_SWEEPS = 2, 6  # on a GPU, which does not look at what is left
+LAUNCHED_FINDS, LAUNCHED_SWEEPS = 2, 6  # with a launch for each step: what is left is not seen
 SETTLED = 1e-3  # of the room that a contact has: depth, and approach in a step, at which sweeps end
 UNSETTLED = 0.5  # of that room: a depth that is counted
 LEAST_ROOM = 0.02  # of the longest side: the room of what has no radius

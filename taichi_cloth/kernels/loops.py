@@ -7,8 +7,10 @@ threads (spec.threads is more): a launch holds whole frames, on all CPU threads;
 blocks that stay (spec.blocks is more than 0): a launch holds whole frames on a CUDA GPU, whose
     multiprocessors can hold that many blocks of BLOCK threads at once. They take turns at each
     loop, and meet at a barrier after it (2.1 us on an H100; to start a loop takes Taichi some 9).
+    Where a program beside this one holds multiprocessors for good, they would wait for ever.
 one launch per step (spec.one_launch_per_step): a launch is one step, and every loop in it is a
-    top-level loop that Taichi makes parallel. Other GPUs are run so, and what is large.
+    top-level loop that Taichi makes parallel. Other GPUs are run so; on CUDA what is large, or
+    has cloths that rest on each other.
 
 Xiao, Feng, "Inter-block GPU communication via fast barrier synchronization", IPDPS 2010 (blocks
 that stay).
@@ -41,7 +43,8 @@ def is_short(rows):
 
 def in_blocks(spec):
     """Whether threads are those of a GPU's blocks; in tests a CPU's take turns as these do."""
-    return spec.blocks > 0 and ti.cfg.arch != ti.cpu
+    stay = spec.blocks > 0 and spec.threads > 1 and not spec.one_launch_per_step
+    return stay and ti.cfg.arch != ti.cpu
 
 
 @ti.func
@@ -82,7 +85,8 @@ def barrier(spec: ti.template(), state: ti.template(), t):
 def _meet_of_blocks(state: ti.template(), blocks: ti.template()):
     """Arrive for a block, and wait for all the others, of which there is a power of two.
 
-    The count goes on from launch to launch, and may overflow: to set it back takes a task.
+    The count goes on from launch to launch, and may overflow: to set it back takes a task. So all
+    launches on a state must be of as many blocks, until `transfer.load_packs` sets it back.
     """
     goal = (ti.atomic_add(state.arrivals[COUNTER], 1) | (blocks - 1)) + 1
     while ti.atomic_add(state.arrivals[COUNTER], 0) - goal < 0:

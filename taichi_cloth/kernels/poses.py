@@ -140,7 +140,7 @@ def pose_after(spec: ti.template(), state: ti.template(), o, time):
     rate = ti.sqrt(x * x + y * y + z * z)
     if rate > 0.0:
         x, y, z = x / rate, y / rate, z / rate
-    s, c = sine_and_cosine(rate * time)
+    s, c = sine_and_cosine(state.wide, rate * time)
     d = 1.0 - c
     # Rodrigues' matrix, row by row (`contract.about`); in 2-D only its first two rows and columns.
     turn = [

@@ -39,7 +39,7 @@ from taichi_cloth.kernels.swept_pairs import is_swept, sweep_pairs
 from taichi_cloth.kernels.watchdog import note_fault
 
 MOST_ITERATIONS = 96  # of a step; a column of ten needs about as many
-LAUNCHED = 32  # on a GPU, which does not look at what came of an iteration
+LAUNCHED = 32  # where iterations are launches, which do not look at what came of one
 SETTLED = 2e-4  # of a pair's reach: overlap, and approach in a step, at which iterations end
 UNSETTLED = 1e-2  # of a pair's reach: an overlap that is counted
 # The same where cloths have a thickness: their spheres are a quarter wider than they must be.

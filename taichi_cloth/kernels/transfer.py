@@ -7,6 +7,7 @@ Arrays have the device's precision, or are int32. n: particles; s: springs on th
 import taichi as ti
 
 from taichi_cloth.kernels.grids import link_index, pitch_of
+from taichi_cloth.kernels.loops import COUNTER
 from taichi_cloth.kernels.packs import set_slot_number, set_slot_value, slot_number
 from taichi_cloth.kernels.spring_numbers import (
     NUMBERS,
@@ -58,6 +59,7 @@ def load_packs(
     """
     state.n_packs[None] = n_packs
     state.n_pieces[None], state.n_groups[None] = n_pieces, n_groups
+    state.arrivals[COUNTER] = 0
     if ti.static(spec.resting):
         state.unsettled[None] = 0
     if ti.static(spec.thick):

@@ -38,7 +38,8 @@ MOST_ITERATIONS = 65_000
 # has more threads, which wait less for memory.
 MOST_TURNS = 8
 # Steps in one launch of blocks that stay, of methods without and with phases: some tenths of a
-# second, as above, however small the scene is; many systems end a longer one.
+# second, as above, however small the scene is, since many systems end one of some seconds. Where a
+# frame has more, or is of more work, each step is a launch.
 STAYING_STEPS = 16_000, 256
 # Seconds of compiling in a process, above which kernels are not only read from Taichi's cache.
 COMPILED = 0.4
@@ -64,7 +65,7 @@ class Launcher:
     def specialize(self, spec: Specialization, path: str, packs: int) -> Specialization:
         """What is compiled for frames on a path, "serial" or "parallel", of what `spec` stores.
 
-        packs: for how many there is room.
+        packs: for how many there is room, so that what is spawned there compiles nothing anew.
         """
         threads = 1 if path == "serial" else self.device.threads
         if path == "serial" or self.device.arch == "cpu":
@@ -90,8 +91,7 @@ class Launcher:
         """
         wanted = 1 << (-(-packs // loops.BLOCK) - 1).bit_length()
         blocks = min(wanted, _power_of_two_below(self.device.multiprocessors))
-        threads = blocks * loops.BLOCK
-        return replace(spec, threads=threads, blocks=blocks, one_launch_per_step=False)
+        return _in_blocks(spec, blocks)
 
     def kind(self, spec: Specialization, capacity: Capacity) -> str:
         """Which kernels frames of what is specialized so are launched with (`compiled.kind`)."""
@@ -155,7 +155,7 @@ class Launcher:
         """Frames that may share a launch. size: particles and springs."""
         frames = LAUNCH_WORK // (substeps * max(size, 1))
         if self.device.multiprocessors > 0:
-            frames = min(frames, STAYING_STEPS[bool(self._method.phases)] // substeps)
+            frames = min(frames, self._staying_steps() // substeps)
         elif self.device.arch != "cpu":
             frames = min(frames, MOST_ITERATIONS // substeps)
         return max(1, frames)
@@ -170,9 +170,18 @@ class Launcher:
             self._kind = None
         return passed
 
+    def _staying_steps(self) -> int:
+        return STAYING_STEPS[bool(self._method.phases)]
+
+    def _is_long(self, state: Any, substeps: int) -> bool:
+        """Whether a frame is more than one launch of blocks that stay should hold."""
+        return substeps > self._staying_steps() or substeps * state.packs > LAUNCH_WORK
+
     def _advance(
         self, spec: Specialization, state: Any, done: int, frames: int, substeps: int
     ) -> int:
+        if spec.blocks > 0 and self._is_long(state, substeps):
+            spec = _by_steps(spec)
         if not spec.one_launch_per_step and not self._by_phases(spec):
             of = self._step, spec, state, state.lane_memory
             passed: int = self._launch(kernels_of(state).frames, *of, done, frames, substeps)
@@ -272,6 +281,19 @@ def _for_one_pass(spec: Specialization, state: Any) -> Specialization:
     """
     short = spec.threads > 1 and loops.is_short(state.packs * spec.lanes)
     return _on_one_thread(spec) if short else spec
+
+
+@functools.lru_cache
+def _in_blocks(spec: Specialization, blocks: int) -> Specialization:
+    """The same by so many blocks that stay; kept, as to make it takes as long as a launch."""
+    threads = blocks * loops.BLOCK
+    return replace(spec, threads=threads, blocks=blocks, one_launch_per_step=False)
+
+
+@functools.lru_cache
+def _by_steps(spec: Specialization) -> Specialization:
+    """The same with a launch for each step."""
+    return replace(spec, threads=1, blocks=0, one_launch_per_step=True)
 
 
 @functools.lru_cache

@@ -116,7 +116,7 @@ def predict(scene: Scene, method: Method, device: Device, topology: str, path: s
     if path == "serial":
         return Cost(LAUNCH + counts, work + handovers)
     shared = work * (SHARED if device.threads > 1 else 1.0) * 2 / max(device.threads, 2)
-    if device.arch != "cpu":  # a launch for each step
+    if device.arch != "cpu":  # where there is nothing to choose from but topologies
         loops = passes * 2 + COLLISION_LOOPS * collisions + 3 * iterations
         return Cost(counts, shared + loops * SPREAD_LOOP)
     # Where each step takes several launches, the threads are woken for each.

@@ -130,12 +130,12 @@ def prepare(spec: ti.template(), state: ti.template(), time):
     waves = ti.cast(0.0, state.real)
     if ti.static(ti.cfg.arch == ti.cpu):
         for k in range(ti.static(len(WAVES))):  # the series is compiled once
-            waves += sine_of_turn(turns[k])
+            waves += sine_of_turn(state.real, turns[k])
     else:
         # Where a vector is read at a place known only at run time, loops of a kernel share Taichi's
         # constants, which Vulkan's do not find where there are several such loops, as with `rk4`.
         for k in ti.static(range(len(WAVES))):
-            waves += sine_of_turn(turns[k])
+            waves += sine_of_turn(state.real, turns[k])
     for axis in ti.static(range(3)):
         change = 1.0 + state.wind_gust[None] * ti.static(HEIGHT) * waves
         state.wind[axis] = state.wind_velocity[axis] * change
