@@ -94,13 +94,19 @@ def _meet_of_blocks(state: ti.template(), blocks: ti.template()):
 
 
 @ti.func
+def turns_of(count, first, step):
+    """How many of first, first + step, first + 2*step, ... are below `count`."""
+    return ti.raw_div(ti.max(count - first, 0) + step - 1, step)
+
+
+@ti.func
 def each(spec: ti.template(), state: ti.template(), t, count, body: ti.template()):
     """Run body(spec, state, i) for every i below `count`."""
     if ti.static(spec.one_launch_per_step or spec.threads == 1):
         for i in range(count):
             body(spec, state, i)
     elif ti.static(spec.blocks > 0):  # neighbours in memory at once
-        for turn in range(ti.raw_div(ti.max(count - t, 0) + spec.threads - 1, spec.threads)):
+        for turn in range(turns_of(count, t, spec.threads)):
             body(spec, state, t + turn * spec.threads)
     else:
         for i in range(share(spec, count, t), share(spec, count, t + 1)):
@@ -273,7 +279,7 @@ def _joining_piece_at_once(numbers, ops):
         totals = ti.Vector.zero(state.real, ti.static(len(ops)))
         if ti.static(in_three_levels()):
             pieces = state.n_pieces[None]
-            for n in range(ti.raw_div(state.n_packs[None] - piece + pieces - 1, pieces)):
+            for n in range(turns_of(state.n_packs[None], piece, pieces)):
                 found = numbers(spec, state, piece + n * pieces)
                 for k, op in ti.static(enumerate(ops)):
                     totals[k] = op(totals[k], found[k])
@@ -335,7 +341,7 @@ def _joining_piece(number, k, op):
         total = ti.cast(0.0, state.real)
         if ti.static(in_three_levels()):
             pieces = state.n_pieces[None]
-            for n in range(ti.raw_div(state.n_packs[None] - piece + pieces - 1, pieces)):
+            for n in range(turns_of(state.n_packs[None], piece, pieces)):
                 total = op(total, number(spec, state, piece + n * pieces))
         else:
             for i in range(piece * PIECE, ti.min((piece + 1) * PIECE, state.n_packs[None])):
@@ -356,7 +362,7 @@ def _joining_groups(ops, first=0):
         pieces, groups = state.n_pieces[None], state.n_groups[None]
         for k, op in ti.static(enumerate(ops, first)):
             total = ti.cast(0.0, state.real)
-            for n in range(ti.raw_div(pieces - group + groups - 1, groups)):
+            for n in range(turns_of(pieces, group, groups)):
                 total = op(total, state.sums[k, group + n * groups + 1])
             state.sums[k, pieces + group + 1] = total
 
