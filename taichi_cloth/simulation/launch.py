@@ -67,12 +67,10 @@ class Launcher:
 
         packs: for how many there is room, so that what is spawned there compiles nothing anew.
         """
-        threads = 1 if path == "serial" else self.device.threads
         if path == "serial" or self.device.arch == "cpu":
+            threads = 1 if path == "serial" else self.device.threads
             return replace(spec, threads=threads, one_launch_per_step=False)
-        if self._frames_stay(spec, packs):
-            return self._staying(spec, packs)
-        return replace(spec, threads=threads, one_launch_per_step=True)
+        return self._staying(spec, packs) if self._frames_stay(spec, packs) else _by_steps(spec)
 
     def _frames_stay(self, spec: Specialization, packs: int) -> bool:
         """Whether the blocks that run so many packs on a GPU may stay for whole frames.
