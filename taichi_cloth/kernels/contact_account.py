@@ -178,8 +178,10 @@ def _work_of(spec: ti.template(), state: ti.template(), i):
 def _book(spec: ti.template(), state: ti.template(), i):
     """Add a step's work to that of the run, and if it is positive, to what was given."""
     work = ti.cast(state.sums[ti.static(state.sums.shape[0] - 1), 0], state.wide)
-    state.contact_energy[None] += ti.max(work, ti.cast(0.0, state.wide))
-    state.contact_balance[None] += work
+    # += would be atomic.
+    given = ti.max(work, ti.cast(0.0, state.wide))
+    state.contact_energy[None] = state.contact_energy[None] + given
+    state.contact_balance[None] = state.contact_balance[None] + work
 
 
 @ti.func

@@ -14,6 +14,11 @@ FACE_COLUMNS = 20  # of state.face (`faces.py`)
 FACE_CONTACTS = 4  # that a triangle may have at once
 
 
+def pairs_act_at_once():
+    """Whether a device has room for pairs of cloth that all act at once: where it is a GPU."""
+    return ti.cfg.arch != ti.cpu
+
+
 class ContactFields(Fields):
     """The part of a `State` that has what contacts need.
 
@@ -49,10 +54,10 @@ class ContactFields(Fields):
         moves; free_ball (not moving): of each slot, the middle of a ball that is free of obstacles,
         and the square of its radius (`obstruction.py`).
         held_by, held_at: what each particle goes with, 1 + its row, and where (`grips.py`).
-        elements, face, face_hits, face_left, face_row, face_count, face_finds, faces_unsettled
-        (faces): a `Surface` of what is tested against sharp obstacles, and what comes of that
-        (`faces.py`); face_clear, face_seen, face_way, face_unseen: what need not be looked at
-        (`face_clearance.py`).
+        elements, face, face_hits, face_left, face_row, face_count, face_finds, face_sweeps,
+        faces_unsettled (faces): a `Surface` of what is tested against sharp obstacles, and what
+        comes of that (`faces.py`); face_clear, face_seen, face_way, face_unseen: what need not be
+        looked at (`face_clearance.py`).
         obstacle_low, obstacle_nodes, obstacle_grid: of its grid of distances, where it has one.
     The account of contacts (`contact_account.py`): accounting: whether it is kept; opened_x,
         opened_v, free_x, free_v, ended_x: the step's start, free end and end; contact_work: of each
@@ -75,7 +80,7 @@ class ContactFields(Fields):
         # In two halves: what is being sorted, or goes from iteration to iteration, changes sides.
         self.sorted_half, self.sorted = n, self._scalars(2 * n, 2 * spec.dim + 2)
         if spec.resting:
-            self.pair_friction, self.pair_residual = self._scalars(), self._scalars(2, 2)
+            self.pair_friction, self.pair_residual = self._scalars(), self._raised(2, 2)
             self.number_names.append("pair_friction")
             self.near_count = self._counts(n)
             if not spec.thick:
@@ -108,7 +113,7 @@ class ContactFields(Fields):
         self.near, self.near_reach = self._counts(n * MOST_KEPT), self._scalars(n * MOST_KEPT)
         self.near_from, self.colour_size = self._counts(n * MOST_KEPT), self._counts(COLOURS + 1)
         self.colours_at, self.changed = self._counts(n), self._counts(n)
-        if ti.cfg.arch != ti.cpu:  # where all pairs act at once
+        if pairs_act_at_once():
             self.active, self.n_active = self._counts(n), self._counts()
             self.visited, self.near_start = self._counts(n), self._counts(n)
             self.touch, self.touch_count = self._counts(n * MOST_KEPT), self._counts(n)
@@ -151,9 +156,10 @@ class ContactFields(Fields):
         m, n = max(self.capacity.elements, 1), self.capacity.particles
         self.elements = Surface(self.real, m, n, self._reals, self._integers)
         self.face = self._scalars(FACE_CONTACTS * m, FACE_COLUMNS)
-        self.face_left = self._scalars()
+        self.face_left = self._raised()
         self.face_row, self.face_count = self._counts(m, 3), self._counts(max(min(n, 3 * m), 1))
-        self.face_finds, self.faces_unsettled = self._counts(), self._counts()
+        self.face_finds, self.face_sweeps = self._counts(), self._counts()
+        self.faces_unsettled = self._counts()
         self.face_hits, self.face_clear = self._counts(m), self._scalars(m)
         rows = max(min(n, 3 * m), 1)
         self.face_seen, self.face_way = self._scalars(rows, dim), self._scalars(rows)

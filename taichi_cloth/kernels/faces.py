@@ -20,7 +20,7 @@ from taichi_cloth.kernels import face_clearance, laws
 from taichi_cloth.kernels.compensated import joined, owed_at, put_at
 from taichi_cloth.kernels.contact_fields import FACE_COLUMNS, FACE_CONTACTS
 from taichi_cloth.kernels.face_distance import nearest, point_of
-from taichi_cloth.kernels.loops import each, each_pack_moving, leave
+from taichi_cloth.kernels.loops import each, each_pack_moving, leave, raise_to
 from taichi_cloth.kernels.obstacles.contract import (
     BOUND,
     FACES_TOO,
@@ -32,6 +32,7 @@ from taichi_cloth.kernels.obstacles.contract import (
 )
 from taichi_cloth.kernels.obstruction import ROUNDINGS, bounce, judge_look, part_before, size_of
 from taichi_cloth.kernels.packs import epsilon, slot_number, slot_value
+from taichi_cloth.kernels.phases import DONE, go_to, set_alone, stepping
 from taichi_cloth.kernels.poses import (
     END,
     START,
@@ -46,7 +47,7 @@ from taichi_cloth.kernels.watchdog import note_fault
 
 FINDS = 8  # searches for contacts in a step, at most
 SWEEPS = 32  # at most, after each: what corners share is spread
-LAUNCHED_FINDS, LAUNCHED_SWEEPS = 2, 6  # with a launch for each step: what is left is not seen
+AT_ONCE = 8  # sweeps in a launch, after which the host asks what is next
 SETTLED = 1e-3  # of the room that a contact has: depth, and approach in a step, at which sweeps end
 UNSETTLED = 0.5  # of that room: a depth that is counted
 LEAST_ROOM = 0.02  # of the longest side: the room of what has no radius
@@ -65,57 +66,27 @@ def needed(spec):
     return bool(spec.obstacles) and spec.faces
 
 
+# Phases (`phases.py`): contacts are searched for, counted, swept until they are at rest, and
+# searched for again.
+BEGIN, FIND, COUNT, SWEEP, LEAVE = range(5)
+
+
 @ti.func
-def settle(spec: ti.template(), state: ti.template(), t):
-    """Take the faces of the scene's triangles out of obstacles."""
+def _begin(spec: ti.template(), state: ti.template(), t):
+    """Phase BEGIN."""
     if ti.static(spec.moving):
         place_obstacles(spec, state, t)
-    each(spec, state, t, 1, _begin)
-    if ti.static(spec.one_launch_per_step):  # whose loops must be top-level ones
-        for _ in ti.static(range(LAUNCHED_FINDS)):
-            _find(spec, state, t)
-            each(spec, state, t, state.elements.n_rows[None], _count)
-            for _ in ti.static(range(LAUNCHED_SWEEPS)):
-                _sweep(spec, state, t)
-                each(spec, state, t, state.elements.n_rows[None], _give)
-    else:
-        finds, any_left = 0, 1
-        while any_left == 1 and finds < FINDS:
-            _find(spec, state, t)
-            # All threads ask before the barrier after which one of them may clear it.
-            any_left = ti.select(state.face_left[None] > 0.0, 1, 0)
-            if any_left == 1:
-                each(spec, state, t, state.elements.n_rows[None], _count)
-            sweeps, left = 0, any_left
-            while left == 1 and sweeps < SWEEPS:
-                _sweep(spec, state, t)
-                left = ti.select(state.face_left[None] > SETTLED, 1, 0)
-                each(spec, state, t, state.elements.n_rows[None], _give)
-                sweeps += 1
-            finds += 1
-    each(spec, state, t, 1, _judge)
-    each_pack_moving(spec, state, t, leave)
-
-
-@ti.func
-def _begin(spec: ti.template(), state: ti.template(), i):
-    state.face_finds[None] = 0
-    state.face_left[None] = 0.0
+    set_alone(spec, state.face_finds, t, 0)
+    go_to(spec, state, t, FIND)
 
 
 @ti.func
 def _find(spec: ti.template(), state: ti.template(), t):
-    """Find all contacts; state.face_left says whether there is any."""
+    """Phase FIND: find all contacts; state.face_left says whether there is any."""
     each(spec, state, t, 1, _begin_find)
     face_clearance.note_ways(spec, state, t)
     each(spec, state, t, state.elements.n_triangles[None], _look)
-
-
-@ti.func
-def _sweep(spec: ti.template(), state: ti.template(), t):
-    """Compute what all contacts do to their corners; state.face_left: the worst of them."""
-    each(spec, state, t, 1, _clear_left)
-    each(spec, state, t, FACE_CONTACTS * state.elements.n_triangles[None], _want)
+    each(spec, state, t, 1, _end_find)
 
 
 @ti.func
@@ -125,15 +96,66 @@ def _begin_find(spec: ti.template(), state: ti.template(), i):
 
 
 @ti.func
-def _clear_left(spec: ti.template(), state: ti.template(), i):
+def _end_find(spec: ti.template(), state: ti.template(), i):
+    state.phase[None] = ti.select(state.face_left[None] > 0.0, COUNT, LEAVE)
+
+
+@ti.func
+def _count(spec: ti.template(), state: ti.template(), t):
+    """Phase COUNT: count the contacts of each particle."""
+    each(spec, state, t, state.elements.n_rows[None], _count_of)
+    each(spec, state, t, 1, _begin_sweeps)
+
+
+@ti.func
+def _begin_sweeps(spec: ti.template(), state: ti.template(), i):
+    state.face_sweeps[None] = 0
+    state.phase[None] = SWEEP
+
+
+@ti.func
+def _sweep(spec: ti.template(), state: ti.template(), t):
+    """Phase SWEEP: do to all corners what their contacts do; state.face_left: the worst of them."""
+    for _ in ti.static(range(AT_ONCE if spec.one_launch_per_step else 1)):
+        each(spec, state, t, _if_sweeping(spec, state, 1), _begin_sweep)
+        contacts = FACE_CONTACTS * state.elements.n_triangles[None]
+        each(spec, state, t, _if_sweeping(spec, state, contacts), _want)
+        each(spec, state, t, _if_sweeping(spec, state, state.elements.n_rows[None]), _give)
+        each(spec, state, t, _if_sweeping(spec, state, 1), _end_sweep)
+
+
+@ti.func
+def _if_sweeping(spec: ti.template(), state: ti.template(), count):
+    """How many of a loop's turns are taken: none in a launch after the last of its sweeps."""
+    if ti.static(spec.one_launch_per_step):
+        return ti.select(state.phase[None] == SWEEP, count, 0)
+    else:
+        return count
+
+
+@ti.func
+def _begin_sweep(spec: ti.template(), state: ti.template(), i):
+    state.face_sweeps[None] += 1
     state.face_left[None] = 0.0
 
 
 @ti.func
-def _note_left(state: ti.template(), size):
-    """Note how far a contact is from rest: the largest is kept, whatever the order."""
-    if size > state.face_left[None]:
-        ti.atomic_max(state.face_left[None], size)
+def _end_sweep(spec: ti.template(), state: ti.template(), i):
+    state.phase[None] = ti.select(state.face_finds[None] < FINDS, FIND, LEAVE)
+    if state.face_left[None] > SETTLED and state.face_sweeps[None] < SWEEPS:
+        state.phase[None] = SWEEP
+
+
+@ti.func
+def _leave(spec: ti.template(), state: ti.template(), t):
+    """Phase LEAVE."""
+    each(spec, state, t, 1, _judge)
+    each_pack_moving(spec, state, t, leave)
+    go_to(spec, state, t, DONE)
+
+
+PHASES = _begin, _find, _count, _sweep, _leave
+settle = stepping(PHASES)  # takes the faces of the scene's triangles out of obstacles
 
 
 @ti.func
@@ -339,7 +361,7 @@ def _note_contact(spec: ti.template(), state: ti.template(), o, m, gap, meets, p
         for axis in ti.static(range(spec.dim)):
             state.face[c, NORMAL + axis] = n[axis]
             state.face[c, SURFACE_V + axis] = surface_v[axis]
-        _note_left(state, 1.0)
+        raise_to(state, state.face_left[None], 1.0)
 
 
 @ti.func
@@ -349,7 +371,7 @@ def _has(state: ti.template(), c):
 
 
 @ti.func
-def _count(spec: ti.template(), state: ti.template(), p):
+def _count_of(spec: ti.template(), state: ti.template(), p):
     """Count the contacts of the particle of row p."""
     count = 0
     for h in range(state.elements.row_start[p], state.elements.row_start[p + 1]):
@@ -390,7 +412,8 @@ def _want(spec: ti.template(), state: ti.template(), c):
         for axis in ti.static(range(spec.dim)):
             state.face[c, DX + axis] = dx[axis] / mobility
             state.face[c, DV + axis] = dv[axis] / mobility
-        _note_left(state, ti.max(push, lost * state.dt[None]) / state.face[c, ROOM])
+        left = ti.max(push, lost * state.dt[None]) / state.face[c, ROOM]
+        raise_to(state, state.face_left[None], left)
 
 
 @ti.func

@@ -57,13 +57,16 @@ class Fields:
     Where both share a tree, Vulkan and OpenGL read f64 at addresses that are no multiple of 8,
     which are not the ones that were written.
 
-    real: ti.f32 or ti.f64; capacity: a `Capacity`; packs: how many there is room for.
+    real, raised: ti.f32 or ti.f64: type of numbers, and of those that threads raise (`_raised`).
+    capacity: a `Capacity`; packs: how many there is room for.
     number_names, count_names, vector_names, particle_names: of the fields that the host loads.
     by_component: the fields of vectors that lie so (`packs.py`), and how many slots each has.
     """
 
     def __init__(self, real, capacity):
         self.real, self.capacity = real, capacity
+        # Shaders of OpenGL have no atomics of f64.
+        self.raised = ti.f32 if ti.cfg.arch == ti.opengl else real
         self.packs = max(capacity.packs, 1)
         self.number_names, self.count_names = [], []
         self.particle_names, self.vector_names = [], []
@@ -73,6 +76,10 @@ class Fields:
 
     def _scalars(self, *shape):
         return placed(self._reals, ti.field(self.real), *shape)
+
+    def _raised(self, *shape):
+        """Place numbers that many threads raise at once (`loops.raise_to`)."""
+        return placed(self._reals, ti.field(self.raised), *shape)
 
     def _counts(self, *shape):
         return placed(self._integers, ti.field(ti.i32), *shape)

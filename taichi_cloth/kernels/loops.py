@@ -195,6 +195,16 @@ def _share_of_rows(spec: ti.template(), state: ti.template(), t, body: ti.templa
 
 
 @ti.func
+def raise_to(state: ti.template(), number: ti.template(), size):
+    """Raise a number out of a field of `State.raised` to a size, if that is larger.
+
+    Of those of many threads the largest stays, whatever their order.
+    """
+    if size > number:
+        ti.atomic_max(number, ti.cast(size, state.raised))
+
+
+@ti.func
 def add_up(spec: ti.template(), state: ti.template(), t, number: ti.template(), k: ti.template()):
     """Sum number(spec, state, i), one for each lane, over all packs i into state.sums[k, 0].
 

@@ -24,7 +24,7 @@ import taichi as ti
 from taichi_cloth.kernels.collision_grid import slot_of, sorted_w
 from taichi_cloth.kernels.compensated import joined
 from taichi_cloth.kernels.kept_pairs import has_passed
-from taichi_cloth.kernels.loops import each, each_pack_moving, leave
+from taichi_cloth.kernels.loops import each, each_pack_moving, leave, raise_to
 from taichi_cloth.kernels.near_pairs import (
     finding,
     place_of,
@@ -361,9 +361,7 @@ def _change_by(
 @ti.func
 def _note_residual(state: ti.template(), kind: ti.template(), size):
     """Note how far a pair is from rest: the largest is kept, whatever the order."""
-    k = state.pair_iteration[None] & 1
-    if size > state.pair_residual[k, kind]:
-        ti.atomic_max(state.pair_residual[k, kind], size)
+    raise_to(state, state.pair_residual[state.pair_iteration[None] & 1, kind], size)
 
 
 @ti.func

@@ -56,14 +56,27 @@ def _acts_before_pairs(spec):
     return opened + [settle for needed, settle in PARTS if needed(spec)]
 
 
+def repeats(spec):
+    """Whether any of it goes on until it has settled."""
+    return faces.needed(spec) or resting_pairs.needed(spec)
+
+
 def in_launches(spec):
-    """Whether what ends a step takes several launches: `before_pairs`, the pairs, their end."""
-    return bool(spec.resting and spec.one_launch_per_step)
+    """Whether what ends a step takes several launches: what comes before pairs, these, their end.
+
+    A launch cannot repeat loops that Taichi makes parallel.
+    """
+    return spec.one_launch_per_step and repeats(spec)
+
+
+def launches_before_pairs(spec):
+    """What comes before resting pairs, a launch each: ti.funcs, and the phases of what repeats."""
+    return [faces.PHASES if act is faces.settle else act for act in _acts_before_pairs(spec)]
 
 
 @ti.func
 def before_pairs(spec: ti.template(), state: ti.template(), t):
-    """Do what comes before resting pairs, where those have launches of their own."""
+    """Do what comes before resting pairs in one launch, of blocks that stay."""
     for act in ti.static(_acts_before_pairs(spec)):
         act(spec, state, t)
 

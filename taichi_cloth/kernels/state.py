@@ -313,6 +313,8 @@ class State(ContactFields):
             self.count_names += clock.COUNTS
         for name in method.scalars:
             setattr(self, name, self._scalars())
+        for name in method.raised:
+            setattr(self, name, self._raised())
         for name in method.counts:
             setattr(self, name, self._counts())
         if spec.compensated:

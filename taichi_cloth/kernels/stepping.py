@@ -18,7 +18,7 @@ from taichi_cloth.kernels.loops import BLOCK, COUNTER, PIECE, barrier, in_blocks
 from taichi_cloth.kernels.near_pairs import find_pairs
 from taichi_cloth.kernels.parts import has_parts, in_turn
 from taichi_cloth.kernels.resting_pairs import iterate
-from taichi_cloth.kernels.settling import acts_of, before_pairs, ends_step, settle
+from taichi_cloth.kernels.settling import acts_of, ends_step, settle
 from taichi_cloth.kernels.watchdog import all_well, begin_step, checkpoint
 
 
@@ -207,9 +207,9 @@ def method_launch(method: ti.template(), spec: ti.template(), state: ti.template
 
 
 @ti.kernel
-def before_pairs_launch(spec: ti.template(), state: ti.template()):
-    """Do what comes before resting pairs."""
-    before_pairs(spec, state, 0)
+def act_launch(act: ti.template(), spec: ti.template(), state: ti.template()):
+    """Do one of the acts that end a step."""
+    act(spec, state, 0)
 
 
 @ti.kernel

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-from taichi_cloth.kernels import loops, resting_pairs, settling, stepping, watchdog
+from taichi_cloth.kernels import loops, phases, resting_pairs, settling, stepping, watchdog
 from taichi_cloth.kernels.fields import Capacity
 from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.parts import has_parts
-from taichi_cloth.kernels.solvers import phases
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.runtime import (
     Device,
@@ -216,39 +215,51 @@ class Launcher:
     def _end_step(self, spec: Specialization, state: Any) -> None:
         """Launch what ends a step by itself."""
         if settling.in_launches(spec):
-            # What stays until it has settled is looked at; launches end after so many turns.
-            if self.device.multiprocessors > 0:
-                self._once(settling.before_pairs, self._staying(spec, state.packs), state)
-            else:
-                self._launch(stepping.before_pairs_launch, spec, state)
-            self._launch(stepping.find_pairs_launch, spec, state)
-            for done in range(resting_pairs.LAUNCHED):
-                self._launch(stepping.iterate_launch, spec, state, done)
-        if spec.resting and not spec.one_launch_per_step:
+            self._before_pairs(spec, state)
+            if spec.resting:
+                self._launch(stepping.find_pairs_launch, spec, state)
+                for done in range(resting_pairs.LAUNCHED):
+                    self._launch(stepping.iterate_launch, spec, state, done)
+        if settling.repeats(spec) and not spec.one_launch_per_step:
             self._once(stepping.end_step, spec, state)
         else:
             by_loops = replace(spec, one_launch_per_step=True)
             self._launch(stepping.end_step_launch, by_loops, state)
 
-    def _launch_phases(self, spec: Specialization, state: Any, step: int) -> None:
-        """Launch the phases of a step: at once where blocks may stay for it; else the device says
-        after each launch which one is next.
-        """
-        self._launch(stepping.begin_step_launch, state, step)
+    def _before_pairs(self, spec: Specialization, state: Any) -> None:
+        """Launch what comes before resting pairs: at once where blocks may stay for it."""
         if self.device.multiprocessors > 0:
-            every = tuple(range(len(self._method.phases)))
-            on = self._staying(spec, state.packs)
-            self._once(phases.together(self._method.phases, every), on, state)
+            self._once(settling.before_pairs, self._staying(spec, state.packs), state)
             return
-        phase = 0
-        while phase != phases.DONE:
-            if spec.one_launch_per_step:
-                of = self._method.phases[phase]
-                phase = self._launch(stepping.phase_launch, of, spec, state)
+        for act in settling.launches_before_pairs(spec):
+            if isinstance(act, tuple):
+                self._launch_each(act, spec, state)
             else:
+                self._launch(stepping.act_launch, act, spec, state)
+
+    def _launch_phases(self, spec: Specialization, state: Any, step: int) -> None:
+        """Launch the phases of a step: at once where blocks may stay for it."""
+        self._launch(stepping.begin_step_launch, state, step)
+        of = self._method.phases
+        if self.device.multiprocessors > 0:
+            every = phases.together(of, tuple(range(len(of))))
+            self._once(every, self._staying(spec, state.packs), state)
+        elif spec.one_launch_per_step:
+            self._launch_each(of, spec, state)
+        else:
+            phase = 0
+            while phase != phases.DONE:
                 these = next(these for these in self._method.launches if phase in these)
                 on = _for_one_pass(spec, state) if these == self._method.launches[0] else spec
-                phase = self._once(phases.together(self._method.phases, these), on, state)
+                phase = self._once(phases.together(of, these), on, state)
+
+    def _launch_each(
+        self, of: Sequence[Callable[..., Any]], spec: Specialization, state: Any
+    ) -> None:
+        """Launch phases each by itself; the device says after each which one is next."""
+        phase = 0
+        while phase != phases.DONE:
+            phase = self._launch(stepping.phase_launch, of[phase], spec, state)
 
     def _once(self, body: Callable[..., Any], spec: Specialization, state: Any) -> int:
         """Run a part of a step on the threads of `spec`, and return the phase that is next."""

@@ -51,7 +51,7 @@ class Method:
     step(spec, state, t): a ti.func that advances the state by state.dt[None], as thread t of those
         that share the work.
     phases: a tuple of such functions, where it is not known beforehand how often each is run
-        (`solvers/phases.py`): a step is the first one and then all phases that `go_to` leads to.
+        (`kernels/phases.py`): a step is the first one and then all phases that `go_to` leads to.
     launches: which phases share a kernel on packs of several lanes, where one kernel of all of them
         would be too large; empty: all do. Those of the first, which begin and end stages, go over
         all packs but once.
@@ -74,7 +74,8 @@ class Method:
         ones in the precision `compensated`.
     numbers: names of fields in which it keeps a number for each particle, within a step.
     traction_vectors: further vectors that it keeps only where forces act on triangles.
-    scalars, counts: names of 0-D fields of real and of whole numbers.
+    scalars, counts: names of 0-D fields of real and of whole numbers; raised: of such of real ones
+        as many threads raise at once (`loops.raise_to`).
     sums: how many sums over all particles it takes (`loops.add_up`).
     needs: what it needs of the host, out of `NEEDS`.
     lanes: how many lanes its packs have at most, in planes and in space; None: any number.
@@ -97,6 +98,7 @@ class Method:
     numbers: tuple[str, ...] = ()
     traction_vectors: tuple[str, ...] = ()
     scalars: tuple[str, ...] = ()
+    raised: tuple[str, ...] = ()
     counts: tuple[str, ...] = ()
     sums: int = 0
     needs: tuple[str, ...] = ()

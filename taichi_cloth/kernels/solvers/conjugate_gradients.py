@@ -142,7 +142,7 @@ def _count_iteration(spec: ti.template(), state: ti.template(), i):
     state.part[None] = ti.select(energy > 0.0, ti.max(after, 0.0) / energy, 0.0)
     if ti.static(has_two_levels(spec)):
         step_coarse(spec, state, step)
-    state.slope[None] += step * energy
+    state.slope[None] = state.slope[None] + step * energy  # += would be atomic
     state.sweeps[None] += 1
     state.work[SWEEPS] += 1
     most = 2 * spec.dim * state.n[None] + 20

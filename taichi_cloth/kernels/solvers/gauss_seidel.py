@@ -38,7 +38,7 @@ from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.grids import renew_number
 from taichi_cloth.kernels.loops import each, each_pack_moving, each_row
 from taichi_cloth.kernels.packs import read, write, zeros
-from taichi_cloth.kernels.solvers.phases import DONE, go_to
+from taichi_cloth.kernels.phases import DONE, go_to
 from taichi_cloth.kernels.state import SWEEPS
 from taichi_cloth.kernels.surfaces import compute_traction_damping, compute_tractions
 from taichi_cloth.kernels.watchdog import commit

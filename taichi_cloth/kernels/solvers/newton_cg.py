@@ -63,9 +63,9 @@ from taichi_cloth.kernels.packs import (
     where_positive,
     write,
 )
+from taichi_cloth.kernels.phases import DONE, set_alone
 from taichi_cloth.kernels.solvers import bicgstab, conjugate_gradients, two_levels
 from taichi_cloth.kernels.solvers.newton_matrix import keep_springs
-from taichi_cloth.kernels.solvers.phases import DONE, set_alone
 from taichi_cloth.kernels.solvers.stages import (
     BEGIN,
     CLAMPED,
@@ -105,7 +105,6 @@ SCALARS = (
     "tau",  # time of a stage
     "scale",  # acceleration that the residual is compared with
     "rounding",  # residual that rounding alone leaves
-    "longest",  # the length of the longest spring
     "load",  # largest acceleration by gravity or by the iterate's gain
     "residual_max",  # largest component of the residual, without its sign
     "residual_rms",  # root of the mean square of its components
@@ -155,6 +154,7 @@ def keeps(*vectors):
         "numbers": ("over_diagonal",),
         "needs": ("summed_springs", "kept_stiffness"),
         "scalars": SCALARS,
+        "raised": ("longest",),  # the length of the longest spring
         "traction_vectors": bicgstab.VECTORS,
         "counts": (
             *("indefinite", "directions", "trials", "stalls", "sweeps"),

@@ -15,7 +15,7 @@ from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.graph import numbers_of
 from taichi_cloth.kernels.grids import link_index, link_offset, pitch_of
 from taichi_cloth.kernels.links import link_numbers, link_stiffness
-from taichi_cloth.kernels.loops import each, each_pack
+from taichi_cloth.kernels.loops import each, each_pack, raise_to
 from taichi_cloth.kernels.packs import (
     dot,
     everywhere,
@@ -73,7 +73,7 @@ def _keep_links(spec: ti.template(), state: ti.template(), i):
             write(spec, state.link_axis, at, axis)
             write(spec, state.link_across, at, across)
             longest = ti.max(longest, ti.select(k > 0.0, laws.length(d), 0.0 * k))
-        _note_length(state, largest(spec, longest))
+        raise_to(state, state.longest[None], largest(spec, longest))
 
 
 @ti.func
@@ -86,14 +86,7 @@ def _keep_half_springs(spec: ti.template(), state: ti.template(), p):
         for k in ti.static(range(spec.dim)):
             state.csr_axis[h, k] = axis[k]
         state.csr_across[h] = across
-        _note_length(state, laws.length(d))
-
-
-@ti.func
-def _note_length(state: ti.template(), length):
-    """Note the length of a spring, of which the longest counts."""
-    if length > state.longest[None]:
-        ti.atomic_max(state.longest[None], length)
+        raise_to(state, state.longest[None], laws.length(d))
 
 
 @ti.func

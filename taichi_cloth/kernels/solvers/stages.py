@@ -27,7 +27,7 @@ from taichi_cloth.kernels.packs import (
     read,
     write,
 )
-from taichi_cloth.kernels.solvers.phases import set_alone
+from taichi_cloth.kernels.phases import set_alone
 from taichi_cloth.kernels.springs import reads_velocity
 from taichi_cloth.kernels.watchdog import commit
 

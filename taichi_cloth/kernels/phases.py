@@ -1,13 +1,14 @@
-"""Steps in phases, for solvers that go on until they have converged.
+"""Phases, for what goes on until it has converged: solvers, and contacts of faces.
 
-A method with phases is a small state machine. Each phase is a ti.func(spec, state, t) that ends by
-saying which one is next: by `go_to`, or by setting state.phase in a loop. In a launch of whole
-frames all threads go from phase to phase together, and so do the blocks that stay on a CUDA GPU,
-be it for one step. On other GPUs each phase is a launch, with spec.one_launch_per_step, and the
-host asks which one is next. A phase must then not put its loops under a condition: what is not
-wanted is a loop over nothing, or becomes another phase. On packs of several lanes a launch holds
-only some of the phases (the method's `launches`), for as long as these lead to each other, because
-compile time grows with the square of what is in a kernel.
+They are a small state machine. Each phase is a ti.func(spec, state, t) that ends by saying which
+one is next: by `go_to`, or by setting state.phase in a loop, before which there was another one:
+some threads may yet have to read which phase they are in. In a launch of whole frames all threads
+go from phase to phase together, and so do the blocks that stay on a CUDA GPU, be it for one step.
+On other GPUs each phase is a launch, with spec.one_launch_per_step, and the host asks which one is
+next. A phase must then not put its loops under a condition: what is not wanted is a loop over
+nothing, or becomes another phase. On packs of several lanes a launch holds only some of a method's
+phases (its `launches`), for as long as these lead to each other, because compile time grows with
+the square of what is in a kernel.
 """
 
 import functools
@@ -43,7 +44,7 @@ def set_alone(spec: ti.template(), field: ti.template(), t, value):
 
 @functools.cache
 def stepping(phases):
-    """The step of a method with these phases, as a ti.func, for launches of whole frames."""
+    """A ti.func(spec, state, t) that runs phases from the first one on until they are done."""
     every = tuple(range(len(phases)))
 
     @ti.func
