@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from taichi_cloth import vulkan
 from taichi_cloth.errors import InputError
 from taichi_cloth.front_end import mending
 from taichi_cloth.settings import accepted
@@ -225,8 +226,7 @@ def _initialize(
             # Else each of very many threads ends a loop by an atomic minimum for the watchdog:
             # 70 us of a step on an H100.
             make_thread_local=arch == "cpu",
-            # With Taichi's 128 2048 x 2048 take 1.02 to 1.10 times as long on an H100.
-            **({"default_gpu_block_dim": 256} if arch == "cuda" else {}),
+            **_block_size(arch),
             unrolling_limit=0,  # it warns of loops over fields that must be unrolled
             log_level=ti.ERROR,
             verbose=False,
@@ -234,6 +234,17 @@ def _initialize(
     if arch == "cpu":
         _pin(sorted(_own_threads() - before)[-threads:], threads)
     return ti.cfg.arch in ((ti.x64, ti.arm64) if arch == "cpu" else (getattr(ti, arch),))
+
+
+def _block_size(arch: str) -> dict[str, int]:
+    """How many threads a block of a GPU's has in loops outside, where it is not Taichi's 128."""
+    if arch == "cuda":  # with 128 2048 x 2048 take 1.02 to 1.10 times as long on an H100
+        return {"default_gpu_block_dim": 256}
+    # Mesa's runs as many threads at once, and where all these have nothing to do, the others of
+    # their block leave an inner loop with an atomic operation after its first turn (Mesa 22.3).
+    if arch == "vulkan" and all(vulkan.is_software(name) for name in vulkan.devices()):
+        return {"default_gpu_block_dim": 8}
+    return {}
 
 
 def _end() -> None:

@@ -11,7 +11,7 @@ import pytest
 from lacking import needs_vulkan
 from taichi._lib.core import taichi_python
 
-from taichi_cloth.measuring import vulkan
+from taichi_cloth import vulkan
 from taichi_cloth.ui import descriptor_pools as pools
 
 

@@ -45,7 +45,8 @@ ROOMS = {
     "measuring": set(),
     "settings": {"kernels"},
     "console": set(),
-    "runtime": {"front_end", "settings"},
+    "vulkan": set(),
+    "runtime": {"front_end", "settings", "vulkan"},
     "scene": {"files", "kernels", "settings"},
     "sweeps": {"measuring", "scene", "settings"},
     "limits": {"kernels", "scene"},
@@ -63,9 +64,9 @@ ROOMS = {
     "budgets": {"console", "error_meter", "kernels", "limits", "runtime", "settings", "simulation"},
     "post_mortem": {"files", "kernels", "limits", "runtime", "scene", "settings", "simulation"},
     "benchmarks": {*BASE, "console", "measuring", "runtime", "simulation", "sweeps", "trade"}
-    | {"ui"},
+    | {"ui", "vulkan"},
     "cli": {*BASE, "benchmarks", "beside", "budgets", "comparison", "console", "error_meter"}
-    | {"limits", "measuring", "post_mortem", "runtime", "simulation", "ui"},
+    | {"limits", "measuring", "post_mortem", "runtime", "simulation", "ui", "vulkan"},
     "__main__": {"cli"},
 }
 

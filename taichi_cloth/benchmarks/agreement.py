@@ -25,6 +25,9 @@ FRAMES = 2
 # Of a scene's extent. What tolerances leave of implicit steps differs by up to as much; without
 # them a pair is apart by the last bits.
 BOUND = 1e-6
+# Where something lies on a cloth from the start: pairs of cloth act all at once on GPUs, and one
+# after the other on CPUs (`kernels/resting_pairs.py`), which leaves other things at rest.
+BOUND_OF_PAIRS, LIE_ON_CLOTH = 1e-2, ("pull",)
 SHORTER = 16  # steps of methods that no step makes stable, than those of the default method
 # Scenes that are empty until something is spawned get some particles, which hit each other.
 GIVEN: dict[str, dict[str, Any]] = {"box": {"particles": 60}, "sandbox": {"particles": 60}}
@@ -71,7 +74,7 @@ def rows(
             size=scene,
             rate=of_scene[worst],
             unit="of its extent",
-            target=f"<= {BOUND:g}",
+            target=f"<= {BOUND_OF_PAIRS if scene in LIE_ON_CLOTH else BOUND:g}",
             note=note,
         )
 

@@ -8,13 +8,12 @@ benchmark (part `warp`): many frames in a call, and one by one, as a window asks
 
 from __future__ import annotations
 
-import re
 import shutil
 import subprocess
 from collections.abc import Iterator
 from typing import Any
 
-from taichi_cloth import runtime
+from taichi_cloth import runtime, vulkan
 from taichi_cloth.benchmarks import agreement, ours
 from taichi_cloth.benchmarks.cloths import (
     STRUCTURAL_FRAME,
@@ -25,7 +24,6 @@ from taichi_cloth.benchmarks.cloths import (
 from taichi_cloth.benchmarks.contest import Bench
 from taichi_cloth.benchmarks.report import Measurement
 from taichi_cloth.benchmarks.structural import SCENE
-from taichi_cloth.measuring import vulkan
 
 PART = "gpu"
 SIDES = (128, 512, 2048)
@@ -38,7 +36,6 @@ COPIED = 2**26  # floats
 WANTED, LARGE = 40, 2048  # percent of the copy's speed, from this side on
 WARP_SIDE, WARP_FRAMES = 128, 60  # frames in a round, and when the error is measured
 WARP_WANTED = 0.2  # ms a frame: what Warp says of itself
-SOFTWARE = re.compile("llvmpipe|lavapipe|swiftshader|softpipe|basic render", re.I)
 
 
 def measure(bench: Bench) -> Iterator[Measurement]:
@@ -50,7 +47,7 @@ def measure(bench: Bench) -> Iterator[Measurement]:
             bench.leave_out(PART, arch, "", f"not usable here; it needs {usable[arch]}")
             continue
         device = _device(arch)
-        software = bool(device and SOFTWARE.search(device))
+        software = bool(device and vulkan.is_software(device))
         if software and not bench.arch:
             why = f"only a software driver here ({device}); --arch vulkan times that"
             bench.leave_out(PART, arch, "", why)

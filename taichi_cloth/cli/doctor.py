@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from taichi_cloth import console, runtime
+from taichi_cloth import console, runtime, vulkan
 from taichi_cloth.errors import counted
-from taichi_cloth.measuring import machine, vulkan
+from taichi_cloth.measuring import machine
 from taichi_cloth.settings.options import PATHS, TOPOLOGIES
 from taichi_cloth.version import __version__
 

@@ -7,9 +7,13 @@ time with their square. Here a chain begins with its first comparison, and of ne
 nothing is left. Values are the same.
 
 `and` and `or` stay branches, which keep what is right of them from being read; where both are at
-hand, `&` and `|` say so. And an `if` with an `else` gets a condition of its own: two of which
-Taichi knows that they ask the same, and that follow each other, it joins, and where one of them has
-no `else` it forgets whose the other's is (`simplify.cpp`), and ends with an error.
+hand, `&` and `|` say so: on GPUs of the numbers 0 and 1, since shaders have these operators of
+whole numbers alone (Taichi writes them of conditions all the same: OpenGL's compilers refuse it,
+and Vulkan leaves open what comes of it).
+
+And an `if` with an `else` gets a condition of its own: two of which Taichi knows that they ask the
+same, and that follow each other, it joins, and where one of them has no `else` it forgets whose the
+other's is (`simplify.cpp`), and ends with an error.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from typing import Any
 
 # What is replaced or called here of Taichi's modules.
 NEEDED = {
-    "ops": ("logical_and", "logical_not", "cast"),
+    "ops": ("logical_and", "logical_not", "cast", "bit_and", "bit_or"),
     "impl": ("begin_frontend_if", "expr_init"),
     "ast.ast_transformer": ("ASTTransformer",),
 }
@@ -35,6 +39,7 @@ def mend() -> None:
     ops.logical_and = _beginning(ops.logical_and)
     ops.logical_not = _in_pairs(ops.logical_not)
     ops.cast = _casting(ops.cast)
+    ops.bit_and, ops.bit_or = _by_numbers(ops.bit_and), _by_numbers(ops.bit_or)
     has_else: list[bool] = []  # of each `if` that is being read, the innermost last
     for read in ("build_If", "build_While"):  # a loop begins with: if it goes on, else break
         reading = _noting(getattr(ASTTransformer, read), has_else)
@@ -85,6 +90,20 @@ def _casting(cast: Callable[..., Any]) -> Callable[..., Any]:
         return value if kind is u1 and _is_condition(value) else cast(value, kind)
 
     return given
+
+
+def _by_numbers(bitwise: Callable[..., Any]) -> Callable[..., Any]:
+    """Taichi's `&` or `|`, which in shaders takes conditions for numbers."""
+
+    @functools.wraps(bitwise)
+    def joined(a: Any, b: Any) -> Any:
+        import taichi as ti
+
+        if ti.cfg.arch == ti.cpu or not (_is_condition(a) and _is_condition(b)):
+            return bitwise(a, b)
+        return bitwise(ti.cast(a, ti.i32), ti.cast(b, ti.i32)) != 0
+
+    return joined
 
 
 def _noting(build_if: Callable[..., Any], has_else: list[bool]) -> Callable[..., Any]:

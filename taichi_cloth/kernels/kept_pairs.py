@@ -278,7 +278,7 @@ def _list_pair(state: ti.template(), at, other, reach, d2, way2, skin):
         if row >= 0:
             mine = state.closer_reach[row]
             there = _within(d2, mine + CLOSER_SKIN * skin)
-            there |= _within(way2, (1.0 + CLOTH_MARGIN) * mine)
+            there = there | _within(way2, (1.0 + CLOTH_MARGIN) * mine)
         if there:
             _put(
                 state,

@@ -278,7 +278,7 @@ def _compare(state: ti.template(), a, b):
         low_end, high_end = _differences(state, a, b, ti.static(ENDS))
         low, high = ti.min(low_begun, low_end) - drift, ti.max(high_begun, high_end) - drift
         differ2 = _longest2(low, high)
-        anew |= state.stale[row] == LAPSED
+        anew = anew | (state.stale[row] == LAPSED)
         if anew | (differ2 > state.drift[row, 3] * state.drift[row, 3]):
             if anew or are_near(state, a, b, reach_of_most(state) + ti.sqrt(differ2)):
                 way = 0.5 * (low_end + high_end - low_begun - high_begun)

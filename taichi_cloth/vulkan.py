@@ -1,17 +1,25 @@
-"""Which Vulkan device there is, asked without Taichi."""
+"""Which Vulkan devices there are, asked without Taichi."""
 
 from __future__ import annotations
 
 import ctypes
 import ctypes.util
 import os
+import re
 import subprocess
 import sys
+
+SOFTWARE = re.compile("llvmpipe|lavapipe|swiftshader|softpipe|basic render", re.I)
+
+
+def is_software(device: str) -> bool:
+    """Whether a device is a program on the processor, by its name."""
+    return bool(SOFTWARE.search(device))
 
 
 def device_name() -> str | None:
     """Name of the first Vulkan device, or None. Asked in a process of its own: drivers crash."""
-    code = "from taichi_cloth.measuring import vulkan; print(vulkan.first_device() or '')"
+    code = "from taichi_cloth import vulkan; print(next(iter(vulkan.devices()), ''))"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     try:
         answer = subprocess.run(
@@ -26,14 +34,14 @@ def device_name() -> str | None:
     return answer.stdout.strip() or None
 
 
-def first_device() -> str | None:
-    """Name of the first Vulkan device in the loader's list; None without a loader or device."""
+def devices() -> list[str]:
+    """Names of the Vulkan devices, in the loader's order; none without a loader."""
     names = {"win32": "vulkan-1.dll", "darwin": "libvulkan.dylib"}
     library = ctypes.util.find_library("vulkan") or names.get(sys.platform, "libvulkan.so.1")
     try:
         vulkan = ctypes.CDLL(library)
     except OSError:
-        return None
+        return []
 
     class InstanceCreateInfo(ctypes.Structure):
         _fields_ = [  # noqa: RUF012
@@ -51,17 +59,21 @@ def first_device() -> str | None:
     # VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO is 1; VK_SUCCESS is 0, VK_INCOMPLETE 5.
     create = InstanceCreateInfo(type=1)
     if vulkan.vkCreateInstance(ctypes.byref(create), None, ctypes.byref(instance)) != 0:
-        return None
+        return []
     try:
         enumerate_devices = vulkan.vkEnumeratePhysicalDevices
         if enumerate_devices(instance, ctypes.byref(count), None) != 0 or not count.value:
-            return None
-        devices = (ctypes.c_void_p * count.value)()
-        if enumerate_devices(instance, ctypes.byref(count), devices) not in (0, 5):
-            return None
-        # VkPhysicalDeviceProperties: five 32-bit numbers, then the name (256 bytes); 824 in all.
-        properties = ctypes.create_string_buffer(2048)
-        vulkan.vkGetPhysicalDeviceProperties(ctypes.c_void_p(devices[0]), properties)
-        return properties.raw[20:276].split(b"\0")[0].decode("utf-8", "replace")
+            return []
+        found = (ctypes.c_void_p * count.value)()
+        if enumerate_devices(instance, ctypes.byref(count), found) not in (0, 5):
+            return []
+        listed = []
+        for device in found[: count.value]:
+            # VkPhysicalDeviceProperties: five 32-bit numbers, then the name (256 bytes); 824 in
+            # all.
+            properties = ctypes.create_string_buffer(2048)
+            vulkan.vkGetPhysicalDeviceProperties(ctypes.c_void_p(device), properties)
+            listed.append(properties.raw[20:276].split(b"\0")[0].decode("utf-8", "replace"))
+        return listed
     finally:
         vulkan.vkDestroyInstance(instance, None)
