@@ -240,8 +240,8 @@ def _block_size(arch: str) -> dict[str, int]:
     """How many threads a block of a GPU's has in loops outside, where it is not Taichi's 128."""
     if arch == "cuda":  # with 128 2048 x 2048 take 1.02 to 1.10 times as long on an H100
         return {"default_gpu_block_dim": 256}
-    # Mesa's runs as many threads at once, and where all these have nothing to do, the others of
-    # their block leave an inner loop with an atomic operation after its first turn (Mesa 22.3).
+    # Mesa's driver on the processor (22.3) runs 8 threads at once, and where all 8 have nothing to
+    # do, the others of their block leave an inner loop with an atomic after its first turn.
     if arch == "vulkan" and all(vulkan.is_software(name) for name in vulkan.devices()):
         return {"default_gpu_block_dim": 8}
     return {}

@@ -73,7 +73,7 @@ BEGIN, FIND, COUNT, SWEEP, LEAVE = range(5)
 
 @ti.func
 def _begin(spec: ti.template(), state: ti.template(), t):
-    """Phase BEGIN."""
+    """Phase BEGIN: place what moves."""
     if ti.static(spec.moving):
         place_obstacles(spec, state, t)
     set_alone(spec, state.face_finds, t, 0)
@@ -148,7 +148,7 @@ def _end_sweep(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _leave(spec: ti.template(), state: ti.template(), t):
-    """Phase LEAVE."""
+    """Phase LEAVE: count the step if it is left unsettled, and renew the halos."""
     each(spec, state, t, 1, _judge)
     each_pack_moving(spec, state, t, leave)
     go_to(spec, state, t, DONE)
