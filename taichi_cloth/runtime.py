@@ -242,7 +242,8 @@ def _block_size(arch: str) -> dict[str, int]:
         return {"default_gpu_block_dim": 256}
     # Mesa's driver on the processor (22.3) runs 8 threads at once, and where all 8 have nothing to
     # do, the others of their block leave an inner loop with an atomic after its first turn.
-    if arch == "vulkan" and all(vulkan.is_software(name) for name in vulkan.devices()):
+    names = vulkan.devices() if arch == "vulkan" else []
+    if names and all(vulkan.is_software(name) for name in names):
         return {"default_gpu_block_dim": 8}
     return {}
 

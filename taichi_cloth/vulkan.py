@@ -69,8 +69,7 @@ def devices() -> list[str]:
             return []
         listed = []
         for device in found[: count.value]:
-            # VkPhysicalDeviceProperties: five 32-bit numbers, then the name (256 bytes); 824 in
-            # all.
+            # VkPhysicalDeviceProperties, 824 bytes: five 32-bit numbers, then the name (256 bytes).
             properties = ctypes.create_string_buffer(2048)
             vulkan.vkGetPhysicalDeviceProperties(ctypes.c_void_p(device), properties)
             listed.append(properties.raw[20:276].split(b"\0")[0].decode("utf-8", "replace"))

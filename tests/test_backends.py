@@ -157,3 +157,17 @@ def test_a_later_run_compiles_and_measures_nothing(scene, runs, tmp_path):
         known = {p.name: p.read_text() for p in (tmp_path / "taichi-cloth").iterdir()}
         made.append((kernels_in(tmp_path / "ti"), known))
     assert made == [made[0]] * runs and made[0][0] and "compiled.json" in made[0][1]
+
+
+@pytest.mark.parametrize(
+    ("devices", "threads"),
+    [
+        (["llvmpipe (LLVM 15.0.6, 256 bits)"], 8),
+        (["NVIDIA H100", "llvmpipe (LLVM 15.0.6, 256 bits)"], None),  # Taichi takes the better one
+        ([], None),  # not known: as on macOS, where the loader may list none to us
+    ],
+)
+def test_blocks_are_small_where_vulkan_is_known_to_be_software(devices, threads, monkeypatch):
+    monkeypatch.setattr(runtime.vulkan, "devices", lambda: devices)
+    assert runtime._block_size("vulkan").get("default_gpu_block_dim") == threads
+    assert runtime._block_size("cpu") == {}
