@@ -14,7 +14,6 @@ from taichi_cloth.kernels.forces import air
 from taichi_cloth.kernels.packs import set_slot_value, slot_number, slot_value
 from taichi_cloth.kernels.solvers import newton_cg
 from taichi_cloth.kernels.surfaces import (
-    clear_tractions,
     compute_traction_damping,
     compute_traction_product,
 )
@@ -103,7 +102,7 @@ def test_newtons_method_has_the_exact_derivative_of_the_air(device):
     sim.forces()  # which sets the wind
     state_of(sim).tau[None] = tau
     along = np.random.default_rng(2).normal(size=scene.particles.position.shape)
-    clear_tractions(spec_of(sim), state_of(sim))
+    state_of(sim).traction.fill(0.0)
     found = np.zeros_like(along)
     product_of_triangles(spec_of(sim), state_of(sim), along, found)
     x, v, world = scene.particles.position, scene.particles.velocity, scene.world

@@ -319,7 +319,9 @@ def test_clicks_find_room_and_kernels_ready():
 
 def _compiled():
     """How many kernels of the state's loading and reading are compiled."""
-    from taichi_cloth.kernels import fracture, readback, transfer
+    from taichi_cloth.kernels import fracture, memory, readback, transfer
 
-    found = [*vars(transfer).values(), *vars(readback).values(), fracture.mark_new_springs]
+    modules = memory, readback, transfer
+    found = [each for module in modules for each in vars(module).values()]
+    found.append(fracture.mark_new_springs)
     return sum(len(k._primal.compiled_kernels) for k in found if hasattr(k, "_primal"))

@@ -438,17 +438,3 @@ def _give(spec: ti.template(), state: ti.template(), p):
         new_v, new_v_low = joined(spec, state, v, v_low, dv)
         put_at(spec, state, slot, new_x, new_x_low, new_v, new_v_low)
         note_fault(spec, state, slot)
-
-
-@ti.kernel
-def load_rows(state: ti.template()):
-    """Note the row of each corner of each triangle; forget what was given up, and what is clear."""
-    state.faces_unsettled[None] = 0
-    state.face_unseen[None] = 1
-    ti.loop_config(serialize=state.is_short)
-    for p in range(state.elements.n_rows[None]):
-        for h in range(state.elements.row_start[p], state.elements.row_start[p + 1]):
-            m = state.elements.row_triangle[h]
-            for k in ti.static(range(3)):
-                if state.elements.corner[m, k] == state.elements.row_slot[p]:
-                    state.face_row[m, k] = p

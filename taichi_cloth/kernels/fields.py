@@ -5,6 +5,14 @@ from dataclasses import astuple, dataclass
 import taichi as ti
 
 from taichi_cloth.kernels.lane_memory import open_lane_memory
+from taichi_cloth.kernels.memory import Memory
+
+
+def memory_of(owner):
+    """The `memory.Memory` of the trees of an object's fields; None: the device is no processor."""
+    if ti.cfg.arch != ti.cpu:
+        return None
+    return Memory(field for field in vars(owner).values() if isinstance(field, ti.Field))
 
 
 def placed(tree, field, *shape):
@@ -73,6 +81,7 @@ class Fields:
         self.by_component = []
         self._reals, self._integers = ti.FieldsBuilder(), ti.FieldsBuilder()
         self._lanes, self._in_lanes = None, []  # a tree of packs of several lanes, and its fields
+        self.batches = {}  # of fields that are filled at once (`transfer.py`)
 
     def _scalars(self, *shape):
         return placed(self._reals, ti.field(self.real), *shape)
@@ -106,13 +115,15 @@ class Fields:
     def _finalize(self, lanes):
         """Allocate the trees; a list of them. lanes: how many particles there are in a pack.
 
-        With several, lane_memory is what is in packs, as `lane_memory.py` says.
+        memory is then theirs, for the host. With several lanes, lane_memory is what is in packs, as
+        `lane_memory.py` says.
         """
         trees = [self._reals.finalize(), self._integers.finalize()]
-        self.lane_memory = None
         if self._in_lanes:
             trees.append(self._lanes.finalize())
-            self.lane_memory = open_lane_memory(self._in_lanes, lanes, self.real)
+        self.memory, self.lane_memory = memory_of(self), None
+        if self._in_lanes:
+            self.lane_memory = open_lane_memory(self.memory, self._in_lanes, lanes, self.real)
         return trees
 
     def _packs_of_lanes(self, packs, numbers, tree=None):
@@ -163,6 +174,7 @@ class Surface:
         reals, integers = ti.FieldsBuilder(), ti.FieldsBuilder()
         surface = cls(real, triangles, particles, reals, integers)
         surface.trees = [reals.finalize(), integers.finalize()]
+        surface.memory, surface.batches = memory_of(surface), {}
         return surface
 
     def free(self):

@@ -12,11 +12,11 @@ fields. Never both in one kernel: Taichi takes an array and a field for differen
 move what reads one past what writes the other.
 """
 
-import ctypes
-
 import numpy as np
 import taichi as ti
 from taichi.lang import impl
+
+from taichi_cloth.kernels.memory import TYPES, array_at
 
 
 def lane_memory_type(lanes, real):
@@ -59,30 +59,17 @@ def rows_at(at, rows):
     return tuple(impl.subscript(builder, seen(), at + row if row else at) for row in range(rows))
 
 
-def open_lane_memory(fields, lanes, real):
+def open_lane_memory(memory, fields, lanes, real):
     """The memory of fields of packs, all that are in one tree, as an array (vectors, lanes).
 
-    Each gets an attribute first_vector: where it begins in the array.
+    memory: the `memory.Memory` of that tree. Each gets an attribute first_vector: where it begins
+    in the array.
     """
-    size = 4 if real == ti.f32 else 8
-    places = [_outermost(field.snode)._offset_bytes_in_parent_cell for field in fields]
-    ends = [at + size * int(np.prod(field.shape)) for at, field in zip(places, fields, strict=True)]
-    for field, at in zip(fields, places, strict=True):
-        field.first_vector = at // (size * lanes)
-    numbers = max(ends) // size
-    whole = (ctypes.c_float if real == ti.f32 else ctypes.c_double) * numbers
-    begin = _address(fields[0]) - places[0]
-    return np.ctypeslib.as_array(whole.from_address(begin)).reshape(-1, lanes)
-
-
-def _outermost(snode):
-    """The ancestor of a field's node right below its tree's root."""
-    while snode.parent().parent() is not None:
-        snode = snode.parent()
-    return snode
-
-
-@ti.kernel
-def _address(field: ti.template()) -> ti.u64:
-    """Where the first number of a field lies in memory."""
-    return ti.get_addr(field, [0, 0])
+    numbers = TYPES[real]
+    begin = min(memory.begin_of(field) for field in fields)
+    end = begin
+    for field in fields:
+        at = memory.begin_of(field)
+        field.first_vector = (at - begin) // (numbers.itemsize * lanes)
+        end = max(end, at + numbers.itemsize * int(np.prod(field.shape)))
+    return array_at(begin, ((end - begin) // (numbers.itemsize * lanes), lanes), numbers)

@@ -86,7 +86,7 @@ def _meet_of_blocks(state: ti.template(), blocks: ti.template()):
     """Arrive for a block, and wait for all the others, of which there is a power of two.
 
     The count goes on from launch to launch, and may overflow: to set it back takes a task. So all
-    launches on a state must be of as many blocks, until `transfer.load_packs` sets it back.
+    launches on a state must be of as many blocks, until a load sets it back.
     """
     goal = (ti.atomic_add(state.arrivals[COUNTER], 1) | (blocks - 1)) + 1
     while ti.atomic_add(state.arrivals[COUNTER], 0) - goal < 0:

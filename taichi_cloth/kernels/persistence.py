@@ -16,6 +16,7 @@ from typing import Any
 
 import taichi as ti
 
+from taichi_cloth.kernels.field_rows import copy_row, kind_of, width_of
 from taichi_cloth.kernels.forces import device_fields, load
 from taichi_cloth.kernels.forces.contract import has
 from taichi_cloth.kernels.loops import is_short
@@ -61,15 +62,11 @@ WITHIN_STEP = _names(
 )
 
 
-# How a field is indexed: not at all, by rows, by rows and columns, by rows of vectors.
-SINGLE, ROWS, COLUMNS, VECTORS = range(4)
-
-
 @dataclass(frozen=True)
 class Kept:
     """A field that is copied, `blocks` times `room` rows of `width` numbers each.
 
-    kind: how it is indexed; whole: whether it has whole numbers.
+    kind: how it is indexed (`field_rows.py`); whole: whether it has whole numbers.
     """
 
     name: str
@@ -128,17 +125,14 @@ def kept(spec, state, method):
 
 
 def _described(state, name, field):
-    rows, *columns = field.shape or (1,)
-    kind = (COLUMNS if columns else ROWS) if field.shape else SINGLE
-    if isinstance(field, ti.MatrixField):
-        kind, columns = VECTORS, [field.n]
+    rows = field.shape[0] if field.shape else 1
     of_links = rows != state.packs and rows % state.packs == 0 and name.startswith(("link", "line"))
     blocks = rows // state.packs if of_links else 1
     for of, room in state.by_component:
         if field is of:
             blocks = rows // room
-    width, whole = columns[0] if columns else 1, field.dtype == ti.i32
-    return Kept(name, field, kind, blocks, rows // blocks, width, whole)
+    kind, width = kind_of(field), width_of(field)
+    return Kept(name, field, kind, blocks, rows // blocks, width, field.dtype == ti.i32)
 
 
 def in_use(state, packs, particles, springs, patches):
@@ -196,41 +190,6 @@ def copy_kept(
             r = i // used * room + i % used
             for field, kind, width, whole, at in ti.static(fields):
                 if ti.static(whole):
-                    _copy_row(field, kind, width, back, r, counts, begins[at] + i * width)
+                    copy_row(field, kind, width, back, r, counts, begins[at] + i * width)
                 else:
-                    _copy_row(field, kind, width, back, r, reals, begins[at] + i * width)
-
-
-@ti.func
-def _copy_row(
-    field: ti.template(),
-    kind: ti.template(),
-    width: ti.template(),
-    back: ti.template(),
-    r,
-    array: ti.template(),
-    at,
-):
-    """Copy row r of a field to an array, from `at` on; `back`: from it."""
-    if ti.static(kind == SINGLE):
-        if ti.static(back):
-            field[None] = array[at]
-        else:
-            array[at] = field[None]
-    elif ti.static(kind == ROWS):
-        if ti.static(back):
-            field[r] = array[at]
-        else:
-            array[at] = field[r]
-    elif ti.static(kind == COLUMNS):
-        for c in range(width):
-            if ti.static(back):
-                field[r, c] = array[at + c]
-            else:
-                array[at + c] = field[r, c]
-    else:
-        for c in ti.static(range(width)):
-            if ti.static(back):
-                field[r][c] = array[at + c]
-            else:
-                array[at + c] = field[r][c]
+                    copy_row(field, kind, width, back, r, reals, begins[at] + i * width)

@@ -12,13 +12,9 @@ import taichi as ti
 from taichi_cloth.kernels.clock import time_at_end, time_at_start, wide
 from taichi_cloth.kernels.loops import each
 from taichi_cloth.kernels.obstacles import load
-from taichi_cloth.kernels.obstacles.contract import NUMBERS, SIZES
 from taichi_cloth.kernels.sine import sine_and_cosine
 
 START, END, NEXT = range(3)  # of a step; mean rates in the next one, where particles are held
-SIZES_AT = len(NUMBERS)  # columns of what `load_obstacles` takes
-LOW_AT = SIZES_AT + SIZES
-START_AT = LOW_AT + 3
 
 
 def spins(dim):
@@ -39,45 +35,6 @@ def start_size(dim):
 def poses_size(spec):
     """How many numbers state.obstacle_pose has for each: the poses at both ends, and rates."""
     return (3 if spec.held else 2) * pose_size(spec.dim)
-
-
-@ti.kernel
-def load_obstacles(
-    spec: ti.template(),
-    state: ti.template(),
-    counts: ti.types.ndarray(),
-    rows: ti.types.ndarray(),
-    nodes: ti.types.ndarray(),
-):
-    """Load the obstacles.
-
-    counts: (o, 5): number of the shape in spec.obstacles; of its grid the first node and how many
-    there are along each axis. rows: (o, columns): `NUMBERS`, sizes, low corner of the grid, then
-    what `start_size` counts. nodes: (nodes, 4), distance and normal, or one row where there are
-    none.
-    """
-    state.n_obstacles[None] = counts.shape[0]
-    ti.loop_config(serialize=state.is_short)
-    for o in range(counts.shape[0]):
-        state.obstacle_shape[o] = counts[o, 0]
-        for k in range(4):
-            state.obstacle_nodes[o, k] = counts[o, 1 + k]
-        for k in range(SIZES_AT):
-            state.obstacle_numbers[o, k] = rows[o, k]
-        for k in range(SIZES):
-            state.obstacle_sizes[o, k] = rows[o, SIZES_AT + k]
-        for k in range(3):
-            state.obstacle_low[o, k] = rows[o, LOW_AT + k]
-        for k in range(ti.static(start_size(spec.dim))):
-            state.obstacle_start[o, k] = rows[o, START_AT + k]
-        size = ti.static(pose_size(spec.dim))
-        for k in range(ti.static(2 * pose_size(spec.dim))):
-            state.obstacle_pose[o, k] = rows[o, START_AT + k % size]
-    ti.loop_config(serialize=state.is_short)
-    for n in range(nodes.shape[0]):
-        for k in range(4):
-            if ti.static(state.has_nodes):
-                state.obstacle_grid[n, k] = nodes[n, k]
 
 
 @ti.func

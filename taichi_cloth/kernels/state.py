@@ -109,12 +109,10 @@ class State(ContactFields):
         in the slots csr_slot[coloured[n]], n from colour_start[k] to colour_start[k+1]; own: 0 for
         these particles, 1 for all others.
     What contacts need: see `ContactFields`.
-    is_short: whether loops over what the host loads are one thread's (`loops.is_short`).
+    is_short: whether loops over what the host reads are one thread's (`loops.is_short`).
 
-    What the host loads is listed by name, so that it comes in the order in which kernels take it:
-    number_names, count_names, vector_names and particle_names; number_places and count_places:
-    (field, index of its first number, how many: 0 for a 0-D field); vector_places and
-    particle_places: (field, index of its first column).
+    What the host loads is listed by name: number_names, count_names, vector_names and
+    particle_names.
     """
 
     def __init__(self, spec, real, capacity, method):
@@ -394,25 +392,6 @@ class State(ContactFields):
         self.particle_names.insert(0, "w")
         low = ["x_low", "v_low"] if spec.compensated else []
         self.vector_names[:0] = ["x", "v", *low]
-        self.number_places = self._places(self.number_names)
-        self.count_places = self._places(self.count_names)
-        self.vector_places = [
-            (getattr(self, name), at * spec.dim) for at, name in enumerate(self.vector_names)
-        ]
-        begin = len(self.vector_names) * spec.dim
-        self.particle_places = [
-            (getattr(self, name), begin + at) for at, name in enumerate(self.particle_names)
-        ]
-
-    def _places(self, names):
-        """The triples (field, index of its first number, how many or 0 if it is 0-D) of fields."""
-        found, at = [], 0
-        for name in names:
-            field = getattr(self, name)
-            size = field.shape[0] if field.shape else 0
-            found.append((field, at, size))
-            at += max(size, 1)
-        return found
 
     # --- more, for methods and tests -------------------------------------------------------------
 

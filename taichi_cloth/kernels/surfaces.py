@@ -18,15 +18,12 @@ import taichi as ti
 from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.forces import has_tractions, load
 from taichi_cloth.kernels.forces.contract import TRACTION, has
-from taichi_cloth.kernels.loops import each, each_pack, is_short
+from taichi_cloth.kernels.loops import each
 from taichi_cloth.kernels.packs import (
-    read,
     set_slot_number,
     set_slot_value,
     slot_number,
     slot_value,
-    write,
-    zeros,
 )
 from taichi_cloth.kernels.state import GONE
 
@@ -260,58 +257,7 @@ def _change(spec: ti.template(), state: ti.template(), m):
     _set_vector(state, m, -1.0 * change)
 
 
-@ti.kernel
-def clear_tractions(spec: ti.template(), state: ti.template()):
-    """Set what triangles give particles to zero, which it stays for those at no triangle."""
-    each_pack(spec, state, 0, _clear)
-
-
-@ti.func
-def _clear(spec: ti.template(), state: ti.template(), i):
-    none = zeros(spec, state)
-    write(spec, state.traction, i, none)
-    write(spec, state.traction_damping, i, 0.0 * read(spec, state.w, i))
-
-
-# --- from and to the host ----------------------------------------------------------------------
-
-
-@ti.kernel
-def load_surface(
-    surface: ti.template(),
-    corners: ti.types.ndarray(),
-    shares: ti.types.ndarray(),
-    rows: ti.types.ndarray(),
-    start: ti.types.ndarray(),
-    at: ti.types.ndarray(),
-    triangle_count: ti.i32,
-    row_count: ti.i32,
-):
-    """Load the triangles.
-
-    corners: (m, 6), slots of the corners, then what `Surface.side` has; shares: (m, 3); rows,
-    start: row_slot and row_start; at: for each place in the rows 3 times the triangle and which of
-    its corners it is. triangle_count, row_count: how many count of m
-    and of rows.
-    """
-    surface.n_triangles[None] = triangle_count
-    surface.n_rows[None] = row_count
-    ti.loop_config(serialize=ti.static(is_short(surface.capacity[1])))
-    for m in range(triangle_count):
-        for k in ti.static(range(3)):
-            surface.corner[m, k] = corners[m, k]
-            surface.side[m, k] = corners[m, 3 + k]
-            surface.share[m, k] = shares[m, k]
-    ti.loop_config(serialize=ti.static(is_short(surface.capacity[1])))
-    for p in range(row_count):
-        surface.row_slot[p] = rows[p]
-    ti.loop_config(serialize=ti.static(is_short(surface.capacity[1])))
-    for p in range(start.shape[0]):
-        surface.row_start[p] = start[p]
-    ti.loop_config(serialize=ti.static(is_short(surface.capacity[1])))
-    for h in range(start[row_count]):
-        surface.row_triangle[h] = at[h] // 3
-        surface.row_share[h] = shares[at[h] // 3, at[h] % 3]
+# --- to the host --------------------------------------------------------------------------------
 
 
 @ti.kernel

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from taichi_cloth.kernels import fracture, transfer
+from taichi_cloth.kernels import fracture
 from taichi_cloth.kernels.forces import blow, grab
 from taichi_cloth.scene.holding import Hold
 from taichi_cloth.simulation.storage.device_state import DeviceState
-from taichi_cloth.simulation.storage.upload import as_real
+from taichi_cloth.simulation.storage.filling import as_real
 
 
 class Handling(DeviceState):
@@ -94,8 +94,7 @@ class Handling(DeviceState):
         if len(mine) == 0:  # a kernel takes no empty array
             arrays = np.zeros(1, np.int32), np.zeros((1, rows.shape[1]), self.real)
         self._launch(grab.hold, *arrays, len(mine), grabbing)
-        if self._now.container.spec.halo and "spring_colours" in self._needs:
-            self._launch(transfer.load_halo_numbers)
+        self._upload().halo_numbers()
 
     def drag(self, place: np.ndarray) -> None:
         """Take what is held to another place of the pointer, (dim,)."""

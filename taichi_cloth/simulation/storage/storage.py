@@ -16,7 +16,6 @@ from taichi_cloth.kernels import (
     grips,
     kept_pairs,
     readback,
-    transfer,
     watchdog,
 )
 from taichi_cloth.kernels.forces import blow, grab
@@ -167,10 +166,6 @@ class Storage(Loading, Download, Handling):
         row = np.zeros((1, dim), self.real)
         for field in (state.x, state.v):
             found.append(partial(self._launch, readback.read_vectors, field, row))
-        if n == 0:  # a particle of infinite mass that nobody counts; the first load clears it
-            columns = len(state.vector_names) * dim + len(state.particle_names)
-            nothing = np.zeros(1, np.int32), np.zeros((1, columns), self.real)
-            found.append(partial(self._launch, transfer.load_particles, *nothing))
         if self.scene.world.tools:
             found.append(self._prepare_edit)
             nobody = np.zeros(0, np.int32), np.zeros((0, 2), np.int32)

@@ -84,7 +84,7 @@ class Surfaces:
                     old.free()
                 surface = Surface.alone(getattr(ti, device.real), *needed)
                 free = free_with(self, surface, device)
-            upload.surface(surface, scene.triangles)
+            upload.surface_alone(surface, scene.triangles)
         normals = np.zeros((len(scene.particles), 3), upload.real)
         return _OnDevice(upload.placement, upload.state, surface, normals, free)
 
