@@ -28,6 +28,8 @@ from taichi_cloth.simulation.storage.handling import Handling
 from taichi_cloth.simulation.storage.kept import Kept, with_own_hold
 from taichi_cloth.simulation.storage.loading import Loading
 
+NEAR = 1e-3  # within this part of its length a spring may be over its limit on the device
+
 
 class Storage(Loading, Download, Handling):
     """A state on the device. `take` says which, and `load` puts it there; all else comes after.
@@ -61,9 +63,24 @@ class Storage(Loading, Download, Handling):
         self._altered = False
 
     def mark_new_springs(self, steps: int) -> None:
-        """Mark the springs that are over their limit after `steps` steps, outside of any."""
-        if self.specialization.fracture:
+        """Mark the springs that are over their limit after `steps` steps, outside of any.
+
+        It comes right after a load.
+        """
+        if self.specialization.fracture and self._may_break():
             self._launch(fracture.mark_new_springs, steps)
+
+    def _may_break(self) -> bool:
+        """Whether any spring may be over its limit, however lengths are rounded on the device.
+
+        Where none may, as in nearly all scenes, there is no kernel to compile.
+        """
+        springs, x = self.scene.springs, self._taken.x
+        shortest, longest = springs.lengths_held()
+        lengths = np.linalg.norm(np.subtract(*x[springs.between.T]), axis=1)
+        rounding = 8.0 * float(np.finfo(self.real).eps) * np.abs(x).max(initial=0.0)
+        short, long = lengths * (1 - NEAR) - rounding, lengths * (1 + NEAR) + rounding
+        return not bool(((short > shortest) & (long < longest)).all())
 
     def account_contacts(self) -> None:
         """Begin an account of what contacts do, which the next load ends."""
