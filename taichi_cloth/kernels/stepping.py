@@ -94,7 +94,6 @@ class Kernels(NamedTuple):
 
     frames: Callable
     once: Callable
-    begin: Callable
 
 
 @functools.cache
@@ -140,7 +139,8 @@ def kernels_of(lanes, real):
     ) -> ti.i32:
         """Run body(spec, state, t) on spec.threads threads; return the phase that is next.
 
-        body: `phases.together` of some phases of a step, what ends a step, or a frame's checkpoint.
+        body: `phases.together` of some phases of a step, what ends a step, a frame's checkpoint, or
+        what a method computes before its next step.
         """
         ti.static(see(memory))
         if ti.static(spec.threads == 1):
@@ -159,24 +159,15 @@ def kernels_of(lanes, real):
                     body(spec, state, i // PIECE)
         return state.phase[None]
 
-    @ti.kernel
-    def run_begin(
-        begin: ti.template(),
-        spec: ti.template(),
-        state: ti.template(),
-        memory: memory_type,
-        done: ti.i32,
-    ):
-        """Compute what a method wants before its next step, with every loop run in parallel.
+    return Kernels(run_frames, run_once)
 
-        It is a kernel by itself because compile time grows with the square of what is in one.
-        """
-        ti.static(see(memory))
-        for _ in range(1):
-            state.step[None] = done
-        begin(spec, state, 0)
 
-    return Kernels(run_frames, run_once, run_begin)
+@ti.kernel
+def begin_launch(begin: ti.template(), spec: ti.template(), state: ti.template(), done: ti.i32):
+    """Compute what a method wants before its next step, with every loop run in parallel."""
+    for _ in range(1):
+        state.step[None] = done
+    begin(spec, state, 0)
 
 
 @ti.kernel

@@ -18,6 +18,7 @@ from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.parts import has_parts
 from taichi_cloth.kernels.specialization import Specialization
+from taichi_cloth.kernels.transfer import Transfer
 from taichi_cloth.runtime import (
     Device,
     compilation_time,
@@ -134,13 +135,17 @@ class Launcher:
         """Compute what a method keeps from step to step: before its first step, and after the
         state was changed from outside.
 
-        spec: one with parallel loops, one launch per step. done: steps so far.
+        spec: of the fields. done: steps so far. It is compiled by itself, because compile time
+        grows with the square of what is in a kernel, and once for both paths.
         """
-        if self._method.begin:
-            soon = compiled_soon if self.device.arch == "cpu" else contextlib.nullcontext
-            with soon():
-                kernel = kernels_of(state).begin
-                self._launch(kernel, self._method.begin, spec, state, state.lane_memory, done)
+        begin = self._method.begin
+        if begin and self.device.arch == "cpu":
+            Transfer(state).put(state.step, done)
+            on = _for_one_pass(self.specialize(spec, "parallel", state.packs), state)
+            with compiled_soon():
+                self._once(begin, on, state)
+        elif begin:
+            self._launch(stepping.begin_launch, begin, _by_steps(spec), state, done)
 
     def renew_halos(self, spec: Specialization, state: Any) -> None:
         """Fill the halos of all rows of packs anew, after their particles were loaded."""
