@@ -165,12 +165,6 @@ def leave(spec: ti.template(), state: ti.template(), i):
 
 
 @ti.func
-def renew_all_halos(spec: ti.template(), state: ti.template(), t):
-    """Renew the halos of all rows."""
-    each_pack_moving(spec, state, t, leave)
-
-
-@ti.func
 def each_row(spec: ti.template(), state: ti.template(), t, body: ti.template()):
     """Run body(spec, state, begin, width) for every row of packs that holds particles.
 

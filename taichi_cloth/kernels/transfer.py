@@ -72,16 +72,18 @@ class Transfer:
             rows[slots // spec.lanes, :, slots % spec.lanes] = values
 
     def renew_halos(self, spec, field, grid):
-        """Fill the halos of a field of packs that holds numbers: no loop renews these.
+        """Fill the halos of all rows of grids in a field of packs, of numbers or vectors.
 
-        grid: (grids, 4), as in `State.grid`.
+        grid: (grids, 4), as in `State.grid`. Loops renew those of vectors as they move particles
+        (`grids.py`).
         """
-        packs = self.rows(field, field.shape[0])
+        packs = self.rows(field, field.shape[0]).reshape(field.shape[0], -1, spec.lanes)
         for first, count, width, _ in grid:
             rows = first + np.arange(count) * (width + 2 * spec.halo)
             for h in range(spec.halo):
-                packs[rows + width + h, :-1] = packs[rows + h, 1:]
-                packs[rows - 1 - h, 1:] = packs[rows + width - 1 - h, :-1]
+                right, left = packs[rows + h], packs[rows + width - 1 - h]
+                packs[rows + width + h, :, :-1], packs[rows + width + h, :, -1] = right[..., 1:], 0
+                packs[rows - 1 - h, :, 1:], packs[rows - 1 - h, :, 0] = left[..., :-1], 0
 
     def bring(self, launch):
         """Take all that was written to the device; launch(kernel, ...) launches a kernel there."""

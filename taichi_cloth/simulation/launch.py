@@ -147,12 +147,6 @@ class Launcher:
         elif begin:
             self._launch(stepping.begin_launch, begin, _by_steps(spec), state, done)
 
-    def renew_halos(self, spec: Specialization, state: Any) -> None:
-        """Fill the halos of all rows of packs anew, after their particles were loaded."""
-        if spec.halo > 0:
-            one = self.specialize(spec, "serial", state.packs)
-            self._once(loops.renew_all_halos, one, state)
-
     def frames_per_launch(self, substeps: int, size: int) -> int:
         """Frames that may share a launch. size: particles and springs."""
         frames = LAUNCH_WORK // (substeps * max(size, 1))

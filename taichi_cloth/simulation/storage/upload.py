@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import numpy as np
@@ -98,25 +98,33 @@ class Upload(SpringFilling, SurfaceFilling):
         self._end()
 
     def _end(self) -> None:
-        """Take everything to the device, and let kernels there do what is left."""
+        """Take everything to the device."""
         if self.spec.thick:  # lists of pairs are made anew
             self._to.put(self.state.outdated, 1)
             self._to.put(self.state.overfull, 0)
         self._bring()
-        self.launcher.renew_halos(self.spec, self.state)
 
     def _of_particles(self) -> None:
         """The particles themselves, and what is summed up for them."""
         self._particles()
         if "summed_springs" in self.needs:
             self._summed_springs()
+        self._halos(name for name in self.state.vector_names if self._is_haloed(name))
         self.halo_numbers()
+
+    def _is_haloed(self, name: str) -> bool:
+        """Whether neighbours read a field of vectors."""
+        return any(getattr(self.state, name) is field for field in self.state.haloed)
 
     def halo_numbers(self) -> None:
         """The halos of what is a number for each particle, for methods that read neighbours'."""
-        if self.spec.halo and "spring_colours" in self.needs:
-            for name in self.state.particle_names:
-                field = getattr(self.state, name)
+        if "spring_colours" in self.needs:
+            self._halos(self.state.particle_names)
+
+    def _halos(self, names: Iterable[str]) -> None:
+        """The halos of fields, by name."""
+        if self.spec.halo:
+            for field in (getattr(self.state, name) for name in names):
                 if field.shape:
                     self._to.renew_halos(self.spec, field, self.placement.layout.grid)
 
