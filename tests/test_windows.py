@@ -4,6 +4,7 @@ The windows run in processes of their own under Xvfb, driven by xdotool; both ar
 these programs are missing. What a window did is read from its interaction log and its picture.
 """
 
+import ctypes
 import itertools
 import json
 import os
@@ -28,7 +29,7 @@ from taichi_cloth.files import trajectory as trajectories
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import COLOR_CYCLE, Particles, Scene, World
 from taichi_cloth.simulation.diagnostics import Work
-from taichi_cloth.ui import app, hud, style, text
+from taichi_cloth.ui import app, hud, style, text, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.camera_moves import ZOOM_STEP
 from taichi_cloth.ui.chrome import strip, toolbar
@@ -1205,3 +1206,29 @@ def test_a_window_whose_connection_is_cut_keeps_the_files(kind, cut, caches, tmp
         "image.png", "record.jsonl", "save.npz", "video.gif",
     ]  # fmt: skip
     assert trajectories.load(tmp_path / "save.npz").frame[0] == 1
+
+
+def test_an_interrupt_while_xlib_reads_events_is_raised_when_it_has(monkeypatch):
+    """Within the reading it would be swallowed, with a traceback on standard error."""
+
+    def interrupted(_):
+        raise KeyboardInterrupt(15)
+
+    kept, before = {}, x11._Converter(lambda *_: 7)
+
+    def exchange(_, kind, converter):
+        kept[kind] = converter
+        return ctypes.cast(before, ctypes.c_void_p).value
+
+    connection = object.__new__(x11.Connection)
+    connection._x = SimpleNamespace(XESetWireToEvent=exchange)
+    connection._read, connection._stop, connection.window = [], None, 0
+    connection._listen(1)
+    event = ctypes.create_string_buffer(x11._SIZE)
+    moved = 1, ctypes.addressof(event), 1
+    assert kept[x11.MOTION](*moved) == 7 and len(connection._read) == 1
+    monkeypatch.setattr(x11._Event, "from_buffer_copy", interrupted)
+    assert kept[x11.MOTION](*moved) == 0
+    with pytest.raises(KeyboardInterrupt, match="15"):
+        connection.inputs()
+    assert len(connection._read) == 1 and connection._stop is None

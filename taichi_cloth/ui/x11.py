@@ -267,6 +267,7 @@ class Connection:
         self._root = x.XDefaultRootWindow(self._display)
         self.window = self._find(self._root, title.encode(), 0)
         self._read: list[_Event] = []
+        self._stop: KeyboardInterrupt | None = None  # an interrupt that came as Xlib read events
         if not self.window:
             self.close()
             raise OSError(f"no window is called {title!r}")
@@ -330,9 +331,13 @@ class Connection:
                 wire: int,
                 before: list[Callable[[int, int, int], int]] = before,
             ) -> int:
-                converted = before[0](display, event, wire)
-                self._read.append(_Event.from_buffer_copy(ctypes.string_at(event, _SIZE)))
-                return converted
+                try:
+                    converted = before[0](display, event, wire)
+                    self._read.append(_Event.from_buffer_copy(ctypes.string_at(event, _SIZE)))
+                    return converted
+                except KeyboardInterrupt as stop:  # which Xlib, in between, would swallow
+                    self._stop = stop
+                    return 0
 
             converter = _Converter(convert)
             address = self._x.XESetWireToEvent(display, kind, converter)
@@ -340,7 +345,13 @@ class Connection:
             _KEPT_HANDLERS.append(converter)
 
     def inputs(self) -> list[Input]:
-        """What the user did since the last call, oldest first, where the window itself read it."""
+        """What the user did since the last call, oldest first, where the window itself read it.
+
+        An interrupt that came meanwhile is raised here.
+        """
+        stop, self._stop = self._stop, None
+        if stop:
+            raise stop
         read, self._read = self._read, []
         return [self._input(event) for event in read if event.window == self.window]
 
