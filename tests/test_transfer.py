@@ -39,13 +39,10 @@ def sim(device, request, monkeypatch):
 
 def fields_of(state):
     """All fields of a state, by name."""
-    parts = (
-        state,
-        *(getattr(state, name) for name in ("surface", "elements") if name in vars(state)),
-    )
+    parts = {of: getattr(state, of) for of in ("surface", "elements") if hasattr(state, of)}
     return {
-        f"{type(part).__name__}.{name}": field
-        for part in parts
+        f"{of}.{name}": field
+        for of, part in {"state": state, **parts}.items()
         for name, field in vars(part).items()
         if isinstance(field, ti.Field) and name not in ("sums", "contact_energy", "contact_balance")
     }

@@ -20,6 +20,11 @@ def width_of(field):
     return field.shape[1] if kind_of(field) == COLUMNS else 1
 
 
+def is_whole(field):
+    """Whether a field has whole numbers."""
+    return field.dtype == ti.i32
+
+
 @ti.func
 def copy_row(
     field: ti.template(),

@@ -16,7 +16,7 @@ from typing import Any
 
 import taichi as ti
 
-from taichi_cloth.kernels.field_rows import copy_row, kind_of, width_of
+from taichi_cloth.kernels.field_rows import copy_row, is_whole, kind_of, width_of
 from taichi_cloth.kernels.forces import device_fields, load
 from taichi_cloth.kernels.forces.contract import has
 from taichi_cloth.kernels.loops import is_short
@@ -132,7 +132,7 @@ def _described(state, name, field):
         if field is of:
             blocks = rows // room
     kind, width = kind_of(field), width_of(field)
-    return Kept(name, field, kind, blocks, rows // blocks, width, field.dtype == ti.i32)
+    return Kept(name, field, kind, blocks, rows // blocks, width, is_whole(field))
 
 
 def in_use(state, packs, particles, springs, patches):

@@ -7,7 +7,7 @@ compiled for them. Elsewhere they are arrays, and one kernel takes all of them t
 import numpy as np
 import taichi as ti
 
-from taichi_cloth.kernels.field_rows import copy_row, kind_of, width_of
+from taichi_cloth.kernels.field_rows import copy_row, is_whole, kind_of, width_of
 from taichi_cloth.kernels.memory import TYPES, shape_of
 from taichi_cloth.kernels.packs import is_by_component
 
@@ -90,15 +90,16 @@ class Transfer:
         if not self._rows:
             return
         fields, rows = tuple(self._rows), list(self._rows.values())
-        batch = self._batches.setdefault(fields, _Batch(fields))
+        if fields not in self._batches:
+            self._batches[fields] = _Batch(fields)
         places, arrays = np.zeros((len(fields), 2), np.int32), []
         places[:, 1] = [len(of) if of.ndim else 1 for of in rows]
         for whole, none in ((True, np.zeros(1, np.int32)), (False, np.zeros(1, np.float32))):
-            mine = [k for k, field in enumerate(fields) if _is_whole(field) == whole]
+            mine = [k for k, field in enumerate(fields) if is_whole(field) == whole]
             flat = [np.ravel(rows[k]) for k in mine]
             places[mine, 0] = np.cumsum([0, *map(len, flat)])[: len(mine)]
             arrays.append(np.concatenate([*flat, none]))  # a kernel takes no empty array
-        launch(fill_rows, batch, *arrays, places, int(places[:, 1].max()))
+        launch(fill_rows, self._batches[fields], *arrays, places, int(places[:, 1].max()))
         self._rows = {}
 
 
@@ -107,14 +108,9 @@ class _Batch:
 
     def __init__(self, fields):
         self.rows = tuple(
-            (k, field, kind_of(field), width_of(field), _is_whole(field))
+            (k, field, kind_of(field), width_of(field), is_whole(field))
             for k, field in enumerate(fields)
         )
-
-
-def _is_whole(field):
-    """Whether a field has whole numbers."""
-    return field.dtype == ti.i32
 
 
 @ti.kernel

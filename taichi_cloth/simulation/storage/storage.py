@@ -27,6 +27,7 @@ from taichi_cloth.simulation.storage.download import Download
 from taichi_cloth.simulation.storage.handling import Handling
 from taichi_cloth.simulation.storage.kept import Kept, with_own_hold
 from taichi_cloth.simulation.storage.loading import Loading
+from taichi_cloth.simulation.strain import lengths
 
 NEAR = 1e-3  # within this part of its length a spring may be over its limit on the device
 
@@ -77,9 +78,9 @@ class Storage(Loading, Download, Handling):
         """
         springs, x = self.scene.springs, self._taken.x
         shortest, longest = springs.lengths_held()
-        lengths = np.linalg.norm(np.subtract(*x[springs.between.T]), axis=1)
         rounding = 8.0 * float(np.finfo(self.real).eps) * np.abs(x).max(initial=0.0)
-        short, long = lengths * (1 - NEAR) - rounding, lengths * (1 + NEAR) + rounding
+        length = lengths(x, springs.between)
+        short, long = length * (1 - NEAR) - rounding, length * (1 + NEAR) + rounding
         return not bool(((short > shortest) & (long < longest)).all())
 
     def account_contacts(self) -> None:

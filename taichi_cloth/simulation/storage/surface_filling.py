@@ -8,7 +8,6 @@ import numpy as np
 
 from taichi_cloth.kernels import poses
 from taichi_cloth.kernels.obstacles import contract
-from taichi_cloth.kernels.packs import is_by_component
 from taichi_cloth.kernels.transfer import Transfer
 from taichi_cloth.scene.solids import met_by_faces
 from taichi_cloth.scene.triangles import corner_shares, springs_of_sides
@@ -23,9 +22,9 @@ class SurfaceFilling(Filling):
     def _tractions(self) -> None:
         """The triangles on which forces act, and that they give particles nothing yet."""
         self._surface(self.state.surface, self.snapshot.scene.triangles, self._to)
-        for field in (self.state.traction, self.state.traction_damping):
-            whole = field.shape[0] if is_by_component(self.spec, field) else None
-            self._to.clear(field, whole or self.placement.layout.n_packs)
+        x = self.snapshot.x
+        self._of_particle(self.state.traction, np.zeros(x.shape))
+        self._of_particle(self.state.traction_damping, np.zeros(len(x)))
 
     def _faces(self) -> None:
         """The triangles that meet obstacles, and that nothing is known of them yet."""
