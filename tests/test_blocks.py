@@ -176,7 +176,7 @@ def test_frames_that_take_long_have_a_launch_for_each_step(
     launcher, launched = Launcher(methods.load(method), H100), []
     spec = launcher.specialize(inside.spec_of(pool(small.build("net"), "verlet")), "parallel", 3)
     monkeypatch.setattr(launcher, "_launch_steps", lambda spec, *_: launched.append(spec))
-    monkeypatch.setattr(launcher, "_launch", lambda *_: NO_FAULT)
+    monkeypatch.setattr(launcher, "_launch", lambda *_, **how: NO_FAULT)
     state = SimpleNamespace(packs=packs, lane_memory=None, real=ti.f64)
     launcher.advance(spec, state, 0, 1, substeps)
     assert bool(launched) == by_steps

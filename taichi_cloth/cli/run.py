@@ -14,14 +14,15 @@ import numpy
 
 from taichi_cloth import runtime
 from taichi_cloth.cli import (
+    run_aside,
     run_beside,
     run_budget,
     run_files,
+    run_kernels,
     run_meter,
     run_notes,
     run_options,
     run_report,
-    run_sixteen,
 )
 from taichi_cloth.cli.run_scenes import Run, Wanted, Window
 from taichi_cloth.errors import InputError, RunFailure
@@ -146,7 +147,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
         run_files.kept(source, sim, device, files, beside.sim if beside else None),
         run_meter.measured(sim, options, waits=not view.visible) as errors,
         run_budget.held(sim, options, errors, view) as budget,
-        run_sixteen.compiled_beside(sim, options),
+        run_aside.compiled_beside(sim, options),
     ):
         summary = app.run(
             sim,
@@ -255,10 +256,11 @@ def _simulation(scene: Scene, options: RunOptions, told: Callable[[], None] | No
         substeps=options.substeps,
         execution=options.execution,
         topology=options.topology,
-        lanes=run_sixteen.lanes_of(scene, options),
+        lanes=run_kernels.lanes_of(scene, options),
         tolerance=options.tolerance,
         iterations=options.iterations,
         compiling=told,
+        soon=run_kernels.soon(scene, options),
     )
 
 

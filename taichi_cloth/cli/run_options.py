@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taichi_cloth.cli import run_beside, run_sixteen, scene_command
+from taichi_cloth.cli import run_beside, run_kernels, scene_command
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.pending import is_device
 from taichi_cloth.scene.source import SceneSource
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def consistent(options: RunOptions) -> RunOptions:
     """The options with what follows from them filled in; refuses those that exclude each other."""
-    options = run_sixteen.consistent(check_run(options))
+    options = run_kernels.consistent(check_run(options))
     if options.headless:
         if options.view not in ("auto", "none"):
             raise InputError(f"--headless and --view {options.view} exclude each other; give one")
@@ -82,7 +82,7 @@ def as_recorded(options: RunOptions, header: Mapping[str, Any]) -> RunOptions:
         if name in header and name not in options.given
     }
     if "lanes" not in options.given:
-        recorded["lanes"] = run_sixteen.word(header.get("lanes"))
+        recorded["lanes"] = run_kernels.word(header.get("lanes"))
     solver = {name: recorded.pop(name) for name in SOLVER_SETTINGS if name in recorded}
     if recorded.get("dt") == "auto" and "substeps" in options.given:
         del recorded["dt"]  # substeps of the user's own: of the scene's frames, too
@@ -175,7 +175,7 @@ def as_saved(
     fixed = {
         "precision": parts["precision"],
         "topology": kept.topology,
-        "lanes": run_sixteen.word(kept.spec.lanes if kept.topology == "lanes" else 1),
+        "lanes": run_kernels.word(kept.spec.lanes if kept.topology == "lanes" else 1),
     }
     for name, value in fixed.items():
         if name in options.given and getattr(options, name) != value:

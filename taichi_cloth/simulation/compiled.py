@@ -25,6 +25,11 @@ def kind(device: Device, method: Method, spec: Specialization, capacity: Capacit
     return hashlib.sha256(repr(what).encode()).hexdigest()[:16]
 
 
+def soon(kind: str) -> str:
+    """The same kind of run with kernels that were compiled soon (`runtime.compiled_soon`)."""
+    return f"{kind} soon"
+
+
 def was_before(kind: str) -> bool:
     """Whether a run of this kind has compiled its kernels, as far as known."""
     return kernel_cache().exists() and kind in _kinds()

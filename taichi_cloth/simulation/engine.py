@@ -136,7 +136,7 @@ class Engine(Part):
         device, accounts = self._launcher.device, self.storage.accounts_contacts
         topology = self._topology_of_others()
         self.method, self._module, self.claims = method, module, module.claims
-        self._launcher = Launcher(module, device)
+        self._launcher = Launcher(module, device, soon=self._launcher.soon)
         lanes = self._lanes_for(module)
         # A run in sixteen lanes may go on with a method that takes but eight.
         lanes = min(lanes, module.most_lanes(now.scene.world.dim) or lanes)

@@ -49,15 +49,23 @@ class Launcher:
     """Launches kernels on one device for one method.
 
     method: out of `kernels.methods`. compiling: called before kernels are compiled that no earlier
-    run has left, once.
+    run has left, once. soon: whether those of frames on the graph are then compiled soon
+    (`runtime.compiled_soon`).
     """
 
     def __init__(
-        self, method: Method, device: Device, compiling: Callable[[], None] | None = None
+        self,
+        method: Method,
+        device: Device,
+        compiling: Callable[[], None] | None = None,
+        soon: bool = False,
     ) -> None:
         self.device = device
+        self.soon = soon
+        self.hurries = False  # whether frames of what was loaded last are compiled soon
         self._compiling = compiling
         self._kind: str | None = None  # what is compiled, until its first frames are done
+        self._chosen: dict[tuple[Specialization, Capacity], bool] = {}  # `_hurries`
         self._prepared = PreparedLaunches()
         self._method = method
         self._step = phases.stepping(method.phases) if method.phases else method.step
@@ -96,13 +104,32 @@ class Launcher:
         return compiled.kind(self.device, self._method, spec, capacity)
 
     def expect(self, spec: Specialization, capacity: Capacity) -> None:
-        """Say, where someone wants to hear it, if kernels for this are yet to be compiled."""
+        """Choose how frames of this are compiled, where they are not yet there.
+
+        Where someone wants to hear it, it says that some are to be compiled.
+        """
+        self.hurries = self._hurries(spec, capacity)
         if self._compiling is None:
             return
         kind = self.kind(spec, capacity)
+        if self.hurries:
+            kind = compiled.soon(kind)
         if not compiled.was_before(kind):
             self._tell()
         self._kind = kind
+
+    def _hurries(self, spec: Specialization, capacity: Capacity) -> bool:
+        """Whether frames of this are compiled soon: on CPUs those on the graph, whose steps take
+        little longer then, where no earlier run has left faster ones.
+
+        What is chosen in a process stays, though others may have compiled some meanwhile.
+        """
+        if not self.soon or self.device.arch != "cpu" or spec.lanes > 1:
+            return False
+        if (spec, capacity) not in self._chosen:
+            faster = compiled.was_before(self.kind(spec, capacity))
+            self._chosen[spec, capacity] = not faster
+        return self._chosen[spec, capacity]
 
     def _tell(self) -> None:
         if self._compiling:
@@ -120,13 +147,16 @@ class Launcher:
             self._tell()
         return result
 
-    def _launch(self, kernel: Callable[..., Any], *arguments: Any) -> Any:
-        """Launch a kernel as `launch` does; the specialization may be any of its arguments."""
+    def _launch(self, kernel: Callable[..., Any], *arguments: Any, soon: bool = False) -> Any:
+        """Launch a kernel as `launch` does; the specialization may be any of its arguments.
+
+        soon: whether it is compiled soon, if it is not there.
+        """
         prepared = self._prepared.find(kernel, arguments)
         if prepared is not None:
             return prepared(arguments)
         spec = next((one for one in arguments if isinstance(one, Specialization)), None)
-        with self._settings(spec):
+        with self._settings(spec), compiled_soon() if soon else contextlib.nullcontext():
             result = kernel(*arguments)
             self._prepared.note(kernel, arguments)
         return result
@@ -142,8 +172,7 @@ class Launcher:
         if begin and self.device.arch == "cpu":
             Transfer(state).put(state.step, done)
             on = _for_one_pass(self.specialize(spec, "parallel", state.packs), state)
-            with compiled_soon():
-                self._once(begin, on, state)
+            self._once(begin, on, state, soon=True)
         elif begin:
             self._launch(stepping.begin_launch, begin, _by_steps(spec), state, done)
 
@@ -180,7 +209,8 @@ class Launcher:
             spec = _by_steps(spec)
         if not spec.one_launch_per_step and not self._by_phases(spec):
             of = self._step, spec, state, state.lane_memory
-            passed: int = self._launch(kernels_of(state).frames, *of, done, frames, substeps)
+            run_frames, how_long = kernels_of(state).frames, (done, frames, substeps)
+            passed: int = self._launch(run_frames, *of, *how_long, soon=self.hurries)
             return passed
         for frame in range(frames):
             self._launch_steps(spec, state, done + frame * substeps, substeps)
@@ -260,9 +290,12 @@ class Launcher:
         while phase != phases.DONE:
             phase = self._launch(stepping.phase_launch, of[phase], spec, state)
 
-    def _once(self, body: Callable[..., Any], spec: Specialization, state: Any) -> int:
+    def _once(
+        self, body: Callable[..., Any], spec: Specialization, state: Any, soon: bool = False
+    ) -> int:
         """Run a part of a step on the threads of `spec`, and return the phase that is next."""
-        phase: int = self._launch(kernels_of(state).once, body, spec, state, state.lane_memory)
+        of = body, spec, state, state.lane_memory
+        phase: int = self._launch(kernels_of(state).once, *of, soon=soon)
         return phase
 
     @contextlib.contextmanager

@@ -39,6 +39,11 @@ class Readings(Part):
         return self.lanes == sixteen.LANES
 
     @property
+    def hurries(self) -> bool:
+        """Whether its kernels are those that compile soon, for want of faster ones."""
+        return self._launcher.hurries
+
+    @property
     def way(self) -> str:
         """How it is run, in words: "parallel lanes", "serial graph", "serial lanes of 16"."""
         wide = f" of {self.lanes}" if self.wide else ""
