@@ -8,6 +8,7 @@ import argparse
 import inspect
 import json
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -20,6 +21,7 @@ ASKED = [f"cloth:{method}" for method in EACH] + [
     *("cloth:verlet:64", "cloth:implicit_euler:64"),
 ]
 HEADS = "start", "front end", "machine code", "largest", "rest", "total"
+PAIRS = 40  # of frames by turns
 
 
 class Start(NamedTuple):
@@ -39,7 +41,6 @@ def measure(asked, in_a_piece, to_run_fast):
     """The processor's seconds of what `HEADS` names, how many kernels there are, and the path."""
     marks = [0.0]
     from taichi_cloth import runtime
-    from taichi_cloth.scene.source import SceneSource
     from taichi_cloth.simulation.simulation import Simulation
 
     if in_a_piece:
@@ -49,11 +50,10 @@ def measure(asked, in_a_piece, to_run_fast):
     runtime.start("cpu")
     marks.append(time.process_time())
     front, code = _watch_kernels()
-    values = {"columns": int(asked.side), "rows": int(asked.side)} if asked.side else {}
     way = {"topology": asked.topology} if asked.topology else {}
     if "soon" in inspect.signature(Simulation).parameters:  # an earlier version has no choice
         way["soon"] = not to_run_fast
-    sim = Simulation(SceneSource(asked.scene, values).build(), asked.method, **way)
+    sim = Simulation(built(asked), asked.method, **way)
     sim.advance()
     marks.append(time.process_time())
     start, end = marks[1:]
@@ -61,6 +61,44 @@ def measure(asked, in_a_piece, to_run_fast):
     rest = end - start - reading - making
     found = start, reading, making, max(code.values()), rest, end
     return {"seconds": found, "kernels": len(code), "topology": sim.topology}
+
+
+def built(asked):
+    """The scene of a start."""
+    from taichi_cloth.scene.source import SceneSource
+
+    values = {"columns": int(asked.side), "rows": int(asked.side)} if asked.side else {}
+    return SceneSource(asked.scene, values).build()
+
+
+def by_turns(asked):
+    """How many times as long frames take with kernels that are compiled soon, on one thread.
+
+    The median of pairs of some frames each, by turns, and whether positions end with the same bits.
+    """
+    from taichi_cloth import runtime
+    from taichi_cloth.simulation.simulation import Simulation
+
+    runtime.start("cpu")
+    way = {"topology": asked.topology or "graph", "dt": "auto", "execution": "serial"}
+    fast, soon = (Simulation(built(asked), asked.method, soon=it, **way) for it in (False, True))
+    for sim in (fast, soon):
+        sim.advance(2)
+    frames = max(1, int(0.02 / _seconds(fast, 1)))
+    soon.advance(1)
+    ratios = []
+    for pair in range(PAIRS):
+        took = {sim: _seconds(sim, frames) for sim in ((fast, soon), (soon, fast))[pair % 2]}
+        ratios.append(took[soon] / took[fast])
+    same = bool((fast.positions() == soon.positions()).all())
+    return {"ratio": statistics.median(ratios), "hurried": soon.hurries, "same": same}
+
+
+def _seconds(sim, frames):
+    """How long a simulation takes for so many frames."""
+    begin = time.perf_counter()
+    sim.advance(frames)
+    return time.perf_counter() - begin
 
 
 def _watch_kernels():
@@ -131,6 +169,16 @@ def rows_beside(asked, flags, times, checkout):
         yield f"| {start} | {now['topology']} | {seconds} |"
 
 
+def rows_by_turns(asked, flags):
+    """A row of a table for each start: what compiling it soon costs later."""
+    yield "| scene | method | ratio | bits |"
+    yield "|---" * 4 + "|"
+    for start in asked:
+        found = started(start, flags)
+        kept = f"{found['ratio']:.2f}" if found["hurried"] else "not compiled soon"
+        yield f"| {start} | {kept} | {'same' if found['same'] else 'other'} |"
+
+
 def main():
     """Measure what the command line asks for, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -138,16 +186,20 @@ def main():
     parser.add_argument("--before", metavar="CHECKOUT", help="a version to compare with")
     parser.add_argument("--in-a-piece", action="store_true", help="compile no step in parts")
     parser.add_argument("--to-run-fast", action="store_true", help="compile as long runs do")
+    parser.add_argument("--turns", action="store_true", help="frames of both kinds by turns")
     parser.add_argument("--times", type=int, default=1, help="the least of so many starts each")
     parser.add_argument("--one", action="store_true", help="in this process, as JSON")
     given = parser.parse_args()
     asked = [Start(*words.split(":")) for words in given.asked]
     if given.one:
-        print(json.dumps(measure(*asked, given.in_a_piece, given.to_run_fast)))
+        measured = given.in_a_piece, given.to_run_fast
+        print(json.dumps(by_turns(*asked) if given.turns else measure(*asked, *measured)))
         return
     flags = ["--in-a-piece"] * given.in_a_piece + ["--to-run-fast"] * given.to_run_fast
     how = flags, given.times
     table = rows_beside(asked, *how, given.before) if given.before else rows(asked, *how)
+    if given.turns:
+        table = rows_by_turns(asked, [*flags, "--turns"])
     for row in table:
         print(row, flush=True)
 
