@@ -16,6 +16,7 @@ from taichi_cloth.kernels.solvers import newton_cg
 from taichi_cloth.kernels.surfaces import (
     compute_traction_damping,
     compute_traction_product,
+    keep_tractions,
 )
 from taichi_cloth.limits import tractions
 from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
@@ -88,6 +89,7 @@ def product_of_triangles(
     for i in range(out.shape[0]):
         direction = ti.Vector([along[i, 0], along[i, 1], along[i, 2]])
         set_slot_value(spec, state.direction, state.slot[i], direction)
+    keep_tractions(spec, state, 0)
     compute_traction_product(spec, state, 0)
     for i in range(out.shape[0]):
         product = slot_value(spec, state.traction, state.slot[i])

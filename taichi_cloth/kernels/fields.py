@@ -153,15 +153,26 @@ class Surface:
     corner: (m, 3): slots; side: (m, 3): the spring between the corners k and k + 1: its number on
     the graph, -1 where there is none, or -2 - i for link i (`grids.link_index`, of slots); vector:
     (m, 3), a vector for each, whatever is summed; share: (m, 3), what each corner gets of it.
+    kept: (m, KEPT), what a solver keeps of each.
     In compressed rows the triangles at each particle: row_slot, row_start, row_triangle, row_share.
     """
 
-    def __init__(self, real, triangles, particles, reals, integers):
-        """Place the fields in two trees, `reals` and `integers` (`ti.FieldsBuilder`)."""
+    # Of a triangle: two edges, half as long, times a solver's tau; the area vector; the derivatives
+    # of its pressure by velocity and by area; and last the pressure.
+    EDGE, OTHER_EDGE, AREA, BY_V, BY_AREA, PRESSURE = range(0, 18, 3)
+    KEPT = PRESSURE + 1
+
+    def __init__(self, real, triangles, particles, reals, integers, keeps=False):
+        """Place the fields in two trees, `reals` and `integers` (`ti.FieldsBuilder`).
+
+        keeps: whether there is `kept`.
+        """
         m, self.capacity = max(triangles, 1), (triangles, particles)
         rows = max(min(particles, 3 * m), 1)
         self.vector, self.share = (placed(reals, ti.field(real), m, 3) for _ in range(2))
         self.row_share = placed(reals, ti.field(real), 3 * m)
+        if keeps:
+            self.kept = placed(reals, ti.field(real), m, self.KEPT)
         self.corner, self.side = (placed(integers, ti.field(ti.i32), m, 3) for _ in range(2))
         self.n_triangles, self.n_rows = (placed(integers, ti.field(ti.i32)) for _ in range(2))
         self.row_slot = placed(integers, ti.field(ti.i32), rows)

@@ -148,7 +148,8 @@ class State(ContactFields):
             self._place_collision_grid(spec)
         if has_tractions(spec):
             room = capacity.triangles, capacity.particles
-            self.surface = Surface(real, *room, self._reals, self._integers)
+            keeps = "kept_stiffness" in method.needs
+            self.surface = Surface(real, *room, self._reals, self._integers, keeps)
         if spec.obstacles:
             self._place_obstacles(spec)
         if spec.accounts_contacts:

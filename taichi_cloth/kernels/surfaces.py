@@ -16,6 +16,7 @@ import functools
 import taichi as ti
 
 from taichi_cloth.kernels.compensated import difference
+from taichi_cloth.kernels.fields import Surface
 from taichi_cloth.kernels.forces import has_tractions, load
 from taichi_cloth.kernels.forces.contract import TRACTION, has
 from taichi_cloth.kernels.loops import each
@@ -230,10 +231,50 @@ def _gather_damping(spec: ti.template(), state: ti.template(), p):
 
 
 @ti.func
+def keep_tractions(spec: ti.template(), state: ti.template(), t):
+    """Keep what `compute_traction_product` needs of the forces on triangles at the present state.
+
+    It also computes state.traction_damping.
+    """
+    compute_traction_damping(spec, state, t)
+    each(spec, state, t, state.surface.n_triangles[None], _keep_triangle)
+
+
+@ti.func
+def _keep_triangle(spec: ti.template(), state: ti.template(), m):
+    pressure = ti.cast(0.0, state.real)
+    area, by_v = ti.Vector.zero(state.real, 3), ti.Vector.zero(state.real, 3)
+    a, b, by_area = 0.0 * area, 0.0 * area, 0.0 * area
+    if is_whole(spec, state, state.surface, m):
+        area, v = _area_and_velocity(spec, state, m, False)
+        for gradient in ti.static(_parts(spec, "gradient")):
+            p, p_by_v, p_by_area = gradient(spec, state, area, v)
+            pressure += p
+            by_v += p_by_v
+            by_area += p_by_area
+        i, j, k = state.surface.corner[m, 0], state.surface.corner[m, 1], state.surface.corner[m, 2]
+        half = 0.5 * state.tau[None]
+        a, b = half * edge(spec, state, i, j), half * edge(spec, state, i, k)
+    kept = ti.static(state.surface.kept)
+    for axis in ti.static(range(3)):
+        kept[m, Surface.EDGE + axis], kept[m, Surface.OTHER_EDGE + axis] = a[axis], b[axis]
+        kept[m, Surface.AREA + axis] = area[axis]
+        kept[m, Surface.BY_V + axis], kept[m, Surface.BY_AREA + axis] = by_v[axis], by_area[axis]
+    kept[m, Surface.PRESSURE] = pressure
+
+
+@ti.func
+def _kept(state: ti.template(), m, first: ti.template()):
+    """A vector of what is kept of triangle m."""
+    return ti.Vector([state.surface.kept[m, first + axis] for axis in range(3)])
+
+
+@ti.func
 def compute_traction_product(spec: ti.template(), state: ti.template(), t):
     """Compute into state.traction by how much it falls along state.direction.
 
-    That is a change of the velocities, which moves particles by state.tau times it.
+    That is a change of the velocities, which moves particles by state.tau times it. It comes after
+    `keep_tractions`.
     """
     if ti.static(has_tractions(spec)):
         each(spec, state, t, state.surface.n_triangles[None], _change)
@@ -242,19 +283,16 @@ def compute_traction_product(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def _change(spec: ti.template(), state: ti.template(), m):
-    change = ti.Vector.zero(state.real, 3)
-    if is_whole(spec, state, state.surface, m):
-        area, v = _area_and_velocity(spec, state, m, False)
-        i, j, k = state.surface.corner[m, 0], state.surface.corner[m, 1], state.surface.corner[m, 2]
-        a, b = edge(spec, state, i, j), edge(spec, state, i, k)
-        moved = slot_value(spec, state.direction, i)
-        moved_j = slot_value(spec, state.direction, j)
-        moved_k = slot_value(spec, state.direction, k)
-        d_area = area_vector(moved_j - moved, b) + area_vector(a, moved_k - moved)
-        mean = _mean(state, m, moved, moved_j, moved_k)
-        for product in ti.static(_parts(spec, "product")):
-            change += product(spec, state, area, v, state.tau[None] * d_area, mean)
-    _set_vector(state, m, -1.0 * change)
+    """By how much the force on triangle m, -P area, falls."""
+    i, j, k = state.surface.corner[m, 0], state.surface.corner[m, 1], state.surface.corner[m, 2]
+    moved = slot_value(spec, state.direction, i)
+    moved_j, moved_k = slot_value(spec, state.direction, j), slot_value(spec, state.direction, k)
+    a, b = _kept(state, m, Surface.EDGE), _kept(state, m, Surface.OTHER_EDGE)
+    by_v, by_area = _kept(state, m, Surface.BY_V), _kept(state, m, Surface.BY_AREA)
+    d_area = cross(moved_j - moved, b) + cross(a, moved_k - moved)
+    d_pressure = by_v.dot(_mean(state, m, moved, moved_j, moved_k)) + by_area.dot(d_area)
+    pressure = state.surface.kept[m, Surface.PRESSURE]
+    _set_vector(state, m, d_pressure * _kept(state, m, Surface.AREA) + pressure * d_area)
 
 
 # --- to the host --------------------------------------------------------------------------------

@@ -173,26 +173,23 @@ def law(spec: ti.template(), state: ti.template(), area, v):
 
 
 @ti.func
-def product(spec: ti.template(), state: ti.template(), area, v, d_area, dv):
-    """The derivative of the law's force where area and v change by d_area and dv."""
+def gradient(spec: ti.template(), state: ti.template(), area, v):
+    """The pressure, which is the law's force over -area, and its derivatives by v and by area."""
     size, n, u = _relative(state, area, v)
     inverse_size = ti.select(size > 0.0, 1.0 / size, 0.0 * size)
     along = u[0] * n[0] + u[1] * n[1] + u[2] * n[2]
     speed = ti.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     inverse = ti.select(speed > 0.0, 1.0 / speed, 0.0 * speed)
     part = ti.min(ti.max(along * inverse, -1.0), 1.0)  # cosine of the angle with the normal
-    d_size = n[0] * d_area[0] + n[1] * d_area[1] + n[2] * d_area[2]
-    d_along = dv[0] * n[0] + dv[1] * n[1] + dv[2] * n[2]
-    d_along += (u[0] * d_area[0] + u[1] * d_area[1] + u[2] * d_area[2]) * inverse_size
-    d_along -= along * d_size * inverse_size
-    d_speed = (u[0] * dv[0] + u[1] * dv[1] + u[2] * dv[2]) * inverse
-    # The force is -(drag |along| + lift across2 / speed) along * area.
+    # It is (drag |along| + lift across2 / speed) along, a function of `along` and of the speed.
     drag, lift, cos2 = state.air_drag[None], state.air_lift[None], part * part
     against = ti.max(along, -1.0 * along)
     pressure = (drag * against + lift * (1.0 - cos2) * speed) * along
-    d_pressure = (2.0 * drag * against + lift * (1.0 - 3.0 * cos2) * speed) * d_along
-    d_pressure += lift * (1.0 + cos2) * along * d_speed
-    return -1.0 * (d_pressure * area + pressure * d_area)
+    by_along = 2.0 * drag * against + lift * (1.0 - 3.0 * cos2) * speed
+    by_speed = lift * (1.0 + cos2) * along
+    by_v = by_along * n + (by_speed * inverse) * u
+    by_area = (by_along * inverse_size) * (u - along * n)
+    return [pressure, by_v, by_area]
 
 
 @ti.func
@@ -290,7 +287,7 @@ TERM = Term(
     after_step=Absent("it changes nothing"),
     stiffness=Absent("it has no potential: what it has of stiffness is no symmetric matrix"),
     damping=damping,
-    product=product,
+    gradient=gradient,
     across=Absent("it does not act along springs"),
     energy=Absent("it comes from outside: it has no potential"),
     twin=twin,

@@ -22,10 +22,11 @@ There are five kinds of term. They differ in what their law gives, and to what t
 
 - "traction" acts on triangles (`kernels/surfaces.py`), in 3-D. law(spec, state, area, v) gives the
   force on a whole one, of which each corner gets its share: area is the area vector, the area times
-  the unit normal (3,); v the corners' mean velocity (3,), by the same shares. product(spec, state,
-  area, v, d_area, dv) gives the derivative of the force where both change by d_area and dv (3,),
-  which is all that Newton's method needs. damping(spec, state, area, v) gives -df/dv along the
-  normal, a number that is never negative: with it solvers weigh particles.
+  the unit normal (3,); v the corners' mean velocity (3,), by the same shares. The force is along
+  the normal: -P area, with a pressure P(area, v). gradient(spec, state, area, v) gives the pressure
+  and its derivatives by v and by the area vector, [P, (3,), (3,)], which is all that Newton's
+  method needs. damping(spec, state, area, v) gives -df/dv along the normal, a number that is never
+  negative: with it solvers weigh particles.
 
 All other functions run on the host, in NumPy, and use no kernel. Their x and v are (n, dim); world,
 particles and springs are those of a scene, without springs that are gone; scene is a whole one.
@@ -138,7 +139,7 @@ class Term:
         constantly at its strongest.
     prepare(spec, state, time): what it computes once before its law is asked in a stage of a step,
         a ti.func for one thread, of terms on triangles; time: the scene's then, of type state.wide.
-    product: see the head of this file; of terms on triangles, which must have one.
+    gradient: see the head of this file; of terms on triangles, which must have one.
     variant(scene): a `Variant`, the scene with the term switched over; None where that makes no
         sense.
 
@@ -162,7 +163,7 @@ class Term:
     timed: bool = False
     steady: Callable | Absent = Absent("it does not change with time by itself")
     prepare: Callable | Absent = Absent("its law needs nothing beside the state")
-    product: Callable | Absent = Absent("its stiffness and damping say it")
+    gradient: Callable | Absent = Absent("its stiffness and damping say it")
 
     def __post_init__(self):
         if self.adds not in KINDS:
@@ -187,10 +188,10 @@ class Term:
             raise ValueError("law and after_step cannot both be absent")
         if has(self.acts) and self.adds in (TENSION, TRACTION):
             raise ValueError("acts is for forces on particles")
-        if (has(self.prepare) or has(self.product)) and self.adds != TRACTION:
-            raise ValueError("prepare and product are for forces on triangles")
-        if self.adds == TRACTION and has(self.law) and not has(self.product):
-            raise ValueError("a law on triangles needs a product")
+        if (has(self.prepare) or has(self.gradient)) and self.adds != TRACTION:
+            raise ValueError("prepare and gradient are for forces on triangles")
+        if self.adds == TRACTION and has(self.law) and not has(self.gradient):
+            raise ValueError("a law on triangles needs a gradient")
         if self.adds == CURVATURE:
             if has(self.damping) or has(self.across) or has(self.acts):
                 raise ValueError("a term on curvature has no damping, across or acts")

@@ -5,6 +5,10 @@ nonsymmetric linear systems", 1992, with inner products in the norm of the preco
 (`newton_matrix.py`). An iteration of two products is made in two halves, each with one: the first
 goes along a conjugate direction, the second to where the residual along itself is least.
 
+A half goes over all particles twice: it makes the step that the half before it has found, and sets
+its direction; then it computes the product of A with that, and all sums. What these are after its
+own step follows from them, as in `conjugate_gradients.py`, and is computed again in the next half.
+
 It ends, too, where the symmetric part of A is found to be not positive along a direction: what was
 found so far is then taken, as in conjugate gradients (Steihaug, "The conjugate gradient method and
 trust regions in large scale optimization", 1983).
@@ -12,8 +16,9 @@ trust regions in large scale optimization", 1983).
 
 import taichi as ti
 
-from taichi_cloth.kernels.loops import add_up, each, each_pack_moving
-from taichi_cloth.kernels.packs import dot, read, write
+from taichi_cloth.kernels.links import Pass
+from taichi_cloth.kernels.loops import add_up, each, each_pack, each_pack_moving
+from taichi_cloth.kernels.packs import dot, plus, read, write
 from taichi_cloth.kernels.solvers.newton_matrix import (
     PRODUCT,
     begin_iterating,
@@ -26,13 +31,14 @@ from taichi_cloth.kernels.solvers.newton_matrix import (
     take_change,
 )
 from taichi_cloth.kernels.solvers.stages import CLAMPED, SINGULAR
-from taichi_cloth.kernels.springs import accumulate
+from taichi_cloth.kernels.springs import accumulate_and_join
 from taichi_cloth.kernels.state import SWEEPS
-from taichi_cloth.kernels.surfaces import compute_traction_damping, compute_traction_product
+from taichi_cloth.kernels.surfaces import compute_traction_product, keep_tractions
 
-VECTORS = ("shadow", "search", "searched")  # the first residual; both halves' direction; A times it
+VECTORS = ("shadow", "search", "searched")  # the first residual; a first half's direction; A of it
 SCALARS = ("rho", "alpha")  # shadow times residual; the step of the first half
-COUNTS = ("second_half",)  # of a step: 0 or 1
+COUNTS = ("second_half",)  # of an iteration: 0 or 1
+SUMS = 8
 MOST_PRODUCTS = 1000
 ANY = 1e30  # a slope beside which every other is small
 
@@ -41,9 +47,9 @@ ANY = 1e30  # a slope beside which every other is small
 def direct(spec: ti.template(), state: ti.template(), t):
     """Begin: no change yet, the first direction is downhill."""
     keep_springs(spec, state, t)
-    compute_traction_damping(spec, state, t)
+    keep_tractions(spec, state, t)
     add_up(spec, state, t, first_energy, 0)
-    each_pack_moving(spec, state, t, _begin_pack)
+    each_pack(spec, state, t, _begin_pack)
     each(spec, state, t, 1, _begin)
 
 
@@ -51,111 +57,117 @@ def direct(spec: ti.template(), state: ti.template(), t):
 def _begin_pack(spec: ti.template(), state: ti.template(), i):
     residual = read(spec, state.residual, i)
     write(spec, state.shadow, i, residual)
-    write(spec, state.search, i, residual)
-    write(spec, state.direction, i, preconditioned(spec, state, i, residual))
+    for field in ti.static((state.search, state.searched, state.direction, state.product)):
+        write(spec, field, i, 0.0 * residual)
 
 
 @ti.func
 def _begin(spec: ti.template(), state: ti.template(), i):
     begin_iterating(spec, state, i)
     state.rho[None], state.second_half[None] = state.sums[0, 0], 0
-    state.ahead[None] = 0.0  # each half's step is made at once
+    state.ahead[None], state.part[None] = 0.0, 0.0
 
 
 @ti.func
 def iterate(spec: ti.template(), state: ti.template(), t):
     """Make one half of an iteration."""
+    each_pack_moving(spec, state, t, _step)  # all of it before the product with what triangles give
     compute_traction_product(spec, state, t)
-    accumulate(spec, state, t, PRODUCT, moved_apart, store_product, product_more)
-    add_up(spec, state, t, _along_itself, 0)  # in the second half: the residual's with A and itself
-    add_up(spec, state, t, _tested, 1)
-    add_up(spec, state, t, _approach, 2)
-    add_up(spec, state, t, _shadowed, 3)
-    add_up(spec, state, t, _slope, 4)
-    each_pack_moving(spec, state, t, _turn)
+    accumulate_and_join(spec, state, t, ti.static(HALF), product_more)
     each(spec, state, t, 1, _count_half)
 
 
 @ti.func
-def _along_itself(spec: ti.template(), state: ti.template(), i):
-    """The product of `direction` with A and itself, for pack i."""
-    return dot(read(spec, state.direction, i), read(spec, state.product, i))
+def _step(spec: ti.template(), state: ti.template(), i):
+    """Make the last half's step in pack i, and set the direction of this one.
 
-
-@ti.func
-def _tested(spec: ti.template(), state: ti.template(), i):
-    """What the length of a step is divided by: the product with the shadow, then with itself."""
+    That of a first half is `search`, made anew of the one before, of which state.part is taken over
+    as the second half's step, state.ahead, has left it.
+    """
+    ahead, direction = state.ahead[None], read(spec, state.direction, i)
     product = read(spec, state.product, i)
-    other = read(spec, state.shadow, i)
-    if state.second_half[None] == 1:
-        other = product
-    return dot(other, preconditioned(spec, state, i, product))
-
-
-@ti.func
-def _step_length(state: ti.template()):
-    """The length of a half's step; 0 where A is not positive along it, or something overflows."""
-    along_itself, tested = state.sums[0, 0], state.sums[1, 0]
-    along = ti.select(state.second_half[None] == 0, state.rho[None], along_itself)
-    goes = along_itself > 0.0 and (tested > 0.0 or tested < 0.0)
-    return ti.select(goes, along / ti.select(goes, tested, 1.0), 0.0)
-
-
-@ti.func
-def _approach(spec: ti.template(), state: ti.template(), i):
-    """Go a half in pack i, and return the energy of its new residual."""
-    if state.second_half[None] == 0:
-        write(spec, state.searched, i, read(spec, state.product, i))
-    step = _step_length(state)
-    change, direction = read(spec, state.change, i), read(spec, state.direction, i)
-    residual, product = read(spec, state.residual, i), read(spec, state.product, i)
-    write(spec, state.change, i, change + step * direction)
-    residual = residual - step * product
+    write(spec, state.change, i, read(spec, state.change, i) + ahead * direction)
+    residual = read(spec, state.residual, i) - ahead * product
     write(spec, state.residual, i, residual)
-    return dot(residual, preconditioned(spec, state, i, residual))
-
-
-@ti.func
-def _shadowed(spec: ti.template(), state: ti.template(), i):
-    """The product of the shadow with the residual, for pack i."""
-    residual = preconditioned(spec, state, i, read(spec, state.residual, i))
-    return dot(read(spec, state.shadow, i), residual)
-
-
-@ti.func
-def _slope(spec: ti.template(), state: ti.template(), i):
-    """The product of `change` with the first residual, for pack i."""
-    return dot(read(spec, state.change, i), read(spec, state.shadow, i))
-
-
-@ti.func
-def _turn(spec: ti.template(), state: ti.template(), i):
-    """Set the direction of the next half in pack i."""
-    along = read(spec, state.residual, i)
+    along = residual
     if state.second_half[None] == 1:
-        omega = _step_length(state)
-        rho_omega = state.rho[None] * omega
-        defined = rho_omega > 0.0 or rho_omega < 0.0
-        beta = ti.select(defined, state.sums[3, 0] * state.alpha[None] / rho_omega, 0.0)
+        write(spec, state.searched, i, product)
+    else:
         search, searched = read(spec, state.search, i), read(spec, state.searched, i)
-        along = along + beta * (search - omega * searched)
+        along = residual + state.part[None] * (search - ahead * searched)
         write(spec, state.search, i, along)
     write(spec, state.direction, i, preconditioned(spec, state, i, along))
 
 
 @ti.func
+def _sums(spec: ti.template(), state: ti.template(), i):
+    """What pack i adds to the sums of a half.
+
+    That is the product of `direction` with A and itself; then, preconditioned, those of the product
+    (that of A and `direction`) with the shadow, the residual and itself, and of the residual with
+    itself and the shadow; then those of `change` and of `direction` with the first residual.
+    """
+    product, residual = read(spec, state.product, i), read(spec, state.residual, i)
+    shadow, direction = read(spec, state.shadow, i), read(spec, state.direction, i)
+    of_product = preconditioned(spec, state, i, product)
+    of_residual = preconditioned(spec, state, i, residual)
+    return [
+        dot(direction, product),
+        dot(shadow, of_product),
+        dot(residual, of_product),
+        dot(product, of_product),
+        dot(residual, of_residual),
+        dot(shadow, of_residual),
+        dot(read(spec, state.change, i), shadow),
+        dot(direction, shadow),
+    ]
+
+
+def _nothing(state):
+    """What storing a product changes of what neighbours read."""
+    return ()
+
+
+HALF = Pass(
+    PRODUCT,
+    moved_apart,
+    store_product,
+    numbers=_sums,
+    ops=(plus,) * SUMS,
+    consumed=_nothing,
+)
+
+
+@ti.func
 def _count_half(spec: ti.template(), state: ti.template(), i):
-    """Count a half, and decide whether the iterations end with it."""
-    step, energy = _step_length(state), state.sums[2, 0]
-    if state.second_half[None] == 0:
+    """Count a half, and decide whether the iterations end with it.
+
+    Its step, state.ahead times the direction, is made in the pass that comes next.
+    """
+    curvature, by_shadow, mixed = state.sums[0, 0], state.sums[1, 0], state.sums[2, 0]
+    of_product, energy, shadowed = state.sums[3, 0], state.sums[4, 0], state.sums[5, 0]
+    first = state.second_half[None] == 0
+    # The product of the residual with that of A and itself is the curvature, in the second half.
+    along = ti.select(first, state.rho[None], curvature)
+    over = ti.select(first, by_shadow, of_product)
+    # 0 where A is not positive along the direction, or something overflows.
+    goes = curvature > 0.0 and (over > 0.0 or over < 0.0)
+    step = ti.select(goes, along / ti.select(goes, over, 1.0), 0.0)
+    after = energy + step * (step * of_product - 2.0 * mixed)
+    if first:
         state.alpha[None], state.second_half[None] = step, 1
     else:
-        state.rho[None], state.second_half[None] = state.sums[3, 0], 0
-    state.slope[None] = state.sums[4, 0]
-    state.energy[None] = energy
+        rho, before = shadowed - step * by_shadow, state.rho[None] * step
+        defined = before > 0.0 or before < 0.0
+        state.part[None] = ti.select(
+            defined, rho * state.alpha[None] / ti.select(defined, before, 1.0), 0.0
+        )
+        state.rho[None], state.second_half[None] = rho, 0
+    state.ahead[None], state.energy[None] = step, ti.max(after, 0.0)
+    state.slope[None] = state.sums[6, 0] + step * state.sums[7, 0]
     state.sweeps[None] += 1
     state.work[SWEEPS] += 1
-    ends = not (energy > state.goal[None]) or state.sweeps[None] >= MOST_PRODUCTS
+    ends = not (after > state.goal[None]) or state.sweeps[None] >= MOST_PRODUCTS
     if step == 0.0:
         ends, state.indefinite[None] = True, 1
     if ends:

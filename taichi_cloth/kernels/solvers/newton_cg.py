@@ -133,7 +133,7 @@ MOST_STALLS_BEFORE_CUT = 6
 # Rounding of a spring's force, in epsilons: several add up in a residual, with either sign.
 ROUNDING = 0.5
 MOST_ROUNDINGS = 16.0  # where progress has ended, a residual is ROUNDED up to this times `rounding`
-SUMS = 6  # most of an evaluation, and of the methods that find directions
+SUMS = 8  # most of an evaluation, and of the methods that find directions
 NEAR = 0.1  # part of the first residual below which K is taken as it is
 
 
@@ -344,7 +344,7 @@ def _shift(spec: ti.template(), state: ti.template(), i):
     """Move the iterate of pack i along `change` by the length that is still to go."""
     if state.directions[None] > 0:
         change = read(spec, state.change, i)
-        if state.ahead[None] > 0.0:  # the last step of conjugate gradients
+        if state.ahead[None] != 0.0:  # the solver's last step
             change = change + state.ahead[None] * read(spec, state.direction, i)
             write(spec, state.change, i, change)
         iterate_from(spec, state, i, read(spec, state.gain, i) + state.go[None] * change)
