@@ -316,6 +316,30 @@ def with_component(a, axis: ti.template(), value):
 
 
 @ti.func
+def vectors_of(spec: ti.template(), components: ti.template()):
+    """The vectors with these components: one vector, or those of a pack of several lanes."""
+    if ti.static(spec.lanes == 1):
+        return ti.Vector(components)
+    else:
+        return vectors(components)
+
+
+@ti.func
+def turned(spec: ti.template(), u):
+    """The vectors u with each component where the one before it was."""
+    return vectors_of(spec, [component(u, (k + 1) % spec.dim) for k in ti.static(range(spec.dim))])
+
+
+@ti.func
+def lane_of(spec: ti.template(), a, lane: ti.template()):
+    """The number in one lane of a pack's numbers a."""
+    if ti.static(spec.lanes == 1):
+        return a
+    else:
+        return a[lane]
+
+
+@ti.func
 def vector_of_lane(a: ti.template(), lane):
     """The vector (dim,) in one lane of the vectors a; lane: also one known only at run time.
 

@@ -36,7 +36,7 @@ LOADED = _names(
     n_csr_rows csr_slot csr_start csr_other csr_run first_copy n_copies
     n_colours colour_start coloured n_springs ends half shortest2 longest2 link_k line_k
     n_stencils stencil_start stencil_slot stencil_weight stencil_k row_stencils row_stencil
-    row_weight side_start side n_stencil_colours stencil_colour
+    row_weight side_start side n_stencil_colours stencil_colour graph_blocks members_start members
     closer_start closer_other closer_reach n_patches patch_start in_patches patch_place patch_of
     n_obstacles obstacle_shape obstacle_nodes obstacle_numbers obstacle_sizes obstacle_low
     obstacle_start obstacle_grid"""

@@ -30,6 +30,7 @@ class Specialization:
     together: whether several springs of a particle on the graph are computed at once (`graph.py`).
     packed_rows: whether packs are particles of a graph that follow each other in memory, and their
         half-springs lie in columns (`graph.py`).
+    blocks_on_graph: whether solvers move blocks of a graph's particles (`solvers/two_levels.py`).
     accounts_contacts: whether an account of what contacts do can be kept (`contact_account.py`).
     threads, blocks, one_launch_per_step: how loops are run (`loops.py`).
     """
@@ -57,6 +58,7 @@ class Specialization:
     compensated: bool = False
     together: bool = False
     packed_rows: bool = False
+    blocks_on_graph: bool = False
     accounts_contacts: bool = False
     threads: int = 1
     blocks: int = 0
@@ -74,7 +76,8 @@ class Specialization:
             "uniform_particles",
             "rows_share_stiffness",
         )
-        same = all(mine[name] == theirs[name] for name in mine.keys() - {*wider, *closer, "terms"})
+        others = {*wider, *closer, "terms", "blocks_on_graph"}  # which only takes less time
+        same = all(mine[name] == theirs[name] for name in mine.keys() - others)
         return (
             same
             and set(mine["terms"]) >= set(theirs["terms"])

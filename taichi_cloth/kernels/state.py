@@ -95,11 +95,13 @@ class State(ContactFields):
         What is kept of each link and half-spring (needs "kept_stiffness"): link_axis and
         link_across, csr_ likewise: the axis of its stiffness matrix, and its stiffness across that
         (`spring_numbers.OfStiffness`). joined: what a pass over links joins of a row.
-        Where links are all (`solvers/two_levels.py`): over_pivots, below: what A does to each
-        particle alone, factored; blocks: (grids, 3): first coarse pack, rows and columns of them;
-        block_of, holds_fixed: a pack's coarse pack, and whether any of it is fixed; coarse: two
-        matrices; pivots: what a pack of unknowns does to itself, inverted; coarse_residual,
-        coarse_downhill, coarse_product, coarse_solved: vectors of blocks, and one that stays 0.
+        Where they work on two levels (`solvers/two_levels.py`): over_pivots, below: what A does to
+        each particle alone, factored; block_of: a pack's coarse pack; coarse: two matrices; pivots:
+        what a pack of unknowns does to itself, inverted; coarse_residual, coarse_downhill,
+        coarse_product, coarse_solved: vectors of blocks, and one that stays 0. In grids: blocks:
+        (grids, 3): first coarse pack, rows and columns of them; holds_fixed: whether any of a pack
+        is fixed. On a graph: graph_blocks: how many there are; those of block b have the
+        particles in the slots members[m], m from members_start[b] to members_start[b + 1].
         one (compensated): 1, which compilers do not know (`compensated.py`).
     Colours of springs on the graph (needs "spring_colours"; `solvers/colours.py`): those of colour
         k are colour_start[k] .. colour_start[k+1], each with its ends and spring_<letter>.
@@ -133,6 +135,8 @@ class State(ContactFields):
             self._place_columns(spec)
         if spec.links:
             self._place_links_of_packs(spec, method)
+        if spec.blocks_on_graph:
+            self._place_blocks_on_graph(spec)
         # What threads write at every step is kept off the cache lines of what they only read.
         self._counts(CACHE_LINE)
         self._place_progress()
@@ -248,6 +252,8 @@ class State(ContactFields):
             self.joined = self._pack_numbers(spec, (spec.threads + 2) * JOIN_ROOM)
             if spec.only_links:
                 self._place_two_levels(spec)
+                self.blocks = self._counts(max(self.capacity.grids, 1), 3)
+                self.holds_fixed = self._counts(self.packs)
         if "spring_colours" in method.needs:
             self.link_impulse = self._pack_vectors(spec, kinds * self.packs)
         carried = max(self.capacity.grids, 1) * (spec.threads + 1) * spec.depth
@@ -276,8 +282,13 @@ class State(ContactFields):
         rows = blocks * spec.dim
         self.coarse = self._pack_numbers(spec, 2 * rows * rows * spec.lanes)
         self.pivots = self._pack_numbers(spec, spec.lanes)
-        self.block_of, self.holds_fixed = self._counts(self.packs), self._counts(self.packs)
-        self.blocks, self.n_blocks = self._counts(max(self.capacity.grids, 1), 3), self._counts()
+        self.block_of, self.n_blocks = self._counts(self.packs), self._counts()
+
+    def _place_blocks_on_graph(self, spec):
+        """Place the blocks of a graph's particles."""
+        self._place_two_levels(spec)
+        self.graph_blocks, self.members_start = self._counts(), self._counts(MOST_BLOCKS + 1)
+        self.members = self._counts(max(self.capacity.particles, 1))
 
     def _place_progress(self):
         self.arrivals = self._counts(COUNTER_SIZE)

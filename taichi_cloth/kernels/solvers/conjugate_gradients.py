@@ -13,6 +13,8 @@ import taichi as ti
 from taichi_cloth.kernels.links import Pass
 from taichi_cloth.kernels.loops import add_up, each, each_pack
 from taichi_cloth.kernels.packs import dot, plus, read, write
+from taichi_cloth.kernels.solvers.coarse_level import coarse_dot, step_coarse
+from taichi_cloth.kernels.solvers.fine_level import factor_particles
 from taichi_cloth.kernels.solvers.newton_matrix import (
     PRODUCT,
     begin_iterating,
@@ -28,11 +30,8 @@ from taichi_cloth.kernels.solvers.newton_matrix import (
 from taichi_cloth.kernels.solvers.stages import CLAMPED, SINGULAR
 from taichi_cloth.kernels.solvers.two_levels import (
     begin_coarse,
-    coarse_dot,
     coarse_product,
-    factor_particles,
     has_two_levels,
-    step_coarse,
 )
 from taichi_cloth.kernels.springs import accumulate_and_join
 from taichi_cloth.kernels.state import SWEEPS

@@ -95,7 +95,7 @@ from taichi_cloth.kernels.solvers.stages import (
     time_of_part,
     wanted_residual,
 )
-from taichi_cloth.kernels.solvers.two_levels import STIFF, has_two_levels
+from taichi_cloth.kernels.solvers.two_levels import has_two_levels, stiff_from
 from taichi_cloth.kernels.springs import accumulate_and_join, force_along
 from taichi_cloth.kernels.state import FORCES, UNCONVERGED
 from taichi_cloth.kernels.surfaces import compute_tractions
@@ -444,7 +444,8 @@ def _judge(spec: ti.template(), state: ti.template(), i):
     state.indefinite[None] = 0
     state.least[None] = ti.select(near, EXACT, CLAMPED)
     if ti.static(has_two_levels(spec)):
-        if next_phase == DIRECT and state.coarsened[None] == 0 and state.sums[5, 0] > STIFF:
+        stiff = state.sums[5, 0] > ti.static(stiff_from(spec))
+        if next_phase == DIRECT and state.coarsened[None] == 0 and stiff:
             next_phase = COARSEN
     if next_phase == FINISH and state.outcome[None] > HIDDEN and _may_be_cut(spec, state):
         next_phase = CUT

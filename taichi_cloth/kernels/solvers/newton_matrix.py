@@ -3,9 +3,8 @@
 A is that of `newton_cg.py`, never stored, only multiplied with vectors (`springs.accumulate`). All
 products for a direction have the same springs, so these are computed once, when it is begun: the
 direction of each, its stiffness along that and across it. The preconditioner is that of
-`two_levels.py` where there are only links, else the diagonal of A with every spring counted along
-every axis. What solvers for such a system share is here, too: how
-they begin, and how they hand over what they have found.
+`two_levels.py`, or else the diagonal of A with every spring counted along every axis. What solvers
+for such a system share is here, too: how they begin, and how they hand over what they have found.
 """
 
 import taichi as ti
@@ -17,6 +16,7 @@ from taichi_cloth.kernels.grids import link_index, link_offset, pitch_of
 from taichi_cloth.kernels.links import link_numbers, link_stiffness
 from taichi_cloth.kernels.loops import each, each_pack, raise_to
 from taichi_cloth.kernels.packs import (
+    component,
     dot,
     everywhere,
     largest,
@@ -27,6 +27,7 @@ from taichi_cloth.kernels.packs import (
     where_positive,
     write,
 )
+from taichi_cloth.kernels.solvers.fine_level import fine_downhill, fine_energies
 from taichi_cloth.kernels.solvers.stages import (
     EVALUATE,
     FINISH,
@@ -38,7 +39,7 @@ from taichi_cloth.kernels.solvers.stages import (
     reachable_residual,
     whole_diagonal,
 )
-from taichi_cloth.kernels.solvers.two_levels import downhill, fine_energies, has_two_levels
+from taichi_cloth.kernels.solvers.two_levels import has_two_levels
 from taichi_cloth.kernels.spring_numbers import OfStiffness
 from taichi_cloth.kernels.springs import stiffness_of_springs
 
@@ -142,9 +143,15 @@ def product_more(spec: ti.template(), state: ti.template(), slot, pulled):
 
 @ti.func
 def preconditioned(spec: ti.template(), state: ti.template(), i, residual):
-    """The residual of pack i, preconditioned; 0 where particles are fixed."""
+    """The residual of pack i, preconditioned; 0 where particles are fixed.
+
+    Of two levels the coarse one has made its part of it, state.coarse_downhill, before.
+    """
     if ti.static(has_two_levels(spec)):
-        return downhill(spec, state, i, residual)
+        over = component(read(spec, state.over_pivots, i), 0)
+        fine = fine_downhill(spec, state, i, residual)
+        moved = read(spec, state.coarse_downhill, state.block_of[i])
+        return fine + where_positive(over, moved, 0.0 * moved)
     else:
         return read(spec, state.over_diagonal, i) * residual
 
@@ -154,13 +161,13 @@ def energies_between(spec: ti.template(), state: ti.template(), i, a, b):
     """The products of the vectors a with a, a with b, and b with b, preconditioned, for pack i.
 
     Of two levels it is the fine one. The coarse one's products are those of all particles together
-    (`two_levels.coarse_dot`).
+    (`coarse_level.coarse_dot`).
     """
     if ti.static(has_two_levels(spec)):
         return fine_energies(spec, state, i, a, b)
     else:
-        of_a, of_b = preconditioned(spec, state, i, a), preconditioned(spec, state, i, b)
-        return [dot(a, of_a), dot(a, of_b), dot(b, of_b)]
+        over = read(spec, state.over_diagonal, i)
+        return [dot(a, over * a), dot(a, over * b), dot(b, over * b)]
 
 
 @ti.func

@@ -63,7 +63,7 @@ def set_tau(spec: ti.template(), state: ti.template(), t, tau):
     set_alone(spec, state.tau, t, tau)
     set_alone(spec, state.step_outcome, t, CONVERGED)
     set_alone(spec, state.coarsened, t, 0)
-    if ti.static(spec.only_links):
+    if ti.static(spec.only_links or spec.blocks_on_graph):
         set_alone(spec, state.n_blocks, t, 0)
     barrier(spec, state, t)
 

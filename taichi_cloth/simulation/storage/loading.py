@@ -175,6 +175,7 @@ class Loading(DeviceState):
             placement,
             self._launcher.device,
             topologies=self.topologies,
+            needs=self._needs,
             accounts_contacts=self.accounts_contacts,
         )
 

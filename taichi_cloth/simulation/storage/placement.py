@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -10,12 +11,14 @@ import numpy as np
 from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.forces.contract import CURVATURE
 from taichi_cloth.kernels.spring_numbers import NUMBERS
+from taichi_cloth.kernels.state import MOST_BLOCKS
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.settings.options import TOPOLOGIES
-from taichi_cloth.simulation.storage import layouts, packing
+from taichi_cloth.simulation.storage import adjacency, layouts, packing
 from taichi_cloth.simulation.storage.layouts import Layout
 
+LEAST_BLOCKS = 16
 COLOURED = {"spring_colours", "particle_colours"}  # what methods need that take springs in turns
 
 
@@ -58,6 +61,7 @@ class Placements:
         self._stencils = scene.stencils if bends else Stencils.none()
         self._layouts: dict[str, Layout | None] = {}
         self._placements: dict[str, Placement] = {}
+        self._blocks: np.ndarray | None = None
 
     def topologies(self) -> list[str]:
         """The topologies that the scene can be stored in."""
@@ -78,6 +82,13 @@ class Placements:
         scene = self._scene
         count, grids = len(scene.particles), self._layout("lanes")
         return layouts.particle_colours(scene.springs, grids, count, self._stencils)
+
+    def blocks(self) -> np.ndarray:
+        """The block of each particle, (n,), that solvers move as one (`solvers/two_levels.py`)."""
+        if self._blocks is None:
+            springs, count = self._scene.springs.between, len(self._scene.particles)
+            self._blocks = adjacency.blocks(springs, count, _halvings(count))
+        return self._blocks
 
     def is_simple(self) -> bool:
         """Whether particles have nothing but springs, walls and terms of their own."""
@@ -159,3 +170,12 @@ class Placements:
         colour = layouts.stencil_colours(stencils, self._layout("lanes"), count)[mine]
         order = np.argsort(colour, kind="stable")
         return mine[order], colour[order]
+
+
+def _halvings(particle_count: int) -> int:
+    """How often particles are cut in two to make blocks of them.
+
+    There are half as many as the root of their number, to the nearest power of two.
+    """
+    least, most = int(math.log2(LEAST_BLOCKS)), int(math.log2(MOST_BLOCKS))
+    return min(max(round(math.log2(max(particle_count, 1)) / 2) - 1, least), most)

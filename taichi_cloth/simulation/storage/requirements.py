@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+
+import numpy as np
 
 from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.fields import Capacity
+from taichi_cloth.kernels.solvers.two_levels import STIFF_ON_GRAPH
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
 from taichi_cloth.runtime import Device
@@ -15,6 +18,9 @@ from taichi_cloth.scene.solids import Solid, met_by_faces
 from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.storage.layouts import WORTH_SORTING
 from taichi_cloth.simulation.storage.placement import Placement
+from taichi_cloth.simulation.storage.sums import summed_springs
+
+WORTH_BLOCKS = 256  # particles: products of fewer take less than what blocks need
 
 
 def specialization(
@@ -24,12 +30,14 @@ def specialization(
     device: Device,
     *,
     topologies: Callable[[], Sequence[str]],
+    needs: Collection[str],
     accounts_contacts: bool,
 ) -> Specialization:
     """What a state needs in a placement, with parallel loops in one launch per step.
 
     solids: what is in the way. topologies: says which ones the scene can be stored in, and is only
-    asked where that matters. accounts_contacts: whether an account of contacts is asked for.
+    asked where that matters. needs: what the method asks of the host. accounts_contacts: whether
+    an account of contacts is asked for.
     """
     scene, layout = snapshot.scene, placement.layout
     features = dict(vars(scene.features()))
@@ -56,6 +64,11 @@ def specialization(
         and _is_large_net(scene)
         and "lanes" not in topologies(),
         packed_rows=layout.rows is not None,
+        blocks_on_graph="kept_stiffness" in needs
+        and device.arch == "cpu"
+        and not layout.links
+        and not forces.act_on_triangles(scene)
+        and _is_stiff(scene),
         accounts_contacts=accounts_contacts and touches(scene, solids),
         threads=device.threads,
         one_launch_per_step=True,
@@ -66,6 +79,19 @@ def _is_large_net(scene: Scene) -> bool:
     """Whether it is worth the while to compute several springs at once."""
     particles, springs = len(scene.particles), len(scene.springs)
     return particles >= WORTH_SORTING and springs >= 2 * particles
+
+
+def _is_stiff(scene: Scene) -> bool:
+    """Whether springs of many particles are so stiff at the scene's step that blocks may pay.
+
+    A step of a method, or a stage of it, may be shorter: kernels look again (`newton_cg._judge`).
+    """
+    particles = scene.particles
+    if len(particles) < WORTH_BLOCKS:
+        return False
+    stiffness, _ = summed_springs(scene, np.ones(len(scene.springs), bool)).T
+    bound = stiffness[~particles.fixed] / particles.mass[~particles.fixed]
+    return bool(scene.world.dt**2 * bound.max(initial=0.0) > STIFF_ON_GRAPH)
 
 
 def capacity(scene: Scene, solids: Sequence[Solid], placement: Placement) -> Capacity:

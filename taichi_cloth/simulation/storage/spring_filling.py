@@ -133,6 +133,18 @@ class SpringFilling(Filling):
         self._to.put_shared(state.shortest2, shortest2)
         self._to.put_shared(state.longest2, longest2)
 
+    def _blocks(self) -> None:
+        """The blocks of particles that solvers move as one."""
+        layout, block = self.placement.layout, self.placements.blocks()
+        order = np.argsort(block, kind="stable")
+        start = np.append(0, np.cumsum(np.bincount(block)))
+        of_slots = np.zeros(layout.n_packs * layout.lanes, np.int64)
+        of_slots[layout.slot] = block
+        self._to.put(self.state.block_of, of_slots)
+        self._to.put(self.state.graph_blocks, len(start) - 1)
+        self._to.put(self.state.members_start, start)
+        self._to.put(self.state.members, layout.slot[order])
+
     # --- stencils --------------------------------------------------------------------------
 
     def _stencil_numbers(self, mine: np.ndarray) -> np.ndarray:

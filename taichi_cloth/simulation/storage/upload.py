@@ -16,6 +16,7 @@ from taichi_cloth.simulation.numbers import Numbers
 from taichi_cloth.simulation.storage.boxes import Real, collision_grid, inner_box
 from taichi_cloth.simulation.storage.filling import as_real, wrong_size
 from taichi_cloth.simulation.storage.spring_filling import SpringFilling
+from taichi_cloth.simulation.storage.sums import summed_springs
 from taichi_cloth.simulation.storage.surface_filling import SurfaceFilling
 
 
@@ -78,6 +79,8 @@ class Upload(SpringFilling, SurfaceFilling):
             self._graph()
         if self.spec.links:
             self._links()
+        if self.spec.blocks_on_graph:
+            self._blocks()
         if self.spec.obstacles:
             self._obstacles()
         if has_tractions(self.spec):
@@ -193,19 +196,7 @@ class Upload(SpringFilling, SurfaceFilling):
 
     def _summed_springs(self) -> None:
         """Sums of the stiffness and damping of each particle's springs."""
-        scene, count = self.snapshot.scene, len(self.snapshot.x)
-        springs = scene.springs.select(self.snapshot.pulling)
-        rows = np.column_stack(
-            [
-                np.bincount(springs.between.ravel(), np.repeat(of, 2), count)
-                for of in (springs.stiffness, springs.damping)
-            ]
-        )
-        # Of a stencil, half of the row sums of its stiffness matrix, as springs give theirs.
-        stencils = scene.stencils_among(self.snapshot.pulling)
-        weight, of = np.abs(stencils.weight), stencils.owner
-        total = np.bincount(of, weight, len(stencils)) * stencils.stiffness(scene.particles.fixed)
-        rows[:, 0] += np.bincount(stencils.particle, weight * total[of] / 2, count)
+        rows = summed_springs(self.snapshot.scene, self.snapshot.pulling)
         self._of_particle(self.state.summed_k, rows[:, 0])
         self._of_particle(self.state.summed_c, rows[:, 1])
 
