@@ -31,6 +31,7 @@ WORK = FORCES, SWEEPS, UNCONVERGED = range(3)
 CACHE_LINE = 32  # whole numbers in two lines of 64 bytes, which processors fetch in pairs
 
 MOST_BLOCKS = 64  # of particles, that a preconditioner moves as one (`solvers/two_levels.py`)
+STIFF_ON_GRAPH = 500.0  # (tau*omega)^2, as `two_levels.STIFF`, from which blocks of a graph pay
 
 
 def block_packs(spec):

@@ -236,17 +236,18 @@ def keep_tractions(spec: ti.template(), state: ti.template(), t):
 
     It also computes state.traction_damping.
     """
-    compute_traction_damping(spec, state, t)
     each(spec, state, t, state.surface.n_triangles[None], _keep_triangle)
+    each(spec, state, t, state.surface.n_rows[None], _gather_damping)
 
 
 @ti.func
 def _keep_triangle(spec: ti.template(), state: ti.template(), m):
     pressure = ti.cast(0.0, state.real)
     area, by_v = ti.Vector.zero(state.real, 3), ti.Vector.zero(state.real, 3)
-    a, b, by_area = 0.0 * area, 0.0 * area, 0.0 * area
+    a, b, by_area, damping = 0.0 * area, 0.0 * area, 0.0 * area, 0.0 * area
     if is_whole(spec, state, state.surface, m):
         area, v = _area_and_velocity(spec, state, m, False)
+        damping[0] = _damping(spec, state, area, v)
         for gradient in ti.static(_parts(spec, "gradient")):
             p, p_by_v, p_by_area = gradient(spec, state, area, v)
             pressure += p
@@ -261,6 +262,7 @@ def _keep_triangle(spec: ti.template(), state: ti.template(), m):
         kept[m, Surface.AREA + axis] = area[axis]
         kept[m, Surface.BY_V + axis], kept[m, Surface.BY_AREA + axis] = by_v[axis], by_area[axis]
     kept[m, Surface.PRESSURE] = pressure
+    _set_vector(state, m, damping)
 
 
 @ti.func

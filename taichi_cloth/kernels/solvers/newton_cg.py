@@ -133,7 +133,6 @@ MOST_STALLS_BEFORE_CUT = 6
 # Rounding of a spring's force, in epsilons: several add up in a residual, with either sign.
 ROUNDING = 0.5
 MOST_ROUNDINGS = 16.0  # where progress has ended, a residual is ROUNDED up to this times `rounding`
-SUMS = 8  # most of an evaluation, and of the methods that find directions
 NEAR = 0.1  # part of the first residual below which K is taken as it is
 
 
@@ -164,7 +163,7 @@ def keeps(*vectors):
             *("halvings", "parts_done", "failed"),
             *bicgstab.COUNTS,
         ),
-        "sums": SUMS,
+        "sums": bicgstab.SUMS,  # an evaluation takes six
         "launches": ((BEGIN, FINISH, CUT), (EVALUATE, DIRECT, ITERATE), (COARSEN,)),
         "lanes": (8, 8),  # with 4 a step takes 1.5 times as long
     }

@@ -20,11 +20,11 @@ from taichi_cloth.kernels.loops import each
 from taichi_cloth.kernels.solvers.coarse_level import clear_downhill, invert, solving
 from taichi_cloth.kernels.solvers.graph_blocks import sum_blocks_of_graph, summing_members
 from taichi_cloth.kernels.solvers.grid_blocks import sum_blocks_of_grids, summing_grids
-from taichi_cloth.kernels.state import block_packs
+from taichi_cloth.kernels.state import STIFF_ON_GRAPH, block_packs
 
-# (tau*omega)^2, of which springs' stiffness and masses give a bound, from which blocks pay: where
-# all springs are links of grids, and on a graph.
-STIFF, STIFF_ON_GRAPH = 100.0, 500.0
+# (tau*omega)^2, of which springs' stiffness and masses give a bound, from which blocks pay where
+# all springs are links of grids.
+STIFF = 100.0
 
 
 def has_two_levels(spec):

@@ -8,9 +8,9 @@ import numpy as np
 
 from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.fields import Capacity
-from taichi_cloth.kernels.solvers.two_levels import STIFF_ON_GRAPH
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.kernels.spring_numbers import NUMBERS
+from taichi_cloth.kernels.state import STIFF_ON_GRAPH
 from taichi_cloth.runtime import Device
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.penetration import touches

@@ -135,15 +135,13 @@ class SpringFilling(Filling):
 
     def _blocks(self) -> None:
         """The blocks of particles that solvers move as one."""
-        layout, block = self.placement.layout, self.placements.blocks()
+        block = self.placements.blocks()
         order = np.argsort(block, kind="stable")
-        start = np.append(0, np.cumsum(np.bincount(block)))
-        of_slots = np.zeros(layout.n_packs * layout.lanes, np.int64)
-        of_slots[layout.slot] = block
-        self._to.put(self.state.block_of, of_slots)
+        start = _starts(block[order])
+        self._of_particle(self.state.block_of, block)
         self._to.put(self.state.graph_blocks, len(start) - 1)
         self._to.put(self.state.members_start, start)
-        self._to.put(self.state.members, layout.slot[order])
+        self._to.put(self.state.members, self.placement.layout.slot[order])
 
     # --- stencils --------------------------------------------------------------------------
 
@@ -244,6 +242,6 @@ class SpringFilling(Filling):
 
 
 def _starts(colours: np.ndarray) -> np.ndarray:
-    """Where each colour that occurs begins in a sorted array, and the array's end."""
+    """Where each colour, or block, that occurs begins in a sorted array, and the array's end."""
     start = np.flatnonzero(np.diff(colours, prepend=-1))
     return np.append(start, len(colours)).astype(np.int32)
