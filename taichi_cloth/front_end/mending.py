@@ -13,6 +13,8 @@ spent on what this module replaces by what leads to the same kernels:
 - what reads a node of a tree is looked up by a name that is made anew, with an object that notes
   where the node stands. Here it is kept for each kind of node, and the place noted by itself.
 - NumPy tells the range of integers anew at each constant. Here it is kept.
+- each field, and each level of where fields lie, gets a text of the whole stack under which it was
+  made, for messages of errors: a third of what making them takes. Here it gets none.
 
 What it makes of conditions and of sums takes the compiler long, which `conditions` and `reductions`
 mend. And where a real function calls an inlined one, that comes into the kernel instead of the
@@ -36,17 +38,18 @@ from typing import Any
 
 from taichi_cloth.front_end import conditions, reductions
 
-# What is replaced or called here of Taichi's modules: a Taichi that lacks any of it is left alone.
-NEEDED = {
+# What is replaced or called of Taichi's modules: a Taichi that lacks any of it is left alone.
+HERE = {
     "kernel_impl": (
         *("_get_tree_and_ctx", "_get_global_vars", "transform_tree", "_inside_class"),
         *("getsourcefile", "getsourcelines", "Func"),
     ),
     "expr": ("_check_in_range", "_clamp_unsigned_to_range"),
+    "impl": ("get_traceback",),
+    "snode": ("get_traceback",),
     "ast.ast_transformer_utils": ("Builder", "ASTTransformerContext", "handle_exception_from_cpp"),
-    **conditions.NEEDED,
-    **reductions.NEEDED,
 }
+NEEDED = HERE, conditions.NEEDED, reductions.NEEDED
 # Nodes of syntax trees that Taichi writes nothing on: there is one of each kind for all trees.
 SHARED = ast.expr_context, ast.boolop, ast.operator, ast.unaryop, ast.cmpop
 
@@ -60,7 +63,7 @@ def mend() -> None:
     """
     if _is_mended() or not _is_as_known():
         return
-    from taichi.lang import expr, impl, kernel_impl
+    from taichi.lang import expr, impl, kernel_impl, snode
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext, Builder
 
     conditions.mend()
@@ -73,6 +76,7 @@ def mend() -> None:
     Builder.__call__ = _visiting(impl.get_runtime)
     expr._check_in_range = _is_in_range
     expr._clamp_unsigned_to_range = _wrapped_into_range
+    impl.get_traceback = snode.get_traceback = _no_stack
 
 
 def functions_work() -> bool:
@@ -88,10 +92,12 @@ def _is_mended() -> bool:
 
 def _is_as_known() -> bool:
     """Whether Taichi has all that is replaced or called here, and reads functions as is known."""
-    modules = {name: importlib.import_module(f"taichi.lang.{name}") for name in NEEDED}
-    if not all(hasattr(modules[of], name) for of, names in NEEDED.items() for name in names):
-        return False
-    theirs = inspect.signature(modules["kernel_impl"]._get_tree_and_ctx)
+    for of, names in (one for needed in NEEDED for one in needed.items()):
+        module = importlib.import_module(f"taichi.lang.{of}")
+        if not all(hasattr(module, name) for name in names):
+            return False
+    kernel_impl = importlib.import_module("taichi.lang.kernel_impl")
+    theirs = inspect.signature(kernel_impl._get_tree_and_ctx)
     return list(theirs.parameters) == list(inspect.signature(_tree_and_context).parameters)
 
 
@@ -215,6 +221,11 @@ def _dropping(do_compile: Callable[..., None]) -> Callable[..., None]:
 def _inside_class(level_of_class_stackframe: int) -> bool:
     """Whether a function is defined in a class, from how many frames up executes that class."""
     return "__qualname__" in sys._getframe(level_of_class_stackframe - 1).f_locals
+
+
+def _no_stack(stacklevel: int = 1) -> str:
+    """Of where a field was made: nothing."""
+    return ""
 
 
 # --- nodes of trees -------------------------------------------------------------------------------
