@@ -1,5 +1,7 @@
 """One device for the whole test process: the CPU in f64, where results are compared to round-off.
 
+Kernels of the graph are those that compile soon, but where a module asks for the others.
+
 Other precisions, backends and thread counts run through the command line, in processes of their
 own. Modules in this folder that are not named test_... hold what tests share, and no test.
 """
@@ -22,7 +24,17 @@ def device():
     from taichi_cloth import runtime
 
     inside.refuse_both_ways()
-    return runtime.start("cpu", "f64", threads=2)
+    with pytest.MonkeyPatch.context() as patch:
+        inside.compile_soon(patch)
+        yield runtime.start("cpu", "f64", threads=2)
+
+
+@pytest.fixture
+def to_run_fast(device, monkeypatch):
+    """Kernels of the graph as long runs and Python programs have them, which compile longer."""
+    import inside
+
+    inside.compile_to_run_fast(monkeypatch)
 
 
 @pytest.fixture(autouse=True)
@@ -46,6 +58,15 @@ def few_lanes():
     import inside
 
     with inside.few_lanes():
+        yield
+
+
+@pytest.fixture
+def all_compiled_soon(device):
+    """All kernels that compile from here on do so in about half the time, those of packs, too."""
+    from taichi_cloth import runtime
+
+    with runtime.compiled_soon():
         yield
 
 

@@ -41,7 +41,7 @@ class Runner:
     def _started(self, case, made, steps):
         if case.kind not in self._sims:
             self._sims[case.kind] = Simulation(
-                KINDS[case.kind](), self.method, topology="graph", execution="serial"
+                KINDS[case.kind](), self.method, topology="graph", execution="serial", soon=True
             )
         sim = self._sims[case.kind]
         sim.load_scene(made, steps.frame, steps.substeps)

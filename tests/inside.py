@@ -106,6 +106,32 @@ def counting_kernels(monkeypatch):
     return ways
 
 
+CHOOSES = Launcher._hurries
+
+
+def compile_soon(patch):
+    """From here on every simulation on the graph has kernels that compile in half the time.
+
+    Most of what tests take is compiling. Windows and short runs begin with those kernels, too, and
+    they have the bits of the others (`test_aside.py`).
+    """
+
+    def on_the_graph(launcher, spec, capacity):
+        return launcher.device.arch == "cpu" and spec.lanes == 1
+
+    patch.setattr(Launcher, "_hurries", on_the_graph)
+
+
+def compile_to_run_fast(patch):
+    """From here on simulations have the kernels that they have without tests."""
+    patch.setattr(Launcher, "_hurries", CHOOSES)
+
+
+def way_to_compile():
+    """What tells simulations apart whose kernels are compiled in one way and in the other."""
+    return Launcher._hurries
+
+
 @contextmanager
 def few_lanes():
     """Packs of 2 lanes in simulations made meanwhile: they compile in a third of the time."""

@@ -6,6 +6,7 @@ is its own until the pool is asked for the like again.
 
 from dataclasses import replace
 
+import inside
 import numpy as np
 
 from taichi_cloth.kernels import methods
@@ -54,12 +55,13 @@ class Pool:
         thick = scene.features().thick
         pairs = world.collisions, world.contact, thick
         kind = (world.dim, walls, pairs, world.mouse == "spawn", links)
-        key = method, topology, execution, lanes, follows, another, kind
+        how = topology, execution, lanes, inside.way_to_compile()
+        key = method, *how, follows, another, kind
         sim = self._made.get(key)
         if sim is None or (sim.topology, sim.execution) != (topology, execution):
-            how = {"topology": topology, "execution": execution, "lanes": lanes}
+            way = {"topology": topology, "execution": execution, "lanes": lanes}
             sim = Simulation(
-                _widest(scene, links, thick), method, "auto" if follows else 1.0, **how
+                _widest(scene, links, thick), method, "auto" if follows else 1.0, **way
             )
             self._made[key] = sim
         for name in methods.load(method).claims.settings:

@@ -77,6 +77,7 @@ def positions(path):
         return saved["position"]
 
 
+@pytest.mark.thorough
 def test_a_run_compiles_them_and_the_next_one_takes_them(own_caches):
     how = ("--topology", "lanes", "--lanes", "auto", "--execution", "serial")
     first = run(own_caches, *CLOTH, *how, "--save", "first.npz")
@@ -219,7 +220,7 @@ def test_a_run_compiles_soon_and_the_next_one_takes_faster_kernels(own_caches):
     )
 
 
-def test_what_hurries_and_what_does_not(device, few_lanes, own_caches):
+def test_what_hurries_and_what_does_not(to_run_fast, few_lanes, own_caches):
     cloth = build("cloth")
 
     def made(**given):

@@ -325,9 +325,11 @@ def test_the_part_tells_who_is_cheapest_at_each_level(monkeypatch, tmp_path):
     (kept,) = tmp_path.glob(f"*{runs_file.SUFFIX}")
     runs = runs_file.read(kept)
     assert {run.group for run in runs} == {"ours", "SciPy, BDF", "blunt"}
-    best = cheapest([run.tried for run in runs if run.group == "ours"], 0.01)
     (row,) = [row for row in timed if (row.contestant[:4], row.size) == ("ours", AT_ONE)]
-    assert row.contestant == f"ours: a, {best.choice.describe()}"
+    ours = [run.tried for run in runs if run.group == "ours"]
+    (best,) = [one for one in ours if row.contestant == f"ours: a, {one.choice.describe()}"]
+    least = cheapest(ours, 0.01).seconds  # to the digits of the file, where two may take as long
+    assert best.meets(0.01) and best.seconds == pytest.approx(least, rel=1e-3)
     assert row.error == pytest.approx(best.error, rel=1e-3)
     headers, lines = report.by_level(rows)
     assert headers == ["scene", "solver", "10 %", "1 %", "0.1 %", "0.01 %"]
@@ -341,6 +343,7 @@ def test_the_part_tells_who_is_cheapest_at_each_level(monkeypatch, tmp_path):
     assert drawn.read_bytes()[:4] == picture.draw(runs)[:4] == b"\x89PNG"
 
 
+@thorough
 def test_ours_is_raced_on_all_cores_too(monkeypatch):
     """At each level its rows, and the ratio of the quicker, with its target; of one thread, too,
     where that is not the quicker.

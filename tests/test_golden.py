@@ -12,7 +12,7 @@ from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import ParticleDefaults, Particles, Scene, World
 from taichi_cloth.simulation.simulation import Simulation
 
-pytestmark = pytest.mark.usefixtures("device")
+pytestmark = pytest.mark.usefixtures("to_run_fast")
 
 WAYS = ["lanes serial", "lanes parallel", "graph serial", "graph parallel"]
 

@@ -165,7 +165,7 @@ def test_a_cloth_does_not_sink_through_a_fixed_sphere(pool, method, topology):
 @pytest.mark.parametrize("precision", ["f32", "compensated"])
 def test_resting_pairs_have_the_same_bits_for_every_thread_count(precision, cli):
     made = {"precision": precision, "method": "symplectic_euler", "collisions": True}
-    found = [cli.call("cloths:bits", **made, threads=count, contact="resting") for count in (1, 3)]
+    found = [cli.call("cloths:bits", **made, threads=count, contact="resting") for count in (1, 2)]
     assert found[0] == found[1]
     scene = scenefile.parse(TWO_CLOTHS.replace("COLLISIONS", "true"))
     assert found[0][1] > 0.2 * len(scene.springs)

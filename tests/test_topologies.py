@@ -28,6 +28,8 @@ from taichi_cloth.scene.model import Particles, Springs
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.simulation.storage import adjacency, layouts
 
+pytestmark = pytest.mark.usefixtures("to_run_fast")
+
 # --- layout ----------------------------------------------------------------------------------
 
 

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 from discrete import DISCRETE
-from selection import mostly_thorough
+from selection import mostly_thorough, thorough
 
 from taichi_cloth.benchmarks.equal_error.problems import warp
 from taichi_cloth.errors import RunFailure, SimulationFailure
@@ -18,6 +18,8 @@ from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.simulation.storage import requirements
 from taichi_cloth.trade import ode
+
+pytestmark = pytest.mark.usefixtures("to_run_fast")
 
 every_method = pytest.mark.parametrize("method", methods.METHODS)
 SERIAL, GRIDS = ("graph", "serial"), ("lanes", "parallel")
@@ -158,7 +160,8 @@ def test_energy_falls_under_implicit_euler(pool):
     assert sim.work().unconverged == 0
 
 
-@pytest.mark.parametrize("dim", mostly_thorough([2, 3], default=[2]))
+@thorough
+@pytest.mark.parametrize("dim", [2, 3])
 def test_blocks_of_stiff_cloth_change_the_sweeps_and_not_the_solution(device, dim, monkeypatch):
     """Against the graph, told that nothing is stiff: the diagonal alone preconditions there."""
     monkeypatch.setattr(requirements, "STIFF_ON_GRAPH", math.inf)

@@ -116,7 +116,7 @@ def positions(scene: str, method: str, arch: str) -> np.ndarray:
     """Where the particles of a scene are after FRAMES frames, (n, dim)."""
     runtime.start(arch, "f64")
     made = library.build(scene, **GIVEN.get(scene, {}))
-    way: dict[str, Any] = {"topology": "graph"}
+    way: dict[str, Any] = {"topology": "graph", "soon": True}
     way["execution"] = "serial" if arch == "cpu" else "parallel"
     try:
         sim = Simulation(made, method, dt="auto", **way)
