@@ -55,13 +55,13 @@ class Pool:
         thick = scene.features().thick
         pairs = world.collisions, world.contact, thick
         kind = (world.dim, walls, pairs, world.mouse == "spawn", links)
-        how = topology, execution, lanes, inside.way_to_compile()
-        key = method, *how, follows, another, kind
+        compiled = inside.way_to_compile()
+        key = method, topology, execution, lanes, follows, another, kind, compiled
         sim = self._made.get(key)
         if sim is None or (sim.topology, sim.execution) != (topology, execution):
-            way = {"topology": topology, "execution": execution, "lanes": lanes}
+            how = {"topology": topology, "execution": execution, "lanes": lanes}
             sim = Simulation(
-                _widest(scene, links, thick), method, "auto" if follows else 1.0, **way
+                _widest(scene, links, thick), method, "auto" if follows else 1.0, **how
             )
             self._made[key] = sim
         for name in methods.load(method).claims.settings:
