@@ -10,10 +10,19 @@ from hypothesis import strategies as st
 from selection import mostly_thorough
 
 from taichi_cloth.kernels import stepping
-from taichi_cloth.kernels.solvers import coarse_level, fine_level, grid_blocks, newton_cg, stages
+from taichi_cloth.kernels.solvers import (
+    coarse_level,
+    fine_level,
+    grid_blocks,
+    newton_cg,
+    stages,
+    two_levels,
+)
+from taichi_cloth.kernels.state import block_packs
 from taichi_cloth.runtime import sums_in_order, whole_vectors
 from taichi_cloth.scene import library
 from taichi_cloth.scene.cloth import grid_stencils
+from taichi_cloth.scene.model import Particles
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.simulation.storage import adjacency, requirements
 
@@ -107,6 +116,27 @@ def check_inverse(sim, scene, p, within=2e-5):
     assert not expected[n:].any() and not expected[:, n:].any()
     np.testing.assert_allclose(found[:n, :n], expected[:n, :n], atol=within * abs(expected).max())
     return moves.sum()
+
+
+def test_particles_beside_a_cloth_take_no_sweeps(few_lanes, scene, monkeypatch):
+    """Those on no grid are in no block, and have nothing but masses in A."""
+    monkeypatch.setattr(two_levels, "STIFF", 1.0)
+    top = np.arange(SIDE**2) >= SIDE**2 - SIDE  # fixed: a row of the last blocks
+    cloth = replace(scene, particles=replace(scene.particles, fixed=top))
+    x = np.random.default_rng(4).uniform(0.2, 1.8, (20, 3))
+    beside = Particles.build(x, defaults=scene.particle_defaults)
+    both = replace(cloth, particles=cloth.particles.joined(beside))
+    sim = Simulation(both, "implicit_euler", topology="lanes", execution="serial", substeps=4)
+    sim.advance(2)
+    sweeps, end = sim.work().sweeps, sim.positions()
+    state, spec = inside.state_of(sim), sim.storage.specialization
+    packs = sim.storage.layout.slot[len(cloth.particles) :] // spec.lanes
+    assert (state.block_of.to_numpy()[packs] == block_packs(spec)).all()
+    sim.load_scene(cloth, substeps=4)
+    sim.advance(2)
+    assert sim.work().unconverged == 0 and state.n_blocks[None] > 0
+    assert sweeps < 1.1 * sim.work().sweeps
+    np.testing.assert_allclose(sim.positions(), end[: len(cloth.particles)], atol=1e-4)
 
 
 def test_on_a_graph_blocks_are_the_hosts(few_lanes, bending, monkeypatch):

@@ -67,8 +67,8 @@ class State(ContactFields):
         and row_weight, from row_stencils[p] to row_stencils[p + 1]; side, side_start (fracture):
         the springs that a stencil needs, negative for links (`fracture.py`).
     Grids (`grids.py`): grid: (grids, 4): first pack, rows, width in packs, whether it has links;
-        grid_of: a pack's grid, -1 in empty rows; breaking (fracture): how many of the links that
-        begin at a pack are BREAKING.
+        grid_of: a pack's grid, -1 where nothing is linked; breaking (fracture): how many of the
+        links that begin at a pack are BREAKING.
     Links (`links.py`): link: (kinds, 2): columns and rows to the later end, after which come those
         to the last particle along lines; forward: the kinds in
         the order in which the later ends are numbered.

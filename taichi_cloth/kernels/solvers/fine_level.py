@@ -36,11 +36,11 @@ def factor_particles(spec: ti.template(), state: ti.template(), t):
 def _factor_row(spec: ti.template(), state: ti.template(), begin, width):
     """Factor what A does to each particle of a row."""
     g = state.grid_of[begin]
-    pitch = pitch_of(spec, state, g)
-    row = (begin - state.grid[g, 0]) // pitch
     for i in range(begin, begin + width):
         on, beside = zeros(spec, state), zeros(spec, state)
-        if state.grid[g, 3] == 1:
+        if g >= 0:  # on no grid nothing but masses and drag acts
+            pitch = pitch_of(spec, state, g)
+            row = (begin - state.grid[g, 0]) // pitch
             for end in range(2 * spec.kinds):  # links that begin at the pack, then those that end
                 s = end % spec.kinds
                 at = link_index(state, s, i)

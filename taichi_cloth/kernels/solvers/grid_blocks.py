@@ -65,18 +65,25 @@ def _lay_out(spec: ti.template(), state: ti.template(), _):
 @ti.func
 def _note_blocks(spec: ti.template(), state: ti.template(), begin, width):
     """Note of each pack of a row which coarse pack it is in, and whether any of it is fixed."""
-    g = state.grid_of[begin]
-    rows, along = state.grid[g, 1], state.blocks[g, 1]
-    row = (begin - state.grid[g, 0]) // pitch_of(spec, state, g)
     for p in range(width):
-        columns = state.blocks[g, 2]
-        at = state.blocks[g, 0] + (row * along // rows) * columns + p * columns // width
-        if along == 0:
-            at = ti.static(block_packs(spec))  # one that never moves
-        state.block_of[begin + p] = at
+        state.block_of[begin + p] = _block_in_row(spec, state, begin, p)
         w = read(spec, state.w, begin + p)
         fixed = over_lanes(spec, ti.select(w > 0.0, 0.0 * w, 0.0 * w + 1.0))
         state.holds_fixed[begin + p] = ti.select(fixed > 0.0, 1, 0)
+
+
+@ti.func
+def _block_in_row(spec: ti.template(), state: ti.template(), begin, p):
+    """Which coarse pack the pack number p of a row is in; on no grid: one that never moves."""
+    at = 0 + ti.static(block_packs(spec))
+    g = state.grid_of[begin]
+    if g >= 0:
+        along, columns = state.blocks[g, 1], state.blocks[g, 2]
+        if along > 0:
+            row = (begin - state.grid[g, 0]) // pitch_of(spec, state, g)
+            row = row * along // state.grid[g, 1]
+            at = state.blocks[g, 0] + row * columns + p * columns // state.grid[g, 2]
+    return at
 
 
 @ti.func
