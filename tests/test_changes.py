@@ -187,6 +187,24 @@ def test_a_step_that_follows_the_springs_follows_what_is_set(pool):
     assert sim.substeps == before
 
 
+def test_what_pushes_goes_on_over_loads_and_ends_when_it_should(pool):
+    sim = pool(cloth())
+    force = np.random.default_rng(2).normal(size=(sim.particle_count, 2))
+    sim.blow((30.0, 30.0), (1.0, 1.0))
+    sim.hold(force)  # which no frame's end takes away
+    sim.load_as("graph", "serial", sim.positions(), sim.velocities())
+    sim.spawn((50.0, 50.0))
+    sim.advance()
+    held = sim.storage.held()
+    np.testing.assert_array_equal(
+        held, np.vstack([force.astype(sim.storage.real), np.zeros((1, 2))])
+    )
+    sim.blow((30.0, 30.0), (1.0, 1.0))
+    assert sim.storage.fits(sim.storage.snapshot())  # which changes nothing
+    sim.advance()
+    assert sim.storage.held() is None
+
+
 def test_a_trajectory_does_not_go_on_without_particles(pool, tmp_path):
     sim, trajectory = pool(cloth()), Trajectory(tmp_path / "t.npz")
     sim.advance()
@@ -213,6 +231,7 @@ REFUSED = [
     (lambda sim: sim.spawn((1.0, 1.0), tied_to=48), "tied to particle 48, which does not exist"),
     (lambda sim: sim.spawn((1.0, 1.0), tied_to=0.0), "tied_to must be a whole number"),
     (lambda sim: sim.spawn((1.0, 1.0), color=(1, 2, 256)), "from 0 to 255, is 256.0 at"),
+    (lambda sim: sim.spawn((1.0, 1.0), mass=1e-310), "particle 48"),
     (lambda sim: sim.set_step("soon"), "--dt must be a number, is 'soon'"),
     (lambda sim: sim.set_step(substeps=2.5), "--substeps must be a whole number"),
     (lambda sim: sim.load_as("graph", "serial", [[1.0]], [[1.0]]), "load_as: x must have shape"),
@@ -262,6 +281,7 @@ def test_wrong_arguments_are_refused_in_one_line_and_change_nothing(pool):
         (lambda: Simulation(None), "scene must be a Scene"),
         (lambda: Simulation(cloth(), dt=True), "--dt must be a number, is True"),
         (lambda: Simulation(cloth(), lanes=0), "lanes must be a whole number of at least 1"),
+        (lambda: Simulation(cloth(), lanes=12), "power of two, is 12; give 8 or 16"),
         (lambda: Simulation(cloth(), topology=None), "--topology must be one of"),
         (lambda: Simulation(cloth(), "vbd", iterations=2.5), "--iterations must be a whole"),
         (lambda: tc.validate(cloth().with_world(size=None)), "world: size must be a list of"),

@@ -259,6 +259,18 @@ def test_what_is_no_checkpoint_of_this_run_is_refused_in_a_line(pool, tmp_path):
         other.restore(there)
     with pytest.raises(InputError, match="of another 'cloth': with other parameters"):
         pool(mixed(2, mouse="blow", speed=1.0), another=True).restore(there)
+    sim.spawn((30.0, 30.0))
+    grown = sim.checkpoint()
+    sim.restore(there)
+    kept, before = grown.kept, state(sim)
+    lanes, lacking = replace(kept.spec, lanes=64), {"x": kept.fields["x"]}
+    for other in (
+        replace(kept, spec=lanes, loaded=None),
+        replace(kept, fields=lacking, loaded=None),
+    ):
+        with pytest.raises(InputError, match="stored otherwise .lanes 64, here 1|it lacks '"):
+            sim.restore(replace(grown, kept=other))
+        assert_same(state(sim), before)
     path = tmp_path / "there.npz"
     for content in (b"", b"none", b"PK\x03\x04"):
         path.write_bytes(content)

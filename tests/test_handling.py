@@ -255,6 +255,24 @@ def test_a_hold_lasts_over_a_change_and_ends_with_a_reset(made):
         sim.grab([4000], (1.0, 1.0))
 
 
+def test_a_mass_that_is_set_in_a_hold_is_there_after_it(made):
+    sim = made()
+    free = sim.storage.scene.particles.mass.copy()
+    sim.grab([20, 21], sim.positions()[20], stiffness=1e3)  # so stiff that they weigh more
+    held = sim.storage.scene.particles.mass.copy()
+    assert (held[20:22] > free[20:22]).all()
+    sim.set(mass=7.0, particles=[19, 20])
+    grown = sim.storage.scene.particles.mass
+    np.testing.assert_allclose(grown[19:22], [7.0, 7.0 + held[20] - free[20], held[21]])
+    with pytest.raises(InputError, match="no particle 4000"):
+        sim.remove([4000])
+    assert sim.held() is not None
+    sim.let_go()
+    expected = free.copy()
+    expected[19:21] = 7.0
+    np.testing.assert_array_equal(sim.storage.scene.particles.mass, expected)
+
+
 # Cuts and pins
 
 

@@ -81,6 +81,15 @@ def whole_number(
     return whole
 
 
+def power_of_two(name: str, value: Any, maximum: int) -> int:
+    """1, 2, 4 and so on, to `maximum`."""
+    whole = whole_number(name, value, 1, maximum)
+    if whole & (whole - 1):
+        below = 1 << (whole.bit_length() - 1)
+        raise InputError(f"{name} must be a power of two, is {whole}; give {below} or {2 * below}")
+    return whole
+
+
 def _short(whole: int) -> str:
     """A whole number in a message: Python refuses to write more than some thousand digits."""
     return str(whole) if abs(whole) < 10**30 else f"{'-' * (whole < 0)}10^30 or beyond"

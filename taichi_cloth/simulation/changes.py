@@ -58,13 +58,19 @@ class Changes(Part):
         self._edit(now, editing.with_values(now, changes, selection))
 
     def pin(self, particles: ArrayLike) -> None:
-        """Fix particles, by indices or a mask (n,), where they are now."""
+        """Fix particles, by indices or a mask (n,), where they are now.
+
+        Those that began within the grip of an obstacle that moves are taken along by it again.
+        """
         count = self.particle_count
         chosen = accepted.selection("pin: particles", particles, count, "particle")
         self.set(fixed=True, particles=chosen)
 
     def unpin(self, particles: ArrayLike) -> None:
-        """Let particles go, by indices or a mask (n,); they start at rest."""
+        """Let particles go, by indices or a mask (n,).
+
+        They start at rest, those that an obstacle took along with its velocity.
+        """
         count = self.particle_count
         chosen = accepted.selection("unpin: particles", particles, count, "particle")
         self.set(fixed=False, particles=chosen)
@@ -99,9 +105,10 @@ class Changes(Part):
         What is left is numbered from 0 in the order it had, springs too; those that are broken
         remain listed. Returns which particles these are by their old indices, (m,).
         """
+        chosen = accepted.selection("remove: particles", particles, self.particle_count, "particle")
         self.let_go()
         now = self.storage.snapshot()
-        edited, left = editing.without(now, particles)
+        edited, left = editing.without(now, chosen)
         self._edit(now, edited, left if len(left) < len(now.x) else None)
         return left
 

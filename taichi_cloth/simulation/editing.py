@@ -77,6 +77,8 @@ def with_values(now: Snapshot, given: Mapping[str, Any], selection: Selection) -
     if of_particles:
         x, v = _motion(now, of_particles, chosen)
         scene = scene.with_parts(particles=_with_columns(scene.particles, of_particles, chosen))
+    if "mass" in of_particles:
+        scene = _weighing_more(scene, now.scene, chosen)
     if of_springs:
         scene = scene.with_parts(springs=_with_numbers(scene.springs, of_springs, tied, x))
     if OF_STENCILS in given:
@@ -134,7 +136,7 @@ def with_cut(now: Snapshot, chosen: np.ndarray, steps: int) -> Snapshot:
     return replace(now, marks=marks)
 
 
-def without(now: Snapshot, particles: Any) -> tuple[Snapshot, np.ndarray]:
+def without(now: Snapshot, particles: np.ndarray) -> tuple[Snapshot, np.ndarray]:
     """The state without some particles and all that has one of them, and which particles are left.
 
     The latter by their numbers, (m,). What is left, springs, triangles and stencils, keeps its
@@ -142,7 +144,7 @@ def without(now: Snapshot, particles: Any) -> tuple[Snapshot, np.ndarray]:
     """
     count = len(now.x)
     gone = np.zeros(count, bool)
-    gone[accepted.selection("remove: particles", particles, count, "particle")] = True
+    gone[particles] = True
     left = np.flatnonzero(~gone)
     number = np.cumsum(~gone) - 1
     scene, between = now.scene, now.scene.springs.between
@@ -335,6 +337,25 @@ def _with_columns(particles: Particles, given: Mapping[str, Any], chosen: np.nda
         columns[name] = getattr(particles, name).copy()
         columns[name][chosen] = new
     return replace(particles, **columns)
+
+
+def _weighing_more(scene: Scene, before: Scene, chosen: np.ndarray) -> Scene:
+    """The scene after masses were set where what the mouse holds weighs as much more as before.
+
+    It weighs what was set when it is let go.
+    """
+    held = before.world.held
+    if held is None:
+        return scene
+    mine = np.isin(held.particles, chosen)
+    which = held.particles[mine]
+    own, mass = held.mass.copy(), scene.particles.mass.copy()
+    own[mine] = mass[which]
+    mass[which] += before.particles.mass[which] - held.mass[mine]
+    return scene.with_parts(
+        particles=replace(scene.particles, mass=mass),
+        world=replace(scene.world, held=replace(held, mass=own)),
+    )
 
 
 def _with_numbers(

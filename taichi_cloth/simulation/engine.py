@@ -87,8 +87,7 @@ class Engine(Part):
                 setattr(self, name, value)
             raise
         self._counted, self._work[FORCES] = counted, 0
-        if held is not None:
-            self.storage.hold_again(held, pushed)
+        self.storage.hold_again(held, pushed)
 
     def topology_of(self, method: str) -> str:
         """The topology that the run has under a method, or would have after `set_method`."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -101,7 +102,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         if self._widens:
             lanes = None
         if lanes is not None:
-            lanes = accepted.whole_number("lanes", lanes, 1, MOST_LANES)
+            lanes = accepted.power_of_two("lanes", lanes, MOST_LANES)
         if follows and substeps != 1:
             raise InputError("--substeps: --dt auto chooses them; give one of the two")
         self.scene = self._given = validate(scene)
@@ -374,8 +375,10 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         shape = self.particle_count, self.scene.world.dim
         x = accepted.array("load_as: x", x, shape, "particles, dimensions")
         v = accepted.array("load_as: v", v, shape, "particles, dimensions")
+        pushed, held = self.storage.pushed, self.storage.held()
         self.storage.move(x, v)
         self.storage.load(topology, path, self._numbers())
+        self.storage.hold_again(held, pushed)
         self.topology, self.execution = self.storage.topology, path
         self._preferred = topology
 
@@ -413,12 +416,15 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         none = np.zeros((0, 3), np.int64)
         alone = replace(self.scene, particles=new, springs=Springs.none(), triangles=none)
         validate(replace(alone, stencils=Stencils.none()))
-        grown = self.storage.snapshot().with_particle(new, tied_to)
-        if self._auto:  # before anything changes: it may refuse
-            chosen = self._auto.before_spawn(grown)
-            if chosen != self.substeps:
-                self._change_step(self.dt, chosen)
-        self._store(grown)
+        now = self.storage.snapshot()
+        grown = now.with_particle(new, tied_to)
+        with self._all_or_nothing(now):
+            refuse_unholdable(grown.scene, self._launcher.device.precision, now.scene)
+            if self._auto:
+                chosen = self._auto.before_spawn(grown)
+                if chosen != self.substeps:
+                    self._change_step(self.dt, chosen)
+            self._store(grown)
         return self.particle_count - 1
 
     def prepare_click(self) -> None:
@@ -447,10 +453,8 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         """
         if left is None and same(now, edited):
             return
-        clock = self._since, self.dt, self.substeps, self.speed_limit
-        preferred, self._preferred = self._preferred, topology or self._preferred
-        auto, pushed, held = copy.copy(self._auto), self.storage.pushed, self.storage.held()
-        try:
+        with self._all_or_nothing(now, left):
+            self._preferred = topology or self._preferred
             refuse_unholdable(edited.scene, self._launcher.device.precision, now.scene)
             if self._auto:
                 chosen = self._auto.after_edit(now, edited)
@@ -460,12 +464,22 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
                 self.storage.mark_new_springs(self.steps)
             else:
                 self._store(edited)
+
+    @contextmanager
+    def _all_or_nothing(self, now: Snapshot, left: np.ndarray | None = None) -> Iterator[None]:
+        """All is as it was, with the state `now`, where what is done within raises InputError.
+
+        A push that acts goes on; left: on which of the particles, all where absent.
+        """
+        clock = self._since, self.dt, self.substeps, self.speed_limit
+        auto, preferred = copy.copy(self._auto), self._preferred
+        pushed, held = self.storage.pushed, self.storage.held()
+        try:
+            yield
         except InputError:
             self._since, self.dt, self.substeps, self.speed_limit = clock
             self._auto, self._preferred = auto, preferred
             self._store(now)
-            if held is not None:
-                self.storage.hold_again(held, pushed)
+            self.storage.hold_again(held, pushed)
             raise
-        if held is not None:
-            self.storage.hold_again(held if left is None else held[left], pushed)
+        self.storage.hold_again(held if held is None or left is None else held[left], pushed)

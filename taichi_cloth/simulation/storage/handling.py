@@ -27,15 +27,23 @@ class Handling(DeviceState):
         """Push every particle with a force of its own, (n, dim), until the next push."""
         self._launch(blow.hold_push, as_real(self.real, "particle", force))
         self._held = self._altered = True
+        self.pushed = False
 
     def held(self) -> np.ndarray | None:
         """The force on each particle that is pushed or held now, (n, dim); None: there is none."""
         return self._read_field(self.state.push) if self._held else None
 
-    def hold_again(self, force: np.ndarray, pushed: bool) -> None:
-        """Go on with a push that was there before the last load; pushed: until the frame's end."""
+    def hold_again(self, force: np.ndarray | None, pushed: bool) -> None:
+        """Go on with a push that was there before the last load; pushed: until the frame's end.
+
+        force: `held` of then; particles that came with the load are not pushed.
+        """
+        if force is None:
+            return
         if len(force):
-            self.hold(force)
+            rows = np.zeros((len(self.scene.particles), force.shape[1]))
+            rows[: len(force)] = force
+            self.hold(rows)
         self.pushed = pushed
 
     def end_push(self) -> None:

@@ -78,14 +78,19 @@ class KeptFields:
 
         InputError where it is not of such fields.
         """
+        self.check(kept)
         spans, rows, begins = self._places(placement, patches)
         for f in self._fields:
-            if f.name not in kept:
-                raise InputError(f"restore: it lacks '{f.name}', which this version keeps")
             span, array = spans[f.name], kept[f.name]
             count = min(len(array), span.stop - span.start)
             self._array(f.whole)[span.start : span.start + count] = array[:count]
         self._copy(launcher, True, rows, begins)
+
+    def check(self, kept: Mapping[str, np.ndarray]) -> None:
+        """InputError where what was kept is not of such fields."""
+        for f in self._fields:
+            if f.name not in kept:
+                raise InputError(f"restore: it lacks '{f.name}', which this version keeps")
 
     def _array(self, whole: bool) -> np.ndarray:
         return self._counts if whole else self._reals

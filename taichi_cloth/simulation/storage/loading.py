@@ -64,7 +64,7 @@ class Loading(DeviceState):
 
     def fits(self, snapshot: Snapshot) -> bool:
         """Whether a state could be loaded without compiling anything anew."""
-        taken, placements, loaded = self._taken, self._placements, self.solids
+        before = self._taken, self._placements, self.solids, self.pushed
         container = self._now.container
         try:
             self.take(snapshot)
@@ -74,7 +74,7 @@ class Loading(DeviceState):
             room = container.state.capacity.holds(needed)
             return bool(room and container.fits(spec, topology))
         finally:
-            self._taken, self._placements, self.solids = taken, placements, loaded
+            self._taken, self._placements, self.solids, self.pushed = before
 
     def _find_placement(self, topology: str) -> tuple[Placement, str]:
         """The placement of the scene in a topology, or else on the graph, and which it is in."""

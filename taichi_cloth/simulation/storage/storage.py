@@ -151,16 +151,24 @@ class Storage(Loading, Download, Handling):
             self.state.face_unseen[None] = 1
 
     def _load_like(self, kept: Kept, path: str, numbers: Numbers) -> None:
-        """Load what was kept of another storage, stored as it was there."""
-        self.take(with_own_hold(kept.taken))
-        placement, topology = self._find_placement(kept.topology)
-        threads = self._launcher.device.threads
-        like = replace(kept.spec, threads=threads)
-        container = self._make_room(placement, topology, like)
-        if container.spec != like:
-            raise InputError(
-                f"restore: it was stored otherwise ({_difference(container.spec, like)})"
-            )
+        """Load what was kept of another storage, stored as it was there.
+
+        InputError where that is none here; all is then as it was.
+        """
+        names = "_taken", "_placements", "solids", "pushed", "_loaded"
+        before = {name: getattr(self, name) for name in names}
+        like = replace(kept.spec, threads=self._launcher.device.threads)
+        try:
+            self.take(with_own_hold(kept.taken))
+            placement, topology = self._find_placement(kept.topology)
+            container = self._make_room(placement, topology, like)
+            if container.spec != like:
+                difference = _difference(container.spec, like)
+                raise InputError(f"restore: it was stored otherwise ({difference})")
+            container.kept.check(kept.fields)
+        except InputError:
+            vars(self).update(before)
+            raise
         self._fill(container, placement, path, numbers)
 
     def _patches(self) -> int:
