@@ -334,14 +334,24 @@ def test_every_implicit_step_converges_in_strong_wind(method, device):
     assert np.abs(sim.velocities()).max() < 100.0
 
 
+@ti.func
+def while_it_may(spec: ti.template(), state: ti.template()):
+    return newton_cg._may_be_cut(state)
+
+
 @pytest.mark.thorough
+@pytest.mark.parametrize("name", ["flag", "cloth"])
 @pytest.mark.parametrize("method", IMPLICIT)
-def test_a_step_that_is_cut_is_the_methods_own_shorter_steps(method, device, monkeypatch):
+def test_a_step_that_is_cut_is_the_methods_own_shorter_steps(method, name, device, monkeypatch):
     """At the times of these, in gusts; with one count of steps."""
     scene = flag()
+    if name == "cloth":  # without air
+        scene = library.build("cloth", columns=8, rows=8)
+        scene = scene.with_world(mouse="none", walls=(), dt=4.0)
     sim = Simulation(scene, method, topology="graph", execution="serial", tolerance=1e-12)
     sim.load_scene(scene, substeps=4)
     sim.advance(3)
+    monkeypatch.setattr(newton_cg, "_is_cut_soon", while_it_may)
     monkeypatch.setattr(newton_cg, "MOST_BEFORE_CUT", 0)
     monkeypatch.setattr(newton_cg, "MOST_HALVINGS", 2)
     cut = Simulation(scene, method, topology="graph", execution="serial", tolerance=1e-12)

@@ -187,6 +187,17 @@ def test_blocks_of_stiff_cloth_change_the_sweeps_and_not_the_solution(device, di
     assert (sim.positions() == at[2]).all()
 
 
+@thorough
+@pytest.mark.parametrize(("name", "frames"), [("trampoline", 60), ("shirt", 14)])
+@pytest.mark.parametrize("method", ["implicit_midpoint", "tr_bdf2"])
+def test_every_implicit_step_converges_where_cloth_buckles(method, name, frames, device):
+    """There the residual has many minima: a step is cut where Newton's method finds none."""
+    sim = Simulation(library.build(name), method, execution="serial", soon=True)
+    sim.advance(frames)
+    work = sim.work()
+    assert work.unconverged == 0 and work.force_evaluations < 250 * work.steps
+
+
 def swung(pool, stiffness, gravity=1.0):
     """A simulation of a chain that starts level, held at one end, after 20 frames."""
     x = np.column_stack([50 + 10 / 3 * np.arange(4), np.full(4, 50.0)])

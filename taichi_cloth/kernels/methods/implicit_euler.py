@@ -18,7 +18,7 @@ from taichi_cloth.kernels.solvers import newton_cg, stages
 def move(spec: ti.template(), state: ti.template(), i):
     """Take pack i to the end of the step, whose velocities the one stage has found."""
     new_v = stages.new_velocity(spec, state, i, read(spec, state.gain, i))
-    dt = stages.time_of_part(spec, state)
+    dt = stages.time_of_part(state)
     stages.arrive(spec, state, i, dt * new_v, new_v)
 
 

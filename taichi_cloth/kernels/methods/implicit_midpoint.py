@@ -24,7 +24,7 @@ def stability_function(z):
 def move(spec: ti.template(), state: ti.template(), i):
     """Take pack i from the middle, which the one stage has found, to the end of the step."""
     new_v = stages.new_velocity(spec, state, i, 2.0 * read(spec, state.gain, i))
-    dt = stages.time_of_part(spec, state)
+    dt = stages.time_of_part(state)
     stages.arrive(spec, state, i, dt * read(spec, state.v, i), new_v)
 
 

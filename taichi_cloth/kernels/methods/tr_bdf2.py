@@ -42,7 +42,7 @@ def stay(spec: ti.template(), state: ti.template(), i):
 @ti.func
 def go_on(spec: ti.template(), state: ti.template(), i):
     """Take pack i from one stage to the next, and from the last one to the end of the step."""
-    tau, stage = TAU * stages.time_of_part(spec, state), state.stage[None]
+    tau, stage = TAU * stages.time_of_part(state), state.stage[None]
     x, v = read(spec, state.old_x, i), read(spec, state.old_v, i)
     old_v, gain = v + velocity_jump(spec, state, i, x, v), read(spec, state.gain, i)
     if stage == stages.ONLY_EVALUATE:

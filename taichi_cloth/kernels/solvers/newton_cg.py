@@ -34,10 +34,11 @@ The vectors of springs are those at the stage's start, and by how much their end
 each other since (`stages.apart`): in f32 rounding of positions, times a stiff spring's stiffness,
 is more than gravity, and no direction can take it from the residual.
 
-Wind that would move a cloth by more than its spacing in a step leaves no minimum to go to: Newton's
-method may then wander for ever. So in air a step is cut in two where a stage has not converged
-after MOST_BEFORE_CUT directions, and its halves again, up to MOST_HALVINGS times: the method's own
-steps, each solved to its tolerance, with one end for contacts and tears.
+Wind that would move a cloth by more than its spacing in a step leaves no minimum to go to, and a
+cloth that buckles has many: Newton's method may then wander for ever. So a step in which a stage
+does not converge is cut in two, and its halves again, up to MOST_HALVINGS times: the method's own
+steps, each solved to its tolerance, with one end for contacts and tears. In air, and where a step
+was cut before, that is seen after MOST_BEFORE_CUT directions.
 """
 
 import functools
@@ -124,7 +125,7 @@ SCALARS = (
     *bicgstab.SCALARS,
 )
 MOST_DIRECTIONS = 60
-MOST_BEFORE_CUT = 16  # directions after which a step that may be cut in two is
+MOST_BEFORE_CUT = 16  # directions after which a step that may be cut in two is, if soon
 MOST_HALVINGS = 6
 MOST_TRIALS = 12  # lengths of one direction
 # Directions one after the other that bring little progress; where rounding may be why, fewer.
@@ -181,7 +182,7 @@ def phases(fraction, start, move, first=0, last=0):
 
     @ti.func
     def begin(spec: ti.template(), state: ti.template(), t):
-        set_tau(spec, state, t, fraction * time_of_part(spec, state))
+        set_tau(spec, state, t, fraction * time_of_part(state))
         compute_contacts(spec, state, t)
         each_pack_moving(spec, state, t, start)
         begin_stage(spec, state, t, first)
@@ -222,12 +223,8 @@ def _ending(last):
         if state.stage[None] < last:
             state.stage[None] += 1
             _begin_stage(spec, state, i)
-        elif ti.static(has_tractions(spec)):
-            _end_part(state)
         else:
-            if state.step_outcome[None] > ROUNDED:
-                state.work[UNCONVERGED] += 1
-            state.phase[None] = DONE
+            _end_part(state)
 
     return body
 
@@ -248,8 +245,7 @@ def _end_part(state: ti.template()):
 @ti.func
 def cut(spec: ti.template(), state: ti.template(), t):
     """Cut the present part of a step in two, and go back to its start."""
-    if ti.static(has_tractions(spec)):
-        each_pack_moving(spec, state, t, return_to_start)
+    each_pack_moving(spec, state, t, return_to_start)
     each(spec, state, t, 1, _halve)
 
 
@@ -446,7 +442,7 @@ def _judge(spec: ti.template(), state: ti.template(), i):
         stiff = state.sums[5, 0] > ti.static(stiff_from(spec))
         if next_phase == DIRECT and state.coarsened[None] == 0 and stiff:
             next_phase = COARSEN
-    if next_phase == FINISH and state.outcome[None] > HIDDEN and _may_be_cut(spec, state):
+    if next_phase == FINISH and state.outcome[None] > HIDDEN and _may_be_cut(state):
         next_phase = CUT
     if next_phase == FINISH:
         state.step_outcome[None] = ti.max(state.step_outcome[None], state.outcome[None])
@@ -454,26 +450,32 @@ def _judge(spec: ti.template(), state: ti.template(), i):
 
 
 @ti.func
-def _may_be_cut(spec: ti.template(), state: ti.template()):
-    """Whether a step may be cut in two where a stage does not converge: in air, so often."""
+def _may_be_cut(state: ti.template()):
+    """Whether a step may be cut in two where a stage does not converge."""
+    return state.halvings[None] < MOST_HALVINGS
+
+
+@ti.func
+def _is_cut_soon(spec: ti.template(), state: ti.template()):
+    """Whether it is where a stage does not converge soon."""
     if ti.static(has_tractions(spec)):
-        return state.halvings[None] < MOST_HALVINGS
+        return _may_be_cut(state)
     else:
-        return False
+        return _may_be_cut(state) and state.halvings[None] > 0
 
 
 @ti.func
 def _most_stalls(spec: ti.template(), state: ti.template()):
     """After how many directions that bring little progress a stage ends."""
     rounded = state.best[None] <= state.rounding[None]
-    most = ti.select(_may_be_cut(spec, state), MOST_STALLS_BEFORE_CUT, MOST_STALLS)
+    most = ti.select(_is_cut_soon(spec, state), MOST_STALLS_BEFORE_CUT, MOST_STALLS)
     return ti.select(rounded, MOST_STALLS_ROUNDED, most)
 
 
 @ti.func
 def _most_directions(spec: ti.template(), state: ti.template()):
     """After how many directions a stage ends."""
-    return ti.select(_may_be_cut(spec, state), MOST_BEFORE_CUT, MOST_DIRECTIONS)
+    return ti.select(_is_cut_soon(spec, state), MOST_BEFORE_CUT, MOST_DIRECTIONS)
 
 
 @ti.func

@@ -20,7 +20,6 @@ from taichi_cloth.kernels.compensated import (
 )
 from taichi_cloth.kernels.contact import store_held_by_walls, velocity_jump
 from taichi_cloth.kernels.copies import keep, return_to
-from taichi_cloth.kernels.forces import has_tractions
 from taichi_cloth.kernels.loops import barrier
 from taichi_cloth.kernels.packs import (
     component,
@@ -69,12 +68,9 @@ def set_tau(spec: ti.template(), state: ti.template(), t, tau):
 
 
 @ti.func
-def time_of_part(spec: ti.template(), state: ti.template()):
-    """The time of the present part of a step: dt, but in air, where steps may be cut in two."""
-    dt = state.dt[None]
-    if ti.static(has_tractions(spec)):
-        dt = dt / ti.cast(1 << state.halvings[None], state.real)
-    return dt
+def time_of_part(state: ti.template()):
+    """The time of the present part of a step: dt, halved as often as it was cut in two."""
+    return state.dt[None] / ti.cast(1 << state.halvings[None], state.real)
 
 
 @ti.func
