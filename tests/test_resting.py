@@ -169,3 +169,31 @@ def test_resting_pairs_have_the_same_bits_for_every_thread_count(precision, cli)
     assert found[0] == found[1]
     scene = scenefile.parse(TWO_CLOTHS.replace("COLLISIONS", "true"))
     assert found[0][1] > 0.2 * len(scene.springs)
+
+
+def test_unsettled_steps_are_counted_from_the_start_whatever_is_loaded_meanwhile(pool, tmp_path):
+    """A particle between two fixed ones that leave it no room is settled in no step."""
+    scene = cloud(2, 3, seed=0)
+    scene.particles.position[:] = [[500.0, 500.0], [502.0, 500.0], [504.0, 500.0]]
+    scene.particles.radius[:] = 4.0
+    scene.particles.fixed[:] = True, False, True
+    scene.particles.velocity[:] = 0.0
+    sim = pool(scene)
+    sim.advance(2)
+    sim.set(particles=1, radius=3.0)
+    sim.advance(3)
+    assert sim.unsettled() == sim.steps == 5
+    then = sim.checkpoint()
+    then.save(tmp_path / "then.npz")
+    sim.set_method("verlet")
+    assert sim.unsettled() == 5
+    sim.set_method("symplectic_euler")
+    sim.load_as("graph", sim.execution, sim.positions(), sim.velocities())
+    sim.advance()
+    assert sim.unsettled() == 6
+    for checkpoint in (then, then.load(tmp_path / "then.npz")):
+        sim.restore(checkpoint)
+        sim.advance(2)
+        assert sim.unsettled() == 7
+    sim.reset()
+    assert sim.unsettled() == 0

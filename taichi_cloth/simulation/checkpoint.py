@@ -70,11 +70,11 @@ class Checkpoint:
 class Checkpoints(Part):
     """The part of a `Simulation` that notes where it is, and goes back there."""
 
-    # What the host keeps of a run beside the state on the device; the solver's settings and the
-    # work done are copied.
+    # What the host keeps of a run beside the state on the device; the solver's settings,
+    # the work done and what is counted are copied.
     SETTINGS = (
         *("frame", "dt", "substeps", "speed_limit", "solver"),
-        *("_since", "_work", "_counted", "_first", "_preferred"),
+        *("_since", "_work", "_counted", "_first", "_unsettled", "_preferred"),
     )
     # What mouse tools switch on in the scene's world, for good.
     PREPARED = ("tools", "collisions", "contact")
@@ -116,6 +116,7 @@ class Checkpoints(Part):
         if kept.loaded is None:
             taken = replace(kept.taken, scene=saved.joined(self.scene, kept.taken.scene))
             kept = replace(kept, taken=taken)
+        self._take_unsettled()  # the fields that are left may serve again
         names = ("scene", "_auto", *self.SETTINGS, *Engine.ENGINE)
         before = {name: getattr(self, name) for name in names}
         engine = checkpoint.engine if self._is_own(checkpoint) else None

@@ -79,6 +79,7 @@ class Engine(Part):
         now, storage = self.storage.snapshot(), self.storage
         held, pushed = storage.held(), storage.pushed
         counted = self.work().force_evaluations, self.steps
+        self._take_unsettled()
         try:
             self._take_method(method, now)
             self._store(now)

@@ -35,6 +35,8 @@ class Part(ABC):
     _work: counts of the solver's work (`kernels.state.WORK`), evaluations of forces since the
     method last changed; _counted: how many of these, and steps, there were then; _first: the steps
     that were done by another run, from which this one goes on.
+    _unsettled: counts of the steps that ended with pairs that overlap and with faces inside
+    obstacles, but for those that the device has counted since its last load.
     """
 
     scene: Scene
@@ -66,6 +68,7 @@ class Part(ABC):
     _work: np.ndarray
     _counted: tuple[int, int]
     _first: int
+    _unsettled: np.ndarray
 
     @property
     @abstractmethod
@@ -102,6 +105,10 @@ class Part(ABC):
     @abstractmethod
     def _store(self, snapshot: Snapshot) -> None:
         """Put a state on the device; the first time, choose how it is run."""
+
+    @abstractmethod
+    def _take_unsettled(self) -> None:
+        """Take over what the device has counted of unsettled steps: a load begins at 0."""
 
     @abstractmethod
     def _change_step(self, dt: float, substeps: int) -> None:

@@ -169,8 +169,8 @@ class Readings(Part):
 
     def unsettled(self) -> int:
         """How many steps ended with resting pairs that overlap by more than a hundredth of their
-        reach: iterations were given up. They are counted since the scene was loaded."""
-        return self.storage.unsettled()
+        reach: iterations were given up. They are counted since the start, or since `reset`."""
+        return int(self._unsettled[0]) + self.storage.unsettled()
 
     def uncertified(self) -> int:
         """How many pairs of particles of cloths with a thickness are so near now that triangles at
@@ -185,8 +185,8 @@ class Readings(Part):
 
     def unsettled_faces(self) -> int:
         """How many steps ended with a face or an edge in an obstacle, by half its radius and that
-        of the particles or more. They are counted since the scene was loaded."""
-        return self.storage.unsettled_faces()
+        of the particles or more. They are counted since the start, or since `reset`."""
+        return int(self._unsettled[1]) + self.storage.unsettled_faces()
 
     def network(self) -> Network:
         """The particles where they are, and the springs that pull."""

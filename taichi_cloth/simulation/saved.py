@@ -86,7 +86,7 @@ def into(file: PendingFile, parts: Mapping[str, Any], about: Mapping[str, Any]) 
     held = scene.world.held
     arrays |= {} if held is None else {f"held.{key}": of for key, of in vars(held).items()}
     settings = dict(parts["settings"])
-    arrays["work"] = settings.pop("_work")
+    arrays["work"], arrays["unsettled"] = settings.pop("_work"), settings.pop("_unsettled")
     auto = None if parts["auto"] is None else dict(parts["auto"])
     if auto is not None:
         vectors = auto.pop("vectors")
@@ -152,7 +152,8 @@ def _parts(meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any
     named = {field.name for field in fields(Specialization)}
     spec = {name: _plain(value) for name, value in meta["spec"].items() if name in named}
     settings = dict(meta["settings"]) | {"_work": arrays["work"]}
-    settings.setdefault("_first", 0)  # older files have none
+    settings["_unsettled"] = arrays.get("unsettled", np.zeros(2, np.int64))  # older files have none
+    settings.setdefault("_first", 0)
     settings["_since"] = tuple(settings["_since"])
     auto = meta["auto"]
     if auto is not None:

@@ -139,7 +139,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         }
         self.frame, self._counted, self._first = 0, (0, 0), 0
         self._since = 0, 0.0, 0
-        self._work = np.zeros(len(WORK), np.int64)
+        self._work, self._unsettled = np.zeros(len(WORK), np.int64), np.zeros(2, np.int64)
         self.past = Past()
         self.reset()
 
@@ -187,6 +187,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         if self._auto:
             self._change_step(self.dt, self._auto.at_start(start))
         self._store(start)
+        self._unsettled[:] = 0
 
     def advance(self, frames: int = 1) -> None:
         """Advance by whole frames, at least 0.
@@ -276,6 +277,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         x, v = self.positions()[particle], self.velocities()[particle]
         with np.errstate(all="ignore"):  # of numbers that overflow, which is what it reports
             what = diagnosis.describe_fault(self.scene.world, x, v, self.speed_limit)
+            self._take_unsettled()
             self.storage.restore(self.steps)
             cause, remedy = diagnosis.likely_cause(
                 self.network(), self.method, self.dt, self.substeps,
@@ -339,6 +341,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         """Put a state on the device; the first time, choose how it is run."""
         self._unprepared = [] if self._unprepared else self._unprepared
         before = self.storage.state if self.storage.topology else None
+        self._take_unsettled()
         self.storage.take(snapshot)
         if not self.execution:  # at the start, and under another method
             choice = autotune.choose(*self._requested, self._prediction())
@@ -354,6 +357,11 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             choice = autotune.choose(self.topology, self.execution, self._prediction())
             choice = replace(choice, forced=self._watch.choice.forced)
             self._watch = autotune.Watch(choice, self.substeps)
+
+    def _take_unsettled(self) -> None:
+        """Take over what the device has counted of unsettled steps: a load begins at 0."""
+        if self.storage.topology:  # something was loaded
+            self._unsettled += self.storage.take_unsettled()
 
     def _widen(self, start: Snapshot) -> None:
         """At the start: take sixteen lanes where they pay and earlier runs have compiled them."""
@@ -377,6 +385,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         v = accepted.array("load_as: v", v, shape, "particles, dimensions")
         pushed, held = self.storage.pushed, self.storage.held()
         self.storage.move(x, v)
+        self._take_unsettled()
         self.storage.load(topology, path, self._numbers())
         self.storage.hold_again(held, pushed)
         self.topology, self.execution = self.storage.topology, path

@@ -72,6 +72,7 @@ class Starts(Part):
         self._work[:], self._counted, self._first = 0, (0, start.steps), start.steps
         self.speed_limit = runaway_speed(start.snapshot.scene, self.dt)
         self._store(with_own_hold(start.snapshot))  # it may begin from there once more
+        self._unsettled[:] = 0
         if self.past is not None:
             self.past.forget()
         if start.force is not None:

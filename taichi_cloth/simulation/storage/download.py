@@ -117,12 +117,22 @@ class Download(DeviceState):
             self._launcher.launch(readback.take_work, self.state, work)
         return work
 
+    def take_unsettled(self) -> np.ndarray:
+        """What `unsettled` and `unsettled_faces` say, (2,), which are 0 from then on."""
+        counts = np.array([self.unsettled(), self.unsettled_faces()])
+        if counts[0]:
+            self.state.unsettled[None] = 0
+        if counts[1]:
+            self.state.faces_unsettled[None] = 0
+        return counts
+
     def unsettled(self) -> int:
-        """How many steps ended with pairs that overlap, since the fields were made."""
+        """How many steps ended with pairs that overlap, since the last load or `take_unsettled`."""
         return int(self.state.unsettled[None]) if self.specialization.resting else 0
 
     def unsettled_faces(self) -> int:
-        """How many steps ended with faces inside obstacles, since the fields were made."""
+        """How many steps ended with faces inside obstacles, since the last load or
+        `take_unsettled`."""
         return int(self.state.faces_unsettled[None]) if self.specialization.faces else 0
 
     def contact_account(self) -> tuple[float, float, int | None] | None:
