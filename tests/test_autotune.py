@@ -13,7 +13,7 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.runtime import Device
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.solids import solids
-from taichi_cloth.simulation import autotune, compiled
+from taichi_cloth.simulation import autotune, compiled, sixteen
 from taichi_cloth.simulation.autotune import Choice, Watch
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.prediction import Cost, predict, slow_to_compile
@@ -71,6 +71,12 @@ def test_a_run_starts_in_one_way_and_remembers_what_it_costs(device, empty_cache
     # So many substeps that they take most of a launch.
     sim = Simulation(build("cloth", columns=4, rows=3), substeps=5000)
     assert ways == []  # nothing is run before the first frame
+    with monkeypatch.context() as patch:  # of runs in sixteen lanes nothing is remembered
+        patch.setattr(sixteen, "LANES", sim.lanes)
+        for _ in range(6):
+            sim.advance()
+    assert autotune.measurements() == []
+    monkeypatch.setattr(Watch, "ENOUGH", 6)
     for _ in range(6):
         sim.advance()
     assert len(set(ways)) == 1

@@ -243,7 +243,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         """
         if watch.enough(seconds, steps) and "auto" in self._requested:
             cost = watch.cost(min(self._time_launch() for _ in range(watch.ENOUGH)))
-            if cost:
+            if cost and not self.wide:  # what is remembered is of eight lanes
                 way = f"{self.topology} {self.execution}"
                 autotune.remember(self.kind_of_run(), way, cost)
         if not watch.lost(seconds, steps, had):
