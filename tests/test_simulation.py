@@ -65,9 +65,12 @@ def test_another_scene_runs_as_in_a_simulation_of_its_own(some_way):
         np.testing.assert_array_equal(sim.positions(), own.positions())
         np.testing.assert_array_equal(sim.velocities(), own.velocities())
         assert (sim.time, sim.work(), sim.speed_limit) == (own.time, own.work(), own.speed_limit)
+        assert sim.began == own.began
         assert state_of(sim) is state
         with pytest.raises(InputError, match="the mouse does not blow here"):
             sim.blow([0.0, 0.0], [1.0, 0.0])
+    sim.begin_from(own.start(), 0.25, 2)
+    assert sim.began == {"method": "symplectic_euler", "dt": 0.25, "substeps": 2}
     sim.load_scene(build("box"))  # of another dimension
     assert state_of(sim) is not state
 

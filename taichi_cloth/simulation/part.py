@@ -29,7 +29,7 @@ class Part(ABC):
     _module: the method's declaration. _auto: what chooses the substeps with dt "auto", else None.
     _requested: topology and execution as asked for; _preferred: the topology of the next load.
     _watch: what times launches. _engines: of methods that the run had, by name (`Engine.ENGINE`).
-    began: method, dt, substeps and solver settings that the run began with.
+    began: method, dt, substeps and solver settings that the run of its scene began with.
     _unprepared: what only a first click needs compiled; None: nobody has asked.
     _since: frame, time and steps when the step last changed.
     _work: counts of the solver's work (`kernels.state.WORK`), evaluations of forces since the

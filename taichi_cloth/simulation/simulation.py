@@ -130,13 +130,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         self._watch = None
         self.held_up, self.aside = None, ""
         self._unprepared = None  # until a window asks
-        # What the run began with, for who changes it and wants it back.
-        self.began = {
-            "method": method,
-            "dt": self.dt,
-            "substeps": substeps,
-            **self.solver,
-        }
+        self._note_settings()
         self.frame, self._counted, self._first = 0, (0, 0), 0
         self._since = 0, 0.0, 0
         self._work, self._unsettled = np.zeros(len(WORK), np.int64), np.zeros(2, np.int64)
@@ -170,6 +164,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         if self.follows:
             self._auto = AutoSubsteps(self.method, self._module, self.dt)
         self.speed_limit = runaway_speed(scene, self.dt)
+        self._note_settings()
         self.reset()
 
     # --- the clock -------------------------------------------------------------------------

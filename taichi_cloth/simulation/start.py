@@ -52,6 +52,7 @@ class Starts(Part):
         self.scene = self._given = scene
         self._engines.clear()
         self.dt, self.substeps = step
+        self._note_settings()
         self._stand_at(start, 0)
 
     def go_on_from(self, other: Starts) -> None:
@@ -66,6 +67,11 @@ class Starts(Part):
         prepared = {name: getattr(world, name) for name in Checkpoints.PREPARED}
         self.scene = self.scene.with_world(**prepared)
         self._stand_at(start, other.frame)
+
+    def _note_settings(self) -> None:
+        """Note what the run begins with, for who changes it and wants it back."""
+        step = {"dt": self.dt, "substeps": self.substeps}
+        self.began = {"method": self.method, **step, **self.solver}
 
     def _stand_at(self, start: Start, frame: int) -> None:
         self.frame, self._since = frame, (frame, start.time, start.steps)
