@@ -1,5 +1,7 @@
 """Motion against closed forms and conservation laws, beside what each method's claims promise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from inside import move_to
@@ -32,6 +34,12 @@ def test_a_push_is_felt_at_once_and_no_longer_than_it_lasts(pool, method):
         new = pool(scene, method, 0.5)
         move_to(new, "graph", "serial", *state)
         np.testing.assert_array_equal(act(new), expected)
+
+
+def test_a_method_that_gives_two_fields_one_name_is_refused():
+    method = methods.load("implicit_euler")
+    with pytest.raises(ValueError, match="names two"):
+        replace(method, scalars=(*method.scalars, *method.raised))
 
 
 def test_a_free_body_falls_as_the_discrete_sum_says(pool):

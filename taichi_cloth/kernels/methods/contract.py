@@ -120,7 +120,7 @@ class Method:
             if launched != list(range(len(self.phases))):
                 raise ValueError("launches must name each phase once")
         names = [*self.vectors, *self.low_vectors, *self.traction_vectors, *self.numbers]
-        names += [*self.scalars, *self.counts]
+        names += [*self.scalars, *self.raised, *self.counts]
         for name in names:
             if not name.isidentifier() or names.count(name) > 1:
                 raise ValueError(f"{name!r} is no name of a field, or names two")
