@@ -111,13 +111,14 @@ def _tied(between: np.ndarray, particle_count: int) -> Any:
 def blocks(between: np.ndarray, particle_count: int, halvings: int) -> np.ndarray:
     """The block (n,) of each particle: 2**halvings of like size, compact in the springs' graph.
 
-    All are cut in two, and the halves again: by level, as the springs `between` (s, 2) lead from
-    one end of it to the other. Of what they do not tie, one piece at most is cut each time.
+    Of fewer particles each is one, and no number is left out. All are cut in two, and the halves
+    again: by level, as the springs `between` (s, 2) lead from one end of it to the other. Of what
+    they do not tie, one piece at most is cut each time.
     George, Liu, "Computer solution of large sparse positive definite systems", 1981, 4.3 and 7.2.
     """
     tied, parts = _tied(between, particle_count), [np.arange(particle_count)]
     for _ in range(halvings):
-        parts = [half for part in parts for half in _halves(tied, part)]
+        parts = [half for part in parts for half in _halves(tied, part) if len(half)]
     block = np.empty(particle_count, np.int64)
     for number, part in enumerate(parts):
         block[part] = number
