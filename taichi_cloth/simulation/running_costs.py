@@ -116,12 +116,17 @@ def _with_features(sim: Simulation, scene: Scene, now: float) -> float:
     return max(0.0, now + (there - here) * min(1.0, now / here))
 
 
+def work_of(sweeps: float) -> float:
+    """The work of a step with so many sweeps, in sweeps: beside these it has about that of one."""
+    return 1 + sweeps
+
+
 def _factor(sim: Simulation, name: str, value: Any, substeps: int | None) -> float | None:
     """By how much a frame's work changes with a setting; None: nobody knows."""
     if name == "substeps":
         return float(value) / sim.substeps
-    if name == "iterations":  # beside the sweeps, each step has about the work of one
-        return (1 + float(value)) / (1 + float(sim.solver["iterations"]))
+    if name == "iterations":
+        return work_of(float(value)) / work_of(float(sim.solver["iterations"]))
     if name == "method":
         scene, device = sim.storage.scene, current_device()
         here, there = (

@@ -21,7 +21,7 @@ from taichi_cloth.limits.modes import largest_step
 from taichi_cloth.limits.tracking import FastestMode, Shares
 from taichi_cloth.simulation import live
 from taichi_cloth.simulation.moment import Moments
-from taichi_cloth.simulation.running_costs import FrameCost, RunningCosts
+from taichi_cloth.simulation.running_costs import FrameCost, RunningCosts, work_of
 
 if TYPE_CHECKING:
     from taichi_cloth.limits.network import Network
@@ -137,7 +137,7 @@ class SettingCosts:
             return self._of_feature(live.setting(self._sim, "self_collision"), True)
         part = self._part(one)
         if part is not None:
-            return self._of_part(one, *part)
+            return self._of_part(*part)
         return Beside(FREE, "any value takes the same time")
 
     def _of_method(self, one: Setting, method: str) -> Beside:
@@ -189,8 +189,7 @@ class SettingCosts:
         now, sweeps = self._frames.now(self._sim), float(self._sim.solver["iterations"])
         if now.seconds is None:
             return Beside(UNKNOWN, now.how)
-        # As `RunningCosts.of` has it: beside the sweeps, each step has about the work of one.
-        seconds = now.seconds * sweeps / (1 + sweeps)
+        seconds = now.seconds * sweeps / work_of(sweeps)
         return Beside(
             f"~{short(seconds)}", f"{short(seconds)} of a frame's {now.words()}: predicted"
         )
@@ -221,7 +220,7 @@ class SettingCosts:
             return 0.0, float(shares.damping[ours].sum())
         return {"viscous": (0.0, shares.drag), "bending": (shares.bending, 0.0)}.get(kind)
 
-    def _of_part(self, one: Setting, omega2: float, damping: float) -> Beside:
+    def _of_part(self, omega2: float, damping: float) -> Beside:
         sim = self._sim
         step, method = sim.dt / sim.substeps, methods.load(sim.method)
         rate = f"h omega {step * math.sqrt(omega2):.3g}" if omega2 else f"h d {step * damping:.3g}"
