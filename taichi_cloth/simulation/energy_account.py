@@ -22,17 +22,18 @@ reading to reading, each a state between two frames:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from taichi_cloth.kernels import forces
+from taichi_cloth.kernels.forces import bending, grab
+from taichi_cloth.kernels.forces import springs as elastic
 from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, TENSION, has
 from taichi_cloth.limits import tractions
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.holding import Hold
-from taichi_cloth.scene.model import Springs
 from taichi_cloth.simulation.diagnostics import Energy, energy_of, spring_forces, stencil_forces
 
 if TYPE_CHECKING:
@@ -80,11 +81,8 @@ class EnergyAccount:
 
     def move(self, hold: Hold, before: np.ndarray, x: np.ndarray, fixed: np.ndarray) -> None:
         """Book that the mouse's hold moved from a place `before` (dim,), with particles at x."""
-        free, mine = ~fixed[hold.particles], hold.particles
-        for place, sign in ((hold.place, 1.0), (before, -1.0)):
-            away = x[mine] - hold.offset - place
-            energies = 0.5 * hold.stiffness * np.einsum("ij,ij->i", away, away)
-            self._by_hand += sign * float(energies[free].sum())
+        now, then = (grab.energy_of(of, x, fixed) for of in (hold, replace(hold, place=before)))
+        self._by_hand += now - then
 
     def read(self, now: Moment) -> Booked:
         """Book what happened since the last reading."""
@@ -195,7 +193,7 @@ def lost_in_breaks(last: Moment, now: Moment) -> float:
     if not len(gone):
         return 0.0
     network, springs = now.network, now.scene.springs.select(gone)
-    energy = _elastic_energies(springs, network.position)
+    energy = elastic.energies(network.position, springs)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         at_break = np.nan_to_num(0.5 * springs.break_force**2 / springs.stiffness, posinf=0.0)
     just_gone = now.marks[gone, 1] + 1 >= now.steps
@@ -203,21 +201,10 @@ def lost_in_breaks(last: Moment, now: Moment) -> float:
     return lost + _lost_bending(last.network, network)
 
 
-def _elastic_energies(springs: Springs, x: np.ndarray) -> np.ndarray:
-    """The energy of each spring, (s,), with particles at x (n, dim)."""
-    a, b = springs.between.T
-    stretch = np.linalg.norm(x[b] - x[a], axis=1) - springs.rest_length
-    energies: np.ndarray = 0.5 * springs.stiffness * stretch**2
-    return energies
-
-
 def _lost_bending(last: Network, now: Network) -> float:
     """The energy, where particles are now, of the stencils that were torn since."""
     if len(last.stencils) == len(now.stencils):
         return 0.0
-    x, fixed = now.position, now.particles.fixed
-    before, after = (
-        0.5 * (of.stiffness(fixed) * (of.curvature(x) ** 2).sum(axis=1)).sum()
-        for of in (last.stencils, now.stencils)
-    )
+    motion = now.position, now.velocity, now.world, now.particles
+    before, after = (bending.energy(*motion, of) for of in (last.stencils, now.stencils))
     return float(before - after)

@@ -99,14 +99,16 @@ def column(name):
     return value
 
 
-def energy(x, v, world, particles, springs):
-    """The potential energy k (x - target)^2 / 2 of what is held."""
-    held = world.held
-    if held is None:
-        return 0.0
+def energy_of(held, x, fixed):
+    """The potential energy k (x - target)^2 / 2 of what a `Hold` holds that is not fixed."""
     away = x[held.particles] - held.targets
-    free = ~particles.fixed[held.particles]
+    free = ~fixed[held.particles]
     return float(0.5 * (held.stiffness * (away**2).sum(axis=1))[free].sum())
+
+
+def energy(x, v, world, particles, springs):
+    """The potential energy of what is held."""
+    return 0.0 if world.held is None else energy_of(world.held, x, particles.fixed)
 
 
 def twin(x, v, world, particles):

@@ -35,12 +35,17 @@ def present(scene):
     return scene.world.takes_clicks or len(scene.springs) > 0 or bends
 
 
-def energy(x, v, world, particles, springs):
-    """The potential energy k (length - rest)^2 / 2 of all springs."""
+def energies(x, springs):
+    """The potential energy k (length - rest)^2 / 2 of each spring, (s,)."""
     a, b = springs.between.T
     d = x.take(b, axis=0) - x.take(a, axis=0)
     stretch = np.sqrt(np.einsum("ij,ij->i", d, d)) - springs.rest_length
-    return float(0.5 * (springs.stiffness * stretch**2).sum())
+    return 0.5 * (springs.stiffness * stretch**2)
+
+
+def energy(x, v, world, particles, springs):
+    """The potential energy of all springs."""
+    return float(energies(x, springs).sum())
 
 
 def twin(length, rate, springs):
