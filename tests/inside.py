@@ -57,7 +57,12 @@ def move_to(sim, topology, path, x, v):
 
 def add_vectors(sim, name, haloed=False):
     """Another vector of each particle, state.<name>; haloed: read by those that it is tied to."""
-    state_of(sim).add_vectors(spec_of(sim), name, haloed=haloed)
+    state, tree = state_of(sim), ti.FieldsBuilder()
+    field = state._pack_vectors(spec_of(sim), tree=tree, copied=haloed)
+    state.trees.append(tree.finalize())
+    setattr(state, name, field)
+    if haloed:
+        state.haloed = (*state.haloed, field)
 
 
 def add_sums(sim, count):

@@ -408,17 +408,6 @@ class State(ContactFields):
 
     # --- more, for methods and tests -------------------------------------------------------------
 
-    def add_vectors(self, spec, name, haloed=False):
-        """Allocate a further field state.<name> of packs: one vector for each particle.
-
-        haloed: whether neighbours read it, so that its halos are to be renewed.
-        """
-        field = self._pack_vectors(spec, tree=(tree := ti.FieldsBuilder()), copied=haloed)
-        self.trees.append(tree.finalize())
-        setattr(self, name, field)
-        if haloed:
-            self.haloed = (*self.haloed, field)
-
     def add_sums(self, count):
         """Allocate state.sums for `count` sums by `loops.add_up`: sums[k, 0], then its parts."""
         room = self.packs + 3  # few packs make as many pieces, and a group of these
