@@ -24,6 +24,7 @@ from taichi_cloth.kernels.grids import (
     link_offset,
     pitch_of,
     renew_left_halo,
+    renew_number,
     renew_right_halo,
     return_left_halo,
     return_right_halo,
@@ -32,7 +33,6 @@ from taichi_cloth.kernels.links import link_stiffness
 from taichi_cloth.kernels.loops import PIECE, barrier, each_row, share
 from taichi_cloth.kernels.packs import (
     read,
-    set_slot_number,
     set_slot_value,
     slot_number,
     write,
@@ -93,7 +93,7 @@ def _visit_grids(
     of_rows: ti.template(),
     visit: ti.template(),
 ):
-    """Visit the links, or stencils along lines, of a kind that have a turn, on all grids.
+    """Visit what has a turn on all grids: links, or stencils along lines, of a kind, or particles.
 
     of_pack(spec, state, i, kind, turn, visit): visits what begins at pack i, where packs have one
         lane; of_rows(spec, state, t, kind, turn, visit): what begins in thread t's share of rows.
@@ -304,19 +304,7 @@ def each_particle(
         is one with springs on the graph.
     """
     if ti.static(spec.kinds > 0):
-        if ti.static(spec.lanes == 1 and spec.one_launch_per_step):
-            for c in range(state.n_packs[None]):
-                _set_pack(spec, state, c, colour, on_pack)
-        elif ti.static(spec.lanes == 1):
-            count = state.n_packs[None]
-            for c in range(share(spec, count, t), share(spec, count, t + 1)):
-                _set_pack(spec, state, c, colour, on_pack)
-        elif ti.static(spec.one_launch_per_step):
-            for i in range(spec.threads * PIECE):
-                if i % PIECE == 0:
-                    _set_rows(spec, state, i // PIECE, colour, on_pack)
-        else:
-            _set_rows(spec, state, t, colour, on_pack)
+        _visit_grids(spec, state, t, 0, colour, _set_pack, _set_rows, on_pack)
     if ti.static(spec.springs):
         first, end = 0, 0
         if colour >= ti.static(turns(spec)):
@@ -327,7 +315,7 @@ def each_particle(
 
 
 @ti.func
-def _set_pack(spec: ti.template(), state: ti.template(), i, colour, on_pack: ti.template()):
+def _set_pack(spec: ti.template(), state: ti.template(), i, _, colour, on_pack: ti.template()):
     """Set the velocity of the one particle in pack i, if it is on a grid and has the colour."""
     g = state.grid_of[i]
     if g >= 0:
@@ -351,7 +339,7 @@ def _set_own(spec: ti.template(), state: ti.template(), g, i, on_pack: ti.templa
 
 
 @ti.func
-def _set_rows(spec: ti.template(), state: ti.template(), t, colour, on_pack: ti.template()):
+def _set_rows(spec: ti.template(), state: ti.template(), t, _, colour, on_pack: ti.template()):
     """Set the velocities in those rows of thread t's share that have the colour.
 
     In a row, packs take turns by one more than links reach, and the halos are renewed after each.
@@ -424,20 +412,11 @@ def _renew_both_halos(spec: ti.template(), state: ti.template(), begin, width):
         row = link_index(state, s, begin)
         for h in range(spec.halo):
             for lane in range(spec.lanes - 1):
-                to_right, to_left = row + width + h, row - 1 - h
-                first, last = row + h, row + width - 1 - h
                 for field in ti.static(own_numbers(spec, state)):
-                    value = slot_number(spec, field, first * spec.lanes + lane + 1)
-                    set_slot_number(spec, field, to_right * spec.lanes + lane, value)
-                    value = slot_number(spec, field, last * spec.lanes + lane)
-                    set_slot_number(spec, field, to_left * spec.lanes + lane + 1, value)
+                    renew_number(spec, field, row, width, h, lane)
     if ti.static(spec.line_kinds > 0):
-        for h in range(spec.line_kinds):
-            row = link_index(state, h, begin)
-            for n in range(spec.halo):
+        for s in range(spec.line_kinds):
+            row = link_index(state, s, begin)
+            for h in range(spec.halo):
                 for lane in range(spec.lanes - 1):
-                    value = slot_number(
-                        spec, state.line_k, (row + width - 1 - n) * spec.lanes + lane
-                    )
-                    left = (row - 1 - n) * spec.lanes + lane + 1
-                    set_slot_number(spec, state.line_k, left, value)
+                    renew_number(spec, state.line_k, row, width, h, lane)
