@@ -161,6 +161,17 @@ def terms_on_particles(spec, adds, resists=None):
 
 
 @ti.func
+def plus_force(spec: ti.template(), state: ti.template(), i, term: ti.template(), total, times):
+    """A sum with so many times the force of a term on pack i, where that acts."""
+    found = total
+    if ti.static(not has(term.acts)):
+        found += times * term.law(spec, state, i)
+    elif term.acts(state):
+        found += times * term.law(spec, state, i)
+    return found
+
+
+@ti.func
 def acceleration(spec: ti.template(), state: ti.template(), i, f):
     """The acceleration of pack i by the spring forces f and all that acts on single particles.
 
@@ -173,15 +184,9 @@ def acceleration(spec: ti.template(), state: ti.template(), i, f):
     for term in ti.static(terms_on_particles(spec, ACCELERATION)):
         a += term.law(spec, state, i)
     for term in ti.static(terms_on_particles(spec, FORCE, True)):
-        if ti.static(not has(term.acts)):
-            a += w * term.law(spec, state, i)
-        elif term.acts(state):
-            a += w * term.law(spec, state, i)
+        a = plus_force(spec, state, i, term, a, w)
     for term in ti.static(terms_on_particles(spec, FORCE, False)):
-        if ti.static(not has(term.acts)):
-            total += term.law(spec, state, i)
-        elif term.acts(state):
-            total += term.law(spec, state, i)
+        total = plus_force(spec, state, i, term, total, 1.0)
     if ti.static(has_tractions(spec)):
         total += read(spec, state.traction, i)
     return where_positive(w, a + w * total, none)

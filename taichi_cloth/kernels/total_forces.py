@@ -2,11 +2,11 @@
 
 import taichi as ti
 
-from taichi_cloth.kernels.accelerations import terms_on_particles
+from taichi_cloth.kernels.accelerations import plus_force, terms_on_particles
 from taichi_cloth.kernels.clock import time_at_end
 from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.forces import has_tractions
-from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, has
+from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE
 from taichi_cloth.kernels.packs import read, set_slot_value, slot_value, write
 from taichi_cloth.kernels.springs import accumulate, force_between
 from taichi_cloth.kernels.surfaces import compute_tractions
@@ -33,10 +33,7 @@ def _store(spec: ti.template(), state: ti.template(), i, f):
     for term in ti.static(terms_on_particles(spec, ACCELERATION)):
         a += term.law(spec, state, i)
     for term in ti.static(terms_on_particles(spec, FORCE)):
-        if ti.static(not has(term.acts)):
-            total += term.law(spec, state, i)
-        elif term.acts(state):
-            total += term.law(spec, state, i)
+        total = plus_force(spec, state, i, term, total, 1.0)
     if ti.static(has_tractions(spec)):
         total += read(spec, state.traction, i)
     write(spec, state.saved_x, i, total)
