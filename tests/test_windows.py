@@ -911,6 +911,24 @@ def test_keys_buttons_wheel_and_pointer_arrive(window):
 
 
 @needs_x
+def test_keys_are_let_go_where_another_window_gets_the_keyboard(window, display):
+    x = x11.xlib()
+    screen = x.XOpenDisplay(display.encode())
+    w, other = window("none", 3), x.XDefaultRootWindow(screen)
+    w.do("mousemove", 1390, 890, "windowfocus", w.id)  # else the screen gives its keys to us
+    for count in (1, 2):
+        w.do("keydown", "Control_L", "keydown", "h")
+        w.wait(lambda: len(w.pressed()) == 2 * count)  # noqa: B023
+        w.do("windowfocus", other)
+        w.wait(lambda: w.released() == 2 * count)  # noqa: B023
+        w.do("keyup", "Control_L", "keyup", "h")
+        w.do("windowfocus", w.id)
+    x.XCloseDisplay(screen)
+    w.quit()
+    assert w.pressed() == ["ctrl", "h"] * 2 and w.released() == 4
+
+
+@needs_x
 def test_every_tool_acts_where_the_pointer_is(window):
     """In space: two particles, tied; what each tool made of the pointer stands in the log."""
     w = window("none", 3)

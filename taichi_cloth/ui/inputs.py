@@ -160,6 +160,13 @@ def fewest_moves(events: Iterable[Event]) -> list[Event]:
     return out
 
 
+def released(held: set[str]) -> list[Event]:
+    """The events by which all keys that are held are let go; they are held no more."""
+    events = [Event("release", key=key) for key in sorted(held)]
+    held.clear()
+    return events
+
+
 def _press_or_release(kind: str, values: dict[str, Any]) -> Event:
     if ("button" in values) == ("key" in values):
         raise InputError(f"a {kind} event needs either 'button' or 'key'")

@@ -1,10 +1,11 @@
 """A second look at our own window on X11, for what Taichi's windows do not report.
 
 GGUI says of a button's press neither where nor in which order with keys it came, drops the keys
-``. + - =`` and F1, and knows no wheel; ti.GUI does not follow a resize; and where the connection
-of either is cut, Xlib ends the process. On X11 a second connection may look at the same window,
-Xlib shows every event that it reads for the window's own (`XESetWireToEvent`), and lets that
-survive its end. Everywhere else `connect` returns None, and what Taichi reports must do.
+``. + - =`` and F1, and knows no wheel; ti.GUI does not follow a resize; neither says that another
+window has the keyboard; and where the connection of either is cut, Xlib ends the process. On X11 a
+second connection may look at the same window, Xlib shows every event that it reads for the window's
+own (`XESetWireToEvent`), and lets that survive its end. Everywhere else `connect` returns None, and
+what Taichi reports must do.
 """
 
 from __future__ import annotations
@@ -28,6 +29,10 @@ KINDS = {
     BUTTON_RELEASE: "release",
     MOTION: "move",
 }
+
+FOCUS_OUT = 10  # as FOCUS_MASK asks for it
+FOCUS_MASK = 1 << 21
+EVENT_BYTES = 192  # of any event
 
 PICTURE_BYTES = 4 << 20  # of 1280 x 800 pixels; the system may allow less
 
@@ -146,6 +151,9 @@ def xlib() -> ctypes.CDLL | None:
             [_pointer, _window, _window, _window, _int, _int, ctypes.c_char_p, _int],
         ),
         ("XFlush", _int, [_pointer]),
+        ("XSelectInput", _int, [_pointer, _window, ctypes.c_long]),
+        ("XPending", _int, [_pointer]),
+        ("XNextEvent", _int, [_pointer, _pointer]),
         ("XDefaultScreen", _int, [_pointer]),
         ("XDisplayWidth", _int, [_pointer, _int]),
         ("XDisplayHeight", _int, [_pointer, _int]),
@@ -271,6 +279,7 @@ class Connection:
         if not self.window:
             self.close()
             raise OSError(f"no window is called {title!r}")
+        x.XSelectInput(self._display, self.window, FOCUS_MASK)  # ti.GUI asks for no such event
         x.XSync(self._display, 0)
 
     def listen(self) -> bool:
@@ -355,6 +364,20 @@ class Connection:
         read, self._read = self._read, []
         return [self._input(event) for event in read if event.window == self.window]
 
+    def lost_focus(self) -> bool:
+        """Whether another window got the keyboard since the last call, be it for a moment.
+
+        Keys that were down then are let go where we do not see it.
+        """
+        lost, event = False, ctypes.create_string_buffer(EVENT_BYTES)
+        while not self._is_broken() and self._x.XPending(self._display):
+            self._x.XNextEvent(self._display, event)
+            lost = lost or _int.from_buffer(event).value == FOCUS_OUT
+        return lost
+
+    def _is_broken(self) -> bool:
+        return bool(_CUT.intersection((self._display, *self._displays)))
+
     def _input(self, event: _Event) -> Input:
         kind, pos = KINDS[event.type], (float(event.x), float(event.y))
         if event.type == MOTION:
@@ -370,7 +393,7 @@ class Connection:
 
     def size(self) -> tuple[int, int] | None:
         """The window's (width, height) in pixels; None when it is gone."""
-        if _CUT.intersection((self._display, *self._displays)):
+        if self._is_broken():
             return None
         return self._size(self.window)
 
@@ -391,7 +414,7 @@ class Connection:
         for display in (self._display, *self._displays):
             if display not in _CUT:
                 self._x.XSync(display, 0)
-        return bool(_CUT.intersection((self._display, *self._displays)))
+        return self._is_broken()
 
     def position(self) -> tuple[int, int]:
         """The window's top left corner on the screen."""
@@ -416,7 +439,7 @@ class Connection:
 
     def entitle(self, title: str) -> None:
         """Write another title over the window."""
-        if not _CUT.intersection((self._display, *self._displays)):
+        if not self._is_broken():
             words = title.encode()
             self._x.XStoreName(self._display, self.window, words)
             name, utf8 = (

@@ -20,7 +20,7 @@ from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.composer import Composer
 from taichi_cloth.ui.framing import camera_of_world
-from taichi_cloth.ui.inputs import BUTTON_NAMES, BUTTONS, Event, fewest_moves, key_name
+from taichi_cloth.ui.inputs import BUTTON_NAMES, BUTTONS, Event, fewest_moves, key_name, released
 from taichi_cloth.ui.pair_composer import PairComposer
 from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
 from taichi_cloth.ui.window_map import Look, WindowMap
@@ -108,7 +108,8 @@ class GguiView:
             return []
         if self._tap and self._listens:
             self._window.get_events()  # makes Xlib read; which come, and where, X says better
-            return fewest_moves(self._read(self._tap))
+            events = [*self._read(self._tap)]
+            return fewest_moves(events + (released(self._held) if self._tap.lost_focus() else []))
         return self._reported()
 
     def _read(self, tap: x11.Connection) -> Iterator[Event]:

@@ -22,7 +22,7 @@ from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.framing import camera_of_world
-from taichi_cloth.ui.inputs import BUTTON_NAMES, Event, fewest_moves, key_name
+from taichi_cloth.ui.inputs import BUTTON_NAMES, Event, fewest_moves, key_name, released
 from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.surfaces import Solid, Topology
 from taichi_cloth.ui.tiles import Panel
@@ -172,8 +172,11 @@ class GuiView:
         if not gui.running:
             self.close()
             return []
+        out = self._without_repeats(out)
+        if self._tap and self._tap.lost_focus():
+            out += released(self._held)
         self._follow_resize()
-        return fewest_moves(self._without_repeats(out))
+        return fewest_moves(out)
 
     def _pixel(self, x: float, y: float) -> tuple[float, float]:
         """A position of ti.GUI's events in window pixels: it counts rows from the last one up."""
