@@ -1,6 +1,7 @@
 """Back in the last seconds, on from there another way, and out to files."""
 
 import itertools
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,9 +17,11 @@ from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.library import build
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app
+from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.depiction import Depiction
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.timeline import SPEEDS, Pace, Timeline
+from taichi_cloth.ui.travel import Travel
 from taichi_cloth.ui.views.none import NullView
 
 SIZE = 1000  # bytes of a checkpoint of what stands for a simulation
@@ -310,6 +313,60 @@ def test_a_log_is_that_of_the_run_one_kept(tmp_path):
     np.testing.assert_array_equal(again.positions(), sim.positions())
     np.testing.assert_array_equal(again.springs_alive(), sim.springs_alive())
     assert not sim.springs_alive().all()
+
+
+@pytest.mark.usefixtures("device")
+def test_the_tool_and_the_keys_stay_the_users_as_one_goes_back():
+    """Also where the tool of then held something, which it lets go; the log knows of it."""
+    scene = build("cloth", columns=12, rows=9).with_world(tools=True)
+    sim = Simulation(scene, topology="graph", execution="serial")
+    size, at = tuple(map(int, scene.world.size)), scene.particles.position[100]
+    log: list = []
+    recorder = SimpleNamespace(
+        write=lambda *one: log.append(one),
+        rewind=lambda frame: log.__setitem__(slice(None), [one for one in log if one[0] < frame]),
+    )
+    frames = 0
+    controls = Controls(sim, None, size, note=lambda event: travel.event(frames, event))
+    travel = Travel(sim, controls, None, recorder, None)
+
+    def do(*events):
+        for event in events:
+            travel.event(frames, event)
+            controls.apply(event)
+            travel.settle()
+
+    def advance(count=1):
+        nonlocal frames
+        for _ in range(count):
+            travel.go_on()
+            controls.before_frame()
+            sim.advance()
+            frames += 1
+            travel.note(frames)
+
+    advance()
+    do(*press("g"), Event("move", pos=tuple(at)), Event("press", pos=tuple(at), button="left"))
+    advance(4)
+    assert sim.held() is not None
+    do(Event("release", pos=tuple(at), button="left"), *press("i"))
+    advance(2)
+    do(Event("press", key="ctrl"))
+    for frame in (4, 3, 4, 0, 3):
+        frames = travel.go(frame)
+        assert (controls.tool.name, controls.held, sim.held()) == ("pin", {"ctrl"}, None)
+        assert not travel.timeline.touched and travel.timeline.frames.stop == 8
+    do(Event("release", key="ctrl"))
+    frames = travel.go(7)
+    assert controls.tool.name == "pin" and not controls.held and len(log) < 20
+    frames = travel.go(3)
+    advance(5)
+    by_frame = {frame: [e for f, e in log if f == frame] for frame, _ in log}
+    again = Simulation(scene, topology="graph", execution="serial")
+    replay = SimpleNamespace(by_frame=by_frame, header={"window": size, "seed": 0})
+    app.run(again, NullView(scene.world), frames=frames, replay=replay, quiet=True)
+    np.testing.assert_array_equal(again.positions(), sim.positions())
+    assert frames == 8 and again.held() is None
 
 
 @pytest.mark.usefixtures("device")

@@ -70,6 +70,11 @@ class Controls:
         return self._hand.notice
 
     @property
+    def held(self) -> frozenset[str]:
+        """The keys that are down, out of "ctrl" and the tool's modifiers."""
+        return frozenset(self._hand.held)
+
+    @property
     def pointer(self) -> np.ndarray | None:
         """Where the pointer is, (2,) pixels of the window that events refer to; None: unknown."""
         return self._hand.pointer

@@ -211,6 +211,10 @@ class Timeline:
         for between in range(kept.frame, frame):
             assert self._rerun is not None  # else each frame has its checkpoint
             self._rerun(between, self._events.get(between, []))
+        self.untouch()
+
+    def untouch(self) -> None:
+        """Have what was done to the state until now not count as touching it."""
         self._untouched = self._marks()
 
     @property

@@ -28,7 +28,8 @@ class Travel:
     to is dropped, from log and recordings too, when the run goes on from it, or something is done
     to the simulation there: a log never goes back in time, it is that of the run one kept.
 
-    sim, controls: what goes back. camera: of a 3-D scene; it stays where the user has it.
+    sim, controls: what goes back, but for the tool in hand and the keys that are down.
+    camera: of a 3-D scene; it stays where the user has it.
     recorder, trajectory: what forgets. reruns: whether events alone make the frames, so that a
     frame without a checkpoint can be run again. beside: another run, which goes along.
     """
@@ -80,6 +81,7 @@ class Travel:
     def go(self, frame: int) -> int:
         """Go to a frame, or to the nearest that there is; return which."""
         timeline, pose = self.timeline, self._camera.pose if self._camera else None
+        tool, held = self._controls.tool, self._controls.held
         if timeline.touched:
             self.go_on()
         before = timeline.frame
@@ -88,10 +90,21 @@ class Travel:
             return frame
         self._looked = []
         if self._camera and pose is not None and pose != self._camera.pose:
-            view = Event("view", pose=pose)
-            self.event(frame, view)
-            self._controls.apply(view, replayed=True)
+            self._keep(frame, Event("view", pose=pose))
+        if tool is not self._controls.tool:
+            said = self._controls.notice
+            self._keep(frame, Event("tool", name=tool.name if tool else ""))
+            if tool is self._controls.tool:  # else it is told why it cannot be in hand
+                self._controls.tell(said)
+            timeline.untouch()  # what the tool of then held is let go
+        for key in sorted(held ^ self._controls.held):
+            self._keep(frame, Event("press" if key in held else "release", key=key))
         return frame
+
+    def _keep(self, frame: int, event: Event) -> None:
+        """Have what is the user's stay as it is at the frame that was gone to, and in the log."""
+        self.event(frame, event)
+        self._controls.apply(event, replayed=True)
 
     def go_on(self) -> None:
         """Let the run go on from the frame that was gone back to: what came after is dropped."""
