@@ -657,6 +657,32 @@ def test_words_of_the_status_are_those_written_on_its_paper_as_a_whole():
         assert again[1].tile is panels[1].tile
 
 
+def test_a_notice_is_told_in_windows_of_any_size():
+    """Whole where there is room, else with the name of what was saved, or how an error begins."""
+    path = "/home/somebody/a folder/" + "of-many-letters/" * 8 + "cloth-1.seconds.npz"
+    saved, refused = f"saved {path}", f"{path}: cannot be written (no space left on device)"
+    late = (Word("12 frames/s", style.WARN, 1), Word("1 s behind real time", style.WARN, 5))
+    for size in ((320, 240), (640, 480), (1280, 800), (3840, 2160)):
+        for notice in (saved, refused, "paused twice"):
+            row, _ = hud.status_rows(
+                simulation("blow"), "test", state=Word("playing", style.GOOD), notice=notice,
+                rates=late,
+            )  # fmt: skip
+            height = text_height(size[1])
+            words = [word for word, _ in text.placed(row.left, row.right, size[0], height)]
+            (told,) = [word.text for word in words if word.color == style.KEY_INK]
+            room = size[0] - 2 * text.gap(height)
+            assert text.length(told, height) <= room
+            if text.length(notice, height) > room:
+                assert text.MISSING in told and told[:5] == notice[:5]
+                assert notice is refused or told.endswith("seconds.npz")
+            else:
+                assert told == notice
+            if size[0] == 3840:
+                assert words[0].text == "playing"
+    assert text.shortened("abc", 0.0, 12) == text.MISSING
+
+
 def test_planes_are_zoomed_and_moved_and_logs_need_not_know_it():
     """What is under the pointer stays there; a click then puts a particle where it is seen."""
     sim, recorded = simulation("spawn"), Recorded()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from taichi_cloth.errors import counted
@@ -180,7 +181,8 @@ def status_rows(
 
     device: from `Device.describe()`. state: of a window, such as "playing"; None without one, whose
     pictures say nothing that may be otherwise in the next run of the same. tool: the one in hand.
-    rates: how fast a window runs. notice: what is told in the place of the first row's words.
+    rates: how fast a window runs. notice: what is told in the place of the first row's words,
+    before all others where room is scarce.
     budget: what is held.
     found: what differs first in a run beside it.
     """
@@ -202,10 +204,11 @@ def status_rows(
     hand = (Word(tool, style.KEY_INK, 1),) if tool else ()
     aside = (Word(sim.aside, style.MUTED, 7),) if sim.aside else ()
     usual = (*title, *hand, *more, *counts, *aside)
-    left = (state, Word(notice, style.KEY_INK)) if notice else usual
+    if notice:
+        usual = (replace(state, rank=1), Word(notice, style.KEY_INK))
     hints = (Word("h more", style.MUTED, 9), Word("tab keys", style.MUTED, 9))
     pace = rates or names[:1]  # where time stands still, which frame is seen
-    return Row(left, (*pace, *hints)), Row((*settings,), names)
+    return Row(usual, (*pace, *hints)), Row((*settings,), names)
 
 
 def _settings(sim: Simulation, device: str, *, windowed: bool) -> tuple[Word, ...]:

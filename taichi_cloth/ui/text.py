@@ -5,8 +5,9 @@ Taichi's windows cannot blend, so text is rasterised here against its own paper.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
 Color = tuple[int, int, int]  # 0..255
+MISSING = "\N{HORIZONTAL ELLIPSIS}"  # in the place of what is left out
+SHORTEST_PATH = 24  # letters: one that is longer may lose its middle
 SHADES = 4  # ink coverage levels: few enough for long runs, enough for smooth letters
 
 
@@ -47,6 +50,34 @@ def _ink(word: str, height: int) -> np.ndarray:
     # A light gamma keeps thin strokes of bright letters from fading into dark paper.
     inked: np.ndarray = np.round(share**0.8 * (SHADES - 1)) / (SHADES - 1)
     return inked
+
+
+@lru_cache(maxsize=256)
+def shortened(line: str, width: float, height: int) -> str:
+    """`line`, or what is at most `width` pixels wide of it: a path loses its middle, then the end
+    of all is left out. height: of the text, pixels.
+    """
+
+    def most(make: Callable[[int], str], least: int, whole: int) -> str:
+        sizes = range(least, whole)
+        fit = bisect_right(sizes, width, key=lambda n: length(make(n), height))
+        return make(sizes[max(fit - 1, 0)])
+
+    if length(line, height) <= width:
+        return line
+    path = max((word for word in line.split(" ") if "/" in word), key=len, default="")
+    if len(path) > SHORTEST_PATH:
+        before, _, after = line.partition(path)
+        line = most(lambda n: before + _without_middle(path, n) + after, SHORTEST_PATH, len(path))
+    if length(line, height) <= width or not line:
+        return line
+    return most(lambda n: line[:n].rstrip() + MISSING, 0, len(line))
+
+
+def _without_middle(path: str, count: int) -> str:
+    """A path in so many letters; its end, the name, matters more than where it begins."""
+    head = count // 4
+    return path[:head] + MISSING + path[len(path) - (count - 1 - head) :]
 
 
 def length(line: str, height: int) -> float:
@@ -138,7 +169,9 @@ def rise(height: int) -> int:
 
 @dataclass(frozen=True)
 class Word:
-    """Words in one colour, part of a row. rank: where room is scarce, the highest are left out."""
+    """Words in one colour, part of a row. rank: where room is scarce, the highest are left out; the
+    last one that is left is shortened.
+    """
 
     text: str
     color: Color
@@ -156,6 +189,9 @@ def fitted(
     while len(kept) > 1 and _row_length([word for word, _ in kept], height) > width:
         worst = max(range(len(kept)), key=lambda n: (kept[n][0].rank, n))
         kept.pop(worst)
+    if len(kept) == 1:
+        (word, side), room = kept[0], width - 2 * gap(height)
+        kept = [(replace(word, text=shortened(word.text, room, height)), side)]
     return [w for w, side in kept if side == 0], [w for w, side in kept if side == 1]
 
 
