@@ -683,6 +683,18 @@ def test_a_notice_is_told_in_windows_of_any_size():
     assert text.shortened("abc", 0.0, 12) == text.MISSING
 
 
+def test_letters_that_the_font_lacks_are_written_by_those_that_it_has():
+    def seen(line):
+        return text.rasterise([line], 15, paper=(0, 0, 0), inks=((9, 9, 9), (255, 255, 255)))
+
+    for line, written in (
+        ("Vorhänge, žaluzie", "Vorhange, zaluzie"), ("Łódź 日本", "?odz ??"), ("x²", "x2"),
+    ):  # fmt: skip
+        np.testing.assert_array_equal(seen(line), seen(written))
+        assert text.length(line, 15) == text.length(written, 15)
+    assert (seen("h·omega")[:, :20] != seen("h?omega")[:, :20]).any()  # which it has
+
+
 def test_planes_are_zoomed_and_moved_and_logs_need_not_know_it():
     """What is under the pointer stays there; a click then puts a particle where it is seen."""
     sim, recorded = simulation("spawn"), Recorded()

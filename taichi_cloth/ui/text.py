@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
+from unicodedata import combining, normalize
 
 import numpy as np
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 Color = tuple[int, int, int]  # 0..255
 MISSING = "\N{HORIZONTAL ELLIPSIS}"  # in the place of what is left out
+NO_LETTER = "\uffff"  # in any font
 SHORTEST_PATH = 24  # letters: one that is longer may lose its middle
 SHADES = 4  # ink coverage levels: few enough for long runs, enough for smooth letters
 
@@ -31,7 +33,24 @@ def _font(height: int) -> ImageFont | FreeTypeFont:
 
 @lru_cache(maxsize=2048)
 def _advance(word: str, height: int) -> float:
-    return float(_font(height).getlength(word))
+    return float(_font(height).getlength(_in_font(word)))
+
+
+def _in_font(word: str) -> str:
+    """A word in letters that the font has: of others the letter without its accent, else a "?"."""
+    return word if word.isascii() else "".join(map(_letter_in_font, word))
+
+
+@lru_cache(maxsize=1024)
+def _letter_in_font(letter: str) -> str:
+    parts = [part for part in normalize("NFKD", letter) if not combining(part)]
+    return letter if _has(letter) else "".join(part if _has(part) else "?" for part in parts)
+
+
+def _has(letter: str) -> bool:
+    """Whether the font has a letter; others it draws as it draws no letter."""
+    drawn, none = (bytes(_font(16).getmask(which)) for which in (letter, NO_LETTER))
+    return letter.isascii() or drawn != none
 
 
 @lru_cache(maxsize=2048)
@@ -42,7 +61,7 @@ def _ink(word: str, height: int) -> np.ndarray:
     """
     from PIL import Image, ImageDraw
 
-    font = _font(height)
+    font, word = _font(height), _in_font(word)
     _, _, right, bottom = font.getbbox(word)
     image = Image.new("L", (int(right) + 3, int(bottom) + 1), 0)
     ImageDraw.Draw(image).text((1, 0), word, fill=255, font=font)
