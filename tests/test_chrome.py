@@ -248,12 +248,15 @@ class Pressed(NullView):
 
     def __init__(self, world, turns):
         super().__init__(world)
-        self.turns = turns
+        self.turns, self.said = turns, []
 
     def poll(self):
         keys, *self.turns = self.turns
         self.closed = not self.turns
         return [Event("press", key=key) for key in keys]
+
+    def draw(self, picture):
+        self.said.append("\n".join(panel.words for panel in picture.overlay))
 
 
 def test_what_a_key_closed_gets_nothing_of_the_same_turn(sim):
@@ -267,6 +270,7 @@ def test_keys_write_a_checkpoint_and_export_the_last_seconds(sim, tmp_path):
 
     seen = []
     window = Pressed(sim.scene.world, ([], [], [], ["w"], [], ["x"], []))
+    window.size = (400, 300)  # in which the notice of what was saved before leaves no room
     app.run(
         sim, window, pictures=str(tmp_path), quiet=True, device="test",
         on_frame=lambda s: seen.append(s.positions()),
@@ -279,3 +283,5 @@ def test_keys_write_a_checkpoint_and_export_the_last_seconds(sim, tmp_path):
     saved = load_trajectory(tmp_path / "cloth-1.seconds.npz")
     assert saved.frame.tolist() == [1, 2, 3, 4, 5]
     assert np.array_equal(saved.position, np.array(seen[1:6]))
+    exporting = [n for n, words in enumerate(window.said) if "exporting the last 10" in words]
+    assert len(exporting) == 1 and "saved" in window.said[exporting[0] + 1]

@@ -25,7 +25,7 @@ from taichi_cloth.ui.schedule import Schedule
 from taichi_cloth.ui.shutter import Shutter
 from taichi_cloth.ui.summary import Summary
 from taichi_cloth.ui.takes import Takes
-from taichi_cloth.ui.timeline import SPEEDS
+from taichi_cloth.ui.timeline import SPEEDS, Timeline
 from taichi_cloth.ui.travel import Travel
 from taichi_cloth.ui.views.contract import View
 
@@ -355,10 +355,19 @@ class Loop:
             now = self.sim.checkpoint()
             self._shutter.keep(".checkpoint.npz", lambda path: now.save(path, self._request.about))
         elif command == "export" and self._travel:
-            self._shutter.keep(".seconds.npz", self._travel.timeline.export)
+            self._export(self._travel.timeline)
         else:
             self._shown.obey(command)
         self._shown.hurry()
+
+    def _export(self, timeline: Timeline) -> None:
+        """Save the last seconds, of which frames may have to be run again; say so before that."""
+        self.state.exporting = True
+        self._shown.hurry()
+        self._show_now()
+        self.state.exporting = False
+        self._shutter.keep(".seconds.npz", timeline.export)
+        self._shown.meter.interrupt()
 
     def _reset(self) -> None:
         """Go back to the scene's start."""

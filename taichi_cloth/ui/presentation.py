@@ -228,13 +228,16 @@ class Presentation:
             sim.scene, tool, opens, paused=state.paused, strain=self.depiction.strain,
             ghost=self.depiction.ghostly,
         )  # fmt: skip
+        urgent, notice = shutter.notice, self._controls.notice
+        if state.exporting or state.opening:  # nothing is told before that
+            urgent = notice = None
         rows = self._status.rows(
             time.perf_counter() if windowed else state.frames / hud.FRAME_RATE,
             state=state.word(shutter.state) if windowed else None,
             moving=not state.stopped and state.pace.slowness == 1,
             tool=tool.name if tool else None,
-            notice=self._controls.notice,
-            urgent=shutter.notice,
+            notice=notice,
+            urgent=urgent,
             budget=self._budget.status() if self._budget else None,
             in_view=self._in_view,
             found=self.pair.second.finding() if self.pair else None,

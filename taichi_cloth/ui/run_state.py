@@ -19,8 +19,9 @@ class RunState:
     step: whether one frame is due although the run is paused. pace: how slow the motion is.
     quit: whether the user ended it. left: whether another scene goes on in the window.
     compiling: whether a window stands still for a compiler. opening: the name of the scene that is
-    made ready ("": none). failure: for which a window stands still until r. examining: what is
-    being found out of it ("": nothing).
+    made ready ("": none). exporting: whether it stands still while the last seconds are written.
+    failure: for which a window stands still until r. examining: what is being found out of it
+    ("": nothing).
     """
 
     paused: bool = False
@@ -31,6 +32,7 @@ class RunState:
     left: bool = False
     compiling: bool = False
     opening: str = ""
+    exporting: bool = False
     failure: SimulationFailure | None = None
     examining: str = ""
     pace: Pace = field(default_factory=Pace)
@@ -55,6 +57,8 @@ class RunState:
         """What a window is doing; recording: what it says while a film is being made."""
         if self.opening:
             return Word(f"opening {self.opening}: compiling takes a moment, once", style.WARN)
+        if self.exporting:
+            return Word("exporting the last 10 seconds, the window waits", style.WARN)
         if self.failure is not None:
             return Word(f"stopped: {self.examining}" if self.examining else "stopped", style.BAD)
         if recording is not None:
