@@ -7,7 +7,7 @@ import pytest
 from selection import mostly_thorough
 
 from taichi_cloth.scene.library import build
-from taichi_cloth.scene.model import Springs
+from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.simulation.gauges import Gauges
 from taichi_cloth.simulation.history import History
 from taichi_cloth.simulation.strain import CLOTHS, allowed, borne, lengths, strains
@@ -134,6 +134,28 @@ def test_what_is_stretched_from_the_start_is_full_at_that():
         assert bears.max() == pytest.approx(1.0 if name == "slinky" else 0.0)
         fake = SimpleNamespace(scene=scene, storage=SimpleNamespace(scene=scene))
         assert strained.Strained(fake).legend()[-1] == (f"{100 * full:.0f} %", strained.LIMIT)
+
+
+def test_the_spring_that_is_named_says_what_itself_bears(device, pool):
+    """Where only the first of two can break: first it is stretched most, then the other one is."""
+    world = World(size=(100.0, 100.0), gravity=(0.0, 0.0))
+    for stretched, said in (([1.5, 1.2], "20 % of break force"), ([1.2, 1.5], "limit 10 %")):
+        x = np.array([[50.0, 50.0], [51.0, 50.0], [52.0, 50.0]])
+        springs = Springs.build(
+            [(0, 1), (1, 2)], x, stiffness=2.0, rest_length=1 / np.array(stretched),
+            break_force=[10 / 3, np.inf],
+        )  # fmt: skip
+        scene = Scene("mixed", world, Particles.build(x), springs)
+        sim = pool(scene)
+        gauges = Gauges(sim, paced=False)
+        gauges._full = CLOTHS  # not what the scene begins with
+        gauges.after_frame(0.0)
+        meter = instruments.strain(Source(sim, gauges, None, 0.0))
+        assert meter.value == "+50 %" and meter.state == style.BAD
+        assert [words for words, _ in meter.details][1] == said
+        colors = strained.Strained(sim)
+        colors._allowed = lambda *_: CLOTHS
+        assert colors.legend()[-1][0] == "break force or 10 %"
 
 
 def test_colours_follow_springs_that_were_changed(source):

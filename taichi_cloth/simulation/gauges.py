@@ -42,9 +42,9 @@ class State:
     """What was read of a state. booked: its energy, and where that came from and went.
 
     momentum: (dim,). strain: the largest in magnitude, pulled positive, of the spring of number
-    `spring` between the particles `ends` (-1: there is none). borne: the largest part that any
-    spring bears of what it can (`strain.borne`), by `full`, the strain that counts as full. broken:
-    springs that are.
+    `spring` between the particles `ends` (-1: there is none). breaks: whether that one can break.
+    bears: the part that it bears of what it can (`strain.borne`), by `full`, the strain that counts
+    as full; borne: the largest part that any bears. broken: springs that are.
     """
 
     booked: Booked
@@ -52,6 +52,8 @@ class State:
     strain: float
     spring: int
     ends: tuple[int, int]
+    breaks: bool
+    bears: float
     borne: float
     full: float
     broken: int
@@ -224,14 +226,18 @@ class Gauges:
         particles = network.particles
         momentum = diagnostics.momentum(network.velocity, particles.mass, particles.fixed)
         length = strain.lengths(network.position, network.springs.between)
-        strained, borne = strain.strains(length, network.springs), 0.0
-        most, spring, ends = 0.0, -1, (-1, -1)
+        strained = strain.strains(length, network.springs)
+        most, spring, ends, breaks, bears, borne = 0.0, -1, (-1, -1), False, 0.0, 0.0
         if len(strained):
             at = int(np.abs(strained).argmax())
             most, spring = float(strained[at]), int(network.number[at])
             ends = int(network.springs.between[at, 0]), int(network.springs.between[at, 1])
-            borne = float(np.abs(strain.borne(length, network.springs, self._full)).max())
-        self.state = State(booked, momentum, most, spring, ends, borne, self._full, moment.broken)
+            breaks = bool(np.isfinite(network.springs.break_force[at]))
+            parts = np.abs(strain.borne(length, network.springs, self._full))
+            bears, borne = float(parts[at]), float(parts.max())
+        self.state = State(
+            booked, momentum, most, spring, ends, breaks, bears, borne, self._full, moment.broken
+        )
         energy = booked.energy
         self.states.note(
             now, energy.total, booked.change, booked.work, booked.by_hand, booked.doubt,

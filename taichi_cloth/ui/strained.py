@@ -59,8 +59,11 @@ class Strained:
 
     def legend(self) -> tuple[tuple[str, Color], ...]:
         """What the colours mean, as words in them."""
-        breaks = np.isfinite(self._sim.storage.scene.springs.break_force).any()
-        full = "break force" if breaks else f"{100 * self._full:.0f} %"
+        breaks = np.isfinite(self._sim.storage.scene.springs.break_force)
+        limits = ("break force",) * bool(breaks.any())
+        if not breaks.all() or not len(breaks):
+            limits += (f"{100 * self._full:.0f} %",)
+        full = " or ".join(limits)
         return (("pushed", PUSHED), ("calm", CALM), ("pulled: half", HALF), (full, LIMIT))
 
     def _select(self, springs: Springs, holding: np.ndarray) -> Springs:

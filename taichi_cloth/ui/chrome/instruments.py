@@ -227,7 +227,9 @@ def energy(of: Source) -> Meter | None:
 
 
 def strain(of: Source) -> Meter | None:
-    """The largest strain of a spring, and how much it bears of what it can."""
+    """The largest strain of a spring, and how much it bears of what it can; the colour is that of
+    the one which bears most.
+    """
     state = of.gauges.state
     if state is None or (state.spring < 0 and not state.broken):
         return None
@@ -238,9 +240,8 @@ def strain(of: Source) -> Meter | None:
     if state.spring >= 0:
         a, b = state.ends
         details = [(f"spring {state.spring}: {a}-{b}", style.MUTED)]
-        breaks = np.isfinite(of.sim.storage.scene.springs.break_force).any()
-        bears = f"{100 * state.borne:.0f} % of break force"
-        details.append((bears if breaks else f"limit {100 * state.full:.0f} %", color))
+        bears = f"{100 * state.bears:.0f} % of break force"
+        details.append((bears if state.breaks else f"limit {100 * state.full:.0f} %", color))
     curve = Curve(age, 100 * np.abs(rows[:, 7 + dim]), color)
     rate = of.gauges.states.rate(of.now)
     return Meter(
