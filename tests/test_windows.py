@@ -34,7 +34,7 @@ from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.camera_moves import ZOOM_STEP
 from taichi_cloth.ui.chrome import strip, toolbar
 from taichi_cloth.ui.chrome.chrome import Chrome, Contents
-from taichi_cloth.ui.chrome.layout import Rect, text_height
+from taichi_cloth.ui.chrome.layout import Rect, bar_height, text_height
 from taichi_cloth.ui.chrome.strip import Row
 from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.controls import Controls
@@ -760,6 +760,23 @@ def test_a_click_on_a_button_is_its_key_and_the_bar_is_no_world():
     app.run(sim, view, recorder=recorded, device="test")
     assert "this list" in words(view.pictures[2]) and not calls(sim, "spawn")
     assert [(event.kind, event.key) for _, event in recorded] == [("press", "tab")]
+
+
+def test_buttons_of_the_bar_never_meet_and_keys_are_offered_as_long_as_one_fits():
+    scene = library.build("curtain")
+    opens = [Button(key, "a part", right=True) for key in "omlk"]
+    buttons = hud.buttons(scene, None, opens, paused=False)
+    for width, height in itertools.product((200, 320, 480, 640, 800, 1280, 2560), (12, 30, 60)):
+        rect = Rect(0, 0, width, bar_height(height))
+        placed = toolbar.placed(buttons, rect, height)
+        boxes = [box for _, box, _ in placed]
+        assert all(b.x >= a.x + a.width for a, b in itertools.pairwise(boxes))
+        assert all(box.x >= 0 and box.x + box.width <= width for box in boxes)
+        assert [button.key for button, _, _ in placed][-1] == "tab"
+        for button, box, _ in placed:
+            at = box.x + box.width - 1, box.y + 1
+            assert toolbar.hit(buttons, rect, height, at) is button
+    assert len(placed) == len(buttons), "where there is room all are there"
 
 
 # Real windows

@@ -30,7 +30,8 @@ def placed(buttons: Sequence[Button], rect: Rect, height: int) -> list[tuple[But
     """Where the buttons are in the bar's rectangle, and whether their labels are written.
 
     Where there is too little room, only those in use and those of the tools keep their labels, then
-    only those in use, then none. height: of the text, pixels.
+    only those in use, then none; where there still is, buttons are left out: first those at the
+    right but for the last, which says what the keys do. height: of the text, pixels.
     """
     choices = (
         [True] * len(buttons),
@@ -43,18 +44,22 @@ def placed(buttons: Sequence[Button], rect: Rect, height: int) -> list[tuple[But
         if sum(widths) + _gap(height) * (len(buttons) + 2) <= rect.width:
             break
     gap, margin = _gap(height), round(0.2 * height)
-    found, x, end = [], rect.x + gap, rect.x + rect.width
-    for button, shown, width in zip(buttons, labelled, widths, strict=True):
-        if not button.right:
-            box = Rect(x, rect.y + margin, width, rect.height - 2 * margin)
-            found.append((button, box, shown))
-            x += width + gap
-    for button, shown, width in reversed(list(zip(buttons, labelled, widths, strict=True))):
+    found, x, end = [], rect.x + gap, rect.x + rect.width - gap
+    each = list(zip(buttons, labelled, widths, strict=True))
+    last = [one for one in each if one[0].right][-1:]
+    rest = [one for one in each if not one[0].right]
+    rest += [one for one in reversed(each) if one[0].right and one not in last]
+    for button, shown, width in last + rest:
+        if end - x < width:
+            continue  # of those at the right a narrower one may fit
+        left = end - width if button.right else x
+        box = Rect(left, rect.y + margin, width, rect.height - 2 * margin)
+        found.append((button, box, shown))
         if button.right:
             end -= width + gap
-            box = Rect(end, rect.y + margin, width, rect.height - 2 * margin)
-            found.append((button, box, shown))
-    return [(b, box, shown) for b, box, shown in found if box.x + box.width <= rect.width]
+        else:
+            x += width + gap
+    return sorted(found, key=lambda one: one[1].x)
 
 
 def panel(buttons: Sequence[Button], rect: Rect, height: int) -> Panel:
