@@ -32,7 +32,7 @@ from taichi_cloth.simulation.diagnostics import Work
 from taichi_cloth.ui import app, hud, style, text, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.camera_moves import ZOOM_STEP
-from taichi_cloth.ui.chrome import strip, toolbar
+from taichi_cloth.ui.chrome import messages, strip, toolbar
 from taichi_cloth.ui.chrome.chrome import Chrome, Contents
 from taichi_cloth.ui.chrome.layout import Rect, bar_height, text_height
 from taichi_cloth.ui.chrome.strip import Row
@@ -655,6 +655,24 @@ def test_words_of_the_status_are_those_written_on_its_paper_as_a_whole():
         other = Row((*left[:1], Word("cut", (200, 9, 9), 2)), rows[0].right)
         again = strip.panels([other], changed(rect, height=round(1.9 * height)), height)
         assert again[1].tile is panels[1].tile
+
+
+def test_a_key_list_is_drawn_once_at_the_height_at_which_it_fits(monkeypatch):
+    lines = hud.help_lines(library.build("curtain"), has_wheel=True)
+    drawn, rasterise = [], text.rasterise
+
+    def noted(lines, height, **how):
+        drawn.append((height, rasterise(lines, height, **how)))
+        return drawn[-1][1]
+
+    monkeypatch.setattr(text, "rasterise", noted)
+    for room, height in ((Rect(0, 40, 800, 500), 15), (Rect(0, 60, 1280, 700), 90)):
+        messages.keys(lines, room, height)
+        ((height, pixels),) = drawn
+        tall, wide = pixels.shape[:2]
+        assert (wide, tall) == text.extent(lines, height)
+        assert wide <= room.width and tall <= room.height < text.extent(lines, height + 1)[1]
+        drawn.clear()
 
 
 def test_a_notice_is_told_in_windows_of_any_size():

@@ -152,15 +152,12 @@ def rasterise(
     tab (the second for lines without one). width: of the panel in pixels; None: as needed.
     """
     step, margin = _step(height), pad(height)
-    parts = [line.split("\t", 1) for line in lines]
-    column: float = max((length(p[0], height) for p in parts if len(p) == 2), default=0)
-    column = round(column + 1.2 * height) if column else 0
-    needed = max((column * (len(p) == 2) + length(p[-1], height) for p in parts), default=0)
-    size = (width or round(needed) + 2 * margin, step * len(parts) + 2 * margin - (step - height))
-    pixels = np.empty((size[1], size[0], 3), np.uint8)
+    parts = _columns(lines)
+    column, size = _second_column(parts, height), _extent(parts, height)
+    pixels = np.empty((size[1], width or size[0], 3), np.uint8)
     pixels[:] = paper
     for ink, chosen in zip(inks, (0, 1), strict=True):
-        share = np.zeros((size[1], size[0], 1), np.float32)
+        share = np.zeros((*pixels.shape[:2], 1), np.float32)
         for row, part in enumerate(parts):
             y = margin + row * step - rise(height)
             if chosen == 1:
@@ -169,6 +166,27 @@ def rasterise(
                 _write(share, part[0], (margin, y), height)
         _lay(pixels, share, ink)
     return pixels
+
+
+def extent(lines: Iterable[str], height: int) -> tuple[int, int]:
+    """The (width, height) in pixels of what `rasterise` makes of lines, where no width is given."""
+    return _extent(_columns(lines), height)
+
+
+def _columns(lines: Iterable[str]) -> list[list[str]]:
+    return [line.split("\t", 1) for line in lines]
+
+
+def _second_column(parts: list[list[str]], height: int) -> int:
+    """Where what stands after tabs begins, pixels from the margin."""
+    first = max((length(part[0], height) for part in parts if len(part) == 2), default=0.0)
+    return round(first + 1.2 * height) if first else 0
+
+
+def _extent(parts: list[list[str]], height: int) -> tuple[int, int]:
+    column, step, margin = _second_column(parts, height), _step(height), pad(height)
+    needed = max((column * (len(p) == 2) + length(p[-1], height) for p in parts), default=0.0)
+    return round(needed) + 2 * margin, step * len(parts) + 2 * margin - (step - height)
 
 
 def _step(height: int) -> int:

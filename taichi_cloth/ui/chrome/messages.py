@@ -22,12 +22,12 @@ def keys(lines: tuple[str, ...], room: Rect, height: int) -> Panel:
 
     height: of the text, pixels; less where the list would not fit.
     """
-    while True:
-        pixels = text.rasterise(lines, height, paper=style.PAPER, inks=(style.KEY_INK, style.INK))
-        fits = pixels.shape[0] <= room.height and pixels.shape[1] <= room.width
-        if fits or height <= SMALLEST:
+    while height > SMALLEST:
+        wide, tall = text.extent(lines, height)
+        if wide <= room.width and tall <= room.height:
             break
         height -= 1
+    pixels = text.rasterise(lines, height, paper=style.PAPER, inks=(style.KEY_INK, style.INK))
     for border in (pixels[:1], pixels[-1:], pixels[:, :1], pixels[:, -1:]):
         border[:] = style.WALL
     pixels = pixels[: room.height, : room.width]
