@@ -29,7 +29,7 @@ from taichi_cloth.files import trajectory as trajectories
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import COLOR_CYCLE, Particles, Scene, World
 from taichi_cloth.simulation.diagnostics import Work
-from taichi_cloth.ui import app, hud, style, text, x11
+from taichi_cloth.ui import app, hud, style, text, tools, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.camera_moves import ZOOM_STEP
 from taichi_cloth.ui.chrome import messages, strip, toolbar
@@ -288,6 +288,22 @@ def test_every_scene_lists_its_keys(mouse):
         keys = " ".join(line.split("\t")[0] for line in lines)
         assert ("space, p" in keys) == (mouse != "spawn")
         assert ("ctrl" in keys) == (dim == 3)
+
+
+def test_the_key_list_says_which_drags_a_tool_leaves_to_the_camera():
+    """Those whose presses in an empty place are not for it, in planes and in space."""
+    for dim, button, does in (
+        (3, "left", "turn the scene"), (3, "right", "move the scene"),
+        (2, "middle", "move the picture"), (2, "right", "move the picture"),
+    ):  # fmt: skip
+        for tool in tools.load_all().values():
+            sim = simulation("none", dim)
+            controls = Controls(sim, camera_of_world(sim.scene.world), (600, 400))
+            controls.tool = tool
+            lines = hud.help_lines(sim.scene, has_wheel=True, tool=tool)
+            said = [line.split("\t")[0] for line in lines if does in line]
+            free = not controls.takes(press(button, (10, 10)))
+            assert any(f"drag {button}" in how or f"or {button}" in how for how in said) == free
 
 
 # What is drawn

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from taichi_cloth.scene.model import Scene
 from taichi_cloth.ui import style, tools
 from taichi_cloth.ui.chrome.strip import Row
 from taichi_cloth.ui.chrome.toolbar import Button
+from taichi_cloth.ui.plane_moves import PANS
 from taichi_cloth.ui.text import Word
 from taichi_cloth.ui.tools.contract import Tool
 
@@ -229,6 +230,23 @@ def reset_notice(frames: int) -> str:
     return f"back to the start: the next frame makes --save forget {counted(frames, 'frame')}"
 
 
+def _drags(tool: Tool[Any] | None, *, space: bool) -> list[str]:
+    """What moves the camera, or the picture: the buttons that the tool in hand leaves for that."""
+    taken, hits = (tool.buttons, tool.hits) if tool else ((), None)
+
+    def line(buttons: Iterable[str], does: str, *others: str) -> list[str]:
+        free = [button for button in buttons if hits or button not in taken]
+        shared = " or ".join(button for button in free if button in taken)
+        where = f" ({shared}: where it is empty)" if shared else ""
+        how = [f"drag {' or '.join(free)}"] * bool(free) + [*others]
+        return [f"{', '.join(how)}\t{does}{where}"] if how else []
+
+    if not space:
+        return line(reversed(PANS), "move the picture")
+    turn = line(["left"], "turn the scene", "ctrl + motion")
+    return turn + line(["right"], "move the scene")
+
+
 def help_lines(
     scene: Scene, has_wheel: bool, tool: Tool[Any] | None = None, *, saves: bool = False
 ) -> tuple[str, ...]:
@@ -242,17 +260,9 @@ def help_lines(
     lines += [f"{other.key}\t{other.help}" for other in tools.load_all().values() if other.key]
     nearer = "wheel, + -, up down" if has_wheel else "+ -, up down"
     lines.append(f"{nearer}\tcome nearer, go farther")
-    if scene.world.dim == 3:
-        lines += [
-            "drag left, ctrl + motion\tturn the scene (left: where it is empty)",
-            "drag right\tmove the scene",
-            "f\tfill the picture with what there is",
-        ]
-    else:
-        lines += [
-            "drag right or middle\tmove the picture",
-            "f\tall of the world, or of what left it",
-        ]
+    lines += _drags(tool, space=scene.world.dim == 3)
+    what = "fill the picture with what there is", "all of the world, or of what left it"
+    lines.append(f"f\t{what[0] if scene.world.dim == 3 else what[1]}")
     lines.append("z\tback to the view before")
     lines += [
         "o\tsettings, live",
