@@ -27,7 +27,7 @@ from selection import as_thorough
 from taichi_cloth import runtime
 from taichi_cloth.files import trajectory as trajectories
 from taichi_cloth.scene import library
-from taichi_cloth.scene.model import COLOR_CYCLE, Particles, Scene, World
+from taichi_cloth.scene.model import COLOR_CYCLE, Particles, Scene, Springs, World
 from taichi_cloth.simulation.diagnostics import Work
 from taichi_cloth.ui import app, hud, style, text, tools, x11
 from taichi_cloth.ui.camera import Camera
@@ -413,6 +413,18 @@ def test_help_hide_and_quit():
     assert [len(shown) for shown in panels] == [2, 3]
     assert "this list" in words(view.pictures[1]) and "symplectic" not in words(view.pictures[1])
     assert "symplectic" in words(view.pictures[2])
+
+
+def test_strain_has_colours_only_where_there_are_springs():
+    place = [[100.0, 100.0], [200.0, 100.0]]
+    tied = Scene("tied", world("blow"), Particles.build(place), Springs.build([(0, 1)], place))
+    for scene, expected in ((simulation("blow").scene, [False] * 4), (tied, [False, True] * 2)):
+        sim = FakeSimulation(scene)
+        sim.pairs = [(0, 1)] * len(scene.springs)
+        sim.springs_alive = lambda: np.ones(1, bool)
+        view = Script([], [press(key="e")], [press(key="e")], [press(key="e")], [])
+        app.run(sim, view, device="test")
+        assert ["pulled" in words(picture) for picture in view.pictures[1:]] == expected
 
 
 def test_a_recorded_run_replays_exactly():

@@ -123,7 +123,8 @@ class Presentation:
         elif command == "show":
             self.depiction.show_next()
         elif command == "strain":
-            self.depiction.strain = not self.depiction.strain
+            # Without springs all would be calm, and no button or legend would say why.
+            self.depiction.strain = not self.depiction.strain and self._sim.spring_count > 0
         elif command == "help":
             self._show_help = not self._show_help
         elif command in ("error", "ghost"):
