@@ -427,6 +427,16 @@ def test_strain_has_colours_only_where_there_are_springs():
         assert ["pulled" in words(picture) for picture in view.pictures[1:]] == expected
 
 
+def test_pictures_of_the_world_have_no_key_list_over_it_and_films_neither(tmp_path):
+    keys = "f1", "s", None, "v", None, "p", "p", "v", None
+    view = Script(*([press(key=key)] if key else [] for key in keys), [], size=(900, 500))
+    view.grab = lambda: np.zeros((500, 900, 3), np.uint8)
+    app.run(simulation("blow"), view, pictures=str(tmp_path), quiet=True, device="test")
+    listed = ["this list" in words(picture) for picture in view.pictures[1:]]
+    assert listed == [True, False, True, False, False, True, False, True, True]
+    assert len(list(tmp_path.iterdir())) == 2
+
+
 def test_a_recorded_run_replays_exactly():
     clicks = [
         [Event("move", pos=(100, 100)), press("left", (100, 100))],

@@ -127,6 +127,8 @@ class Presentation:
             self.depiction.strain = not self.depiction.strain and self._sim.spring_count > 0
         elif command == "help":
             self._show_help = not self._show_help
+            if self._show_help and self._takes.shutter.state and not self._state.stopped:
+                self._controls.tell("films leave the key list out: it is seen while paused (p)")
         elif command in ("error", "ghost"):
             said = self.meters.switch(command)
             if self._budget and not self.meters.measures and self._budget.unmeasured():
@@ -244,6 +246,8 @@ class Presentation:
             found=self.pair.second.finding() if self.pair else None,
             faster=self._faster,
         )
+        if self._takes.of_world:  # over which these two lie
+            keys, banner = (), None
         return Contents(rows, self._buttons, keys, banner)
 
     def _faster(self) -> Word | None:

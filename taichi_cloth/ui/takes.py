@@ -36,6 +36,11 @@ class Takes:
         """Whether the frame that is drawn now is wanted."""
         return bool(self._waiting) or self.shutter.due
 
+    @property
+    def of_world(self) -> bool:
+        """Whether what is drawn now goes into a picture or a film of the world's room alone."""
+        return self.shutter.due or self.shutter in self._waiting
+
     def take(self, pixels: np.ndarray, room: Rect) -> None:
         """Put a frame (h, w, 3) uint8 into what wants it; room: where the world is in it."""
         world = pixels[room.y : room.y + room.height, room.x : room.x + room.width]
