@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -189,6 +191,18 @@ def test_nothing_written_in_the_panel_is_cut_or_meets_something_else(sim, size):
             assert settings_rows.label_end(placed, height) < settings_rows.value_start(
                 placed, rect.width, height
             )
+
+
+def test_a_long_name_of_a_scene_is_shortened_in_the_panel(sim, monkeypatch):
+    name = "the_curtain_of_the_large_window_in_the_dining_room"
+    hands = Hands(sim, Scenes({name: "a scene of somebody's", "box": "another"}))
+    monkeypatch.setattr(sim, "scene", replace(sim.scene, name=name))
+    hands.panel._unfold("scene")
+    first, option = hands.look()[:2]
+    assert "the_curtain" in first and "the_curtain" in option
+    assert first.endswith(f"{text.MISSING} \u203a") and option.endswith(f"{text.MISSING} now")
+    height, (_, end) = HEIGHT, settings_rows._left(RECT.width, HEIGHT)
+    assert all(settings_rows.label_end(placed, height) <= end for placed in hands.panel._rows)
 
 
 def test_what_is_refused_is_said_and_leaves_all_as_it_was(sim):

@@ -515,6 +515,18 @@ def test_the_meter_says_how_late_it_is():
     assert meter.behind == pytest.approx(3 - 30 / 60)
     said = " ".join(word.text for word in hud.rates(meter))
     assert "behind real time (0.17x)" in said and "50.00 ms" in said
+    for rate, words in ((0.4, "0.4"), (1.0, "1.0"), (9.96, "10"), (59.7, "60")):
+        assert hud.rates(paced_at(rate))[0].text == f"{words} frames/s"
+
+
+def paced_at(rate):
+    """A meter that has seen frames come at a rate."""
+    now = [0.0]
+    meter = hud.Meter(clock=lambda: now[0])
+    for _ in range(4):
+        meter.frame(0.0, 0.0)
+        now[0] += 1 / rate
+    return meter
 
 
 def paced(meter, now, seconds, simulate, draw):

@@ -202,7 +202,7 @@ class SettingCosts:
         more = (now.seconds - other.seconds) * (1 if on else -1)
         words = f"{'~' if other.how == 'predicted' else ''}{short(more)}"
         if more <= SMALL * now.seconds:
-            words = f"< {short(SMALL * now.seconds)}"
+            words = f"< {short(SMALL * now.seconds).strip('<')}"
         said = f"{words.strip('~')} of a frame, {other.how}"
         return Beside(words, said) if on else Beside(FREE, f"off it takes no time; on {said}")
 

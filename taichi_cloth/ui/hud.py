@@ -110,7 +110,8 @@ def rates(meter: Meter, advice: Word | None = None) -> tuple[Word, ...]:
     if rate == 0:
         return ()
     late = rate <= ON_TIME * FRAME_RATE
-    words = [Word(f"{rate:.0f} frames/s", style.WARN if late else style.GOOD, 1)]
+    said = f"{rate:.{0 if rate >= 9.95 else 1}f} frames/s"
+    words = [Word(said, style.WARN if late else style.GOOD, 1)]
     if late and advice is not None:
         words.append(advice)
     if late:

@@ -61,13 +61,14 @@ class Row:
 
 @dataclass(frozen=True)
 class Placed:
-    """A row at its place. top, tall: pixels from the panel's first line on. words: its value as it
-    is written there; under: whether that stands under the label.
+    """A row at its place. top, tall: pixels from the panel's first line on. label, words: that and
+    its value as they are written there; under: whether that stands under the label.
     """
 
     row: Row
     top: int
     tall: int
+    label: str
     words: str
     under: bool
 
@@ -78,7 +79,9 @@ def place(rows: list[Row], width: int, height: int) -> list[Placed]:
     for row in rows:
         words, under = _fitted(row, width, height)
         lines = HEADING if not row.name else LINE + MORE * under + SLIDER * row.has_slider
-        found.append(Placed(row, top, round(lines * height), words, under))
+        room = _left(width, height)[1] - _indent(row, height)
+        label = text.shortened(row.label, room, height) if row.name else row.label
+        found.append(Placed(row, top, round(lines * height), label, words, under))
         top += found[-1].tall
     return found
 
@@ -89,12 +92,21 @@ def _fitted(row: Row, width: int, height: int) -> tuple[str, bool]:
     for words in (row.value, row.value.split(" ")[0]) if row.has_slider else (row.value,):
         if not words or text.length(row.label, height) + text.length(words, height) <= room:
             return words, False
-    return row.value, True
+    first, end = _left(width, height)
+    return _within(row.value, end - first, height), True
+
+
+def _within(words: str, room: int, height: int) -> str:
+    """A value in so many pixels; where it has marks it keeps these."""
+    if not words.startswith(MARKS[0]):
+        return text.shortened(words, room, height)
+    marks = round(text.length(marked(""), height))
+    return marked(text.shortened(words[2:-2], room - marks, height))
 
 
 def label_end(placed: Placed, height: int) -> float:
     """Where a row's label ends, and"""
-    return _indent(placed.row, height) + text.length(placed.row.label, height)
+    return _indent(placed.row, height) + text.length(placed.label, height)
 
 
 def value_start(placed: Placed, width: int, height: int) -> float:
@@ -155,14 +167,14 @@ def draw(
     ink = style.MUTED if row.fixed else style.KEY_INK if row.changed else style.INK
     y, words = 0.25 * height, f"{typed}_" if typed else placed.words
     label = style.INK if chosen or row.option else style.MUTED
-    text.write(block, row.label, (_indent(row, height), y), height, label)
+    text.write(block, placed.label, (_indent(row, height), y), height, label)
     x = _left(width, height)[1] - text.length(words, height)
     below = MORE * height if placed.under and not typed else 0.0
     text.write(block, words, (max(x, pad(height)), y + below), height, ink)
     _write_cost(block, row, y, height)
     if row.has_slider:
         _draw_slider(block, row, height, ink)
-    return block, " ".join(part for part in (row.label, words, row.cost) if part)
+    return block, " ".join(part for part in (placed.label, words, row.cost) if part)
 
 
 def _write_cost(block: np.ndarray, row: Row, y: float, height: int) -> None:
