@@ -42,6 +42,7 @@ from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import Event, fewest_moves
 from taichi_cloth.ui.text import Word
+from taichi_cloth.ui.views.ggui import GguiView
 from taichi_cloth.ui.views.none import NullView
 from taichi_cloth.ui.window_map import Look, WindowMap
 
@@ -1347,6 +1348,20 @@ def test_a_window_whose_connection_is_cut_keeps_the_files(kind, cut, caches, tmp
         "image.png", "record.jsonl", "save.npz", "video.gif",
     ]  # fmt: skip
     assert trajectories.load(tmp_path / "save.npz").frame[0] == 1
+
+
+def test_a_window_that_stands_still_next_has_our_title_and_not_gguis():
+    """Which GGUI writes as it shows a picture: a new title is written before that, and after."""
+    written = []
+    view = object.__new__(GguiView)
+    view._window = SimpleNamespace(show=lambda: written.append("probe 60.0 FPS"))
+    view._tap, view.closed = SimpleNamespace(entitle=written.append), False
+    view._title, view._named = "probe", time.perf_counter() + 60
+    view._present()
+    assert written == ["probe 60.0 FPS"]  # each time would be too often
+    view.entitle("probe, compiling")
+    view._present()
+    assert written[1:] == ["probe, compiling", "probe 60.0 FPS", "probe, compiling"]
 
 
 def test_an_interrupt_while_xlib_reads_events_is_raised_when_it_has(monkeypatch):

@@ -28,7 +28,7 @@ from taichi_cloth.ui.window_map import Look, WindowMap
 NO_VULKAN = "GGUI needs Vulkan, which is not there (install a Vulkan driver, such as Mesa's)"
 WHEEL = {4: 1.0, 5: -1.0}  # X's numbers of the wheel's buttons -> notches away from the user
 SETTINGS = Path("imgui.ini")  # of GGUI's text library, which we do not use
-ENTITLED = 0.25  # seconds after which a title is written again
+ENTITLED = 0.03  # seconds after which a title is written again as a picture is shown
 # Seconds after a look at whether the window is there in which `poll` does not look, too: each
 # waits for the X server, which reads the last picture at that time.
 LOOKED = 0.1
@@ -64,7 +64,7 @@ class GguiView:
         self._held: set[str] = set()
         self._last: Picture | None = None
         self._fresh = False  # whether what was drawn last can still be taken from the window
-        self._title, self._named = title, 0.0
+        self._title, self._named = title, 0.0  # when it is due again
         self._looked = 0.0  # when the window was last known to be there
         self.has_wheel = self._listens
         self.closed = False
@@ -86,11 +86,19 @@ class GguiView:
         self._last, self._fresh = None, False
 
     def entitle(self, title: str) -> None:
-        """Write a title over the window; GGUI writes its own again once a second."""
+        """Write a title over the window."""
+        if title != self._title:
+            self._title, self._named = title, 0.0
+            if self._tap and not self.closed:
+                self._tap.entitle(title)
+
+    def _present(self) -> None:
+        """Show what was drawn. GGUI writes a title of its own once a second as it does so."""
+        self._window.show()
         now = time.perf_counter()
-        if self._tap and not self.closed and (title != self._title or now > self._named):
-            self._title, self._named = title, now + ENTITLED
-            self._tap.entitle(title)
+        if self._tap and now > self._named:
+            self._named = now + ENTITLED
+            self._tap.entitle(self._title)
 
     # Events
 
@@ -178,7 +186,7 @@ class GguiView:
             if self._was_destroyed():  # Vulkan would end the process
                 return
             self._looked = time.perf_counter()
-            self._window.show()
+            self._present()
         self._fresh = not self.visible
 
     def _compose(self, picture: Picture) -> None:
@@ -201,7 +209,7 @@ class GguiView:
         pixels = drawing.as_image(self._window.get_image_buffer_as_numpy())
         if self.visible and not self._was_destroyed():
             # Else it would be shown in the place of the next frame, which would be drawn over it.
-            self._window.show()
+            self._present()
         return pixels
 
     def _was_destroyed(self) -> bool:
