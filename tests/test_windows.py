@@ -750,6 +750,8 @@ def test_a_notice_is_told_in_windows_of_any_size():
             if size[0] == 3840:
                 assert words[0].text == "playing"
     assert text.shortened("abc", 0.0, 12) == text.MISSING
+    lines = text.wrapped(f"cannot write {path} there", 300, 15)
+    assert all(text.length(line, 15) <= 300 for line in lines) and len(lines) > 2
 
 
 def test_letters_that_the_font_lacks_are_written_by_those_that_it_has():

@@ -126,9 +126,10 @@ def _write(
 
 
 def wrapped(line: str, width: int, height: int) -> list[str]:
-    """`line` broken at spaces so that each part is at most `width` pixels wide."""
+    """`line` broken at spaces, or shortened, so that each part is at most `width` pixels wide."""
     out, current = [], ""
     for word in line.split():
+        word = shortened(word, width, height)
         longer = f"{current} {word}".strip()
         if current and length(longer, height) > width:
             out.append(current)
