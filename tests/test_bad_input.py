@@ -4,6 +4,7 @@ Cases run `cli.main` in this process: they are refused before Taichi starts.
 """
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,6 +21,9 @@ from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import grid
 from taichi_cloth.scene.model import Particles, Scene, SpringDefaults, Springs, World
 from taichi_cloth.simulation.diagnostics import acceleration_at_start
+from taichi_cloth.stability import command as stability_command
+from taichi_cloth.trade import command as trade_command
+from taichi_cloth.trade import tune
 
 COMMAND_LINES = [
     # (arguments, what the line must say)
@@ -119,6 +123,35 @@ def test_a_resumed_run_that_is_refused_leaves_no_file(tmp_path):
         raise InputError("a budget that it cannot have")
     recorder.discard()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [
+        ("../../evil/x", "evil-x"),
+        ("a\nb\0c", "a-b-c"),
+        ("tücher 2.0", "tücher-2.0"),
+        ("布" * 300, "布" * 33),
+        ("../..", "scene"),
+    ],
+    ids=["another folder", "no line", "letters", "long", "nothing left"],
+)
+def test_a_scene_s_name_leads_to_no_other_folder(name, part, tmp_path, monkeypatch, capsys):
+    """Whatever a scene file is called by, results are in the folder where the command is given."""
+    monkeypatch.chdir(tmp_path)
+    scene = replace(library.build("oscillator"), name=name)
+    (tmp_path / "scene.toml").write_text(scenefile.dump(scene))
+    seen = []
+
+    def refused(folder, names):
+        seen.append(str(folder))
+        raise InputError("enough")
+
+    for module in (stability_command, trade_command, tune):
+        monkeypatch.setattr(module, "folder_of_results", refused)
+    for command in ("stability", "trade", "tune --error 1%"):
+        assert main([*command.split(), "scene.toml"]) == 2
+    assert seen == [f"stability-{part}", f"trade-{part}", f"tune-{part}"]
 
 
 def test_a_run_that_fails_where_a_disk_is_full_says_both(capsys):

@@ -12,6 +12,7 @@ import numpy as np
 
 from taichi_cloth import console, runtime
 from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.files.names import name_for_file
 from taichi_cloth.files.pending import folder_of_results
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits.network import Network
@@ -37,7 +38,7 @@ def main(source: SceneSource, options: StabilityOptions) -> int:
     """Do what the command asks for; the exit status. Ctrl-C keeps what is finished."""
     names, end = _methods(options.method), clock(options.within)
     scene = source.build()
-    folder = Path(options.output or f"stability-{scene.name}")
+    folder = Path(options.output or f"stability-{name_for_file(scene.name, 'scene')}")
     known = of_scene("stability", source, options, scene)
     with (
         folder_of_results(folder, report.FILES),

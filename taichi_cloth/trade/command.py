@@ -12,6 +12,7 @@ from typing import Any
 
 from taichi_cloth import console
 from taichi_cloth.errors import InputError
+from taichi_cloth.files.names import name_for_file
 from taichi_cloth.files.pending import folder_of_results, write_all
 from taichi_cloth.scene.fingerprint import scene_hash
 from taichi_cloth.scene.model import Scene
@@ -32,7 +33,7 @@ FILES = ("trade.csv", "trade.json", "trade.png", "trade.svg")
 def main(source: SceneSource, options: TradeOptions) -> int:
     """Measure, write the files, print the table; the exit status."""
     scene, chosen, how = prepare(source, options)
-    folder = Path(options.output or f"trade-{scene.name}")
+    folder = Path(options.output or f"trade-{name_for_file(scene.name, 'scene')}")
     known = of_scene("trade", source, options, scene, options.times_on)
     with (
         folder_of_results(folder, FILES),

@@ -19,6 +19,7 @@ import numpy as np
 from taichi_cloth import console
 from taichi_cloth.console import duration
 from taichi_cloth.errors import InputError, RunFailure, clipped, counted
+from taichi_cloth.files.names import name_for_file
 from taichi_cloth.files.pending import folder_of_results
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.penetration import touches
@@ -153,7 +154,7 @@ def main(source: SceneSource, options: TuneOptions) -> int:
                 f"--penetration: there is nothing that particles of scene '{scene.name}' can touch"
             )
     how = replace(how, solver_errors=False)
-    folder = Path(options.output or f"tune-{scene.name}")
+    folder = Path(options.output or f"tune-{name_for_file(scene.name, 'scene')}")
     known = of_scene("tune", source, options, scene, options.times_on)
     with (
         folder_of_results(folder, ()),
