@@ -22,8 +22,7 @@ class InputError(ValueError):
     exit_status = 2
 
     def __init__(self, message: str = "") -> None:
-        shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in message)
-        super().__init__(clipped("".join(shown), 1000))
+        super().__init__(clipped(printable(message), 1000))
 
 
 class RunFailure(RuntimeError):
@@ -69,6 +68,12 @@ def nearest(word: str, known: Iterable[str]) -> str:
 def clipped(text: str, most: int = 40) -> str:
     """`text` for a message of one line: cut where it is longer than `most`."""
     return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def printable(text: str) -> str:
+    """`text` with what does not print written as its escape."""
+    shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return "".join(shown)
 
 
 def one_line(error: BaseException) -> str:

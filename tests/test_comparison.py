@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import taichi_cloth as tc
+from taichi_cloth.comparison import picture as pictures
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene import library
@@ -62,6 +63,12 @@ def test_the_distance_is_the_phase_error_of_the_oscillator(swings):
     assert found.parted == times[np.argmax(apart > 0.002 * scale)]
     assert found.difference.time == 1.0 and found.difference.particle == 1
     assert not found.identical and found.first_break is None and found.break_a is None
+
+
+def test_a_file_s_name_is_no_formula_in_a_picture(swings):
+    """Nor does it make the picture no picture, whatever is in it."""
+    found = replace(tc.compare(swings[1.0], swings[0.5]), a="$\\x$", b="\0 $")
+    assert ElementTree.fromstring(pictures.draw(found, "svg")).tag.endswith("svg")
 
 
 def test_identical_runs_are_identical(swings, cli):

@@ -4,6 +4,8 @@ import csv
 import json
 import math
 import re
+from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -463,6 +465,15 @@ def test_the_command_finds_the_chain_s_limit_and_writes_its_files(cli, tmp_path)
     assert {p["stable"] for p in points} == {"yes", "no"}
     assert (folder / "stability.png").read_bytes().startswith(b"\x89PNG")
     assert b"<svg" in (folder / "stability.svg").read_bytes()
+
+
+def test_a_title_is_no_formula(tmp_path):
+    """A scene may be called anything, and all has been measured by the time it is drawn."""
+    scene = replace(build("oscillator"), name="$\\x$ \0")
+    limits = [experiment.computed("verlet", Network.from_scene(scene))]
+    for maps in ([], [experiment.Map("verlet", "mass", [1.0], [1.0], [(1.0, 1.0, True)])]):
+        report.write(tmp_path, scene, limits, maps, experiment.stall(scene))
+        assert ElementTree.parse(tmp_path / "stability.svg").getroot().tag.endswith("svg")
 
 
 def test_the_command_refuses_what_it_cannot_do(tmp_path, capsys):

@@ -32,7 +32,7 @@ from taichi_cloth.measuring.worker import Worker, WorkerFailed
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.settings.sweeps import TradeOptions
-from taichi_cloth.trade import ode, reference, rows, settings, tune
+from taichi_cloth.trade import ode, plot, reference, rows, settings, tune
 from taichi_cloth.trade.errors import Breaks, Contacts, Invariants, Samples, distance
 from taichi_cloth.trade.outcomes import Outcome, Result, StudyFailure, failed_by
 from taichi_cloth.trade.runner import Study
@@ -392,6 +392,16 @@ def test_plots_are_whole_pictures(oscillator):
     assert (picture[:, [0, -1]] == 255).all() and (picture[[0, -1]] == 255).all()  # nothing cut
     svg = ElementTree.parse(oscillator[0] / "trade.svg").getroot()
     assert svg.tag.endswith("svg")
+
+
+def test_a_plot_s_title_is_no_formula():
+    """A scene may be called anything, and all has been measured by the time it is drawn."""
+    made = made_up(np.random.default_rng(3), 4)
+    exact = reference.Reference(None, "the closed form", "", SimpleNamespace(trajectory=1e-9))
+    scene = replace(library.build("oscillator"), name="$\\x$ \0")
+    horizon = reference.Horizon(10, 10, 50.0, "the largest displacement", 0.0)
+    result = Result(scene, [], {}, horizon, exact)
+    assert ElementTree.fromstring(plot.draw(result, made, ["svg"])["svg"]).tag.endswith("svg")
 
 
 def test_a_row_can_be_run_again(oscillator, cli, tmp_path):

@@ -10,7 +10,7 @@ import numpy as np
 
 from taichi_cloth.comparison.compare import Comparison
 from taichi_cloth.comparison.report import in_short, limit_of, parted_in_short
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, printable
 from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.trade.plot import file_of
 
@@ -68,7 +68,8 @@ def draw(found: Comparison, kind: str) -> bytes:
     axes.grid(True, which="major", color="0.88", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.legend(loc="lower right", fontsize=9)
-    figure.suptitle(f"A: {_short(found.a)}    B: {_short(found.b)}", fontsize=11)
+    title = f"A: {_short(found.a)}    B: {_short(found.b)}"
+    figure.suptitle(title, fontsize=11, parse_math=False)  # a file's $ is a $
     return file_of(figure, kind)
 
 
@@ -96,4 +97,5 @@ def _mark(axes: Axes, found: Comparison) -> None:
 
 def _short(text: str) -> str:
     """The end of a long name, which tells it from others."""
+    text = printable(text)
     return text if len(text) <= 48 else f"...{text[-45:]}"

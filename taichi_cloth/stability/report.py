@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taichi_cloth import console
+from taichi_cloth.errors import printable
 from taichi_cloth.files.pending import write_all
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits.auto_step import SAFETY
@@ -170,12 +171,12 @@ def _figure(scene: Scene, limits: Sequence[StepLimits], maps: Sequence[Map]) -> 
 
     drawn = [of for of in limits if any(m.method == of.method for m in maps)]
     count = f"{len(scene.particles)} particles, {len(scene.springs)} springs"
-    title = f"Stable and unstable runs of {scene.name} ({count})"
+    title = f"Stable and unstable runs of {printable(scene.name)} ({count})"
     if not drawn:
         figure = Figure(figsize=(7, 3))
         lines = [f"{of.method}: {of.status}" for of in limits]
         figure.text(0.5, 0.5, "No map.\n" + "\n".join(lines), ha="center", va="center")
-        figure.suptitle(title)
+        figure.suptitle(title, parse_math=False)
         return figure
     kinds = [kind for kind in AXES if any(m.kind == kind for m in maps)]
     figure = Figure(figsize=(1.2 + 3.6 * max(len(drawn), 2), 1.2 + 3.5 * len(kinds)))
@@ -201,7 +202,7 @@ def _figure(scene: Scene, limits: Sequence[StepLimits], maps: Sequence[Map]) -> 
     figure.legend(
         list(handles.values()), list(handles), loc="lower center", ncols=len(handles), frameon=False
     )
-    figure.suptitle(title)
+    figure.suptitle(title, parse_math=False)
     figure.tight_layout(rect=(0, 0.06, 1, 0.98))
     return figure
 

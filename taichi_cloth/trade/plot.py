@@ -6,6 +6,7 @@ import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from taichi_cloth.errors import printable
 from taichi_cloth.trade.outcomes import Result
 from taichi_cloth.trade.rows import Row
 
@@ -69,15 +70,16 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
         )  # fmt: skip
     _label_axes(of_time, of_step, rows)
     of_time.set_ylabel(f"trajectory error (RMS, in parts of {result.horizon.what.split(',')[0]})")
-    figure.suptitle(_title(result), fontsize=11)
+    figure.suptitle(_title(result), fontsize=11, parse_math=False)  # a name's $ is a $
     _legend(figure, styles, rows)
     return {kind: file_of(figure, kind) for kind in kinds}
 
 
 def _title(result: Result) -> str:
     assert result.reference and result.horizon
+    name = printable(result.scene.name)
     title = (
-        f"{result.scene.name}: error beside cost, {len(result.scene.particles)} particles, "
+        f"{name}: error beside cost, {len(result.scene.particles)} particles, "
         f"{result.horizon.frames} frames; reference: {result.reference.what}"
     )
     if result.reference.event:
