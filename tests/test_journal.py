@@ -73,6 +73,30 @@ def test_a_file_that_is_not_there_is_written_anew(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_what_is_not_as_it_was_written_is_measured_again(tmp_path):
+    """Of a file that changed at the same size, and of lines that are JSON as before."""
+    path = written(tmp_path, 3)
+    whole = path.read_bytes()
+    (file,) = (tmp_path / journals.FILES).iterdir()
+    states = file.read_bytes()
+    file.write_bytes(states[:-1] + bytes([states[-1] ^ 1]))
+    path.write_bytes(whole.replace(b"0.6666", b"0.6667"))
+    journal = Journal(tmp_path, OF, resume=True)
+    assert journal.finished() == [key_of("run", 1)] and not file.exists()
+    assert journal.once(key_of("run", 2), lambda: "again") == "again"
+    journal._file.close()
+    path.write_bytes(whole.replace(b', "crc"', b', "sum"'))
+    assert Journal(tmp_path, OF, resume=True).resumed == 0
+
+
+def test_a_line_that_is_nested_deeply_is_none_of_a_journal(tmp_path):
+    path = written(tmp_path, 1)
+    with path.open("ab") as file:
+        file.write(b"[" * 100_000 + b"\n")
+    with pytest.raises(InputError, match="line 3 is none of a journal"):
+        Journal(tmp_path, OF, resume=True)
+
+
 @pytest.mark.parametrize(
     ("identity", "says"),
     [

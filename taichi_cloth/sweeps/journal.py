@@ -2,7 +2,8 @@
 
 `sweep.jsonl` begins with what the sweep is (its scene, its settings, the versions); each line after
 that is a result with its key. Arrays are files of `sweep.files` beside it, which are on the disk
-before the line that names them is. A line that a kill tore is as if it had never been begun.
+before the line that names them is. A line that a kill tore is as if it had never been begun; so is
+one of which a checksum (CRC-32, of the line and of its file) says that it is not what was written.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import shutil
 import sys
 import threading
 import time
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +29,8 @@ with contextlib.suppress(ImportError):
     fcntl = importlib.import_module("fcntl")
 
 NAME, FILES = "sweep.jsonl", "sweep.files"
-FORMAT = 2  # of the lines: another one is another sweep's
+FORMAT = 3  # of the lines: another one is another sweep's
+BLOCK = 1 << 20  # bytes of a file that are read at once
 
 
 @dataclass(frozen=True)
@@ -98,9 +101,9 @@ class Journal:
         if file is not None:
             _sync(file)
             _sync(self._files)
-            line |= {"file": file.name, "bytes": file.stat().st_size}
+            line |= {"file": file.name, "bytes": file.stat().st_size, "file's crc": _crc_of(file)}
         with self._lock:
-            self._write(line)
+            self._write(line | {"crc": _crc(line)})
             self._entries[key] = Entry(result, file)
             return self._entries[key]
 
@@ -142,7 +145,7 @@ class Journal:
         self._write(self._header)
 
     def _write(self, line: Mapping[str, Any]) -> None:
-        self._file.write(json.dumps(line, default=str).encode() + b"\n")
+        self._file.write(_as_json(line) + b"\n")
         self._file.flush()
         os.fsync(self._file.fileno())
 
@@ -156,8 +159,10 @@ class Journal:
             return
         self._check(lines[0])
         for line in lines[1:]:
+            if line.pop("crc", None) != _crc(line):
+                continue
             file = self._files / line["file"] if "file" in line else None
-            if file is None or (file.is_file() and file.stat().st_size == line["bytes"]):
+            if file is None or _is_whole(file, line):
                 self._entries[line["key"]] = Entry(line["result"], file)
         self._file.truncate(len(whole))
         self._files.mkdir(exist_ok=True)
@@ -173,7 +178,7 @@ class Journal:
                 _is_entry(parsed) if number > 1 else "result" not in parsed
             ):
                 return parsed
-        except ValueError:
+        except (ValueError, RecursionError):  # the latter of what is nested too deeply
             pass
         raise InputError(
             f"--resume {self.path}: line {number} is none of a journal; start anew without --resume"
@@ -196,6 +201,29 @@ def _is_entry(line: Mapping[str, Any]) -> bool:
     named = isinstance(line.get("file"), str) and isinstance(line.get("bytes"), int)
     without = not {"file", "bytes"} & line.keys()
     return "result" in line and isinstance(line.get("key"), str) and (named or without)
+
+
+def _crc(line: Mapping[str, Any]) -> int:
+    """The checksum of a line, which is the same before it is written and after it was read."""
+    return zlib.crc32(_as_json(line))
+
+
+def _crc_of(file: Path) -> int:
+    crc = 0
+    with file.open("rb") as content:
+        while block := content.read(BLOCK):
+            crc = zlib.crc32(block, crc)
+    return crc
+
+
+def _is_whole(file: Path, line: Mapping[str, Any]) -> bool:
+    """Whether a line's file is there, and as it was when the line was written."""
+    there = file.is_file() and file.stat().st_size == line["bytes"]
+    return there and _crc_of(file) == line.get("file's crc")
+
+
+def _as_json(line: Mapping[str, Any]) -> bytes:
+    return json.dumps(line, default=str).encode()
 
 
 def _sync(path: Path) -> None:
