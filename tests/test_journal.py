@@ -1,6 +1,7 @@
 """Sweeps go on after a kill: nothing that was finished is lost, nothing is measured twice."""
 
 import csv
+import errno
 import json
 import os
 import signal
@@ -117,6 +118,31 @@ def test_another_sweep_s_journal_is_refused_by_name_and_stays(tmp_path, identity
         with pytest.raises(InputError, match="line 2 is none of a journal"):
             Journal(tmp_path, OF, resume=True)
     assert Journal(tmp_path, OF).resumed == 0  # anew
+
+
+def full(*_):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_full_disk_is_named_and_leaves_what_was_whole(tmp_path, monkeypatch):
+    """No half of a line, and no journal that has none."""
+    path = tmp_path / journals.NAME
+    with monkeypatch.context() as disk:
+        disk.setattr(os, "fsync", full)
+        with pytest.raises(InputError, match=f"^{path}: cannot be written: No space left"):
+            Journal(tmp_path, OF)
+    assert not list(tmp_path.iterdir())
+    journal = Journal(tmp_path, OF)
+    journal.add("a", 1)
+    with monkeypatch.context() as disk:
+        disk.setattr(os, "fsync", full)
+        with pytest.raises(InputError, match=f"^{path}: cannot be written: No space left"):
+            journal.add("b", 2)
+        with pytest.raises(InputError, match="npz: cannot be written"), journal.written(".npz"):
+            full()
+    journal.add("c", 3)
+    journal.close()
+    assert Journal(tmp_path, OF, resume=True).finished() == ["a", "c"]
 
 
 def test_one_sweep_at_a_time_writes_to_a_journal(tmp_path):

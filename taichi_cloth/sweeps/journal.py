@@ -19,8 +19,9 @@ import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from taichi_cloth.errors import InputError, clipped, counted
 
@@ -60,16 +61,16 @@ class Journal:
         self._entries: dict[str, Entry] = {}
         self._lock, self._number = threading.Lock(), 0
         self._mine = f"{os.getpid()}-{time.time_ns():x}"  # of no other process
-        try:
-            self._file: BinaryIO = self.path.open("a+b")
-        except OSError as error:
-            raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
+        with _on_disk(self.path):
+            # Unbuffered: what a full disk refuses is not tried again when the file is closed.
+            self._file: FileIO = self.path.open("a+b", buffering=0)
         try:
             self._take()
-            if resume:
-                self._read()
-            if not self._entries:
-                self._begin()
+            with _on_disk(self.path):
+                if resume:
+                    self._read()
+                if not self._entries:
+                    self._begin()
         except BaseException:
             self._file.close()
             raise
@@ -95,13 +96,25 @@ class Journal:
             # Of a process that was killed, workers may still write for a moment.
             return self._files / f"{self._mine}-{self._number}{suffix}"
 
+    @contextlib.contextmanager
+    def written(self, suffix: str) -> Iterator[Path]:
+        """A `new_file` that is written as long as the context lasts, in this process."""
+        file = self.new_file(suffix)
+        with _on_disk(file):
+            yield file
+
     def add(self, key: str, result: Any, file: Path | None = None) -> Entry:
-        """Keep a result, on the disk before this returns; file: one of `new_file`, written."""
+        """Keep a result, on the disk before this returns; file: one of `new_file`, written.
+
+        Raises InputError where the disk is full.
+        """
         line: dict[str, Any] = {"key": key, "result": result}
         if file is not None:
-            _sync(file)
-            _sync(self._files)
-            line |= {"file": file.name, "bytes": file.stat().st_size, "file's crc": _crc_of(file)}
+            with _on_disk(file):
+                _sync(file)
+                _sync(self._files)
+                size, crc = file.stat().st_size, _crc_of(file)
+            line |= {"file": file.name, "bytes": size, "file's crc": crc}
         with self._lock:
             self._write(line | {"crc": _crc(line)})
             self._entries[key] = Entry(result, file)
@@ -139,15 +152,25 @@ class Journal:
             pass
 
     def _begin(self) -> None:
-        self._file.truncate(0)
-        shutil.rmtree(self._files, ignore_errors=True)
-        self._files.mkdir()
-        self._write(self._header)
+        try:
+            self._file.truncate(0)
+            shutil.rmtree(self._files, ignore_errors=True)
+            self._files.mkdir()
+            self._write(self._header)
+        except BaseException:
+            self.discard()
+            raise
 
     def _write(self, line: Mapping[str, Any]) -> None:
-        self._file.write(_as_json(line) + b"\n")
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        end, rest = os.fstat(self._file.fileno()).st_size, _as_json(line) + b"\n"
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                self._file.truncate(end)  # a half of a line would spoil the next one
+            raise _cannot_write(self.path, error) from None
 
     def _read(self) -> None:
         """Take what an earlier run finished, and cut off the line that it was torn from."""
@@ -224,6 +247,19 @@ def _is_whole(file: Path, line: Mapping[str, Any]) -> bool:
 
 def _as_json(line: Mapping[str, Any]) -> bytes:
     return json.dumps(line, default=str).encode()
+
+
+@contextlib.contextmanager
+def _on_disk(path: Path) -> Iterator[None]:
+    """Where the disk is full, or a folder cannot be written to, raise InputError with the path."""
+    try:
+        yield
+    except OSError as error:
+        raise _cannot_write(path, error) from None
+
+
+def _cannot_write(path: Path, error: OSError) -> InputError:
+    return InputError(f"{path}: cannot be written: {error.strerror or error}")
 
 
 def _sync(path: Path) -> None:

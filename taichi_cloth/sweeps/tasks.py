@@ -148,8 +148,8 @@ def _take(journal: Journal, task: Task, future: Future[bytes]) -> str:
     for finished in answer:
         file = None
         if finished.content is not None:
-            file = journal.new_file(".npz")
-            file.write_bytes(finished.content)
+            with journal.written(".npz") as file:
+                file.write_bytes(finished.content)
         journal.add(finished.key, finished.result, file)
     lacking = sum(journal.get(key) is None for key in task.keys)
     return f"{lacking} of {counted(len(task.keys), 'result')} did not come" if lacking else ""

@@ -83,8 +83,8 @@ class Records:
 
     def keep_solution(self, scene: Scene, times: np.ndarray, solved: SmoothTrajectory) -> None:
         """Keep the smooth solution."""
-        file = self.journal.new_file(".npz")
-        np.savez(file, x=solved.x, v=solved.v)
+        with self.journal.written(".npz") as file:
+            np.savez(file, x=solved.x, v=solved.v)
         result = {"until": solved.until, "event": solved.event, "given_up": solved.given_up}
         self.journal.add(self._solution_key(scene, times), result, file)
 

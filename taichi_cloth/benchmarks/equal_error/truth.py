@@ -63,8 +63,9 @@ def truth_of(problem: Problem, patience: float, tell: Tell, journal: Journal) ->
         return Truth(Samples.read(entry.file), free, **entry.result)
     truth = compute(problem, patience, tell, journal)
     if isinstance(truth, Truth):
-        file, states = journal.new_file(".npz"), truth.samples
-        np.savez(file, x=states.x, v=states.v, alive=states.alive, contacts=states.contacts)
+        states = truth.samples
+        with journal.written(".npz") as file:
+            np.savez(file, x=states.x, v=states.v, alive=states.alive, contacts=states.contacts)
         journal.add(key, {name: getattr(truth, name) for name in TOLD}, file)
     return truth
 
