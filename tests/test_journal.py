@@ -183,6 +183,8 @@ def test_a_sweep_is_what_its_results_depend_on():
     assert asked == of(TradeOptions.from_given({"frames": 30, "output": "b", "resume": True}))
     assert asked["settings"] == "--frames 30" and "taichi-cloth " in asked["versions"]
     assert asked != of(TradeOptions.from_given({"frames": 31}))
+    for beside in ({"within": "60s"}, {"quick": True}):
+        assert asked == of(TradeOptions.from_given({"frames": 30, **beside}))
     assert of(TuneOptions.from_given({"error": "1%"})) == of(TuneOptions.from_given({}))
 
 

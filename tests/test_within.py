@@ -14,11 +14,13 @@ from taichi_cloth import runtime
 from taichi_cloth.cli.main import main
 from taichi_cloth.limits import eigenmodes
 from taichi_cloth.scene import library
+from taichi_cloth.scene.fingerprint import scene_hash
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.sweeps import TradeOptions
 from taichi_cloth.stability import command as stability
 from taichi_cloth.stability import experiment
-from taichi_cloth.sweeps.journal import Journal
+from taichi_cloth.sweeps.identity import of_scene
+from taichi_cloth.sweeps.journal import Journal, kept
 from taichi_cloth.sweeps.within import Clock, TimeIsUp, clock, ending, said_of_left_out
 from taichi_cloth.trade import command, runner
 from taichi_cloth.trade.outcomes import Outcome
@@ -172,6 +174,7 @@ class Machine:
     def __init__(self, hand, clock, compiling, step):
         self.hand, self.clock, self.compiling, self.step = hand, clock, compiling, step
         self.lock = threading.Lock()
+        self.sampled = []  # (setting, frames, digest of the scene) of all runs
 
     def process(self, kind, scene, how, folder, stop):
         return Made(self, kind, scene, stop)
@@ -220,6 +223,7 @@ class Made:
         return [run] if do == "time" else None
 
     def sampled(self, setting, scene, frames, file):
+        self.machine.sampled.append((setting, frames, scene_hash(scene)))
         times = np.arange(frames + 1) * setting.dt
         x, v = SceneSource("oscillator").solution()(scene, times)
         x = x + (times * setting.step**4)[:, None, None]
@@ -246,6 +250,39 @@ def test_a_minute_has_rows_wherever_a_reference_and_a_timing_fit(compiling, tmp_
         named = "\n".join(result.left_out)
         for method, (arch, precision, _) in of - whole:
             assert f"{method}, {arch} {precision}: all of it" in named
+
+
+@pytest.mark.parametrize(("begun", "then"), [(20.0, 600.0), (20.0, None), (None, 60.0)])
+def test_a_sweep_goes_on_in_another_time_with_what_it_has(begun, then, tmp_path, monkeypatch):
+    """Its settings and its frames stay those that it began with: no run is made for nothing."""
+    source, hand = SceneSource("oscillator"), Hand()
+    machine = Machine(hand, Clock(), 3.0, 2e-2)
+    monkeypatch.setattr(runner, "TrialProcess", machine.process)
+    seen = []
+
+    def go_on(seconds, **how):
+        asked = TradeOptions.from_given({"within": f"{seconds}s"} if seconds else {})
+        scene, chosen, conditions = command.prepare(source, asked)
+        machine.clock = Clock(seconds or np.inf, hand)
+        conditions = replace(conditions, clock=machine.clock)
+        known = of_scene("trade", source, asked, scene)
+        with kept(tmp_path, known, within=machine.clock.seconds, **how) as journal:
+            chosen, conditions = command.planned(scene, asked, chosen, conditions, journal)
+            seen.append(chosen)
+            given = source, asked, scene, chosen, conditions, journal
+            with command.measured(*given, quiet=True) as result:
+                if not how["resume"]:
+                    raise KeyboardInterrupt
+                return result
+
+    with pytest.raises(KeyboardInterrupt):
+        go_on(begun, resume=False)
+    before = list(machine.sampled)
+    result = go_on(then, resume=True)
+    assert seen[0] == seen[1] and len(set(machine.sampled)) == len(machine.sampled)
+    assert before and result.horizon.asked == max(frames for _, frames, _ in before)
+    done = {outcome.setting for outcome in result.outcomes}
+    assert {setting for setting, _, _ in before if setting in seen[0]} <= done
 
 
 def test_what_is_left_out_is_said_by_method_and_nothing_without_a_limit():

@@ -15,6 +15,7 @@ PACKAGES = ("taichi-cloth", "taichi", "numpy", "scipy", "python")
 # Settings that change no result: a sweep may go on with other ones.
 BESIDE = (
     *("output", "resume", "on", "times_on", "quiet"),
+    *("within", "quick"),  # what they plan, a journal keeps itself
     *("error", "frame_time", "penetration", "seed", "json"),  # of `tune`, which chooses by them
 )
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import json
+import math
 import os
 import shutil
 import sys
@@ -31,6 +32,7 @@ with contextlib.suppress(ImportError):
 
 NAME, FILES = "sweep.jsonl", "sweep.files"
 FORMAT = 3  # of the lines: another one is another sweep's
+WITHIN = "planned for"  # of the first line: the seconds that the sweep began with
 BLOCK = 1 << 20  # bytes of a file that are read at once
 
 
@@ -52,12 +54,20 @@ class Journal:
 
     folder: where the journal lies. identity: what the sweep is, in words by name, which has to be
     the same when it goes on. resume: whether to go on with a journal that lies there; else that is
-    dropped. Raises InputError where it is another sweep's, or another process writes to it.
+    dropped. within: the seconds that the sweep has; then, those for which it was planned when it
+    began: it may go on in another time. Raises InputError where it is another sweep's, or another
+    process writes to it.
     """
 
-    def __init__(self, folder: Path, identity: Mapping[str, Any], resume: bool = False):
+    def __init__(
+        self,
+        folder: Path,
+        identity: Mapping[str, Any],
+        resume: bool = False,
+        within: float = math.inf,
+    ):
         self.path, self._files = folder / NAME, folder / FILES
-        self._header = {"journal": FORMAT, **identity}
+        self._header, self.within = {"journal": FORMAT, **identity}, within
         self._entries: dict[str, Entry] = {}
         self._lock, self._number = threading.Lock(), 0
         self._mine = f"{os.getpid()}-{time.time_ns():x}"  # of no other process
@@ -156,7 +166,7 @@ class Journal:
             self._file.truncate(0)
             shutil.rmtree(self._files, ignore_errors=True)
             self._files.mkdir()
-            self._write(self._header)
+            self._write(self._header | {WITHIN: self.within})
         except BaseException:
             self.discard()
             raise
@@ -180,7 +190,9 @@ class Journal:
         lines = [self._parsed(number, line) for number, line in enumerate(whole.splitlines(), 1)]
         if not lines:
             return
+        within = lines[0].pop(WITHIN, None)
         self._check(lines[0])
+        self.within = within if isinstance(within, float) else self.within
         for line in lines[1:]:
             if line.pop("crc", None) != _crc(line):
                 continue
@@ -274,15 +286,22 @@ def _sync(path: Path) -> None:
 
 @contextlib.contextmanager
 def kept(
-    folder: Path, identity: Mapping[str, Any], resume: bool, quiet: bool = False
+    folder: Path,
+    identity: Mapping[str, Any],
+    resume: bool,
+    quiet: bool = False,
+    within: float = math.inf,
 ) -> Iterator[Journal]:
     """A sweep's journal, as long as the context lasts: what ends that early leaves it there.
 
     Standard error says with what it goes on, unless `quiet`, and what is left.
     """
-    journal = Journal(folder, identity, resume)
+    journal = Journal(folder, identity, resume, within)
     if resume and not quiet:
         found = counted(journal.resumed, "finished result")
+        if journal.within != within:
+            begun = f"{journal.within:g} s" if math.isfinite(journal.within) else "any time"
+            found += f", of what was planned for {begun}"
         says = f"goes on with {found}" if journal.resumed else "there is none: this begins anew"
         print(f"--resume {journal.path}: {says}", file=sys.stderr, flush=True)
     try:

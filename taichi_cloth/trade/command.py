@@ -7,6 +7,7 @@ import datetime
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from taichi_cloth.sweeps.cluster import connected
 from taichi_cloth.sweeps.identity import PACKAGES, of_scene
 from taichi_cloth.sweeps.journal import Journal, kept
 from taichi_cloth.sweeps.tasks import Elsewhere, said_of_lost
+from taichi_cloth.sweeps.within import Clock
 from taichi_cloth.trade import plot, reference, report, rows, runner, settings
 from taichi_cloth.trade.conditions import RunConditions, conditions, without_mouse
 from taichi_cloth.trade.outcomes import Result
@@ -38,8 +40,9 @@ def main(source: SceneSource, options: TradeOptions) -> int:
     with (
         folder_of_results(folder, FILES),
         connected(options.on, options.times_on) as elsewhere,
-        kept(folder, known, options.resume) as journal,
+        kept(folder, known, options.resume, within=how.clock.seconds) as journal,
     ):
+        chosen, how = planned(scene, options, chosen, how, journal)
         with measured(source, options, scene, chosen, how, journal, elsewhere) as result:
             if not result.outcomes and not result.interrupted and how.clock.limited:
                 raise InputError(
@@ -94,6 +97,22 @@ def prepare(
                     f"--archs {arch}: not usable here (it needs {usable[arch]}); usable: {there}"
                 )
     return scene, chosen, how
+
+
+def planned(
+    scene: Scene,
+    options: ComparisonOptions,
+    chosen: list[settings.Setting],
+    how: RunConditions,
+    journal: Journal,
+) -> tuple[list[settings.Setting], RunConditions]:
+    """What `prepare` gave, or, where a sweep goes on in another time than it began in, the settings
+    that were chosen then: else some that are finished would not be among them.
+    """
+    if journal.within == how.clock.seconds:
+        return chosen, how
+    begun = settings.choose(scene, options, Clock(journal.within))
+    return begun, replace(conditions(scene, options, len(begun)), clock=how.clock)
 
 
 @contextlib.contextmanager

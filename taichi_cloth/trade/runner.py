@@ -6,6 +6,7 @@ Processes compile and compute side by side, but whenever one is timed the others
 from __future__ import annotations
 
 import contextlib
+import math
 import queue
 import tempfile
 import threading
@@ -105,7 +106,9 @@ class Study:
         self._folder = tempfile.TemporaryDirectory(prefix="taichi-cloth-trade-")
         self.folder = Path(self._folder.name)
         self._closes_journal = journal is None
-        self._records = Records(Journal(self.folder, {}) if journal is None else journal)
+        if journal is None:
+            journal = Journal(self.folder, {}, within=how.clock.seconds)
+        self._records = Records(journal)
         self._processes: list[TrialProcess] = []
         self._elsewhere, self._came = elsewhere, threading.Event()
         self.lost: list[str] = []
@@ -164,11 +167,26 @@ class Study:
             raise StudyFailure(f"a process of the study: {failure}; {LOST_REMEDY}")
         if failure:
             raise failure
+        for course in self._courses:
+            self._take_finished(course)
         found = [course.result(self.settings, self._dt, interrupted) for course in self._courses]
         for result in found:
             if not interrupted:
                 self._say_left_out(result)
         return found
+
+    def _take_finished(self, course: _Course) -> None:
+        """Take what an earlier run has finished and this one, in its time, did not come to."""
+        if course.horizon is None:
+            return
+        exact = filter(None, map(settings.converged, self.settings))
+        for setting in {*self.settings, *exact} - course.outcomes.keys() - course.converged.keys():
+            outcome = self._records.sampled(course.scene, setting, course.horizon.frames)
+            if outcome is None:
+                continue
+            wanted = outcome.ok and setting in self._wanted
+            if not wanted or self._records.timed(course.scene, outcome, course.horizon.frames):
+                self._finish(course, outcome)
 
     def _say_left_out(self, result: Result) -> None:
         """Note in a result the time that there was, and what was left out for it."""
@@ -323,32 +341,50 @@ class Study:
         frames: int,
         seconds: float,
     ) -> list[Outcome]:
-        """The samples of settings of one method, of those that fit in so many seconds."""
+        """The samples of settings of one method: those that an earlier run has taken, and those
+        that fit in so many seconds.
+        """
         begin = time.monotonic()
         share = Share(seconds, self.how.budget)
         outcomes: list[Outcome] = []
+        ran = False
         for setting in of:
-            made = bool(process.about(setting.method))
-            fits = share.fits(setting) if outcomes else self._pace.fits(setting.method, made)
-            if not fits:
-                continue
-            outcome = self._sample(process, scene, setting, frames)
-            if not made:
-                self._pace.compiled(setting.method, time.monotonic() - begin - outcome.sampled_in)
-            share.took(outcome)
+            outcome = self._records.sampled(scene, setting, frames)
+            if outcome is None:
+                made = bool(process.about(setting.method))
+                fits = share.fits(setting) if ran else self._pace.fits(setting.method, made)
+                if not fits:
+                    continue
+                outcome = self._sample(process, scene, setting, frames)
+                if not made:
+                    took = time.monotonic() - begin - outcome.sampled_in
+                    self._pace.compiled(setting.method, took)
+                share.took(outcome)
+                ran = True
             outcomes.append(outcome)
         return outcomes
 
     def _plan(self, process: TrialProcess, first: Setting) -> None:
-        """Cut the horizon to what can be compared in the time there is, by a first timing."""
-        if self.how.clock.limited and not self._planned.is_set():
-            begin = time.monotonic()
-            # The first run of a process compiles more than the method.
-            few = [self._sample(process, self._courses[0].scene, first, n) for n in FIRST]
-            self._pace.compiled(first.method, time.monotonic() - begin)
-            frames = self._pace.frames(self._asked, few[-1].sampled_in / FIRST[-1])
-            self._asked = self._records.journal.once("frames", lambda: frames)
+        """Cut the horizon to what can be compared in the time there is, by a first timing; where a
+        sweep goes on, to what it was cut to when it began.
+        """
+        journal = self._records.journal
+        begun = journal.get("frames")
+        if begun is None and math.isfinite(journal.within) and not self._planned.is_set():
+            begun = journal.add("frames", self._fitting(process, first))
+        if begun is not None:
+            self._asked = begun.result
         self._planned.set()
+
+    def _fitting(self, process: TrialProcess, first: Setting) -> int:
+        """The frames that can be compared in the time there is."""
+        if not self.how.clock.limited:
+            return self._asked
+        begin = time.monotonic()
+        # The first run of a process compiles more than the method.
+        few = [self._sample(process, self._courses[0].scene, first, n) for n in FIRST]
+        self._pace.compiled(first.method, time.monotonic() - begin)
+        return self._pace.frames(self._asked, few[-1].sampled_in / FIRST[-1])
 
     def _find_references(self, process: TrialProcess, method: str, course: _Course) -> None:
         """The horizon, then fine runs within it."""

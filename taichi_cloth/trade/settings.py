@@ -14,7 +14,7 @@ from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import ARCHS, PRECISIONS, RunOptions, parameters_of
 from taichi_cloth.settings.parameters import number_of
 from taichi_cloth.settings.sweeps import ComparisonOptions
-from taichi_cloth.sweeps.within import clock
+from taichi_cloth.sweeps.within import Clock, clock
 
 DOUBLINGS = 6  # of the number of substeps, from the fewest that a method takes
 SHORT_DOUBLINGS = 4
@@ -99,8 +99,10 @@ def default_fast_math(precision: str) -> bool:
     return precision == "f32"
 
 
-def choose(scene: Scene, options: ComparisonOptions) -> list[Setting]:
+def choose(scene: Scene, options: ComparisonOptions, time: Clock | None = None) -> list[Setting]:
     """The settings that a scene is compared in. Raises InputError for words that are none.
+
+    time: for which they are planned, in the place of the options'.
 
     Where the number of substeps is left open, it doubles from one, or, where a method needs more
     to be stable, from the last power of two that is too few: one setting is then beyond the
@@ -110,7 +112,7 @@ def choose(scene: Scene, options: ComparisonOptions) -> list[Setting]:
 
     names = _words("--methods", options.methods, methods.METHODS)
     precisions = _words("--precisions", options.precisions, PRECISIONS)
-    short = clock(options.within, options.quick).short
+    short = (time or clock(options.within, options.quick)).short
     if short and options.precisions is None:
         precisions = [word for word in precisions if word in ("f32", "f64")]
     archs = _words("--archs", options.archs or "cpu", [arch for arch in ARCHS if arch != "gpu"])

@@ -153,14 +153,15 @@ def main(source: SceneSource, options: TuneOptions) -> int:
             raise InputError(
                 f"--penetration: there is nothing that particles of scene '{scene.name}' can touch"
             )
-    how = replace(how, solver_errors=False)
     folder = Path(options.output or f"tune-{name_for_file(scene.name, 'scene')}")
     known = of_scene("tune", source, options, scene, options.times_on)
     with (
         folder_of_results(folder, ()),
         connected(options.on, options.times_on) as elsewhere,
-        kept(folder, known, options.resume, quiet=options.json) as journal,
+        kept(folder, known, options.resume, options.json, how.clock.seconds) as journal,
     ):
+        chosen, how = command.planned(scene, options, chosen, how, journal)
+        how = replace(how, solver_errors=False)
         tried, left_out = _tried(source, options, scene, chosen, how, target, journal, elsewhere)
     if options.json:
         print(json.dumps(_as_json(source, target, tried) | {"left_out": left_out}, indent=1))
