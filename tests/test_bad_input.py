@@ -62,6 +62,8 @@ COMMAND_LINES = [
     ("run --headless --view gui", "exclude each other"),
     ("run --arch vulkan --threads 2", "only --arch cpu"),
     ("run box --columns 3", "scene 'box' does not take it"),
+    ("run flag --set stencils=[]", "--set stencils: a built-in scene has no entries by number"),
+    ("run flag --set triangles=[]", "--set triangles: a built-in scene has no entries by number"),
     ("run cloth --columns 0", "--columns must be at least 1"),
     ("run cloth --spacing nan", "--spacing must be a finite number"),
     ("run chain --mode 17", "mode must be at most"),

@@ -19,6 +19,9 @@ from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.properties import PARTICLE_PROPERTIES, SPRING_PROPERTIES
 from taichi_cloth.scene.toml import dotted
 
+# What a file lists of a scene's particles, and of what is between them.
+LISTED = ("particles", "springs", "triangles", "stencils", "cloths", "meshes")
+
 
 def reassigned(scene: Scene, assignments: Sequence[Assignment]) -> Scene:
     """A built-in scene with these assignments, checked. Raises InputError as a scene file would."""
@@ -26,7 +29,7 @@ def reassigned(scene: Scene, assignments: Sequence[Assignment]) -> Scene:
         return scene
     has = "a built-in scene has no entries by number; its flags set what it is built of"
     for entry in assignments:
-        if entry.keys[0] in ("particles", "springs", "cloths", "meshes"):
+        if entry.keys[0] in LISTED:
             raise InputError(f"--set {dotted(entry.keys)}: {has}")
     frame = scenefile.parse_table(
         scenefile.table_of(scene), f"scene '{scene.name}'", assignments=assignments
