@@ -18,6 +18,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
+import commands
 import numpy as np
 import pytest
 from discrete import DISCRETE
@@ -635,6 +636,9 @@ def test_no_method_is_named_where_methods_are_compared():
             ["trade", "oscillator", "--archs", "metal" if sys.platform != "darwin" else "cuda"],
             "usable",
         ),
+        (["trade", "cloth", "--dt", "1e308"], "a frame of 1e+308, and the most is 268435456"),
+        (["trade", "cloth", "--stiffness", "1e30"], "would need 4.49e+16 steps in a frame of 1,"),
+        (["tune", "cloth", "--error", "1%", "--dt", "1e308"], "use a smaller --dt or softer"),
         (["tune", "cloth"], "either --error"),
         (["tune", "cloth", "--error", "1%", "--frame-time", "1ms"], "either --error"),
         (["tune", "cloth", "--error", "-1%"], "--error must be"),
@@ -657,6 +661,12 @@ def test_what_makes_no_sense_is_refused_in_one_line(arguments, says, tmp_path, m
     error = capsys.readouterr().err
     assert says in error and error.count("\n") == 1
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_a_frame_too_short_to_divide_by_is_refused():
+    """In a process of its own: in one that has run kernels such numbers are zero."""
+    error = commands.command("trade", "oscillator", "--dt", "1e-320", check=2)[1]
+    assert "--dt 9.99989e-321: is too short a frame" in error and error.count("\n") == 1
 
 
 def test_a_place_that_cannot_be_written_is_refused_first(tmp_path, capsys):

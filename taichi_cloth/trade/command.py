@@ -85,6 +85,7 @@ def prepare(
 
     scene = without_mouse(source.build())
     reference.check_frames(scene, options.frames or 1)
+    reference.coarsest(scene, options.dt or scene.world.dt)  # whether there can be one
     chosen = settings.choose(scene, options)
     how = conditions(scene, options, len(chosen))
     archs = {setting.arch for setting in chosen} - {"cpu"}

@@ -10,6 +10,7 @@ and what it differs by from one four times as long. The time of its first touch 
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -28,6 +29,7 @@ DISTURBANCE = 1e-10  # of the largest displacement: what the starts of two runs 
 GROWN = 1e-7
 FINER = 4  # from one fine run to the next
 RESOLUTION = 16  # steps in 1 / omega of the coarsest of the fine runs
+MOST_STEPS = 2**28  # of that a frame: those of the next one, too, are counted in 32 bits
 ENOUGH = 1e-13  # of the scale: finer runs differ by round-off alone
 SAMPLES = 8_000_000  # numbers that the positions of a run may have: they are all kept
 TRUST = 10  # times what two references differ by: the least error that they can measure
@@ -109,7 +111,7 @@ def default_frames(scene: Scene) -> int:
     mass = particles.mass[between].mean()
     period = 4.0 * depth * np.sqrt(mass / springs.stiffness[stiff].mean())
     most = min(240, most_frames(scene))
-    return int(np.clip(round(period / scene.world.dt), min(30, most), most))
+    return round(float(np.clip(period / scene.world.dt, min(30, most), most)))
 
 
 def most_frames(scene: Scene) -> int:
@@ -148,10 +150,23 @@ def disturbed(scene: Scene, size: float, seed: int = 0) -> Scene:
 
 
 def coarsest(scene: Scene, dt: float, resolution: float = RESOLUTION) -> int:
-    """Substeps of the coarsest of the fine runs; resolution: steps in 1 / omega."""
-    bounds = any_geometry(Network.from_scene(scene))
-    rate = max(math.sqrt(bounds.omega2), bounds.damping, 1.0 / dt)
-    return 1 << max(0, int(np.ceil(np.log2(resolution * dt * rate))))
+    """Substeps of the coarsest of the fine runs; resolution: steps in 1 / omega.
+
+    Raises InputError where these are too many, or the frame is too short to divide by.
+    """
+    if dt * sys.float_info.max <= 1.0:
+        raise InputError(f"--dt {dt:g}: is too short a frame to divide by; use a longer one")
+    with np.errstate(all="ignore"):  # what overflows is refused
+        bounds = any_geometry(Network.from_scene(scene))
+        rate = float(np.max([np.sqrt(bounds.omega2), bounds.damping, 1.0 / dt]))
+    needed = resolution * dt * rate
+    if not needed <= MOST_STEPS:
+        shown = f"{needed:.3g}" if math.isfinite(needed) else "countless"
+        raise InputError(
+            f"the reference would need {shown} steps in a frame of {dt:g}, and the most is "
+            f"{MOST_STEPS}; use a smaller --dt or softer springs"
+        )
+    return 1 << max(0, int(np.ceil(np.log2(needed))))
 
 
 def limit_horizon(scene: Scene, run: Samples, other: Samples) -> Horizon:
