@@ -385,6 +385,16 @@ def test_files_keep_the_contract_and_say_the_same(oscillator):
     assert done == of and int(of) >= len(table) and not re.search(progress, printed, re.M)
 
 
+def test_what_overflowed_is_null_in_the_files():
+    """Masses of 1e300 have such energies; JSON has no word for them."""
+    row = rows.Row(Setting("verlet", 1.0, 1), energy_drift=math.inf, momentum_drift=math.nan)
+    told = json.loads(rows.as_json([row], {"scale": math.inf, "left_out": ["a"]}))
+    assert told["environment"] == {"scale": None, "left_out": ["a"]}
+    assert told["rows"][0]["energy_drift"] is None and told["rows"][0]["dt"] == 1.0
+    (line,) = csv.DictReader(rows.as_csv([row]).splitlines())
+    assert line["energy_drift"] == line["momentum_drift"] == "" and line["dt"] == "1.0"
+
+
 def test_plots_are_whole_pictures(oscillator):
     from PIL import Image
 

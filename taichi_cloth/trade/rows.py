@@ -95,12 +95,13 @@ class Row:
         return seconds / self.frames if seconds is not None and self.frames else None
 
     def record(self) -> dict[str, Any]:
-        """Its values by `COLUMNS`, as files have them."""
+        """Its values by `COLUMNS`, as files have them: what overflowed is None."""
         of_setting = vars(self.setting) | {"step": self.step}
-        return {
+        values = {
             name: of_setting[name] if name in of_setting else getattr(self, name)
             for name in COLUMNS
         }
+        return dict(finite(values))
 
 
 # Of the files, in this order. New ones are added at the end: other programs read these.
@@ -297,7 +298,16 @@ def _plain(value: Any) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
+def finite(value: Any) -> Any:
+    """JSON's values with None for numbers that JSON lacks: those that overflowed."""
+    if isinstance(value, Mapping):
+        return {name: finite(of) for name, of in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(of) for of in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def as_json(rows: Iterable[Row], environment: Mapping[str, Any]) -> str:
     """The rows after what they were measured with."""
-    whole = {"environment": environment, "rows": [row.record() for row in rows]}
+    whole = {"environment": finite(environment), "rows": [row.record() for row in rows]}
     return json.dumps(whole, indent=1, allow_nan=False, default=str) + "\n"

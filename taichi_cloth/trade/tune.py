@@ -164,7 +164,8 @@ def main(source: SceneSource, options: TuneOptions) -> int:
         how = replace(how, solver_errors=False)
         tried, left_out = _tried(source, options, scene, chosen, how, target, journal, elsewhere)
     if options.json:
-        print(json.dumps(_as_json(source, target, tried) | {"left_out": left_out}, indent=1))
+        told = _as_json(source, target, tried) | {"left_out": left_out}
+        print(json.dumps(rows.finite(told), indent=1, allow_nan=False))
     else:
         _show(scene.name, target, tried, said_of_left_out(how.clock, left_out))
     if tried[-1].held:
