@@ -482,6 +482,10 @@ def test_the_command_refuses_what_it_cannot_do(tmp_path, capsys):
         (["--method", "verlett"], "did you mean 'verlet'"),
         (["--output", tmp_path / "file"], "cannot be made"),
         (["--steps", "3"], "unknown flag '--steps'"),
+        (
+            ["--stiffness", "1e308"],
+            "the fastest rate is 1e+154, and the most is 1e+150; use softer",
+        ),
     ):
         assert main(["stability", "oscillator", *map(str, arguments)]) == 2
         err = capsys.readouterr().err

@@ -38,6 +38,10 @@ def main(source: SceneSource, options: StabilityOptions) -> int:
     """Do what the command asks for; the exit status. Ctrl-C keeps what is finished."""
     names, end = _methods(options.method), clock(options.within)
     scene = source.build()
+    with np.errstate(all="ignore"):  # what overflows is refused
+        prepared = experiment.at_rest(scene)
+        network = Network.from_scene(prepared)
+        experiment.check_rates(scene, network)
     folder = Path(options.output or f"stability-{name_for_file(scene.name, 'scene')}")
     known = of_scene("stability", source, options, scene)
     with (
@@ -47,8 +51,6 @@ def main(source: SceneSource, options: StabilityOptions) -> int:
     ):
         np.seterr(all="ignore")  # numbers that overflow are the watchdog's to report
         runtime.start("cpu", "f64")
-        prepared = experiment.at_rest(scene)
-        network = Network.from_scene(prepared)
         # What bounds the time has to be known soon: modes with dashpots take minutes where there
         # are many.
         exact = not end.limited or prepared.particles.position.size <= EXACT_IN_TIME

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from taichi_cloth.errors import SimulationFailure
+from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.limits import modes, rounding, tractions
@@ -46,6 +46,7 @@ ACCURACY = 1e-3  # of the limit: where bisection ends
 RUN_SECONDS = 0.25  # that a run of the bisection takes,
 MOST_SECONDS = 2.0  # or, where what grows grows slowly, up to this
 RUN_STEPS = 1_000, 1_000_000  # at least, and at most
+MOST_RATE = 1e150  # of a mode: larger ones overflow where squared, or where maps are stiffer
 PARALLEL_FROM = 20_000  # particles from which all threads are used
 
 TellRun = Callable[
@@ -153,6 +154,18 @@ def drag_of_wind(scene: Scene) -> np.ndarray:
     """The damping of each particle by its triangles, across the wind at its strongest, (n,)."""
     still = np.zeros_like(scene.particles.velocity)
     return Network.from_scene(scene, velocity=still).by_triangles[1]
+
+
+def check_rates(scene: Scene, network: Network) -> None:
+    """Raise InputError where the modes of a scene are too fast for what is computed of them."""
+    bounds = gershgorin(network)
+    fastest = float(np.max([np.sqrt(bounds.omega2), bounds.damping]))
+    if not fastest <= MOST_RATE:
+        raise InputError(
+            f"scene '{scene.name}': its springs are too stiff, or damped too much, for its masses: "
+            f"the fastest rate is {fastest:.3g}, and the most is {MOST_RATE:g}; use softer springs "
+            "or larger masses"
+        )
 
 
 def computed(name: str, network: Network, exact: bool = True) -> StepLimits:
