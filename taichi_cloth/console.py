@@ -11,7 +11,10 @@ import shutil
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+from taichi_cloth.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -320,6 +323,26 @@ def places(text: str, name: str) -> list[tuple[str, str | None]]:
     own, and ends at ``<!-- end -->``.
     """
     return [(match[2], match[3]) for match in _marked(name).finditer(text)]
+
+
+def document(path: Path, name: str) -> str:
+    """The text of the document that `--tables` names, which has `places` for `name`.
+
+    Raises InputError where it is none.
+    """
+    if not path.is_file():
+        raise InputError(f"--tables {path}: there is no such file")
+    try:
+        text = path.read_text("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"--tables {path}: is not a text file in UTF-8 (byte {error.start}); save it as UTF-8"
+        ) from None
+    except OSError as error:
+        raise InputError(f"--tables {path}: cannot be read: {error.strerror}") from None
+    if not places(text, name):
+        raise InputError(f"--tables {path}: has no '<!-- {name}:... -->' to fill")
+    return text
 
 
 def filled(text: str, name: str, body: Callable[[str, str | None], str]) -> str:

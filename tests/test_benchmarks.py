@@ -186,10 +186,15 @@ def test_each_part_is_described_and_measures(capsys):
         (["seed", "--arch", "cuda"], "only the part gpu takes it"),
         (["gpu", "--arch", "cpu"], "--arch: unknown value 'cpu'"),
         (["--tables", "no.md"], "there is no such file"),
+        (["--tables", "latin.md"], "--tables latin.md: is not a text file in UTF-8 (byte 20)"),
+        (["--tables", "other.md"], "--tables other.md: has no '<!-- bench:... -->' to fill"),
         (["seed", "--output", "/dev/null/x"], "--output /dev/null/x: cannot be made"),
     ],
 )
-def test_bad_arguments_are_refused_in_one_line(arguments, says, capsys):
+def test_bad_arguments_are_refused_in_one_line(arguments, says, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "latin.md").write_bytes(b"<!-- bench:seed -->\n\xfc\n<!-- end -->\n")
+    (tmp_path / "other.md").write_text("<!-- explain:machine -->\n<!-- end -->\n")
     assert main(["bench", *arguments]) == 2
     out, err = capsys.readouterr()
     assert says in err and err.count("\n") == 1 and not out

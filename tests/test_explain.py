@@ -192,12 +192,14 @@ def test_the_command_says_it_in_json(cli):
         (["box", "--all"], "--all: explains all built-in scenes, not 'box' alone"),
         (["--tables", "x.md"], "--tables: give --all, too"),
         (["--all", "--tables", "x.md"], "--tables x.md: there is no such file"),
+        (["--all", "--tables", "latin.md"], "latin.md: is not a text file in UTF-8 (byte 25)"),
         (["--method", "verlte"], "did you mean 'verlet'?"),
         (["--arch", "vulkan", "--threads", "2"], "--threads: only --arch cpu takes it"),
     ],
 )
 def test_bad_arguments_are_refused_in_one_line(arguments, says, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "latin.md").write_bytes(b"<!-- explain:machine -->\n\xfc\n<!-- end -->\n")
     assert main(["explain", *arguments]) == 2
     out, err = capsys.readouterr()
     assert says in err and err.count("\n") == 1 and not out

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,7 +32,9 @@ def main(parts: Sequence[str], options: BenchOptions) -> int:
     to = console.output()
     folder = Path(options.output)
     path = folder / f"{machine.file_name()}.csv"
-    document = _document(options.tables) if options.tables else None
+    document = Path(options.tables) if options.tables else None
+    if document:
+        console.document(document, report.MARKED)
     chosen = [part for part in PARTS if part in parts] or ([] if document else list(PARTS))
     if options.arch and "gpu" not in chosen:
         raise InputError("--arch: only the part gpu takes it")
@@ -64,12 +65,6 @@ def main(parts: Sequence[str], options: BenchOptions) -> int:
     if document:
         fill_document(document, folder, to.print)
     return 0
-
-
-def _document(name: str) -> Path:
-    if not os.path.isfile(name):
-        raise InputError(f"--tables {name}: there is no such file")
-    return Path(name)
 
 
 def _piece(options: BenchOptions, chosen: Sequence[str]) -> Piece:
@@ -103,7 +98,7 @@ def _measure(
 
 def fill_document(path: Path, folder: Path, say: Callable[[str], None]) -> None:
     """Make a document's tables, and the plots beside it, anew from the results in `folder`."""
-    text = path.read_text("utf-8")
+    text = console.document(path, report.MARKED)
     new = report.fill(text, folder, machine.file_name())
     if new != text:
         write_whole(path, new.encode())

@@ -97,7 +97,7 @@ def main(source: SceneSource, options: ExplainOptions) -> int:
             _show_table("What a cloth's links cost", *_table_of_links(cloths), to)
         console.say(to, "; ".join(f"{k}: {v}" for k, v in machine.items()))
     if document:
-        text = filled(document.path.read_text("utf-8"), found, cloths, machine)
+        text = filled(console.document(document.path, MARKED), found, cloths, machine)
         document.fill(lambda file: file.write(text.encode()))
         print(f"tables filled: {document.path}", file=sys.stderr)
     return 0
@@ -118,10 +118,7 @@ def _consistent(source: SceneSource, options: ExplainOptions) -> ExplainOptions:
 def _document(options: ExplainOptions) -> PendingFile | None:
     if not options.tables:
         return None
-    if not os.path.isfile(options.tables):
-        raise InputError(f"--tables {options.tables}: there is no such file")
-    if not console.places(Path(options.tables).read_text("utf-8"), MARKED):
-        raise InputError(f"--tables {options.tables}: has no '<!-- explain:... -->' to fill")
+    console.document(Path(options.tables), MARKED)
     return PendingFile(options.tables)
 
 

@@ -109,6 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(given: argparse.Namespace) -> None:
     """Do what the command line asks for."""
+    from taichi_cloth import console
     from taichi_cloth.benchmarks.accuracy import pictures, tables
     from taichi_cloth.measuring import machine
 
@@ -116,8 +117,8 @@ def _run(given: argparse.Namespace) -> None:
     for word in words:
         if word not in PARTS:
             raise InputError(f"unknown part '{word}'; {nearest(word, PARTS)}")
-    if document and not document.is_file():
-        raise InputError(f"--tables {document}: there is no such file")
+    if document:
+        console.document(document, tables.MARKED)
     path = Path(given.output) / f"{machine.file_name()}-accuracy.json"
     chosen = [part for part in PARTS if part in words] or ([] if document else list(PARTS))
     if chosen:
@@ -125,7 +126,7 @@ def _run(given: argparse.Namespace) -> None:
         _measure_all(chosen, path, kept, given.resume, given.on)
     if document:
         results = read(path)
-        text = document.read_text("utf-8")
+        text = console.document(document, tables.MARKED)
         write_whole(document, tables.filled(text, results).encode())
         for name, content in pictures.draw_all(results).items():
             if f"images/{name}.png" in text:
