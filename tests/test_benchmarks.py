@@ -269,6 +269,31 @@ def test_results_survive_their_file(tmp_path):
         report.read(path)
 
 
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (lambda whole: b"\xfc" + whole, "is not a text file in UTF-8 (byte 0); remove it"),
+        (lambda whole: whole[:-40], "line 5: is cut short, or is no row; mend it, or remove"),
+        (lambda whole: whole.replace(b",7,", b",7x,"), "line 3: is cut short, or is no row"),
+        (lambda whole: whole.replace(b"seed,ours to", b"sead,ours to"), "has a part 'sead'"),
+        (lambda whole: b"", "is no file of results of this version; remove it"),
+    ],
+    ids=["no UTF-8", "cut", "no number", "no part", "empty"],
+)
+def test_results_that_cannot_be_joined_are_refused_before_measuring(
+    damage, says, tmp_path, monkeypatch, capsys
+):
+    path = tmp_path / f"{machine.file_name()}.csv"
+    report.write(path, {"processor": "Fast: 3 GHz"}, results())
+    path.write_bytes(damage(path.read_bytes()))
+    before = path.read_bytes()
+    monkeypatch.setattr("taichi_cloth.benchmarks.command._measure", None)
+    assert main(["bench", "seed", "--output", str(tmp_path)]) == 2
+    out, err = capsys.readouterr()
+    assert says in err and str(path) in err and err.count("\n") == 1 and not out
+    assert path.read_bytes() == before
+
+
 def test_tables_show_speed_error_and_missed_targets(tmp_path):
     text = report.markdown(results())
     assert "| ours, lanes | 16 x 12 | f64 | 1 | 2.5 µs | 2.25 µs .. 3 µs | 76.8 | 1.5e-02 |" in text

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import datetime
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from taichi_cloth import console
 from taichi_cloth.benchmarks import PARTS
 from taichi_cloth.console import duration, percent, three_digits
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, clipped
 from taichi_cloth.files.pending import write_whole
 
 if TYPE_CHECKING:
@@ -91,22 +91,49 @@ def write(path: Path, machine: Mapping[str, str], rows: Iterable[Measurement]) -
 
 def read(path: Path) -> tuple[dict[str, str], list[Measurement]]:
     """The machine's description and the rows of a file; raises InputError."""
+    kinds = dict.fromkeys(NUMBERS, float) | dict.fromkeys(COUNTS, int)
+    comments, records = read_table(path, NAMES, kinds, "file of results")
+    machine = dict(line[2:].split(": ", 1) for line in comments if ": " in line[2:])
+    rows = [Measurement(**record) for record in records]
+    unknown = next((row.part for row in rows if row.part not in PARTS), None)
+    if unknown is not None:
+        raise InputError(f"{path}: has a part '{clipped(unknown)}', which there is not; remove it")
+    return machine, rows
+
+
+def read_table(
+    path: Path, names: Sequence[str], kinds: Mapping[str, Callable[[str], Any]], what: str
+) -> tuple[list[str], list[dict[str, Any]]]:
+    """The comment lines of a file, and its rows, whose columns have these names.
+
+    kinds: of columns that are no texts; empty ones are None. what: it should be. Raises InputError
+    where it cannot be read, or a row is not whole.
+    """
     try:
         lines = path.read_text("utf-8").splitlines()
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{path}: is not a text file in UTF-8 (byte {error.start}); remove it"
+        ) from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    machine = dict(line[2:].split(": ", 1) for line in lines if line.startswith("# "))
-    table = csv.DictReader(line for line in lines if not line.startswith("# "))
-    if tuple(table.fieldnames or ()) != NAMES:
-        raise InputError(f"{path}: is no file of results of this version; remove it")
-    rows = []
-    for texts in table:
-        record: dict[str, Any] = dict(texts)
-        for name in (*NUMBERS, *COUNTS):
-            kind = float if name in NUMBERS else int
-            record[name] = kind(texts[name]) if texts[name] else None
-        rows.append(Measurement(**record))
-    return machine, rows
+    comments = [line for line in lines if line.startswith("# ")]
+    header, *rest = [line for line in lines if not line.startswith("# ")] or [""]
+    if header.split(",") != list(names):
+        raise InputError(f"{path}: is no {what} of this version; remove it")
+    table, records = csv.reader(rest), []
+    try:
+        for texts in filter(None, table):
+            record: dict[str, Any] = dict(zip(names, texts, strict=True))
+            for name, kind in kinds.items():
+                record[name] = kind(record[name]) if record[name] else None
+            records.append(record)
+    except (csv.Error, ValueError):
+        number = len(comments) + 1 + table.line_num
+        raise InputError(
+            f"{path} line {number}: is cut short, or is no row; mend it, or remove the file"
+        ) from None
+    return comments, records
 
 
 def replace_part(

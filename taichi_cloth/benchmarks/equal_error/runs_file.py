@@ -7,10 +7,9 @@ import io
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
 
 from taichi_cloth.benchmarks.equal_error.search import Choice, Tried
-from taichi_cloth.errors import InputError
+from taichi_cloth.benchmarks.report import read_table
 from taichi_cloth.files.pending import write_whole
 
 SUFFIX = "-accuracy-search.csv"
@@ -89,16 +88,5 @@ def write(path: Path, runs: Iterable[SearchRun]) -> None:
 
 def read(path: Path) -> list[SearchRun]:
     """The runs of a file; raises InputError."""
-    try:
-        table = csv.DictReader(path.read_text("utf-8").splitlines())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    if tuple(table.fieldnames or ()) != NAMES:
-        raise InputError(f"{path}: is no search of this version; remove it")
-    runs = []
-    for texts in table:
-        numbers = {name: float(texts[name]) if texts[name] else None for name in NUMBERS}
-        counts = {name: int(texts[name]) if texts[name] else None for name in COUNTS}
-        record: dict[str, Any] = {**texts, **numbers, **counts}
-        runs.append(SearchRun(**record))
-    return runs
+    kinds = dict.fromkeys(NUMBERS, float) | dict.fromkeys(COUNTS, int)
+    return [SearchRun(**record) for record in read_table(path, NAMES, kinds, "search")[1]]
