@@ -11,7 +11,7 @@ from PIL import Image
 import taichi_cloth as tc
 from taichi_cloth.errors import SimulationFailure
 from taichi_cloth.scene import library
-from taichi_cloth.ui import app
+from taichi_cloth.ui import app, showing
 
 CLOTH = library.build("cloth", columns=4, rows=3)
 
@@ -97,6 +97,15 @@ def test_windows_of_scripts_measure_errors(pool, monkeypatch):
 def test_what_makes_no_sense_is_refused(pool, how, error):
     with pytest.raises(tc.InputError, match=error):
         tc.show(pool(CLOTH), **{"view": "none", "frames": 1, **how})
+
+
+@pytest.mark.parametrize("what", [CLOTH, "cloth", None])
+@pytest.mark.parametrize("show", [tc.show, tc.picture, lambda what: showing.film(what, 1)])
+def test_what_is_no_simulation_is_refused(show, what):
+    with pytest.raises(
+        tc.InputError, match=r"must be given a Simulation, is .*; Simulation\(scene"
+    ):
+        show(what)
 
 
 def test_a_notebook_gets_a_picture_or_a_film(pool, notebook):

@@ -58,6 +58,7 @@ def show(
     Raises InputError where a view that was asked for cannot be had, and SimulationFailure where
     the simulation failed and the user quit at the banner.
     """
+    _check(sim, "show")
     if frames is not None:
         frames = accepted.whole_number("show: frames", frames, 1)
     world = sim.scene.world
@@ -99,6 +100,7 @@ def picture(
     one that shows what the scene has at its start. parts: of cloths that are drawn: "surface",
     "springs", "particles"; None: what suits the scene. status: whether its lines are in it.
     """
+    _check(sim, "picture")
     with closing(_offscreen(sim, size, camera)) as view:
         return app.pixels_of(sim, view, status=status, show=_parts(parts))
 
@@ -128,6 +130,7 @@ def film(
 
     The simulation is then as many frames further. Arguments are those of `picture` and `show`.
     """
+    _check(sim, "film")
     frames = accepted.whole_number("show: frames", frames, 1)
     if size is None:
         width, height = window_of(sim.scene.world)
@@ -164,6 +167,13 @@ def in_notebook() -> bool:
 
     shell = get_ipython()
     return shell is not None and hasattr(shell, "kernel")
+
+
+def _check(sim: Any, name: str) -> None:
+    """Raise InputError where what is to be shown is no simulation, such as a scene."""
+    if not isinstance(sim, showing.Showing):
+        says = f"{name}: must be given a Simulation, is {accepted.shown(sim)}"
+        raise InputError(f"{says}; Simulation(scene) makes one of a scene")
 
 
 def _offscreen(sim: Simulation, size: tuple[int, int] | None, camera: Camera | None) -> View:
