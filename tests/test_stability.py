@@ -355,6 +355,8 @@ def test_dt_auto_is_refused_where_it_cannot_be(device):
         Simulation(build("chain"), dt="auto", substeps=2)
     with pytest.raises(InputError, match="explicit_euler is unstable on these springs"):
         Simulation(build("chain"), "explicit_euler", dt="auto")
+    with pytest.raises(InputError, match="use softer springs or larger masses$"):
+        Simulation(build("cloth", stiffness=1e308), "symplectic_euler", dt="auto")
 
 
 def test_verlet_keeps_its_acceleration_when_the_step_changes(pool):

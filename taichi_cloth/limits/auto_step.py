@@ -84,6 +84,11 @@ class SubstepController:
             needed = substeps_needed(self._dt, limit) if limit > 0 else 1
         if needed > 1:
             limit = step_within(self._method, self._geometry.bounds(network))
+        if limit == 0 and not (math.isfinite(rough.omega2) and math.isfinite(rough.damping)):
+            raise InputError(
+                "--dt auto: these springs are too stiff, or damped too much, for their masses to "
+                "compute a step; use softer springs or larger masses"
+            )
         if limit == 0:
             raise InputError(
                 f"--dt auto: {self._name} is unstable on these springs at every step; "
