@@ -20,6 +20,7 @@ from taichi_cloth.scene import library, scenefile
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import grid
 from taichi_cloth.scene.model import Particles, Scene, SpringDefaults, Springs, World
+from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.simulation.diagnostics import acceleration_at_start
 from taichi_cloth.stability import command as stability_command
 from taichi_cloth.trade import command as trade_command
@@ -340,6 +341,13 @@ def test_scene_parameters_are_checked_in_python_too():
         with pytest.raises(InputError) as refused:
             library.build(name, **values)
         assert says in str(refused.value)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_scene_that_overflows_is_refused_in_one_line():
+    """Without NumPy's lines of where it did."""
+    with pytest.raises(InputError, match="size must be a finite number, is inf"):
+        SceneSource("cloth", {"spacing": 1e308}).build()
 
 
 def test_a_cloth_refuses_infinite_spacing():

@@ -48,6 +48,8 @@ class SceneSource:
 
     def build(self) -> Scene:
         """The scene, checked. Raises InputError where there is none, or it cannot be simulated."""
+        import numpy as np
+
         from taichi_cloth.scene import library, scenefile
         from taichi_cloth.scene.checks import mark_checked
         from taichi_cloth.scene.reassignment import reassigned
@@ -56,8 +58,9 @@ class SceneSource:
             return mark_checked(self._hung())
         if self.is_file:
             return mark_checked(scenefile.load(self.name, self.assignments))
-        built = library.build(self.name, **self.parameters)
-        return mark_checked(reassigned(built, self.assignments))
+        with np.errstate(all="ignore"):  # what overflows is refused
+            built = library.build(self.name, **self.parameters)
+            return mark_checked(reassigned(built, self.assignments))
 
     def _hung(self) -> Scene:
         from taichi_cloth.files import meshes
