@@ -200,7 +200,7 @@ def test_a_long_name_of_a_scene_is_shortened_in_the_panel(sim, monkeypatch):
     hands.panel._unfold("scene")
     first, option = hands.look()[:2]
     assert "the_curtain" in first and "the_curtain" in option
-    assert first.endswith(f"{text.MISSING} \u203a") and option.endswith(f"{text.MISSING} now")
+    assert first.endswith(f"{text.ELLIPSIS} \u203a") and option.endswith(f"{text.ELLIPSIS} now")
     height, (_, end) = HEIGHT, settings_rows._left(RECT.width, HEIGHT)
     assert all(settings_rows.label_end(placed, height) <= end for placed in hands.panel._rows)
 

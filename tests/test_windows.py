@@ -743,13 +743,13 @@ def test_a_notice_is_told_in_windows_of_any_size():
             room = size[0] - 2 * text.gap(height)
             assert text.length(told, height) <= room
             if text.length(notice, height) > room:
-                assert text.MISSING in told and told[:5] == notice[:5]
+                assert text.ELLIPSIS in told and told[:5] == notice[:5]
                 assert notice is refused or told.endswith("seconds.npz")
             else:
                 assert told == notice
             if size[0] == 3840:
                 assert words[0].text == "playing"
-    assert text.shortened("abc", 0.0, 12) == text.MISSING
+    assert text.shortened("abc", 0.0, 12) == text.ELLIPSIS
     lines = text.wrapped(f"cannot write {path} there", 300, 15)
     assert all(text.length(line, 15) <= 300 for line in lines) and len(lines) > 2
 

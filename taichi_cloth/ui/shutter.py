@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from taichi_cloth.errors import InputError
+from taichi_cloth.files.names import name_for_file
 from taichi_cloth.ui import film as films
 
 SAID_FOR = 5.0  # seconds for which the window says where something was saved
@@ -26,7 +26,7 @@ class Shutter:
     """
 
     def __init__(self, name: str, folder: str | None = None, *, quiet: bool = False):
-        self._name = re.sub(r"[^\w.-]+", "-", name).strip("-.") or "picture"
+        self._name = name_for_file(name, "picture")
         self._folder, self._quiet = folder, quiet
         self._film: films.Film | None = None
         self._to = Path()  # of the film

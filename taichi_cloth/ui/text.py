@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
 Color = tuple[int, int, int]  # 0..255
-MISSING = "\N{HORIZONTAL ELLIPSIS}"  # in the place of what is left out
+ELLIPSIS = "\N{HORIZONTAL ELLIPSIS}"  # in the place of what is left out
 NO_LETTER = "\uffff"  # in any font
 SHORTEST_PATH = 24  # letters: one that is longer may lose its middle
 SHADES = 4  # ink coverage levels: few enough for long runs, enough for smooth letters
@@ -90,13 +90,13 @@ def shortened(line: str, width: float, height: int) -> str:
         line = most(lambda n: before + _without_middle(path, n) + after, SHORTEST_PATH, len(path))
     if length(line, height) <= width or not line:
         return line
-    return most(lambda n: line[:n].rstrip() + MISSING, 0, len(line))
+    return most(lambda n: line[:n].rstrip() + ELLIPSIS, 0, len(line))
 
 
 def _without_middle(path: str, count: int) -> str:
     """A path in so many letters; its end, the name, matters more than where it begins."""
     head = count // 4
-    return path[:head] + MISSING + path[len(path) - (count - 1 - head) :]
+    return path[:head] + ELLIPSIS + path[len(path) - (count - 1 - head) :]
 
 
 def length(line: str, height: int) -> float:
