@@ -207,7 +207,7 @@ def status_rows(
     aside = (Word(sim.aside, style.MUTED, 7),) if sim.aside else ()
     usual = (*title, *hand, *more, *counts, *aside)
     if notice:
-        usual = (replace(state, rank=1), Word(notice, style.KEY_INK))
+        usual = (replace(state, rank=state.rank + 1), Word(notice, style.KEY_INK))
     hints = (Word("h more", style.MUTED, 9), Word("tab keys", style.MUTED, 9))
     pace = rates or names[:1]  # where time stands still, which frame is seen
     return Row(usual, (*pace, *hints)), Row((*settings,), names)

@@ -62,7 +62,8 @@ class RunState:
         if self.failure is not None:
             return Word(f"stopped: {self.examining}" if self.examining else "stopped", style.BAD)
         if recording is not None:
-            return Word(recording + (", paused" if self.paused else ""), style.RECORDING)
+            # Seen beside any notice, however long that is.
+            return Word(recording + (", paused" if self.paused else ""), style.RECORDING, -1)
         if self.compiling:
             return Word("compiling, the window waits", style.WARN)
         if self.paused:

@@ -207,8 +207,8 @@ def rise(height: int) -> int:
 
 @dataclass(frozen=True)
 class Word:
-    """Words in one colour, part of a row. rank: where room is scarce, the highest are left out; the
-    last one that is left is shortened.
+    """Words in one colour, part of a row. rank: where room is scarce, the highest are left out;
+    what is left last is shortened.
     """
 
     text: str
@@ -221,15 +221,19 @@ def fitted(
 ) -> tuple[list[Word], list[Word]]:
     """The words of a row that fit into `width` pixels, at its left and right end.
 
-    height: of the text, pixels. Of what is most important as much stays as there is room for.
+    height: of the text, pixels. Of what is most important as much stays as there is room for: of
+    two words of one rank the longer one is shortened, if half of the row is left for it.
     """
     kept = [*((word, 0) for word in left), *((word, 1) for word in right)]
-    while len(kept) > 1 and _row_length([word for word, _ in kept], height) > width:
-        worst = max(range(len(kept)), key=lambda n: (kept[n][0].rank, n))
-        kept.pop(worst)
-    if len(kept) == 1:
-        (word, side), room = kept[0], width - 2 * gap(height)
-        kept = [(replace(word, text=shortened(word.text, room, height)), side)]
+    while kept and _row_length([word for word, _ in kept], height) > width:
+        longest = max(range(len(kept)), key=lambda n: length(kept[n][0].text, height))
+        (word, side), others = kept[longest], kept[:longest] + kept[longest + 1 :]
+        room = width - _row_length([other for other, _ in others], height) - gap(height)
+        equal = len(kept) == 2 and others[0][0].rank == word.rank
+        if not others or (equal and room >= width / 2):
+            kept[longest] = replace(word, text=shortened(word.text, room, height)), side
+            break
+        kept.pop(max(range(len(kept)), key=lambda n: (kept[n][0].rank, n)))
     return [w for w, side in kept if side == 0], [w for w, side in kept if side == 1]
 
 
