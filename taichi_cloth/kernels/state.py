@@ -87,7 +87,7 @@ class State(ContactFields):
         stage: which of its stages; fault, watching: see `watchdog.py`.
     Time (`clock.py`, where something asks for it): first_time, first_time_low, first_step, dt_low;
         wide: the widest type of numbers that the device has.
-    position_weight, begin, force_times: the method's (`methods.contract.Method`).
+    position_weight, begin, force_times, symplectic: the method's (`methods.contract.Method`).
     Triangles, where forces act on them: surface: a `Surface`; traction, traction_damping: what they
         give each particle of force, or of whatever else was summed last, and of damping.
     Solvers (`solvers/`): phase: the one that comes next; tolerance, iterations: settings; work:
@@ -130,7 +130,7 @@ class State(ContactFields):
         self.functions = {}  # what is compiled by itself (`parts.py`)
         self.wide = ti.f32 if ti.cfg.arch == ti.metal else ti.f64
         self.position_weight, self.begin = method.position_weight, method.begin
-        self.force_times = method.force_times
+        self.force_times, self.symplectic = method.force_times, method.claims.symplectic
         self._place_packs(spec, method)
         if spec.packed_rows:
             self._place_columns(spec)

@@ -38,7 +38,9 @@ Wind that would move a cloth by more than its spacing in a step leaves no minimu
 cloth that buckles has many: Newton's method may then wander for ever. So a step in which a stage
 does not converge is cut in two, and its halves again, up to MOST_HALVINGS times: the method's own
 steps, each solved to its tolerance, with one end for contacts and tears. In air, and where a step
-was cut before, that is seen after MOST_BEFORE_CUT directions.
+was cut before, that is seen after MOST_BEFORE_CUT directions. In still air symplectic methods cut
+none: they keep energy by equal steps (Hairer, Lubich, Wanner, Geometric Numerical Integration,
+2006, VIII.1).
 """
 
 import functools
@@ -442,7 +444,7 @@ def _judge(spec: ti.template(), state: ti.template(), i):
         stiff = state.sums[5, 0] > ti.static(stiff_from(spec))
         if next_phase == DIRECT and state.coarsened[None] == 0 and stiff:
             next_phase = COARSEN
-    if next_phase == FINISH and state.outcome[None] > HIDDEN and _may_be_cut(state):
+    if next_phase == FINISH and state.outcome[None] > HIDDEN and _may_be_cut(spec, state):
         next_phase = CUT
     if next_phase == FINISH:
         state.step_outcome[None] = ti.max(state.step_outcome[None], state.outcome[None])
@@ -450,18 +452,21 @@ def _judge(spec: ti.template(), state: ti.template(), i):
 
 
 @ti.func
-def _may_be_cut(state: ti.template()):
+def _may_be_cut(spec: ti.template(), state: ti.template()):
     """Whether a step may be cut in two where a stage does not converge."""
-    return state.halvings[None] < MOST_HALVINGS
+    if ti.static(has_tractions(spec) or not state.symplectic):
+        return state.halvings[None] < MOST_HALVINGS
+    else:
+        return False
 
 
 @ti.func
 def _is_cut_soon(spec: ti.template(), state: ti.template()):
     """Whether it is where a stage does not converge soon."""
     if ti.static(has_tractions(spec)):
-        return _may_be_cut(state)
+        return _may_be_cut(spec, state)
     else:
-        return _may_be_cut(state) and state.halvings[None] > 0
+        return _may_be_cut(spec, state) and state.halvings[None] > 0
 
 
 @ti.func
