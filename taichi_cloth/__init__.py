@@ -5,10 +5,10 @@ Public names are imported when they are first used: importing this package start
 
 from __future__ import annotations
 
-import importlib
 import os
 from typing import Any
 
+from taichi_cloth import imports as _imports
 from taichi_cloth.simulation import showing as _showing
 from taichi_cloth.version import __version__
 
@@ -52,13 +52,11 @@ _HOMES = {  # public name: (module, name in it; None: the module itself)
     "scenes": ("scene.library", None),
 }
 # A simulation that shows itself is drawn by the floor above it, which comes once that is asked for.
-_showing.drawn_by(lambda: importlib.import_module("taichi_cloth.ui.showing"))
-_showing.examined_by(lambda: importlib.import_module("taichi_cloth.post_mortem.reporting"))
+_showing.drawn_by(lambda: _imports.module("taichi_cloth.ui.showing"))
+_showing.examined_by(lambda: _imports.module("taichi_cloth.post_mortem.reporting"))
 # So is it with the errors of what a window shows, and with why its run failed.
-_showing.measured_by(lambda sim: importlib.import_module("taichi_cloth.cli.run_meter").of(sim))
-_showing.explained_by(
-    lambda sim: importlib.import_module("taichi_cloth.cli.run_report").Examining(sim)
-)
+_showing.measured_by(lambda sim: _imports.module("taichi_cloth.cli.run_meter").of(sim))
+_showing.explained_by(lambda sim: _imports.module("taichi_cloth.cli.run_report").Examining(sim))
 __all__ = ["__version__", *_HOMES]  # noqa: PLE0604
 
 
@@ -66,7 +64,7 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'taichi_cloth' has no attribute {name!r}")
     module_name, attribute = _HOMES[name]
-    module = importlib.import_module(f"taichi_cloth.{module_name}")
+    module = _imports.module(f"taichi_cloth.{module_name}")
     return module if attribute is None else getattr(module, attribute)
 
 

@@ -112,7 +112,7 @@ def display_available() -> bool:
 
 def vulkan_available() -> bool:
     """Whether Taichi finds a Vulkan driver."""
-    _import_taichi()
+    mending.imported()
     from taichi._lib import core
 
     with _silence():
@@ -185,22 +185,12 @@ def stop() -> None:
     """End what `start` began: only then does Taichi write what it compiled to its cache."""
     global _device
     _device = None
-    _import_taichi().reset()
+    mending.imported().reset()
 
 
 def _real(precision: str) -> str:
     """The type of numbers that a precision computes in."""
     return "f64" if precision == "f64" else "f32"
-
-
-def _import_taichi() -> Any:
-    # Taichi prints a banner and asks for its newest version at import: neither is the user's.
-    os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
-    os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
-    import taichi
-
-    mending.mend()
-    return taichi
 
 
 def _initialize(
@@ -209,7 +199,7 @@ def _initialize(
     """Start Taichi; False where it starts something else, or would crash."""
     if arch == "opengl" and not display_available():
         return False
-    ti = _import_taichi()
+    ti = mending.imported()
     ti.set_logging_level(ti.CRITICAL)  # it warns of the fallback that we refuse ourselves
     with _silence():
         _end()

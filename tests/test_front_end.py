@@ -1,15 +1,23 @@
 """Taichi's front end after `mending.mend`: it reads the same kernels, and says the same."""
 
+import ast
 import functools
 import gc
+import importlib
 import itertools
+import pkgutil
+import subprocess
+import sys
+import textwrap
 import weakref
 
 import numpy as np
 import pytest
 import taichi as ti
 from taichi.lang import kernel_impl
+from taichi.lang.kernel_impl import Kernel
 
+import taichi_cloth.kernels
 from taichi_cloth import runtime
 from taichi_cloth.front_end import mending
 
@@ -35,6 +43,93 @@ def test_functions_of_classes_and_of_functions_are_told_apart():
         return 3 * i
 
     assert Counter().count(4) == 9 and count(4) == 12
+
+
+def tree_as_taichi_reads_it(function):
+    """The syntax tree that Taichi alone would make of a function, with all places in it."""
+    lines, start = kernel_impl.getsourcelines(function)
+    wide = [textwrap.fill(line, tabsize=4, width=9999) for line in lines]
+    tree = ast.parse(textwrap.dedent("\n".join(wide)))
+    tree.body[0].decorator_list = []
+    return ast.dump(tree, include_attributes=True), start
+
+
+def tree_as_read(function):
+    source = mending._source_of(function.__code__)
+    return ast.dump(source.parsed(), include_attributes=True), source.start
+
+
+def test_the_source_of_all_device_code_is_found():
+    """Of each function and kernel here and of Taichi's own: what Python's `inspect` finds."""
+    for module in pkgutil.walk_packages(taichi_cloth.kernels.__path__, "taichi_cloth.kernels."):
+        importlib.import_module(module.name)
+    read = [one for one in gc.get_objects() if isinstance(one, kernel_impl.Func | Kernel)]
+    assert len(read) > 800
+    for function in {one.func.__code__: one.func for one in read}.values():
+        assert tree_as_read(function) == tree_as_taichi_reads_it(function), function.__qualname__
+
+
+SHAPES = '''
+def first(
+    a,
+    b=(1, 2),
+):
+    text = """a line
+that is not indented, and
+# no comment
+"""
+# a comment that is not indented
+    return (
+a, b, text)
+def second(a): return a
+@functools.lru_cache(
+    maxsize=1
+)
+def third(a):
+    if a:
+
+        def inner():
+            return (
+                a
+            )
+
+    # its last comment
+class Holder:
+    @staticmethod
+    def fourth():
+        return 1
+# not its own
+    more = 2
+def last():
+    return """to the end
+of the file
+"""
+'''
+
+
+def test_the_source_of_a_function_of_any_shape_is_found(tmp_path):
+    (tmp_path / "shapes.py").write_text(SHAPES)
+    names = {"functools": functools}
+    exec(compile(SHAPES, str(tmp_path / "shapes.py"), "exec"), names)
+    at_top = names["first"], names["second"], names["third"].__wrapped__, names["last"]
+    for function in (*at_top, names["Holder"].fourth):
+        assert tree_as_read(function) == tree_as_taichi_reads_it(function), function
+
+
+def test_what_importing_taichi_does_not_need_waits(tmp_path):
+    """It says nothing, asks nobody, and what it left out is there once it is used."""
+    program = """
+import sys
+from taichi_cloth.front_end import mending
+taichi = mending.imported()
+assert mending.imported() is taichi and mending.functions_work()
+assert "ssl" not in sys.modules
+import urllib.request
+assert urllib.request.Request("file:///").type == "file" and "ssl" in sys.modules
+"""
+    words = [sys.executable, "-c", program]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
 def test_functions_of_one_name_keep_their_own_source():

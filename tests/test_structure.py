@@ -39,7 +39,8 @@ ROOMS = {
     "errors": set(),
     "version": set(),
     "declarations": set(),
-    "front_end": set(),
+    "imports": set(),
+    "front_end": {"imports"},
     "kernels": {"declarations", "front_end"},  # device code: knows no scene, file or window
     "files": set(),
     "measuring": set(),
@@ -66,6 +67,7 @@ ROOMS = {
     "benchmarks": {*BASE, "console", "measuring", "runtime", "simulation", "sweeps", "trade"}
     | {"ui", "vulkan"},
     "cli": {*BASE, "benchmarks", "beside", "budgets", "comparison", "console", "error_meter"}
+    | {"imports"}
     | {"limits", "measuring", "post_mortem", "runtime", "simulation", "ui", "vulkan"},
     "__main__": {"cli"},
 }

@@ -8,7 +8,6 @@ exit status 2. Taichi is imported only once a run starts.
 from __future__ import annotations
 
 import contextlib
-import importlib
 import io
 import os
 import signal
@@ -16,6 +15,7 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
+from taichi_cloth import imports
 from taichi_cloth.errors import InputError, RunFailure, nearest
 from taichi_cloth.scene.source import DEFAULT_SCENE, names_file
 from taichi_cloth.settings import options, sweeps
@@ -121,7 +121,7 @@ def _dispatch(arguments: Sequence[str]) -> int:
     if command in PLAIN_COMMANDS:
         return _start_plain(command, rest)
     if command in OWN_WORDS:
-        status: int = importlib.import_module(OWN_WORDS[command]).main(rest)
+        status: int = imports.module(OWN_WORDS[command]).main(rest)
         return status
     raise InputError(f"unknown command '{command}'; {_command_hint(command)}")
 
@@ -134,7 +134,7 @@ def _start_on_scene(command: str, arguments: Sequence[str]) -> int:
     words = scene_command.read(command, settings, arguments, about)
     if words is None:
         return 0
-    status: int = importlib.import_module(module).main(*words)
+    status: int = imports.module(module).main(*words)
     return status
 
 
@@ -146,7 +146,7 @@ def _start_plain(command: str, arguments: Sequence[str]) -> int:
         return 0
     if arguments:
         raise InputError(f"{command}: unexpected '{arguments[0]}'; it takes no arguments")
-    status: int = importlib.import_module(PLAIN_COMMANDS[command]).main()
+    status: int = imports.module(PLAIN_COMMANDS[command]).main()
     return status
 
 

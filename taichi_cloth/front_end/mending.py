@@ -6,10 +6,11 @@ spent on what this module replaces by what leads to the same kernels:
 
 - each expression gets a drawing of its source line, wrapped and underlined, for messages of errors.
   Here it gets the line as it is.
-- the source of a function is looked for anew, in its whole file, and parsed anew, wherever the
-  function is inlined. Here it is kept, with as many trees of it as are read at once.
+- the source of a function is looked for anew, in its whole file and token by token, and parsed
+  anew, wherever the function is inlined. Here it is looked for by how far its lines are indented,
+  and kept, with as many trees of it as are read at once.
 - whether a function stands in a class is read off the source of whoever executes the class. Here
-  the class's own frame tells.
+  the class's own frame tells; of Taichi's own functions, too, while it is imported.
 - what reads a node of a tree is looked up by a name that is made anew, with an object that notes
   where the node stands. Here it is kept for each kind of node, and the place noted by itself.
 - NumPy tells the range of integers anew at each constant. Here it is kept.
@@ -25,17 +26,21 @@ function was made of, with the fields that it was given, is kept no longer than 
 from __future__ import annotations
 
 import ast
+import contextlib
 import functools
 import importlib
 import inspect
+import linecache
+import os
 import sys
 import textwrap
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from types import CodeType
+from types import CodeType, FrameType
 from typing import Any
 
+from taichi_cloth import imports
 from taichi_cloth.front_end import conditions, reductions
 
 # What is replaced or called of Taichi's modules: a Taichi that lacks any of it is left alone.
@@ -52,6 +57,20 @@ HERE = {
 NEEDED = HERE, conditions.NEEDED, reductions.NEEDED
 # Nodes of syntax trees that Taichi writes nothing on: there is one of each kind for all trees.
 SHARED = ast.expr_context, ast.boolop, ast.operator, ast.unaryop, ast.cmpop
+
+
+def imported() -> Any:
+    """Taichi, mended; the first call imports it.
+
+    It says nothing then: it would print a banner, and ask a server for its newest version.
+    """
+    os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+    os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
+    imports.when_used("urllib.request")  # Taichi imports it to ask for versions alone
+    with _classes_told_by_frames():
+        taichi = imports.module("taichi")
+        mend()
+    return taichi
 
 
 def mend() -> None:
@@ -109,7 +128,8 @@ class _Source:
     """The source of a function, and those trees of it that nobody reads at the moment.
 
     lines: as they stand in `file`, from line number `start` on. places: by line of the function,
-    what messages of errors say of it. nodes: by tree, those that Taichi writes its results on.
+    what messages of errors say of it. nodes: by tree, the attributes of those that Taichi writes
+    its results on.
     """
 
     file: str
@@ -117,7 +137,7 @@ class _Source:
     start: int
     places: dict[int, str] = field(default_factory=dict)
     trees: list[ast.Module] = field(default_factory=list)
-    nodes: dict[ast.Module, list[ast.AST]] = field(default_factory=dict)
+    nodes: dict[ast.Module, list[dict[str, Any]]] = field(default_factory=dict)
 
     def parsed(self) -> ast.Module:
         """A new tree."""
@@ -130,26 +150,72 @@ class _Source:
         if self.trees:
             return self.trees.pop()
         tree = self.parsed()
-        self.nodes[tree] = [node for node in ast.walk(tree) if not isinstance(node, SHARED)]
+        self.nodes[tree] = _attributes_in(tree)
         return tree
 
     def give_back(self, tree: ast.Module) -> None:
         """Have a tree for others, without what was written on it, if it is one of `take`."""
         if tree in self.nodes:
-            for node in self.nodes[tree]:
-                vars(node).pop("ptr", None)
-                vars(node).pop("caller", None)
+            for attributes in self.nodes[tree]:
+                attributes.pop("ptr", None)
+                attributes.pop("caller", None)
             self.trees.append(tree)
+
+
+def _attributes_in(tree: ast.Module) -> list[dict[str, Any]]:
+    """Those of each node of a tree, but for `SHARED` ones: `ast.walk` takes twice as long."""
+    nodes: list[ast.AST] = [tree]
+    for node in nodes:  # which come meanwhile
+        for value in vars(node).values():
+            if isinstance(value, list):
+                nodes += [one for one in value if isinstance(one, ast.AST)]
+            elif isinstance(value, ast.AST) and not isinstance(value, SHARED):
+                nodes.append(value)
+    return [vars(node) for node in nodes]
 
 
 @functools.cache
 def _source_of(code: CodeType) -> _Source:
     """The source of the functions that have this code: of those of a closure it is kept once."""
-    from taichi.lang import kernel_impl
+    file, start = code.co_filename, code.co_firstlineno
+    linecache.checkcache(file)
+    try:
+        return _source(file, _function_in(linecache.getlines(file), code), start)
+    except (IndexError, SyntaxError):  # typed into a shell, or of a shape that is not looked for
+        from taichi.lang import kernel_impl
 
-    lines, start = kernel_impl.getsourcelines(code)
-    wide = [textwrap.fill(line, tabsize=4, width=9999) for line in lines]
-    return _Source(kernel_impl.getsourcefile(code), wide, start)
+        lines, start = kernel_impl.getsourcelines(code)
+        return _source(kernel_impl.getsourcefile(code), lines, start)
+
+
+def _source(file: str, lines: list[str], start: int) -> _Source:
+    """The source of a function with its first tree, of lines as Taichi takes them."""
+    source = _Source(file, [line.expandtabs(4).rstrip() for line in lines], start)
+    source.trees.append(source.take())
+    return source
+
+
+def _function_in(lines: list[str], code: CodeType) -> list[str]:
+    """Those lines of a file that define the function with this code, decorators among them.
+
+    Up to where a line after its last statement is indented no deeper than they are: Python's own
+    `inspect` takes each function of the file apart into tokens for it.
+    """
+    first, end = code.co_firstlineno - 1, max(line or 0 for _, _, line in code.co_lines())
+    depth = _depth(lines[first])
+    while end < len(lines) and (_depth(lines[end]) > depth or _says_nothing(lines[end])):
+        end += 1
+    return lines[first:end]
+
+
+def _depth(line: str) -> int:
+    """How far a line is indented."""
+    return len(line) - len(line.lstrip())
+
+
+def _says_nothing(line: str) -> bool:
+    """Whether a line is empty, or a comment."""
+    return line.lstrip()[:1] in ("", "#")
 
 
 def _tree_and_context(
@@ -220,7 +286,37 @@ def _dropping(do_compile: Callable[..., None]) -> Callable[..., None]:
 
 def _inside_class(level_of_class_stackframe: int) -> bool:
     """Whether a function is defined in a class, from how many frames up executes that class."""
-    return "__qualname__" in sys._getframe(level_of_class_stackframe - 1).f_locals
+    return _is_class(sys._getframe(level_of_class_stackframe - 1))
+
+
+def _is_class(frame: FrameType) -> bool:
+    """Whether a frame executes the body of a class."""
+    return "__qualname__" in frame.f_locals
+
+
+@contextlib.contextmanager
+def _classes_told_by_frames() -> Iterator[None]:
+    """While it lasts, Taichi hears by `_inside_class` where its own functions are defined.
+
+    Its modules define them before anything of them can be replaced; but how they read the source
+    can be.
+    """
+    read = inspect.getframeinfo
+
+    def told(frame: Any, context: int = 1) -> inspect.Traceback:
+        inner: FrameType | None = sys._getframe(1)
+        if inner is None or inner.f_code.co_name != "_inside_class":
+            return read(frame, context)
+        while inner and inner.f_back is not frame:  # at last it is what `frame` executes
+            inner = inner.f_back
+        source = ["class Its:" if inner and _is_class(inner) else "some_call()"]
+        return inspect.Traceback(frame.f_code.co_filename, frame.f_lineno, "", source, 0)
+
+    inspect.getframeinfo = told
+    try:
+        yield
+    finally:
+        inspect.getframeinfo = read
 
 
 def _no_stack(stacklevel: int = 1) -> str:

@@ -22,4 +22,4 @@ These names mean the same in every file of this folder, and docstrings do not re
 
 from taichi_cloth.front_end import mending
 
-mending.mend()  # before they are defined: Taichi reads files for each definition otherwise
+mending.imported()  # before they are defined: Taichi reads files for each definition otherwise
