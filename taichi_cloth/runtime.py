@@ -217,6 +217,8 @@ def _initialize(
             # 70 us of a step on an H100.
             make_thread_local=arch == "cpu",
             **_block_size(arch),
+            # One task of a kernel is nearly all of it, and each thread reads what Taichi links.
+            **({"num_compile_threads": 0} if arch == "cpu" else {}),
             unrolling_limit=0,  # it warns of loops over fields that must be unrolled
             log_level=ti.ERROR,
             verbose=False,
@@ -312,9 +314,12 @@ def compiled_soon() -> contextlib.AbstractContextManager[None]:
     its own. Kernels compile in about half the time, but run longer: on the graph 1.0 to 1.2 times,
     in lanes up to 2.3 times. In all runs that were compared they had the same bits. For what loops
     do not change Taichi keeps a copy for each expression that reads it, which is wrong where two of
-    them read one place: that goes, too.
+    them read one place: that goes, too. So does its search for what many threads add to, which
+    kernels of frames sum by themselves (`loops.py`).
     """
-    return _compiled_with(advanced_optimization=False, cache_loop_invariant_global_vars=False)
+    return _compiled_with(
+        advanced_optimization=False, cache_loop_invariant_global_vars=False, make_thread_local=False
+    )
 
 
 def nothing_kept_over_calls() -> contextlib.AbstractContextManager[None]:

@@ -109,7 +109,7 @@ def test_a_run_has_the_bits_of_one_without(topology, few_lanes, monkeypatch):
 
     def run():
         sim = Simulation(small.build("net"), "tr_bdf2", topology=topology)
-        for k in range(6):
+        for k in range(9):
             sim.advance()
             if k == 1:
                 sim.pin([3])

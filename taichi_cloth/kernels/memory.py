@@ -70,6 +70,5 @@ def _outermost(snode):
 @ti.kernel
 def _find(memory: ti.template(), found: ti.types.ndarray()):
     """Find where the first number of each of memory.fields lies."""
-    for _ in range(1):  # one task for all
-        for k, field in ti.static(enumerate(memory.fields)):
-            found[k] = ti.get_addr(field, ti.static([0] * len(field.shape)))
+    for k, field in ti.static(enumerate(memory.fields)):
+        found[k] = ti.get_addr(field, ti.static([0] * len(field.shape)))

@@ -94,7 +94,7 @@ class Stencils:
     def by_size(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """The numbers of all stencils of a size (g,), and where their particles are (g, size)."""
         sizes = self.sizes
-        for size in np.unique(sizes):
+        for size in sorted(set(sizes.tolist())):
             mine = np.flatnonzero(sizes == size)
             yield mine, self.start[mine, None] + np.arange(size)
 

@@ -285,7 +285,7 @@ def on_grids(
     # A link without stiffness cannot be told from an absent one, and stays on the graph.
     kind[~(springs.stiffness > 0)] = -1
     shared, held, kind = _shared_numbers(springs, kind, grid, len(grids), terms)
-    used = np.unique(kind[kind >= 0])
+    used = _kinds_among(kind)
     if WORTH_LANES * np.count_nonzero(kind >= 0) < len(springs):
         return None  # all of them differ, or most: it is a mesh that looks like a grid in places
     renumbered = np.full(len(FORWARD) + 1, -1)
@@ -421,12 +421,20 @@ def _kinds(
     return kind
 
 
+def _kinds_among(kind: np.ndarray) -> np.ndarray:
+    """The kinds that some links are of, in order; negative: of none.
+
+    `numpy.unique` would sort them, and import masked arrays at its first use.
+    """
+    return np.flatnonzero(np.bincount(kind[kind >= 0], minlength=1))
+
+
 def _alike(springs: Springs, kind: np.ndarray, grids: Sequence[adjacency.Grid], depth: int) -> bool:
     """Whether the links of all rows, but the last `depth` of each grid, are those of the first."""
     first = springs.between.min(axis=1)
     for block in grids:
         inside = (first >= block.first) & (first < block.first + block.rows * block.columns)
-        for k in np.unique(kind[inside & (kind >= 0)]):
+        for k in _kinds_among(kind[inside]):
             links = inside & (kind == k)
             stiffness = np.zeros(block.rows * block.columns)
             stiffness[first[links] - block.first] = springs.stiffness[links]
