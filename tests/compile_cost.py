@@ -1,10 +1,12 @@
 """Where each second of a cold start goes: `python tests/compile_cost.py [SCENE:METHOD ...]`.
 
 A process each, with an empty cache of kernels, to the end of its first frame, as `run` begins in a
-window. Seconds are the processor's, which other work on the machine hardly changes.
+window. Modules are there as bytecode, which `pip install` leaves. Seconds are the processor's,
+which other work on the machine hardly changes.
 """
 
 import argparse
+import compileall
 import inspect
 import json
 import os
@@ -13,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from pathlib import Path
 from typing import NamedTuple
 
 EACH = ("verlet", "implicit_euler", "tr_bdf2", "xpbd", "vbd")
@@ -21,6 +24,7 @@ ASKED = [f"cloth:{method}" for method in EACH] + [
     *("cloth:verlet:64", "cloth:implicit_euler:64"),
 ]
 HEADS = "start", "front end", "machine code", "largest", "rest", "total"
+HERE = Path(__file__).resolve().parent.parent
 PAIRS = 40  # of frames by turns
 
 
@@ -39,24 +43,21 @@ class Start(NamedTuple):
 
 def measure(asked, in_a_piece, to_run_fast):
     """The processor's seconds of what `HEADS` names, how many kernels there are, and the path."""
-    marks = [0.0]
-    from taichi_cloth import runtime
-    from taichi_cloth.simulation.simulation import Simulation
+    import taichi_cloth as tc
 
+    way = {"topology": asked.topology} if asked.topology else {}
+    if "soon" in inspect.signature(tc.Simulation).parameters:  # an earlier version has no choice
+        way["soon"] = not to_run_fast
     if in_a_piece:
         from taichi_cloth.front_end import mending
 
         mending.functions_work = lambda: False
-    runtime.start("cpu")
-    marks.append(time.process_time())
+    tc.start("cpu")
+    start = time.process_time()
     front, code = _watch_kernels()
-    way = {"topology": asked.topology} if asked.topology else {}
-    if "soon" in inspect.signature(Simulation).parameters:  # an earlier version has no choice
-        way["soon"] = not to_run_fast
-    sim = Simulation(built(asked), asked.method, **way)
+    sim = tc.Simulation(built(asked), asked.method, **way)
     sim.advance()
-    marks.append(time.process_time())
-    start, end = marks[1:]
+    end = time.process_time()
     reading, making = sum(front), sum(code.values())
     rest = end - start - reading - making
     found = start, reading, making, max(code.values()), rest, end
@@ -195,6 +196,9 @@ def main():
         measured = given.in_a_piece, given.to_run_fast
         print(json.dumps(by_turns(*asked) if given.turns else measure(*asked, *measured)))
         return
+    for version in (HERE, given.before):
+        if version:
+            compileall.compile_dir(Path(version) / "taichi_cloth", quiet=2)
     flags = ["--in-a-piece"] * given.in_a_piece + ["--to-run-fast"] * given.to_run_fast
     how = flags, given.times
     table = rows_beside(asked, *how, given.before) if given.before else rows(asked, *how)
