@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taichi_cloth.errors import InputError
+from taichi_cloth.files import content
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -330,16 +331,7 @@ def document(path: Path, name: str) -> str:
 
     Raises InputError where it is none.
     """
-    if not path.is_file():
-        raise InputError(f"--tables {path}: there is no such file")
-    try:
-        text = path.read_text("utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"--tables {path}: is not a text file in UTF-8 (byte {error.start}); save it as UTF-8"
-        ) from None
-    except OSError as error:
-        raise InputError(f"--tables {path}: cannot be read: {error.strerror}") from None
+    text = content.text(path, "document", called=f"--tables {path}").replace("\r\n", "\n")
     if not places(text, name):
         raise InputError(f"--tables {path}: has no '<!-- {name}:... -->' to fill")
     return text

@@ -306,7 +306,7 @@ def test_tables_show_speed_error_and_missed_targets(tmp_path):
     )
     assert text in filled and "- cores: 2" in filled and "old" not in filled
     assert report.fill(filled, tmp_path, "mine") == filled
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="there is no such file"):
         report.fill(document.format("seed other"), tmp_path, "mine")
 
 

@@ -45,7 +45,7 @@ ROOMS = {
     "files": set(),
     "measuring": set(),
     "settings": {"kernels"},
-    "console": set(),
+    "console": {"files"},
     "vulkan": set(),
     "runtime": {"front_end", "settings", "vulkan"},
     "scene": {"files", "kernels", "settings"},

@@ -14,6 +14,7 @@ from taichi_cloth import console
 from taichi_cloth.benchmarks import PARTS
 from taichi_cloth.console import duration, percent, three_digits
 from taichi_cloth.errors import InputError, clipped
+from taichi_cloth.files import content
 from taichi_cloth.files.pending import write_whole
 
 if TYPE_CHECKING:
@@ -109,14 +110,7 @@ def read_table(
     kinds: of columns that are no texts; empty ones are None. what: it should be. Raises InputError
     where it cannot be read, or a row is not whole.
     """
-    try:
-        lines = path.read_text("utf-8").splitlines()
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"{path}: is not a text file in UTF-8 (byte {error.start}); remove it"
-        ) from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    lines = content.text(path, what, remedy="remove it").splitlines()
     comments = [line for line in lines if line.startswith("# ")]
     header, *rest = [line for line in lines if not line.startswith("# ")] or [""]
     if header.split(",") != list(names):

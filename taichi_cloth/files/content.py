@@ -1,4 +1,4 @@
-"""Reading a whole file that a user names."""
+"""Reading a whole file that a user names, as bytes or as text."""
 
 from __future__ import annotations
 
@@ -13,23 +13,46 @@ from taichi_cloth.errors import InputError
 LARGEST = 2**29
 
 
-def content(path: Path, what: str, hint: Callable[[Path], str] = lambda path: "") -> bytes:
+def content(
+    path: Path, what: str, hint: Callable[[Path], str] = lambda path: "", called: str = ""
+) -> bytes:
     """The bytes of the file at `path`; raises InputError where it cannot be read.
 
     what: what it should be, such as "scene file". hint: what to add where there is no such file.
+    called: how errors call it, if not by its path.
     """
+    called = called or str(path)
     try:
         with open(path, "rb") as file:
             # What says its size is refused by it, before anything is read.
             large = os.fstat(file.fileno()).st_size > LARGEST
             read = b"" if large else file.read(LARGEST + 1)
     except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file{hint(path)}") from None
+        raise InputError(f"{called}: there is no such file{hint(path)}") from None
     except IsADirectoryError:
-        raise InputError(f"{path}: is a folder; name the {what} in it") from None
+        raise InputError(f"{called}: is a folder; name the {what} in it") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: cannot be read: {reason}") from None
+        raise InputError(f"{called}: cannot be read: {reason}") from None
     if large or len(read) > LARGEST:
-        raise InputError(f"{path}: has more than {LARGEST >> 20} MiB, too much for a {what}")
+        raise InputError(f"{called}: has more than {LARGEST >> 20} MiB, too much for a {what}")
     return read
+
+
+def text(
+    path: Path,
+    what: str,
+    hint: Callable[[Path], str] = lambda path: "",
+    called: str = "",
+    remedy: str = "save it as UTF-8",
+) -> str:
+    """What the file at `path` says; raises InputError where it cannot be read or is not in UTF-8.
+
+    remedy: what to do then. The other parameters are those of `content`.
+    """
+    try:
+        return content(path, what, hint, called).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{called or path}: is not a text file in UTF-8 (byte {error.start}); {remedy}"
+        ) from None

@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.files.content import content
+from taichi_cloth.files import content
 from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.scene import toml
 from taichi_cloth.scene.assignments import Assignment
@@ -41,14 +41,9 @@ def load(path: str | Path, assignments: Sequence[Assignment] = ()) -> Scene:
     assignments: values that take the place of the file's.
     """
     path = accepted.path("load_scene: path", path)
-    try:
-        text = content(path, "scene file", hint=_similar_file).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"{path}: is not a text file in UTF-8 (byte {error.start}); save it as UTF-8"
-        ) from None
+    said = content.text(path, "scene file", hint=_similar_file)
     name = os.fsencode(path.stem).decode("utf-8", "replace")
-    return parse(text, path.name, name, assignments, path.parent)
+    return parse(said, path.name, name, assignments, path.parent)
 
 
 def parse(
