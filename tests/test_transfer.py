@@ -86,3 +86,14 @@ def test_a_load_is_the_same_by_a_kernel(sim):
         # What is filled is filled alike, and the rest is left alone.
         touched = filled[name] != 7
         np.testing.assert_array_equal(clean[name][touched], filled[name][touched], name)
+
+
+def test_a_solvers_counts_are_the_same_from_memory_and_by_a_kernel(device, monkeypatch):
+    sim, work = Simulation(small.build("cloth"), "tr_bdf2", topology="graph"), []
+    for memory in (inside.state_of(sim).memory, None):
+        sim.reset()
+        with monkeypatch.context() as patch:
+            patch.setattr(inside.state_of(sim), "memory", memory)
+            sim.advance(2)
+        work.append(sim.work())
+    assert work[0] == work[1] and work[0].steps == 2 and work[0].sweeps > 0

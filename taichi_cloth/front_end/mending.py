@@ -34,6 +34,7 @@ import linecache
 import os
 import sys
 import textwrap
+import threading
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -58,19 +59,30 @@ NEEDED = HERE, conditions.NEEDED, reductions.NEEDED
 # Nodes of syntax trees that Taichi writes nothing on: there is one of each kind for all trees.
 SHARED = ast.expr_context, ast.boolop, ast.operator, ast.unaryop, ast.cmpop
 
+_importing = threading.RLock()
+_found: list[Any] = []  # Taichi, once `imported` has it
+
 
 def imported() -> Any:
-    """Taichi, mended; the first call imports it.
+    """Taichi, mended; the first call imports it, and others that come meanwhile wait.
 
     It says nothing then: it would print a banner, and ask a server for its newest version.
     """
-    os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
-    os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
-    imports.when_used("urllib.request")  # Taichi imports it to ask for versions alone
-    with _classes_told_by_frames():
-        taichi = imports.module("taichi")
-        mend()
-    return taichi
+    with _importing:
+        if not _found:
+            os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+            os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
+            with _no_server_asked(), _classes_told_by_frames():
+                _found.append(imports.module("taichi"))
+                mend()
+        return _found[0]
+
+
+def _no_server_asked() -> contextlib.AbstractContextManager[None]:
+    """While it lasts, Taichi does not get what it asks servers with, unless it is to ask."""
+    if os.environ["TI_SKIP_VERSION_CHECK"] == "ON":
+        return imports.put_off("urllib.request")
+    return contextlib.nullcontext()
 
 
 def mend() -> None:
@@ -147,10 +159,15 @@ class _Source:
 
     def take(self) -> ast.Module:
         """A tree that is the caller's until it is given back."""
-        if self.trees:
-            return self.trees.pop()
-        tree = self.parsed()
-        self.nodes[tree] = _attributes_in(tree)
+        tree = self.trees.pop() if self.trees else self.parsed()
+        if tree not in self.nodes:
+            self.nodes[tree] = _attributes_in(tree)
+        return tree
+
+    def take_for_good(self) -> ast.Module:
+        """A tree that is the caller's, who may change it."""
+        tree = self.trees.pop() if self.trees else self.parsed()
+        self.nodes.pop(tree, None)
         return tree
 
     def give_back(self, tree: ast.Module) -> None:
@@ -167,31 +184,32 @@ def _attributes_in(tree: ast.Module) -> list[dict[str, Any]]:
     nodes: list[ast.AST] = [tree]
     for node in nodes:  # which come meanwhile
         for value in vars(node).values():
-            if isinstance(value, list):
-                nodes += [one for one in value if isinstance(one, ast.AST)]
-            elif isinstance(value, ast.AST) and not isinstance(value, SHARED):
-                nodes.append(value)
+            for one in value if isinstance(value, list) else (value,):
+                if isinstance(one, ast.AST) and not isinstance(one, SHARED):
+                    nodes.append(one)
     return [vars(node) for node in nodes]
 
 
 @functools.cache
 def _source_of(code: CodeType) -> _Source:
     """The source of the functions that have this code: of those of a closure it is kept once."""
+    from taichi.lang import kernel_impl
+
     file, start = code.co_filename, code.co_firstlineno
     linecache.checkcache(file)
-    try:
+    with contextlib.suppress(IndexError, SyntaxError):  # then it is found as Taichi does
         return _source(file, _function_in(linecache.getlines(file), code), start)
-    except (IndexError, SyntaxError):  # typed into a shell, or of a shape that is not looked for
-        from taichi.lang import kernel_impl
-
-        lines, start = kernel_impl.getsourcelines(code)
-        return _source(kernel_impl.getsourcefile(code), lines, start)
+    lines, start = kernel_impl.getsourcelines(code)
+    return _source(kernel_impl.getsourcefile(code), lines, start)
 
 
 def _source(file: str, lines: list[str], start: int) -> _Source:
-    """The source of a function with its first tree, of lines as Taichi takes them."""
+    """The source of a function with its first tree, of lines as Taichi takes them.
+
+    Raises SyntaxError where these are not a function.
+    """
     source = _Source(file, [line.expandtabs(4).rstrip() for line in lines], start)
-    source.trees.append(source.take())
+    source.trees.append(source.parsed())
     return source
 
 
@@ -199,12 +217,16 @@ def _function_in(lines: list[str], code: CodeType) -> list[str]:
     """Those lines of a file that define the function with this code, decorators among them.
 
     Up to where a line after its last statement is indented no deeper than they are: Python's own
-    `inspect` takes each function of the file apart into tokens for it.
+    `inspect` takes each function of the file apart into tokens for it. What this does not find are
+    sources that are in no file (IndexError), functions without a statement, and text at the end of
+    one that is indented less than it: what is returned then is no function.
     """
     first, end = code.co_firstlineno - 1, max(line or 0 for _, _, line in code.co_lines())
     depth = _depth(lines[first])
     while end < len(lines) and (_depth(lines[end]) > depth or _says_nothing(lines[end])):
         end += 1
+    while _says_nothing(lines[end - 1]):
+        end -= 1
     return lines[first:end]
 
 
@@ -236,7 +258,7 @@ def _tree_and_context(
 
     source, names = _source_of(self.func.__code__), kernel_impl._get_global_vars(self.func)
     if is_kernel or is_real_function:  # their trees are changed, and read once
-        tree = source.parsed()
+        tree = source.take_for_good()
         for at in self.template_slot_locations:
             names[self.arguments[at].name] = args[at]
     else:
