@@ -12,6 +12,7 @@ import pytest
 import small
 import taichi as ti
 
+from taichi_cloth.kernels import readback
 from taichi_cloth.kernels.memory import shape_of
 from taichi_cloth.kernels.transfer import Transfer
 from taichi_cloth.simulation.simulation import Simulation
@@ -86,6 +87,20 @@ def test_a_load_is_the_same_by_a_kernel(sim):
         # What is filled is filled alike, and the rest is left alone.
         touched = filled[name] != 7
         np.testing.assert_array_equal(clean[name][touched], filled[name][touched], name)
+
+
+def test_the_host_reads_what_kernels_do(sim, monkeypatch):
+    """Positions and velocities, however they are stored, and which springs are whole."""
+    sim.advance()
+    sim.cut([0, 5, 7])
+    found = []
+    for few in (readback.FEW, 0):
+        monkeypatch.setattr(readback, "FEW", few)
+        assert readback.is_by_host(inside.state_of(sim), 1) == (few > 0)
+        read = sim.storage.positions(), sim.storage.velocities(), sim.storage.marks()
+        found.append((*read, sim.storage.drawn_positions().copy(), sim.storage.count_broken()))
+    for by_host, by_kernel in zip(*found, strict=True):
+        np.testing.assert_array_equal(by_host, by_kernel)
 
 
 def test_a_solvers_counts_are_the_same_from_memory_and_by_a_kernel(device, monkeypatch):

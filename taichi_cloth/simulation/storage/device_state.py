@@ -134,10 +134,19 @@ class DeviceState:
 
     def _read_field(self, of: Any) -> np.ndarray:
         out = np.zeros((len(self.scene.particles), self.scene.world.dim), self.real)
-        if len(out):
-            self._launch(readback.read_vectors, of, out)
+        self._read_vectors(of, out)
         values: np.ndarray = out.astype(np.float64)
         return values
+
+    def _read_vectors(self, of: Any, out: np.ndarray) -> None:
+        """Copy a field of vectors in packs to `out` (n, dim), in the order of the particles."""
+        container = self._now.container
+        if len(out) == 0:
+            return  # a kernel takes no empty array
+        if readback.is_by_host(container.state, len(out)):
+            readback.vectors_in_memory(container.spec, container.state, of, out)
+        else:
+            self._launch(readback.read_vectors, of, out)
 
     def _upload(self) -> Upload:
         now = self._now

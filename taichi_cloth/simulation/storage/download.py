@@ -80,15 +80,22 @@ class Download(DeviceState):
         if not self.specialization.fracture or len(taken) == 0:
             return taken
         out: np.ndarray = taken.copy()
-        if len(placement.graph_springs):
-            part = np.zeros((len(placement.graph_springs), 2), np.int32)
-            self._launcher.launch(readback.read_fracture, self.state, part)
-            out[placement.graph_springs] = part
+        if count := len(placement.graph_springs):
+            out[placement.graph_springs] = self._marks_on_graph(count)
         if self.specialization.links:
             part = np.zeros((len(placement.links), 2), np.int32)
             self._launch(readback.read_link_fracture, placement.link_places, part)
             out[placement.links] = part
         return out
+
+    def _marks_on_graph(self, count: int) -> np.ndarray:
+        """Status and break step of the springs on the graph, (count, 2), of which there are any."""
+        if readback.is_by_host(self.state, count):
+            found: np.ndarray = readback.fracture_in_memory(self.state, count)
+            return found
+        part = np.zeros((count, 2), np.int32)
+        self._launcher.launch(readback.read_fracture, self.state, part)
+        return part
 
     def springs_alive(self) -> np.ndarray:
         """Which springs have not been over their limit, (s,) bool."""
@@ -100,8 +107,13 @@ class Download(DeviceState):
         return self._surfaces.whole(self.scene, self.springs_alive())
 
     def count_broken(self) -> int:
-        """How many springs are not whole; the device counts them."""
-        return int(self._launch(readback.count_broken)) if self.specialization.fracture else 0
+        """How many springs are not whole; the device counts them where they are many."""
+        if not self.specialization.fracture:
+            return 0
+        count = len(self._now.placement.graph_springs)
+        if count and not self.specialization.links and readback.is_by_host(self.state, count):
+            return int(np.count_nonzero(self._marks_on_graph(count)[:, 0] != ALIVE))
+        return int(self._launch(readback.count_broken))
 
     def faulty_particle(self) -> int:
         """The particle that the watchdog found in the last frame: the lowest index at fault."""
@@ -177,8 +189,7 @@ class Download(DeviceState):
         shape = len(self.scene.particles), self.scene.world.dim
         if self._drawn_positions.shape != shape:
             self._drawn_positions = np.zeros(shape, self.real)
-        if len(self._drawn_positions):
-            self._launch(readback.read_vectors, self.state.x, self._drawn_positions)
+        self._read_vectors(self.state.x, self._drawn_positions)
         return self._drawn_positions
 
     def drawn_springs(self) -> np.ndarray:

@@ -189,9 +189,10 @@ class Storage(Loading, Download, Handling):
         if not self.scene.world.takes_clicks:
             return found
         n, dim, state = len(self.scene.particles), self.scene.world.dim, self.state
-        row = np.zeros((1, dim), self.real)
-        for field in (state.x, state.v):
-            found.append(partial(self._launch, readback.read_vectors, field, row))
+        if not readback.is_by_host(state, n):
+            row = np.zeros((1, dim), self.real)
+            for field in (state.x, state.v):
+                found.append(partial(self._launch, readback.read_vectors, field, row))
         if self.scene.world.tools:
             found.append(self._prepare_edit)
             nobody = np.zeros(0, np.int32), np.zeros((0, 2), np.int32)
@@ -199,7 +200,8 @@ class Storage(Loading, Download, Handling):
             if self.scene.world.held is None:
                 found += [partial(self._launch_hold, Hold.nobody(dim), np.ones(n), 0)]
                 found += [partial(self._launch, grab.move_hold, np.zeros(dim, self.real))]
-        if self.specialization.fracture and len(self._now.placement.graph_springs) == 0:
+        ties = self._now.placement.graph_springs
+        if self.specialization.fracture and len(ties) == 0 and not readback.is_by_host(state, 1):
             none = np.zeros((1, 2), np.int32)
             found.append(partial(self._launcher.launch, readback.read_fracture, state, none))
         return found
