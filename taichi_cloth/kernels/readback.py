@@ -39,6 +39,14 @@ def fracture_in_memory(state, count):
     return np.stack([of[:count] for of in marks], axis=1)
 
 
+def work_in_memory(state):
+    """What `take_work` copies, (3,), taken by the host where it shares the memory."""
+    counts = state.memory.of(state.work)
+    work = counts.copy()
+    counts[:] = 0
+    return work
+
+
 @ti.kernel
 def read_vectors(
     spec: ti.template(), state: ti.template(), field: ti.template(), out: ti.types.ndarray()

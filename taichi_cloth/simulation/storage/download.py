@@ -124,14 +124,12 @@ class Download(DeviceState):
 
         They are 0 where a step's work is known beforehand.
         """
-        work, memory = np.zeros(len(WORK), np.int32), self.state.memory
-        if self._method.claims.forces > 0:
-            return work
-        if memory is None:
-            self._launcher.launch(readback.take_work, self.state, work)
-        else:
-            counts = memory.of(self.state.work)
-            work[:], counts[:] = counts, 0
+        work = np.zeros(len(WORK), np.int32)
+        if self._method.claims.forces == 0:
+            if self.state.memory is not None:
+                work[:] = readback.work_in_memory(self.state)
+            else:
+                self._launcher.launch(readback.take_work, self.state, work)
         return work
 
     def take_unsettled(self) -> np.ndarray:
