@@ -1,5 +1,6 @@
 """docs/accuracy.md: its numbers are measured, its table has every method."""
 
+import contextlib
 import json
 import math
 import re
@@ -21,6 +22,7 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits import modes
 from taichi_cloth.settings.options import PRECISIONS, TOPOLOGIES
+from taichi_cloth.sweeps import journal
 
 ROOT = Path(__file__).parent.parent
 DOCUMENT = ROOT / "docs" / "accuracy.md"
@@ -168,6 +170,44 @@ def test_a_cell_is_an_error_or_says_why_it_is_refused(monkeypatch):
     monkeypatch.setattr(matrix, "PATIENCE", 1e-3)
     for cells in matrix.matrix(*graph)["oscillator"]["cells"].values():
         assert cells["graph f64"] == matrix.TOO_SLOW
+
+
+class _Measured:
+    """In place of a matrix's processes: cells with errors of their own, until it is killed."""
+
+    def __init__(self, cells):
+        self.cells, self.seen = cells, []
+
+    def __call__(self, folder, precision):
+        return contextlib.nullcontext(self)
+
+    def exact(self, name):
+        return ""
+
+    def cell(self, method, **asked):
+        if len(self.seen) == self.cells:
+            raise KeyboardInterrupt
+        self.seen.append(method)
+        return {"error": len(method) / 100}, 1.0
+
+
+def test_cells_of_a_killed_matrix_are_not_measured_again(tmp_path, monkeypatch):
+    """From the first on, which a journal begins with."""
+    names = ("rk4", "verlet", "tr_bdf2")
+    asked = {"scenes": ["oscillator"], "names": names, "precisions": ["f64"]}
+    asked["topologies"] = ["graph"]
+    first, rest = _Measured(2), _Measured(3)
+    monkeypatch.setattr(matrix, "_Process", first)
+    with pytest.raises(KeyboardInterrupt), journal.kept(tmp_path, {}, False) as begun:
+        matrix.matrix(**asked, journal=begun)
+    monkeypatch.setattr(matrix, "_Process", rest)
+    with journal.kept(tmp_path, {}, True) as resumed:
+        found = matrix.matrix(**asked, journal=resumed)
+    assert len(first.seen) == 2 and sorted(first.seen + rest.seen) == sorted(names)
+    cells = found["oscillator"]["cells"]
+    assert {name: cells[name]["graph f64"]["error"] for name in names} == {
+        name: len(name) / 100 for name in names
+    }
 
 
 def test_its_table_has_a_row_for_every_method_and_says_what_was_measured():

@@ -86,9 +86,6 @@ class Journal:
             raise
         self.resumed = len(self._entries)
 
-    def __len__(self) -> int:
-        return len(self._entries)
-
     def finished(self) -> list[str]:
         """The keys of all finished results, in the order in which they came."""
         with self._lock:
@@ -308,8 +305,8 @@ def kept(
         yield journal
     except BaseException:
         journal.close()
-        if len(journal) and not quiet:
-            left = f"{counted(len(journal), 'finished result')} in {journal.path}"
+        if (count := len(journal.finished())) and not quiet:
+            left = f"{counted(count, 'finished result')} in {journal.path}"
             print(f"--resume goes on with {left}", file=sys.stderr, flush=True)
         raise
     journal.discard()

@@ -227,7 +227,9 @@ def _experiment(part: str, journal: Journal | None, of_matrix: dict[str, Any] | 
     """A part's data, from the journal where it has them."""
     if part == "matrix":
         return _computed(part, kept=of_matrix, journal=journal)
-    return journal.once(_data_key(part), lambda: _computed(part)) if journal else _computed(part)
+    if journal is None:
+        return _computed(part)
+    return journal.once(_data_key(part), lambda: _computed(part))
 
 
 def _computed(part: str, **asked: Any) -> Any:

@@ -234,7 +234,7 @@ def _row(
             for method in sorted(names, key=lambda m: KINDS.index(_kind(m))):
                 earlier = has.get(method, {}).get(f"{topology} {precision}", {})
                 key = key_of("cell", name, method, topology, precision)
-                finished = journal.get(key) if journal else None
+                finished = journal.get(key) if journal is not None else None
                 if "error" in earlier:
                     made = earlier
                 elif finished:
@@ -251,12 +251,12 @@ def _row(
                     asked = {"method": method, "topology": topology, "exact": exact}
                     made, took = processes[precision].cell(name=name, **asked)
                     spent += took
-                    if journal:
+                    if journal is not None:
                         journal.add(key, [made, took])
                 if made == TOO_SLOW:
                     slow.add((topology, _kind(method)))
                 cells[method][f"{topology} {precision}"] = made
-    if journal:
+    if journal is not None:
         journal.once(_row_key(name), lambda: "whole")
     return about | {"cells": cells}
 
