@@ -80,7 +80,7 @@ def difference(spec: ti.template(), state: ti.template(), value: ti.template(), 
 
 
 @ti.func
-def forget_low(spec: ti.template(), state: ti.template(), low: ti.template(), slot, axis):
+def forget_low(spec: ti.template(), low: ti.template(), slot, axis):
     """Clear the low part of a particle's vector on an axis.
 
     There it was set to a value and not changed by a sum, so nothing is owed to it.

@@ -268,7 +268,7 @@ def _held_by_wall(
     if pressed or far:
         kept_x[axis] = on_wall
         if ti.static(spec.compensated):
-            forget_low(spec, state, state.x_low, slot, axis)
+            forget_low(spec, state.x_low, slot, axis)
         normal_v = new_vn
         if pressed and ti.static(not _is_floor(spec, axis, side)):
             normal_v = 0.0 * new_vn
@@ -280,5 +280,5 @@ def _held_by_wall(
         kept_v[axis] = float(side) * normal_v
         if ti.static(spec.compensated):
             if ti.static(not _is_floor(spec, axis, side)) or not pressed:
-                forget_low(spec, state, state.v_low, slot, axis)
+                forget_low(spec, state.v_low, slot, axis)
     return kept_x, kept_v

@@ -64,7 +64,7 @@ def nearest(spec: ti.template(), state: ti.template(), o, p, q, r, radii, w, sid
             step = stride
             if turns % 2 == 0:  # to the nearest point of the obstacle, and from there back
                 step = ti.max(least, 0.0) + state.obstacle_numbers[o, ROUND] + 1e-4 * side
-            trial = shares_of_nearest(spec, point_of(share, p, q, r) - step * n, p, q, r)
+            trial = shares_of_nearest(point_of(share, p, q, r) - step * n, p, q, r)
             moved = trial - share
             if turns % 2 == 1 and moved.dot(moved) < 1e-12:
                 break
@@ -127,7 +127,7 @@ def _corner_shares(like, k):
 
 
 @ti.func
-def shares_of_nearest(spec: ti.template(), p, a, b, c):
+def shares_of_nearest(p, a, b, c):
     """The shares (3,) of the corners a, b, c in the point of their triangle that is nearest to p.
 
     In 2-D, and where b and c are one, it is the edge from a to b. Ericson, Real-Time Collision

@@ -28,10 +28,16 @@ from taichi_cloth.kernels.obstacles.contract import (
     FRICTION,
     RESTITUTION,
     ROUND,
-    SCALE,
 )
-from taichi_cloth.kernels.obstruction import ROUNDINGS, bounce, judge_look, part_before, size_of
-from taichi_cloth.kernels.packs import epsilon, slot_number, slot_value
+from taichi_cloth.kernels.obstruction import (
+    BOUND_MARGIN,
+    bounce,
+    judge_look,
+    part_before,
+    slack_of,
+    weight_of_meeting,
+)
+from taichi_cloth.kernels.packs import slot_number, slot_value
 from taichi_cloth.kernels.phases import DONE, go_to, set_alone, stepping
 from taichi_cloth.kernels.poses import (
     END,
@@ -222,7 +228,7 @@ def _is_near(spec: ti.template(), state: ti.template(), o, m):
         reach = ti.max(reach, laws.length(d) + slot_number(spec, state.radius, slot))
         way = ti.max(way, laws.length(moved))
     away = laws.length(x - centre_of(spec, state, o, END))
-    beyond = away - 1.001 * (state.obstacle_numbers[o, BOUND] + reach)
+    beyond = away - BOUND_MARGIN * (state.obstacle_numbers[o, BOUND] + reach)
     return face_clearance.of_far(state, beyond - way, x), beyond <= way
 
 
@@ -291,18 +297,8 @@ def _room(spec: ti.template(), state: ti.template(), o, slot, radii, side):
     large a gap is rounding."""
     radius = ti.max(radii[0], radii[1], radii[2])
     room = ti.max(radius + state.obstacle_numbers[o, ROUND], LEAST_ROOM * side)
-    slack = (
-        ROUNDINGS
-        * ti.static(epsilon(state))
-        * (
-            size_of(slot_value(spec, state.x, slot))
-            + size_of(centre_of(spec, state, o, END))
-            + side
-            + radius
-            + state.obstacle_numbers[o, SCALE]
-        )
-    )
-    return room, slack
+    x = slot_value(spec, state.x, slot)
+    return room, slack_of(spec, state, o, x, radius + side)  # no point of it is farther than a side
 
 
 # --- what comes of it --------------------------------------------------------------------------
@@ -342,10 +338,9 @@ def _note_contact(spec: ti.template(), state: ti.template(), o, m, gap, meets, p
         surface_v = velocity_at(spec, state, o, r)
         dt, u = state.dt[None], (v - surface_v).dot(n)
         push, target, weight = -1.0 * gap, 0.0 * gap, ti.static(state.position_weight) * dt
-        if meets and state.face_finds[None] == 1 and u < 0.0:  # as in `obstruction.obstructed`
+        if meets and state.face_finds[None] == 1 and u < 0.0:
             u_before = (begun_v - surface_v).dot(n)
-            came = ti.min(ti.max(u_before / u, 0.0), 1.0)
-            weight += came * ((1.0 - part) * dt - weight)
+            weight = weight_of_meeting(weight, u_before, u, part, dt)
             e = state.obstacle_numbers[o, RESTITUTION]
             if e > 0.0:
                 new_u, lift = bounce(u_before, u, part, e, state.position_weight, dt)

@@ -130,7 +130,7 @@ def renew_number(spec: ti.template(), field: ti.template(), first, width, h, lan
 
 
 @ti.func
-def renew_halos(spec: ti.template(), state: ti.template(), begin, width, fields: ti.template()):
+def renew_halos(spec: ti.template(), begin, width, fields: ti.template()):
     """Fill both halos of the row of packs at `begin` anew, in these fields of state.haloed."""
     for field in ti.static(fields):
         renew_left_halo(spec, field, begin, width, spec.left_reach)

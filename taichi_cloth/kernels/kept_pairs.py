@@ -238,7 +238,7 @@ def _list_of_block(spec: ti.template(), state: ti.template(), at, b, first, end,
 
 
 @ti.func
-def _anchor_apart2(spec: ti.template(), state: ti.template(), at, x):
+def _anchor_apart2(state: ti.template(), at, x):
     """The square of the distance of an anchor from x."""
     d2 = ti.cast(0.0, state.real)
     for axis in ti.static(range(3)):
@@ -257,7 +257,7 @@ def _list_closer(spec: ti.template(), state: ti.template(), at, first, end, x, s
         if (other >= first) & (other < end):
             closer |= 1 << (other - first)
             reach = state.closer_reach[row] + CLOSER_SKIN * skin
-            near = _anchor_apart2(spec, state, other, x) <= reach * reach
+            near = _anchor_apart2(state, other, x) <= reach * reach
             if near & (other > at):
                 _put(state, at, other, ti.min(row - start + 1, LATER))
     return closer
@@ -363,7 +363,7 @@ def _list_both_ends(spec: ti.template(), state: ti.template(), t):
         state.near_start[at], state.near_count[at] = at * MOST_KEPT, 0
     for at in range(state.patch_start[state.n_patches[None]]):
         for k in range(state.found_start[at], state.found_start[at] + state.found_count[at]):
-            other = state.found[k] >> NEAR_BITS
+            other = other_of(state.found[k])
             _put_near(spec, state, at, k, other)
             _put_near(spec, state, other, k, at)
     for at in range(state.n[None]):
@@ -435,6 +435,12 @@ def _shortest2(before, now):
     part = ti.select(way2 > 0.0, -before.dot(way) / way2, 0.0 * way2)
     nearest = before + ti.min(ti.max(part, 0.0), 1.0) * way
     return ti.min(nearest.dot(nearest), now.dot(now))
+
+
+@ti.func
+def other_of(code):
+    """The place of the other one of a pair, of its number in state.near or state.found."""
+    return code >> NEAR_BITS
 
 
 @ti.func

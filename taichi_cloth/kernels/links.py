@@ -121,6 +121,13 @@ JOIN_ROOM = 16
 
 # --- a pass over all links ---------------------------------------------------------------------
 
+OUTER_ROWS, LAST_ROWS, REST = range(-1, 2)  # what a phase of a pass does: see `pass_over_rows`
+
+
+def nothing(state):
+    """The fields of state.haloed that a pass changes which neighbours read nothing of."""
+    return ()
+
 
 class Pass(NamedTuple):
     """What a pass over links does: between, apart and consume as `springs.accumulate` takes them.
@@ -129,7 +136,8 @@ class Pass(NamedTuple):
         row are computed; `loops.leave` moves nothing.
     numbers, ops: what is joined over all packs, as `loops.join` takes them; the numbers are read
         right after a pack's `consume`. The parts of each row are left to `loops.join_parts`.
-    moved, consumed: (state) -> those fields of state.haloed that `move` and `consume` change.
+    moved, consumed: (state) -> those fields of state.haloed that `move` and `consume` change;
+        `nothing` where neighbours read none of what they do.
     """
 
     between: Callable
@@ -202,11 +210,11 @@ def move_row(spec: ti.template(), state: ti.template(), g, r, of: ti.template())
     begin, width = state.grid[g, 0] + r * pitch_of(spec, state, g), state.grid[g, 2]
     for i in range(begin, begin + width):
         of.move(spec, state, i)
-    renew_halos(spec, state, begin, width, ti.static(of.moved(state)))
+    renew_halos(spec, begin, width, ti.static(of.moved(state)))
 
 
 @ti.func
-def _joined_at(spec: ti.template(), t, k: ti.template()):
+def _joined_at(t, k: ti.template()):
     """Where thread t joins number k of a row."""
     return (t + 1) * JOIN_ROOM + k
 
@@ -216,7 +224,7 @@ def _begin_joins(spec: ti.template(), state: ti.template(), t, ops: ti.template(
     """Begin to join the numbers of a row."""
     for k in ti.static(range(len(ops))):
         nothing = everywhere(spec, ti.cast(0.0, state.real))
-        write(spec, state.joined, _joined_at(spec, t, k), nothing)
+        write(spec, state.joined, _joined_at(t, k), nothing)
 
 
 @ti.func
@@ -224,7 +232,7 @@ def _join_pack(spec: ti.template(), state: ti.template(), t, i, of: ti.template(
     """Join the numbers of pack i, in the pass `of`, with those of its row."""
     numbers = of.numbers(spec, state, i)
     for k, op in ti.static(enumerate(of.ops)):
-        at = _joined_at(spec, t, k)
+        at = _joined_at(t, k)
         write(spec, state.joined, at, op(read(spec, state.joined, at), numbers[k]))
 
 
@@ -232,7 +240,7 @@ def _join_pack(spec: ti.template(), state: ti.template(), t, i, of: ti.template(
 def _end_joins(spec: ti.template(), state: ti.template(), t, row, ops: ti.template()):
     """Keep what was joined of the row that begins with the pack `row`."""
     for k, op in ti.static(enumerate(ops)):
-        state.sums[k, row] = folded(op, read(spec, state.joined, _joined_at(spec, t, k)))
+        state.sums[k, row] = folded(op, read(spec, state.joined, _joined_at(t, k)))
 
 
 @ti.func
@@ -254,8 +262,10 @@ def pass_over_rows(
     begin there and, negated, from those that end there, while the links of the next row are
     computed: the one waits for memory and the other computes. No row is read again after its turn,
     so `consume` may change what `between` reads of its pack. So that no thread changes what another
-    one needs, the last rows of a share, whose links reach into the next share, are computed before
-    all else: that is phase 0, and all the rest is phase 1; with one thread there is only phase 1.
+    one needs, it takes phases, with all threads at the same one: in OUTER_ROWS a share's first and
+    last rows are moved, if the pass moves any, which its neighbours' links reach; in LAST_ROWS the
+    links of a share's last rows, which reach into the next share, are computed; REST is all else. A
+    thread that is alone has no LAST_ROWS.
 
     Stencils along lines are handled as links are: the pull of each is computed before its earliest
     row's turn, and taken once by the particle it begins at, minus twice by the next, once by the
@@ -268,18 +278,19 @@ def pass_over_rows(
         start, turns, computed = begin, end, end  # the rows whose turn it is, and to be computed
         if ti.static(spec.threads > 1):
             computed = end - spec.depth
-            if phase == 0:
+            if phase == LAST_ROWS:
                 start, turns, computed = ti.max(begin, end - spec.depth), end - 1, end
-        if phase == -1:
+        if phase == OUTER_ROWS:
             start, computed = begin - spec.depth, begin - spec.depth
         for r in range(start - 1, turns):
             if ti.static(_moves(of.move)):
                 moving = r + 1 + spec.depth
                 outer = moving < begin + spec.depth or moving >= end - spec.depth
-                if phase != 0 and outer == (phase == -1) and begin <= moving and moving < end:
+                now = phase != LAST_ROWS and outer == (phase == OUTER_ROWS)
+                if now and begin <= moving and moving < end:
                     move_row(spec, state, g, moving, of)
             row = first + r * pitch
-            computes, consumes = linked and r + 1 < computed, phase == 1 and r >= start
+            computes, consumes = linked and r + 1 < computed, phase == REST and r >= start
             here = ring_row(spec, state, g, t, begin, end, r)
             ahead = ring_row(spec, state, g, t, begin, end, r + 1)
             stiffness = row + pitch
@@ -333,7 +344,7 @@ def pass_over_rows(
                     renew_right_halo(spec, state.ring_forces, to, width, -columns)
             if consumes:
                 _end_joins(spec, state, t, row, ti.static(of.ops))
-                renew_halos(spec, state, row, width, ti.static(of.consumed(state)))
+                renew_halos(spec, row, width, ti.static(of.consumed(state)))
 
 
 @ti.func
@@ -355,7 +366,7 @@ def pass_over_grids(spec: ti.template(), state: ti.template(), t, of: ti.templat
 
 
 def _phases(spec, move):
-    """The phases of a pass."""
-    if spec.threads == 1 and not spec.one_launch_per_step:
-        return range(-1, 2, 2) if _moves(move) else range(1, 2)
-    return range(-1 if _moves(move) else 0, 2)
+    """The phases of a pass, a range."""
+    alone = spec.threads == 1 and not spec.one_launch_per_step
+    first = OUTER_ROWS if _moves(move) else REST if alone else LAST_ROWS
+    return range(first, REST + 1, REST - OUTER_ROWS if alone else 1)

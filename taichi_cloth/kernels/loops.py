@@ -151,7 +151,7 @@ def _visiting(body, moving):
         for i in range(begin, begin + width):
             body(spec, state, i)
         if ti.static(moving):
-            renew_halos(spec, state, begin, width, ti.static(state.haloed))
+            renew_halos(spec, begin, width, ti.static(state.haloed))
 
     return row
 
@@ -207,45 +207,22 @@ def add_up(spec: ti.template(), state: ti.template(), t, number: ti.template(), 
     summed in three levels (`levels_of`). `number` may change its pack. `State.add_sums` makes the
     room.
     """
-    _join(spec, state, t, number, k, plus)
-
-
-@ti.func
-def find_largest(
-    spec: ti.template(), state: ti.template(), t, number: ti.template(), k: ti.template()
-):
-    """Find the largest of number(spec, state, i) over all packs i, into state.sums[k, 0].
-
-    None of the numbers may be negative. `number` may change its pack.
-    """
-    _join(spec, state, t, number, k, ti.max)
-
-
-@ti.func
-def _join(
-    spec: ti.template(),
-    state: ti.template(),
-    t,
-    number: ti.template(),
-    k: ti.template(),
-    op: ti.template(),
-):
-    """Join number(spec, state, i) over all packs i by op(a, b), from 0, into state.sums[k, 0]."""
     if ti.static(spec.lanes == 1):
-        each(spec, state, t, pieces_of(state), ti.static(_joining_piece(number, k, op)))
+        each(spec, state, t, pieces_of(state), ti.static(_joining_piece(number, k)))
     else:
-        each_row(spec, state, t, ti.static(_joining_row(number, k, op)))
+        each_row(spec, state, t, ti.static(_joining_row(number, k, plus)))
     if ti.static(in_three_levels()):
-        each(spec, state, t, state.n_groups[None], ti.static(_joining_groups((op,), k)))
-    each(spec, state, t, 1, ti.static(_joining_parts(k, op)))
+        each(spec, state, t, state.n_groups[None], ti.static(_joining_groups((plus,), k)))
+    each(spec, state, t, 1, ti.static(_joining_parts(k, plus)))
 
 
 @ti.func
 def join(spec: ti.template(), state: ti.template(), t, numbers: ti.template(), ops: ti.template()):
     """Join several numbers over all packs in one loop, the one at place k into state.sums[k, 0].
 
-    numbers(spec, state, i), which only reads, gives a list of them, each as `add_up` takes it where
-    its op of `ops` is `packs.plus`, and as `find_largest` does where it is ti.max.
+    numbers(spec, state, i), which only reads, gives a list of them, each as `add_up` takes it; they
+    are summed where their op of `ops` is `packs.plus`, and the largest is found where it is ti.max,
+    of which none may be negative.
     """
     if ti.static(spec.lanes == 1):
         each(spec, state, t, pieces_of(state), ti.static(_joining_piece_at_once(numbers, ops)))
@@ -337,8 +314,8 @@ def pieces_of(state: ti.template()):
 
 
 @functools.cache
-def _joining_piece(number, k, op):
-    """The body of a loop over pieces that joins the numbers of a piece in sums[k, piece + 1]."""
+def _joining_piece(number, k):
+    """The body of a loop over pieces that adds up the numbers of a piece in sums[k, piece + 1]."""
 
     @ti.func
     def body(spec: ti.template(), state: ti.template(), piece):
@@ -346,10 +323,10 @@ def _joining_piece(number, k, op):
         if ti.static(in_three_levels()):
             pieces = state.n_pieces[None]
             for n in range(turns_of(state.n_packs[None], piece, pieces)):
-                total = op(total, number(spec, state, piece + n * pieces))
+                total += number(spec, state, piece + n * pieces)
         else:
             for i in range(piece * PIECE, ti.min((piece + 1) * PIECE, state.n_packs[None])):
-                total = op(total, number(spec, state, i))
+                total += number(spec, state, i)
         state.sums[k, piece + 1] = total
 
     return body

@@ -21,7 +21,7 @@ from taichi_cloth.kernels.collision_grid import (
     sorted_w,
     sum_over_near,
 )
-from taichi_cloth.kernels.kept_pairs import NEAR_BITS
+from taichi_cloth.kernels.kept_pairs import other_of
 from taichi_cloth.kernels.loops import each
 from taichi_cloth.kernels.packs import slot_value
 
@@ -130,9 +130,9 @@ def reach_of(spec: ti.template(), state: ti.template(), at, pair):
 
 
 @ti.func
-def place_of(spec: ti.template(), state: ti.template(), at, pair):
+def place_of(spec: ti.template(), state: ti.template(), pair):
     """The place of the other one of a pair."""
     if ti.static(spec.thick):
-        return state.near[pair] >> NEAR_BITS
+        return other_of(state.near[pair])
     else:
         return pair

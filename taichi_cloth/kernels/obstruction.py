@@ -43,6 +43,7 @@ from taichi_cloth.kernels.poses import (
 from taichi_cloth.kernels.watchdog import note_fault
 
 ROUNDS = 8  # in which a particle that several obstacles touch finds where all let it be
+BOUND_MARGIN = 1.001  # of what obstacles are within, so that no rounding makes them larger
 ROUNDINGS = 8.0  # of the lengths in a distance, that count as touching
 MOST_LOOKS = 128  # along the path of a step
 LEAST_STEP = 0.25  # of a look, in parts of how thin the obstacle is
@@ -98,7 +99,7 @@ def _keep_ball(spec: ti.template(), state: ti.template(), slot, x, radius):
     clear = FAR + 0.0 * radius
     for o in range(state.n_obstacles[None]):
         d = x - centre_of(spec, state, o, END)
-        gap = ti.sqrt(d.dot(d)) - 1.001 * state.obstacle_numbers[o, BOUND]
+        gap = ti.sqrt(d.dot(d)) - BOUND_MARGIN * state.obstacle_numbers[o, BOUND]
         for s in ti.static(range(len(spec.obstacles))):
             if ti.static(load(spec.obstacles[s]).convex):
                 if state.obstacle_shape[o] == s:
@@ -115,7 +116,7 @@ def _keep_ball(spec: ti.template(), state: ti.template(), slot, x, radius):
 
 @ti.func
 def slack_of(spec: ti.template(), state: ti.template(), o, x, radius):
-    """What is rounding in the distance of a particle from obstacle o."""
+    """What is rounding in the distance from obstacle o of a ball of that radius around x."""
     size = size_of(x) + size_of(centre_of(spec, state, o, END))
     return (
         ROUNDINGS * ti.static(epsilon(state)) * (size + radius + state.obstacle_numbers[o, SCALE])
@@ -162,7 +163,7 @@ def is_near(spec: ti.template(), state: ti.template(), o, slot, x, radius):
     if ti.static(spec.moving):
         way += centre_of(spec, state, o, START) - centre_of(spec, state, o, END)
     reach = state.obstacle_numbers[o, BOUND] + radius
-    return ti.sqrt(d.dot(d)) <= 1.001 * reach + ti.sqrt(way.dot(way))
+    return ti.sqrt(d.dot(d)) <= BOUND_MARGIN * reach + ti.sqrt(way.dot(way))
 
 
 @ti.func
@@ -200,9 +201,7 @@ def obstructed(
         if meets:
             u_before = (slot_value(spec, state.begun_v, slot) - surface_v).dot(n)
             if u < 0.0:
-                # What it came with is lost where it meets the surface, the rest through the step.
-                came = ti.min(ti.max(u_before / u, 0.0), 1.0)
-                weight += came * ((1.0 - part) * dt - weight)
+                weight = weight_of_meeting(weight, u_before, u, part, dt)
             if e > 0.0:
                 new_u, lift = bounce(u_before, u, part, e, state.position_weight, dt)
                 push += lift
@@ -256,6 +255,17 @@ def size_of(a):
     for axis in ti.static(range(1, a.n)):
         total += ti.abs(a[axis])
     return total
+
+
+@ti.func
+def weight_of_meeting(weight, u_before, u, part, dt):
+    """The time for which a change of velocity moves what meets a surface in its step.
+
+    What it came with is lost where it meets the surface, the rest through the step.
+    weight: that time of a change through the step; u_before, u, part: see `bounce`; u is negative.
+    """
+    came = ti.min(ti.max(u_before / u, 0.0), 1.0)
+    return weight + came * ((1.0 - part) * dt - weight)
 
 
 @ti.func

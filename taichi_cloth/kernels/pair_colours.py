@@ -11,7 +11,7 @@ at, other: places in `state.in_patches`. Colour c has the rows of state.near fro
 import taichi as ti
 
 from taichi_cloth.kernels.collision_grid import MOST_KEPT, sorted_w
-from taichi_cloth.kernels.kept_pairs import NEAR_BITS
+from taichi_cloth.kernels.kept_pairs import other_of
 from taichi_cloth.kernels.loops import barrier
 
 COLOURS = 16  # as bits of state.colours_at; the next bit is that of the rest
@@ -39,7 +39,7 @@ def colour_pairs(spec: ti.template(), state: ti.template(), t):
 @ti.func
 def _colour(spec: ti.template(), state: ti.template(), at, k):
     """Put the pair in row k of state.found into the list of its colour, unless both are fixed."""
-    other = state.found[k] >> NEAR_BITS
+    other = other_of(state.found[k])
     if sorted_w(spec, state, at) + sorted_w(spec, state, other) > 0.0:
         free = ~(state.colours_at[at] | state.colours_at[other]) & ALL
         lowest = ti.select(free == 0, ti.static(1 << COLOURS), free & -free)

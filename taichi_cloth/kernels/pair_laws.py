@@ -28,6 +28,14 @@ from taichi_cloth.kernels.poses import (
 SLACK = 1e-4  # of a pair's reach, within which they touch
 MEETS = 4.0  # gravity times dt: a pair that closes in faster bounces
 ROUNDINGS = 4.0  # of the coordinates, that an overlap may have
+OVERLAP, APPROACH = range(2)  # columns of state.touching and state.pair_residual
+
+
+@ti.func
+def clear_residual(spec: ti.template(), state: ti.template(), i):
+    """Begin to find what an iteration leaves of overlaps and approaches: run once."""
+    for kind in ti.static((OVERLAP, APPROACH)):
+        state.pair_residual[state.pair_iteration[None] & 1, kind] = 0.0
 
 
 @ti.func

@@ -22,7 +22,7 @@ import functools
 import taichi as ti
 
 from taichi_cloth.kernels.collision_grid import slot_of, sorted_w
-from taichi_cloth.kernels.compensated import joined
+from taichi_cloth.kernels.compensated import joined, owed_at, put_at
 from taichi_cloth.kernels.kept_pairs import has_passed
 from taichi_cloth.kernels.loops import each, each_pack_moving, leave, raise_to
 from taichi_cloth.kernels.near_pairs import (
@@ -33,8 +33,16 @@ from taichi_cloth.kernels.near_pairs import (
     sum_over_pairs,
 )
 from taichi_cloth.kernels.obstruction import is_free
-from taichi_cloth.kernels.packs import set_slot_value, slot_value
-from taichi_cloth.kernels.pair_laws import impulse, may_touch, meeting, out_of_obstacles
+from taichi_cloth.kernels.packs import slot_value
+from taichi_cloth.kernels.pair_laws import (
+    APPROACH,
+    OVERLAP,
+    clear_residual,
+    impulse,
+    may_touch,
+    meeting,
+    out_of_obstacles,
+)
 from taichi_cloth.kernels.swept_pairs import is_swept, sweep_pairs
 from taichi_cloth.kernels.watchdog import note_fault
 
@@ -46,7 +54,6 @@ UNSETTLED = 1e-2  # of a pair's reach: an overlap that is counted
 CLOTH_SWEEPS, CLOTH_SETTLED, CLOTH_UNSETTLED = 12, 2e-2, 0.1
 # Bits of state.touch; above them the pair's place among those near its particle.
 OVERLAPS, APPROACHES, TOUCH_BITS = 1, 2, 2
-OVERLAP, APPROACH = range(2)  # columns of state.touching and state.pair_residual
 
 
 def unsettled(spec):
@@ -111,7 +118,7 @@ def iterate(spec: ti.template(), state: ti.template(), t, done):
     else:  # every thread writes the same, and none is still in the iteration before
         state.pair_iteration[None] = done
     _each_active(spec, state, t, _count_touching)
-    each(spec, state, t, 1, _clear_residual)
+    each(spec, state, t, 1, clear_residual)
     _each_active(spec, state, t, _move)
 
 
@@ -136,12 +143,6 @@ def _at_active(body):
 @ti.func
 def _number(spec: ti.template(), state: ti.template(), done):
     state.pair_iteration[None] = done
-
-
-@ti.func
-def _clear_residual(spec: ti.template(), state: ti.template(), i):
-    for kind in ti.static((OVERLAP, APPROACH)):
-        state.pair_residual[state.pair_iteration[None] & 1, kind] = 0.0
 
 
 @ti.func
@@ -170,7 +171,7 @@ def _between(spec: ti.template(), state: ti.template(), at, pair, x, v):
     """A pair of the particle at x with v: normal towards the other one, gap, reach,
     relative velocity, its normal part, whether
     it overlaps and whether it approaches, as 1 or 0."""
-    other = place_of(spec, state, at, pair)
+    other = place_of(spec, state, pair)
     d = _value(spec, state, other, 0) - x
     reach = reach_of(spec, state, at, pair)
     passed = 0
@@ -242,7 +243,7 @@ def _list_touching(spec: ti.template(), state: ti.template(), at):
 @ti.func
 def _may_touch(spec: ti.template(), state: ti.template(), at, pair, x):
     """Whether a pair of cloth is near enough to be asked whether it touches; x: of `at`."""
-    d = _value(spec, state, place_of(spec, state, at, pair), 0) - x
+    d = _value(spec, state, place_of(spec, state, pair), 0) - x
     reach = reach_of(spec, state, at, pair)
     return may_touch(spec, state, x, d, reach) | has_passed(state, pair)
 
@@ -259,7 +260,7 @@ def _move(spec: ti.template(), state: ti.template(), at):
             state.visited[at] = done
             start = state.near_start[at]
             for pair in range(start, start + state.near_count[at]):
-                state.visited[place_of(spec, state, at, pair)] = done
+                state.visited[place_of(spec, state, pair)] = done
     else:
         _take_to_other_half(spec, state, at, touches, True)
 
@@ -292,7 +293,7 @@ def _change(spec: ti.template(), state: ti.template(), at, pair):
     """What a pair changes of the position and the velocity of the particle at `at`."""
     x, v = _value(spec, state, at, 0), _velocity(spec, state, at)
     n, gap, reach, relative, u, overlaps, approaches = _between(spec, state, at, pair, x, v)
-    other = place_of(spec, state, at, pair)
+    other = place_of(spec, state, pair)
     return _change_by(spec, state, at, other, n, gap, reach, relative, u, overlaps, approaches)
 
 
@@ -304,7 +305,7 @@ def _change_by_touching(spec: ti.template(), state: ti.template(), at):
     for k in range(start, start + state.touch_count[at]):
         code = state.touch[k]
         pair = start + (code >> TOUCH_BITS)
-        other = place_of(spec, state, at, pair)
+        other = place_of(spec, state, pair)
         n = ti.Vector([state.touch_normal[k, axis] for axis in range(spec.dim)])
         gap = state.touch_normal[k, ti.static(spec.dim)]
         relative = _velocity(spec, state, other) - v
@@ -387,14 +388,8 @@ def _store_row(spec: ti.template(), state: ti.template(), slot, row):
         dv[axis] = state.sorted[row, ti.static(spec.dim + 1 + axis)] - v[axis]
         moved = ti.max(moved, ti.abs(dx[axis]), ti.abs(dv[axis]))
     if moved > 0.0:
-        x_low, v_low = 0.0 * x, 0.0 * v
-        if ti.static(spec.compensated):
-            x_low, v_low = slot_value(spec, state.x_low, slot), slot_value(spec, state.v_low, slot)
+        x_low, v_low = owed_at(spec, state, slot)
         x, x_low = joined(spec, state, x, x_low, dx)
         v, v_low = joined(spec, state, v, v_low, dv)
-        set_slot_value(spec, state.x, slot, x)
-        set_slot_value(spec, state.v, slot, v)
-        if ti.static(spec.compensated):
-            set_slot_value(spec, state.x_low, slot, x_low)
-            set_slot_value(spec, state.v_low, slot, v_low)
+        put_at(spec, state, slot, x, x_low, v, v_low)
         note_fault(spec, state, slot)

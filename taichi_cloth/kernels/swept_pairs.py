@@ -16,15 +16,22 @@ at, other: places in `state.in_patches`, whose particles are in state.sorted.
 import taichi as ti
 
 from taichi_cloth.kernels.collision_grid import slot_of, sorted_v, sorted_w, sorted_x
-from taichi_cloth.kernels.kept_pairs import NEAR_BITS, has_passed
+from taichi_cloth.kernels.kept_pairs import has_passed, other_of
 from taichi_cloth.kernels.loops import barrier, each, share
 from taichi_cloth.kernels.obstruction import is_free
 from taichi_cloth.kernels.packs import slot_value
 from taichi_cloth.kernels.pair_colours import COLOURS, colour_pairs, first_row
-from taichi_cloth.kernels.pair_laws import impulse, may_touch, meeting, out_of_obstacles
+from taichi_cloth.kernels.pair_laws import (
+    APPROACH,
+    OVERLAP,
+    clear_residual,
+    impulse,
+    may_touch,
+    meeting,
+    out_of_obstacles,
+)
 
 FEW = 32  # pairs of a colour, that one thread does
-OVERLAP, APPROACH = range(2)  # columns of state.pair_residual
 
 
 def is_swept(spec):
@@ -48,7 +55,7 @@ def sweep_pairs(
     while going == 1:
         # Every thread writes the same, and none is still in the sweep before.
         state.pair_iteration[None] = sweep
-        each(spec, state, t, 1, _clear_residual)
+        each(spec, state, t, 1, clear_residual)
         for colour in range(ti.static(COLOURS + 1)):
             _sweep_colour(spec, state, t, colour, sweep)
         if ti.static(len(spec.obstacles) > 0):
@@ -74,12 +81,6 @@ def _take_velocity(spec: ti.template(), state: ti.template(), at):
 
 
 @ti.func
-def _clear_residual(spec: ti.template(), state: ti.template(), i):
-    for kind in ti.static((OVERLAP, APPROACH)):
-        state.pair_residual[state.pair_iteration[None] & 1, kind] = 0.0
-
-
-@ti.func
 def _sweep_colour(spec: ti.template(), state: ti.template(), t, colour, sweep):
     """Do the pairs of a colour, of which few, and all of the rest, are one thread's."""
     count, after = state.colour_size[colour], 0
@@ -92,7 +93,7 @@ def _sweep_colour(spec: ti.template(), state: ti.template(), t, colour, sweep):
     overlap, approach = ti.cast(0.0, state.real), ti.cast(0.0, state.real)
     first = first_row(state, colour)
     for row in range(first + begin, first + end):
-        a, b = state.near_from[row], state.near[row] >> NEAR_BITS
+        a, b = state.near_from[row], other_of(state.near[row])
         if ti.max(state.changed[a], state.changed[b]) >= sweep:
             left = _settle_pair(spec, state, row, a, b, sweep)
             overlap, approach = ti.max(overlap, left[OVERLAP]), ti.max(approach, left[APPROACH])

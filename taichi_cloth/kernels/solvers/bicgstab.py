@@ -16,7 +16,7 @@ trust regions in large scale optimization", 1983).
 
 import taichi as ti
 
-from taichi_cloth.kernels.links import Pass
+from taichi_cloth.kernels.links import Pass, nothing
 from taichi_cloth.kernels.loops import add_up, each, each_pack, each_pack_moving
 from taichi_cloth.kernels.packs import dot, plus, read, write
 from taichi_cloth.kernels.solvers.newton_matrix import (
@@ -39,6 +39,8 @@ VECTORS = ("shadow", "search", "searched")  # the first residual; a first half's
 SCALARS = ("rho", "alpha")  # shadow times residual; the step of the first half
 COUNTS = ("second_half",)  # of an iteration: 0 or 1
 SUMS = 8
+# Those of a half (`_sums`).
+CURVATURE, BY_SHADOW, MIXED, OF_PRODUCT, ENERGY, SHADOWED, GONE, SLOPE = range(SUMS)
 MOST_PRODUCTS = 1000
 ANY = 1e30  # a slope beside which every other is small
 
@@ -103,9 +105,10 @@ def _step(spec: ti.template(), state: ti.template(), i):
 def _sums(spec: ti.template(), state: ti.template(), i):
     """What pack i adds to the sums of a half.
 
-    That is the product of `direction` with A and itself; then, preconditioned, those of the product
-    (that of A and `direction`) with the shadow, the residual and itself, and of the residual with
-    itself and the shadow; then those of `change` and of `direction` with the first residual.
+    CURVATURE is the product of `direction` with A and itself. Preconditioned are BY_SHADOW, MIXED
+    and OF_PRODUCT, of the product (that of A and `direction`) with the shadow, the residual and
+    itself, and ENERGY and SHADOWED, of the residual with itself and the shadow. GONE and SLOPE are
+    those of `change` and of `direction` with the first residual.
     """
     product, residual = read(spec, state.product, i), read(spec, state.residual, i)
     shadow, direction = read(spec, state.shadow, i), read(spec, state.direction, i)
@@ -123,18 +126,13 @@ def _sums(spec: ti.template(), state: ti.template(), i):
     ]
 
 
-def _nothing(state):
-    """What storing a product changes of what neighbours read."""
-    return ()
-
-
 HALF = Pass(
     PRODUCT,
     moved_apart,
     store_product,
     numbers=_sums,
     ops=(plus,) * SUMS,
-    consumed=_nothing,
+    consumed=nothing,
 )
 
 
@@ -144,8 +142,9 @@ def _count_half(spec: ti.template(), state: ti.template(), i):
 
     Its step, state.ahead times the direction, is made in the pass that comes next.
     """
-    curvature, by_shadow, mixed = state.sums[0, 0], state.sums[1, 0], state.sums[2, 0]
-    of_product, energy, shadowed = state.sums[3, 0], state.sums[4, 0], state.sums[5, 0]
+    curvature, by_shadow = state.sums[CURVATURE, 0], state.sums[BY_SHADOW, 0]
+    mixed, of_product = state.sums[MIXED, 0], state.sums[OF_PRODUCT, 0]
+    energy, shadowed = state.sums[ENERGY, 0], state.sums[SHADOWED, 0]
     first = state.second_half[None] == 0
     # The product of the residual with that of A and itself is the curvature, in the second half.
     along = ti.select(first, state.rho[None], curvature)
@@ -164,7 +163,7 @@ def _count_half(spec: ti.template(), state: ti.template(), i):
         )
         state.rho[None], state.second_half[None] = rho, 0
     state.ahead[None], state.energy[None] = step, ti.max(after, 0.0)
-    state.slope[None] = state.sums[6, 0] + step * state.sums[7, 0]
+    state.slope[None] = state.sums[GONE, 0] + step * state.sums[SLOPE, 0]
     state.sweeps[None] += 1
     state.work[SWEEPS] += 1
     ends = not (after > state.goal[None]) or state.sweeps[None] >= MOST_PRODUCTS

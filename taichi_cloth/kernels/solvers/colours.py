@@ -9,8 +9,8 @@ are known by place:
   on packs of several lanes rows + 1, because a thread goes through a row by itself.
 
 In a row of packs all lanes of a pack have the same colour, because strips are as wide as
-`simulation.layouts.spring_period` and `particle_period` say. After these colours come those of the
-graph, which the host assigns (`spring_colours` and `particle_colours` in the same place).
+`spring_period` and `particle_period` of `simulation.storage.layouts` say. After these colours come
+those of the graph, which the host assigns (`spring_colours` and `particle_colours` there).
 
 A sweep goes through all colours in this order, so it has the same bits for every number of threads.
 """

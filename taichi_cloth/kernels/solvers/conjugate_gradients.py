@@ -10,7 +10,7 @@ Chen, Carson, "Predict-and-recompute conjugate gradient variants", SIAM J. Sci. 
 
 import taichi as ti
 
-from taichi_cloth.kernels.links import Pass
+from taichi_cloth.kernels.links import Pass, nothing
 from taichi_cloth.kernels.loops import add_up, each, each_pack
 from taichi_cloth.kernels.packs import dot, plus, read, write
 from taichi_cloth.kernels.solvers.coarse_level import coarse_dot, step_coarse
@@ -35,6 +35,9 @@ from taichi_cloth.kernels.solvers.two_levels import (
 )
 from taichi_cloth.kernels.springs import accumulate_and_join
 from taichi_cloth.kernels.state import SWEEPS
+
+SUMS = 4
+CURVATURE, ENERGY, MIXED, OF_PRODUCT = range(SUMS)  # those of a step (`_sums`)
 
 
 @ti.func
@@ -91,8 +94,9 @@ def _step(spec: ti.template(), state: ti.template(), i):
 def _sums(spec: ti.template(), state: ti.template(), i):
     """What pack i adds to the sums of a step.
 
-    That is the product of `direction` with A and itself; then, preconditioned, those of the
-    residual with itself, of the residual with that of A and `direction`, and of this with itself.
+    CURVATURE is the product of `direction` with A and itself; then, preconditioned, ENERGY is that
+    of the residual with itself, MIXED of the residual with the product of A and `direction`, and
+    OF_PRODUCT of this with itself.
     """
     product = read(spec, state.product, i)
     curvature = dot(read(spec, state.direction, i), product)
@@ -104,20 +108,15 @@ def _changed(state):
     return (state.direction,)
 
 
-def _nothing(state):
-    """What storing a product changes of that."""
-    return ()
-
-
 STEP = Pass(
     PRODUCT,
     moved_apart,
     store_product,
     move=_step,
     numbers=_sums,
-    ops=(plus, plus, plus, plus),
+    ops=(plus,) * SUMS,
     moved=_changed,
-    consumed=_nothing,
+    consumed=nothing,
 )
 
 
@@ -127,8 +126,8 @@ def _count_iteration(spec: ti.template(), state: ti.template(), i):
 
     The step itself, state.ahead times the direction, is made in the pass that comes next.
     """
-    curvature, energy = state.sums[0, 0], state.sums[1, 0]
-    mixed, of_product = state.sums[2, 0], state.sums[3, 0]
+    curvature, energy = state.sums[CURVATURE, 0], state.sums[ENERGY, 0]
+    mixed, of_product = state.sums[MIXED, 0], state.sums[OF_PRODUCT, 0]
     if ti.static(has_two_levels(spec)):
         solved = ti.static(state.coarse_solved)
         energy += coarse_dot(spec, state, state.coarse_residual, state.coarse_downhill)

@@ -53,7 +53,7 @@ from taichi_cloth.kernels.accelerations import (
 from taichi_cloth.kernels.clock import time_of_forces
 from taichi_cloth.kernels.contact import compute_contacts
 from taichi_cloth.kernels.forces import has_tractions
-from taichi_cloth.kernels.links import Pass
+from taichi_cloth.kernels.links import Pass, nothing
 from taichi_cloth.kernels.loops import each, each_pack_moving, leave
 from taichi_cloth.kernels.packs import (
     dot,
@@ -137,6 +137,9 @@ MOST_STALLS_BEFORE_CUT = 6
 ROUNDING = 0.5
 MOST_ROUNDINGS = 16.0  # where progress has ended, a residual is ROUNDED up to this times `rounding`
 NEAR = 0.1  # part of the first residual below which K is taken as it is
+# What an evaluation joins over all packs (`_numbers`), and how.
+LENGTHS, GAINED, MOST, SQUARES, SLOPE, STIFFNESS = range(6)
+OPS = (ti.max, ti.max, ti.max, plus, plus, ti.max)
 
 
 def keeps(*vectors):
@@ -166,7 +169,7 @@ def keeps(*vectors):
             *("halvings", "parts_done", "failed"),
             *bicgstab.COUNTS,
         ),
-        "sums": bicgstab.SUMS,  # an evaluation takes six
+        "sums": max(len(OPS), conjugate_gradients.SUMS, bicgstab.SUMS),
         "launches": ((BEGIN, FINISH, CUT), (EVALUATE, DIRECT, ITERATE), (COARSEN,)),
         "lanes": (8, 8),  # with 4 a step takes 1.5 times as long
     }
@@ -312,9 +315,9 @@ def _evaluating(move):
         _store_residual,
         move,
         numbers=_numbers,
-        ops=(ti.max, ti.max, ti.max, plus, plus, ti.max),
+        ops=OPS,
         moved=_shifted,
-        consumed=_nothing,
+        consumed=nothing,
     )
 
 
@@ -329,11 +332,6 @@ def _force_between(
 def _shifted(state):
     """What a shift of the iterate changes of what neighbours read."""
     return (*state.haloed_motion, state.moved)
-
-
-def _nothing(state):
-    """What storing a residual changes of what neighbours read."""
-    return ()
 
 
 @ti.func
@@ -368,12 +366,12 @@ def _residual_more(spec: ti.template(), state: ti.template(), slot, f):
 def _numbers(spec: ti.template(), state: ti.template(), i):
     """What an evaluation joins of pack i over all packs, for `_judge`.
 
-    - the residual that rounding of lengths, over all springs, can make up; w is 0 if fixed
-    - the acceleration that gives the pack its gain
-    - the largest component, without its sign, of each residual
-    - the square of each residual
-    - the directional derivative along `change` of what a stage minimizes, negated
-    - a bound of (tau*omega)^2
+    - LENGTHS: the residual that rounding of lengths, over all springs, can make up; w is 0 if fixed
+    - GAINED: the acceleration that gives the pack its gain
+    - MOST: the largest component, without its sign, of each residual
+    - SQUARES: the square of each residual
+    - SLOPE: the directional derivative along `change` of what a stage minimizes, negated
+    - STIFFNESS: a bound of (tau*omega)^2
     """
     tau, residual = state.tau[None], read(spec, state.residual, i)
     w, k = read(spec, state.w, i), read(spec, state.summed_k, i)
@@ -394,11 +392,11 @@ def _numbers(spec: ti.template(), state: ti.template(), i):
 def _judge(spec: ti.template(), state: ti.template(), i):
     """Decide after an evaluation whether the stage is done, and what comes next if it is not."""
     state.work[FORCES] += 1
-    # That of lengths over all springs, and of the gain.
-    rounding = ti.static(epsilon(state)) * (state.sums[0, 0] + state.sums[1, 0])
+    gained, most = state.sums[GAINED, 0], state.sums[MOST, 0]
+    squares, slope = state.sums[SQUARES, 0], state.sums[SLOPE, 0]
+    rounding = ti.static(epsilon(state)) * (state.sums[LENGTHS, 0] + gained)
     state.rounding[None] = ROUNDING * rounding
-    state.load[None] = ti.max(state.least_scale[None], state.sums[1, 0])
-    most, squares, slope = state.sums[2, 0], state.sums[3, 0], state.sums[4, 0]
+    state.load[None] = ti.max(state.least_scale[None], gained)
     state.ahead[None] = 0.0
     state.residual_max[None] = most
     state.residual_rms[None] = ti.sqrt(squares / ti.max(state.n[None] * spec.dim, 1))
@@ -441,7 +439,7 @@ def _judge(spec: ti.template(), state: ti.template(), i):
     state.indefinite[None] = 0
     state.least[None] = ti.select(near, EXACT, CLAMPED)
     if ti.static(has_two_levels(spec)):
-        stiff = state.sums[5, 0] > ti.static(stiff_from(spec))
+        stiff = state.sums[STIFFNESS, 0] > ti.static(stiff_from(spec))
         if next_phase == DIRECT and state.coarsened[None] == 0 and stiff:
             next_phase = COARSEN
     if next_phase == FINISH and state.outcome[None] > HIDDEN and _may_be_cut(spec, state):

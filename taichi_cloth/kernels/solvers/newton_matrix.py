@@ -199,7 +199,7 @@ def _least(state):
 
 @ti.func
 def begin_iterating(spec: ti.template(), state: ti.template(), i):
-    """Set the energy at which conjugate gradients end, and go to their first step."""
+    """Set the energy at which the iterations end, and go to their first step."""
     energy = state.sums[0, 0]
     part = ti.min(ti.max(0.3 * reachable_residual(state) / state.residual_max[None], FORCING), 0.5)
     state.energy[None], state.goal[None] = energy, part * part * energy
