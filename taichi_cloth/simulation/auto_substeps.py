@@ -26,22 +26,22 @@ class AutoSubsteps:
         self._networks = Networks()
 
     def at_start(self, start: Snapshot) -> int:
-        """The substeps of a scene at its start; as `before_spawn`, but with nothing remembered."""
+        """The substeps of a scene at its start; as `for_state`, but with nothing remembered."""
         self._controller.reset()
-        return self.before_spawn(start)
+        return self.for_state(start)
 
-    def before_spawn(self, grown: Snapshot) -> int:
-        """The substeps of a state with what is to be spawned.
+    def for_state(self, state: Snapshot) -> int:
+        """The substeps of a state, such as one with what is to be spawned.
 
         InputError where no number of substeps will do.
         """
-        self._broken, self._breaking = int((~grown.alive).sum()), True
-        if acts_by_speed(grown.scene):
-            return self._controller.choose_in_motion(grown.network())
-        return self._controller.choose(Snapshot.at_start(grown.scene, grown.marks).network())
+        self._broken, self._breaking = int((~state.alive).sum()), True
+        if acts_by_speed(state.scene):
+            return self._controller.choose_in_motion(state.network())
+        return self._controller.choose(Snapshot.at_start(state.scene, state.marks).network())
 
     def after_edit(self, now: Snapshot, edited: Snapshot) -> int:
-        """The substeps of a state that is changed by hand from `now`; as `before_spawn`, but where
+        """The substeps of a state that is changed by hand from `now`; as `for_state`, but where
         it refuses nothing is changed.
 
         What is remembered serves only where particles' own numbers change and springs stay.
@@ -52,7 +52,7 @@ class AutoSubsteps:
             mine, theirs = now.scene.particles, edited.scene.particles
             if (mine.fixed & ~theirs.fixed).any() or (mine.mass > theirs.mass).any():
                 tried._controller.expect_faster()
-        chosen = tried.before_spawn(edited)
+        chosen = tried.for_state(edited)
         vars(self).update(vars(tried))
         return chosen
 

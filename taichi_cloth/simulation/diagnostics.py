@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_cloth.kernels import forces
-from taichi_cloth.kernels.forces.contract import CURVATURE, TENSION, has
+from taichi_cloth.kernels.forces.contract import ACCELERATION, CURVATURE, FORCE, TENSION, has
 from taichi_cloth.limits import tractions
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.scene.stencils import Stencils
@@ -157,12 +157,12 @@ def stencil_forces(x: np.ndarray, stencils: Stencils, fixed: np.ndarray) -> np.n
 
 
 def acceleration_at_start(scene: Scene) -> np.ndarray:
-    """Acceleration of a scene's particles at its start (n, dim): gravity, springs, bending,
-    drag, air.
+    """Acceleration of a scene's particles at its start (n, dim), by all forces it has.
 
     What springs in balance leave of their forces by rounding counts as nothing.
     """
-    p, springs = scene.particles, scene.springs
+    p, springs, world = scene.particles, scene.springs, scene.world
+    a: np.ndarray = np.zeros_like(p.position)
     with np.errstate(all="ignore"):
         force = spring_forces(p.position, p.velocity, springs)
         reach = np.abs(p.position).max(axis=1, initial=0.0)[springs.between].max(axis=1)
@@ -170,12 +170,16 @@ def acceleration_at_start(scene: Scene) -> np.ndarray:
         rounding = 1e-14 * np.bincount(springs.between.ravel(), np.repeat(each, 2), len(p))
         force = np.where(np.abs(force) > rounding[:, None], force, 0.0)
         force += stencil_forces(p.position, scene.stencils, p.fixed)
-        force -= p.viscous[:, None] * p.velocity
+        for term in map(forces.load, forces.present_in(scene)):
+            if term.adds == FORCE and has(term.twin):
+                force += term.twin(p.position, p.velocity, world, p)
+            elif term.adds == ACCELERATION and has(term.twin):
+                a += term.twin(p.position, p.velocity, world, p)
         shares = corner_shares(p.position, scene.triangles)
         force += tractions.forces_on_particles(
-            p.position, p.velocity, 0.0, scene.world, scene.triangles, shares
+            p.position, p.velocity, 0.0, world, scene.triangles, shares
         )
-        a: np.ndarray = np.asarray(scene.world.gravity) + force / p.mass[:, None]
+        a += force / p.mass[:, None]
     return a
 
 

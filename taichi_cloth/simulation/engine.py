@@ -128,9 +128,7 @@ class Engine(Part):
         }
         if self._auto:
             self._auto = AutoSubsteps(method, module, self.dt)
-            chosen = self._auto.before_spawn(now)
-            if chosen != self.substeps:
-                self._change_step(self.dt, chosen)
+            self._take_substeps(self._auto.for_state(now))
 
     def _make_engine(self, method: str, module: Method, now: Snapshot) -> None:
         device, accounts = self._launcher.device, self.storage.accounts_contacts

@@ -22,8 +22,8 @@ class Moment:
     time: the scene's; steps: done since its start; loads: how often a state was put onto the
     device until then (`Storage.loads`). network: particles, and the springs that pull. pulling:
     which of all springs do, (s,) bool; marks: (s, 2), status and break step. broken: how many are,
-    those that pull for one more step included. contacts: the energy that contacts gave since an
-    account of them began.
+    those that pull for one more step included. contacts: what contacts gave less what they
+    took, an energy, since an account of them began.
     """
 
     time: float
@@ -80,10 +80,10 @@ class Moments:
                 broken=len(pulling) - len(alive),
                 contacts=0.0,
             )
-        self._last = replace(now, contacts=_given_by_contacts(sim) if self._accounts else 0.0)
+        self._last = replace(now, contacts=_balance_of_contacts(sim) if self._accounts else 0.0)
         return self._last
 
 
-def _given_by_contacts(sim: Simulation) -> float:
+def _balance_of_contacts(sim: Simulation) -> float:
     account = sim.contact_account()
     return 0.0 if account is None else account.balance

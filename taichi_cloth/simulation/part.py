@@ -115,6 +115,10 @@ class Part(ABC):
         """Go on counting with another step."""
 
     @abstractmethod
+    def _take_substeps(self, chosen: int) -> bool:
+        """Go on with as many substeps a frame, as dt "auto" wants; whether that is a change."""
+
+    @abstractmethod
     def _numbers(self) -> Numbers:
         """What the device is told of the run's settings."""
 

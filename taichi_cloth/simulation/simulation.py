@@ -207,8 +207,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
                 listener.after_frame()
             if self._auto and follows:
                 chosen = self._auto.after_frame(self.storage, self.substeps)
-                if chosen != self.substeps:
-                    self._change_step(self.dt, chosen)
+                if self._take_substeps(chosen):
                     self.storage.set_numbers(self._numbers())
             frames -= batch
 
@@ -319,6 +318,12 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         self.speed_limit *= self.dt / dt  # the same number of crossings in a frame
         self.dt, self.substeps = dt, substeps
 
+    def _take_substeps(self, chosen: int) -> bool:
+        changes = chosen != self.substeps
+        if changes:
+            self._change_step(self.dt, chosen)
+        return changes
+
     def _numbers(self) -> Numbers:
         _, first_time, first_step = self._since
         return Numbers(
@@ -425,9 +430,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         with self._all_or_nothing(now):
             refuse_unholdable(grown.scene, self._launcher.device.precision, now.scene)
             if self._auto:
-                chosen = self._auto.before_spawn(grown)
-                if chosen != self.substeps:
-                    self._change_step(self.dt, chosen)
+                self._take_substeps(self._auto.for_state(grown))
             self._store(grown)
         return self.particle_count - 1
 
@@ -461,9 +464,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             self._preferred = topology or self._preferred
             refuse_unholdable(edited.scene, self._launcher.device.precision, now.scene)
             if self._auto:
-                chosen = self._auto.after_edit(now, edited)
-                if chosen != self.substeps:
-                    self._change_step(self.dt, chosen)
+                self._take_substeps(self._auto.after_edit(now, edited))
             if self.storage.change_particles(now, edited, self._numbers()):
                 self.storage.mark_new_springs(self.steps)
             else:
