@@ -49,7 +49,7 @@ ROOMS = {
     "vulkan": set(),
     "runtime": {"front_end", "settings", "vulkan"},
     "scene": {"files", "kernels", "settings"},
-    "sweeps": {"measuring", "scene", "settings"},
+    "sweeps": {"files", "measuring", "scene", "settings"},
     "limits": {"kernels", "scene"},
     "simulation": {*BASE, "limits", "runtime"},
     "rasterizer": {"kernels"},

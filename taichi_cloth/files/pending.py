@@ -47,8 +47,7 @@ class PendingFile:
                 f"{self.path}: cannot be written: there is no folder '{self.path.parent}'"
             ) from None
         except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise InputError(f"{self.path}: cannot be written: {reason}") from None
+            raise refusal(self.path, error) from None
         self.file = os.fdopen(handle, "w+b")
 
     def write(self, content: bytes) -> None:
@@ -57,7 +56,7 @@ class PendingFile:
             self.file.write(content)
         except OSError as error:
             self.discard()
-            raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
+            raise refusal(self.path, error) from None
 
     def commit(self) -> None:
         """Finish the file and give it its name, in place of what was there. Once only."""
@@ -73,13 +72,11 @@ class PendingFile:
             self.file.flush()
             self.file.close()
             # Temporary files are private; this one gets what any new file would get.
-            mask = os.umask(0)
-            os.umask(mask)
-            os.chmod(self._temporary, 0o666 & ~mask)
+            os.chmod(self._temporary, 0o666 & ~creation_mask())
             os.replace(self._temporary, self._target)
         except OSError as error:
             self.discard()
-            raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
+            raise refusal(self.path, error) from None
 
     def fill(self, write: Callable[[BinaryIO], object]) -> None:
         """Let `write` write the file, then commit; a disk that is full raises InputError."""
@@ -87,7 +84,7 @@ class PendingFile:
             write(self.file)
         except OSError as error:
             self.discard()
-            raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
+            raise refusal(self.path, error) from None
         except BaseException:  # an interrupt
             self.discard()
             raise
@@ -100,6 +97,19 @@ class PendingFile:
         if self._temporary is not None:
             with contextlib.suppress(OSError):
                 os.unlink(self._temporary)
+
+
+def refusal(path: str | os.PathLike[str], error: Exception) -> InputError:
+    """What to raise where a path cannot be written, with the system's reason."""
+    reason = getattr(error, "strerror", None) or error
+    return InputError(f"{path}: cannot be written: {reason}")
+
+
+def creation_mask() -> int:
+    """The permissions that new files and folders do not get."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
 
 
 def is_device(path: Path) -> bool:
@@ -124,7 +134,7 @@ def write_all(contents: Mapping[Path, bytes]) -> None:
                 file.file.write(content)
                 file.file.flush()
             except OSError as error:
-                raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+                raise refusal(path, error) from None
         for file in pending:
             file.commit()
 

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from taichi_cloth.errors import InputError, clipped, counted
+from taichi_cloth.files.pending import refusal
 
 fcntl: Any = None  # where a system lacks it, two sweeps may write to one journal
 with contextlib.suppress(ImportError):
@@ -177,7 +178,7 @@ class Journal:
         except OSError as error:
             with contextlib.suppress(OSError):
                 self._file.truncate(end)  # a half of a line would spoil the next one
-            raise _cannot_write(self.path, error) from None
+            raise refusal(self.path, error) from None
 
     def _read(self) -> None:
         """Take what an earlier run finished, and cut off the line that it was torn from."""
@@ -264,11 +265,7 @@ def _on_disk(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise _cannot_write(path, error) from None
-
-
-def _cannot_write(path: Path, error: OSError) -> InputError:
-    return InputError(f"{path}: cannot be written: {error.strerror or error}")
+        raise refusal(path, error) from None
 
 
 def _sync(path: Path) -> None:

@@ -10,9 +10,8 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-from taichi_cloth.errors import InputError
 from taichi_cloth.files.exports.frame import Clock, Frame
-from taichi_cloth.files.pending import PendingFile
+from taichi_cloth.files.pending import PendingFile, refusal
 
 HEADER = struct.Struct("<12siiffi")
 
@@ -55,7 +54,7 @@ class PointCache:
             self._file.file.seek(0)
         except OSError as error:
             self._file.discard()
-            raise InputError(f"{self._file.path}: cannot be written: {error.strerror}") from None
+            raise refusal(self._file.path, error) from None
         self._file.write(self._header())
         self._file.commit()
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.exports.frame import Clock, Frame
+from taichi_cloth.files.pending import creation_mask, refusal
 
 
 class Sequence:
@@ -50,8 +51,7 @@ class Sequence:
             self._refuse(error)
 
     def _refuse(self, error: Exception) -> NoReturn:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"--export {self._path}: cannot be written: {reason}") from None
+        raise refusal(f"--export {self._path}", error) from None
 
     def add(self, frame: Frame) -> None:
         file = self._folder / f"{self._path.stem}_{frame.number:05d}{self._path.suffix}"
@@ -74,7 +74,7 @@ class Sequence:
         try:
             written = sorted(self._folder.iterdir())
             if not self._target.is_dir() and written:
-                os.chmod(self._folder, 0o777 & ~_mask())
+                os.chmod(self._folder, 0o777 & ~creation_mask())
                 os.rename(self._folder, self._target)
             elif written:
                 new = {file.name for file in written}
@@ -96,12 +96,6 @@ class Sequence:
         self._done = True
         with contextlib.suppress(OSError):
             shutil.rmtree(self._folder)
-
-
-def _mask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def _about(frame: Frame, clock: Clock) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.exports.frame import Clock, Frame
-from taichi_cloth.files.pending import PendingFile
+from taichi_cloth.files.pending import PendingFile, refusal
 
 EXTRA = "pip install 'taichi-cloth[usd]'"
 WIDTH = 12  # characters of a frame's number, which is known at the end
@@ -120,7 +120,7 @@ class Stage:
                     self._file.write(block)
         except OSError as error:
             self._file.discard()
-            raise InputError(f"{self._path}: cannot be written: {error.strerror}") from None
+            raise refusal(self._path, error) from None
         finally:
             for path in (text, binary):
                 with contextlib.suppress(OSError):
