@@ -173,6 +173,10 @@ def test_scenes_and_methods_are_chosen_from_lists_that_say_what_each_is_and_cost
     assert "why not" in fixed.look() and fixed.look()[1] == "run cost now"
 
 
+def label_end(placed, height):
+    return settings_rows._indent(placed.row, height) + text.length(placed.label, height)
+
+
 @pytest.mark.parametrize("size", [(800, 600), (1280, 800), (1920, 1080), (2560, 1440)])
 def test_nothing_written_in_the_panel_is_cut_or_meets_something_else(sim, size):
     """By what is drawn: the columns between what stands beside each other are empty paper."""
@@ -188,9 +192,8 @@ def test_nothing_written_in_the_panel_is_cut_or_meets_something_else(sim, size):
         assert (pixels[:room, first - 3 : first - 1] == style.PAPER).all()
         for placed in hands.panel._rows:
             assert text.length(placed.row.cost, height) <= end - first
-            assert settings_rows.label_end(placed, height) < settings_rows.value_start(
-                placed, rect.width, height
-            )
+            words = "" if placed.under else placed.words
+            assert label_end(placed, height) < settings_rows.value_start(words, rect.width, height)
 
 
 def test_a_long_name_of_a_scene_is_shortened_in_the_panel(sim, monkeypatch):
@@ -202,7 +205,7 @@ def test_a_long_name_of_a_scene_is_shortened_in_the_panel(sim, monkeypatch):
     assert "the_curtain" in first and "the_curtain" in option
     assert first.endswith(f"{text.ELLIPSIS} \u203a") and option.endswith(f"{text.ELLIPSIS} now")
     height, (_, end) = HEIGHT, settings_rows._left(RECT.width, HEIGHT)
-    assert all(settings_rows.label_end(placed, height) <= end for placed in hands.panel._rows)
+    assert all(label_end(placed, height) <= end for placed in hands.panel._rows)
 
 
 def test_what_is_refused_is_said_and_leaves_all_as_it_was(sim):

@@ -14,13 +14,13 @@ from taichi_cloth.ui import style, tools
 from taichi_cloth.ui.chrome.strip import Row
 from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.plane_moves import PANS
+from taichi_cloth.ui.schedule import FRAME_RATE
 from taichi_cloth.ui.text import Word
 from taichi_cloth.ui.tools.contract import Tool
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
 
-FRAME_RATE = 60.0  # frames a second that count as real time
 WINDOW = 0.75  # seconds over which rates are averaged
 ON_TIME = 0.95  # of these: fewer a second are late
 LATE = 2.0  # seconds for which frames have come late before it is said what would be faster

@@ -397,7 +397,7 @@ class Loop:
             self._controls.tell(f"{name} was not opened: {error}")
             self._shown.meter.interrupt()
             return
-        scenes.beside = self._shown.chrome.opened
+        scenes.opened = self._shown.chrome.opened
         self.state.left, self.state.failure = True, None
 
     # Pictures, and the end

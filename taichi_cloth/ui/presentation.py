@@ -28,6 +28,7 @@ from taichi_cloth.ui.log_window import LogWindow
 from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.request import Request
 from taichi_cloth.ui.run_state import RunState
+from taichi_cloth.ui.schedule import FRAME_RATE
 from taichi_cloth.ui.status import Status
 from taichi_cloth.ui.takes import Takes
 from taichi_cloth.ui.text import Word
@@ -90,7 +91,7 @@ class Presentation:
             self.settings = SettingsPanel(sim, controls, self.costs, request.scenes, request.budget)
             parts.insert(0, self.settings)
             parts.append(self.why)
-        opened = request.scenes.beside
+        opened = request.scenes.opened
         self.chrome = Chrome(
             windowed=view.visible,
             status=request.status,
@@ -235,7 +236,7 @@ class Presentation:
         if state.exporting or state.opening:  # nothing is told before that
             urgent = notice = None
         rows = self._status.rows(
-            time.perf_counter() if windowed else state.frames / hud.FRAME_RATE,
+            time.perf_counter() if windowed else state.frames / FRAME_RATE,
             state=state.word(shutter.state) if windowed else None,
             moving=not state.stopped and state.pace.slowness == 1,
             tool=tool.name if tool else None,

@@ -25,12 +25,12 @@ class Scenes:
     InputError or RunFailure where that cannot be: then the present one goes on.
     fixed: why no other scene can be opened here; "": it can.
 
-    beside: what is open beside the world; None: what is at a start. said: what the window says
+    opened: what is open beside the world; None: what is at a start. said: what the window says
     of the scene when its run begins.
     """
 
     about: Mapping[str, str] = field(default_factory=dict)
     open: Callable[[str], None] = _refuse
     fixed: str = ""
-    beside: Parts | None = None
+    opened: Parts | None = None
     said: str | None = None

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 
-from taichi_cloth.ui.hud import FRAME_RATE
-
+FRAME_RATE = 60.0  # frames a second that count as real time
 # A window in which nothing moves: seconds after the last event until it sleeps, between its
 # pictures then (what was before it may have gone), and between looks at what the user does.
 AWAKE, ASLEEP, POLLED = 1.0, 1.0, 1 / 30

@@ -18,6 +18,7 @@ from taichi_cloth.files.exports import Export
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.ui.interaction import LogEvent
+from taichi_cloth.ui.schedule import FRAME_RATE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 
 SECONDS = 10.0  # of frames that are kept, at `FRAME_RATE`
 MOST_BYTES = 256 << 20  # of checkpoints; beyond that only some frames have one
-FRAME_RATE = 60.0
 
 
 class Remembers(Protocol):

@@ -16,6 +16,7 @@ from taichi_cloth.ui.chrome.errors import Errors
 from taichi_cloth.ui.chrome.instruments import Meter, Source
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.schedule import FRAME_RATE
 from taichi_cloth.ui.tiles import Panel, Tile
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
 
 REDRAWN = 0.15  # seconds between two drawings of a window's meters
-FRAME_RATE = 60.0  # frames a second that count as real time, without a window
 LEAST, MOST = 2.0, 5.0  # heights of a graph, in heights of text
 SHADES = ((56, 0.5), (168, 1.0))  # of letters: from so much ink on (of 255), that part of a colour
 SMALL = 0.86  # of the height of text: of what stands beside a graph

@@ -104,14 +104,8 @@ def _within(words: str, room: int, height: int) -> str:
     return marked(text.shortened(words[2:-2], room - marks, height))
 
 
-def label_end(placed: Placed, height: int) -> float:
-    """Where a row's label ends, and"""
-    return _indent(placed.row, height) + text.length(placed.label, height)
-
-
-def value_start(placed: Placed, width: int, height: int) -> float:
-    """where what stands beside it begins, pixels of the panel."""
-    words = "" if placed.under else placed.words
+def value_start(words: str, width: int, height: int) -> float:
+    """Where a value begins, which ends where the left column does: pixels of the panel."""
     return _left(width, height)[1] - text.length(words, height)
 
 
@@ -168,7 +162,7 @@ def draw(
     y, words = 0.25 * height, f"{typed}_" if typed else placed.words
     label = style.INK if chosen or row.option else style.MUTED
     text.write(block, placed.label, (_indent(row, height), y), height, label)
-    x = _left(width, height)[1] - text.length(words, height)
+    x = value_start(words, width, height)
     below = MORE * height if placed.under and not typed else 0.0
     text.write(block, words, (max(x, pad(height)), y + below), height, ink)
     _write_cost(block, row, y, height)

@@ -10,8 +10,9 @@ from taichi_cloth.ui import style, text
 from taichi_cloth.ui.chrome.contract import ROW
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.schedule import FRAME_RATE
 from taichi_cloth.ui.tiles import Panel, Tile
-from taichi_cloth.ui.timeline import FRAME_RATE, Timeline
+from taichi_cloth.ui.timeline import Timeline
 
 
 class TimelineRow:
