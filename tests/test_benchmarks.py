@@ -13,7 +13,15 @@ from lacking import needs_compiler, needs_peers
 from selection import thorough
 
 from taichi_cloth import benchmarks, runtime
-from taichi_cloth.benchmarks import cloths, contest, newton, objects, objects_inlined, report
+from taichi_cloth.benchmarks import (
+    cloths,
+    compiled,
+    contest,
+    newton,
+    objects,
+    objects_inlined,
+    report,
+)
 from taichi_cloth.benchmarks import meshes as meshes_part
 from taichi_cloth.benchmarks import structural as structural_part
 from taichi_cloth.benchmarks import warp as warp_part
@@ -90,12 +98,13 @@ def test_the_compiled_mesh_agrees_with_ours_in_every_order(bench, pool):
         scene = cloths.sheet(side, "rows" if order == "rows" else "shuffled")
         sim = pool(scene, dt=substeps * scene.world.dt, substeps=substeps)
         sim.advance(4)
-        entered = structural_part.enter_compiled(
+        entered = compiled.enter_compiled(
             bench,
             order,
             "taichi_cloth.benchmarks.meshes:CompiledMesh",
             {"side": side, "order": order},
             part="meshes",
+            steps=substeps,
             **{"size": "81", "particles": side**2, "units": 4},
         )
         assert bench.mark_after("meshes", [entered], 4), bench.left_out

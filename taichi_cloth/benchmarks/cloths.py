@@ -25,6 +25,7 @@ STRUCTURAL_FRAME: dict[str, Any] = {
     "dt": float(STRUCTURAL_SUBSTEPS),
     "substeps": STRUCTURAL_SUBSTEPS,
 }
+STRUCTURAL_SCENE = "taichi_cloth.benchmarks.cloths:structural"
 
 # A sheet of triangles, 1 m x 1 m: of cotton; a step is this time divided by its vertices in a row.
 SHEET_DENSITY, SHEET_STRETCH, SHEET_STEP = 0.15, 80.0, 0.005

@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.benchmarks import ours
+from taichi_cloth.benchmarks.compiled import Compiled, compiled, enter_compiled
 from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
 from taichi_cloth.benchmarks.report import Measurement
-from taichi_cloth.benchmarks.structural import enter_compiled
 from taichi_cloth.files.pending import PendingFile
+from taichi_cloth.scene.library import build
 
 PART = "contacts"
 COUNTS = (1_000, 3_000, 10_000, 30_000, 100_000, 200_000)
@@ -121,7 +122,7 @@ def _entered(
         enter_compiled(
             bench,
             name + how,
-            "taichi_cloth.benchmarks.structural:CompiledSpheres",
+            f"{__name__}:CompiledSpheres",
             {"count": count, "radius": radius, "width": width, "steps": SUBSTEPS},
             steps=SUBSTEPS,
             part=PART,
@@ -166,6 +167,28 @@ def _measure_few(bench: Bench) -> Iterator[Measurement]:
             unit="µs",
             target="<= 8",
         )
+
+
+class CompiledSpheres(Compiled):
+    """Spheres of the scene `box` at random, sorted into cells `width` diameters wide."""
+
+    def __init__(self, folder: str, count: int, radius: float, width: float, steps: int):
+        self.advances = compiled(folder).sphere_steps
+        scene = build("box", particles=count, radius=radius)
+        p, world = scene.particles, scene.world
+        self.x, self.v = (np.ascontiguousarray(a, np.float32) for a in (p.position, p.velocity))
+        corners = (np.ascontiguousarray(a, np.float32) for a in (world.low, world.high))
+        numbers = (
+            world.dt / steps,
+            world.gravity[1],
+            float(p.viscous[0]),
+            float(1 / p.mass[0]),
+            radius,
+            float(p.restitution[0]),
+            2 * radius * width,
+        )
+        self.steps = steps
+        self.arguments: tuple[Any, ...] = (count, *numbers, *corners, self.x, self.v)
 
 
 def fitted_exponent(rows: Sequence[Measurement]) -> float | None:

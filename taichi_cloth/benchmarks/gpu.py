@@ -17,13 +17,13 @@ from taichi_cloth import runtime, vulkan
 from taichi_cloth.benchmarks import agreement, ours
 from taichi_cloth.benchmarks.cloths import (
     STRUCTURAL_FRAME,
+    STRUCTURAL_SCENE,
     STRUCTURAL_SUBSTEPS,
     WARP,
     WARP_SUBSTEPS,
 )
 from taichi_cloth.benchmarks.contest import Bench
 from taichi_cloth.benchmarks.report import Measurement
-from taichi_cloth.benchmarks.structural import SCENE
 
 PART = "gpu"
 SIDES = (128, 512, 2048)
@@ -99,7 +99,7 @@ def _measure_backend(bench: Bench, arch: str, note: str) -> Iterator[Measurement
 def _measure_size(
     bench: Bench, arch: str, side: int, note: str, bandwidth: float | None
 ) -> Iterator[Measurement]:
-    size, scene = f"{side} x {side}", (SCENE, {"columns": side, "rows": side})
+    size, scene = f"{side} x {side}", (STRUCTURAL_SCENE, {"columns": side, "rows": side})
     reference = ours.reference(bench, PART, scene, side * side, frames=[FRAMES], **STRUCTURAL_FRAME)
     contestants = [
         ours.enter(

@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from taichi_cloth.benchmarks import ours
-from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SUBSTEPS
+from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SCENE, STRUCTURAL_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench
 from taichi_cloth.benchmarks.report import Measurement
-from taichi_cloth.benchmarks.structural import SCENE
 from taichi_cloth.errors import counted
 
 PART = "lanes"
@@ -23,7 +22,7 @@ FRAMES = 6  # of 16 steps: when the error is measured
 def measure(bench: Bench) -> Iterator[Measurement]:
     """All widths in both precisions, against each other."""
     side = QUICK_SIDE if bench.quick else SIDE
-    scene, particles = (SCENE, {"columns": side, "rows": side}), side * side
+    scene, particles = (STRUCTURAL_SCENE, {"columns": side, "rows": side}), side * side
     reference = ours.reference(bench, PART, scene, particles, frames=[FRAMES], **STRUCTURAL_FRAME)
     contestants = [
         ours.enter(

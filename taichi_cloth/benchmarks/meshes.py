@@ -15,9 +15,9 @@ import numpy as np
 
 from taichi_cloth.benchmarks import ours
 from taichi_cloth.benchmarks.cloths import SHEET_STEP, STRUCTURAL_SUBSTEPS, sheet
+from taichi_cloth.benchmarks.compiled import Compiled, compiled, enter_compiled
 from taichi_cloth.benchmarks.contest import Bench, compare, separation
 from taichi_cloth.benchmarks.report import Measurement
-from taichi_cloth.benchmarks.structural import call, compiled, enter_compiled
 from taichi_cloth.simulation.storage import adjacency
 
 PART = "meshes"
@@ -50,6 +50,7 @@ def measure(bench: Bench) -> Iterator[Measurement]:
             f"{__name__}:CompiledMesh",
             {"side": side, "order": order},
             part=PART,
+            steps=STRUCTURAL_SUBSTEPS,
             **shared,
         )
         for order, words in ORDERS.items()
@@ -62,11 +63,13 @@ def measure(bench: Bench) -> Iterator[Measurement]:
     yield from separation(PART, graph, cpp["shuffled"], FRAMES, "m")
 
 
-class CompiledMesh:
+class CompiledMesh(Compiled):
     """Compressed rows in space; the order of the vertices is `sheet`'s, or "banded"."""
 
+    steps = STRUCTURAL_SUBSTEPS
+
     def __init__(self, folder: str, side: int, order: str):
-        self.step = compiled(folder).csr3_steps
+        self.advances = compiled(folder).csr3_steps
         scene = sheet(side, "rows" if order == "rows" else "shuffled")
         p, s, n = scene.particles, scene.springs, side * side
         to = np.arange(n)
@@ -81,9 +84,6 @@ class CompiledMesh:
         w = np.where(p.fixed, 0, 1 / p.mass)[to].astype(np.float32)
         numbers = scene.world.dt, scene.world.gravity[1], float(p.viscous[0])
         self.arguments = (n, *numbers, half.row, half.far, k, rest, w, self.x, v)
-
-    def advance(self, units: int) -> None:
-        call(self.step, units * STRUCTURAL_SUBSTEPS, *self.arguments)
 
     def positions(self) -> np.ndarray:
         return self.x[self.number]

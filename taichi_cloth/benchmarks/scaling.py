@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from taichi_cloth.benchmarks import ours
-from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SUBSTEPS
+from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SCENE, STRUCTURAL_SUBSTEPS
 from taichi_cloth.benchmarks.contest import Bench, compare
 from taichi_cloth.benchmarks.report import Measurement
-from taichi_cloth.benchmarks.structural import SCENE
 from taichi_cloth.errors import counted
 
 PART = "scaling"
@@ -29,7 +28,7 @@ def measure(bench: Bench) -> Iterator[Measurement]:
 
 
 def _measure_size(bench: Bench, side: int) -> Iterator[Measurement]:
-    size, scene = f"{side} x {side}", (SCENE, {"columns": side, "rows": side})
+    size, scene = f"{side} x {side}", (STRUCTURAL_SCENE, {"columns": side, "rows": side})
     frames = FRAMES if side < LARGE else LARGE_FRAMES
     reference = ours.reference(bench, PART, scene, side * side, frames=[frames], **STRUCTURAL_FRAME)
     contestants = [

@@ -9,32 +9,32 @@ same as `csr`, in Taichi: what one writes first.
 from __future__ import annotations
 
 import ctypes
-import subprocess
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from taichi_cloth.benchmarks import ours
-from taichi_cloth.benchmarks.cloths import STRUCTURAL_FRAME, STRUCTURAL_SUBSTEPS, structural
+from taichi_cloth.benchmarks.cloths import (
+    STRUCTURAL_FRAME,
+    STRUCTURAL_SCENE,
+    STRUCTURAL_SUBSTEPS,
+    structural,
+)
+from taichi_cloth.benchmarks.compiled import Compiled, compiled, enter_compiled
 from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
 from taichi_cloth.benchmarks.report import Measurement
-from taichi_cloth.measuring import machine
-from taichi_cloth.scene.library import build
 from taichi_cloth.simulation.storage import adjacency
 
 PART = "structural"
-FLAGS = ("-O3", "-march=native", "-ffast-math", "-fopenmp", "-shared", "-fPIC")
 MARGIN = 16  # numbers before and after an array, so that a neighbour beyond it can be read
 FRAMES = 12  # of 16 steps, in a round: fewer are over before idle cores are awake
-SCENE = "taichi_cloth.benchmarks.cloths:structural"
 
 
 def measure(bench: Bench) -> Iterator[Measurement]:
     """Time all contestants on one cloth, then the triad."""
     side = 256 if bench.quick else 1024
-    size, scene = f"{side} x {side}", (SCENE, {"columns": side, "rows": side})
+    size, scene = f"{side} x {side}", (STRUCTURAL_SCENE, {"columns": side, "rows": side})
     shared: dict[str, Any] = {"size": size, "particles": side * side, "units": FRAMES}
     reference = ours.reference(bench, PART, scene, side * side, frames=[FRAMES], **STRUCTURAL_FRAME)
     entered = {
@@ -110,76 +110,28 @@ def _triad(bench: Bench, side: int) -> Iterator[Measurement]:
 
 
 def _enter(
-    bench: Bench, name: str, kind: str, arguments: dict[str, Any], **shared: Any
-) -> Contestant | None:
-    return enter_compiled(
-        bench, name, f"{__name__}:Compiled{kind.capitalize()}", arguments, part=PART, **shared
-    )
-
-
-def enter_compiled(
     bench: Bench,
     name: str,
     kind: str,
     arguments: dict[str, Any],
-    *,
-    part: str,
     steps: int = STRUCTURAL_SUBSTEPS,
-    threads: int | None = None,
     **shared: Any,
 ) -> Contestant | None:
-    """Enter a contestant of C++, class `kind` ("module:Class"), compiled here; None without g++."""
-    if not machine.installed("g++"):
-        bench.leave_out(part, name, shared["size"], "no g++ here; install a C++ compiler")
-        return None
-    return bench.enter(
-        part,
-        name,
-        kind,
-        {"folder": str(bench.folder), **arguments},
-        library="C++",
-        precision="f32",
-        threads=threads or bench.threads,
-        steps=steps,
-        packages=("g++",),
-        **shared,
-    )
+    made = f"{__name__}:Compiled{kind.capitalize()}"
+    return enter_compiled(bench, name, made, arguments, part=PART, steps=steps, **shared)
 
 
 # ------------------------------------------------------------------------------------------
 # In the contestants' process
 
 
-def compiled(folder: str) -> ctypes.CDLL:
-    """The C++ functions, compiled for this processor; RuntimeError with the compiler's words."""
-    library = Path(folder, "yardsticks.so")
-    if not library.exists():
-        sources = sorted(Path(__file__).with_name("cpp").glob("*.cpp"))
-        command = ["g++", *FLAGS, *map(str, sources), "-o", str(library)]
-        done = subprocess.run(command, capture_output=True, text=True)
-        if done.returncode:
-            raise RuntimeError(f"g++: {done.stderr.strip().splitlines()[0]}")
-    return ctypes.CDLL(str(library))
-
-
-def call(function: Callable[..., Any], count: int, *arguments: int | float | np.ndarray) -> None:
-    """Call a C function: `count` as long, int as int, float as float, arrays as pointers."""
-    converted: list[Any] = [ctypes.c_long(count)]
-    for value in arguments:
-        if isinstance(value, np.ndarray):
-            converted.append(value.ctypes.data_as(ctypes.c_void_p))
-        elif isinstance(value, float):
-            converted.append(ctypes.c_float(value))
-        else:
-            converted.append(ctypes.c_int(value))
-    function(*converted)
-
-
-class CompiledCsr:
+class CompiledCsr(Compiled):
     """Compressed rows; positions and velocities as arrays of (x, y)."""
 
+    steps = STRUCTURAL_SUBSTEPS
+
     def __init__(self, folder: str, side: int, rows: int | None = None):
-        self.step = compiled(folder).csr_steps
+        self.advances = compiled(folder).csr_steps
         scene = structural(side, rows or side)
         p, s = scene.particles, scene.springs
         half = adjacency.half_springs(s.between, len(p))
@@ -189,18 +141,14 @@ class CompiledCsr:
         numbers = scene.world.dt, scene.world.gravity[1], float(p.viscous[0])
         self.arguments = (len(p), *numbers, half.row, half.far, k, rest, w, self.x, v)
 
-    def advance(self, units: int) -> None:
-        call(self.step, units * STRUCTURAL_SUBSTEPS, *self.arguments)
 
-    def positions(self) -> np.ndarray:
-        return self.x
-
-
-class CompiledGrid:
+class CompiledGrid(Compiled):
     """A regular grid; an array for each number."""
 
+    steps = STRUCTURAL_SUBSTEPS
+
     def __init__(self, folder: str, side: int, rows: int | None = None):
-        self.step = compiled(folder).grid_steps
+        self.advances = compiled(folder).grid_steps
         scene = structural(side, rows or side)
         p, s = scene.particles, scene.springs
         a, b = s.between.T  # to the left neighbour b = a - 1, or the upper one
@@ -217,39 +165,8 @@ class CompiledGrid:
     def _padded(values: np.ndarray) -> np.ndarray:
         return np.pad(values.astype(np.float32), MARGIN)[MARGIN:-MARGIN]
 
-    def advance(self, units: int) -> None:
-        call(self.step, units * STRUCTURAL_SUBSTEPS, *self.arguments)
-
     def positions(self) -> np.ndarray:
         return np.stack([self.x, self.y], axis=1)
-
-
-class CompiledSpheres:
-    """Spheres of the scene `box` at random, sorted into cells `width` diameters wide."""
-
-    def __init__(self, folder: str, count: int, radius: float, width: float, steps: int):
-        self.step = compiled(folder).sphere_steps
-        scene = build("box", particles=count, radius=radius)
-        p, world = scene.particles, scene.world
-        self.x, self.v = (np.ascontiguousarray(a, np.float32) for a in (p.position, p.velocity))
-        corners = (np.ascontiguousarray(a, np.float32) for a in (world.low, world.high))
-        numbers = (
-            world.dt / steps,
-            world.gravity[1],
-            float(p.viscous[0]),
-            float(1 / p.mass[0]),
-            radius,
-            float(p.restitution[0]),
-            2 * radius * width,
-        )
-        self.steps = steps
-        self.arguments: tuple[Any, ...] = (count, *numbers, *corners, self.x, self.v)
-
-    def advance(self, units: int) -> None:
-        call(self.step, units * self.steps, *self.arguments)
-
-    def positions(self) -> np.ndarray:
-        return self.x
 
 
 class CompiledStream:

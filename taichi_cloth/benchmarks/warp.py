@@ -21,9 +21,9 @@ import numpy as np
 
 from taichi_cloth.benchmarks import ours
 from taichi_cloth.benchmarks.cloths import WARP, WARP_FRAME, WARP_SUBSTEPS
+from taichi_cloth.benchmarks.compiled import Compiled, compiled, enter_compiled
 from taichi_cloth.benchmarks.contest import Bench, Contestant, compare, separation
 from taichi_cloth.benchmarks.report import Measurement
-from taichi_cloth.benchmarks.structural import call, compiled, enter_compiled
 from taichi_cloth.measuring import machine
 from taichi_cloth.scene.library import build
 from taichi_cloth.simulation.storage import adjacency
@@ -182,11 +182,13 @@ class Theirs:
         return self.at
 
 
-class CompiledCloth:
+class CompiledCloth(Compiled):
     """The scene `warp` over compressed rows, with its dashpots; a unit is a frame."""
 
+    steps = WARP_SUBSTEPS
+
     def __init__(self, folder: str, side: int):
-        self.step = compiled(folder).csr3_damped_steps
+        self.advances = compiled(folder).csr3_damped_steps
         scene = build("warp", side=side)
         p, s = scene.particles, scene.springs
         half = adjacency.half_springs(s.between, len(p))
@@ -198,12 +200,6 @@ class CompiledCloth:
         numbers = WARP_FRAME / WARP_SUBSTEPS, scene.world.gravity[1]
         rows = half.row, half.far, k, rest, c, w
         self.arguments = (len(p), *numbers, *rows, self.x, v, np.empty_like(v))
-
-    def advance(self, units: int) -> None:
-        call(self.step, units * WARP_SUBSTEPS, *self.arguments)
-
-    def positions(self) -> np.ndarray:
-        return self.x
 
 
 def _their_path(name: str) -> Path:
