@@ -20,7 +20,7 @@ from taichi_cloth import vulkan
 from taichi_cloth.errors import InputError
 from taichi_cloth.front_end import mending
 from taichi_cloth.settings import accepted
-from taichi_cloth.settings.options import ARCHS, PRECISIONS
+from taichi_cloth.settings.options import ARCHS, PRECISIONS, default_fast_math
 
 BACKENDS = tuple(name for name in ARCHS if name != "gpu")
 GPU_ORDER = ("cuda", "metal", "vulkan", "opengl")  # what `gpu` tries, best first
@@ -153,7 +153,7 @@ def start(
     cache = accepted.flag("cache", cache)
     threads = threads or available_cores()
     if fast_math is None:
-        fast_math = precision == "f32"
+        fast_math = default_fast_math(precision)
     if fast_math and precision == "compensated":
         raise InputError(
             "--fast-math: --precision compensated excludes it, which may drop what the sums keep; "

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from taichi_cloth.errors import InputError, clipped, nearest
-from taichi_cloth.settings.options import PROGRAM, RunOptions, flag, parameters_of
+from taichi_cloth.settings.options import MOST_SUBSTEPS, PROGRAM, RunOptions, flag, parameters_of
 from taichi_cloth.settings.parameters import number_of
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ OF_RUN = ("method", "dt", "substeps", "tolerance", "iterations", "topology", "ex
 # Those that they cannot, since Taichi has them once in a process.
 OF_PROCESS = ("precision", "arch", "threads", "fast_math")
 ON, OFF = ("on", "true", "yes"), ("off", "false", "no")
-MOST_SUBSTEPS = 1_000_000
 
 
 @dataclass(frozen=True)

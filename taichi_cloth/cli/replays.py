@@ -29,7 +29,14 @@ from taichi_cloth.files import trajectory
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.options import PRECISIONS, PROGRAM, CompareOptions, RunOptions, flag
+from taichi_cloth.settings.options import (
+    MOST_SUBSTEPS,
+    PRECISIONS,
+    PROGRAM,
+    CompareOptions,
+    RunOptions,
+    flag,
+)
 
 if TYPE_CHECKING:
     from taichi_cloth.ui.interaction import Log
@@ -37,7 +44,6 @@ if TYPE_CHECKING:
 BEYOND = 60  # frames past the last event
 KEPT = ("a.npz", "b.npz", "c.npz", "b.jsonl")  # what `--keep` may write
 FINER = ("substeps", "dt", "method", "precision")
-MOST_SUBSTEPS = 1_000_000
 
 
 @dataclass

@@ -332,7 +332,7 @@ def _too_long(trace: Trace, sample: Sample, when: str, k: int) -> Cause:
     longest, own_step = apart(limit.dt, h)
     stable = f"the longest stable step is {longest}, and it is {own_step}"
     if damped and shares is not None:
-        kind, what = _damper(trace, sample)
+        kind, what = _damper(sample)
         beside = f" beside h omega = {sample.reach:.3g}" if shares.omega2 > 0 else ""
         proof = (
             f"h d = {h * shares.d:.4g}{beside} {when}: {sample.method} then is stable up to a step "
@@ -358,7 +358,7 @@ def _usual(limit: Limit) -> float:
     return largest_step(methods.load(USUAL), limit.omega2, limit.damping)
 
 
-def _damper(trace: Trace, sample: Sample) -> tuple[str, str]:
+def _damper(sample: Sample) -> tuple[str, str]:
     """What damps most of the mode that is beyond its limit: the kind of cause, and in words."""
     shares, limit = sample.shares, sample.limit
     assert shares is not None

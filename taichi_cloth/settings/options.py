@@ -81,8 +81,9 @@ ARCHS = ("cpu", "gpu", "cuda", "vulkan", "opengl", "metal")
 PRECISIONS = ("f32", "f64", "compensated")  # the last: f32 with compensated sums
 PATHS = ("serial", "parallel")
 TOPOLOGIES = ("lanes", "graph")
-# What some methods take to solve a step's equations: their defaults. See their `CLAIMS`.
+# What some methods take to solve a step's equations, by the names in their claims: the defaults.
 SOLVER_SETTINGS = {"tolerance": 1e-6, "iterations": 10}
+MOST_SUBSTEPS = MOST_ITERATIONS = 1_000_000
 VIEWS = ("auto", "ggui", "gui", "none")
 STRAIN = "strain"  # drawn: the colours of what springs bear
 SHOWN = ("surface", "springs", "particles", STRAIN)  # what may be drawn of a cloth
@@ -90,6 +91,11 @@ HEADLESS_FRAMES = 600
 # Options of a run that name a file, or a folder, which it writes.
 WRITES = ("save", "record", "checkpoint", "export", "image", "video", "report")
 WITHIN = "1%"  # how far apart two runs may be that are still together: most eyes see no less
+
+
+def default_fast_math(precision: str) -> bool:
+    """Whether fast_math is on by itself in a precision, out of `PRECISIONS`."""
+    return precision == "f32"
 
 
 @dataclass(frozen=True)
@@ -112,7 +118,7 @@ class RunOptions(Options):
         metavar="X|auto",
     )
     substeps: int = setting(
-        1, "steps a frame, each of dt / N", minimum=1, maximum=1_000_000, metavar="N"
+        1, "steps a frame, each of dt / N", minimum=1, maximum=MOST_SUBSTEPS, metavar="N"
     )
     tolerance: float | None = setting(
         None,
@@ -132,7 +138,7 @@ class RunOptions(Options):
         f"xpbd, vbd: sweeps a step (default {SOLVER_SETTINGS['iterations']})",
         int,
         minimum=1,
-        maximum=1_000_000,
+        maximum=MOST_ITERATIONS,
         metavar="N",
     )
     execution: str = setting(
@@ -362,7 +368,7 @@ class CompareOptions(Options):
         metavar="FILE.jsonl",
     )
     substeps: int | None = setting(
-        None, "B: steps a frame", int, minimum=1, maximum=1_000_000, metavar="N"
+        None, "B: steps a frame", int, minimum=1, maximum=MOST_SUBSTEPS, metavar="N"
     )
     dt: float | None = setting(
         None,

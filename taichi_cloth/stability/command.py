@@ -102,8 +102,8 @@ def _measure(
     started = [Started(scene, of.method) for of in limits]
     for runs, of_method in zip(started, limits, strict=True):
         experiment.measure_limit(runs, of_method, tell, journal)
-    for runs, of_method in zip(started, limits, strict=True):
-        experiment.draw_maps(runs, of_method, maps, tell, journal)
+    for runs in started:
+        experiment.draw_maps(runs, maps, tell, journal)
 
 
 def within(end: Clock, tell: TellRun) -> TellRun:

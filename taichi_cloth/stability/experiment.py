@@ -279,7 +279,7 @@ def measure(
     """
     runs = Started(scene, limits.method)
     measure_limit(runs, limits, tell, journal)
-    draw_maps(runs, limits, maps, tell, journal)
+    draw_maps(runs, maps, tell, journal)
 
 
 class Started:
@@ -312,9 +312,7 @@ def measure_limit(runs: Started, limits: StepLimits, tell: TellRun, journal: Jou
             setattr(limits, field, found.result[field])
 
 
-def draw_maps(
-    runs: Started, limits: StepLimits, maps: list[Map], tell: TellRun, journal: Journal
-) -> None:
+def draw_maps(runs: Started, maps: list[Map], tell: TellRun, journal: Journal) -> None:
     """Draw the maps of one method whose limit is measured; see `measure`."""
     name, digest = runs.name, scene_hash(runs.scene)
     found = journal.get(_limit_key(digest, name))

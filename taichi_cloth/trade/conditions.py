@@ -88,7 +88,7 @@ def best_for(scene: Scene, threads: int | None) -> tuple[str, str]:
     n = len(scene.particles)
     lanes = n >= settings.FEW_PARTICLES and bool(adjacency.find_grids(scene.springs.between, n))
     lanes = lanes and "lanes" not in slow_to_compile(scene, solids(scene))
-    one = threads == 1 or (threads is None and n < settings.SERIAL_BEST)
+    one = threads == 1 or (threads is None and n <= settings.SERIAL_BEST)
     return "lanes" if lanes else "graph", "serial" if one else "parallel"
 
 

@@ -22,7 +22,7 @@ FEWEST_FRAMES = 4  # of a horizon that is cut
 # Runs as long as the coarsest of the fine ones that finding the references takes: that, a disturbed
 # one, and one at a quarter of the step.
 COARSE_RUNS = 6
-KINDS = ("explicit", "sweeps", "solves")  # of methods; the first compiles soonest
+EXPLICIT, SWEEPS, SOLVES = range(3)  # kinds of methods; the first compiles soonest
 SLOWER = (1.0, 2.0, 3.0)  # times as long as the first, until one of them was compiled
 GREED = 1.5  # even shares of the time left that a method may take: the next ones may take less
 CONVERGED = 8.0  # times as long as a run that is not, about
@@ -40,11 +40,13 @@ def rank(method: str) -> tuple[int, bool]:
 
 
 def kind_of(method: str) -> int:
-    """How a method takes a step: the number of that in `KINDS`."""
+    """How a method takes a step: EXPLICIT, by SWEEPS of a solver, or as one SOLVES equations."""
     from taichi_cloth.kernels import methods
 
     claims = methods.load(method).claims
-    return 0 if not claims.implicit else 1 if "iterations" in claims.settings else 2
+    if not claims.implicit:
+        return EXPLICIT
+    return SWEEPS if "iterations" in claims.settings else SOLVES
 
 
 class Pace:

@@ -195,7 +195,7 @@ def _scale(result: Result) -> float:
 def _numbers(row: Row) -> str:
     """'f32', with the backend where it is not the CPU."""
     setting = row.setting
-    exact = "" if setting.fast_math or setting.precision != "f32" else " exact"
+    exact = " exact" if setting.lacks_fast_math else ""
     arch = "" if setting.arch == "cpu" else f"{setting.arch} "
     return f"{arch}{setting.precision}{exact}"
 

@@ -11,7 +11,13 @@ from taichi_cloth.errors import InputError, clipped, counted, nearest
 from taichi_cloth.limits.bounds import Bounds, any_geometry, step_within
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.settings.options import ARCHS, PRECISIONS, RunOptions, parameters_of
+from taichi_cloth.settings.options import (
+    ARCHS,
+    PRECISIONS,
+    RunOptions,
+    default_fast_math,
+    parameters_of,
+)
 from taichi_cloth.settings.parameters import number_of
 from taichi_cloth.settings.sweeps import ComparisonOptions
 from taichi_cloth.sweeps.within import Clock, clock
@@ -20,7 +26,7 @@ DOUBLINGS = 6  # of the number of substeps, from the fewest that a method takes
 SHORT_DOUBLINGS = 4
 ITERATIONS = (1, 4, 16)  # sweeps a step, of methods that take their number
 SHORT_ITERATIONS = (1, 8)
-MOST_SUBSTEPS = 4096
+MOST_TRIED = 4096  # substeps with which doubling begins
 CONVERGED_TOLERANCE = 1e-13  # relative residual, in f64
 CONVERGED_ITERATIONS = 256
 # Scenes with fewer particles run on the graph: lanes compile three times as long for little speed.
@@ -64,6 +70,11 @@ class Setting:
         """What it has in common with all settings that differ in nothing but their step."""
         return self.method, *self.process, self.iterations, self.tolerance
 
+    @property
+    def lacks_fast_math(self) -> bool:
+        """Whether fast_math was switched off."""
+        return default_fast_math(self.precision) and not self.fast_math
+
     def describe_solver(self) -> str:
         """'8 iterations', 'tolerance 1e-06', or nothing."""
         words = []
@@ -75,7 +86,7 @@ class Setting:
 
     def describe(self) -> str:
         """Method, steps, solver and device in words."""
-        exact = "" if self.fast_math or self.precision != "f32" else " without fast_math"
+        exact = " without fast_math" if self.lacks_fast_math else ""
         device = f"{self.arch} {self.precision}{exact}"
         steps, solver = counted(self.substeps, "substep"), self.describe_solver()
         return ", ".join(filter(None, [self.method, steps, solver, device]))
@@ -89,14 +100,9 @@ class Setting:
         if self.tolerance is not None:
             words += ["--tolerance", f"{self.tolerance:g}"]
         words += ["--arch", self.arch, "--precision", self.precision]
-        if self.precision == "f32" and not self.fast_math:
+        if self.lacks_fast_math:
             words.append("--no-fast-math")
         return words
-
-
-def default_fast_math(precision: str) -> bool:
-    """Whether fast_math is on by itself."""
-    return precision == "f32"
 
 
 def choose(scene: Scene, options: ComparisonOptions, time: Clock | None = None) -> list[Setting]:
@@ -185,7 +191,7 @@ def _doubling(needed: float, short: bool) -> list[int]:
     """Numbers of substeps, where at least `needed` are stable."""
     fewest = 1
     if needed > 1:
-        fewest = min(2 ** (math.ceil(math.log2(needed)) - 1), MOST_SUBSTEPS)
+        fewest = min(2 ** (math.ceil(math.log2(needed)) - 1), MOST_TRIED)
     return [fewest << k for k in range(SHORT_DOUBLINGS if short else DOUBLINGS)]
 
 

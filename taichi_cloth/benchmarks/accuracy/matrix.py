@@ -33,6 +33,7 @@ from taichi_cloth.simulation.storage import adjacency
 from taichi_cloth.sweeps.journal import Journal, key_of
 from taichi_cloth.sweeps.tasks import Finished, Task, finished_by
 from taichi_cloth.trade.errors import Samples, displacement, rms_by_frame
+from taichi_cloth.trade.pace import EXPLICIT, kind_of
 from taichi_cloth.trade.reference import coarsest, fine_method
 
 # Of each scene: parameters with which it is small, and the frames in which what it shows begins.
@@ -218,7 +219,7 @@ def _row(
 ) -> dict[str, Any]:
     """The cells of a scene, and how it was run. ways: topologies with precisions."""
     cells: dict[str, dict[str, Any]] = {method: {} for method in names}
-    slow: set[tuple[str, str]] = set()  # topologies and kinds of methods that compile too long
+    slow: set[tuple[str, int]] = set()  # topologies and kinds of methods that compile too long
     about = _about(name)
     same = {key: kept.get(key) for key in about} == about
     has = kept["cells"] if same else {}
@@ -231,7 +232,7 @@ def _row(
         }
         exact = ""
         for topology, precision in ways:
-            for method in sorted(names, key=lambda m: KINDS.index(_kind(m))):
+            for method in sorted(names, key=kind_of):
                 earlier = has.get(method, {}).get(f"{topology} {precision}", {})
                 key = key_of("cell", name, method, topology, precision)
                 finished = journal.get(key) if journal is not None else None
@@ -242,7 +243,7 @@ def _row(
                     spent += took
                 elif topology == "lanes" and not has_grid:
                     made = NO_GRID
-                elif slow & {(topology, KINDS[0]), (topology, _kind(method))}:
+                elif slow & {(topology, EXPLICIT), (topology, kind_of(method))}:
                     made = TOO_SLOW
                 elif spent > budget:
                     made = _too_much(budget)
@@ -254,7 +255,7 @@ def _row(
                     if journal is not None:
                         journal.add(key, [made, took])
                 if made == TOO_SLOW:
-                    slow.add((topology, _kind(method)))
+                    slow.add((topology, kind_of(method)))
                 cells[method][f"{topology} {precision}"] = made
     if journal is not None:
         journal.once(_row_key(name), lambda: "whole")
@@ -282,7 +283,6 @@ def finished(name: str, known: Mapping[str, Any], kept: Mapping[str, Any]) -> li
     return finished_by(lambda journal: matrix([name], kept=kept, journal=journal), known)
 
 
-KINDS = ("explicit", "sweeps", "solves")  # of methods; the first compiles soonest
 TOO_SLOW = {
     "not measured": f"more than {PATIENCE:g} s of the processor, nearly all to compile; where "
     "a method takes so long, those that compile no sooner are not tried"
@@ -292,14 +292,6 @@ TOO_SLOW = {
 def _too_much(budget: float) -> dict[str, Any]:
     said = f"the scene's cells before this one took {budget:g} s of the processor together"
     return {"not measured": said}
-
-
-def _kind(method: str) -> str:
-    """How a method takes a step, out of `KINDS`."""
-    claims = methods.load(method).claims
-    if not claims.implicit:
-        return "explicit"
-    return "sweeps" if "iterations" in claims.settings else "solves"
 
 
 def _about(name: str) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from taichi_cloth import console
 from taichi_cloth.console import duration, markdown_table
 from taichi_cloth.errors import InputError, counted
 from taichi_cloth.kernels import methods
-from taichi_cloth.settings.options import flag
+from taichi_cloth.settings.options import default_fast_math, flag
 
 MARKED = "accuracy"  # what marks the document's places
 TARGETS = (0.05, 0.01, 1e-3, 1e-4, 1e-6)  # errors, in parts of the largest displacement
@@ -262,7 +262,8 @@ def series_of(row: Mapping[str, Any]) -> tuple[str, bool]:
 
 def called(precision: str, fast_math: bool) -> str:
     """A precision in words."""
-    return f"{precision} without fast_math" if precision == "f32" and not fast_math else precision
+    lacks = default_fast_math(precision) and not fast_math
+    return f"{precision} without fast_math" if lacks else precision
 
 
 def _error(row: Mapping[str, Any], floor: float) -> str:

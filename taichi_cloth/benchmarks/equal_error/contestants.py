@@ -14,6 +14,7 @@ from taichi_cloth.benchmarks.equal_error.problems import Problem
 from taichi_cloth.benchmarks.equal_error.search import Choice, Tried
 from taichi_cloth.benchmarks.equal_error.truth import Truth
 from taichi_cloth.measuring.worker import Worker, WorkerFailed
+from taichi_cloth.settings.options import default_fast_math
 from taichi_cloth.sweeps.journal import Journal, key_of
 from taichi_cloth.sweeps.within import TimeIsUp
 from taichi_cloth.trade.errors import Samples
@@ -23,7 +24,7 @@ OURS = "ours"
 HERE = "taichi_cloth.benchmarks.equal_error"
 # The solvers of `scipy_runs`, which is imported where they run.
 SCIPY = {"SciPy, DOP853": "DOP853", "SciPy, Radau": "Radau", "SciPy, BDF": "BDF"}
-MOST_SUBSTEPS = 1 << 16
+FINEST = 1 << 16
 ITERATIONS, QUICK_ITERATIONS = (1, 2, 5, 10, 20, 50), (2, 10)
 TOLERANCES = tuple(10.0**-k for k in range(1, 13))
 OUR_TOLERANCES, QUICK_TOLERANCES = (1e-2, 1e-4, 1e-6), (1e-4,)  # of our implicit methods
@@ -115,7 +116,7 @@ def _ours(quick: bool) -> Iterator[Kind]:
                 "method": method,
                 "arch": "cpu",
                 "precision": precision,
-                "fast_math": precision == "f32",
+                "fast_math": default_fast_math(precision),
                 "threads": ALONE,
                 "topology": "lanes",
                 "execution": "serial",
@@ -126,7 +127,7 @@ def _ours(quick: bool) -> Iterator[Kind]:
 
 
 def _steps(**solver: Any) -> tuple[Choice, ...]:
-    doublings = range(MOST_SUBSTEPS.bit_length())
+    doublings = range(FINEST.bit_length())
     return tuple(Choice(substeps=1 << k, **solver) for k in doublings)
 
 
