@@ -23,6 +23,7 @@ RUNS = """
 import numpy as np
 from dataclasses import replace
 import taichi_cloth as tc
+from taichi_cloth.simulation.diagnostics import acceleration_at_start
 
 tc.start(arch="cpu", precision="f64", threads=1)
 scene = tc.scenes.build("tissue")
@@ -58,6 +59,12 @@ for topology in ("lanes", "graph"):
 np.testing.assert_allclose(*ends, rtol=0, atol=1e-11)
 rigid, _ = run(scene, "symplectic_euler", "graph")
 assert abs(rigid.positions() - x).max() > 1e-3
+
+p, free = scene.particles, scene.with_world(more={})
+pulled = acceleration_at_start(scene) - acceleration_at_start(free)
+expected = -scene.world.more["trap"] * (p.position - 100) / p.mass[:, None]
+np.testing.assert_allclose(pulled, expected, rtol=0, atol=1e-12)
+assert abs(expected).max() > 0.1
 """
 
 
