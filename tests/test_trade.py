@@ -859,7 +859,10 @@ class MadeUpStudies:
     """What `tune` measures, made up: settings by their substeps, whose errors are those given.
 
     errors: of the scene; again: of the scene with another start, None for a run that fails.
+    touched: when something first touches in it.
     """
+
+    touched = math.nan
 
     def __init__(self, monkeypatch, errors, again):
         self.of, self.confirmed = [errors, again], []
@@ -875,9 +878,13 @@ class MadeUpStudies:
             self.confirmed.append([setting.substeps for setting in chosen])
         made = [self.row(setting, errors[setting.substeps]) for setting in chosen]
         samples = SimpleNamespace(v=np.ones((2, 2, 2)))
+        touches = np.full((2, 3), np.nan)
+        touches[1, 2] = self.touched
+        outcome = SimpleNamespace(ok=True, samples=lambda: SimpleNamespace(contacts=touches))
         yield SimpleNamespace(
             interrupted=False, rows=made, reference=SimpleNamespace(samples=samples),
-            horizon=SimpleNamespace(asked=10), check_whole=lambda: None, left_out=[],
+            horizon=SimpleNamespace(asked=10, frames=10), check_whole=lambda: None, left_out=[],
+            outcomes=[outcome], clock=how.clock,
         )  # fmt: skip
 
     def row(self, setting, error):
@@ -887,6 +894,7 @@ class MadeUpStudies:
         return rows.Row(
             setting, error_trajectory=50 * error, error_trajectory_relative=error, frames=10,
             wall_seconds=seconds, wall_upper=seconds, command=f"run {setting.substeps}",
+            penetration_max=0.0,
         )  # fmt: skip
 
 
@@ -909,6 +917,22 @@ def test_tune_tries_the_next_where_one_is_not_confirmed(monkeypatch, capsys, fai
     assert found["setting"]["substeps"] == 4 and found["confirmed"]["held"] is True
     tried = [(one["setting"]["substeps"], one["confirmed"]["held"]) for one in found["tried"]]
     assert tried == [(2, False), (3, False), (4, True)]
+
+
+def test_tune_refuses_a_penetration_where_nothing_comes_to_touch(monkeypatch, capsys):
+    """Every setting keeps to it then: none is shown to."""
+    errors = {n: 0.009 / n for n in range(1, 9)}
+    studies = MadeUpStudies(monkeypatch, errors, errors)
+    asked = ["tune", "box", "--particles", "2", *TUNED, "--error", "1%", "--penetration", "0.1"]
+    assert main(asked) == 2
+    shown, said = capsys.readouterr()
+    assert not shown and said.count("\n") == 1 and not studies.confirmed
+    assert "nothing touches anything in the 10 frames" in said and "more --frames" in said
+    assert main([*asked, "--quick"]) == 2
+    assert "compare --within more time" in capsys.readouterr().err
+    studies.touched = 0.5
+    assert main(asked) == 0
+    assert "confirmed: yes" in capsys.readouterr().out
 
 
 def test_tune_ends_with_status_1_and_a_word_where_nothing_is_confirmed(monkeypatch, capsys):

@@ -244,6 +244,12 @@ class Contacts:
         return cls(penetration, energy, later)
 
 
+def touches_anything(samples: Samples) -> bool:
+    """Whether particles touched something in a run, as far as anybody looked."""
+    *_, first = _at_end(samples)
+    return first is not None
+
+
 def _at_end(samples: Samples) -> list[float | None]:
     """What `CONTACTS` names, at the end of a run."""
     if len(samples.contacts) == 0:

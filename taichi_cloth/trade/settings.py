@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +20,7 @@ from taichi_cloth.settings.options import (
 )
 from taichi_cloth.settings.parameters import number_of
 from taichi_cloth.settings.sweeps import ComparisonOptions
-from taichi_cloth.sweeps.within import Clock, clock
+from taichi_cloth.sweeps.within import SHORT, Clock, clock
 
 DOUBLINGS = 6  # of the number of substeps, from the fewest that a method takes
 SHORT_DOUBLINGS = 4
@@ -149,6 +149,23 @@ def choose(scene: Scene, options: ComparisonOptions, time: Clock | None = None) 
     _refuse_unused("--iterations", iterations, "iterations", settings)
     _refuse_unused("--tolerances", tolerances, "tolerance", settings)
     return settings
+
+
+def unplanned(scene: Scene, options: ComparisonOptions, chosen: Collection[Setting]) -> list[str]:
+    """What a plan without a limit of time has beyond the settings chosen, in a line, or none."""
+    beyond = [one for one in choose(scene, options, Clock()) if one not in chosen]
+    if not beyond:
+        return []
+    precisions = {one.precision for one in chosen}
+    sweeps = {one.iterations for one in chosen}
+    words = list(dict.fromkeys(one.precision for one in beyond if one.precision not in precisions))
+    known = [one for one in beyond if one.precision in precisions]
+    others = sorted({one.iterations for one in known if one.iterations is not None} - sweeps)
+    if others:
+        words.append(f"{' and '.join(map(str, others))} iterations")
+    if any(one.iterations in sweeps for one in known):
+        words.append("more substeps")
+    return [f"{counted(len(beyond), 'setting')} that {SHORT:g} s and more plan: {', '.join(words)}"]
 
 
 def _maths(precisions: Sequence[str], also_without: bool) -> list[tuple[str, bool]]:

@@ -35,6 +35,8 @@ from taichi_cloth.sweeps.tasks import Elsewhere
 from taichi_cloth.sweeps.within import Clock, said_of_left_out
 from taichi_cloth.trade import command, rows
 from taichi_cloth.trade.conditions import RunConditions
+from taichi_cloth.trade.errors import touches_anything
+from taichi_cloth.trade.outcomes import Result
 from taichi_cloth.trade.rows import Row
 from taichi_cloth.trade.settings import Setting
 
@@ -204,6 +206,8 @@ def _tried(
             raise RunFailure(
                 f"{scene.name}: there is no reference to compare with; use fewer --frames"
             )
+        if target.penetration is not None:
+            _refuse_untouched(result, target, options)
         made = rows.rows_of(result, command.common(scene), command.run_words(source, how))
         try:
             candidates = meeting(made, target)
@@ -227,6 +231,20 @@ def _tried(
     untried = 0 if tried[-1].held else len(candidates) - len(tried)
     said = [f"{UNTRIED} {counted(untried, 'setting')} that should meet it"] * (untried > 0)
     return tried, result.left_out + said
+
+
+def _refuse_untouched(result: Result, target: Target, options: TuneOptions) -> None:
+    """Refuse a penetration where nothing came to touch: every setting would keep to it."""
+    runs = [outcome for outcome in result.outcomes if outcome.ok]
+    if not runs or any(touches_anything(outcome.samples()) for outcome in runs):
+        return
+    assert result.horizon
+    frames = counted(result.horizon.frames, "frame")
+    more = "more --frames" if options.frames or not result.clock.limited else "--within more time"
+    raise InputError(
+        f"{target.describe()}: nothing touches anything in the {frames} that are compared, so that "
+        f"no setting is known to keep to a penetration; compare {more}"
+    )
 
 
 def confirm(
