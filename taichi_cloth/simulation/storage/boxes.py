@@ -29,7 +29,7 @@ def collision_grid(world: World, radii: np.ndarray, most: int) -> dict[str, Any]
     widths = np.full(world.dim, 2.01 * width)
     widths[0] = width
     # About as many cells as fit into the world.
-    bits = np.maximum(np.round(np.log2(size / widths)), 0.0).astype(int)
+    bits = np.round(np.log2(np.maximum(size / widths, 1.0))).astype(int)
     widths = np.maximum(size / 2.0**bits, widths)
     while 2.0 ** bits.sum() > most:
         bits[bits.argmax()] -= 1
