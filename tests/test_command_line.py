@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -305,6 +306,13 @@ def test_a_run_prints_two_lines_and_saves_what_it_did(cli, tmp_path):
     assert {"method", "dt", "substeps", "device", "versions"} <= meta.keys()
     assert [p.name for p in tmp_path.iterdir()] == ["out.npz"]
     assert trajectories.load(tmp_path / "out.npz").meta == meta
+
+
+def test_a_failure_asks_for_the_steps_that_the_warning_before_it_asked_for(cli):
+    """What flies apart when it fails would ask for far more."""
+    _, told = cli("run", "flag", "--columns", 11, "--dt", 0.016667, "--headless", check=3)
+    warned, failed = re.findall(r"use --substeps (\d+)", told)
+    assert warned == failed
 
 
 def test_quiet_prints_nothing(cli):

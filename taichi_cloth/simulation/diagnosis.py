@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
-from taichi_cloth.limits.auto_step import MOST, substeps_needed
+from taichi_cloth.limits.auto_step import MOST, SubstepController, substeps_needed
 from taichi_cloth.limits.bounds import Bounds, any_geometry, gershgorin, step_within
+from taichi_cloth.limits.eigenmodes import stable_step
 from taichi_cloth.limits.network import Network
 from taichi_cloth.limits.precision import WATCHED
-from taichi_cloth.scene.model import World
+from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.scene.stencils import Stencils
 
 
@@ -45,6 +47,7 @@ def _beyond(world: World, wall: str, position: np.ndarray) -> float:
 
 
 def likely_cause(
+    start: Scene,
     network: Network,
     method: str,
     dt: float,
@@ -54,7 +57,7 @@ def likely_cause(
 ) -> tuple[str, str]:
     """Likely cause and remedy of a failure.
 
-    network: the last good state.
+    start: the scene that the run began with. network: the last good state.
     method: name of the method.
     dt, substeps: time of a frame, and the steps it was cut into.
     precision: the type of numbers, such as "float32".
@@ -66,6 +69,8 @@ def likely_cause(
             f"particle {speed.argmax()} has a speed of {speed.max():.3g} before any step",
             "use a lower speed, or a shorter --dt",
         )
+    if found := _too_long_from_the_start(start, method, dt, substeps):
+        return found
     module, h = methods.load(method), dt / substeps
     bounds = gershgorin(network)
     limit = step_within(module, bounds)
@@ -83,6 +88,24 @@ def likely_cause(
     if not h > limit:
         return "forces or starting speeds too large for the step", "use more --substeps"
     return _too_long(network, bounds, method, h, limit, substeps_needed(dt, limit))
+
+
+def _too_long_from_the_start(
+    start: Scene, method: str, dt: float, substeps: int
+) -> tuple[str, str] | None:
+    """Cause and remedy where steps were too long before anything moved; None: they were not.
+
+    It is that which there is to mend: what flies apart when a run fails asks for far shorter ones.
+    """
+    module, began = methods.load(method), Network.from_scene(start)
+    limit = stable_step(module, began).dt
+    if not dt / substeps > limit > 0:
+        return None
+    try:
+        needed = SubstepController(method, module, dt).choose(began)
+    except InputError:  # more than there may be, or none in every geometry
+        return None
+    return _too_long(began, any_geometry(began), method, dt / substeps, limit, needed)
 
 
 def _too_long(

@@ -274,7 +274,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             self._take_unsettled()
             self.storage.restore(self.steps)
             cause, remedy = diagnosis.likely_cause(
-                self.network(), self.method, self.dt, self.substeps,
+                self.scene, self.network(), self.method, self.dt, self.substeps,
                 self.storage.real.__name__, self.speed_limit,
             )  # fmt: skip
         failure = SimulationFailure(particle, self.frame + 1, what, cause, remedy)
