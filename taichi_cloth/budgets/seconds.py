@@ -184,7 +184,9 @@ class SecondErrors:
         if worst > self.goal:
             helpless = any(s.error > self.goal and self.needs(s) <= s.substeps for s in sure)
             way = "finer steps bring it no nearer: chance decides what touches or breaks"
-            if not helpless:
+            if not helpless and chosen < limits.rungs()[-1]:
+                way = f"a second may ask for {FARTHEST:g} times as many at most"
+            elif not helpless:
                 way = limits.why_most
             return Choice(chosen, f"{why}, above {goal}: {way}", short, met=False)
         cheaper = [n for n in limits.rungs() if n < chosen]
