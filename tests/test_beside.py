@@ -454,8 +454,8 @@ def test_the_mouse_in_either_half_acts_on_both(pair):
     assert [event.kind for event in events].count("let_go") == 1
     held = view.pictures[-8]  # still held
     said = "\n".join(panel.words for panel in held.overlay)
-    assert "symplectic euler, 1 substep, stiffness 0.5" in said
-    assert "symplectic euler, 1 substep, stiffness 0.2" in said
+    assert "symplectic_euler, 1 substep, stiffness 0.5" in said
+    assert "symplectic_euler, 1 substep, stiffness 0.2" in said
     assert "ms a frame" in said and "distance" in said and "largest" in said
     assert held.pointer is not None and held.beside.picture.pointer is not None
     apart = held.beside.room.x - view.room.x
@@ -537,7 +537,7 @@ def test_a_real_window_shows_both(kind, caches, tmp_path):
             ask(*to, 665 + 14 * step, 230 + 16 * step)
         ask("mouseup", 1)
         ask("key", "Escape")
-        assert "beside it: symplectic euler, 3 substeps" in said.communicate(timeout=60)[0]
+        assert "beside it: symplectic_euler, 3 substeps" in said.communicate(timeout=60)[0]
         assert said.returncode == 0
     events = [json.loads(line) for line in log.read_text().splitlines()]
     assert events[0]["header"]["beside"] == "substeps=3,topology=graph"

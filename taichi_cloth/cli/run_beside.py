@@ -93,7 +93,7 @@ class Beside:
 
     def _name(self, sim: Simulation, values: Sequence[object]) -> str:
         """The name of one of them. values: those of the scene's settings that the two differ in."""
-        words = [sim.method.replace("_", " "), counted(sim.substeps, "substep")]
+        words = [sim.method, counted(sim.substeps, "substep")]
         run = self.twin.given.run
         words += [f"{name} {value:g}" for name, value in sim.solver.items() if name in run]
         both = self.twin.first, self.sim

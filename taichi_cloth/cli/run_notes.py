@@ -69,8 +69,11 @@ def announce(sim: Simulation, device: Device, view: View) -> None:
     for warning in filter(None, warnings):
         say(f"warning: {warning}")
     if sim.scene.features().thick:
-        for sentence in sim.scene.spheres.widened[:MOST_NOTES]:
+        widened = sim.scene.spheres.widened
+        for sentence in widened[:MOST_NOTES]:
             say(f"note: {sentence}")
+        if len(widened) > MOST_NOTES:
+            say(f"note: and so of {len(widened) - MOST_NOTES} more")
 
 
 def note_passing(source: SceneSource, scene: Scene) -> None:
