@@ -4,7 +4,8 @@ Studies ask for it; a run that does not has none of this compiled. A contact's w
 what it changes of kinetic and potential energy: what ends the step (`settling.py`) from the free
 end on, and the impulses of walls and pairs (`contact.py`) at the step's start. A step counts where
 the sum over all particles is positive: what contacts take elsewhere in that step is set against it,
-and what moving obstacles do is in it.
+and what moving obstacles do is in it. What walls hold within a step (`contact.store_held_by_walls`:
+what is pressed against one, or would end far past it) is not.
 
 Methods whose positions are ahead of a constant acceleration's, or behind (state.position_weight),
 lose energy in the free part of a step and have it back from a contact that holds against that
