@@ -78,7 +78,8 @@ ENTRIES = {
 
 HEAD = """# Gallery
 
-Every built-in scene, drawn without a window by the command under its picture.
+Every built-in scene, drawn without a window by the command under its picture,
+and made smaller where that is large.
 `taichi-cloth run SCENE` alone opens it in one, where the mouse takes part:
 [the first ten minutes](tour.md) say how. `taichi-cloth run SCENE --help` says what it takes.
 
