@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import taichi as ti
 from inside import spec_of, state_of
-from selection import mostly_thorough
+from selection import mostly_thorough, thorough
 
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.kernels import forces, methods, sine
@@ -23,6 +23,7 @@ from taichi_cloth.limits.bounds import any_geometry, gershgorin, step_within
 from taichi_cloth.limits.eigenmodes import stable_step
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene import assignments, library, scenefile
+from taichi_cloth.scene.model import Particles, Scene, World
 from taichi_cloth.scene.triangles import area_vectors, at_corners, corner_shares
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.stability import experiment
@@ -362,6 +363,30 @@ def test_a_step_that_is_cut_is_the_methods_own_shorter_steps(method, name, devic
     np.testing.assert_allclose(cut.positions(), sim.positions(), rtol=0, atol=1e-9 * moved)
     assert cut.work().steps == 3 and cut.work().unconverged == 0
     assert cut.work().force_evaluations > sim.work().force_evaluations
+
+
+@ti.func
+def once_and_then_the_second_half(spec: ti.template(), state: ti.template()):
+    return state.halvings[None] < 1 or (state.halvings[None] == 1 and state.parts_done[None] == 1)
+
+
+@thorough
+def test_a_step_whose_second_half_is_cut_takes_no_longer(device, monkeypatch):
+    """A half and two quarters: a body in free fall has the speed of the whole step at its end, and
+    falls by each part's length times the speed at that part's end.
+    """
+    for name in ("_is_cut_soon", "_may_be_cut"):
+        monkeypatch.setattr(newton_cg, name, once_and_then_the_second_half)
+    monkeypatch.setattr(newton_cg, "MOST_BEFORE_CUT", 0)
+    world = World((400.0, 200.0), gravity=(0.0, 0.3))
+    body = Particles.build([[50.0, 50.0]], mass=2.0)
+    sim = Simulation(
+        Scene("body", world, body), "implicit_euler", 2.0, topology="graph", execution="serial"
+    )
+    sim.advance()
+    np.testing.assert_allclose(sim.velocities(), [[0.0, 0.6]], rtol=1e-9)
+    fallen = 1.0 * 0.3 + 0.5 * 0.45 + 0.5 * 0.6
+    np.testing.assert_allclose(sim.positions(), [[50.0, 50.0 + fallen]], rtol=1e-9)
 
 
 @pytest.mark.thorough

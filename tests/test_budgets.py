@@ -84,6 +84,15 @@ def test_a_time_budget_follows_the_scene():
     assert np.mean(late) < 0.1
 
 
+def test_what_was_too_much_is_not_tried_again_for_twice_as_long_each_time():
+    times = FrameTimes(0.01)
+    for _ in range(60):
+        times.note(Frame(8, 0.02, 0.0))
+    for frames in (600, 1200, 2400):
+        times._fewer(8, [4], 1)
+        assert times._too_many[8] == (60 + frames, frames)
+
+
 def test_a_time_budget_never_leaves_its_limits_and_says_what_is_in_the_way():
     """Neither below the stable steps, however slow, nor above what the precision follows."""
     times = FrameTimes(1 / 60)
@@ -292,6 +301,17 @@ def test_measured_rounding_bounds_what_a_time_budget_takes():
     errors.note(Second(48, 1.001e-5, rounding=1e-5), torn=False)
     total = 1e-8 * (48 / n) ** 4 + 1e-5 * n / 48
     assert errors.best() == pytest.approx(n[total.argmin()], abs=1)
+
+
+def test_the_best_substeps_are_enough_for_as_many_seconds_as_the_order_says():
+    """Of order 2 for two in three: too few steps are wrong by twice as many powers as too many.
+
+    With these shares of rounding each second is at its best with the substeps that it had.
+    """
+    errors = SecondErrors(0.01, 2)
+    for substeps in (10, 40, 70, 100):
+        errors.note(Second(substeps, error=1.5e-5, rounding=1e-5, order=2.0), torn=False)
+    assert errors.best() == pytest.approx(70.0)
 
 
 def test_fewer_substeps_are_tried_as_long_as_their_error_is_within():

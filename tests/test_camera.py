@@ -86,6 +86,43 @@ def test_zoom_stays_outside_the_world(factors):
     assert corner < camera.distance < 50 * corner
 
 
+def test_an_eye_that_was_put_too_near_goes_from_there():
+    """No nearer, and out by the factor alone, not at once to where it might have been."""
+    camera = Camera((600, 400, 500))
+    camera.distance = 0.5 * camera.nearest
+    camera.zoom(2.0)
+    assert camera.distance == 0.5 * camera.nearest
+    camera.zoom(0.8)
+    assert camera.distance == pytest.approx(0.625 * camera.nearest)
+
+
+@pytest.mark.parametrize("y_up", [False, True])
+def test_a_camera_above_a_floor_is_on_the_side_where_things_fall_from(y_up):
+    """With a positive rot_x it looks down, whichever way y points."""
+    for degrees in (20.0, -20.0):
+        camera = Camera((600, 400, 500), rot_x=degrees, rot_y=0.0, y_up=y_up)
+        away = camera.eye[1] - camera.centre[1]
+        assert (away > 0) == (y_up == (degrees > 0))
+        assert camera.is_above(float(camera.centre[1])) == (degrees > 0)
+
+
+@given(st.integers(0, 1000))
+def test_what_is_framed_fills_the_picture_and_no_more_with_what_is_around_it(seed):
+    """All is within the lines of sight at the borders of what may be filled, and the first to leave
+    these are as far from both, across and down.
+    """
+    rng, around, filled = np.random.default_rng(seed), 15.0, 0.9
+    points = rng.uniform(0.0, 400.0, (20, 3))
+    camera = Camera((600, 400, 500), rot_x=rng.uniform(-80, 80), rot_y=rng.uniform(-180, 180))
+    camera.pose = camera.framed(points, around, filled)
+    turned = camera.rotate_points(points)
+    slope = filled * camera.middle / camera.focal_length
+    room = slope * (camera.distance + turned[:, 2:]) - around
+    right, left = room - turned[:, :2], room + turned[:, :2]
+    assert right.min() > -1e-6 and left.min() > -1e-6
+    assert right.min(axis=0) == pytest.approx(left.min(axis=0), abs=1e-6)
+
+
 def test_zoom_refuses_nonsense():
     with pytest.raises(ValueError, match="positive"):
         Camera((600, 400, 500)).zoom(0)

@@ -153,3 +153,17 @@ def test_frames_cannot_go_back_while_recording(tmp_path):
     with pytest.raises(ValueError, match="after"):
         recorder.write(4, Event("move", (1.0, 2.0)))
     recorder.discard()
+
+
+def test_a_log_that_goes_back_forgets_what_was_done_from_that_frame_on(tmp_path):
+    """Events of a frame are done before it is made: those of the frame itself are gone, too."""
+    path = tmp_path / "log.jsonl"
+    with Recorder(path) as recorder:
+        for frame in (1, 3, 3, 5):
+            recorder.write(frame, Event("move", (float(frame), 0.0)))
+        recorder.rewind(3)
+        recorder.write(4, Event("move", (9.0, 0.0)))
+    assert interaction.load(path).by_frame == {
+        1: [Event("move", (1.0, 0.0))],
+        4: [Event("move", (9.0, 0.0))],
+    }

@@ -2,6 +2,7 @@
 
 import struct
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
 from taichi_cloth.files import exports
 from taichi_cloth.files.exports import Export
+from taichi_cloth.files.trajectory import Trajectory, load
 
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
 SPRINGS = np.array([[0, 1], [1, 2], [2, 3], [3, 0], [0, 2]])
@@ -214,6 +216,41 @@ def test_a_scene_without_a_surface_and_particles_that_come_later(tmp_path):
     assert export.left_out == 3
     text = (tmp_path / "chain_00002.obj").read_text()
     assert text.count("\nv ") == 4 and text.count("\nl ") == len(SPRINGS)
+
+
+class Clicked(Moving):
+    """What a trajectory asks besides; `more` particles are tied to the one before each."""
+
+    velocities = Moving.positions
+
+    def __init__(self):
+        super().__init__()
+        began = SimpleNamespace(position=self.positions(), fixed=np.zeros(4, bool))
+        self.scene = SimpleNamespace(world=SimpleNamespace(dim=3), particles=began)
+
+    @property
+    def particle_count(self):
+        return 4 + self.more
+
+    def springs(self):
+        return np.concatenate([SPRINGS, np.arange(3, 3 + self.more)[:, None] + [0, 1]])
+
+    def springs_alive(self):
+        return np.ones(len(self.springs()), bool)
+
+
+def test_a_trajectory_that_goes_back_to_before_a_click_has_nothing_of_what_was_clicked(tmp_path):
+    """Neither its particles nor its springs, whose ends would be none of the file's."""
+    sim, made, kept = Clicked(), Trajectory(tmp_path / "run.npz"), []
+    for sim.frame, sim.more in ((1, 0), (2, 0), (3, 2)):
+        made.record(sim)
+        kept.append(sim.positions())
+    made.rewind(2)
+    made.save()
+    found = load(tmp_path / "run.npz")
+    np.testing.assert_array_equal(found.position, kept[:2])
+    np.testing.assert_array_equal(found.spring, SPRINGS)
+    assert found.spring_alive.shape == (2, len(SPRINGS))
 
 
 def test_formats_that_are_none_are_refused_by_name(tmp_path, monkeypatch, capsys):

@@ -209,6 +209,24 @@ def test_what_is_let_go_keeps_its_velocity_and_its_mass():
     np.testing.assert_allclose(sim.positions(), x + 10 * v, rtol=1e-14)
 
 
+@pytest.mark.parametrize("method", ["xpbd", "vbd", "implicit_euler"])
+def test_a_hold_is_a_step_of_backward_euler(pool, method):
+    """Where methods are implicit, of a frame that is not 1 long:
+
+    v' = (v + h k/m (target - x)) / (1 + h c/m + h^2 k/m).
+    """
+    h, k, c, m, v = 0.1, 30.0, 4.0, 2.0, 5.0
+    world = World((600.0, 400.0), (0.0, 0.0), tools=True, dt=h)
+    body = Particles.build([[300.0, 200.0]], [[v, 0.0]], mass=m)
+    sim = pool(Scene("alone", world, body), method)
+    sim.grab([0], (300.0, 200.0), stiffness=k, damping=c)
+    sim.drag((310.0, 200.0))
+    assert sim.storage.scene.particles.mass.tolist() == [m]
+    sim.advance()
+    expected = (v + h * k / m * 10.0) / (1 + h * c / m + h**2 * k / m)
+    assert sim.velocities()[0] == pytest.approx([expected, 0.0], rel=1e-12)
+
+
 WAYS = [
     (method, topology)
     for method in ("symplectic_euler", "rk4", "implicit_euler", "xpbd")

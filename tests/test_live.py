@@ -13,7 +13,7 @@ from taichi_cloth.limits.eigenmodes import stable_step
 from taichi_cloth.scene import library
 from taichi_cloth.scene.library import build
 from taichi_cloth.simulation import live
-from taichi_cloth.simulation.running_costs import RunningCosts
+from taichi_cloth.simulation.running_costs import WARM, RunningCosts
 from taichi_cloth.simulation.setting_costs import SettingCosts
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app, interaction
@@ -246,6 +246,14 @@ def test_what_a_setting_costs_is_measured_or_predicted_or_said_to_be_unknown():
         costs.note(sim, 5e-3)
     sim.set_step(substeps=1)
     assert costs.of(sim, by_name["substeps"], 4).words() == "5 ms a frame, measured"
+
+
+def test_frames_that_are_measured_first_count_alike(pool):
+    """A mean of all until frames are many; and none of those that warm up counts."""
+    sim, costs = pool(build("oscillator")), RunningCosts()
+    for seconds in [9.0] * WARM + [1.0, 3.0, 5.0]:
+        costs.note(sim, seconds)
+    assert costs.now(sim).seconds == pytest.approx(3.0)
 
 
 def test_what_stands_beside_a_setting_is_measured_or_predicted_or_of_the_stable_step():

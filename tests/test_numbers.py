@@ -194,6 +194,13 @@ def test_the_stable_step_of_rates_whose_squares_vanish():
         assert above_limit("symplectic_euler", scene, 1e301, 1)
 
 
+def test_drag_counts_at_the_start():
+    """a = -c v / m, in which steps are measured that rounding must not swallow."""
+    particles = Particles.build([[10.0, 10.0]], [[3.0, -2.0]], mass=2.0, viscous=0.5)
+    scene = Scene("slowed", World((40.0, 30.0), (0.0, 0.0)), particles)
+    np.testing.assert_allclose(acceleration_at_start(scene), [[-0.75, 0.5]])
+
+
 def test_what_no_precision_can_watch_is_named_so(pool):
     """Squares of speeds and sums of coordinates are watched as numbers of f32."""
 

@@ -9,7 +9,7 @@ from selection import as_thorough, mostly_thorough
 from taichi_cloth.cli import run_notes
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods, obstruction
-from taichi_cloth.kernels.obstacles import SHAPES
+from taichi_cloth.kernels.obstacles import SHAPES, load
 from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import grid
@@ -202,6 +202,20 @@ def test_shapes_have_distances_normals_and_closed_surfaces():
             a, b, c = (vertices[faces[:, k]] for k in range(3))
             assert np.einsum("ij,ij->", a, np.cross(b, c)) > 0  # all round, seen from outside
         assert np.allclose(d[on.argmin() : on.argmin() + 1], d[on.argmin()])
+
+
+@pytest.mark.parametrize("shape", ["sphere", "capsule", "box"])
+def test_nothing_of_an_obstacle_is_outside_the_ball_around_it(shape):
+    """Which is no larger than it need be: who is outside of it is not asked about the rest."""
+    keys = {
+        "sphere": {"centre": [1.0, 2.0, 3.0], "radius": 0.25},
+        "capsule": {"ends": [[0.0, 0.0, 0.0], [1.0, 2.0, 2.0]], "radius": 0.25},
+        "box": {"centre": [1.0, 2.0, 3.0], "half": [0.5, 1.0, 2.0], "turn": [0.0, 0.0, 0.0]},
+    }
+    placed = load(shape).place(keys[shape], 3, 0.1)
+    vertices, _ = load(shape).surface(placed, 1.0)
+    farthest = np.linalg.norm(vertices, axis=1).max()
+    assert 0.9 * placed.bound < farthest <= placed.bound * (1 + 1e-12)
 
 
 def test_a_file_with_obstacles_reads_back_as_it_was():

@@ -88,6 +88,21 @@ def test_a_pair_bounces_by_its_restitution_and_slides_by_its_friction(pool):
     assert abs(overlap(sim)) < 1e-3
 
 
+def test_bodies_in_a_row_share_what_the_first_gives(pool):
+    """Restitution acts in a step's first iteration alone, and what is passed on later has none: of
+    three that touch the last two go on together, without half of the energy.
+    """
+    world = World(
+        size=(100.0, 100.0), gravity=(0.0, 0.0), dt=0.01, collisions=True,
+        contact="resting", walls=("left", "right", "top", "bottom"),
+    )  # fmt: skip
+    x, v = [[40.0, 50.0], [50.0, 50.0], [60.0, 50.0]], [[4.0, 0.0], [0.0, 0.0], [0.0, 0.0]]
+    row = Particles.build(x, v, mass=1.0, radius=5.0, restitution=1.0)
+    sim = pool(Scene("row", world, row))
+    sim.advance()
+    np.testing.assert_allclose(sim.velocities()[:, 0], [0.0, 2.0, 2.0], atol=1e-12)
+
+
 def test_fixed_particles_stay_and_hold_what_falls_on_them(pool):
     scene = cloud(2, 40, seed=1, size=100.0, gravity=0.5, fixed=0.4)
     sim, fixed = pool(scene), scene.particles.fixed

@@ -102,6 +102,13 @@ def find_near(spec: ti.template(), state: ti.template()):
         find_pairs(spec, state, 0)
 
 
+def found_pairs(state, n):
+    """Of each of n places those that may touch it in the step, as they are listed."""
+    count, start = state.found_count.to_numpy()[:n], state.found_start.to_numpy()[:n]
+    others = state.found.to_numpy() >> NEAR_BITS
+    return [others[first : first + many] for first, many in zip(start, count, strict=True)]
+
+
 def test_lists_of_patches_have_all_that_may_touch_in_each_step(pool):
     """Against all pairs, for sheets that turn, slide, jump and crumple."""
     scene = sheets(16, [0.3, 0.33, 0.36])
@@ -132,10 +139,8 @@ def test_lists_of_patches_have_all_that_may_touch_in_each_step(pool):
         along = -(before * (now - before)).sum(2) / ((now - before) ** 2).sum(2).clip(1e-30)
         nearest = before + along.clip(0, 1)[..., None] * (now - before)
         distance = np.linalg.norm(nearest, axis=2)
-        count, start = state.found_count.to_numpy()[:n], state.found_start.to_numpy()[:n]
-        near, others = np.zeros((n, n), bool), state.found.to_numpy() >> NEAR_BITS
-        for at in range(n):
-            pairs = others[start[at] : start[at] + count[at]]
+        near = np.zeros((n, n), bool)
+        for at, pairs in enumerate(found_pairs(state, n)):
             near[spheres.in_patches[at], spheres.in_patches[pairs]] = True
         near |= near.T
         may = (distance < 0.9999 * reach) & ~closer & ~np.eye(n, dtype=bool)
@@ -143,6 +148,24 @@ def test_lists_of_patches_have_all_that_may_touch_in_each_step(pool):
         assert not (near & (distance > 1.0001 * reach)).any(), step
         found += may.sum()
     assert found > 10_000 and ways["some"] > 20 and ways["none"] > 3 and 2 <= ways["all"] < 10, ways
+
+
+def test_pairs_are_listed_in_the_order_of_their_places(pool):
+    """Whenever lists were made, in sheets that jump about: sums of contacts have the same bits."""
+    scene = sheets(16, [0.3, 0.33, 0.36])
+    sim = pool(scene, topology="graph", execution="serial")
+    state, rng = sim.storage.state, np.random.default_rng(3)
+    n, x, compared = len(scene.particles), scene.particles.position, 0
+    for _ in range(10):
+        begun, x = x, x + 4e-3 * rng.normal(size=(n, 3))
+        state.begun_x.from_numpy(begun)
+        state.x.from_numpy(x)
+        state.n_stale[None] = 0
+        find_near(sim.storage.specialization, state)
+        for others in found_pairs(state, n):
+            assert (np.diff(others) > 0).all()
+            compared += len(others) > 1
+    assert compared > 100
 
 
 @ti.kernel
@@ -173,11 +196,8 @@ def test_pairs_of_a_colour_have_no_particle_in_common(pool):
             assert colour == COLOURS or len(np.unique(ends)) == 2 * size
             listed += zip(first[rows], second[rows], strict=True)
         assert (state.colour_size[COLOURS] > 0) == rest
-        count, start = state.found_count.to_numpy()[:n], state.found_start.to_numpy()[:n]
-        others, pairs = state.found.to_numpy() >> NEAR_BITS, set()
-        for at in range(n):
-            pairs |= {(at, other) for other in others[start[at] : start[at] + count[at]]}
-        assert len(listed) == count.sum() > 100 and {*listed} == pairs
+        pairs = [(at, other) for at, found in enumerate(found_pairs(state, n)) for other in found]
+        assert len(listed) == len(pairs) > 100 and {*listed} == {*pairs}
 
 
 def crossing(**more):

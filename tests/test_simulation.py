@@ -368,6 +368,18 @@ def test_watchdog_sees_a_nan_at_once(pool):
     np.testing.assert_array_equal(sim.positions(), x)
 
 
+def test_who_fails_in_the_first_step_is_named_and_not_whom_a_later_one_loses(pool):
+    """Two swings far beyond the limit: that of particle 2 grows faster, so it is lost first."""
+    world = World(size=(400.0, 200.0), gravity=(0.0, 0.0), walls=SIDES)
+    x = [[50.0, 50.0], [61.0, 50.0], [50.0, 90.0], [61.0, 90.0]]
+    springs = Springs.build([[0, 1], [2, 3]], x, stiffness=[40.0, 4e4], rest_length=10.0)
+    particles = Particles.build(x, fixed=[False, True, False, True])
+    sim = pool(Scene("swings", world, particles, springs), dt=40.0, substeps=40)
+    with pytest.raises(SimulationFailure) as failure:
+        sim.advance()
+    assert failure.value.particle == 2
+
+
 @pytest.mark.parametrize(
     "arguments, message",
     [

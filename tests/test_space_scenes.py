@@ -1,4 +1,4 @@
-"""The built-in scenes in space end inside physical bounds (CPU, f64, coarse)."""
+"""The built-in scenes in space end inside physical bounds (CPU, f64, coarse); what cameras see."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,9 @@ from intersections import intersecting_pairs
 
 from taichi_cloth.scene import library
 from taichi_cloth.scene.library import pull, trampoline, twist
+from taichi_cloth.scene.model import Particles, Scene, World
 from taichi_cloth.scene.solids import held, solids
+from taichi_cloth.ui.framing import camera_of
 
 
 def strain(sim):
@@ -178,3 +180,32 @@ def test_the_shirt_hangs_and_its_front_stays_before_its_back(pool):
     assert x[:, 1].max() < first[:, 1].max() + 1e-3  # nothing is above its collar
     assert first[:, 1].min() - 0.1 < x[:, 1].min() < first[:, 1].min() + 0.1
     assert not len(intersecting_pairs(x, sim.scene.triangles))
+
+
+def sheet(*middle):
+    """A level sheet of 1 by 1 without a floor, held along one side."""
+    a = np.linspace(-0.5, 0.5, 6)
+    x = np.stack(np.meshgrid(a, [0.0], a, indexing="ij"), -1).reshape(-1, 3) + middle
+    world = World((10.0, 10.0, 10.0), gravity=(0.0, -9.81, 0.0), up="y")
+    return Scene("sheet", world, Particles.build(x, fixed=x[:, 0] == x[:, 0].min(), radius=0.01))
+
+
+def sees(camera, points):
+    """Which of the points (n, 3) are inside its picture."""
+    pixels, _, depths = camera.project(points)
+    return (depths > 0) & (pixels > 0).all(axis=1) & (pixels < 2 * camera.middle).all(axis=1)
+
+
+def test_a_camera_sees_where_a_held_sheet_comes_to_hang():
+    scene = sheet(0.0, 5.0, 0.0)
+    camera, particles = camera_of(scene), scene.particles
+    assert sees(camera, particles.position).all()
+    assert sees(camera, particles.position[particles.fixed] - [0.0, 1.0, 0.0]).all()
+
+
+def test_a_camera_sees_the_origin_where_it_is_near_and_only_there():
+    """What is far from it is seen as large as anywhere else."""
+    near, far, farther = (camera_of(sheet(x, 0.0, 0.0)) for x in (0.9, 8.0, 20.0))
+    origin = np.zeros((1, 3))
+    assert sees(near, origin).all() and not sees(far, origin).any()
+    assert far.distance < 1.5 * farther.distance

@@ -146,6 +146,50 @@ def test_a_long_run_that_is_large_still_reaches_back(device):
     assert 600 <= len(line.frames) <= 608 and line.bytes <= 160 * SIZE
 
 
+@pytest.fixture
+def sparse():
+    """A timeline with a checkpoint of its start alone; (make, line, what it ran again).
+
+    make(first, end) makes the frames from one to the next.
+    """
+    sim, again = Counting(), []
+
+    def rerun(frame, events):
+        again.append((frame, list(events)))
+        sim.advance()
+
+    def make(first, end):
+        for frame in range(first, end):
+            sim.advance()
+            line.note(frame + 1)
+
+    line = Timeline(sim, sim, rerun, spacing=1e9, clock=lambda: 0.0)
+    line.note(0)
+    make(0, 3)
+    return make, line, again
+
+
+def test_what_was_done_after_the_frame_that_a_run_goes_on_from_is_not_done_again(sparse):
+    make, line, again = sparse
+    line.event(3, Done("move", 1))
+    make(3, 6)
+    line.go(3)
+    assert line.branch() == 3
+    make(3, 6)
+    again.clear()
+    line.go(5)
+    assert again == [(frame, []) for frame in range(5)]
+
+
+def test_the_frame_in_which_something_was_set_is_held_and_not_run_again(sparse):
+    """To set something may compile, which nobody who goes back should wait for."""
+    make, line, again = sparse
+    line.event(3, Done("set", 1))
+    make(3, 6)
+    line.go(5)
+    assert [frame for frame, _ in again] == [4]
+
+
 def test_slow_motion_shows_frames_longer_and_changes_none():
     pace = Pace()
     assert [pace.turn() for _ in range(3)] == [True] * 3
@@ -186,6 +230,15 @@ centre = [0.2, 0.6, 0.2]
 half = [0.1, 0.1, 0.1]
 velocity = [3.0, 0.0, 0.6]
 """
+
+
+def test_slower_motion_keeps_the_picture_where_it_is():
+    pace = Pace()
+    pace.slower()
+    pace.turn()
+    assert pace.part == 0.5
+    pace.slower()
+    assert pace.part == 0.5
 
 
 @pytest.mark.usefixtures("device")
