@@ -59,6 +59,45 @@ def test_what_lies_gets_no_energy_and_a_belt_gives_what_it_should(device, method
     assert sim.contact_account().balance == pytest.approx(-lost, rel=0.05)
 
 
+def test_a_bounce_has_back_no_more_than_the_free_part_took(device):
+    """Against steps by hand: what contact changes of kinetic and potential energy from the free end
+    on, and half of what symplectic Euler's positions are behind by, as far as contact has it back.
+    """
+    scene = on_plane([10.0, 0.1], velocity=[[0.0, -3.0]], restitution=0.5)
+    sim = Simulation(scene, "symplectic_euler", execution="serial", accounts_contacts=True)
+    sim.account_contacts()
+    h, m, expected = 0.01, 2.0, 0.0
+    for _ in range(20):
+        x, v = sim.positions()[0, 1], sim.velocities()[0, 1]
+        free_v = v - h * G
+        free_x = x + h * free_v
+        sim.advance()
+        x, v = sim.positions()[0, 1], sim.velocities()[0, 1]
+        had_back = min(max(-h * G * (v - free_v), -((h * G) ** 2)), 0.0)
+        expected += m * (0.5 * (v * v - free_v**2) + G * (x - free_x) + 0.5 * had_back)
+    assert expected < -1.0
+    assert sim.contact_account().balance == pytest.approx(expected, rel=1e-9)
+
+
+@thorough
+def test_a_wall_takes_what_restitution_leaves(device):
+    """A body between walls, without gravity: half its mass times the squares of its speeds."""
+    world = World(size=(100.0, 50.0), gravity=(0.0, 0.0), dt=0.1, walls=("left", "right"))
+    sim = None
+    for e in (1.0, 0.5):
+        body = Particles.build([[90.0, 20.0]], [[33.3, 0.0]], mass=2.0, radius=1.0, restitution=e)
+        scene = Scene("walls", world, body)
+        if sim is None:
+            sim = Simulation(scene, execution="serial", accounts_contacts=True)
+        sim.load_scene(scene)
+        sim.account_contacts()
+        sim.advance(10)
+        account, v = sim.contact_account(), sim.velocities()[0, 0]
+        assert v == pytest.approx(-33.3 * e)
+        assert account.balance == pytest.approx(0.5 * 2.0 * (v * v - 33.3**2), abs=1e-9)
+        assert account.gained == pytest.approx(0.0, abs=1e-9)
+
+
 def sheet():
     """A cloth of springs that bends, over a plane that comes up fast and pushes it, askew."""
     spring = SpringDefaults(stiffness=400.0)
