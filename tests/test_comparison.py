@@ -11,7 +11,7 @@ import pytest
 import taichi_cloth as tc
 from taichi_cloth.comparison import picture as pictures
 from taichi_cloth.errors import InputError
-from taichi_cloth.files.trajectory import Trajectory
+from taichi_cloth.files.trajectory import Saved, Trajectory
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.scene.penetration import Moment, touching
@@ -28,6 +28,23 @@ def recorded(sim, path, frames):
         trajectory.record(sim)
     trajectory.save({"scene": sim.scene.name})
     return path
+
+
+def made_up(x, springs=((0, 1),), alive=None, fixed=None):
+    """A recording of positions (k, n, 2) at times 1 to k, of springs that hold or not, (k, s)."""
+    x = np.array(x, float)
+    k, n, _ = x.shape
+    return Saved(
+        frame=np.arange(1, k + 1),
+        time=np.arange(1.0, k + 1),
+        position=x,
+        velocity=0.0 * x,
+        spring=np.array(springs),
+        spring_alive=np.ones((k, len(springs)), bool) if alive is None else np.array(alive),
+        meta={},
+        start=x[0],
+        fixed=np.zeros(n, bool) if fixed is None else np.array(fixed),
+    )
 
 
 def swing(step, times):
@@ -63,6 +80,27 @@ def test_the_distance_is_the_phase_error_of_the_oscillator(swings):
     assert found.parted == times[np.argmax(apart > 0.002 * scale)]
     assert found.difference.time == 1.0 and found.difference.particle == 1
     assert not found.identical and found.first_break is None and found.break_a is None
+
+
+def test_a_particle_that_is_free_in_one_of_both_is_measured():
+    """Only what neither run can move is left out: one that is let go in B alone goes 3, then 4."""
+    a, b = np.zeros((2, 3, 2, 2))
+    b[1:, 0, 0] = [3.0, 4.0]
+    held, free = made_up(a, fixed=[True, False]), made_up(b, fixed=[False, False])
+    found = tc.compare(held, free, within=1.0)
+    assert found.particles == 2 and found.parted == 2.0
+    assert found.max.tolist() == [0.0, 3.0, 4.0]
+
+
+def test_of_those_that_differ_first_the_farthest_is_named():
+    """By how far each is from itself in the other run, not by its number or place."""
+    a = np.zeros((2, 3, 2))
+    a[1, :, 1] = 5.0
+    b = a.copy()
+    b[1, :, 0] = [0.1, 0.3, 0.2]
+    found = tc.compare(made_up(a), made_up(b)).difference
+    assert (found.time, found.what, found.particle) == (2.0, "position", 1)
+    assert found.distance == pytest.approx(0.3)
 
 
 def test_a_file_s_name_is_no_formula_in_a_picture(swings):
@@ -145,6 +183,19 @@ def test_the_first_break_is_named(pool, tmp_path):
         recorded(pool(hanging(0.12, 0.15, 0.18)), tmp_path / "c.npz", 30), a
     ).first_break
     assert (third.spring, third.a, third.b, third.others) == (2, breaks[3], None, 0)
+
+
+def test_the_first_break_is_that_of_either_run():
+    """A spring breaks early in A and late in B, another in between in both: the early one differs
+    first, though in B it is the last.
+    """
+    x = np.zeros((6, 3, 2))
+    x[:, 1, 0] = np.arange(6.0)
+    a, b = np.ones((2, 6, 2), bool)
+    a[1:, 0] = b[5:, 0] = a[3:, 1] = b[2:, 1] = False
+    springs = (0, 1), (1, 2)
+    event = tc.compare(made_up(x, springs, a), made_up(x, springs, b)).first_break
+    assert event.spring == 0 and (event.a, event.b, event.others) == (2.0, 6.0, 1)
 
 
 def test_what_comes_later_is_not_broken_before(pool, tmp_path):

@@ -1,8 +1,10 @@
 """Why a run failed, and what survives: named, tried, written, and shown, with no bit changed."""
 
+import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import failing_runs
 import numpy as np
@@ -14,12 +16,18 @@ from test_timeline import Script, press
 from taichi_cloth.cli.run_report import Examining
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.files.events import Log
-from taichi_cloth.post_mortem import survivors
-from taichi_cloth.post_mortem.causes import STEP, TEARING, cause_of
+from taichi_cloth.limits.eigenmodes import Limit
+from taichi_cloth.limits.network import Network
+from taichi_cloth.limits.tracking import Shares
+from taichi_cloth.post_mortem import causes, onset, survivors
+from taichi_cloth.post_mortem.breaks import Torn
+from taichi_cloth.post_mortem.causes import AIR, DAMPING, STEP, TEARING, cause_of
 from taichi_cloth.post_mortem.examine import flags
+from taichi_cloth.post_mortem.sample import Sample
 from taichi_cloth.post_mortem.trace import traced
 from taichi_cloth.scene.library import build
-from taichi_cloth.simulation.past import Settings
+from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.simulation.past import APART, Past, Settings
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app
 from taichi_cloth.ui.inputs import Event
@@ -153,6 +161,97 @@ def test_what_tore_long_ago_is_told_apart(tmp_path):
     found = sim.report(tmp_path / "b.html", pictures=False)
     assert found.cause.kind == TEARING and not sim.springs_alive()[found.cause.spring]
     assert f"spring {found.cause.spring} broke first, in frame" in found.cause.proof
+
+
+def sample(omega2=1.0, **given):
+    """A moment of a run by symplectic Euler at steps of 1, which are stable up to omega^2 = 4."""
+    limit = Limit(2.0 / math.sqrt(omega2), omega2=omega2, spring=0, particle=0)
+    plain = dict(
+        time=0.0, frame=0, part=0.0, total=1.0, moving=1.0, drift=0.0, work=0.0, by_hand=0.0,
+        reach=math.sqrt(omega2), used=1.0 / limit.dt, method="symplectic_euler", h=1.0,
+        limit=limit, shares=None, stiffness=1.0, inverse=(1.0,),
+        strain=0.0, spring=0, ends=(0, 1), speed=0.0, fastest=0, broken=0,
+    )  # fmt: skip
+    return Sample(**{**plain, **given})
+
+
+def test_what_grew_before_steps_were_short_again_is_not_added():
+    """Two spells of long steps, each with 0.6 of what makes the least rounding large: both together
+    are enough, but not with a stable step between them, which ends what grew.
+    """
+    grows = math.log(onset.growth_of(sample(omega2=4.1)))
+    spell = 0.6 * -math.log(np.finfo(np.float64).eps) / grows
+    begin, middle, end = (sample(omega2=4.1, time=k * spell) for k in range(3))
+    together = SimpleNamespace(precision="f64", samples=[begin, middle, end])
+    assert onset.has_grown(together)
+    again = [sample(time=spell), replace(middle, time=spell + 1)]
+    apart = SimpleNamespace(precision="f64", samples=[begin, *again, end])
+    assert not onset.has_grown(apart)
+
+
+def test_what_work_gave_is_no_energy_from_nothing():
+    """A drift of 1 beside 1 that moves, 5 of work and 4 by hand is a tenth of it all."""
+    one = sample(moving=1.0, drift=1.0, work=5.0, by_hand=4.0)
+    assert onset.from_nothing(SimpleNamespace(samples=[one]), one) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("drift", [0.0, 90.0])
+def test_a_spring_s_energy_is_no_cause_where_the_step_made_it(drift):
+    """It is enough for a lost particle either way: the cause only if it did not come from nothing
+    before the frame that failed.
+    """
+    x = np.array([[0.0, 0.0], [1.0, 0.0]])
+    springs = Springs.build([(0, 1)], x, stiffness=1e8, rest_length=0.5)
+    world = World((40.0, 20.0), gravity=(0.0, 0.0))
+    network = Network.from_scene(Scene("pair", world, Particles.build(x), springs))
+    trace = SimpleNamespace(
+        samples=[sample(), sample(moving=100.0, drift=drift), sample(moving=100.0, part=0.5)],
+        before=network,
+        last=network,
+        speed_limit=1000.0,
+        whole=True,
+        acts=[],
+        scene="pair",
+    )
+    assert (causes._energy(trace) is None) == (drift > 0)
+
+
+@pytest.mark.parametrize(("before", "kind"), [(6, TEARING), (4, STEP)])
+def test_springs_are_torn_by_what_tore_most_of_them(before, kind):
+    """Of 10 springs some broke before a step was too long: most of them, or the fewer."""
+    trace = SimpleNamespace(torn=Torn(10, before, (3, 1), sample(omega2=5.0), "from the start"))
+    assert causes._torn(trace, "sound").kind == kind
+
+
+@pytest.mark.parametrize(
+    ("dashpot", "drag", "air", "kind", "word"),
+    [
+        (0.5, 0.0, 0.3, DAMPING, "dashpot"),
+        (0.1, 0.5, 0.3, DAMPING, "drag"),
+        (0.1, 0.2, 0.3, AIR, "air"),
+    ],
+)
+def test_what_damps_most_is_named(dashpot, drag, air, kind, word):
+    """By its share of the damping of the mode that grows."""
+    shares = Shares(np.zeros(1), np.array([dashpot]), 0.0, 0.0, drag, air)
+    found, named = causes._damper(sample(shares=shares))
+    assert found == kind and word in named
+
+
+def test_acts_since_a_place_are_those_after_it_also_when_early_ones_were_let_go():
+    """A run that cannot be gone back to its start keeps a few places, and no act before the first:
+    where each place's own acts begin is counted from there.
+    """
+    sim = SimpleNamespace(method="verlet", dt=1.0, substeps=1, solver={}, follows=False)
+    checkpoint = SimpleNamespace(arrays=lambda: [])
+    past, frames = Past(), range(0, 30 * APART, APART)
+    past.forget()
+    for sim.frame in frames:
+        past.offer(sim, checkpoint)
+        past.act(sim.frame, "set", (sim.frame,), {})
+    assert 1 < len(past.places()) <= len(past.acts) < len(frames)
+    for place in past.places():
+        assert list(past.acts_since(place)) == [k for k in frames if k >= place.frame]
 
 
 def test_what_is_kept_for_it_changes_no_bit():

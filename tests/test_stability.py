@@ -16,6 +16,7 @@ from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits import auto_step, modes
+from taichi_cloth.limits.auto_step import SubstepController
 from taichi_cloth.limits.bounds import (
     AnyGeometry,
     Bounds,
@@ -29,6 +30,7 @@ from taichi_cloth.limits.laplacian import Laplacian
 from taichi_cloth.limits.matrices import laplacian, stiffness_and_damping
 from taichi_cloth.limits.network import Network, Networks
 from taichi_cloth.limits.rounding import stall as stall_of
+from taichi_cloth.limits.tracking import FastestMode
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import (
     ParticleDefaults,
@@ -39,7 +41,9 @@ from taichi_cloth.scene.model import (
     World,
 )
 from taichi_cloth.simulation import diagnostics
+from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.stability import experiment, report
 
 LIMITED = [m for m in methods.METHODS if methods.load(m).claims.stability_limit < math.inf]
@@ -255,6 +259,23 @@ def test_the_spring_responsible_is_the_one_that_is_stiff():
     assert named.spring >= 10 and named.ends == tuple(scene.springs.between[named.spring])
 
 
+def test_what_is_left_to_improve_is_told_of_omega():
+    """Two swings by themselves, of omega^2 = 1 and 4, and the mode a mixture of both: A u - q u is
+    as long as the root of u A A u - q^2, and in parts of q that is twice what omega may be off.
+    """
+    x = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 5.0], [1.0, 5.0]])
+    springs = Springs.build([(0, 1), (2, 3)], x, stiffness=[1.0, 4.0])
+    particles = Particles.build(x, fixed=[True, False, True, False], mass=1.0)
+    scene = Scene("two", World((40.0, 20.0), gravity=(0.0, 0.0)), particles, springs)
+    mode = FastestMode(methods.load("symplectic_euler"))
+    found = mode.follow(Network.from_scene(scene), 0.5, 0)
+    slow, fast = mode.shares.stiffness  # 1 and 4 times the parts that u has of them
+    quotient = slow + fast
+    assert 0.1 < fast < 3.9
+    left = math.sqrt(1.0 * slow + 4.0 * fast - quotient**2)
+    assert found.error == pytest.approx(left / quotient / 2, rel=1e-9)
+
+
 def test_f32_stalls_where_the_lower_limit_says():
     x, v = np.array([[300.0, 5.0], [20.0, 900.0]]), np.array([[0.01, 0.0], [0.0, 3.0]])
     a = np.array([[0.0, 0.002], [0.01, 0.0]])
@@ -267,6 +288,14 @@ def test_f32_stalls_where_the_lower_limit_says():
     assert (fast.what, fast.particle) == ("v", 0)
     place, step = np.float32(fast.value), fast.rate * fast.dt
     assert place + np.float32(0.99 * step) == place != place + np.float32(1.01 * step)
+
+
+def test_a_speed_that_a_frame_gives_counts_for_where_positions_stall():
+    """At rest, and pulled: x stalls where h a dt is half a unit of the last place of x."""
+    x, a = np.array([[1000.0, 0.0]]), np.array([[3.0, 0.0]])
+    stall = stall_of(x, 0.0 * x, a, np.zeros(1, bool), 0.5, sums="x")
+    assert (stall.what, stall.particle) == ("x", 0)
+    assert stall.dt == pytest.approx(2.0 ** (9 - 24) / (3.0 * 0.5))
 
 
 # --- dt auto ---------------------------------------------------------------------------------
@@ -312,6 +341,104 @@ def test_dt_auto_follows_a_break(pool, method):
     np.testing.assert_array_equal(ends, (sim.positions(), sim.velocities()))
     with pytest.raises(InputError, match="--dt auto"):
         sim.set_step(substeps=3)
+
+
+def test_what_breaks_in_a_frame_s_last_step_makes_the_frame_after_shorter(pool):
+    """A light body between two springs, of which one is pulled apart at many speeds: wherever in a
+    frame it breaks, two frames later there are as few substeps as the other one needs.
+    """
+    x = np.array([[50.0, 50.0], [60.0, 50.0], [70.0, 50.0]])
+    both = Springs.build([(0, 1), (1, 2)], x, stiffness=100.0, break_force=[np.inf, 20.0])
+    world = World((400.0, 200.0), gravity=(0.0, 0.0))
+
+    def row(speed, springs):
+        v = [[0.0, 0.0], [0.0, 0.0], [speed, 0.0]]
+        particles = Particles.build(x, v, fixed=[True, False, False], mass=[1.0, 1.0, 1e4])
+        return pool(Scene("row", world, particles, springs), dt="auto")
+
+    few, last = row(0.1, both.select(np.array([True, False]))).substeps, 0
+    for speed in np.linspace(0.05, 0.2, 60):
+        sim = row(speed, both)
+        assert sim.substeps > few
+        while sim.springs_alive()[1]:
+            sim.advance(1)
+        last += int(sim.storage.marks()[1, 0] == 1)  # it pulls for a step of the next frame
+        sim.advance(2)
+        assert sim.substeps == few
+    assert last > 0
+
+
+def sail(x, between, stiffness, density, velocity=None, **particles):
+    """A triangle in air, with springs between its corners and other particles."""
+    x = np.array(x)
+    air = {"air": {"density": density, "drag": 1.0, "lift": 0.0}}
+    world = World((40.0,) * 3, gravity=(0.0,) * 3, dt=0.1, up="y", more=air)
+    springs = Springs.build(between, x, stiffness=stiffness)
+    corners = np.array([[0, 1, 2]])
+    return Scene(
+        "sail", world, Particles.build(x, velocity, **particles), springs, triangles=corners
+    )
+
+
+def test_substeps_in_motion_are_those_of_twice_the_speed():
+    """Air damps in proportion to speed, which may double within the frame: what is chosen at v is
+    what would be chosen for good at 2 v, and more than at v.
+    """
+    corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    blown = sail(corners, [(0, 1), (1, 2), (0, 2)], 0.01, 50.0, [[0.0, 0.0, 40.0]] * 3)
+    network = Network.from_scene(blown)
+    twice = network.moved(network.position, 2.0 * network.velocity)
+    euler = methods.load("symplectic_euler")
+    in_motion = SubstepController("symplectic_euler", euler, 0.1).choose_in_motion(network)
+    here, doubled = (
+        SubstepController("symplectic_euler", euler, 0.1).choose(of) for of in (network, twice)
+    )
+    assert in_motion == doubled > here
+
+
+PINNED = sail(
+    [
+        [0.72, 0.24, 0.11],
+        [0.38, 0.36, 0.21],
+        [0.24, 0.49, 0.63],
+        [0.48, 0.64, 0.82],
+        [0.7, 0.45, 0.14],
+    ],
+    [(2, 0), (3, 1), (3, 2), (4, 0), (4, 1), (4, 3)],
+    [5884.0, 57.0, 27.0, 264.0, 626.0, 62.0],
+    1e-3,
+    mass=[1.64, 0.13, 1.19, 1.67, 8.23],
+    fixed=[True, False, True, False, False],
+)
+HEAVY = sail(
+    [[0.96, 0.05, 0.95], [0.26, 0.04, 0.55], [0.72, 0.66, 0.93]],
+    [(1, 0), (2, 0), (2, 1)],
+    [3054.0, 462.0, 10.0],
+    1e-3,
+    mass=[2.83, 0.54, 1.64],
+    fixed=[False, True, False],
+)
+
+
+@pytest.mark.parametrize(
+    ("begun", "change"),
+    [
+        (PINNED, {"fixed": np.zeros(5, bool)}),
+        (HEAVY, {"mass": HEAVY.particles.mass * [1.0, 0.45, 0.631]}),
+    ],
+    ids=["unpinned", "lighter"],
+)
+def test_after_a_change_by_hand_nothing_remembered_hides_a_faster_mode(begun, change):
+    """In air the last answer stands while rough bounds do, and here they do, though the mode is
+    faster with the pins gone or less mass: as many substeps as of a run that begins so.
+    """
+    edited = replace(begun, particles=replace(begun.particles, **change))
+    euler = methods.load("symplectic_euler")
+    auto, fresh = (AutoSubsteps("symplectic_euler", euler, 0.1) for _ in range(2))
+    now = Snapshot.at_start(begun)
+    auto.at_start(now)
+    chosen = auto.after_edit(now, replace(now, scene=edited))
+    assert chosen == fresh.at_start(Snapshot.at_start(edited))
 
 
 def clicked(stiffness):

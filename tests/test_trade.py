@@ -34,7 +34,14 @@ from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.settings.sweeps import TradeOptions
 from taichi_cloth.trade import ode, plot, reference, rows, settings, tune
-from taichi_cloth.trade.errors import Breaks, Contacts, Invariants, Samples, distance
+from taichi_cloth.trade.errors import (
+    Breaks,
+    Contacts,
+    Invariants,
+    Samples,
+    distance,
+    rms_by_frame,
+)
 from taichi_cloth.trade.outcomes import Outcome, Result, StudyFailure, failed_by
 from taichi_cloth.trade.runner import Study
 from taichi_cloth.trade.settings import Setting
@@ -192,6 +199,18 @@ def test_horizon_ends_before_a_disturbance_has_grown_into_the_errors():
     assert "of the 100 asked for" in horizon.describe()
     still = reference.limit_horizon(scene, Samples(x, x, alive), Samples(x, x, alive))
     assert still.frames == 100 and still.grown == 0.0
+    # It does not matter that the runs come together again.
+    passing = x.copy()
+    passing[40, 1, 1] = 50.0 * 2 * reference.GROWN
+    apart = reference.limit_horizon(scene, Samples(x, x, alive), Samples(passing, x, alive))
+    assert apart.frames == 39
+
+
+def test_a_disturbance_leaves_what_is_fixed():
+    """What is free is moved by its size; a fixed end that moved would be another scene."""
+    scene = library.build("oscillator")
+    moved = reference.disturbed(scene, 1e-3).particles.position - scene.particles.position
+    assert not moved[0].any() and np.linalg.norm(moved[1]) == pytest.approx(1e-3)
 
 
 def test_what_is_known_decides_what_is_compared_to():
@@ -225,6 +244,9 @@ def test_what_is_known_decides_what_is_compared_to():
     # What a reference is worth limits what it can measure.
     horizon = reference.Horizon(10, 10, 1.0, "", 1e-10)
     assert both.floor(horizon) == pytest.approx(10 * both.apart.trajectory)
+    # So does what a disturbance has grown to, which is a part of the scale.
+    chaotic = replace(horizon, scale=50.0, grown=1e-6)
+    assert both.floor(chaotic) == pytest.approx(5e-5)
 
 
 def test_measures_are_what_they_say():
@@ -254,6 +276,34 @@ def test_measures_are_what_they_say():
     assert (breaks.count, breaks.agreeing, breaks.first, breaks.later) == (2, 1, 3, -1)
     none = Breaks.of(one, one)
     assert (none.count, none.agreeing, none.first, none.later) == (0, 0, None, None)
+
+
+def test_invariants_of_three_states_by_hand():
+    """A free mass of 2 on a spring of 3 from a fixed one, gravity 0.5: a fixed particle has no
+    impulse, heights count in the scale by how much they vary, and springs that broke not at all.
+    """
+    x = np.array([[[0.0, 5.0], [4.0, 5.0]], [[0.0, 5.0], [5.0, 5.0]], [[0.0, 5.0], [4.0, 17.0]]])
+    v = np.array([[[9.0, 0.0], [1.0, 0.0]], [[9.0, 0.0], [0.0, 2.0]], [[9.0, 0.0], [0.0, 0.0]]])
+    alive = np.array([[True], [True], [False]])
+    particles = Particles.build(x[0], fixed=[True, False], mass=2.0)
+    springs = Springs.build([(0, 1)], x[0], stiffness=3.0, rest_length=4.0)
+    scene = Scene("pair", World((40.0, 20.0), gravity=(0.0, 0.5)), particles, springs)
+    found = Invariants.of(scene, Samples(x, v, alive))
+    assert found.energy == pytest.approx([1.0 - 5.0, 4.0 + 1.5 - 5.0, -17.0])
+    assert found.scale == pytest.approx(5.5 + 12.0)
+    assert found.impulse == pytest.approx(4.0)
+    assert found.strain == pytest.approx(0.25)
+
+
+def test_a_particle_counts_from_when_both_have_it():
+    """One is 3 away all the time; another one, 4 away, comes with the last frame in one run."""
+    a, b = np.zeros((2, 4, 2, 2))
+    b[:, 0, 0], b[:, 1, 0] = 3.0, 4.0
+    b[:3, 1] = np.nan
+    samples = [Samples(x, x, np.ones((4, 0), bool)) for x in (a, b)]
+    free = np.ones(2, bool)
+    assert rms_by_frame(*samples, free) == pytest.approx([3.0, 3.0, 3.0, math.sqrt(12.5)])
+    assert distance(*samples, free).trajectory == pytest.approx(math.sqrt((9 * 3 + 16) / 4))
 
 
 def test_what_contacts_did_is_that_of_the_run_and_of_the_reference_within_the_horizon():
@@ -344,6 +394,18 @@ def test_front_is_that_of_every_pair_compared():
                 for cost in costs
             ]
             assert rows.pareto(costs) == [not b for b in beaten]
+
+
+def test_orders_are_from_the_next_longer_step_and_only_of_errors_that_can_be_told():
+    """Errors fall as h^2, then as h^4 from the second step on; the last is the reference's own."""
+    errors = {1: 1.0, 2: 2.0**-2, 4: 2.0**-6, 8: 1e-9}
+    made = [
+        rows.Row(Setting("rk4", 1.0, n), error_trajectory=error, below_floor=n == 8)
+        for n, error in errors.items()
+    ]
+    first, *between, last = rows._orders(made)
+    assert first is None and last is None
+    assert between == pytest.approx([2.0, 4.0])
 
 
 def test_files_keep_the_contract_and_say_the_same(oscillator):
