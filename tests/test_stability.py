@@ -40,7 +40,7 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
-from taichi_cloth.simulation import diagnostics
+from taichi_cloth.simulation import diagnosis, diagnostics
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.simulation.snapshot import Snapshot
@@ -394,6 +394,28 @@ def test_substeps_in_motion_are_those_of_twice_the_speed():
         SubstepController("symplectic_euler", euler, 0.1).choose(of) for of in (network, twice)
     )
     assert in_motion == doubled > here
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "density", "damping", "blamed"),
+    [
+        (0.01, 50.0, 0.0, "the air at the triangles"),
+        (4e3, 1e-3, 0.0, "the springs at particle"),
+        (4e3, 1e-3, 500.0, "the springs' dashpots"),
+    ],
+)
+def test_a_failure_blames_what_makes_the_step_too_long(stiffness, density, damping, blamed):
+    """Air, springs or dashpots, each far stronger than the other two, of a sail in flight."""
+    corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    flies = sail(corners, [(0, 1), (1, 2), (0, 2)], stiffness, density, [[0.0, 0.0, 40.0]] * 3)
+    flies = replace(flies, springs=replace(flies.springs, damping=np.full(3, damping)))
+    still = replace(flies, particles=replace(flies.particles, velocity=np.zeros((3, 3))))
+    calm = replace(still, springs=replace(still.springs, stiffness=np.full(3, 1e-3)))
+    for start in (flies, replace(calm, springs=replace(calm.springs, damping=np.zeros(3)))):
+        cause, remedy = diagnosis.likely_cause(
+            start, Network.from_scene(flies), "symplectic_euler", 1.0, 2, "float64", 1e9
+        )
+        assert blamed in cause and "--substeps" in remedy
 
 
 PINNED = sail(
