@@ -17,6 +17,7 @@ from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
 
 G = 9.81
+EXACT = ("verlet", "rk4", "implicit_midpoint", "tr_bdf2")  # for constant accelerations
 
 
 def on_plane(*bodies, velocity=None, friction=0.0, restitution=0.0, moves=(0.0, 0.0)):
@@ -81,21 +82,67 @@ def test_a_bounce_has_back_no_more_than_the_free_part_took(device):
 
 @thorough
 def test_a_wall_takes_what_restitution_leaves(device):
-    """A body between walls, without gravity: half its mass times the squares of its speeds."""
+    """A body between walls, without gravity: half its mass times the squares of its speeds, also
+    where a step ends on the wall, or far past it."""
     world = World(size=(100.0, 50.0), gravity=(0.0, 0.0), dt=0.1, walls=("left", "right"))
-    sim = None
-    for e in (1.0, 0.5):
-        body = Particles.build([[90.0, 20.0]], [[33.3, 0.0]], mass=2.0, radius=1.0, restitution=e)
-        scene = Scene("walls", world, body)
-        if sim is None:
-            sim = Simulation(scene, execution="serial", accounts_contacts=True)
-        sim.load_scene(scene)
+    body = Particles.build([[90.0, 20.0]], mass=2.0, radius=1.0)
+    scene = Scene("walls", world, body)
+    sim = Simulation(scene, execution="serial", accounts_contacts=True)
+    for speed in (33.3, 30.0, 150.0):
+        for e in (1.0, 0.5):
+            v = np.array([[speed, 0.0]])
+            sim.load_scene(
+                replace(scene, particles=replace(body, velocity=v, restitution=np.full(1, e)))
+            )
+            sim.account_contacts()
+            sim.advance(6)
+            account, v = sim.contact_account(), sim.velocities()[0, 0]
+            assert v == pytest.approx(-speed * e)
+            assert account.balance == pytest.approx(0.5 * 2.0 * (v * v - speed**2), abs=1e-9)
+            assert account.gained == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("method", mostly_thorough(EXACT, default=["verlet"]))
+def test_what_falls_on_a_floor_until_it_lies_loses_its_energy_to_that(device, method):
+    """Methods that follow a fall exactly: the body lost to contact all that it lost."""
+    m, g = 2.0, 9.81
+    world = World((100.0, 50.0), (0.0, g), dt=0.01, walls=("bottom", "left"))
+    body = Particles.build([[20.0, 48.3]], [[0.5, 0.0]], mass=m, radius=1.0, restitution=0.5)
+    sim = Simulation(
+        Scene("falls", world, body), method, execution="serial", accounts_contacts=True
+    )
+    sim.account_contacts()
+
+    def energy():
+        return 0.5 * m * float((sim.velocities() ** 2).sum()) - m * g * sim.positions()[0, 1]
+
+    before = energy()
+    sim.advance(200)
+    assert abs(sim.velocities()[0, 1]) < 0.11 and abs(sim.positions()[0, 1] - 49.0) < 1e-3
+    assert before - energy() > 0.9 * m * g * 0.7
+    assert sim.contact_account().balance == pytest.approx(energy() - before, rel=1e-9)
+
+
+@thorough
+def test_walls_hold_a_cloth_in_lanes_as_on_the_graph(device):
+    """The same account of a cloth that falls on the floor and into a corner, whose springs give."""
+    spring = SpringDefaults(stiffness=40.0)
+    particles, springs = grid(
+        [6.0, 45.0], 5, 4, 1.0, spring_defaults=spring,
+        particle_defaults=ParticleDefaults(mass=0.1, radius=0.2, restitution=0.3),
+    )  # fmt: skip
+    particles = replace(particles, velocity=np.tile([-20.0, 5.0], (20, 1)))
+    world = World((100.0, 50.0), (0.0, 9.81), dt=0.005, walls=("left", "bottom"))
+    scene, accounts = Scene("falls", world, particles, springs), []
+    for how in ({"topology": "graph"}, {"topology": "lanes", "lanes": 2}):
+        sim = Simulation(scene, "verlet", execution="serial", accounts_contacts=True, **how)
         sim.account_contacts()
-        sim.advance(10)
-        account, v = sim.contact_account(), sim.velocities()[0, 0]
-        assert v == pytest.approx(-33.3 * e)
-        assert account.balance == pytest.approx(0.5 * 2.0 * (v * v - 33.3**2), abs=1e-9)
-        assert account.gained == pytest.approx(0.0, abs=1e-9)
+        sim.advance(200)
+        accounts.append(sim.contact_account())
+    a, b = accounts
+    assert a.balance < -5.0
+    assert b.balance == pytest.approx(a.balance, rel=1e-6)
+    assert b.gained == pytest.approx(a.gained, abs=1e-6 * abs(a.balance))
 
 
 def sheet():

@@ -2,10 +2,9 @@
 
 Studies ask for it; a run that does not has none of this compiled. A contact's work in a step is
 what it changes of kinetic and potential energy: what ends the step (`settling.py`) from the free
-end on, and the impulses of walls and pairs (`contact.py`) at the step's start. A step counts where
-the sum over all particles is positive: what contacts take elsewhere in that step is set against it,
-and what moving obstacles do is in it. What walls hold within a step (`contact.store_held_by_walls`:
-what is pressed against one, or would end far past it) is not.
+end on, what walls hold as it is reached, and the impulses of walls and pairs (`contact.py`) at the
+step's start. A step counts where the sum over all particles is positive: what contacts take
+elsewhere in that step is set against it, and what moving obstacles do is in it.
 
 Methods whose positions are ahead of a constant acceleration's, or behind (state.position_weight),
 lose energy in the free part of a step and have it back from a contact that holds against that
@@ -64,6 +63,11 @@ def open_step(spec: ti.template(), state: ti.template(), t):
 @ti.func
 def _keep_free(spec: ti.template(), state: ti.template(), i):
     keep(spec, state, i, "free")
+    if ti.static(len(spec.walls) > 0):  # as if they had held nothing
+        for free, held in ti.static(((state.free_x, state.held_x), (state.free_v, state.held_v))):
+            change = read(spec, held, i)
+            write(spec, free, i, read(spec, free, i) - change)
+            write(spec, held, i, 0.0 * change)
 
 
 @ti.func
@@ -106,7 +110,7 @@ def _work_on_particles(spec: ti.template(), state: ti.template(), i):
     work = 0.5 * dot(dv, v + free_v) + dot(jump, start_v + 0.5 * jump)
     for term in ti.static(_uniform_fields(spec)):
         work = work - dot(term.law(spec, state, i), dx)
-    fell = (free_v - start_v) * free
+    fell = (free_v - start_v) * free - jump
     held = ti.min(ti.max(dot(fell, dv), -1.0 * dot(fell, fell)), 0.0 * w)
     work = work + (ti.static(state.position_weight) - 0.5) * held
     write(spec, state.contact_work, i, ti.select(w > 0.0, work / ti.max(w, TINY), 0.0 * w))

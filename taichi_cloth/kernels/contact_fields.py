@@ -60,10 +60,11 @@ class ContactFields(Fields):
         looked at (`face_clearance.py`).
         obstacle_low, obstacle_nodes, obstacle_grid: of its grid of distances, where it has one.
     The account of contacts (`contact_account.py`): accounting: whether it is kept; opened_x,
-        opened_v, free_x, free_v, ended_x: the step's start, free end and end; contact_work: of each
-        particle; touched: whether anything was, in the step; account_part; first_touch: the number
-        of the first such step; contact_energy: what contacts gave in steps in which they gave any;
-        contact_balance: in all, what they took set against it.
+        opened_v, free_x, free_v, ended_x: the step's start, free end and end; held_x, held_v: what
+        walls changed as that was reached; contact_work: of each particle; touched: whether anything
+        was, in the step; account_part; first_touch: the number of the first such step;
+        contact_energy: what contacts gave in steps in which they gave any; contact_balance: in all,
+        what they took set against it.
     """
 
     def _place_collision_grid(self, spec):
@@ -143,7 +144,8 @@ class ContactFields(Fields):
             self.obstacle_grid = self._scalars(nodes, 4)
 
     def _place_account(self, spec):
-        for name in ("free_x", "free_v", "ended_x", "opened_x", "opened_v"):
+        held = ("held_x", "held_v") if spec.walls else ()
+        for name in ("free_x", "free_v", "ended_x", "opened_x", "opened_v", *held):
             setattr(self, name, self._pack_vectors(spec))
         self.contact_work = self._pack_numbers(spec)
         self.accounting, self.touched = self._counts(), self._counts()

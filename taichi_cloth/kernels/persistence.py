@@ -57,8 +57,8 @@ WITHIN_STEP = _names(
     listed_begun pair_residual pair_iteration
     face face_hits face_left face_row face_count face_finds face_sweeps
     free_ball face_clear face_seen face_way face_unseen
-    opened_x opened_v free_x free_v ended_x contact_work accounting touched first_touch account_part
-    contact_energy"""
+    opened_x opened_v free_x free_v ended_x held_x held_v contact_work accounting touched
+    first_touch account_part contact_energy"""
 )
 
 
