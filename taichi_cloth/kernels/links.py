@@ -125,7 +125,7 @@ OUTER_ROWS, LAST_ROWS, REST = range(-1, 2)  # what a phase of a pass does: see `
 
 
 def nothing(state):
-    """The fields of state.haloed that a pass changes which neighbours read nothing of."""
+    """What a `Pass` has moved or consumed where neighbours read none of what it changes."""
     return ()
 
 
@@ -223,8 +223,8 @@ def _joined_at(t, k: ti.template()):
 def _begin_joins(spec: ti.template(), state: ti.template(), t, ops: ti.template()):
     """Begin to join the numbers of a row."""
     for k in ti.static(range(len(ops))):
-        nothing = everywhere(spec, ti.cast(0.0, state.real))
-        write(spec, state.joined, _joined_at(t, k), nothing)
+        zero = everywhere(spec, ti.cast(0.0, state.real))
+        write(spec, state.joined, _joined_at(t, k), zero)
 
 
 @ti.func
