@@ -73,7 +73,7 @@ def announce(sim: Simulation, device: Device, view: View) -> None:
         for sentence in widened[:MOST_NOTES]:
             say(f"note: {sentence}")
         if len(widened) > MOST_NOTES:
-            say(f"note: and so of {len(widened) - MOST_NOTES} more")
+            say(f"note: and {len(widened) - MOST_NOTES} more such")
 
 
 def note_passing(source: SceneSource, scene: Scene) -> None:

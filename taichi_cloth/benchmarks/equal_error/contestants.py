@@ -24,7 +24,7 @@ OURS = "ours"
 HERE = "taichi_cloth.benchmarks.equal_error"
 # The solvers of `scipy_runs`, which is imported where they run.
 SCIPY = {"SciPy, DOP853": "DOP853", "SciPy, Radau": "Radau", "SciPy, BDF": "BDF"}
-FINEST = 1 << 16
+FINEST = 1 << 16  # substeps, at most
 ITERATIONS, QUICK_ITERATIONS = (1, 2, 5, 10, 20, 50), (2, 10)
 TOLERANCES = tuple(10.0**-k for k in range(1, 13))
 OUR_TOLERANCES, QUICK_TOLERANCES = (1e-2, 1e-4, 1e-6), (1e-4,)  # of our implicit methods
