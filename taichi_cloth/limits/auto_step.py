@@ -20,7 +20,7 @@ from taichi_cloth.limits.bounds import (
     grows_within,
     step_within,
 )
-from taichi_cloth.limits.eigenmodes import stable_step
+from taichi_cloth.limits.eigenmodes import Limit, stable_step
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
 
@@ -136,17 +136,14 @@ class SubstepController:
 def above_limit(method: str, scene: Scene, dt: float, substeps: int) -> str | None:
     """One line where a step is too long for a scene's start: by how much, why, what to do.
 
-    None where it is not. The cheapest bound that settles it is all that is computed.
+    None where it is not.
 
     method: its name; dt: time of a frame; substeps: steps a frame is cut into.
     """
     module, network = methods.load(method), Network.from_scene(scene)
     step = dt / substeps
-    for bounds in (gershgorin, gershgorin_here):
-        if step <= step_within(module, bounds(network)):
-            return None
-    limit = stable_step(module, network)
-    if step <= limit.dt:
+    limit = limit_below(step, module, network)
+    if limit is None:
         return None
     what = "step" if substeps == 1 else "substep"
     if limit.dt == 0:
@@ -163,6 +160,18 @@ def above_limit(method: str, scene: Scene, dt: float, substeps: int) -> str | No
         f"a {what} of {step:.4g} is above {limit.dt:.4g}, the stable limit of {method} here, "
         f"set by {limit.describe()}; use {_or(remedies)}"
     )
+
+
+def limit_below(step: float, method: Method, network: Network) -> Limit | None:
+    """The stable limit of a network, where a step is above it; None where it is not.
+
+    The cheapest bound that settles it is all that is computed.
+    """
+    for bounds in (gershgorin, gershgorin_here):
+        if step <= step_within(method, bounds(network)):
+            return None
+    limit = stable_step(method, network)
+    return None if step <= limit.dt else limit
 
 
 def _stable_method() -> str:

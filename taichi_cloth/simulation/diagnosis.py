@@ -9,9 +9,13 @@ import numpy as np
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
-from taichi_cloth.limits.auto_step import MOST, SubstepController, substeps_needed
+from taichi_cloth.limits.auto_step import (
+    MOST,
+    SubstepController,
+    limit_below,
+    substeps_needed,
+)
 from taichi_cloth.limits.bounds import Bounds, any_geometry, gershgorin, step_within
-from taichi_cloth.limits.eigenmodes import stable_step
 from taichi_cloth.limits.network import Network
 from taichi_cloth.limits.precision import WATCHED
 from taichi_cloth.scene.model import Scene, World
@@ -98,14 +102,14 @@ def _too_long_from_the_start(
     It is that which there is to mend: what flies apart when a run fails asks for far shorter ones.
     """
     module, began = methods.load(method), Network.from_scene(start)
-    limit = stable_step(module, began).dt
-    if not dt / substeps > limit > 0:
+    limit = limit_below(dt / substeps, module, began)
+    if limit is None or not limit.dt > 0:
         return None
     try:
         needed = SubstepController(method, module, dt).choose(began)
     except InputError:  # more than there may be, or none in every geometry
         return None
-    return _too_long(began, any_geometry(began), method, dt / substeps, limit, needed)
+    return _too_long(began, any_geometry(began), method, dt / substeps, limit.dt, needed)
 
 
 def _too_long(
