@@ -169,7 +169,8 @@ def store_held_by_walls(
         if near_wall(spec, state, new_x):
             if ti.static(spec.lanes == 1):
                 kept_x, kept_v = _held_by_walls(spec, state, i, x, v, new_x, new_v)
-                _note_held(spec, state, i, kept_x - new_x, kept_v - new_v)
+                if ti.static(spec.accounts_contacts):
+                    _note_held(spec, state, i, kept_x - new_x, kept_v - new_v)
                 store(spec, state, i, kept_x, kept_v)
             else:
                 # Lane by lane, from copies: few packs come here, and what is compiled for all walls
@@ -187,17 +188,17 @@ def store_held_by_walls(
                     )
                     set_vector_of_lane(kept_x, lane, lane_x)
                     set_vector_of_lane(kept_v, lane, lane_v)
-                _note_held(spec, state, i, kept_x - new_x, kept_v - new_v)
+                if ti.static(spec.accounts_contacts):
+                    _note_held(spec, state, i, kept_x - new_x, kept_v - new_v)
                 store(spec, state, i, kept_x, kept_v)
 
 
 @ti.func
 def _note_held(spec: ti.template(), state: ti.template(), i, dx, dv):
     """Note for the account of contacts what walls change of where pack i would end a step."""
-    if ti.static(spec.accounts_contacts):
-        if state.accounting[None] == 1:
-            write(spec, state.held_x, i, read(spec, state.held_x, i) + dx)
-            write(spec, state.held_v, i, read(spec, state.held_v, i) + dv)
+    if state.accounting[None] == 1:
+        write(spec, state.held_x, i, read(spec, state.held_x, i) + dx)
+        write(spec, state.held_v, i, read(spec, state.held_v, i) + dv)
 
 
 def _is_floor(spec, axis, side):

@@ -40,7 +40,7 @@ def rank(method: str) -> tuple[int, bool]:
 
 
 def kind_of(method: str) -> int:
-    """How a method takes a step: EXPLICIT, by SWEEPS of a solver, or as one SOLVES equations."""
+    """How a method takes a step: it is EXPLICIT, makes SWEEPS, or SOLVES the step's equations."""
     from taichi_cloth.kernels import methods
 
     claims = methods.load(method).claims

@@ -26,7 +26,7 @@ DOUBLINGS = 6  # of the number of substeps, from the fewest that a method takes
 SHORT_DOUBLINGS = 4
 ITERATIONS = (1, 4, 16)  # sweeps a step, of methods that take their number
 SHORT_ITERATIONS = (1, 8)
-MOST_TRIED = 4096  # substeps with which doubling begins
+MOST_TRIED = 4096  # substeps with which doubling begins, at most
 CONVERGED_TOLERANCE = 1e-13  # relative residual, in f64
 CONVERGED_ITERATIONS = 256
 # Scenes with fewer particles run on the graph: lanes compile three times as long for little speed.
