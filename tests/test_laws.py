@@ -100,6 +100,22 @@ def test_spring_with_coincident_ends_pulls_nowhere():
     assert (value(1, (0, 0, 0), u=(1, 2, 3), numbers=(3.0,)) == 0).all()
 
 
+@ti.kernel
+def roots(a: ti.types.ndarray(), out: ti.types.ndarray()):
+    for i in range(a.shape[0]):
+        out[i] = laws.root(a[i])
+
+
+def test_root_without_a_branch_is_the_root(monkeypatch):
+    """As CUDA computes it in f32 with fast_math: to the last bit or the one before."""
+    monkeypatch.setattr(laws, "branches_at_roots", lambda: True)
+    a = np.concatenate([[0.0], np.geomspace(1e-30, 1e30, 601)]).astype(np.float32)
+    out = np.empty_like(a)
+    roots(a, out)
+    assert out[0] == 0.0
+    np.testing.assert_allclose(out, np.sqrt(a), rtol=2.0**-22)
+
+
 @settings(max_examples=60, deadline=None)
 @given(d=vectors, u=vectors, c=positive)
 def test_dashpot_resists_lengthening_only(d, u, c):

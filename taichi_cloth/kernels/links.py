@@ -99,19 +99,23 @@ def _static_offset(spec: ti.template(), s: ti.template(), pitch):
 
 @ti.func
 def sum_of_links(spec: ti.template(), state: ti.template(), between: ti.template(), i):
-    """The sum over all links of pack i, with each link computed from both of its ends: for GPUs."""
-    g = grid_at(spec, state, i)
-    pitch = pitch_of(spec, state, ti.max(g, 0))
+    """The sum over all links of pack i, with each link computed from both of its ends: for GPUs.
+
+    In an empty row, beyond which there may be nothing, a pack's neighbour is the pack itself, from
+    which it gets nothing: over a branch no load would be moved, and all of them are one wait.
+    """
+    found = grid_at(spec, state, i)
+    g, inside = ti.max(found, 0), found >= 0
+    pitch = pitch_of(spec, state, g)
     total = zeros(spec, state)
-    if g >= 0:  # not an empty row, beyond which there may be nothing
-        for s in ti.static(range(spec.kinds)):
-            giver = i - _static_offset(spec, s, pitch)
-            k, at = link_stiffness(spec, state, s, giver), link_index(state, s, giver)
-            total = total - link_value(spec, state, between, s, g, giver, i, k, at)
-        for s in ti.static(spec.forward):
-            far = i + _static_offset(spec, s, pitch)
-            k, at = link_stiffness(spec, state, s, i), link_index(state, s, i)
-            total += link_value(spec, state, between, s, g, i, far, k, at)
+    for s in ti.static(range(spec.kinds)):
+        giver = i - ti.select(inside, _static_offset(spec, s, pitch), 0)
+        k, at = link_stiffness(spec, state, s, giver), link_index(state, s, giver)
+        total = total - link_value(spec, state, between, s, g, giver, i, k, at)
+    for s in ti.static(spec.forward):
+        far = i + ti.select(inside, _static_offset(spec, s, pitch), 0)
+        k, at = link_stiffness(spec, state, s, i), link_index(state, s, i)
+        total += link_value(spec, state, between, s, g, i, far, k, at)
     return total
 
 
