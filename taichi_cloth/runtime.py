@@ -216,6 +216,9 @@ def _initialize(
             # Else each of very many threads ends a loop by an atomic minimum for the watchdog:
             # 70 us of a step on an H100.
             make_thread_local=arch == "cpu",
+            # Else CUDA reads by way of a cache that no store reaches what it takes for never
+            # written: also what is, but by a real function or component by component.
+            detect_read_only=False,
             **_block_size(arch),
             # One task of a kernel is nearly all of it, and each thread reads what Taichi links.
             **({"num_compile_threads": 0} if arch == "cpu" else {}),

@@ -65,15 +65,22 @@ def barrier(spec: ti.template(), state: ti.template(), t):
     number of threads. Reading by an atomic maximum keeps compilers from reading only once. Of each
     block that stays on a GPU the first thread does so, for all of it, and makes what they wrote
     known to the others.
+
+    A block's threads must meet at one and the same place of its code. Taichi's compiler does not
+    know: where a branch that depends on the thread comes before and after they meet, it makes two
+    ways of it, a meeting on each, and they wait for ever. So between two such branches is always
+    one on a number that it cannot know.
     """
     if ti.static(in_blocks(spec)):
-        ti.simt.block.sync()
+        zero = ti.simt.block.sync_any_nonzero(ti.cast(0, ti.i32))
         if ti.static(spec.blocks > 1):
-            if t % BLOCK == 0:
+            if t % BLOCK == zero:
                 ti.simt.grid.memfence()
                 _meet_of_blocks(state, spec.blocks)
                 ti.simt.grid.memfence()
             ti.simt.block.sync()
+        elif zero != 0:  # never
+            state.arrivals[COUNTER] = zero
     elif ti.static(spec.threads > 1 and not spec.one_launch_per_step):
         arrived = ti.atomic_add(state.arrivals[COUNTER], 1)
         goal = (ti.raw_div(arrived, spec.threads) + 1) * spec.threads
