@@ -37,6 +37,15 @@ def test_what_fails_is_left_out_with_its_reason(bench, monkeypatch):
     assert left.size == "nowhere" and "unknown" in left.note
 
 
+def test_a_pair_that_never_answers_is_left_out(bench, monkeypatch):
+    monkeypatch.setattr(agreement, "QUICK_SCENES", ("chain",))
+    monkeypatch.setattr(agreement, "QUICK_METHODS", ("verlet",))
+    monkeypatch.setattr(agreement, "LONGEST", 0.05)
+    assert list(agreement.measure(bench, "gpu", "cpu", "")) == []
+    (left,) = bench.left_out
+    assert left.note == "left out: no answer in 0.05 s"
+
+
 @thorough
 @pytest.mark.parametrize(("arch", "method"), [("vulkan", "implicit_euler"), ("opengl", "rk4")])
 def test_a_software_driver_agrees_with_the_cpu(arch, method, bench, display, monkeypatch):

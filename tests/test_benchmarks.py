@@ -3,8 +3,10 @@
 import importlib
 import inspect
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -342,3 +344,36 @@ def test_a_quick_run_prints_and_keeps_its_results(cli, tmp_path):
     assert ratios["ours, fastest in f64, to objects"].rate > 0
     apart = [row for row in ratios.values() if "farthest" in row.contestant]
     assert len(apart) == 2 and all(row.met for row in apart)
+
+
+def test_what_an_interrupted_part_has_measured_is_kept(tmp_path, monkeypatch, capsys):
+    """Where the file has nothing of it; a run that was finished stays. A file for each part."""
+
+    def measure(bench):
+        bench.leave_out("gpu", "one", "8 x 8", "not here")
+        yield report.Measurement("gpu", "two", "8 x 8", rate=speed, unit="GB/s")
+        if stops:
+            raise KeyboardInterrupt
+
+    monkeypatch.setitem(sys.modules, "measures", SimpleNamespace(measure=measure))
+    monkeypatch.setattr("taichi_cloth.benchmarks.command.module_of", lambda part: "measures")
+    asked = ["bench", "gpu", "--output", str(tmp_path)]
+    stops = True
+    for speed in (0.5, 1.0):
+        assert main(asked) == 130
+        (path,) = tmp_path.iterdir()
+        kept = [(row.contestant, row.rate, row.note) for row in report.read(path)[1]]
+        assert kept == [
+            ("two", speed, ""),
+            ("one", None, "left out: not here"),
+            ("all that was to follow", None, "left out: interrupted"),
+        ]
+    speed, stops = 2.0, False
+    assert main(asked) == 0
+    whole = path.read_text()
+    assert "interrupted" not in whole
+    speed, stops = 3.0, True
+    capsys.readouterr()
+    assert main(asked) == 130 and path.read_text() == whole
+    shown = capsys.readouterr().out
+    assert "two" in shown and "not written" in " ".join(shown.split())

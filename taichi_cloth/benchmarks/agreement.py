@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from threading import Timer
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ BOUND = 1e-6
 # Where something lies on a cloth from the start: pairs of cloth act all at once on GPUs, and one
 # after the other on CPUs (`kernels/resting_pairs.py`), which leaves other things at rest.
 BOUND_OF_PAIRS, LIE_ON_CLOTH = 1e-2, ("pull",)
+LONGEST = 300.0  # seconds for a pair, which take half a minute: a GPU may wait for ever
 SHORTER = 16  # steps of methods that no step makes stable, than those of the default method
 # Scenes that are empty until something is spawned get some particles, which hit each other.
 GIVEN: dict[str, dict[str, Any]] = {"box": {"particles": 60}, "sandbox": {"particles": 60}}
@@ -39,26 +41,30 @@ def measure(bench: Bench, part: str, arch: str, note: str) -> Iterator[Measureme
     scenes = QUICK_SCENES if bench.quick else tuple(library.names())
     methods = QUICK_METHODS if bench.quick else tuple(METHODS)
     wanted = [(scene, method) for scene in scenes for method in methods]
-    apart: dict[tuple[str, str], float] = {}
     if arch == "metal":
         bench.leave_out(part, f"{arch}: beside the CPU", "all scenes", "Metal has no f64")
         return
     running: set[Worker] = set()
-    pool = ThreadPoolExecutor(max(1, bench.threads // 2))
+    # A process on CUDA has one thread; a software driver's has more, on the same cores.
+    pool = ThreadPoolExecutor(bench.threads if arch == "cuda" else max(1, bench.threads // 2))
     try:
         asked = {pair: pool.submit(_compare, bench, running, *pair, arch) for pair in wanted}
-        for done, (pair, answer) in enumerate(asked.items()):
-            bench.tell(f"{arch} beside the CPU: {', '.join(pair)}", done, len(wanted))
-            try:
-                apart[pair] = answer.result()
-            except WorkerFailed as failure:
-                bench.leave_out(part, f"{arch}: beside the CPU, {pair[1]}", pair[0], str(failure))
+        for number, scene in enumerate(scenes):
+            apart: dict[tuple[str, str], float] = {}
+            for k, method in enumerate(methods):
+                done = number * len(methods) + k
+                bench.tell(f"{arch} beside the CPU: {scene}, {method}", done, len(wanted))
+                try:
+                    apart[scene, method] = asked[scene, method].result()
+                except WorkerFailed as failure:
+                    name = f"{arch}: beside the CPU, {method}"
+                    bench.leave_out(part, name, scene, str(failure))
+            yield from rows(part, arch, apart, note)
     finally:  # also where it is interrupted: what has yet to begin does not, and the rest ends
         pool.shutdown(wait=False, cancel_futures=True)
         for worker in list(running):
             worker.kill()
         pool.shutdown()
-    yield from rows(part, arch, apart, note)
 
 
 def rows(
@@ -82,15 +88,22 @@ def rows(
 def _compare(bench: Bench, running: set[Worker], scene: str, method: str, arch: str) -> float:
     """How far a pair is apart, by a process of its own; raises WorkerFailed.
 
-    running: has that process while it runs.
+    running: has that process while it runs, LONGEST at most.
     """
     worker = Worker(bench.folder, {"OMP_NUM_THREADS": "1"})
     running.add(worker)
+    limit = Timer(LONGEST, worker.kill)
+    limit.start()
     try:
         given = {"scene": scene, "method": method, "arch": arch}
         about = worker.ask(make=f"{__name__}:Pair", **{"as": "pair", "with": given})["result"]
         return float(about["apart"])
+    except WorkerFailed as failure:
+        if limit.finished.is_set():
+            raise WorkerFailed(f"no answer in {LONGEST:g} s") from failure
+        raise
     finally:
+        limit.cancel()
         running.discard(worker)
         worker.close()
 

@@ -21,13 +21,15 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 QUICK_ROUNDS = 3
+INTERRUPTED = "left out: interrupted"
 PIECEWISE = "accuracy"  # the part that takes hours, and can be measured in pieces
 
 
 def main(parts: Sequence[str], options: BenchOptions) -> int:
     """Measure parts (all, if none is named and no document is to be filled); the exit status.
 
-    A part that is finished stays in the file of results, whatever becomes of the next.
+    A part that is finished stays in the file of results, whatever becomes of the next. Of one that
+    is interrupted the rows it has are shown, and kept where the file has no finished one of that.
     """
     to = console.output()
     folder = Path(options.output)
@@ -49,18 +51,16 @@ def main(parts: Sequence[str], options: BenchOptions) -> int:
         rounds = options.rounds or (QUICK_ROUNDS if options.quick else 7)
         left_out = []
         for part in chosen:
-            rows, scenes = _measure(part, rounds, options, piece, to)
+            rows: list[report.Measurement] = []
+            try:
+                scenes = _measure(part, rounds, options, piece, to, rows)
+            except KeyboardInterrupt:
+                if part != PIECEWISE and any(row.is_measured for row in rows):
+                    _keep_unfinished(path, description, part, rows, to)
+                raise
             report.replace_part(path, description, part, rows, scenes)
-            timed = [row for row in rows if row.seconds is not None or row.is_ratio]
-            gaps = [row for row in rows if row not in timed]
-            to.print()
-            report.show(f"{part}: {summary(part)}", timed, to)
-            left_out += gaps
-        if left_out:
-            to.print("\nLeft out:")
-            for row in left_out:
-                where = ", ".join(filter(None, (row.part, row.contestant, row.size)))
-                console.say(to, f"- {where}: {row.note.removeprefix('left out: ')}", hang=2)
+            left_out += _show(part, rows, to)
+        _show_left_out(left_out, to)
         console.say(to, f"\nwritten: {path}")
     if document:
         fill_document(document, folder, to.print)
@@ -78,10 +78,52 @@ def _piece(options: BenchOptions, chosen: Sequence[str]) -> Piece:
     return Piece(scenes, clock(options.within), options.resume)
 
 
+def _show(part: str, rows: list[report.Measurement], to: Console) -> list[report.Measurement]:
+    """Print a part's tables; return the rows of what it left out."""
+    measured = [row for row in rows if row.is_measured]
+    to.print()
+    report.show(f"{part}: {summary(part)}", measured, to)
+    return [row for row in rows if not row.is_measured]
+
+
+def _show_left_out(rows: list[report.Measurement], to: Console) -> None:
+    if rows:
+        to.print("\nLeft out:")
+    for row in rows:
+        where = ", ".join(filter(None, (row.part, row.contestant, row.size)))
+        console.say(to, f"- {where}: {row.note.removeprefix('left out: ')}", hang=2)
+
+
+def _keep_unfinished(
+    path: Path,
+    description: dict[str, str],
+    part: str,
+    rows: list[report.Measurement],
+    to: Console,
+) -> None:
+    """Show what an interrupted part has measured; keep it, but in place of a finished one."""
+    rows.append(report.Measurement(part, "all that was to follow", note=INTERRUPTED))
+    _show_left_out(_show(part, rows, to), to)
+    before = report.read(path)[1] if path.exists() else []
+    notes = [row.note for row in before if row.part == part]
+    if notes and INTERRUPTED not in notes:
+        console.say(to, f"\nnot written: {path} has rows of a run of {part} that was finished")
+    else:
+        report.replace_part(path, description, part, rows)
+        console.say(to, f"\nwritten: {path}")
+
+
 def _measure(
-    part: str, rounds: int, options: BenchOptions, piece: Piece, to: Console
-) -> tuple[list[report.Measurement], dict[str, bool]]:
-    """All rows of a part, what it left out at the end; and of which scenes, if it has pieces."""
+    part: str,
+    rounds: int,
+    options: BenchOptions,
+    piece: Piece,
+    to: Console,
+    rows: list[report.Measurement],
+) -> dict[str, bool]:
+    """Add all rows of a part to `rows`, what it left out at the end, also where it is interrupted;
+    return of which scenes they are, if it has pieces.
+    """
     module = importlib.import_module(module_of(part))
     with console.progress(("spinner", "text", "bar", "elapsed"), on=to) as show:
 
@@ -91,8 +133,11 @@ def _measure(
         show(part, 0, 1)
         bench = Bench(rounds, options.quick, options.arch, tell, Path(options.output), piece)
         try:
-            return [*module.measure(bench), *bench.left_out], bench.scenes
+            for row in module.measure(bench):
+                rows.append(row)
+            return bench.scenes
         finally:
+            rows += bench.left_out
             bench.close()
 
 

@@ -68,7 +68,8 @@ class Ours:
         return self.sim.positions()
 
 
-STRIDES = 16  # numbers that one thread of a copy moves: some drivers limit how many there are
+STRIDES = 16  # numbers that one thread of a copy moves at once
+MOST_BLOCKS = 2**15  # that a copy is spread over: drivers limit how many there are
 
 
 @ti.data_oriented
@@ -158,6 +159,9 @@ class Copy:
 @ti.kernel  # type: ignore[untyped-decorator]
 def copy(a: ti.template(), b: ti.template()):  # type: ignore[no-untyped-def, valid-type]
     stride = ti.static(a.shape[0] // STRIDES)
-    for i in range(stride):
-        for k in ti.static(range(STRIDES)):
-            b[i + k * stride] = a[i + k * stride]
+    threads = ti.static(min(stride, MOST_BLOCKS * ti.cfg.default_gpu_block_dim))
+    for i in range(threads):
+        for turn in range(stride // threads):
+            for k in ti.static(range(STRIDES)):
+                at = i + turn * threads + k * stride
+                b[at] = a[at]

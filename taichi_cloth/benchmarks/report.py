@@ -57,6 +57,11 @@ class Measurement:
         return self.seconds is None and self.rate is not None
 
     @property
+    def is_measured(self) -> bool:
+        """Whether it is a result, and not a gap."""
+        return self.seconds is not None or self.is_ratio
+
+    @property
     def met(self) -> bool | None:
         """Whether the target is met; None without one."""
         if not self.target or self.rate is None:
@@ -292,7 +297,7 @@ def show(title: str, rows: Sequence[Measurement], to: Console) -> None:
 def markdown(rows: Sequence[Measurement]) -> str:
     """The tables and notes for a document."""
     shown = tables(rows)
-    measured = [row for row in rows if row.seconds is not None or row.is_ratio]
+    measured = [row for row in rows if row.is_measured]
     if measured and measured[0].part in BY_LEVEL:
         shown = [by_level(measured)]
     text = [console.markdown_table(headers, lines) for headers, lines in shown]
