@@ -1,9 +1,10 @@
 """What frames cost on a GPU: `python tests/gpu_cost.py [ARCH] [SCENE:METHOD:TOPOLOGY:STEPS:SIDE]`.
 
 Milliseconds of a frame, one by one and many in a call (medians of TURNS), f32, beside the speed of
-a copy of one number a thread. SCENE: `warp`, or `structural` (`benchmarks/cloths.py`), of which a
-step must move 36 bytes a particle: their speed is given, too. `taichi-cloth bench gpu` measures
-more, and the error beside it.
+copies of one number a thread and, as `bench gpu` makes it, of several. SCENE: `warp`, or
+`structural` (`benchmarks/cloths.py`), of which a step must move 36 bytes a particle: their speed is
+given, too, in parts of the faster copy. `taichi-cloth bench gpu` measures more, and the error
+beside it.
 """
 
 import statistics
@@ -23,18 +24,19 @@ ASKED = (
     "structural:symplectic_euler:lanes:16:2048",
     "structural:symplectic_euler:graph:16:2048",
 )
-TURNS, PARTICLE_STEPS = 5, 3e7  # particle-steps in a turn, about
+TURNS, PARTICLE_STEPS, MOST_FRAMES = 5, 3e7, 500  # particle-steps and frames in a turn, at most
 COPIED, COPIES, BYTES = 2**26, 20, 36  # numbers
 
 
-def copy_speed(ti):
-    """Bytes a second, read and written."""
-    a, b = ti.field(ti.f32, COPIED), ti.field(ti.f32, COPIED)
+def copy_speed(ti, numbers):
+    """Bytes a second, read and written, by so many numbers a thread."""
+    a, b, stride = ti.field(ti.f32, COPIED), ti.field(ti.f32, COPIED), COPIED // numbers
 
     @ti.kernel
     def copy():
-        for i in range(COPIED):
-            b[i] = a[i]
+        for i in range(stride):
+            for k in ti.static(range(numbers)):
+                b[i + k * stride] = a[i + k * stride]
 
     times = []
     for _ in range(TURNS + 1):
@@ -59,7 +61,7 @@ def measure(ti, scene, method, topology, substeps, side):
         made, dt = library.build(scene, side=side), None
     way = {"topology": topology, "execution": "parallel", "dt": dt, "substeps": substeps}
     sim = Simulation(made, method, **way)
-    frames = max(2, int(PARTICLE_STEPS / (side * side * substeps)))
+    frames = min(max(2, int(PARTICLE_STEPS / (side * side * substeps))), MOST_FRAMES)
     ways = {"one by one": lambda: [sim.advance() for _ in range(frames)]}
     ways["many"] = lambda: sim.advance(frames)
     found = {name: [] for name in ways}
@@ -80,8 +82,12 @@ def main(words):
     runtime.start(arch, "f32")
     import taichi as ti
 
-    copied = copy_speed(ti)
-    print(f"a copy: {copied / 1e9:.0f} GB/s")
+    from taichi_cloth.benchmarks.contestants import STRIDES
+
+    speeds = {numbers: copy_speed(ti, numbers) for numbers in (1, STRIDES)}
+    for numbers, speed in speeds.items():
+        print(f"a copy, numbers of a thread: {numbers}: {speed / 1e9:.0f} GB/s")
+    copied = max(speeds.values())
     print("| scene | method, substeps | topology | side | blocks | ms, one by one | many | GB/s |")
     print("|---" * 8 + "|")
     for word in words or ASKED:
