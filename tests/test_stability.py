@@ -418,6 +418,23 @@ def test_a_failure_blames_what_makes_the_step_too_long(stiffness, density, dampi
         assert blamed in cause and "--substeps" in remedy
 
 
+@pytest.mark.parametrize(
+    ("method", "tolerance", "blamed"),
+    [
+        ("implicit_midpoint", 1.0, "half solved"),
+        ("implicit_midpoint", 0.1, "too large"),
+        ("tr_bdf2", 1.0, "too large"),  # whose solutions are never rough
+    ],
+)
+def test_a_failure_blames_a_tolerance_that_is_rough(method, tolerance, blamed):
+    """Of methods that no step is too long for."""
+    flies = sail([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [(0, 1)], 4.0, 1e-3)
+    cause, remedy = diagnosis.likely_cause(
+        flies, Network.from_scene(flies), method, 1.0, 1, "float64", 1e9, tolerance
+    )
+    assert blamed in cause and ("--tolerance 0.1" in remedy) == (blamed == "half solved")
+
+
 PINNED = sail(
     [
         [0.72, 0.24, 0.11],

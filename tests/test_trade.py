@@ -698,7 +698,7 @@ def test_no_method_is_named_where_methods_are_compared():
         (["trade", "cloth", "--precisions", "f16"], "--precisions: unknown 'f16'"),
         (["trade", "cloth", "--substeps", "2,x"], "--substeps must be whole numbers"),
         (["trade", "cloth", "--substeps", "0"], "--substeps must be whole numbers"),
-        (["trade", "cloth", "--tolerances", "2"], "--tolerances must be at most 0.1, is 2"),
+        (["trade", "cloth", "--tolerances", "2"], "--tolerances must be at most 1, is 2"),
         (["trade", "cloth", "--methods", "rk4", "--tolerances", "1e-3"], "none of the chosen"),
         (["trade", "box"], "no particle that can move"),
         (["trade", "slinky", "--topology", "lanes"], "no regular grid"),

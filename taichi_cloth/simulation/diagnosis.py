@@ -9,6 +9,7 @@ import numpy as np
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
+from taichi_cloth.kernels.solvers.stages import ROUGH, may_be_rough
 from taichi_cloth.limits.auto_step import (
     MOST,
     SubstepController,
@@ -58,6 +59,7 @@ def likely_cause(
     substeps: int,
     precision: str,
     speed_limit: float,
+    tolerance: float = 0.0,
 ) -> tuple[str, str]:
     """Likely cause and remedy of a failure.
 
@@ -66,6 +68,7 @@ def likely_cause(
     dt, substeps: time of a frame, and the steps it was cut into.
     precision: the type of numbers, such as "float32".
     speed_limit: the speed at which a particle is lost.
+    tolerance: of methods that solve their steps to one.
     """
     speed = np.linalg.norm(network.velocity, axis=1)
     if len(speed) and not speed.max() <= min(speed_limit, WATCHED**0.5):
@@ -90,6 +93,9 @@ def likely_cause(
         bounds = any_geometry(network)
         limit = step_within(module, bounds)
     if not h > limit:
+        if tolerance > ROUGH and may_be_rough(module):
+            why = f"a tolerance of {tolerance:g}, which leaves steps half solved"
+            return why, f"use --tolerance {ROUGH:g}"
         return "forces or starting speeds too large for the step", "use more --substeps"
     return _too_long(network, bounds, method, h, limit, substeps_needed(dt, limit))
 

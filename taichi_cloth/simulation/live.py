@@ -162,7 +162,7 @@ def _of_run(sim: Simulation) -> Iterator[Setting]:
         write=lambda s, value: s.set_step(substeps=value),
     )  # fmt: skip
     if "tolerance" in sim.claims.settings:
-        yield _of_solver(sim, "tolerance", NUMBER, 1e-10, 0.1)
+        yield _of_solver(sim, "tolerance", NUMBER, 1e-10, 1.0)
     if "iterations" in sim.claims.settings:
         yield _of_solver(sim, "iterations", COUNT, 1, 200)
 

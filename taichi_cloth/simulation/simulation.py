@@ -275,7 +275,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             self.storage.restore(self.steps)
             cause, remedy = diagnosis.likely_cause(
                 self.scene, self.network(), self.method, self.dt, self.substeps,
-                self.storage.real.__name__, self.speed_limit,
+                self.storage.real.__name__, self.speed_limit, self.solver.get("tolerance", 0.0),
             )  # fmt: skip
         failure = SimulationFailure(particle, self.frame + 1, what, cause, remedy)
         if self.past is not None:

@@ -27,7 +27,7 @@ SCIPY = {"SciPy, DOP853": "DOP853", "SciPy, Radau": "Radau", "SciPy, BDF": "BDF"
 FINEST = 1 << 16  # substeps, at most
 ITERATIONS, QUICK_ITERATIONS = (1, 2, 5, 10, 20, 50), (2, 10)
 TOLERANCES = tuple(10.0**-k for k in range(1, 13))
-OUR_TOLERANCES, QUICK_TOLERANCES = (1e-2, 1e-4, 1e-6), (1e-4,)  # of our implicit methods
+OUR_TOLERANCES, QUICK_TOLERANCES = (1.0, 1e-2, 1e-4, 1e-6), (1e-4,)  # of our implicit methods
 CONTACTS = (1e3, 1e5)  # N/m
 QUICK_METHODS = ("verlet", "rk4", "tr_bdf2")
 # Seconds for timing a choice in the search, and of a run that is itself timing enough.

@@ -27,7 +27,7 @@ from taichi_cloth.kernels.solvers.newton_matrix import (
     store_product,
     take_change,
 )
-from taichi_cloth.kernels.solvers.stages import CLAMPED, SINGULAR
+from taichi_cloth.kernels.solvers.stages import BEFORE, CLAMPED, JUST_NOW, SINGULAR
 from taichi_cloth.kernels.solvers.two_levels import (
     begin_coarse,
     coarse_product,
@@ -43,9 +43,12 @@ CURVATURE, ENERGY, MIXED, OF_PRODUCT = range(SUMS)  # those of a step (`_sums`)
 @ti.func
 def direct(spec: ti.template(), state: ti.template(), t):
     """Begin conjugate gradients: no change yet."""
-    keep_springs(spec, state, t)
     if ti.static(has_two_levels(spec)):
+        if state.coarsened[None] != JUST_NOW:
+            keep_springs(spec, state, t)
         factor_particles(spec, state, t)
+    else:
+        keep_springs(spec, state, t)
     add_up(spec, state, t, first_energy, 0)
     if ti.static(has_two_levels(spec)):
         begin_coarse(spec, state, t)
@@ -66,6 +69,8 @@ def _begin(spec: ti.template(), state: ti.template(), i):
     if ti.static(has_two_levels(spec)):
         on_blocks = coarse_dot(spec, state, state.coarse_residual, state.coarse_downhill)
         state.sums[0, 0] += on_blocks
+        if state.coarsened[None] == JUST_NOW:
+            state.coarsened[None] = BEFORE
     begin_iterating(spec, state, i)
     state.ahead[None], state.part[None] = 0.0, 0.0
 

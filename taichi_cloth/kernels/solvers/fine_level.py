@@ -11,7 +11,7 @@ from taichi_cloth.kernels.grids import link_index, link_offset, pitch_of
 from taichi_cloth.kernels.loops import each, each_pack, each_row
 from taichi_cloth.kernels.packs import component, dot, read, turned, vectors_of, write, zeros
 from taichi_cloth.kernels.solvers.kept_links import renew_kept
-from taichi_cloth.kernels.solvers.stages import own_diagonal, whole_diagonal
+from taichi_cloth.kernels.solvers.stages import NOT_YET, own_diagonal, whole_diagonal
 from taichi_cloth.kernels.stencils import stiffness_by
 
 
@@ -22,7 +22,7 @@ def factor_particles(spec: ti.template(), state: ti.template(), t):
     Where springs are soft, and blocks do not pay, the diagonal with every spring counted along
     every axis stands for it, which costs less than it needs sweeps.
     """
-    if state.coarsened[None] == 1:
+    if state.coarsened[None] != NOT_YET:
         if ti.static(spec.blocks_on_graph):
             each(spec, state, t, state.n_packs[None], _factor_particle)
         else:

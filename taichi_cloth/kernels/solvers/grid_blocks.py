@@ -27,12 +27,14 @@ from taichi_cloth.kernels.solvers.coarse_level import (
     entry,
     pulling_part,
     unknown,
+    unknowns,
 )
 from taichi_cloth.kernels.solvers.kept_links import from_lane, renew_kept
-from taichi_cloth.kernels.solvers.stages import own_diagonal
+from taichi_cloth.kernels.solvers.stages import own_diagonal, roughness
 from taichi_cloth.kernels.state import block_packs
 
 ALONG = 8  # blocks of a grid along each of its sides, where there is room for them
+FEWER = 2  # times fewer of rows for rough solutions: to invert 64 blocks takes as long as 15 sweeps
 
 
 @ti.func
@@ -51,12 +53,13 @@ def _lay_out(spec: ti.template(), state: ti.template(), _):
     for g in range(state.n_grids[None]):
         grids += state.grid[g, 3]
     room = ti.static(block_packs(spec)) // ti.max(grids, 1)
+    most = ti.select(roughness(state) > 1.0, ALONG // FEWER, ALONG)
     for g in range(state.n_grids[None]):
         rows, width = state.grid[g, 1], state.grid[g, 2]
         columns = ti.min(ti.max(ti.static(ALONG // spec.lanes), 1), width)
         along = 0
         if state.grid[g, 3] == 1:
-            along = ti.min(ti.min(ALONG, rows), room // columns)
+            along = ti.min(ti.min(most, rows), room // columns)
         state.blocks[g, 0], state.blocks[g, 1], state.blocks[g, 2] = last, along, columns
         last += along * columns
     state.n_blocks[None] = last
@@ -159,7 +162,7 @@ def _sum_ends(spec: ti.template(), state: ti.template(), b, g, box, end):
             leaves = over != 0 or state.block_of[other] != b
             if leaves or state.holds_fixed[other] == 1:
                 if leaves and (to != state.block_of[other] or shift != over):
-                    _add_to_rows(spec, state, b, -1.0 * tied_on, -1.0 * tied_beside, to, shift)
+                    _add_tied(spec, state, b, tied_on, tied_beside, to, shift)
                     to, shift = state.block_of[other], over
                     tied_on, tied_beside = 0.0 * tied_on, 0.0 * tied_beside
                 w, far = read(spec, state.w, i), read(spec, state.w, other)
@@ -173,8 +176,17 @@ def _sum_ends(spec: ti.template(), state: ti.template(), b, g, box, end):
                 beside += counts * link_beside
                 tied_on += ties * link_on
                 tied_beside += ties * link_beside
-    _add_to_rows(spec, state, b, -1.0 * tied_on, -1.0 * tied_beside, to, shift)
+    _add_tied(spec, state, b, tied_on, tied_beside, to, shift)
     return on, beside
+
+
+@ti.func
+def _add_tied(spec: ti.template(), state: ti.template(), b, on, beside, to, shift):
+    """Add what lanes `shift` farther in coarse pack `to` do to coarse pack b, if they are others
+    than its own: of these nothing was summed.
+    """
+    if to != b or shift != 0:
+        _add_to_rows(spec, state, b, -1.0 * on, -1.0 * beside, to, shift)
 
 
 @ti.func
@@ -196,16 +208,15 @@ def _add_to_rows(spec: ti.template(), state: ti.template(), b, on, beside, to, s
     """
     write(spec, state.coarse_product, b, on)  # which nobody needs yet, for its numbers one by one
     write(spec, state.coarse_solved, b, beside)
-    for lane in range(ti.max(0, -shift), spec.lanes - ti.max(0, shift)):
-        for a in range(spec.dim):
-            for k in range(spec.dim):
+    for a in range(spec.dim):
+        for k in range(spec.dim):
+            first = entry(spec, state, unknown(spec, b, a, 0), unknown(spec, to, k, shift))
+            which = ti.select((a + 1) % spec.dim == k, a, k) * spec.lanes
+            for lane in range(ti.max(0, -shift), spec.lanes - ti.max(0, shift)):
                 number = number_in_pack(spec, state.coarse_product, b, a * spec.lanes + lane)
                 if a != k:
-                    which = ti.select((a + 1) % spec.dim == k, a, k)
-                    which = which * spec.lanes + lane
-                    number = number_in_pack(spec, state.coarse_solved, b, which)
-                to_column = unknown(spec, to, k, lane + shift)
-                at = entry(spec, state, unknown(spec, b, a, lane), to_column)
+                    number = number_in_pack(spec, state.coarse_solved, b, which + lane)
+                at = first + lane * ti.static(unknowns(spec) + 1)
                 number += slot_number(spec, state.coarse, at)
                 set_slot_number(spec, state.coarse, at, number)
 

@@ -26,7 +26,8 @@ Baraff, Witkin, "Large steps in cloth simulation", 1998; Choi, Ko, "Stable but r
 
 A stage has converged when its largest residual is at most state.tolerance times the largest
 residual that it began with (gravity at least), or is as small as rounding leaves it; what is left
-must be small beside gravity, too (`stages.SOLVED`). Otherwise it ends after MOST_DIRECTIONS, after
+must be small beside gravity, too (`stages.SOLVED`), unless rough solutions are wanted
+(`stages.ROUGH`). Otherwise it ends after MOST_DIRECTIONS, after
 MOST_STALLS directions that brought little (fewer where rounding may be why), or where numbers are
 no longer finite, and state.work counts its step as unconverged.
 
@@ -82,7 +83,9 @@ from taichi_cloth.kernels.solvers.stages import (
     FINISH,
     HIDDEN,
     ITERATE,
+    JUST_NOW,
     NOT_FINITE,
+    NOT_YET,
     ONLY_EVALUATE,
     ROUNDED,
     SINGULAR,
@@ -92,6 +95,7 @@ from taichi_cloth.kernels.solvers.stages import (
     largest_component,
     momentum_of,
     outcome_of_rounding,
+    residual_at_rest,
     return_to_start,
     rounding_accepted,
     set_tau,
@@ -164,7 +168,7 @@ def keeps(*vectors):
         "counts": (
             *("indefinite", "directions", "trials", "stalls", "sweeps"),
             *("outcome", "step_outcome"),
-            "coarsened",  # whether a step has asked for the coarse level (`two_levels.py`)
+            "coarsened",  # when a step has made the coarse level: NOT_YET, JUST_NOW or BEFORE
             # How often the step was cut in two, parts that are done, whether one of them failed.
             *("halvings", "parts_done", "failed"),
             *bicgstab.COUNTS,
@@ -290,7 +294,7 @@ def coarsen(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def _go_to_direct(spec: ti.template(), state: ti.template(), i):
-    state.coarsened[None] = 1
+    state.coarsened[None] = JUST_NOW
     state.phase[None] = DIRECT
 
 
@@ -410,7 +414,7 @@ def _judge(spec: ti.template(), state: ti.template(), i):
     next_phase = DIRECT
     if state.stage[None] == ONLY_EVALUATE:
         next_phase = FINISH
-    elif finite and most <= wanted:
+    elif finite and most <= ti.select(first, residual_at_rest(state), wanted):
         state.outcome[None], next_phase = CONVERGED, FINISH
     elif finite and state.directions[None] > 1 and most <= rounding_accepted(state):
         state.outcome[None], next_phase = outcome_of_rounding(state), FINISH
@@ -440,7 +444,7 @@ def _judge(spec: ti.template(), state: ti.template(), i):
     state.least[None] = ti.select(near, EXACT, CLAMPED)
     if ti.static(has_two_levels(spec)):
         stiff = state.sums[STIFFNESS, 0] > ti.static(stiff_from(spec))
-        if next_phase == DIRECT and state.coarsened[None] == 0 and stiff:
+        if next_phase == DIRECT and state.coarsened[None] == NOT_YET and stiff:
             next_phase = COARSEN
     if next_phase == FINISH and state.outcome[None] > HIDDEN and _may_be_cut(spec, state):
         next_phase = CUT

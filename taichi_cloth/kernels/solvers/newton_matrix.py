@@ -37,13 +37,15 @@ from taichi_cloth.kernels.solvers.stages import (
     outcome_of_rounding,
     own_diagonal,
     reachable_residual,
+    roughness,
     whole_diagonal,
 )
 from taichi_cloth.kernels.solvers.two_levels import has_two_levels
 from taichi_cloth.kernels.spring_numbers import OfStiffness
 from taichi_cloth.kernels.springs import stiffness_of_springs
 
-FORCING = 0.03  # this part of the residual is left to the next direction
+# This part of the residual is left to the next direction; of rough solutions up to ROUGHEST.
+FORCING, ROUGHEST = 0.03, 0.2
 
 
 # --- what is kept for all products of a direction -------------------------------------------------
@@ -201,7 +203,8 @@ def _least(state):
 def begin_iterating(spec: ti.template(), state: ti.template(), i):
     """Set the energy at which the iterations end, and go to their first step."""
     energy = state.sums[0, 0]
-    part = ti.min(ti.max(0.3 * reachable_residual(state) / state.residual_max[None], FORCING), 0.5)
+    least = ti.min(FORCING * roughness(state), ROUGHEST)
+    part = ti.min(ti.max(0.3 * reachable_residual(state) / state.residual_max[None], least), 0.5)
     state.energy[None], state.goal[None] = energy, part * part * energy
     state.slope[None] = 0.0
     state.sweeps[None] = 0

@@ -49,10 +49,15 @@ OUTCOMES = (
 # Rounding acts along springs, and moves only what is far softer than it: measured, swings and
 # cloths lose a percent of their motion at 4 times the load, and most of it at 40 times.
 SOLVED, HIDING = 0.1, 5.0
+# A tolerance above this one asks for rough solutions: these leave more of the load, at 1 ten times
+# as much as there is, and as they take few sweeps, preparing for them has to take less, too.
+ROUGH = 0.1
 # Where rounding alone may leave so many times the load, a residual that is small says nothing:
 # springs are then so stiff that the least change of a length gives more than any load.
 MOST_HIDING = 40.0
 CLAMPED, EXACT = 0.0, -1e30  # state.least: how K is taken across springs
+# Whether a step has made the coarse level (`two_levels.py`); springs are kept from JUST_NOW.
+NOT_YET, JUST_NOW, BEFORE = range(3)
 ONLY_EVALUATE = -1  # number of a stage that only computes the acceleration, as its residual
 
 
@@ -61,7 +66,7 @@ def set_tau(spec: ti.template(), state: ti.template(), t, tau):
     """Set the time of a step's stages; it comes before all else of the step."""
     set_alone(spec, state.tau, t, tau)
     set_alone(spec, state.step_outcome, t, CONVERGED)
-    set_alone(spec, state.coarsened, t, 0)
+    set_alone(spec, state.coarsened, t, NOT_YET)
     if ti.static(spec.only_links or spec.blocks_on_graph):
         set_alone(spec, state.n_blocks, t, 0)
     barrier(spec, state, t)
@@ -222,10 +227,47 @@ def reachable_residual(state: ti.template()):
 @ti.func
 def wanted_residual(state: ti.template()):
     """The residual at which a stage has converged."""
-    wanted = state.tolerance[None] * state.scale[None]
+    return _residual_within(state, state.tolerance[None], _part_of_load(state))
+
+
+@ti.func
+def residual_at_rest(state: ti.template()):
+    """The residual that needs no direction at all, however rough a solution may be: where nothing
+    but the load acts, the first one is the whole load.
+    """
+    return _residual_within(state, ti.min(state.tolerance[None], ROUGH), SOLVED)
+
+
+@ti.func
+def _residual_within(state: ti.template(), tolerance, part_of_load):
+    wanted = tolerance * state.scale[None]
     if state.least_scale[None] > 0.0:
-        wanted = ti.min(wanted, SOLVED * state.load[None])
+        wanted = ti.min(wanted, part_of_load * state.load[None])
     return wanted
+
+
+@ti.func
+def _part_of_load(state: ti.template()):
+    """How many times its load a stage may leave."""
+    return SOLVED * roughness(state) * roughness(state)
+
+
+def may_be_rough(of):
+    """Whether solutions may be rough: not where steps begin with the acceleration at their start.
+
+    What the step before has left is a part of that, and would grow from step to step.
+    of: a method, or a state for it.
+    """
+    return of.force_times[0][0] != ONLY_EVALUATE
+
+
+@ti.func
+def roughness(state: ti.template()):
+    """How many times rougher than by ROUGH solutions are wanted; 1: they are not rough."""
+    if ti.static(may_be_rough(state)):
+        return ti.max(state.tolerance[None] / ti.cast(ROUGH, state.real), 1.0)
+    else:
+        return ti.cast(1.0, state.real)
 
 
 @ti.func
@@ -233,7 +275,7 @@ def rounding_accepted(state: ti.template()):
     """The residual at which a stage is ROUNDED at once, without a look for further progress."""
     accepted = state.rounding[None]
     if state.least_scale[None] > 0.0:
-        accepted = ti.min(accepted, SOLVED * state.load[None])
+        accepted = ti.min(accepted, _part_of_load(state) * state.load[None])
     return accepted
 
 
