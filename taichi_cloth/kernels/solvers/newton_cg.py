@@ -27,9 +27,9 @@ Baraff, Witkin, "Large steps in cloth simulation", 1998; Choi, Ko, "Stable but r
 A stage has converged when its largest residual is at most state.tolerance times the largest
 residual that it began with (gravity at least), or is as small as rounding leaves it; what is left
 must be small beside gravity, too (`stages.SOLVED`), unless rough solutions are wanted
-(`stages.ROUGH`). Otherwise it ends after MOST_DIRECTIONS, after
-MOST_STALLS directions that brought little (fewer where rounding may be why), or where numbers are
-no longer finite, and state.work counts its step as unconverged.
+(`stages.ROUGH`). Otherwise it ends after MOST_DIRECTIONS, after MOST_STALLS directions that brought
+little (fewer where rounding may be why), or where numbers are no longer finite, and state.work
+counts its step as unconverged.
 
 The vectors of springs are those at the stage's start, and by how much their ends have moved against
 each other since (`stages.apart`): in f32 rounding of positions, times a stiff spring's stiffness,
