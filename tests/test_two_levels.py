@@ -26,7 +26,7 @@ from taichi_cloth.scene.model import Particles
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.simulation.storage import adjacency, requirements
 
-SIDE = 21  # no multiple of the blocks along a side: they are of 2 or 3 rows, and 2 or 3 columns
+SIDE = 21  # no multiple of 8 blocks along a side: they are of 2 or 3 rows, and 2 or 3 columns
 
 
 @pytest.fixture
@@ -75,7 +75,8 @@ def matrix(scene, x, tau, as_factored=False):
 def test_the_coarse_level_is_the_inverse_of_the_sum_over_blocks(
     few_lanes, scene, along, monkeypatch
 ):
-    monkeypatch.setattr(grid_blocks, "ALONG", along)
+    monkeypatch.setattr(grid_blocks, "ACROSS", along)
+    monkeypatch.setattr(grid_blocks, "BLOCKS_PER_ROOT", along**2 / SIDE)
     sim = Simulation(scene, "implicit_euler", topology="lanes", execution="serial", substeps=4)
     sim.advance()
     state, spec = inside.state_of(sim), sim.storage.specialization
@@ -116,6 +117,20 @@ def check_inverse(sim, scene, p, within=2e-5):
     assert not expected[n:].any() and not expected[:, n:].any()
     np.testing.assert_allclose(found[:n, :n], expected[:n, :n], atol=within * abs(expected).max())
     return moves.sum()
+
+
+def test_blocks_are_as_many_as_the_root_of_particles_asks_for(few_lanes, monkeypatch):
+    """In whole rows of 8, from one of them to 8."""
+    monkeypatch.setattr(two_levels, "STIFF", 1.0)
+    largest = library.build("warp", side=120)
+    sim = Simulation(largest, "implicit_euler", topology="lanes", execution="serial", substeps=1)
+    for side, rows in ((120, 8), (60, 8), (36, 5), (10, 1)):
+        sim.load_scene(library.build("warp", side=side), substeps=1)
+        sim.advance()
+        state, lanes = inside.state_of(sim), sim.storage.specialization.lanes
+        assert state.n_blocks[None] * lanes == 8 * rows
+        used = np.unique(state.block_of.to_numpy()[sim.storage.layout.slot // lanes])
+        np.testing.assert_array_equal(used, np.arange(8 * rows // lanes))
 
 
 def test_particles_beside_a_cloth_take_no_sweeps(few_lanes, scene, monkeypatch):

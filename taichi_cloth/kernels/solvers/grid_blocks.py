@@ -33,8 +33,13 @@ from taichi_cloth.kernels.solvers.kept_links import from_lane, renew_kept
 from taichi_cloth.kernels.solvers.stages import own_diagonal, roughness
 from taichi_cloth.kernels.state import block_packs
 
-ALONG = 8  # blocks of a grid along each of its sides, where there is room for them
-FEWER = 2  # times fewer of rows for rough solutions: to invert 64 blocks takes as long as 15 sweeps
+ACROSS = 8  # blocks of a grid beside each other, where there is room for them
+# Blocks of a grid for each 1 of the root of its particles' number. To invert the matrix of 64 takes
+# as long as 15 sweeps over 64 x 64 particles, and as more over fewer than they spare.
+BLOCKS_PER_ROOT = 1.0
+# Rows of blocks for rough solutions, of a cloth of any size: with fewer these would leave up to
+# three times as much.
+ROUGHLY = 4
 
 
 @ti.func
@@ -53,16 +58,27 @@ def _lay_out(spec: ti.template(), state: ti.template(), _):
     for g in range(state.n_grids[None]):
         grids += state.grid[g, 3]
     room = ti.static(block_packs(spec)) // ti.max(grids, 1)
-    most = ti.select(roughness(state) > 1.0, ALONG // FEWER, ALONG)
     for g in range(state.n_grids[None]):
         rows, width = state.grid[g, 1], state.grid[g, 2]
-        columns = ti.min(ti.max(ti.static(ALONG // spec.lanes), 1), width)
+        columns = ti.min(ti.max(ti.static(ACROSS // spec.lanes), 1), width)
         along = 0
         if state.grid[g, 3] == 1:
-            along = ti.min(ti.min(most, rows), room // columns)
+            along = ti.min(_rows_of_blocks(spec, state, rows, width, columns), room // columns)
         state.blocks[g, 0], state.blocks[g, 1], state.blocks[g, 2] = last, along, columns
         last += along * columns
     state.n_blocks[None] = last
+
+
+@ti.func
+def _rows_of_blocks(spec: ti.template(), state: ti.template(), rows, width, columns):
+    """How many rows of blocks a grid of so many rows and packs in each has: see `BLOCKS_PER_ROOT`.
+
+    columns: of coarse packs in each row of blocks.
+    """
+    particles = ti.cast(rows * width * spec.lanes, state.real)
+    in_row = ti.cast(columns * spec.lanes, state.real)
+    along = ti.max(ti.cast(BLOCKS_PER_ROOT * ti.sqrt(particles) / in_row + 0.5, ti.i32), 1)
+    return ti.min(ti.select(roughness(state) > 1.0, ROUGHLY, along), rows)
 
 
 @ti.func
