@@ -307,6 +307,7 @@ class SettingsPanel:
         names = [placed.row.name for placed in self._rows if placed.row.name]
         row = self._row(self._chosen)
         if key == "escape" or row is None:
+            self._unfold("")  # else the next one would quit, with the list still open
             self._leave()
         elif key in ("up", "down"):
             step = 1 if key == "down" else -1
