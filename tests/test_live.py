@@ -88,9 +88,12 @@ def test_what_is_refused_leaves_the_run_as_it_was():
         ("stiffness", -1.0, "must not be negative"),
         ("collisions", 1, "must be true or false"),
         ("sitffness", 1.0, "did you mean 'stiffness'"),
+        ("substeps", 10**9, "--substeps must be at most 1000000, is 1000000000"),
+        ("dt", 0.0, "--dt must be positive"),
     ):
         with pytest.raises(InputError, match=says):
             live.apply(sim, name, value)
+    assert (sim.substeps, sim.dt) == (1, cloth(6, 5).world.dt)
     with pytest.raises(InputError, match="does not take it"):
         sim.set_solver(iterations=3)
     auto = Simulation(cloth(6, 5), dt="auto", **HOW)
@@ -98,6 +101,22 @@ def test_what_is_refused_leaves_the_run_as_it_was():
         auto.set_method("explicit_euler")
     assert auto.method == "symplectic_euler"
     auto.advance(3)
+
+
+def test_settings_of_a_solver_end_where_their_flags_do():
+    sim = Simulation(cloth(6, 5), "implicit_euler", **HOW)
+    for value in (1.5, 5, np.inf):
+        with pytest.raises(InputError, match="--tolerance must be"):
+            live.apply(sim, "tolerance", value)
+        with pytest.raises(InputError, match="--tolerance must be"):
+            sim.set_solver(tolerance=value)
+    assert sim.solver == {"tolerance": 1e-6}
+    live.apply(sim, "tolerance", 1)
+    with pytest.raises(InputError, match="--tolerance must be at most 1, is 2"):
+        Simulation(cloth(6, 5), "implicit_euler", tolerance=2, **HOW)
+    sweeps = Simulation(cloth(6, 5), "xpbd", **HOW)
+    with pytest.raises(InputError, match="--iterations must be at most 1000000"):
+        live.apply(sweeps, "iterations", 10**8)
 
 
 def test_stiffness_by_kind_is_that_of_its_links_alone():

@@ -96,9 +96,14 @@ def _short(whole: int) -> str:
 
 
 def number(
-    name: str, value: Any, *, above: float | None = None, minimum: float | None = None
+    name: str,
+    value: Any,
+    *,
+    above: float | None = None,
+    minimum: float | None = None,
+    maximum: float | None = None,
 ) -> float:
-    """A finite number, above or at least a limit where one is given."""
+    """A finite number, above, at least or at most a limit where one is given."""
     real = as_float(value)
     if real is None:
         raise InputError(f"{name} must be a number, is {shown(value)}")
@@ -110,6 +115,8 @@ def number(
     good = math.isfinite(real) and (above is None or real > above)
     if not (good and (minimum is None or real >= minimum)):
         raise InputError(f"{name} {must}, is {real:g}")
+    if maximum is not None and real > maximum:
+        raise InputError(f"{name} must be at most {maximum:g}, is {real:g}")
     return real
 
 

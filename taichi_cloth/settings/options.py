@@ -84,6 +84,7 @@ TOPOLOGIES = ("lanes", "graph")
 # What some methods take to solve a step's equations, by the names in their claims: the defaults.
 SOLVER_SETTINGS = {"tolerance": 1e-6, "iterations": 10}
 MOST_SUBSTEPS = MOST_ITERATIONS = 1_000_000
+MOST_TOLERANCE = 1  # nothing solved at all
 VIEWS = ("auto", "ggui", "gui", "none")
 STRAIN = "strain"  # drawn: the colours of what springs bear
 SHOWN = ("surface", "springs", "particles", STRAIN)  # what may be drawn of a cloth
@@ -126,7 +127,7 @@ class RunOptions(Options):
         f"{SOLVER_SETTINGS['tolerance']:g})",
         float,
         above=0,
-        maximum=1,
+        maximum=MOST_TOLERANCE,
         metavar="X",
     )
     unconverged: str = setting(

@@ -42,8 +42,8 @@ class Setting:
 
     name: by which logs call it. group: "run", "material", "world" or "features". label, unit, help:
     in words. kind: out of `KINDS`. low, high: the ends of a slider; log: whether it goes by powers.
-    Numbers beyond them may be typed. words: what a word may be. optional: whether None, off, is a
-    value.
+    Numbers beyond them may be typed, as far as a flag of the same name takes them. words: what a
+    word may be. optional: whether None, off, is a value.
     read: its value in a simulation. own: the scene's, or that with which the run began. fixed: why
     it cannot be set here; "": it can.
     changes: what `Simulation.set` takes for a value; None: it goes another way, by `write`.
@@ -154,12 +154,12 @@ def _of_run(sim: Simulation) -> Iterator[Setting]:
     yield Setting(
         "dt", "run", "frame time", "time", "time of one frame", NUMBER,
         lambda s: s.dt, dt, dt / 10, dt * 10, log=True, fixed=follows,
-        write=lambda s, value: s.set_step(dt=value),
+        write=lambda s, value: s.set_step(dt=_as_flagged("dt", value)),
     )  # fmt: skip
     yield Setting(
         "substeps", "run", "substeps", "", about["substeps"].help, COUNT,
         lambda s: s.substeps, substeps, 1, 256, log=True, fixed=follows,
-        write=lambda s, value: s.set_step(substeps=value),
+        write=lambda s, value: s.set_step(substeps=_as_flagged("substeps", value)),
     )  # fmt: skip
     if "tolerance" in sim.claims.settings:
         yield _of_solver(sim, "tolerance", NUMBER, 1e-10, 1.0)
@@ -167,9 +167,16 @@ def _of_run(sim: Simulation) -> Iterator[Setting]:
         yield _of_solver(sim, "iterations", COUNT, 1, 200)
 
 
+def _as_flagged(name: str, value: Any) -> Any:
+    """The value, if the flag of that name takes it; else InputError. A frame of more substeps than
+    that would last so long that a window does not answer.
+    """
+    return parameters_of(RunOptions)[name].check(f"--{name}", value)
+
+
 def _of_solver(sim: Simulation, name: str, kind: str, low: float, high: float) -> Setting:
     def write(sim: Simulation, value: Any) -> None:
-        sim.set_solver(**{name: value})
+        sim.set_solver(**{name: _as_flagged(name, value)})
 
     return Setting(
         name, "run", name, "", parameters_of(RunOptions)[name].help, kind,

@@ -11,7 +11,7 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.methods.contract import Claims
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings import accepted
-from taichi_cloth.settings.options import SOLVER_SETTINGS
+from taichi_cloth.settings.options import MOST_TOLERANCE, SOLVER_SETTINGS
 
 # A particle that would cross the world this many times in one frame is lost, not fast.
 RUNAWAY_CROSSINGS = 100.0
@@ -56,6 +56,7 @@ def solver_settings(
             raise InputError(f"--{name}: {method} does not take it; {', '.join(takers)} do")
         if name == "iterations":
             accepted.whole_number("--iterations", value, 1)
-        accepted.number(f"--{name}", value, above=0.0)
+        else:
+            accepted.number("--tolerance", value, above=0.0, maximum=MOST_TOLERANCE)
     chosen = {name: value for name, value in given.items() if value is not None}
     return {name: chosen.get(name, SOLVER_SETTINGS[name]) for name in claims.settings}
