@@ -152,6 +152,30 @@ def test_pushes_changes_by_hand_and_breaks_are_no_drift(pool, method):
     assert abs(book.drift) < 0.01 * abs(book.work)
 
 
+@pytest.mark.parametrize("at_once", [True, False])
+def test_a_spring_that_is_cut_takes_what_it_had_and_not_what_breaks_it(pool, at_once, monkeypatch):
+    """Cut while it is hardly pulled, and read some steps later: in its place (`Storage.cut`) as by
+    a load, that is a change by hand, and no work of 0.5 F^2 / k that would show as drift.
+    """
+    x = np.array([[100.0, 50.0], [110.0, 50.0]])
+    springs = Springs.build([(0, 1)], x, stiffness=0.5, break_force=5.0)
+    pair = Scene("pair", FREE, Particles.build(x, [[-1.0, 0.0], [1.0, 0.0]]), springs)
+    sim = pool(pair, "rk4", 0.01)
+    if not at_once:
+        monkeypatch.setattr(type(sim.storage), "cut", lambda self, *how: False)
+    gauges = Gauges(sim, paced=False)
+    gauges.after_frame(0.0)
+    sim.advance(20)
+    gauges.after_frame(0.1)
+    had = gauges.state.booked.energy.potential["springs"]
+    sim.cut([0])
+    sim.advance(3)
+    gauges.after_frame(0.2)
+    book = gauges.state.booked
+    assert book.by_hand == pytest.approx(-had, rel=1e-5) and book.work == 0.0
+    assert abs(book.drift) < 1e-6 * had
+
+
 def test_a_spring_takes_what_it_has_where_it_is_gone_also_after_a_long_step(pool):
     """Read after every step: rk4 keeps energy, so what the spring had passed its break force by is
     gone with it, and is no drift.

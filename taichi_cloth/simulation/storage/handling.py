@@ -67,6 +67,7 @@ class Handling(DeviceState):
         links = placement.link_places[np.isin(placement.links, springs)]
         self._launch_cut(graph.astype(np.int32), links, steps - 1)
         self._drawn_springs, self._altered = None, True
+        self.loads += 1  # for who compares two moments
         return True
 
     def _launch_cut(self, graph: np.ndarray, links: np.ndarray, step: int) -> None:
