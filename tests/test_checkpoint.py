@@ -354,6 +354,11 @@ def test_a_checkpoint_of_something_else_is_refused_before_taichi_starts(cli, tmp
     ):
         said = command("run", *words, "--headless", "--resume", path, check=2)[1]
         assert says in said and said.count("\n") == 1
+    said = command("run", "cloth", "--columns", 9, "--headless", "--resume", path, check=2)[1]
+    assert said.splitlines()[-1] == (
+        f"taichi-cloth: error: --resume {path}: the checkpoint is of another 'cloth': with other "
+        "parameters; give this run those that it was made with"
+    )
     log = tmp_path / "log.jsonl"
     on = ("run", "cloth", "--headless", "--frames", 1)
     assert cli(*on, "--resume", path, "--record", log)[0].startswith("cloth: 48 particles")

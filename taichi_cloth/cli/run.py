@@ -216,7 +216,11 @@ def _resumed(
         there = replace(there, auto=None)  # the substeps are the user's from here on
     scene = scene.with_world(tools=there.kept.taken.scene.world.tools)
     sim = _simulation(scene, replace(options, **run_options.settings_of(vars(there))), told)
-    sim.restore(there)
+    try:
+        sim.restore(there)
+    except InputError as error:
+        said = str(error).removeprefix("restore: ")
+        raise InputError(f"--resume {options.resume}: {said}") from None
     before = Settings.of(sim)
     wanted = run_options.wanted_of(options, before)
     if wanted != before:

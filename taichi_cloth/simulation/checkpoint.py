@@ -161,5 +161,6 @@ class Checkpoints(Part):
         there = checkpoint.digest or saved.digest(checkpoint.scene or self._given)
         if there != saved.digest(self._given):
             raise InputError(
-                f"restore: the checkpoint is of another '{self.scene.name}': with other parameters"
+                f"restore: the checkpoint is of another '{self.scene.name}': with other parameters;"
+                " give this run those that it was made with"
             )
