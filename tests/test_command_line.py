@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -505,7 +506,8 @@ def let_work(process, seconds):
 def test_an_interrupted_run_keeps_its_files(tmp_path, number, status):
     process = subprocess.Popen(
         [*PROGRAM, "run", "oscillator", *ON_GRAPH, "--frames", str(10**9), "--every", "10"]
-        + ["--save", str(tmp_path / "a.npz"), "--record", str(tmp_path / "a.jsonl")],
+        + ["--save", str(tmp_path / "a.npz"), "--record", str(tmp_path / "a.jsonl")]
+        + ["--report", str(tmp_path / "a.html")],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -517,13 +519,15 @@ def test_an_interrupted_run_keeps_its_files(tmp_path, number, status):
         assert process.stdout.readline().startswith("oscillator")
         let_work(process, 2.5)  # the first frames are compiled and run
         process.send_signal(number)
-        _, error = process.communicate(timeout=30)
+        told, error = process.communicate(timeout=60)
     finally:
         process.kill()  # one that did not hear would run on, and take a core from all tests to come
     assert process.returncode == status and after_start(error) == "taichi-cloth: interrupted\n"
     assert trajectories.load(tmp_path / "a.npz").frame[0] == 10
     assert json.loads((tmp_path / "a.jsonl").read_text())["header"]["scene"] == "oscillator"
-    assert sorted(p.name for p in tmp_path.glob("a.*")) == ["a.jsonl", "a.npz"]
+    assert f"report: {tmp_path / 'a.html'}\n" in told
+    assert "oscillator" in (tmp_path / "a.html").read_text()
+    assert sorted(p.name for p in tmp_path.glob("a.*")) == ["a.html", "a.jsonl", "a.npz"]
 
 
 @pytest.mark.thorough
@@ -551,6 +555,20 @@ def test_a_reader_that_leaves_is_no_error():
     )
     process.stdout.close()
     assert after_start(process.stderr.read()) == "" and process.wait() == 141
+
+
+@pytest.mark.skipif(os.name == "nt", reason="closes streams by a POSIX shell")
+@pytest.mark.parametrize("streams", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_streams_that_are_closed_from_the_start_are_no_error(tmp_path, streams):
+    """Nor does a file that the run writes get what it prints: it would have their number."""
+    words = ["run", "oscillator", *ON_GRAPH, "--frames", "3", "--save", "a.npz"]
+    for arguments in (["--version"], ["run", "--help"], words):
+        line = f"{shlex.join([*PROGRAM, *arguments])} {streams}"
+        done = subprocess.run(["sh", "-c", line], cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0 and "Traceback" not in done.stderr
+    assert len(trajectories.load(tmp_path / "a.npz").frame) == 3
+    line = f"{shlex.join([*PROGRAM, 'run', '--frames', '0'])} {streams}"
+    assert subprocess.run(["sh", "-c", line], capture_output=True).returncode == 2
 
 
 def test_an_unusable_backend_is_refused_with_those_that_are(tmp_path):

@@ -54,6 +54,7 @@ _ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(si
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Do what the command line says; return the exit status."""
+    _open_closed_streams()
     # Taichi's banner, and its question for a newer version, are not what the user asked for.
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
     os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
@@ -88,6 +89,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with contextlib.suppress(OSError):
             _abandon_output()
         return 3
+
+
+def _open_closed_streams() -> None:
+    """Let standard streams that were closed from the start (`>&-`) lead nowhere: Python has none
+    for them, and the next file that is opened would take their number, and what is printed.
+    """
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(number)
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
 
 
 def _say_error(text: str) -> None:

@@ -43,7 +43,8 @@ def words_of(source: SceneSource, options: RunOptions) -> list[str]:
 def written(
     sim: Simulation, options: RunOptions, words: Sequence[str], file: PendingFile | None
 ) -> Iterator[None]:
-    """Write the report of the run that is made meanwhile, if it fails or one was asked for.
+    """Write the report of the run that is made meanwhile, if it fails or one was asked for; that
+    one also where it is interrupted, unless that happens once more.
 
     words: as `words_of` makes them. file: what `--report` began; None: a run that fails has its
     report beside the other files that it writes, and without any it has none. A failure of which a
@@ -57,6 +58,10 @@ def written(
         if place is not None:
             with contextlib.suppress(InputError):  # a full disk: the failure is what to tell
                 _write(sim, place, words, options, failure)
+        raise
+    except KeyboardInterrupt:
+        if file is not None:
+            _write(sim, file, words, options, None)
         raise
     if file is not None:
         _write(sim, file, words, options, None)
