@@ -23,6 +23,7 @@ from taichi_cloth.cli.main import main
 from taichi_cloth.comparison.compare import compare
 from taichi_cloth.errors import InputError, RunFailure
 from taichi_cloth.files import trajectory as trajectories
+from taichi_cloth.files.pending import write_whole
 from taichi_cloth.kernels import methods
 from taichi_cloth.scene import checks, library
 from taichi_cloth.scene.source import SceneSource
@@ -623,6 +624,16 @@ def test_a_trajectory_without_frames_is_a_file_all_the_same(tmp_path):
     trajectory.record(FakeSimulation())
     trajectory.save()
     assert trajectories.load(tmp_path / "a.npz").position.shape == (0, 1, 2)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/fd"), reason="there is no /dev/fd here")
+def test_a_pipe_is_written_through_by_its_number(tmp_path):
+    """As a shell's `>(gzip > a.gz)` names it: the link's own target is no path."""
+    out, into = os.pipe()
+    with open(out, "rb") as reader:
+        write_whole(f"/dev/fd/{into}", b"all of it")
+        os.close(into)
+        assert reader.read() == b"all of it"
 
 
 def test_a_link_and_a_device_are_written_through(tmp_path):

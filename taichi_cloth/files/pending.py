@@ -29,6 +29,8 @@ class PendingFile:
         # replaced.
         self._temporary: str | None = None
         try:
+            if is_device(self.path):  # a pipe's link, such as /dev/stdout, names nothing
+                self._target = self.path
             if self._target.is_dir():
                 raise IsADirectoryError
             if self._target.exists() and not os.access(self._target, os.W_OK):
