@@ -423,6 +423,35 @@ def test_the_tool_and_the_keys_stay_the_users_as_one_goes_back():
 
 
 @pytest.mark.usefixtures("device")
+def test_what_is_run_again_tells_nothing_anew(tmp_path):
+    """A click beside the world is told of once, and not as its frame is run again, to go back to
+    the next one or to export it.
+    """
+    scene = build("cloth", columns=4, rows=3).with_world(tools=True)
+    sim = Simulation(scene, topology="graph", execution="serial")
+    size = tuple(map(int, scene.world.size))
+    controls = Controls(sim, None, size, note=lambda event: travel.event(sim.frame, event))
+    travel = Travel(sim, controls, None, None, None)
+    travel.timeline._spacing = np.inf  # only the first frame has a checkpoint
+    travel.note(0)
+    beside = Event("press", pos=(-9.0, -9.0), button="left")
+    for frame, events in enumerate(([*press("n"), beside], [], press("i"), [])):
+        for event in events:
+            travel.event(frame, event)
+            controls.apply(event)
+        told = controls.notice
+        controls.before_frame()
+        sim.advance()
+        travel.note(frame + 1)
+        assert told.startswith("pin" if frame >= 2 else "that is outside the world")
+    for back in (1, 2, 4):
+        travel.go(back)
+        assert controls.notice == told
+    travel.timeline.export(tmp_path / "seconds.npz")
+    assert controls.notice == told and controls.tool.name == "pin"
+
+
+@pytest.mark.usefixtures("device")
 def test_looking_at_the_past_drops_nothing_and_exports_it(tmp_path):
     scene = build("cloth", columns=8, rows=6)
     sim = Simulation(scene, topology="graph", execution="serial")

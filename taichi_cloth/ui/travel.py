@@ -126,7 +126,7 @@ class Travel:
 
     def _rerun(self, frame: int, events: list[LogEvent]) -> None:
         """Do the events of a frame again, and advance it."""
-        self._quiet = True
+        self._quiet, said = True, self._controls.notice
         try:
             for event in events:
                 if self._controls.apply(event, replayed=True) == "reset":
@@ -136,3 +136,4 @@ class Travel:
             self._sim.advance(1)
         finally:
             self._quiet = False
+            self._controls.tell(said)  # not what was told then
