@@ -219,6 +219,27 @@ def test_flags_are_written_out(word):
         scene_command.read("run", RunOptions, [word, "3"], "")
 
 
+@pytest.mark.parametrize(
+    ("words", "right", "wrong"),
+    [
+        (["explain", "cloth", "--turnss", "3"], "", "--turns"),  # of twist
+        (["run", "--turnss", "3"], "", "--turns"),
+        (["run", "--turnss", "3", "twist"], "did you mean '--turns'?", ""),
+        (["run", "a.toml", "--spinn", "3"], "", "--spin"),  # of drape
+        (["run", "drape", "--spinn", "3"], "did you mean '--spin'?", ""),
+        (["run", "--colums=3"], "did you mean '--columns'?", ""),
+        (["explain", "--sets", "3"], "did you mean '--set'?", ""),
+    ],
+)
+def test_a_hint_names_no_flag_of_another_scene(words, right, wrong):
+    command, *rest = words
+    settings = {"explain": ExplainOptions, "run": RunOptions}[command]
+    with pytest.raises(InputError) as refused:
+        scene_command.read(command, settings, rest, "")
+    hint = str(refused.value).partition("; ")[2]
+    assert hint == right if right else f"'{wrong}'" not in hint
+
+
 def test_the_hint_of_a_long_flag_is_not_cut_off():
     with pytest.raises(InputError, match=r"unknown flag '-9+\.\.\.'; '.* --help' shows all flags$"):
         scene_command.read("run", RunOptions, ["-" + "9" * 5000], "")

@@ -38,7 +38,12 @@ def read(
     # One flag sets both where scenes, or a scene and the command, have parameters of one name.
     parser.declare("", {k: p for ps in of_scenes.values() for k, p in ps.items()} | of_command)
     parser.declare("", OF_EVERY_SCENE)
-    words = parser.read(arguments)
+
+    def taken(plain: Sequence[str]) -> Iterable[str]:
+        named = (word for word in plain if names_file(word) or word in of_scenes)
+        return {*of_command, *OF_EVERY_SCENE, *of_scenes.get(next(named, DEFAULT_SCENE), {})}
+
+    words = parser.read(arguments, taken)
 
     scene, *more = words.others or [default(words.texts)]
     if more:

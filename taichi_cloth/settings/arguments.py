@@ -9,7 +9,7 @@ import argparse
 import re
 import shutil
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -67,8 +67,16 @@ class CommandParser(argparse.ArgumentParser):
             group.add_argument(flag(name), **_as_argument(parameter))
             self._declared[flag(name)] = parameter
 
-    def read(self, arguments: Sequence[str]) -> Words:
-        """The words of a command line. Raises InputError for an unknown flag or a missing value."""
+    def read(
+        self,
+        arguments: Sequence[str],
+        taken: Callable[[Sequence[str]], Iterable[str]] | None = None,
+    ) -> Words:
+        """The words of a command line. Raises InputError for an unknown flag or a missing value.
+
+        taken: names of the settings whose flags go with words that are no flags; a hint names none
+        but these. None: all go.
+        """
         if "--" in arguments:
             self._refuse_flag("--")  # argparse would take all that follows it for words
         try:
@@ -77,7 +85,8 @@ class CommandParser(argparse.ArgumentParser):
             self._refuse_missing(str(error.argument_name))
         for word in others:
             if word.startswith("-") and word != "-":
-                self._refuse_flag(word.partition("=")[0])
+                plain = [other for other in others if not other.startswith("-")]
+                self._refuse_flag(word.partition("=")[0], taken(plain) if taken else None)
         wants_help = vars(given).pop("help", False)
         texts = {name: text for name, text in vars(given).items() if text is not None}
         for name, text in texts.items():
@@ -105,8 +114,9 @@ class CommandParser(argparse.ArgumentParser):
             raise InputError(f"{name} takes no value, got '{clipped(text)}'")
         return super()._parse_optional(word)
 
-    def _refuse_flag(self, name: str) -> NoReturn:
-        hint = nearest(name, self._option_string_actions)
+    def _refuse_flag(self, name: str, taken: Iterable[str] | None = None) -> NoReturn:
+        flags = self._option_string_actions if taken is None else [*map(flag, taken), "--help"]
+        hint = nearest(name, flags)
         if not hint.startswith("did"):
             hint = f"'{PROGRAM} {self._command} --help' shows all flags"
         raise InputError(f"unknown flag '{clipped(name)}'; {hint}")
