@@ -489,6 +489,13 @@ def test_a_run_most_of_whose_steps_did_not_converge_has_failed(cli, tmp_path):
     assert "5 frames in" in accepted and err.startswith("taichi-cloth: note: 5 of 5 steps")
 
 
+def test_a_scene_whose_name_does_not_print_is_announced_in_one_line(cli, tmp_path):
+    """Nor does what is in a scene file, from wherever, steer the terminal."""
+    (tmp_path / "a.toml").write_text('name = "x\\ny\\u001b[31m"\n[world]\nsize = [9.0, 9.0]\n')
+    out, _ = cli("run", "a.toml", "--headless", "--frames", 1, cwd=tmp_path)
+    assert out.startswith("x\\ny\\x1b[31m: 0 particles") and out.count("\n") == 2
+
+
 def test_a_run_few_of_whose_steps_did_not_converge_is_noted(pool, monkeypatch, capsys):
     sim = pool(library.build("oscillator"), "implicit_euler")
     sim.advance(4)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy
 
-from taichi_cloth.errors import InputError, RunFailure, counted
+from taichi_cloth.errors import InputError, RunFailure, counted, printable
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
@@ -102,7 +102,7 @@ def _first_line(sim: Simulation, device: Device, view: View) -> str:
     width, height = view.size
     window = f"window {view.name} {width}x{height}" if view.visible else "headless"
     return (
-        f"{sim.scene.name}: {particles}, {springs}; "
+        f"{printable(sim.scene.name)}: {particles}, {springs}; "
         f"{sim.method}, dt {sim.dt:g}, {counted(sim.substeps, 'substep')}; "
         f"{device.describe()}, {sim.way}; {window}"
     )
