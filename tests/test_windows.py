@@ -41,6 +41,7 @@ from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import Event, fewest_moves
+from taichi_cloth.ui.presentation import Presentation
 from taichi_cloth.ui.text import Word
 from taichi_cloth.ui.views.ggui import GguiView
 from taichi_cloth.ui.views.none import NullView
@@ -1364,6 +1365,14 @@ def test_a_window_that_stands_still_next_has_our_title_and_not_gguis():
     view.entitle("probe, compiling")
     view._present()
     assert written[1:] == ["probe, compiling", "probe 60.0 FPS", "probe, compiling"]
+
+
+def test_a_title_has_a_name_that_does_not_print_by_its_escapes():
+    shown = object.__new__(Presentation)
+    shown._sim = SimpleNamespace(scene=SimpleNamespace(name="x\ny\x1b[31m"))
+    shown._state = SimpleNamespace(word=lambda state: Word("paused: by space", style.INK))
+    shown._takes = SimpleNamespace(shutter=SimpleNamespace(state=""))
+    assert shown.title() == "x\\ny\\x1b[31m, paused - taichi-cloth"
 
 
 def test_an_interrupt_while_xlib_reads_events_is_raised_when_it_has(monkeypatch):

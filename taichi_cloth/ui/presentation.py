@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth import runtime
+from taichi_cloth.errors import printable
 from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.ui import hud
 from taichi_cloth.ui.chrome import messages
@@ -107,7 +108,7 @@ class Presentation:
     def title(self) -> str:
         """What a window's title says: the scene, and what it is doing."""
         word = self._state.word(self._takes.shutter.state).text.partition(":")[0]
-        return f"{self._sim.scene.name}, {word} - {PROGRAM}"
+        return f"{printable(self._sim.scene.name)}, {word} - {PROGRAM}"
 
     def hurry(self) -> None:
         """Have the status say the next frame's rates."""

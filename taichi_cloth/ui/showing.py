@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, printable
 from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import HEADLESS_FRAMES, PROGRAM, SHOWN, shown_parts
 from taichi_cloth.simulation import showing
@@ -66,7 +66,7 @@ def show(
         view,
         world,
         size=_checked_size(size),
-        title=f"{PROGRAM}: {sim.scene.name}",
+        title=f"{PROGRAM}: {printable(sim.scene.name)}",
         camera=camera or camera_of(sim.scene),
         status=status,
     )
