@@ -232,6 +232,7 @@ REFUSED = [
     (lambda sim: sim.spawn((1.0, 1.0), tied_to=0.0), "tied_to must be a whole number"),
     (lambda sim: sim.spawn((1.0, 1.0), color=(1, 2, 256)), "from 0 to 255, is 256.0 at"),
     (lambda sim: sim.spawn((1.0, 1.0), mass=1e-310), "particle 48"),
+    (lambda sim: sim.spawn((1.0, 1.0), mas=2.0), "spawn: unknown name 'mas'; did you mean 'mass'"),
     (lambda sim: sim.set_step("soon"), "--dt must be a number, is 'soon'"),
     (lambda sim: sim.set_step(substeps=2.5), "--substeps must be a whole number"),
     (lambda sim: sim.load_as("graph", "serial", [[1.0]], [[1.0]]), "load_as: x must have shape"),

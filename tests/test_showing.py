@@ -92,11 +92,24 @@ def test_windows_of_scripts_measure_errors(pool, monkeypatch):
         ({"parts": []}, "parts: must be some of"),
         ({"frames": 0}, "show: frames must be"),
         ({"view": "x"}, "unknown view 'x'"),
+        ({"view": 3}, "unknown view '3'; known: auto, ggui, gui, none"),
+        ({"parts": 3}, "parts: must be some of"),
+        ({"camera": (1, 2)}, r"show: camera must be a Camera, is \(1, 2\)"),
+        ({"on_frame": 3}, "show: on_frame must be a function, is 3"),
+        ({"status": "no"}, "show: status must be True or False, is 'no'"),
+        ({"paused": 1}, "show: paused must be True or False, is 1"),
     ],
 )
 def test_what_makes_no_sense_is_refused(pool, how, error):
     with pytest.raises(tc.InputError, match=error):
         tc.show(pool(CLOTH), **{"view": "none", "frames": 1, **how})
+
+
+@pytest.mark.parametrize("how", [{"camera": 3}, {"status": 1}])
+def test_pictures_and_films_refuse_what_windows_do(pool, how):
+    for name, draw in (("picture", tc.picture), ("film", lambda *a, **k: showing.film(*a, 1, **k))):
+        with pytest.raises(tc.InputError, match=f"{name}: {next(iter(how))} must be"):
+            draw(pool(CLOTH), **how)
 
 
 @pytest.mark.parametrize("what", [CLOTH, "cloth", None])

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from taichi_cloth.errors import InputError, SimulationFailure
+from taichi_cloth.errors import InputError, SimulationFailure, nearest
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.state import WORK
@@ -19,6 +19,7 @@ from taichi_cloth.limits.precision import refuse_unholdable
 from taichi_cloth.runtime import current_device
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import Particles, Scene, Springs
+from taichi_cloth.scene.properties import PARTICLE_PROPERTIES
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import PATHS, TOPOLOGIES
@@ -408,9 +409,14 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
 
         tied_to: index of a particle to tie it to with the scene's spring defaults. numbers: mass,
         radius and the others of `ParticleProperties`, where it has others than those. Raises
-        InputError where the particle is outside the world or tied to one that does not exist.
+        InputError where the particle is outside the world or tied to one that does not exist, and
+        for a number that particles do not have.
         """
         dim, defaults = (self.scene.world.dim,), self.scene.particle_defaults
+        for name in numbers:
+            if name not in PARTICLE_PROPERTIES:
+                says = nearest(name, PARTICLE_PROPERTIES)
+                raise InputError(f"spawn: unknown name '{name}'; {says}")
         position = accepted.array("spawn: position", position, dim, "one a dimension")
         if velocity is not None:
             velocity = accepted.array("spawn: velocity", velocity, dim, "one a dimension")

@@ -65,7 +65,7 @@ def open_view(
     Raises InputError where the kind that was asked for cannot be had.
     """
     if kind not in VIEWS:
-        raise InputError(f"unknown view '{kind}'; {nearest(kind, VIEWS)}")
+        raise InputError(f"unknown view '{kind}'; {nearest(str(kind), VIEWS)}")
     kinds = views.load_all()
     chosen = _best(kinds) if kind == "auto" else kinds[kind]
     lack = chosen.lack()

@@ -58,7 +58,8 @@ def show(
     Raises InputError where a view that was asked for cannot be had, and SimulationFailure where
     the simulation failed and the user quit at the banner.
     """
-    _check(sim, "show")
+    _check(sim, "show", camera=camera, on_frame=on_frame, status=status, paused=paused)
+    drawn = _parts(parts)
     if frames is not None:
         frames = accepted.whole_number("show: frames", frames, 1)
     world = sim.scene.world
@@ -80,7 +81,7 @@ def show(
             on_frame=on_frame,
             paused=paused,
             status=status,
-            show=_parts(parts),
+            show=drawn,
             errors=errors,
             examiner=showing.explained(sim),
         )
@@ -100,7 +101,7 @@ def picture(
     one that shows what the scene has at its start. parts: of cloths that are drawn: "surface",
     "springs", "particles"; None: what suits the scene. status: whether its lines are in it.
     """
-    _check(sim, "picture")
+    _check(sim, "picture", camera=camera, status=status)
     with closing(_offscreen(sim, size, camera)) as view:
         return app.pixels_of(sim, view, status=status, show=_parts(parts))
 
@@ -130,7 +131,7 @@ def film(
 
     The simulation is then as many frames further. Arguments are those of `picture` and `show`.
     """
-    _check(sim, "film")
+    _check(sim, "film", camera=camera, on_frame=on_frame, status=status)
     frames = accepted.whole_number("show: frames", frames, 1)
     if size is None:
         width, height = window_of(sim.scene.world)
@@ -169,11 +170,21 @@ def in_notebook() -> bool:
     return shell is not None and hasattr(shell, "kernel")
 
 
-def _check(sim: Any, name: str) -> None:
-    """Raise InputError where what is to be shown is no simulation, such as a scene."""
+def _check(
+    sim: Any, name: str, *, camera: Any, status: Any, on_frame: Any = None, paused: Any = False
+) -> None:
+    """Raise InputError where what is to be shown is no simulation, such as a scene, or how is not
+    as it must be; before anything opens.
+    """
     if not isinstance(sim, showing.Showing):
         says = f"{name}: must be given a Simulation, is {accepted.shown(sim)}"
         raise InputError(f"{says}; Simulation(scene) makes one of a scene")
+    if camera is not None and not isinstance(camera, Camera):
+        raise InputError(f"{name}: camera must be a Camera, is {accepted.shown(camera)}")
+    if on_frame is not None and not callable(on_frame):
+        raise InputError(f"{name}: on_frame must be a function, is {accepted.shown(on_frame)}")
+    accepted.flag(f"{name}: status", status)
+    accepted.flag(f"{name}: paused", paused)
 
 
 def _offscreen(sim: Simulation, size: tuple[int, int] | None, camera: Camera | None) -> View:
@@ -204,7 +215,8 @@ def _checked_size(size: tuple[int, int] | None) -> tuple[int, int] | None:
 def _parts(parts: str | Iterable[str] | None) -> frozenset[str] | None:
     if parts is None:
         return None
-    words = parts.split(",") if isinstance(parts, str) else list(parts)
+    words = parts.split(",") if isinstance(parts, str) else parts
+    words = list(words) if isinstance(words, Iterable) else []
     if not words or not all(isinstance(word, str) for word in words):
         raise InputError(f"parts: must be some of {', '.join(SHOWN)}")
     return shown_parts(",".join(words))
