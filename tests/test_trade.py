@@ -32,8 +32,10 @@ from taichi_cloth.measuring.timing import Quiet
 from taichi_cloth.measuring.worker import Worker, WorkerFailed
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.sweeps import TradeOptions
 from taichi_cloth.trade import ode, plot, reference, rows, settings, tune
+from taichi_cloth.trade.command import FILES, write
 from taichi_cloth.trade.errors import (
     Breaks,
     Contacts,
@@ -197,6 +199,9 @@ def test_horizon_ends_before_a_disturbance_has_grown_into_the_errors():
     assert horizon.asked == 100 and horizon.frames == last
     assert horizon.grown == pytest.approx(reference.DISTURBANCE * math.exp(0.2 * last))
     assert "of the 100 asked for" in horizon.describe()
+    single = replace(horizon, frames=1)
+    assert single.describe().startswith("horizon: 1 frame of the 100")
+    assert replace(single, asked=1).describe().startswith("horizon: 1 frame, in")
     still = reference.limit_horizon(scene, Samples(x, x, alive), Samples(x, x, alive))
     assert still.frames == 100 and still.grown == 0.0
     # It does not matter that the runs come together again.
@@ -465,6 +470,18 @@ def test_plots_are_whole_pictures(oscillator):
     assert (picture[:, [0, -1]] == 255).all() and (picture[[0, -1]] == 255).all()  # nothing cut
     svg = ElementTree.parse(oscillator[0] / "trade.svg").getroot()
     assert svg.tag.endswith("svg")
+
+
+def test_a_plot_of_other_rows_does_not_stay_beside_those_that_have_none(tmp_path):
+    """Without an error there is no plot, and the one that lies there was of another trade."""
+    for name in (*FILES, "notes.txt"):
+        (tmp_path / name).write_text("of another trade")
+    source, made = SceneSource("oscillator"), [rows.Row(Setting("verlet", 1.0, 1))]
+    result = Result(source.build(), [], {}, None, None)
+    written = write(tmp_path, source, TradeOptions(), result, made)
+    assert written == ["trade.csv", "trade.json"]
+    assert {path.name for path in tmp_path.iterdir()} == {*written, "notes.txt"}
+    assert json.loads((tmp_path / "trade.json").read_text())["rows"][0]["method"] == "verlet"
 
 
 def test_a_plot_s_title_is_no_formula():

@@ -169,7 +169,10 @@ def write(
     result: Result,
     measured: list[rows.Row],
 ) -> list[str]:
-    """Write the files, each whole; return their names. There is no plot without an error."""
+    """Write the files, each whole; return their names.
+
+    There is no plot without an error: one that lies there is of other rows, and goes.
+    """
     texts = {
         "trade.csv": rows.as_csv(measured).encode(),
         "trade.json": rows.as_json(measured, environment(source, options, result)).encode(),
@@ -177,6 +180,9 @@ def write(
     drawn = plot.draw(result, measured, ("png", "svg"))
     texts |= {f"trade.{kind}": content for kind, content in drawn.items()}
     write_all({folder / name: content for name, content in texts.items()})
+    for name in FILES:
+        if name not in texts:
+            (folder / name).unlink(missing_ok=True)
     return list(texts)
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, counted
 from taichi_cloth.limits.bounds import any_geometry
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
@@ -52,10 +52,11 @@ class Horizon:
 
     def describe(self) -> str:
         disturbed = f"a disturbance of {DISTURBANCE:g} grows to {self.grown:.1e}"
+        frames = counted(self.frames, "frame")
         if self.frames == self.asked:
-            return f"horizon: {self.frames} frames, in which {disturbed}"
+            return f"horizon: {frames}, in which {disturbed}"
         return (
-            f"horizon: {self.frames} frames of the {self.asked} asked for: in these {disturbed}, "
+            f"horizon: {frames} of the {self.asked} asked for: in these {disturbed}, "
             f"soon after to more than {GROWN:g}, and errors beyond are chance"
         )
 
