@@ -165,7 +165,8 @@ def test_files_that_are_none_or_too_large_are_refused_unread(tmp_path):
     ("name", "content"),
     [
         ("slashes.obj", SQUARE + "vt 0 0\nvn 0 0 1\nusemtl a\ng one\nf 1/1/1 2//1 3/1 -1/1/1\n"),
-        ("split.obj", "\ufeff# a\r\n".lstrip("\ufeff") + SQUARE + "f 1 2 \\\n3 4\r\n"),
+        ("split.obj", "# a\r\n" + SQUARE + "f 1 2 \\\n3 4\r\n"),
+        ("marked.obj", "\ufeff" + SQUARE + "f 1 2 3 4\n"),
         ("text.ply", ply()),
         ("little.ply", binary_ply("<", faces=((0, 1, 2, 3),))),
         ("big.ply", binary_ply(">", faces=((0, 1, 2, 3),))),

@@ -28,7 +28,7 @@ def read(path: Path, data: bytes) -> Polygons:
         raise InputError(f"{path}: is not an OBJ file: it is binary")
     reader = _Reader(path)
     joined = ""
-    for number, line in enumerate(data.decode("utf-8", "replace").splitlines(), start=1):
+    for number, line in enumerate(data.decode("utf-8-sig", "replace").splitlines(), start=1):
         text = joined + line
         joined = ""
         if text.endswith("\\"):
