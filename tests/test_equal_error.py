@@ -483,6 +483,9 @@ def test_pieces_are_asked_for_of_the_part_that_has_them(tmp_path, monkeypatch, c
     assert main(["bench", "accuracy", "--scenes", "sed"]) == 2
     out, err = capsys.readouterr()
     assert "--scenes: unknown scene 'sed'; did you mean 'seed'" in err and not out
+    assert main(["bench", "accuracy", "--scenes", ",", "--within", "5s"]) == 2
+    out, err = capsys.readouterr()
+    assert "--scenes: names nothing; known: seed, warp, " in err and not out
 
 
 @needs_peers

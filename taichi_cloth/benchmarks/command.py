@@ -73,8 +73,12 @@ def _piece(options: BenchOptions, chosen: Sequence[str]) -> Piece:
         if name in options.given and list(chosen) != [PIECEWISE]:
             raise InputError(f"{flag(name)}: only the part {PIECEWISE} takes it, alone")
     scenes = [name.strip() for name in (options.scenes or "").split(",") if name.strip()]
-    if scenes:
-        problems.chosen(problems.all_problems(options.quick), scenes)
+    if options.scenes is not None:
+        there = problems.all_problems(options.quick)
+        if not scenes:
+            known = ", ".join(problem.key for problem in there)
+            raise InputError(f"--scenes: names nothing; known: {known}")
+        problems.chosen(there, scenes)
     return Piece(scenes, clock(options.within), options.resume)
 
 
