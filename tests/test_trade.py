@@ -494,6 +494,16 @@ def test_a_plot_s_title_is_no_formula():
     assert ElementTree.fromstring(plot.draw(result, made, ["svg"])["svg"]).tag.endswith("svg")
 
 
+@pytest.mark.parametrize(("dt", "tolerance"), [(1 / 60, 0.0123456789), (0.1 + 0.2, 1e-13 / 3)])
+def test_commands_have_the_numbers_that_were_measured(dt, tolerance):
+    """To the bit, so that two settings never share one; those of few digits are short."""
+    words = Setting("tr_bdf2", dt, 2, tolerance=tolerance).words()
+    assert float(words[words.index("--dt") + 1]) == dt
+    assert float(words[words.index("--tolerance") + 1]) == tolerance
+    short = " ".join(Setting("tr_bdf2", 1.0, 2, tolerance=0.01).words())
+    assert "--dt 1 --substeps 2 --tolerance 0.01 " in short
+
+
 def test_a_row_can_be_run_again(oscillator, cli, tmp_path):
     """Its command gives the state that it was judged by."""
     row = next(r for r in read(oscillator[0]) if r["precision"] == "f64" and r["substeps"] == 2)

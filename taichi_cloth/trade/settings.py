@@ -93,12 +93,12 @@ class Setting:
 
     def words(self) -> list[str]:
         """The flags of `run` that stand for it."""
-        words = ["--method", self.method, "--dt", f"{self.dt:.12g}"]
+        words = ["--method", self.method, "--dt", _exact(self.dt)]
         words += ["--substeps", str(self.substeps)]
         if self.iterations is not None:
             words += ["--iterations", str(self.iterations)]
         if self.tolerance is not None:
-            words += ["--tolerance", f"{self.tolerance:g}"]
+            words += ["--tolerance", _exact(self.tolerance)]
         words += ["--arch", self.arch, "--precision", self.precision]
         if self.lacks_fast_math:
             words.append("--no-fast-math")
@@ -210,6 +210,12 @@ def _doubling(needed: float, short: bool) -> list[int]:
     if needed > 1:
         fewest = min(2 ** (math.ceil(math.log2(needed)) - 1), MOST_TRIED)
     return [fewest << k for k in range(SHORT_DOUBLINGS if short else DOUBLINGS)]
+
+
+def _exact(number: float) -> str:
+    """A number in a command: as short as it may be read back to the bit."""
+    short = f"{number:.12g}"
+    return short if float(short) == number else repr(float(number))
 
 
 def _words(flag: str, text: str | None, known: Sequence[str]) -> list[str]:
