@@ -224,6 +224,8 @@ def _folder(keep: str | None) -> Iterator[Path]:
     there = folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise InputError(f"--keep {keep}: is a file; name another folder") from None
     except OSError as error:
         raise InputError(f"--keep {keep}: cannot be made: {error.strerror}") from None
     try:

@@ -163,6 +163,8 @@ def prepare_folder(folder: Path, names: Iterable[str]) -> None:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise InputError(f"--output {folder}: is a file; name a folder") from None
     except OSError as error:
         raise InputError(f"--output {folder}: cannot be made: {error.strerror}") from None
     for name in names:
