@@ -70,7 +70,7 @@ COMMAND_LINES = [
     ("run chain --mode 17", "mode must be at most"),
     ("run box --particles 20000", "do not fit into the world"),
     ("run missing.toml", "there is no such file"),
-    ("trade oscillator --output fine.toml", "--output fine.toml: is a file; name a folder"),
+    ("trade oscillator --output fine.toml", "fine.toml: cannot be made: it is a file"),
     ("run here/", "there is no such file"),
     ("run .", "is a folder"),
     ("run binary.toml", "is not a text file in UTF-8"),

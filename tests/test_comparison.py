@@ -370,7 +370,7 @@ def test_what_is_kept_writes_nothing_over(cli, tmp_path, name):
     (tmp_path / name).write_text(LOG)
     words = ("compare", "--events", log, "--substeps", 2)
     _, error = cli(*words, "--keep", log, check=2)
-    assert f"--keep {log}: is a file; name another folder" in error and log.read_text() == LOG
+    assert f"--keep {log}: cannot be made: it is a file" in error and log.read_text() == LOG
     _, error = cli(*words, "--keep", tmp_path, check=2)
     assert f"'{name}' is there already" in error and error.count("\n") == 1
     assert log.read_text() == LOG and len(list(tmp_path.iterdir())) == 2 - (name == log.name)

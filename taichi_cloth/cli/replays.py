@@ -225,7 +225,7 @@ def _folder(keep: str | None) -> Iterator[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
-        raise InputError(f"--keep {keep}: is a file; name another folder") from None
+        raise InputError(f"--keep {keep}: cannot be made: it is a file") from None
     except OSError as error:
         raise InputError(f"--keep {keep}: cannot be made: {error.strerror}") from None
     try:

@@ -164,7 +164,7 @@ def prepare_folder(folder: Path, names: Iterable[str]) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
-        raise InputError(f"--output {folder}: is a file; name a folder") from None
+        raise InputError(f"--output {folder}: cannot be made: it is a file") from None
     except OSError as error:
         raise InputError(f"--output {folder}: cannot be made: {error.strerror}") from None
     for name in names:
