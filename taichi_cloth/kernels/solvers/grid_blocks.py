@@ -34,8 +34,9 @@ from taichi_cloth.kernels.solvers.stages import own_diagonal, roughness
 from taichi_cloth.kernels.state import block_packs
 
 ACROSS = 8  # blocks of a grid beside each other, where there is room for them
-# Blocks of a grid for each 1 of the root of its particles' number. To invert the matrix of 64 takes
-# as long as 15 sweeps over 64 x 64 particles, and as more over fewer than they spare.
+# Blocks of a grid in space for each 1 of the root of its particles' number. To invert the matrix of
+# 64 takes as long as 15 sweeps over 64 x 64 particles, and as more over fewer than they spare. In
+# the plane it takes a third of that, and a grid has all the rows that there is room for.
 BLOCKS_PER_ROOT = 1.0
 # Rows of blocks for rough solutions, of a cloth of any size: with fewer these would leave up to
 # three times as much.
@@ -78,6 +79,8 @@ def _rows_of_blocks(spec: ti.template(), state: ti.template(), rows, width, colu
     particles = ti.cast(rows * width * spec.lanes, state.real)
     in_row = ti.cast(columns * spec.lanes, state.real)
     along = ti.max(ti.cast(BLOCKS_PER_ROOT * ti.sqrt(particles) / in_row + 0.5, ti.i32), 1)
+    if ti.static(spec.dim == 2):
+        along = 0 + ti.static(ACROSS)
     return ti.min(ti.select(roughness(state) > 1.0, ROUGHLY, along), rows)
 
 
