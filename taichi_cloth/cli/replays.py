@@ -27,6 +27,7 @@ from taichi_cloth.console import percent
 from taichi_cloth.errors import InputError, RunFailure, counted, nearest
 from taichi_cloth.files import trajectory
 from taichi_cloth.files.events import Recorder
+from taichi_cloth.files.pending import make_folder
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import (
@@ -222,12 +223,7 @@ def _folder(keep: str | None) -> Iterator[Path]:
                 "another folder"
             )
     there = folder.exists()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:
-        raise InputError(f"--keep {keep}: cannot be made: it is a file") from None
-    except OSError as error:
-        raise InputError(f"--keep {keep}: cannot be made: {error.strerror}") from None
+    make_folder("--keep", folder)
     try:
         yield folder
     finally:

@@ -154,6 +154,16 @@ def folder_of_results(folder: Path, names: Iterable[str]) -> Iterator[None]:
                 folder.rmdir()
 
 
+def make_folder(flag: str, folder: Path) -> None:
+    """Make a folder that a flag names, unless it is there; InputError where it cannot be made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise InputError(f"{flag} {folder}: cannot be made: it is a file") from None
+    except OSError as error:
+        raise InputError(f"{flag} {folder}: cannot be made: {error.strerror}") from None
+
+
 def prepare_folder(folder: Path, names: Iterable[str]) -> None:
     """See before a long run that files of these names can be written to a folder, which is made.
 
@@ -161,12 +171,7 @@ def prepare_folder(folder: Path, names: Iterable[str]) -> None:
 
     Raises InputError in the words of the flag `--output`, which names the folder.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:
-        raise InputError(f"--output {folder}: cannot be made: it is a file") from None
-    except OSError as error:
-        raise InputError(f"--output {folder}: cannot be made: {error.strerror}") from None
+    make_folder("--output", folder)
     for name in names:
         pending = PendingFile(folder / name)
         try:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import operator
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +93,14 @@ def power_of_two(name: str, value: Any, maximum: int) -> int:
 def _short(whole: int) -> str:
     """A whole number in a message: Python refuses to write more than some thousand digits."""
     return str(whole) if abs(whole) < 10**30 else f"{'-' * (whole < 0)}10^30 or beyond"
+
+
+def names(what: str, given: Iterable[str], known: Collection[str]) -> list[str]:
+    """The names of what was given, all of which are known."""
+    for name in given:
+        if name not in known:
+            raise InputError(f"{what}: unknown name '{name}'; {nearest(name, known)}")
+    return list(given)
 
 
 def number(

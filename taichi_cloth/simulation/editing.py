@@ -60,9 +60,7 @@ def with_values(now: Snapshot, given: Mapping[str, Any], selection: Selection) -
     """The state with other values, by name: one for all that are selected, or one for each."""
     if not given:
         raise InputError(f"set: nothing to set; known: {', '.join(settable())}")
-    for name in given:
-        if name not in settable():
-            raise InputError(f"set: unknown name '{name}'; {nearest(name, settable())}")
+    accepted.names("set", given, settable())
     of_particles = {name: given[name] for name in given if name in OF_PARTICLES}
     of_springs = {name: given[name] for name in given if name in SPRING_PROPERTIES}
     others = {*of_particles, *of_springs, OF_STENCILS}
@@ -101,9 +99,7 @@ def with_spring(now: Snapshot, i: int, j: int, given: Mapping[str, Any]) -> tupl
             raise InputError(f"{what}: there is no particle {ends[-1]}; the scene has {has}")
     if ends[0] == ends[1]:
         raise InputError(f"{what}: it ties particle {ends[0]} to itself; give two different ones")
-    for name in given:
-        if name not in SPRING_PROPERTIES:
-            raise InputError(f"{what}: unknown name '{name}'; {nearest(name, SPRING_PROPERTIES)}")
+    accepted.names(what, given, SPRING_PROPERTIES)
     single = {name: value for name, value in given.items() if value is not None}
     apart = float(np.linalg.norm(now.x[ends[1]] - now.x[ends[0]]))
     bare = Springs.build(

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from taichi_cloth.errors import InputError, SimulationFailure, nearest
+from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.state import WORK
@@ -413,10 +413,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         for a number that particles do not have.
         """
         dim, defaults = (self.scene.world.dim,), self.scene.particle_defaults
-        for name in numbers:
-            if name not in PARTICLE_PROPERTIES:
-                says = nearest(name, PARTICLE_PROPERTIES)
-                raise InputError(f"spawn: unknown name '{name}'; {says}")
+        accepted.names("spawn", numbers, PARTICLE_PROPERTIES)
         position = accepted.array("spawn: position", position, dim, "one a dimension")
         if velocity is not None:
             velocity = accepted.array("spawn: velocity", velocity, dim, "one a dimension")

@@ -76,11 +76,11 @@ def _rows_of_blocks(spec: ti.template(), state: ti.template(), rows, width, colu
 
     columns: of coarse packs in each row of blocks.
     """
-    particles = ti.cast(rows * width * spec.lanes, state.real)
-    in_row = ti.cast(columns * spec.lanes, state.real)
-    along = ti.max(ti.cast(BLOCKS_PER_ROOT * ti.sqrt(particles) / in_row + 0.5, ti.i32), 1)
-    if ti.static(spec.dim == 2):
-        along = 0 + ti.static(ACROSS)
+    along = 0 + ti.static(ACROSS)
+    if ti.static(spec.dim == 3):
+        particles = ti.cast(rows * width * spec.lanes, state.real)
+        in_row = ti.cast(columns * spec.lanes, state.real)
+        along = ti.max(ti.cast(BLOCKS_PER_ROOT * ti.sqrt(particles) / in_row + 0.5, ti.i32), 1)
     return ti.min(ti.select(roughness(state) > 1.0, ROUGHLY, along), rows)
 
 
