@@ -10,6 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import taichi_cloth as tc
+from taichi_cloth.errors import InputError
 from taichi_cloth.scene.model import World
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.chrome.layout import Parts, arrange
@@ -124,8 +126,35 @@ def test_what_is_framed_fills_the_picture_and_no_more_with_what_is_around_it(see
 
 
 def test_zoom_refuses_nonsense():
-    with pytest.raises(ValueError, match="positive"):
+    with pytest.raises(InputError, match="the zoom factor must be positive, is 0"):
         Camera((600, 400, 500)).zoom(0)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        (lambda _: Camera(3), "Camera: world_size must be two or three lengths"),
+        (lambda _: Camera((1, "b", 3)), "Camera: world_size must be numbers, is '1' at [0]"),
+        (lambda _: Camera((1, 0, 3)), "Camera: world_size must be positive, is 0.0 at [1]"),
+        (lambda _: Camera((1, 2, 3), "far"), "Camera: distance must be a number, is 'far'"),
+        (lambda _: Camera((1, 2, 3), -4.0), "Camera: distance must be positive, is -4"),
+        (lambda _: Camera((1, 2), centre=(0, 0)), "centre must have 3 numbers, has shape (2,)"),
+        (lambda _: Camera((1, 2, 3), y_up=1), "Camera: y_up must be True or False, is 1"),
+        (lambda camera: camera.project([[1, 2]]), "must have shape (n, 3), has shape (1, 2)"),
+        (lambda camera: camera.project(None), "positions must be numbers, is None"),
+        (lambda camera: camera.unproject(5), "pixel must have 2 numbers, has a single value"),
+        (lambda camera: camera.rotate("x", 0), "dx_deg must be a number, is 'x'"),
+        (lambda camera: setattr(camera, "pose", [0] * 6), "pose: distance must be positive, is 0"),
+        (
+            lambda _: tc.camera_of(World((1, 1, 1), (0, 0, 0))),
+            "camera_of: must be given a Scene, is World(",
+        ),
+    ],
+)
+def test_what_a_camera_is_not_given(wrong, says):
+    with pytest.raises(InputError) as refused:
+        wrong(Camera((600, 400, 500)))
+    assert says in str(refused.value)
 
 
 sizes = st.tuples(st.integers(50, 3000), st.integers(50, 3000))

@@ -96,6 +96,8 @@ GOOD = '{"frame": 3, "event": "move", "pos": [1, 2]}'
         ('{"frame": 4, "event": "press", "key": "spcae"}', "did you mean 'space'?"),
         ('{"frame": 4, "event": "press", "key": 5}', "unknown key 5"),
         ('{"frame": 4, "event": "wheel"}', "'delta' is missing"),
+        ('{"frame": 4, "event": "view"}', "a view event needs either 'drag' or 'pose'"),
+        ('{"frame": 4, "event": "view", "pose": [1, 2, 3, 0, 5, 6]}', "distance must be positive"),
         ('{"frame": 4, "event": "wheel", "delta": "x"}', "delta must be"),
         ('{"header": {}}', "only be the first line"),
         ("\xff\xfe", "is not JSON"),

@@ -16,6 +16,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from taichi_cloth.errors import InputError
+from taichi_cloth.settings import accepted
+
 FOCAL_LENGTH = 1.7  # in the picture's shorter side: an angle of 33 degrees, a portrait lens
 ELEVATION = (14.0, -24.0)  # degrees, rot_x and rot_y of a camera that frames: from above and aside
 POSE = 6  # numbers: centre, distance, rot_x, rot_y
@@ -32,11 +35,14 @@ class Camera:
     centre: what it looks at, shape (3,), world units; None: the world's centre.
     radius: of the sphere around the centre that is to be seen, world units; None: the world's.
     y_up: whether the world's y points up.
+
+    Raises InputError, as its methods do, for what is no such number or array; where it is, how
+    far away and how it is turned may be set, too (`pose` all at once).
     """
 
     def __init__(
         self,
-        world_size: Sequence[float],
+        world_size: ArrayLike,
         distance: float = 2000.0,
         focal_length: float = 1000.0,
         rot_x: float = 15.0,
@@ -46,19 +52,25 @@ class Camera:
         radius: float | None = None,
         y_up: bool = False,
     ):
-        self.world_size = tuple(float(length) for length in world_size)
-        self.distance = float(distance)
-        self.focal_length = float(focal_length)
-        self.rot_x = float(rot_x)
-        self.rot_y = float(rot_y)
-        self.y_up = y_up
+        size = accepted.numbers("Camera: world_size", world_size)
+        if size.shape not in ((2,), (3,)):
+            raise InputError("Camera: world_size must be two or three lengths")
+        accepted.require("Camera: world_size", size, size > 0, "must be positive")
+        self.world_size = tuple(map(float, size))
+        self.distance = accepted.number("Camera: distance", distance, above=0)
+        self.focal_length = accepted.number("Camera: focal_length", focal_length, above=0)
+        self.rot_x = accepted.number("Camera: rot_x", rot_x)
+        self.rot_y = accepted.number("Camera: rot_y", rot_y)
+        self.y_up = accepted.flag("Camera: y_up", y_up)
         w, h = self.world_size[:2]
         self.middle = np.array([w / 2, h / 2])  # the pixel of what it looks at
         middle = [w / 2, h / 2, 0.0] if centre is None else centre
-        self.centre: np.ndarray = np.array(middle, np.float64)
+        self.centre: np.ndarray = accepted.array("Camera: centre", middle, (3,))
         # The eye stays outside the sphere around the world (with 5% to spare), so that a corner
         # turned towards it never passes through it, and near enough that the world is visible.
-        self.radius = _half_diagonal(self.world_size) if radius is None else float(radius)
+        if radius is None:
+            radius = _half_diagonal(self.world_size)
+        self.radius = accepted.number("Camera: radius", radius, above=0)
         self.nearest, self.farthest = 1.05 * self.radius, 40.0 * self.radius
 
     @classmethod
@@ -121,7 +133,10 @@ class Camera:
 
     def rotate_points(self, positions: ArrayLike) -> np.ndarray:
         """World `positions` (n, 3) relative to the centre, in the camera's axes, shape (n, 3)."""
-        offset = np.asarray(positions, np.float64).reshape(-1, 3) - self.centre
+        x = accepted.numbers("positions", positions, finite=False)
+        if x.size % 3 or x.shape[-1:] != (3,):
+            raise InputError(f"positions must have shape (n, 3), has shape {x.shape}")
+        offset = x.reshape(-1, 3) - self.centre
         turned: np.ndarray = offset @ self.rotation().T
         return turned
 
@@ -144,25 +159,26 @@ class Camera:
 
     def unproject(self, pixel: ArrayLike) -> np.ndarray:
         """The world point (3,) under `pixel` (2,) on the plane through the centre that faces us."""
-        offset = (np.asarray(pixel, np.float64) - self.middle) * (self.distance / self.focal_length)
+        offset = (_pixel(pixel) - self.middle) * (self.distance / self.focal_length)
         point: np.ndarray = np.array([*offset, 0.0]) @ self.rotation() + self.centre
         return point
 
     def ray(self, pixel: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """The line of sight through `pixel` (2,): eye (3,) and unit direction (3,), world axes."""
         rotation = self.rotation()
-        slope = (np.asarray(pixel, np.float64) - self.middle) / self.focal_length
+        slope = (_pixel(pixel) - self.middle) / self.focal_length
         direction = np.array([slope[0], slope[1], 1.0]) @ rotation
         return self.eye, direction / np.linalg.norm(direction)
 
     def rotate(self, dx_deg: float, dy_deg: float) -> None:
         """Add `dx_deg` to `rot_y` and `dy_deg` to `rot_x`, degrees (kept within -180..180)."""
+        dx_deg, dy_deg = accepted.number("dx_deg", dx_deg), accepted.number("dy_deg", dy_deg)
         self.rot_y = math.remainder(self.rot_y + dx_deg, 360.0)
         self.rot_x = math.remainder(self.rot_x + dy_deg, 360.0)
 
     def pan(self, pixels: ArrayLike) -> None:
         """Move what is looked at so that the picture goes by `pixels` (2,)."""
-        offset = np.asarray(pixels, np.float64) * (self.distance / self.focal_length)
+        offset = _pixel(pixels) * (self.distance / self.focal_length)
         self.centre = self.centre - np.array([*offset, 0.0]) @ self.rotation()
 
     @property
@@ -172,8 +188,9 @@ class Camera:
 
     @pose.setter
     def pose(self, pose: tuple[float, ...]) -> None:
-        *centre, self.distance, self.rot_x, self.rot_y = pose
-        self.centre = np.array(centre)
+        *centre, distance, rot_x, rot_y = map(float, accepted.array("pose", pose, (POSE,)))
+        self.distance = accepted.number("pose: distance", distance, above=0)
+        self.centre, self.rot_x, self.rot_y = np.array(centre), rot_x, rot_y
 
     def framed(
         self, points: ArrayLike, around: float = 0.0, filled: float = FILLED
@@ -204,11 +221,14 @@ class Camera:
         The eye stays outside the world and closer than 40 of its radii. An eye that was put
         beyond a limit by hand stays there until it is moved.
         """
-        if not factor > 0:
-            raise ValueError(f"the zoom factor must be positive, is {factor}")
-        wanted = self.distance / factor
+        wanted = self.distance / accepted.number("the zoom factor", factor, above=0)
         low, high = min(self.nearest, self.distance), max(self.farthest, self.distance)
         self.distance = min(max(wanted, low), high)
+
+
+def _pixel(value: ArrayLike) -> np.ndarray:
+    """A pixel, or a way in pixels, (2,)."""
+    return accepted.array("pixel", value, (2,))
 
 
 def _half_diagonal(lengths: Sequence[float]) -> float:

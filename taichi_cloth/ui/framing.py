@@ -6,7 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from taichi_cloth.errors import InputError
 from taichi_cloth.scene.model import Scene, World
+from taichi_cloth.settings import accepted
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.chrome.layout import NOTHING, Parts, arrange
 from taichi_cloth.ui.window_map import SCREEN, default_window
@@ -43,7 +45,11 @@ def camera_of(scene: Scene) -> Camera | None:
     Obstacles go as they are told, what is held and nothing else holds swings down, and what is
     above a floor may fall there. Where y points down, or there is nothing yet, it shows the whole
     world.
+
+    Raises InputError for what is no Scene.
     """
+    if not isinstance(scene, Scene):
+        raise InputError(f"camera_of: must be given a Scene, is {accepted.shown(scene)}")
     world, particles = scene.world, scene.particles
     if world.dim == 2 or not points_up(world) or not len(particles):
         return camera_of_world(world)

@@ -178,6 +178,8 @@ def _press_or_release(kind: str, values: dict[str, Any]) -> Event:
 def _view(values: dict[str, Any]) -> Event:
     if len(values) != 1:
         raise InputError("a view event needs either 'drag' or 'pose'")
+    if "pose" in values and not values["pose"][3] > 0:
+        raise InputError(f"pose: the distance must be positive, is {values['pose'][3]:g}")
     return Event("view", **values)
 
 
