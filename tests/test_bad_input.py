@@ -75,6 +75,7 @@ COMMAND_LINES = [
     ("run .", "is a folder"),
     ("run binary.toml", "is not a text file in UTF-8"),
     ("run broken.toml", "broken.toml line 2: is not TOML"),
+    ("run other.fbx", "; a mesh is read from a file that ends in .obj, .ply, .stl, .glb"),
     ("run fine.toml --columns 3", "change the value in fine.toml"),
     ("run --events missing.jsonl", "there is no such file"),
     ("run --events broken.toml", "broken.toml line 1: is not JSON"),
@@ -108,6 +109,7 @@ COMMAND_LINES = [
 def test_command_lines(arguments, says, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    (tmp_path / "other.fbx").write_bytes(b"Kaydara FBX Binary  \0\x1a\0")
     (tmp_path / "broken.toml").write_text("[world]\nsize =")
     (tmp_path / "fine.toml").write_text("[world]\nsize = [10, 10]")
     (tmp_path / "old.jsonl").write_text('{"header": {"method": "rk5"}}')

@@ -55,6 +55,14 @@ def stl(triangles=((0, 1, 2), (0, 2, 3)), points=CORNERS, said=None):
     return b"\0" * 80 + struct.pack("<I", len(triangles) if said is None else said) + facets
 
 
+# The same, as text.
+SQUARE_STL = (
+    trimesh.Trimesh(CORNERS, [[0, 1, 2], [0, 2, 3]], process=False)
+    .export(file_type="stl_ascii")
+    .encode()
+)
+
+
 def glb(*placements):
     """A GLB file of unit squares, each moved and scaled by a matrix."""
     scene = trimesh.Scene()
@@ -168,11 +176,13 @@ def test_files_that_are_none_or_too_large_are_refused_unread(tmp_path):
         ("split.obj", "# a\r\n" + SQUARE + "f 1 2 \\\n3 4\r\n"),
         ("marked.obj", "\ufeff" + SQUARE + "f 1 2 3 4\n"),
         ("text.ply", ply()),
+        ("marked.ply", "\ufeff" + ply()),
         ("little.ply", binary_ply("<", faces=((0, 1, 2, 3),))),
         ("big.ply", binary_ply(">", faces=((0, 1, 2, 3),))),
         ("triangles.ply", binary_ply()),
         ("mixed.ply", binary_ply(points=[*CORNERS, (2, 0, 0)], faces=((0, 1, 2, 3), (1, 4, 2)))),
         ("binary.stl", stl()),
+        ("marked.stl", b"\xef\xbb\xbf" + SQUARE_STL),
         ("one.glb", glb(np.eye(4))),
     ],
 )

@@ -18,6 +18,7 @@ import numpy as np
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.files import content
+from taichi_cloth.files.meshes import FORMATS
 from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.scene import toml
 from taichi_cloth.scene.assignments import Assignment
@@ -41,7 +42,8 @@ def load(path: str | Path, assignments: Sequence[Assignment] = ()) -> Scene:
     assignments: values that take the place of the file's.
     """
     path = accepted.path("load_scene: path", path)
-    said = content.text(path, "scene file", hint=_similar_file)
+    remedy = f"save it as UTF-8{_of_meshes(path.name)}"
+    said = content.text(path, "scene file", hint=_similar_file, remedy=remedy)
     name = os.fsencode(path.stem).decode("utf-8", "replace")
     return parse(said, path.name, name, assignments, path.parent)
 
@@ -61,7 +63,8 @@ def parse(
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(toml.parse_error(name, str(error), text)) from None
+        said = toml.parse_error(name, str(error), text)
+        raise InputError(f"{said}{_of_meshes(name)}") from None
     except RecursionError:
         raise InputError(f"{name}: is nested too deeply to be a scene") from None
     except ValueError:  # the one thing tomllib passes on: int() refuses thousands of digits
@@ -163,6 +166,13 @@ def _similar_file(path: Path) -> str:
         return ""
     close = difflib.get_close_matches(path.name, names, n=1)
     return f"; did you mean '{path.parent / close[0]}'?" if close else ""
+
+
+def _of_meshes(name: str) -> str:
+    """What to add where a file of another suffix is no scene: it may be another kind of mesh."""
+    if Path(name).suffix.lower() in ("", ".toml"):
+        return ""
+    return f"; a mesh is read from a file that ends in {', '.join(f'.{s}' for s in FORMATS)}"
 
 
 # Writing

@@ -11,7 +11,12 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.methods.contract import Claims
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings import accepted
-from taichi_cloth.settings.options import MOST_TOLERANCE, SOLVER_SETTINGS
+from taichi_cloth.settings.options import (
+    MOST_ITERATIONS,
+    MOST_SUBSTEPS,
+    MOST_TOLERANCE,
+    SOLVER_SETTINGS,
+)
 
 # A particle that would cross the world this many times in one frame is lost, not fast.
 RUNAWAY_CROSSINGS = 100.0
@@ -35,7 +40,7 @@ class Numbers:
 def checked_step(dt: float | str, substeps: int) -> tuple[float, int]:
     """(dt, substeps), if there can be such steps; else InputError."""
     checked = accepted.number("--dt", dt, above=0.0)
-    return checked, accepted.whole_number("--substeps", substeps, 1)
+    return checked, accepted.whole_number("--substeps", substeps, 1, MOST_SUBSTEPS)
 
 
 def runaway_speed(scene: Scene, dt: float) -> float:
@@ -55,7 +60,7 @@ def solver_settings(
             takers = [m for m in methods.METHODS if name in methods.load(m).claims.settings]
             raise InputError(f"--{name}: {method} does not take it; {', '.join(takers)} do")
         if name == "iterations":
-            accepted.whole_number("--iterations", value, 1)
+            accepted.whole_number("--iterations", value, 1, MOST_ITERATIONS)
         else:
             accepted.number("--tolerance", value, above=0.0, maximum=MOST_TOLERANCE)
     chosen = {name: value for name, value in given.items() if value is not None}

@@ -6,6 +6,7 @@ line or the element. Turk, "The PLY Polygon File Format", 1994.
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -38,6 +39,7 @@ class Element:
 
 def read(path: Path, data: bytes) -> Polygons:
     """The vertices and faces of a PLY file's bytes. Raises InputError, naming the place."""
+    data = data.removeprefix(codecs.BOM_UTF8)  # which some editors put before a text
     order, elements, begin, line = _header(path, data)
     by_name = {element.name: element for element in elements}
     for name in ("vertex", "face"):

@@ -6,6 +6,7 @@ number of triangles, and 50 bytes for each.
 
 from __future__ import annotations
 
+import codecs
 import struct
 from pathlib import Path
 
@@ -26,6 +27,7 @@ def read(path: Path, data: bytes) -> Polygons:
     # Binary files may begin with the word of text ones; their length tells.
     if len(data) == HEADER + said * FACET.itemsize:
         return _binary(path, data, said)
+    data = data.removeprefix(codecs.BOM_UTF8)  # which some editors put before a text
     if data.lstrip()[:5].lower() == b"solid" and b"\0" not in data[:HEADER]:
         return _text(path, data)
     if said < 0:
