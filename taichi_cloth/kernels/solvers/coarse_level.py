@@ -17,6 +17,7 @@ from taichi_cloth.kernels.packs import (
     over_lanes,
     read,
     set_number_in_pack,
+    turned,
     vectors_of,
     write,
     zeros,
@@ -54,7 +55,19 @@ def clear_rows(spec: ti.template(), state: ti.template(), b):
 
 
 @ti.func
-def pulling_part(axis, across):
+def part_of_springs(spec: ti.template(), state: ti.template(), axis, across):
+    """What springs add to A on their ends' diagonals, and beside them (xy, yz, zx).
+
+    axis, across: of their stiffness (`laws.stiffness_axis`), of which what pulls counts.
+    """
+    along, positive = _pulling_part(axis, across)
+    tau = state.tau[None]
+    k, c = tau * tau * along, tau * tau * positive
+    return k * (axis * axis) + c, k * (axis * turned(spec, axis))
+
+
+@ti.func
+def _pulling_part(axis, across):
     """What springs' stiffness matrices (`laws.stiffness_axis`) are without negative stiffness.
 
     Returns by how much what `axis` stands for is multiplied, and the stiffness across: without a

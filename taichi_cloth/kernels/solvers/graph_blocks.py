@@ -10,8 +10,8 @@ import functools
 import taichi as ti
 
 from taichi_cloth.kernels.loops import each
-from taichi_cloth.kernels.packs import epsilon, turned, zeros
-from taichi_cloth.kernels.solvers.coarse_level import LIFTED, clear_rows, entry, pulling_part
+from taichi_cloth.kernels.packs import epsilon, zeros
+from taichi_cloth.kernels.solvers.coarse_level import LIFTED, clear_rows, entry, part_of_springs
 from taichi_cloth.kernels.solvers.stages import own_diagonal
 from taichi_cloth.kernels.stencils import stiffness_by
 
@@ -32,7 +32,6 @@ def _lay_out(spec: ti.template(), state: ti.template(), _):
 def _sum_block(spec: ti.template(), state: ti.template(), b):
     """Make the rows of the coarse matrix that belong to block b."""
     clear_rows(spec, state, b)
-    tau = state.tau[None]
     on, beside = zeros(spec, state), zeros(spec, state)
     for m in range(state.members_start[b], state.members_start[b + 1]):
         i = state.members[m]
@@ -43,9 +42,9 @@ def _sum_block(spec: ti.template(), state: ti.template(), b):
                 leaves, free = state.block_of[other] != b, state.w[other] > 0.0
                 if leaves or not free:
                     axis = ti.Vector([state.csr_axis[h, k] for k in range(spec.dim)])
-                    along, across = pulling_part(axis, state.csr_across[h])
-                    spring_on = tau * tau * (along * (axis * axis) + across)
-                    spring_beside = tau * tau * along * (axis * turned(spec, axis))
+                    spring_on, spring_beside = part_of_springs(
+                        spec, state, axis, state.csr_across[h]
+                    )
                     on += spring_on
                     beside += spring_beside
                     if leaves and free:

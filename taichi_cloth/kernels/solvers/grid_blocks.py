@@ -17,7 +17,6 @@ from taichi_cloth.kernels.packs import (
     read,
     set_slot_number,
     slot_number,
-    turned,
     write,
     zeros,
 )
@@ -25,7 +24,7 @@ from taichi_cloth.kernels.solvers.coarse_level import (
     LIFTED,
     clear_rows,
     entry,
-    pulling_part,
+    part_of_springs,
     unknown,
     unknowns,
 )
@@ -210,12 +209,9 @@ def _add_tied(spec: ti.template(), state: ti.template(), b, on, beside, to, shif
 
 @ti.func
 def _own_part(spec: ti.template(), state: ti.template(), at):
-    """What the links at `at` add to A on their ends' diagonals, and beside them (xy, yz, zx)."""
-    a, across = read(spec, state.link_axis, at), read(spec, state.link_across, at)
-    along, positive = pulling_part(a, across)
-    tau = state.tau[None]
-    k, c = tau * tau * along, tau * tau * positive
-    return k * (a * a) + c, k * (a * turned(spec, a))
+    """What the links at `at` add to A on their ends' diagonals, and beside them."""
+    axis, across = read(spec, state.link_axis, at), read(spec, state.link_across, at)
+    return part_of_springs(spec, state, axis, across)
 
 
 @ti.func
