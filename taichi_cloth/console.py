@@ -40,11 +40,15 @@ def tell_nobody(text: str, done: int, total: int) -> None:
 def output() -> Console:
     """The console of standard output, as wide as its terminal; pipes and files get 80 columns.
 
-    The variable COLUMNS overrides both.
+    The variable COLUMNS overrides both. Where its reader is gone, printing raises BrokenPipeError.
     """
     from rich.console import Console
 
-    return Console(width=max(shutil.get_terminal_size().columns, NARROWEST))
+    class Output(Console):
+        def on_broken_pipe(self) -> None:
+            raise  # Rich would end the program with status 1, as if something had gone wrong
+
+    return Output(width=max(shutil.get_terminal_size().columns, NARROWEST))
 
 
 def say(to: Console, text: str, *, hang: int = 0) -> None:

@@ -575,9 +575,10 @@ def test_a_full_disk_ends_in_one_line_and_spoils_no_other_file(tmp_path, full):
     assert left == set(names.values()) - {names[full]}
 
 
-def test_a_reader_that_leaves_is_no_error():
+@pytest.mark.parametrize("words", [["run", "oscillator", "--headless", "--frames", "1"], ["list"]])
+def test_a_reader_that_leaves_is_no_error(words):
     process = subprocess.Popen(
-        [*PROGRAM, "run", "oscillator", "--headless", "--frames", "1"],
+        [*PROGRAM, *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
