@@ -70,21 +70,32 @@ def test_free_pairs_keep_momentum_and_their_centre_and_never_gain_energy(pool, d
     assert first > 0.5 and overlap(sim) < 1e-3
 
 
-def test_a_pair_bounces_by_its_restitution_and_slides_by_its_friction(pool):
-    """Both by their laws: normal parts by Newton's, along the surface by Coulomb's."""
+@pytest.mark.parametrize("thickness", [0.0, 10.0])
+def test_a_pair_bounces_by_its_restitution_and_slides_by_its_friction(pool, thickness):
+    """By their laws: normal parts by Newton's, along the surface by Coulomb's, which takes from
+    positions what the step had of it. Beside a cloth with a thickness pairs act in sweeps.
+    """
+    dim = 3 if thickness else 2
     world = World(
-        size=(100.0, 100.0), gravity=(0.0, 0.0), dt=0.1, collisions=True,
-        contact="resting", friction=0.2, walls=("left", "right", "top", "bottom"),
+        size=(100.0,) * dim, gravity=(0.0,) * dim, dt=0.1, collisions=True, contact="resting",
+        friction=0.2, walls=("left", "right", "top", "bottom") if dim == 2 else (),
     )  # fmt: skip
-    x, v = [[40.0, 50.0], [50.5, 49.5]], [[3.0, 0.0], [-4.0, 5.0]]
-    pair = Particles.build(x, v, mass=[2.0, 3.0], radius=5.0, restitution=[0.5, 0.8])
+    x, v = np.zeros((3, dim)), np.zeros((3, dim))
+    x[:, :2] = [[40.0, 50.0], [50.5, 49.5], [80.0, 80.0]]
+    v[:, :2] = [[3.0, 0.0], [-4.0, 5.0], [0.0, 0.0]]
+    pair = Particles.build(
+        x, v, mass=[2.0, 3.0, 1.0], radius=5.0, restitution=[0.5, 0.8, 1.0],
+        thickness=[0.0, 0.0, thickness],
+    )  # fmt: skip
     sim = pool(Scene("pair", world, pair))
     sim.advance()
-    change = sim.velocities() - pair.velocity
-    relative = change[1] - change[0]
-    assert relative[0] == pytest.approx(7.0 * 1.4, abs=1e-12)
-    assert relative[1] == pytest.approx(-0.2 * 7.0 * 1.4, abs=1e-12)
-    np.testing.assert_allclose(2.0 * change[0] + 3.0 * change[1], 0.0, atol=1e-12)
+    change, moved = sim.velocities() - v, sim.positions() - (x + 0.1 * v)
+    lost = 7.0 * 1.4
+    np.testing.assert_allclose((change[1] - change[0])[:2], [lost, -0.2 * lost], atol=1e-12)
+    # They overlapped by 0.2, and had slid by what friction takes.
+    np.testing.assert_allclose((moved[1] - moved[0])[:2], [0.2, -0.1 * 0.2 * lost], atol=1e-12)
+    for each in (change, moved):
+        np.testing.assert_allclose(2.0 * each[0] + 3.0 * each[1], 0.0, atol=1e-12)
     assert abs(overlap(sim)) < 1e-3
 
 

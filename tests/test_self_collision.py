@@ -14,6 +14,7 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.kept_pairs import NEAR_BITS
 from taichi_cloth.kernels.near_pairs import find_pairs
 from taichi_cloth.kernels.pair_colours import COLOURS, colour_pairs
+from taichi_cloth.kernels.pair_laws import SLACK, out_of_obstacles
 from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import Particles, Scene, World
@@ -198,6 +199,47 @@ def test_pairs_of_a_colour_have_no_particle_in_common(pool):
         assert (state.colour_size[COLOURS] > 0) == rest
         pairs = [(at, other) for at, found in enumerate(found_pairs(state, n)) for other in found]
         assert len(listed) == len(pairs) > 100 and {*listed} == {*pairs}
+
+
+vector = ti.types.vector(3, ti.f64)
+
+
+@ti.kernel
+def put_out(spec: ti.template(), state: ti.template(), at: int, x: vector, v: vector) -> vector:
+    """Where the particle at a place, at x with a velocity of v, is put by obstacles."""
+    out, _ = out_of_obstacles(spec, state, at, x, v)
+    return out
+
+
+@ti.kernel
+def stopped(spec: ti.template(), state: ti.template(), at: int, x: vector, v: vector) -> vector:
+    """The velocity that it goes on with."""
+    _, out = out_of_obstacles(spec, state, at, x, v)
+    return out
+
+
+def test_what_a_pair_pushes_into_an_obstacle_is_put_onto_it(pool):
+    """By contact and Coulomb's friction, which takes from positions what the step had of it."""
+    sim = pool(draped(9), topology="graph", execution="serial")
+    sim.advance()
+    inside = sim.storage.specialization, sim.storage.state
+    rng, at, dt = np.random.default_rng(2), 7, sim.dt
+    centre, radius = np.array([1.5, 0.4, 0.0]), sim.radii()[0]
+    assert (sim.radii() == radius).all()
+    met = []
+    for gap in [-0.01, -0.002, 0.5 * SLACK * radius, 2 * SLACK * radius] * 10:
+        n, v = rng.normal(size=(2, 3))
+        n /= np.linalg.norm(n)
+        x, u = centre + (0.2 + radius + gap) * n, v @ n
+        y, w = x - min(gap, 0.0) * n, v
+        if gap <= SLACK * radius and u < 0:
+            slide = v - u * n
+            taken = -min(1.0, 0.3 * -u / np.linalg.norm(slide)) * slide
+            y, w = y + dt * taken, v - u * n + taken
+        np.testing.assert_allclose(put_out(*inside, at, x, v), y, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(stopped(*inside, at, x, v), w, rtol=0, atol=1e-12)
+        met.append((gap, u < 0))
+    assert len({*met}) == 8
 
 
 def crossing(**more):
