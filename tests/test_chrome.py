@@ -270,7 +270,10 @@ def test_a_drag_on_the_timeline_goes_through_its_frames(sim):
 
 
 class Pressed(NullView):
-    """A window in which keys are pressed, those of each turn at once; it closes after the last."""
+    """A window in which keys are pressed, those of each turn at once; it closes after the last.
+
+    turns: of each the names of keys, or events.
+    """
 
     visible = True
 
@@ -281,7 +284,7 @@ class Pressed(NullView):
     def poll(self):
         keys, *self.turns = self.turns
         self.closed = not self.turns
-        return [Event("press", key=key) for key in keys]
+        return [key if isinstance(key, Event) else Event("press", key=key) for key in keys]
 
     def draw(self, picture):
         self.said.append("\n".join(panel.words for panel in picture.overlay))
@@ -291,6 +294,23 @@ def test_what_a_key_closed_gets_nothing_of_the_same_turn(sim):
     """A slow frame leaves many keys for one turn; the panels are those after each of them."""
     turns = (["l", "m", "o"], ["l", "p", "o", "p"], ["m", "l"], [])
     app.run(sim, Pressed(sim.scene.world, turns), quiet=True, device="test")
+
+
+def test_escape_closes_what_was_opened_last_and_quits_where_nothing_is_open(sim):
+    """The key list lies over a row of the settings that takes keys, and goes before it."""
+    window = Pressed(sim.scene.world, ())
+    window.size = (900, 600)
+    opened = Parts(bar=True, strip=1, row="timeline", columns=("settings", "meters"))
+    place = arrange(window.size, opened).columns["settings"]
+    row = Event("press", pos=(place.x + 20, place.y + 5), button="left")
+    escape = ["escape"]
+    window.turns = ["m"], ["l"], ["o"], [row, "tab"], *[escape] * 6, *[["p"]] * 9, []
+    result = app.run(sim, window, quiet=True, device="test")
+    words = {"m": "h\u00b7omega", "l": "of 0.", "o": "cost now", "t": "this list"}
+    seen = ["".join(key for key in words if words[key] in said) for said in window.said]
+    # From its start on; the list, the row, then the panels; the sixth escape quits.
+    assert seen == ["", "m", "ml", "mlo", "mlot", "mlo", "mlo", "ml", "m", ""]
+    assert result.quit and len(window.turns) == 10
 
 
 def test_keys_write_a_checkpoint_and_export_the_last_seconds(sim, tmp_path):

@@ -102,8 +102,8 @@ class Hands:
             time.sleep(0.2)
 
     def quit(self):
-        self.press("Escape", 100, 300)  # leaves the panel
-        self.press("Escape")
+        for place in ((100, 300), (), ()):  # leaves the row, then the panel, then the run
+            self.press("Escape", *place)
         out, _ = self.process.communicate(timeout=60)
         return out
 

@@ -408,13 +408,15 @@ def test_pause_step_and_reset():
 
 
 def test_help_hide_and_quit():
-    view = Script([press(key="f1")], [press(key="h")], [press(key="escape")], [], [])
+    escape = press(key="escape")
+    view = Script([press(key="f1")], [press(key="h")], [escape], [escape], [], [])
     summary = app.run(simulation("blow"), view, device="test")
-    assert summary.quit and summary.frames == 2
+    assert summary.quit and summary.frames == 3
     panels = [[panel for panel in picture.overlay if panel.words] for picture in view.pictures[:2]]
     assert [len(shown) for shown in panels] == [2, 3]
     assert "this list" in words(view.pictures[1]) and "symplectic" not in words(view.pictures[1])
     assert "symplectic" in words(view.pictures[2])
+    assert "this list" not in words(view.pictures[3])  # escape has closed it
 
 
 def test_strain_has_colours_only_where_there_are_springs():

@@ -285,6 +285,6 @@ def help_lines(
         "w\twrite a checkpoint, for run --resume",
         "x\texport the last 10 seconds",
         "tab or f1\tthis list",
-        "escape\tquit",
+        "escape\tclose what was opened last; else quit",
     ]
     return tuple(lines)

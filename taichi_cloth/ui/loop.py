@@ -261,7 +261,9 @@ class Loop:
             self._note(logged)
             # Pauses and steps only say when frames were made; a log says that itself.
             command = self._controls.apply(logged, replayed=True)
-            if command in ("reset", "status", "show", "strain", "meters", "help", "quit"):
+            if command == "quit":
+                state.quit = True  # whatever is open here
+            elif command in ("reset", "status", "show", "strain", "meters", "help"):
                 self._obey(command)
         for given in self.view.poll():  # after which the window may have another size
             self._schedule.wake()
@@ -330,7 +332,7 @@ class Loop:
     def _obey(self, command: str) -> None:
         state = self.state
         if command == "quit":
-            state.quit = True
+            state.quit = not self._shown.close_last()
         elif command == "pause" and state.failure is None:
             state.paused = not state.paused
             self._shown.meter.interrupt()

@@ -24,7 +24,7 @@ from taichi_cloth.ui.chrome.why import Finding, Why
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.depiction import Depiction
 from taichi_cloth.ui.halves import Pair, halves
-from taichi_cloth.ui.inputs import Event
+from taichi_cloth.ui.inputs import COMMANDS, Event
 from taichi_cloth.ui.log_window import LogWindow
 from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.request import Request
@@ -116,6 +116,8 @@ class Presentation:
 
     def take(self, event: Event) -> Event | None:
         """What an event means that may be for what is around the world; None: nothing more."""
+        if self._show_help and event.kind == "press" and COMMANDS.get(event.key or "") == "quit":
+            return event  # it closes the key list, which lies over all else
         return self.chrome.take(event, self.arranged(), self._buttons)
 
     def obey(self, command: str) -> bool:
@@ -144,6 +146,13 @@ class Presentation:
         else:
             return False
         return True
+
+    def close_last(self) -> bool:
+        """Close the key list, or what was opened last around the world; whether any was open."""
+        if self._show_help:
+            self._show_help = False
+            return True
+        return self.chrome.close_last(self.arranged())
 
     def open_finding(self, finding: Finding | None) -> None:
         """Show why the run stopped, and the frames before, to go through."""

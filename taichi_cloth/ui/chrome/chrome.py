@@ -50,6 +50,7 @@ class Chrome:
         self._windowed = windowed
         self._open = opened or at_start(windowed=windowed, status=status, text=text)
         self._parts = {part.name: part for part in parts}
+        self._order = [self._open.row, *self._open.columns]  # of what is open, the last one last
         self._held: Part | None = None  # whose the pointer is
         self._strip = lru_cache(maxsize=4)(strip.panels)
         self._bar = lru_cache(maxsize=4)(toolbar.panel)
@@ -70,8 +71,15 @@ class Chrome:
             wanted = set(self._open.columns) ^ {name}
             columns = tuple(n for n, p in self._parts.items() if p.place == COLUMN and n in wanted)
             self._open = replace(self._open, columns=columns)
+        self._order = [other for other in self._order if other != name] + [name]
         self._held = None
         return True
+
+    def close_last(self, layout: Layout) -> bool:
+        """Close what was opened last of the parts that are seen; whether there was one."""
+        seen = {part.name for part, _ in self._placed(layout)}
+        last = [name for name in self._order if name in seen][-1:]
+        return any(self.toggle(name) for name in last)
 
     @property
     def opened(self) -> Parts:
