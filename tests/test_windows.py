@@ -853,6 +853,16 @@ def test_buttons_of_the_bar_never_meet_and_keys_are_offered_as_long_as_one_fits(
     assert len(placed) == len(buttons), "where there is room all are there"
 
 
+def test_the_bar_has_labels_as_far_as_there_is_room():
+    """The tools', then those at the right, from that of the key list on."""
+    buttons = [Button("b", "blow"), *(Button(key, "a part", right=True) for key in "pomh")]
+    said, height = set(), 18
+    for width in range(100, 600):
+        placed = toolbar.placed(buttons, Rect(0, 0, width, bar_height(height)), height)
+        said.add("".join(button.key for button, _, shown in placed if shown))
+    assert said == {"", "b", "bh", "bph", "bpoh", "bpomh"}
+
+
 # Real windows
 
 PROGRAM = """

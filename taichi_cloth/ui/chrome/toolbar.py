@@ -29,20 +29,18 @@ class Button:
 def placed(buttons: Sequence[Button], rect: Rect, height: int) -> list[tuple[Button, Rect, bool]]:
     """Where the buttons are in the bar's rectangle, and whether their labels are written.
 
-    Where there is too little room, only those in use and those of the tools keep their labels, then
-    only those in use, then none; where there still is, buttons are left out: first those at the
-    right but for the last, which says what the keys do. height: of the text, pixels.
+    Where there is too little room, labels are written as far as it goes: of those in use, of the
+    tools, and then one by one of those at the right, first of the last, which says what the keys
+    do; where there is none for all keys, buttons are left out: first those at the right but for
+    the last. height: of the text, pixels.
     """
-    choices = (
-        [True] * len(buttons),
-        [b.chosen or not b.right for b in buttons],
-        [b.chosen for b in buttons],
-        [False] * len(buttons),
-    )
-    for labelled in choices:
-        widths = [_width(b, shown, height) for b, shown in zip(buttons, labelled, strict=True)]
-        if sum(widths) + _gap(height) * (len(buttons) + 2) <= rect.width:
-            break
+    labelled = [False] * len(buttons)
+    widths = [_width(b, False, height) for b in buttons]
+    for group in _groups(buttons):
+        more = [shown or b in group for b, shown in zip(buttons, labelled, strict=True)]
+        wide = [_width(b, shown, height) for b, shown in zip(buttons, more, strict=True)]
+        if sum(wide) + _gap(height) * (len(buttons) + 2) <= rect.width:
+            labelled, widths = more, wide
     gap, margin = _gap(height), round(0.2 * height)
     found, x, end = [], rect.x + gap, rect.x + rect.width - gap
     each = list(zip(buttons, labelled, widths, strict=True))
@@ -90,6 +88,13 @@ def hit(
         if box.holds(pixel):
             return button
     return None
+
+
+def _groups(buttons: Sequence[Button]) -> list[list[Button]]:
+    """Buttons whose labels are written together, those that need it most first."""
+    right = [b for b in buttons if b.right]
+    tools = [b for b in buttons if not b.right]
+    return [[b for b in buttons if b.chosen], tools, *([b] for b in right[-1:] + right[:-1])]
 
 
 def _width(button: Button, labelled: bool, height: int) -> int:
