@@ -711,22 +711,38 @@ def test_words_of_the_status_are_those_written_on_its_paper_as_a_whole():
         assert again[1].tile is panels[1].tile
 
 
-def test_a_key_list_is_drawn_once_at_the_height_at_which_it_fits(monkeypatch):
+def test_a_key_list_is_drawn_once_in_the_largest_letters_that_fit(monkeypatch):
+    """In one block or in two beside each other; else as far as it goes, which it says."""
     lines = hud.help_lines(library.build("curtain"), has_wheel=True)
+    half = (len(lines) + 1) // 2
     drawn, rasterise = [], text.rasterise
 
     def noted(lines, height, **how):
-        drawn.append((height, rasterise(lines, height, **how)))
-        return drawn[-1][1]
+        drawn.append((lines, height))
+        return rasterise(lines, height, **how)
+
+    def fits(blocks, height, room):
+        wide, tall = zip(*(text.extent(block, height) for block in blocks), strict=True)
+        return sum(wide) <= room.width and max(tall) <= room.height
 
     monkeypatch.setattr(text, "rasterise", noted)
-    for room, height in ((Rect(0, 40, 800, 500), 15), (Rect(0, 60, 1280, 700), 90)):
-        messages.keys(lines, room, height)
-        ((height, pixels),) = drawn
-        tall, wide = pixels.shape[:2]
-        assert (wide, tall) == text.extent(lines, height)
-        assert wide <= room.width and tall <= room.height < text.extent(lines, height + 1)[1]
+    low = Rect(0, 30, 600, 200)
+    for room, height, count in (
+        (Rect(0, 40, 800, 640), 15, 1), (Rect(0, 60, 1280, 700), 90, 2), (low, 12, 2),
+    ):  # fmt: skip
+        panel = messages.keys(lines, room, height)
+        (size,) = {size for _, size in drawn}
+        blocks = [block for block, _ in drawn]
+        assert len(blocks) == count and sum(blocks, ()) == lines and panel.words.endswith(lines[-1])
+        assert fits(blocks, size, room)
+        for others in [lines], [lines[:half], lines[half:]]:
+            assert size == height or not fits(others, size + 1, room)
         drawn.clear()
+    room = Rect(0, 25, 320, 190)
+    panel = messages.keys(lines, room, 12)
+    ((block, size),) = drawn
+    assert fits([block], size, room) and len(block) > 10 and "larger window" in block[-1]
+    assert panel.words == "\n".join(block)
 
 
 def test_a_notice_is_told_in_windows_of_any_size():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import replace
 from functools import lru_cache
 
@@ -20,20 +21,58 @@ SMALLEST = 8  # pixels of text that is shrunk to fit
 def keys(lines: tuple[str, ...], room: Rect, height: int) -> Panel:
     """The list of keys, "key<tab>action", in the middle of the world's room.
 
-    height: of the text, pixels; less where the list would not fit.
+    height: of the text, pixels; less where the list would not fit, in one block or in two beside
+    each other: whichever is easier to read. Where neither fits, its end says that there is more.
     """
-    while height > SMALLEST:
-        wide, tall = text.extent(lines, height)
-        if wide <= room.width and tall <= room.height:
-            break
-        height -= 1
-    pixels = text.rasterise(lines, height, paper=style.PAPER, inks=(style.KEY_INK, style.INK))
+    blocks = max(([lines], _halved(lines)), key=lambda blocks: _fitting(blocks, room, height))
+    fitting = _fitting(blocks, room, height)
+    if not fitting:
+        fitting, lines = SMALLEST, _begun(lines, room)
+        blocks = [lines]
+    tall = max(text.extent(block, fitting)[1] for block in blocks)
+    inks = style.KEY_INK, style.INK
+    drawn = [text.rasterise(block, fitting, paper=style.PAPER, inks=inks) for block in blocks]
+    pixels = np.full((tall, sum(one.shape[1] for one in drawn), 3), style.PAPER, np.uint8)
+    x = 0
+    for one in drawn:
+        pixels[: len(one), x : x + one.shape[1]] = one
+        x += one.shape[1]
     for border in (pixels[:1], pixels[-1:], pixels[:, :1], pixels[:, -1:]):
         border[:] = style.WALL
     pixels = pixels[: room.height, : room.width]
     left = room.x + (room.width - pixels.shape[1]) // 2
     top = room.y + (room.height - pixels.shape[0]) // 2
     return Panel(left, top, Tile(pixels), "\n".join(lines))
+
+
+Blocks = list[tuple[str, ...]]  # lines, in columns beside each other
+
+
+def _halved(lines: tuple[str, ...]) -> Blocks:
+    half = (len(lines) + 1) // 2
+    return [lines[:half], lines[half:]]
+
+
+def _fitting(blocks: Blocks, room: Rect, height: int) -> int:
+    """The height of text, at most `height`, at which blocks fit into a room; 0: at none."""
+
+    def fits(size: int) -> bool:
+        wide, tall = zip(*(text.extent(block, size) for block in blocks), strict=True)
+        return bool(sum(wide) <= room.width and max(tall) <= room.height)
+
+    sizes = range(height, SMALLEST - 1, -1)
+    found = bisect_left(sizes, True, key=fits)  # not one by one: large text takes long to measure
+    return sizes[found] if found < len(sizes) else 0
+
+
+def _begun(lines: tuple[str, ...], room: Rect) -> tuple[str, ...]:
+    """As many lines of the smallest text as a room holds, and one that says that there are more."""
+    count = len(lines)
+    while count > 1 and text.extent(lines[:count], SMALLEST)[1] > room.height:
+        count -= 1
+    if count == len(lines):
+        return lines
+    return *lines[: count - 1], f"{text.ELLIPSIS}\tmore in a larger window"
 
 
 def legends(rows: list[Meanings], room: Rect, height: int) -> tuple[Panel, ...]:
