@@ -244,6 +244,20 @@ def test_a_panel_that_is_too_long_is_scrolled_and_draws_inside(sim):
     assert "method" in first.words and "method" not in last.words and "fracture" in last.words
 
 
+def test_a_panel_that_fits_again_is_scrolled_back(sim):
+    """A list was scrolled and closed, or the window is higher: there is no bar to scroll it by."""
+    hands = Hands(sim)
+    hands.panel._unfold("method")
+    tall = Rect(0, 0, 250, hands.panel._whole() + hands.panel._foot - 20)
+    for low, end in (tall, lambda: hands.keys("escape")), (Rect(0, 0, 250, 200), lambda: None):
+        hands.panel.focused = True
+        hands.panel.take(Event("wheel", pos=(5, 5), delta=-100), low, HEIGHT)
+        assert "scene \u2039" not in hands.panel.panel(low, HEIGHT).words
+        end()
+        again = hands.panel.panel(tall, HEIGHT)
+        assert "scene \u2039" in again.words and "fracture" in again.words
+
+
 def test_a_drag_on_the_timeline_goes_through_its_frames(sim):
     gone = []
     timeline = Timeline(sim, Controls(sim, None, (800, 600)), None)

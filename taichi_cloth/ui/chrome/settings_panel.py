@@ -96,6 +96,7 @@ class SettingsPanel:
         note = self._note()
         lines = [_lines(words, rect.width - 2 * rows.pad(height), height) for words in note]
         self._foot = round((1.3 * max(sum(map(len, lines)), FOOT) + 0.8) * height)
+        self._scroll(0, rect)  # of what was there before a list was closed, less may be left
         state = (rect, height, tuple(self._rows), note, self._chosen, self._typed, self._first)
         if self._drawn is None or self._drawn[0] != state:
             self._drawn = state, self._anew(rect, height, note, lines)
