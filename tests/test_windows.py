@@ -419,6 +419,21 @@ def test_help_hide_and_quit():
     assert "this list" not in words(view.pictures[3])  # escape has closed it
 
 
+def test_a_click_on_the_key_list_closes_it_and_is_for_nothing_behind_it(tmp_path):
+    sim, help_, click = simulation("spawn"), press(key="f1"), press("left", (450, 250))
+    beside, film = press("left", (880, 250)), press(key="v")
+    view = Script([help_], [beside], [click], [click], [], size=(900, 500))
+    app.run(sim, view, device="test")
+    listed = ["this list" in words(picture) for picture in view.pictures]
+    assert listed == [False, True, True, False, False]
+    assert len(calls(sim, "spawn")) == 1 and "outside" not in words(view.pictures[-1])
+    # A film has no list in it, and its clicks are the world's.
+    view = Script([help_], [film], [click], [], [], size=(900, 500))
+    view.grab = lambda: np.zeros((500, 900, 3), np.uint8)
+    app.run(sim, view, pictures=str(tmp_path), quiet=True, device="test")
+    assert len(calls(sim, "spawn")) == 2
+
+
 def test_strain_has_colours_only_where_there_are_springs():
     place = [[100.0, 100.0], [200.0, 100.0]]
     tied = Scene("tied", world("blow"), Particles.build(place), Springs.build([(0, 1)], place))

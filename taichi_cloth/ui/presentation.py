@@ -16,7 +16,7 @@ from taichi_cloth.ui import hud
 from taichi_cloth.ui.chrome import messages
 from taichi_cloth.ui.chrome.chrome import Chrome, Contents
 from taichi_cloth.ui.chrome.contract import Part
-from taichi_cloth.ui.chrome.layout import Layout
+from taichi_cloth.ui.chrome.layout import Layout, Rect
 from taichi_cloth.ui.chrome.meters import Meters
 from taichi_cloth.ui.chrome.timeline_row import TimelineRow
 from taichi_cloth.ui.chrome.toolbar import Button
@@ -116,8 +116,12 @@ class Presentation:
 
     def take(self, event: Event) -> Event | None:
         """What an event means that may be for what is around the world; None: nothing more."""
-        if self._show_help and event.kind == "press" and COMMANDS.get(event.key or "") == "quit":
-            return event  # it closes the key list, which lies over all else
+        if self._lists_keys and event.kind == "press":
+            if COMMANDS.get(event.key or "") == "quit":
+                return event  # it closes the key list, which lies over all else
+            if event.pos is not None and self._key_list(self.arranged()).holds(event.pos):
+                self._show_help = False  # what is behind it was not meant
+                return None
         return self.chrome.take(event, self.arranged(), self._buttons)
 
     def obey(self, command: str) -> bool:
@@ -147,9 +151,26 @@ class Presentation:
             return False
         return True
 
+    @property
+    def _lists_keys(self) -> bool:
+        """Whether the key list is seen; a film that is being made leaves it out."""
+        filmed = self._takes.shutter.state is not None and not self._state.stopped
+        return self._show_help and not filmed
+
+    def _keys(self) -> tuple[str, ...]:
+        """The lines of the key list."""
+        tool, saves = self._controls.tool, self._saves
+        return hud.help_lines(self._sim.scene, self._view.has_wheel, tool, saves=saves)
+
+    def _key_list(self, layout: Layout) -> Rect:
+        """Where the key list is."""
+        panel = messages.keys(self._keys(), layout.world, layout.text)
+        tall, wide = panel.tile.pixels.shape[:2]
+        return Rect(panel.x, panel.y, wide, tall)
+
     def close_last(self) -> bool:
         """Close the key list, or what was opened last around the world; whether any was open."""
-        if self._show_help:
+        if self._lists_keys:
             self._show_help = False
             return True
         return self.chrome.close_last(self.arranged())
@@ -236,7 +257,7 @@ class Presentation:
             if self.why.finding is not None and self.chrome.is_open(self.why.name):
                 banner = f"Stopped: {self.why.finding.title}"
         if self._show_help:
-            keys = hud.help_lines(sim.scene, self._view.has_wheel, tool, saves=self._saves)
+            keys = self._keys()
         opens = self.chrome.buttons()
         self._buttons = hud.buttons(
             sim.scene, tool, opens, paused=state.paused, strain=self.depiction.strain,
