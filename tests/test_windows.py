@@ -281,6 +281,22 @@ def test_a_click_outside_the_world_is_said_and_ignored():
     assert calls(sim, "spawn") and tools.notice is None
 
 
+def test_the_pin_tool_marks_what_is_pinned():
+    """Where surfaces are drawn, nothing else would show that a click pinned something."""
+    place = [[100.0, 100.0, 0.0], [200.0, 100.0, 0.0], [300.0, 90.0, 10.0]]
+    sim = FakeSimulation(Scene("fake", world("none", 3), Particles.build(place)))
+    controls = Controls(sim, Camera((600, 400, 500)), (600, 400))
+    pinned = np.array([True, False, True])
+    sim.fixed = lambda: pinned
+    assert controls.marks() is None
+    controls.choose("pin")
+    marks = controls.marks()
+    assert marks.on.tolist() == [0, 2] and (marks.radius > 0).all() and len(marks.segments) == 0
+    np.testing.assert_array_equal(marks.position, np.array(place)[pinned])
+    pinned[:] = False
+    assert controls.marks() is None
+
+
 @pytest.mark.parametrize("mouse", ["none", "blow", "spawn"])
 def test_every_scene_lists_its_keys(mouse):
     for dim in (2, 3):

@@ -10,10 +10,12 @@ import numpy as np
 from taichi_cloth.files.events import indices
 from taichi_cloth.scene.model import FIXED_COLOR, PARTICLE_COLOR, Scene
 from taichi_cloth.ui.inputs import Event
-from taichi_cloth.ui.tools.contract import Events, Hand, LoggedEvent, Tool, ToolEvent
+from taichi_cloth.ui.tools.contract import Events, Hand, LoggedEvent, Marks, Tool, ToolEvent
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
+
+COLOR = (255, 203, 107)
 
 
 def _actions(scene: Scene) -> tuple[str, ...]:
@@ -29,6 +31,16 @@ def _press(hand: Hand, memory: None, event: Event) -> Events:
     if particle is None:
         return None
     return [ToolEvent("unpin" if hand.sim.fixed()[particle] else "pin", {"particle": particle})]
+
+
+def _draw(hand: Hand, memory: None) -> Marks | None:
+    """A dot at each particle that is pinned: where a surface is drawn, nothing else is grey."""
+    pinned = np.flatnonzero(hand.sim.fixed())
+    if len(pinned) == 0:
+        return None
+    radius, none = np.full(len(pinned), hand.dot()), np.zeros((0, 2), np.int64)
+    color = np.tile(np.array(COLOR, np.uint8), (len(pinned), 1))
+    return Marks(hand.sim.positions()[pinned], radius, color, none, on=pinned)
 
 
 def _pin(sim: Simulation, values: Mapping[str, Any]) -> None:
@@ -59,6 +71,7 @@ TOOL = Tool(
     hits=_hits,
     press=_press,
     prepare=None,
+    draw=_draw,
     events=(
         LoggedEvent("pin", {"particle": indices}, _pin),
         LoggedEvent("unpin", {"particle": indices}, _unpin),
