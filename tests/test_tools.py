@@ -69,7 +69,11 @@ class Hands(NullView):
     pictures = []
     turns = [
         [Event("move", pos=(300.0, 200.0)), Event("press", key="f1"), Event("press", key="7")],
-        [Event("press", pos=(310.0, 250.0), button="left")],
+        [  # a click on the key list is for the list
+            Event("press", key="f1"),
+            Event("press", pos=(310.0, 250.0), button="left"),
+            Event("press", key="f1"),
+        ],
         [Event("move", pos=(320.0, 200.0)), Event("press", key="7")],
         [Event("move", pos=(330.0, 200.0))],
         [Event("move", pos=(345.0, 210.0)), Event("press", pos=(310.0, 250.0), button="left")],
