@@ -29,7 +29,7 @@ from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.simulation.past import APART, Past, Settings
 from taichi_cloth.simulation.simulation import Simulation
-from taichi_cloth.ui import app
+from taichi_cloth.ui import app, hud
 from taichi_cloth.ui.inputs import Event
 
 pytestmark = pytest.mark.usefixtures("device")
@@ -283,11 +283,12 @@ def test_a_window_stays_and_goes_on_with_what_survives():
         def draw(self, picture):
             seen.append("\n".join(panel.words for panel in picture.overlay))
 
-    turns = [*[[]] * 60, press("left"), [], press("u"), *[[]] * 60]
+    turns = [*[[]] * 60, press("."), press("space"), press("left"), [], press("u"), *[[]] * 60]
     log = Log(by_frame={500: [Event("move", pos=(1.0, 1.0))]})
     view, examiner = Seen(scene.world, turns), Examining(sim, ["cloth"])
     app.run(sim, view, quiet=True, examiner=examiner, replay=log)
     assert any("Numerics: the step is too long" in words for words in seen)
+    assert sum(hud.STOPPED in words for words in seen) == 2  # until the key back
     assert sim.substeps > 1 and sim.dt == 1.9 and sim.frame > 40
     assert np.isfinite(sim.positions()).all() and sim.springs_alive().all()
     with pytest.raises(SimulationFailure):  # who quits at the panel is told as before

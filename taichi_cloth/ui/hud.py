@@ -32,6 +32,9 @@ HELD_UP = Word("threads wait for another program", style.WARN, 4)
 # Where no particle is in the picture.
 LOST = "nothing is in view: f frames what there is, r goes back to the start"
 
+# Where the run has failed, and keys ask for a frame more.
+STOPPED = "no frame follows here: r begins anew, left goes back, to go on from there"
+
 
 class Meter:
     """Measures frames: how long they take to simulate and to draw, and how many a second."""

@@ -250,6 +250,8 @@ class Loop:
         if self._travel is None or not self._travel.timeline.frames:
             return
         self.state.frames = self._travel.go(frame)
+        if self.state.failure is not None:
+            self._controls.tell(None)
         self.state.paused, self.state.failure = True, None
         self._shown.meter.interrupt()
 
@@ -336,6 +338,8 @@ class Loop:
         elif command == "pause" and state.failure is None:
             state.paused = not state.paused
             self._shown.meter.interrupt()
+        elif command in ("pause", "step") and state.failure is not None:
+            self._controls.tell(hud.STOPPED)
         elif command == "step" and self._travel and self._travel.away:
             self._go_to(state.frames + 1)
         elif command == "step":
