@@ -450,6 +450,17 @@ def test_a_click_on_the_key_list_closes_it_and_is_for_nothing_behind_it(tmp_path
     assert len(calls(sim, "spawn")) == 2
 
 
+def test_the_ring_around_the_pointer_is_not_drawn_over_the_key_list():
+    over, beside, help_ = (
+        Event("move", pos=(450, 250)),
+        Event("move", pos=(880, 250)),
+        press(key="f1"),
+    )
+    view = Script([over], [help_], [beside], [], size=(900, 500))
+    app.run(simulation("blow"), view, device="test")
+    assert [one.pointer is not None for one in view.pictures[1:]] == [True, False, True]
+
+
 def test_strain_has_colours_only_where_there_are_springs():
     place = [[100.0, 100.0], [200.0, 100.0]]
     tied = Scene("tied", world("blow"), Particles.build(place), Springs.build([(0, 1)], place))
@@ -754,7 +765,8 @@ def test_a_key_list_is_drawn_once_in_the_largest_letters_that_fit(monkeypatch):
 
     def fits(blocks, height, room):
         wide, tall = zip(*(text.extent(block, height) for block in blocks), strict=True)
-        return sum(wide) <= room.width and max(tall) <= room.height
+        gap = height * (len(blocks) - 1)
+        return sum(wide) + gap <= room.width and max(tall) <= room.height
 
     monkeypatch.setattr(text, "rasterise", noted)
     low = Rect(0, 30, 600, 200)

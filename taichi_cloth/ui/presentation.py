@@ -314,6 +314,8 @@ class Presentation:
         if place is None:
             return None
         place, ring = self._window.shown(place), self._controls.ring()
+        if self._lists_keys and self._key_list(self.arranged()).holds((place[0], place[1])):
+            ring = None  # it would lie over the words
         if ring is not None:
             nearness = camera.focal_length / camera.distance if camera else 1.0
             ring *= self._window.here.scale * nearness

@@ -32,11 +32,13 @@ def keys(lines: tuple[str, ...], room: Rect, height: int) -> Panel:
     tall = max(text.extent(block, fitting)[1] for block in blocks)
     inks = style.KEY_INK, style.INK
     drawn = [text.rasterise(block, fitting, paper=style.PAPER, inks=inks) for block in blocks]
-    pixels = np.full((tall, sum(one.shape[1] for one in drawn), 3), style.PAPER, np.uint8)
+    gap = _gap(blocks, fitting)
+    wide = sum(one.shape[1] for one in drawn) + gap
+    pixels = np.full((tall, wide, 3), style.PAPER, np.uint8)
     x = 0
     for one in drawn:
         pixels[: len(one), x : x + one.shape[1]] = one
-        x += one.shape[1]
+        x += one.shape[1] + gap
     for border in (pixels[:1], pixels[-1:], pixels[:, :1], pixels[:, -1:]):
         border[:] = style.WALL
     pixels = pixels[: room.height, : room.width]
@@ -53,12 +55,17 @@ def _halved(lines: tuple[str, ...]) -> Blocks:
     return [lines[:half], lines[half:]]
 
 
+def _gap(blocks: Blocks, height: int) -> int:
+    """Pixels between two blocks."""
+    return height if len(blocks) > 1 else 0
+
+
 def _fitting(blocks: Blocks, room: Rect, height: int) -> int:
     """The height of text, at most `height`, at which blocks fit into a room; 0: at none."""
 
     def fits(size: int) -> bool:
         wide, tall = zip(*(text.extent(block, size) for block in blocks), strict=True)
-        return bool(sum(wide) <= room.width and max(tall) <= room.height)
+        return bool(sum(wide) + _gap(blocks, size) <= room.width and max(tall) <= room.height)
 
     sizes = range(height, SMALLEST - 1, -1)
     found = bisect_left(sizes, True, key=fits)  # not one by one: large text takes long to measure
