@@ -179,7 +179,7 @@ class SettingCosts:
         if longest == 0:
             return Beside("unstable", said, used)
         return Beside(
-            f"lim {_percent(used)}",
+            _limit(used),
             f"a step of {sim.dt / sim.substeps:.3g} is {_percent(used)} of the longest stable one, "
             f"{longest:.3g}",
             used,
@@ -232,7 +232,7 @@ class SettingCosts:
             return Beside("unstable", f"{rate}: {sim.method} grows at every step", math.inf)
         needs = max(1, math.ceil(sim.dt / longest * (1 - 1e-9)))
         said = f"{rate}: it alone needs {counted(needs, 'substep')}"
-        return Beside(f"lim {_percent(step / longest)}", said, step / longest)
+        return Beside(_limit(step / longest), said, step / longest)
 
     # --- the stable step ---------------------------------------------------------------------
 
@@ -271,3 +271,10 @@ def _time(cost: FrameCost) -> str:
 
 def _percent(part: float) -> str:
     return f"{100 * part:.0f} %" if part < 99.5 else ">9999 %"
+
+
+def _limit(part: float) -> str:
+    """The part of the longest stable step, in the few letters that the column of costs has."""
+    if part < 9.995:
+        return f"lim {100 * part:.0f} %"
+    return f"lim {part:.0f}x" if part < 999.5 else "lim >999x"
