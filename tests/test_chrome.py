@@ -20,6 +20,7 @@ from taichi_cloth.ui.chrome.chrome import Chrome
 from taichi_cloth.ui.chrome.layout import Parts, Rect, arrange
 from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
 from taichi_cloth.ui.chrome.timeline_row import TimelineRow
+from taichi_cloth.ui.chrome.why import Finding, Why
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.scenes import Scenes
@@ -205,6 +206,34 @@ def test_nothing_written_in_the_panel_is_cut_or_meets_something_else(sim, size):
             assert text.length(placed.row.cost, height) <= end - first
             words = "" if placed.under else placed.words
             assert label_end(placed, height) < settings_rows.value_start(words, rect.width, height)
+
+
+def test_a_step_of_any_length_leaves_its_cost_room_in_the_panel(sim):
+    hands, said = Hands(sim), set()
+    for dt in (9.0, 90.0, 1e9):
+        hands.press(hands.place("dt"))
+        hands.release()
+        hands.keys(*f"{dt:g}".replace("+", ""), "return")
+        hands.look()
+        first, end = settings_rows.cost_column(RECT.width, HEIGHT)
+        (row,) = (one.row for one in hands.panel._rows if one.row.name == "dt")
+        assert text.length(row.cost, HEIGHT) <= end - first
+        said.add(row.cost)
+    assert len(said) == 3 and "lim >999x" in said
+
+
+def test_what_to_do_about_a_failure_is_said_where_not_all_fits():
+    """The title stands in the banner, too, and the proof is the first that one can do without."""
+    words = [" ".join([name] * 14) for name in ("title", "cause", "proof", "remedy")]
+    finding = Finding(words[0], words[1], words[2], True, words[3], {"substeps": 7})
+    for tall, absent in ((600, set()), (280, {"proof"}), (215, {"proof", "title"})):
+        why = Why()
+        why.finding = finding
+        said = why.panel(Rect(0, 0, 200, tall), HEIGHT).words
+        assert {
+            name for name in ("title", "cause", "proof", "remedy") if name not in said
+        } == absent
+        assert "u: go on" in said and "begin anew" in said
 
 
 def test_a_long_name_of_a_scene_is_shortened_in_the_panel(sim, monkeypatch):

@@ -24,6 +24,7 @@ from taichi_cloth.ui.tiles import Panel, Tile
 APPLY_KEY = "u"
 NOTHING = "nothing has failed: here stands why a run stopped, and with which setting it survives"
 TALL = 5.0  # of a graph, in heights of text
+TOP, PAD, STEP, GAP = 0.6, 0.7, 1.25, 0.35  # around lines, from one to the next, below a paragraph
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def _panel(finding: Finding | None, rect: Rect, height: int) -> Panel:
     pixels[:] = style.PAPER
     pixels[:, :1] = style.WALL
     said: list[str] = []
-    y = _write(pixels, _lines(finding), 0.6 * height, height, said)
+    y = _write(pixels, _fitting(finding, rect, height), TOP * height, height, said)
     if finding is not None and len(np.unique(finding.time)) > 1:
         limit = [] if finding.limit is None else [Line(finding.limit, style.BAD)]
         beside = "" if finding.limit is None else f", stable up to {finding.limit:.3g}"
@@ -117,18 +118,34 @@ def _lines(finding: Finding | None) -> list[tuple[str, Color]]:
     return [*lines, ("left, right: the frames before", style.MUTED), ("r: begin anew", style.MUTED)]
 
 
+def _fitting(finding: Finding | None, rect: Rect, height: int) -> list[tuple[str, Color]]:
+    """The lines; where not all fit, what to do goes before the proof, and before the title, which
+    stands in the banner, too.
+    """
+    lines = _lines(finding)
+    for least in () if finding is None else (finding.proof, finding.title):
+        tall = sum(STEP * len(_wrapped(words, rect.width, height)) + GAP for words, _ in lines)
+        if (TOP + tall) * height <= rect.height:
+            break
+        lines = [line for line in lines if line[0] != least]
+    return lines
+
+
+def _wrapped(words: str, width: int, height: int) -> list[str]:
+    return text.wrapped(words, round(width - 2 * PAD * height), height)
+
+
 def _write(
     pixels: np.ndarray, lines: list[tuple[str, Color]], y: float, height: int, said: list[str]
 ) -> float:
     """Write paragraphs from y on, as far as there is room; returns where they end."""
-    pad = 0.7 * height
     for words, color in lines:
-        for part in text.wrapped(words, round(pixels.shape[1] - 2 * pad), height):
+        for part in _wrapped(words, pixels.shape[1], height):
             if y + height < pixels.shape[0]:
-                text.write(pixels, part, (pad, y), height, color)
+                text.write(pixels, part, (PAD * height, y), height, color)
                 said.append(part)
-            y += 1.25 * height
-        y += 0.35 * height
+            y += STEP * height
+        y += GAP * height
     return y
 
 
