@@ -216,6 +216,22 @@ def test_a_trajectory_does_not_go_on_without_particles(pool, tmp_path):
     trajectory.discard()
 
 
+def test_what_is_read_is_a_copy(pool):
+    """What a program writes into it changes neither the run nor the scene that it was given."""
+    scene = cloth()
+    sim = pool(scene.with_parts(triangles=np.array([[0, 1, 8]])))
+    sim.advance()
+    reads = (
+        *(sim.positions, sim.velocities, sim.forces, sim.radii, sim.colors, sim.fixed),
+        *(sim.springs, sim.springs_alive, sim.triangles, sim.triangles_alive, sim.momentum),
+    )
+    for read in reads:
+        had, mine = read(), read()
+        mine[:] = 1 - mine if mine.dtype != bool else ~mine
+        np.testing.assert_array_equal(read(), had, err_msg=read.__name__)
+    assert sim.scene.particles.radius[0] == cloth().particles.radius[0]
+
+
 REFUSED = [
     (lambda sim: sim.hold(np.ones((3, 2))), r"hold: force must have shape \(48, 2\)"),
     (lambda sim: sim.hold(np.full((48, 2), np.nan)), r"hold: force must be finite, is nan at \[0"),

@@ -67,19 +67,23 @@ class Readings(Part):
 
     def radii(self) -> np.ndarray:
         """Radii, (n,)."""
-        return self.storage.scene.particles.radius
+        radii: np.ndarray = self.storage.scene.particles.radius.copy()
+        return radii
 
     def colors(self) -> np.ndarray:
         """Colours, (n, 3) uint8."""
-        return self.storage.scene.particles.color
+        colors: np.ndarray = self.storage.scene.particles.color.copy()
+        return colors
 
     def fixed(self) -> np.ndarray:
         """Which particles are held, (n,) bool."""
-        return self.storage.scene.particles.fixed
+        fixed: np.ndarray = self.storage.scene.particles.fixed.copy()
+        return fixed
 
     def springs(self) -> np.ndarray:
         """The particles each spring ties, (s, 2), broken springs included."""
-        return self.storage.scene.springs.between
+        springs: np.ndarray = self.storage.scene.springs.between.copy()
+        return springs
 
     def springs_alive(self) -> np.ndarray:
         """Which springs hold, (s,) bool: those whose force has not exceeded their break force."""
@@ -87,7 +91,8 @@ class Readings(Part):
 
     def triangles(self) -> np.ndarray:
         """The particles at the corners of each triangle, (m, 3), torn ones included."""
-        return self.storage.scene.triangles
+        triangles: np.ndarray = self.storage.scene.triangles.copy()
+        return triangles
 
     def triangles_alive(self) -> np.ndarray:
         """Which triangles are whole, (m,) bool: all springs along their sides hold."""

@@ -70,18 +70,20 @@ class Depiction:
         )
         position = sim.drawn_positions() if part >= 1 else between.positions(sim, part)
         spring_color: tuple[int, int, int] | np.ndarray | None = sim.scene.spring_color
-        color = sim.colors()
+        # As they are stored, the same arrays until they change; `Simulation` gives copies.
+        stored = sim.storage.scene.particles
+        color = stored.color
         if self.strain:
             spring_color, color = self.strained.colors(position, segments, sim.particle_count)
             surface_color = color
         else:
-            surface_color = self._surface_colors(sim.colors(), sim.fixed(), sim.triangles())
+            surface_color = self._surface_colors(color, stored.fixed, sim.storage.scene.triangles)
         normals = None
         if len(triangles) and sim.scene.world.dim == 3:
             normals = sim.drawn_normals() if part >= 1 else between.normals(sim, part)
         made = Picture(
             position=position,
-            radius=self._radius(sim.radii(), self._largest_disc),
+            radius=self._radius(stored.radius, self._largest_disc),
             color=color,
             segments=segments,
             spring_color=spring_color,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,9 @@ class Archive:
         self._frames: list[Frame] = []
 
     def add(self, frame: Frame) -> None:
+        if self._frames:  # the last frame's tables are written: no other keeps its own
+            last = self._frames[-1]
+            self._frames[-1] = replace(last, triangles=frame.triangles, springs=frame.springs)
         self._frames.append(frame)
 
     def restart(self) -> None:
