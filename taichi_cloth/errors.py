@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
 
 
 class InputError(ValueError):
@@ -43,6 +44,11 @@ class SimulationFailure(RunFailure):
         self.particle, self.frame = particle, frame
         self.what, self.cause, self.remedy = what, cause, remedy
         super().__init__(self._line("likely cause"))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How it is pickled, as by pools of processes: by its parts, since it is made of these."""
+        parts = (self.particle, self.frame, self.what, self.cause, self.remedy)
+        return type(self), parts, vars(self) | {"args": self.args}
 
     def explain(self, cause: str, remedy: str) -> None:
         """Have it say what a post-mortem found."""

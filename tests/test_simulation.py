@@ -1,6 +1,7 @@
 """Spawning, growth, fracture, the pointer, the two paths, the watchdog."""
 
 import gc
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -354,6 +355,18 @@ def test_watchdog_names_particle_frame_and_cause_and_keeps_the_last_good_frame(p
     with pytest.raises(SimulationFailure) as second:
         sim.advance()
     assert (second.value.particle, second.value.frame) == (error.particle, error.frame)
+
+
+def test_a_failure_goes_from_process_to_process():
+    """As an exception of a worker does: one that could not be made again broke the whole pool."""
+    failure = SimulationFailure(3, 7, "runs away", "steps too long", "more --substeps")
+    for explained in (False, True):
+        if explained:
+            failure.explain("springs too stiff", "softer springs")
+        there = pickle.loads(pickle.dumps(failure))
+        assert type(there) is SimulationFailure
+        assert str(there) == str(failure)
+        assert vars(there) == vars(failure)
 
 
 def test_watchdog_sees_a_nan_at_once(pool):
