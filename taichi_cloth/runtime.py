@@ -139,7 +139,8 @@ def start(
 
     threads: CPU worker threads, all cores when absent. fast_math: by default on in f32 and off
     in f64, the reference precision, and in compensated sums, which it would undo. cache: whether
-    kernels compiled by earlier processes are used. Fields of an earlier start are gone.
+    kernels compiled by earlier processes are used. Fields of an earlier start are gone, and so are
+    the simulations that were made on it: their methods raise InputError.
 
     Raises InputError where the backend or precision is unknown or not usable here (it is never
     replaced by another one), and for compensated sums with fast_math.

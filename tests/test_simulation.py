@@ -9,6 +9,7 @@ import pytest
 from inside import fields_of, room_for_clicks, state_of
 from selection import as_thorough, mostly_thorough
 
+from taichi_cloth import runtime
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.kernels.forces.blow import REACH, STRENGTH
 from taichi_cloth.kernels.state import State
@@ -22,6 +23,7 @@ from taichi_cloth.scene.model import (
     World,
 )
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.ui.showing import picture
 
 pytestmark = pytest.mark.usefixtures("device", "few_lanes")
 
@@ -420,3 +422,21 @@ def test_a_simulation_that_is_gone_gives_its_fields_back(monkeypatch):
         del sim
         gc.collect()
         assert len(freed) == gone + 1
+
+
+def test_a_simulation_of_an_earlier_start_is_refused(device, monkeypatch):
+    """Its memory is another's by then: to read it, or write to it, ended the process."""
+    scene = build("oscillator")
+    sim = Simulation(scene, soon=True)
+    sim.advance()
+    calls = (
+        *(sim.advance, sim.reset, sim.positions, sim.forces, sim.energy, sim.checkpoint),
+        *(lambda: sim.set(mass=2.0), lambda: sim.set_method("verlet"), lambda: sim.set_step(0.5)),
+        *(lambda: sim.load_scene(scene), lambda: picture(sim)),
+    )
+    monkeypatch.setattr(runtime, "_device", replace(device))  # as another start leaves it
+    for call in calls:
+        with pytest.raises(InputError, match="'oscillator' is gone with the start of Taichi"):
+            call()
+    monkeypatch.undo()
+    sim.advance()

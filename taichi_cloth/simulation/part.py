@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from taichi_cloth.errors import InputError
 from taichi_cloth.kernels.methods.contract import Claims, Method
 from taichi_cloth.limits.network import Network
+from taichi_cloth.runtime import still_runs
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation import autotune, diagnostics
 from taichi_cloth.simulation.acts import Listener
@@ -50,13 +52,13 @@ class Part(ABC):
     speed_limit: float
     execution: str
     topology: str
-    storage: Storage
     held_up: tuple[float, float] | None
     aside: str
     listeners: tuple[Listener, ...] = ()
     past: Past | None
     _module: Method
     _launcher: Launcher
+    _storage: Storage
     _auto: AutoSubsteps | None
     _requested: tuple[str, str]
     _preferred: str
@@ -69,6 +71,24 @@ class Part(ABC):
     _counted: tuple[int, int]
     _first: int
     _unsettled: np.ndarray
+
+    @property
+    def storage(self) -> Storage:
+        """The state on the device, to look at.
+
+        InputError where Taichi was started anew since: its memory is another's by now, and to read
+        or write it would end the process.
+        """
+        if not still_runs(self._launcher.device):
+            raise InputError(
+                f"the simulation of '{self.scene.name}' is gone with the start of Taichi that it "
+                "was made on; make it anew after the last `start`"
+            )
+        return self._storage
+
+    @storage.setter
+    def storage(self, storage: Storage) -> None:
+        self._storage = storage
 
     @property
     @abstractmethod
