@@ -273,6 +273,13 @@ REFUSED = [
     (lambda sim: sim.add_spring(0, 0), "it ties particle 0 to itself"),
     (lambda sim: sim.add_spring(0, 9, stiffness=-1), "stiffness must not be negative"),
     (lambda sim: sim.scene.springs.select([99]), "Springs.select: must be a mask of 82"),
+    (lambda sim: sim.blow((1, 2), (1, 1), reach=1e-320), "blow: reach .* is so small that"),
+    (lambda sim: sim.grab([0], (1, 2, 3)), "grab: place must have 2 numbers"),
+    (lambda sim: sim.grab([0], (1, 2), stiffness=-1), "grab: stiffness must not be negative"),
+    (lambda sim: sim.begin_from(None, 1.0, 1), "begin_from: takes what `start` returned, not None"),
+    (lambda sim: sim.go_on_from([1]), r"go_on_from: takes a Simulation, not \[1\]"),
+    (lambda sim: sim.topology_of([]), "--method must be one of"),
+    (lambda sim: sim.obstacles("now"), "obstacles: time must be a number, is 'now'"),
 ]
 
 
@@ -280,10 +287,13 @@ def test_wrong_arguments_are_refused_in_one_line_and_change_nothing(pool):
     sim = pool(cloth())
     sim.advance(2)
     x, frame = sim.positions(), sim.frame
+    sim.grab([5], x[5])
+    had = sim.held()
     for call, message in REFUSED:
         with pytest.raises(InputError, match=message) as refused:
             call(sim)
         assert "\n" not in str(refused.value)
+        assert sim.held() is had
     sim.advance(np.int64(0))  # NumPy's whole numbers are whole numbers
     assert sim.frame == frame
     np.testing.assert_array_equal(sim.positions(), x)
@@ -301,6 +311,9 @@ def test_wrong_arguments_are_refused_in_one_line_and_change_nothing(pool):
         (lambda: Simulation(cloth(), lanes=12), "power of two, is 12; give 8 or 16"),
         (lambda: Simulation(cloth(), topology=None), "--topology must be one of"),
         (lambda: Simulation(cloth(), "vbd", iterations=2.5), "--iterations must be a whole"),
+        (lambda: Simulation(cloth(), compiling=1), "compiling must be a function, is 1"),
+        (lambda: Simulation(cloth(), soon=None), "soon must be True or False, is None"),
+        (lambda: Simulation(cloth(), lanes=np.ones(2)), "lanes must be a whole number"),
         (lambda: tc.validate(cloth().with_world(size=None)), "world: size must be a list of"),
         (lambda: tc.validate(cloth().with_world(dt=1j)), "world: dt must be a number, is 1j"),
         (lambda: tc.validate(cloth().with_world(dt=10**400)), "dt must be a finite number"),

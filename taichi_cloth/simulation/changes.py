@@ -165,19 +165,23 @@ class Changes(Part):
         of `limits.holding.strength` where absent. Where the step has no room for them, what is held
         weighs more meanwhile. Returns both, (m,) each.
         """
-        self.prepare_tools()
         count, dim = self.particle_count, self.scene.world.dim
         chosen = accepted.selection("grab: particles", particles, count, "particle")
         if len(chosen) == 0:
             raise InputError("grab: no particle to hold; give at least one")
         at = accepted.array("grab: place", place, (dim,), "one a dimension").copy()
-        pulls = list(self.hold_strength(chosen))
-        self.let_go()
+        given: dict[int, np.ndarray] = {}
         for which, (name, value) in enumerate((("stiffness", stiffness), ("damping", damping))):
             if value is not None:
                 numbers = accepted.numbers(f"grab: {name}", value)
                 accepted.require(f"grab: {name}", numbers, numbers >= 0, "must not be negative")
-                pulls[which] = accepted.fitted(f"grab: {name}", numbers, (len(chosen),), "held")
+                given[which] = accepted.fitted(f"grab: {name}", numbers, (len(chosen),), "held")
+        # Nothing is refused from here on: what is held stays held until then.
+        self.prepare_tools()
+        pulls = list(self.hold_strength(chosen))
+        self.let_go()
+        for which, numbers in given.items():
+            pulls[which] = numbers
         k, c = pulls
         offset = self.storage.positions()[chosen] - at
         mass = self.storage.scene.particles.mass[chosen]

@@ -92,6 +92,7 @@ class Engine(Part):
 
     def topology_of(self, method: str) -> str:
         """The topology that the run has under a method, or would have after `set_method`."""
+        accepted.word("--method", method, methods.METHODS)
         if method == self.method:
             return self.topology
         kept = self._kept(method)

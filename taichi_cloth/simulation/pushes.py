@@ -79,7 +79,12 @@ class Pushes(Part):
             particles = self.storage.scene.particles
             mass = particles.mass[~particles.fixed]
             mean = float(mass.mean()) if len(mass) else 1.0
-            numbers = [reach, blow.strength_of(reach, mean, self.dt)]
+            with np.errstate(all="ignore"):
+                strength = float(blow.strength_of(np.float64(reach), mean, self.dt))
+            if not strength <= np.finfo(self.storage.real).max:
+                says = f"blow: reach {reach:g} is so small that its force is beyond all numbers"
+                raise InputError(f"{says} of the precision; give a larger one")
+            numbers = [reach, strength]
         self.storage.push(np.concatenate([origin, direction, displacement, numbers]))
 
     def _check_blows(self) -> None:

@@ -8,6 +8,7 @@ from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.penetration import deepest, touches
 from taichi_cloth.scene.solids import Drawn, Inside, depths, inside_at_start, surface
 from taichi_cloth.scene.spheres import too_near
+from taichi_cloth.settings import accepted
 from taichi_cloth.simulation import diagnostics, sixteen
 from taichi_cloth.simulation.part import Part
 
@@ -140,7 +141,7 @@ class Readings(Part):
         Each has vertices (k, dim) and triangles (m, 3) to draw it by. Resting walls are left out.
         time: of the scene; None: now.
         """
-        time = self.time if time is None else time
+        time = self.time if time is None else accepted.number("obstacles: time", time)
         world, found = self.storage.scene.world, []
         extent = float(np.linalg.norm(world.size))
         for solid in self.storage.solids:

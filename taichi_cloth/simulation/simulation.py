@@ -98,8 +98,12 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         soon: bool = False,
     ) -> None:
         accepted.word("--method", method, methods.METHODS)
+        accounts_contacts = accepted.flag("accounts_contacts", accounts_contacts)
+        soon = accepted.flag("soon", soon)
+        if not (compiling is None or callable(compiling)):
+            raise InputError(f"compiling must be a function, is {accepted.shown(compiling)}")
         follows = isinstance(dt, str) and dt == "auto"
-        self._widens = lanes == "auto"
+        self._widens = isinstance(lanes, str) and lanes == "auto"
         if self._widens:
             lanes = None
         if lanes is not None:

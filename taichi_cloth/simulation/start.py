@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from taichi_cloth.errors import InputError
 from taichi_cloth.limits.precision import refuse_unholdable
 from taichi_cloth.runtime import current_device
+from taichi_cloth.settings import accepted
 from taichi_cloth.simulation.checkpoint import Checkpoints
 from taichi_cloth.simulation.numbers import checked_step, runaway_speed
 from taichi_cloth.simulation.part import Part
@@ -46,6 +49,10 @@ class Starts(Part):
 
         InputError where the device's precision cannot hold its numbers.
         """
+        given: Any = start
+        if not isinstance(given, Start):
+            says = f"begin_from: takes what `start` returned, not {accepted.shown(given)}"
+            raise InputError(says)
         scene = start.snapshot.scene
         step = checked_step(dt, substeps)
         refuse_unholdable(scene, current_device().precision)
@@ -61,6 +68,8 @@ class Starts(Part):
         `reset` then goes to where this one began, with what tools have switched on in the other's
         world for good. InputError where dt "auto" finds no step.
         """
+        if not isinstance(other, Starts):
+            raise InputError(f"go_on_from: takes a Simulation, not {accepted.shown(other)}")
         start, world = other.start(), other.scene.world
         if self._auto:
             self.substeps = self._auto.at_start(start.snapshot)
