@@ -62,10 +62,13 @@ class SimulationFailure(RunFailure):
         )
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
-    """'did you mean X?' for the known word most like `word`, else a list of the known ones."""
+def nearest(word: object, known: Iterable[str]) -> str:
+    """'did you mean X?' for the known word most like `word`, else a list of the known ones.
+
+    word: as it was given; a key of a mapping from Python may be no text.
+    """
     known = sorted(set(known))
-    close = difflib.get_close_matches(word[:100], known, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(str(word)[:100], known, n=1, cutoff=0.5)
     if close:
         return f"did you mean '{close[0]}'?"
     return f"known: {', '.join(known)}"

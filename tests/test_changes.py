@@ -325,6 +325,44 @@ def test_wrong_arguments_are_refused_in_one_line_and_change_nothing(pool):
         (lambda: tc.Springs.build([[0, 1.5]], [[1.0, 2.0]]), "between must be whole numbers"),
         (lambda: tc.grid((0, 0), 2.5, 3, 1.0), "grid: columns must be a whole number, is 2.5"),
         (lambda: tc.grid((0, 0), 2, 3, 1.0, links="shear"), "links must be a list of kinds"),
+        (lambda: tc.grid((0, 0), 2, 3, 1.0, links=np.ones(())), "links must be a list of kinds"),
+        (lambda: tc.grid((0, 0), 2, 3, 1.0, material=7), "grid: material must be a Material, is 7"),
+        (lambda: tc.grid((0, 0), 2, 3, 1.0, break_in=[]), "break_in of structural links must be a"),
+        (
+            lambda: tc.grid_stencils(3, 3, 1.0, 1.0, across=(1, 0), down=(2, 0)),
+            "across and down must not be parallel",
+        ),
+        (lambda: tc.grid_stencils(3, 3, 1.0, 1.0, across=1), "across and down must be 2 or 3"),
+        (
+            lambda: tc.Springs.build([[0, 1]], [[1, 2], [3, 4]], break_in=["both", "both"]),
+            r"break_in must be one .* for all springs, or an array of shape \(1,\)",
+        ),
+        (lambda: tc.Stencils.build([1, 0, 2], [1.0], 1.0), r"particle must have shape \(m, size\)"),
+        (lambda: tc.Stencils.build([[1, 0, 2]], [[1.0]], 1.0), r"weight must have shape \(1, 3\)"),
+        (
+            lambda: tc.mesh_stencils([[0, 0], [1, 0], [0, 1]], [[0, 1.5, 2]], 1.0),
+            "triangles must be whole numbers",
+        ),
+        (
+            lambda: tc.mesh_stencils([[0, 0], [1, 0], [0, 1]], [0, 1, 2], 1.0),
+            r"triangles must have shape \(t, 3\)",
+        ),
+        (lambda: tc.mesh("x.obj", up=0), "mesh: up must be 1 or -1, is 0"),
+        (lambda: tc.mesh("x.obj", parts=True), "mesh: parts must be a whole number"),
+        (lambda: tc.validate(cloth().with_world(size=np.ones(()))), "size must be a list of"),
+        (lambda: tc.validate(cloth().with_world(tools="all")), "tools must be True or False"),
+        (lambda: tc.validate(cloth().with_world(more={1: 2})), "unknown key 1; known: "),
+        (lambda: tc.validate(cloth().with_parts(spring_color=((1,), 2, 3))), "color must be three"),
+        (
+            lambda: tc.validate(
+                replace(cloth(), stencils=tc.Stencils(*[np.zeros(1, np.int64)] * 2, [1], [1]))
+            ),
+            "weight must be an array of numbers",
+        ),
+        (
+            lambda: tc.validate(cloth().with_parts(obstacles=(tc.Obstacle("plane", 3),))),
+            "values must be a mapping",
+        ),
         (lambda: tc.load_scene(None), "load_scene: path must be a path, is None"),
         (lambda: tc.load_events(5), "load_events: path must be a path, is 5"),
         (lambda: tc.load_trajectory(5), "a trajectory's path is no int"),
@@ -340,6 +378,13 @@ def test_public_functions_refuse_what_makes_no_sense(call, message):
     with pytest.raises(InputError, match=message) as refused:
         call()
     assert "\n" not in str(refused.value)
+
+
+def test_kinds_of_links_may_come_one_by_one():
+    """What can be gone through but once made a cloth without springs, and no word of it."""
+    kinds = ["structural", "shear"]
+    of_list, of_iterator = (tc.grid((0, 0), 3, 3, 1.0, links=of)[1] for of in (kinds, iter(kinds)))
+    np.testing.assert_array_equal(of_iterator.between, of_list.between)
 
 
 def test_clicks_find_room_and_kernels_ready():

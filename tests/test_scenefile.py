@@ -16,7 +16,7 @@ from taichi_cloth.kernels.obstacles.contract import COMMON
 from taichi_cloth.scene import library, obstacles, scenefile, tables
 from taichi_cloth.scene.assignments import read
 from taichi_cloth.scene.checks import validate
-from taichi_cloth.scene.cloth import grid
+from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.model import (
     FABRIC_COLOR,
     FIXED_COLOR,
@@ -29,9 +29,12 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
+from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.properties import BREAK_IN, PARTICLE_PROPERTIES, SPRING_PROPERTIES
+from taichi_cloth.scene.triangles import springs_of_sides
 from taichi_cloth.scene.world_keys import world_keys
 from taichi_cloth.simulation import editing
+from taichi_cloth.simulation.saved import digest
 from taichi_cloth.simulation.snapshot import Snapshot
 
 DOCUMENT = Path(__file__).parent.parent / "docs/scenes.md"
@@ -640,3 +643,43 @@ def test_the_document_has_every_key_with_the_unit_and_the_limits_that_are_declar
                 assert re.sub("must (be )?", "", about.rule.of_links) in says, place
             if isinstance(default := getattr(about, "default", None), float):
                 assert absent == f"{default:g}", place
+
+
+def test_a_scene_of_numpy_s_numbers_is_one_of_python_s():
+    """Its world and obstacles are compared, asked whether they are, and written as text; pairs of
+    narrow whole numbers would overflow where they are made one number."""
+    particles, springs = grid([0.1, 0.1, 0.0], 16, 12, 0.125, links=["structural", "shear"])
+    triangles = grid_triangles(16, 12)
+    air = {"density": 1.25, "drag": 1.0, "lift": 0.5}
+    plain = Scene(
+        "numbers",
+        World(
+            *((4.0, 4.0, 4.0), (0.0, -9.5, 0.0), 0.25, ("left", "right"), True, "blow", 0.0, 0.5),
+            *("resting", {"air": air}, "y"),
+        ),
+        *(particles, springs),
+        spring_color=(1, 2, 3),
+        triangles=triangles,
+        obstacles=(Obstacle("sphere", {"centre": (3.0, 3.0, 0.0), "radius": 0.5}),),
+    )
+    world, f = plain.world, np.float32
+    narrow = replace(
+        plain,
+        world=World(
+            *(np.array(world.size, f), np.array(world.gravity), f(0.25), np.array(world.walls)),
+            *(np.bool_(True), np.str_("blow"), f(0.0), f(0.5), np.str_("resting")),
+            *({"air": {name: f(value) for name, value in air.items()}}, np.str_("y"), np.False_),
+        ),
+        particles=replace(particles, radius=particles.radius.astype(f), color=particles.color + 0),
+        springs=replace(springs, between=springs.between.astype(np.uint8)),
+        spring_color=np.array([1, 2, 3]),
+        triangles=triangles.astype(np.uint8),
+        obstacles=(Obstacle("sphere", {"centre": np.array([3.0, 3.0, 0.0]), "radius": f(0.5)}),),
+    )
+    assert validate(narrow).world == world
+    assert narrow.obstacles == plain.obstacles
+    assert digest(narrow) == digest(plain)
+    assert scenefile.dump(narrow) == scenefile.dump(plain)
+    sides = springs_of_sides(narrow.triangles, narrow.springs.between)
+    np.testing.assert_array_equal(sides, springs_of_sides(triangles, springs.between))
+    assert narrow.particles.radius.dtype == np.float64

@@ -80,13 +80,13 @@ def validate(scene: Scene, place: Place = _plain_place) -> Scene:
                 refusal.check_number(kind, name, value, about.rule)
     _check_particles(scene.particles, scene.world, refusal)
     _check_springs(scene.springs, len(scene.particles), refusal)
-    if scene.obstacles:
-        _check_obstacles(scene, refusal)
+    _check_obstacles(scene, refusal)
     _check_triangles(scene.triangles, len(scene.particles), refusal)
     _check_stencils(scene.stencils, len(scene.particles), refusal)
     if scene.spring_color is not None:
-        color = np.asarray(scene.spring_color)
-        if color.shape != (3,) or color.dtype.kind not in "iu" or not ((color >> 8) == 0).all():
+        color: Any = scene.spring_color
+        listed = isinstance(color, tuple) and len(color) == 3
+        if not listed or not all(type(c) is int and 0 <= c <= 255 for c in color):
             text = "color must be three whole numbers from 0 to 255: red, green, blue"
             refusal.refuse("spring defaults", None, "color", text)
     return scene
@@ -184,12 +184,14 @@ def _check_types(scene: Scene, refusal: _Refusal) -> None:
     for of, table, whole in (
         ("particles", scene.particles, {"fixed": "b", "color": "iu"}),
         ("springs", scene.springs, {"between": "iu"}),
+        ("stencils", scene.stencils, {"start": "iu", "particle": "iu"}),
     ):
         for name, column in vars(table).items():
             words = getattr(SPRING_PROPERTIES.get(name), "words", ())
             kinds = "U" if words else whole.get(name, "iuf")
-            if not isinstance(column, np.ndarray) or column.dtype.kind not in kinds:
-                has = column.dtype if isinstance(column, np.ndarray) else accepted.shown(column)
+            listed = isinstance(column, np.ndarray) and column.ndim > 0
+            if not listed or column.dtype.kind not in kinds:
+                has = column.dtype if listed else accepted.shown(column)
                 says = {"b": "bool", "iu": "whole numbers", "U": "words"}.get(kinds, "numbers")
                 refusal.refuse(of, None, name, f"{name} must be an array of {says}, is {has}")
 
@@ -197,12 +199,13 @@ def _check_types(scene: Scene, refusal: _Refusal) -> None:
 def _check_world_types(world: World, refuse: Callable[[str, str], NoReturn]) -> None:
     for name in ("size", "gravity", "walls"):
         value = getattr(world, name)
-        if isinstance(value, (str, bytes)) or not isinstance(value, (Sequence, np.ndarray)):
+        if isinstance(value, (str, bytes)) or not isinstance(value, Sequence):
             of = "names" if name == "walls" else "numbers"
             refuse(name, f"{name} must be a list of {of}, is {accepted.shown(value)}")
-    collisions: Any = world.collisions
-    if not isinstance(collisions, (bool, np.bool_)):
-        refuse("collisions", f"collisions must be True or False, is {accepted.shown(collisions)}")
+    for name in ("collisions", "tools"):
+        if not isinstance(getattr(world, name), bool):
+            has = accepted.shown(getattr(world, name))
+            refuse(name, f"{name} must be True or False, is {has}")
     for name, word in (
         ("up", world.up),
         ("mouse", world.mouse),
@@ -305,6 +308,10 @@ def _check_particles(particles: Particles, world: World, refusal: _Refusal) -> N
             refusal.refuse("particles", None, name, text)
         refusal.check_shape("particle", name, values, shape)
     refusal.check_shape("particle", "fixed", particles.fixed, (n,))
+    if particles.color.dtype != np.uint8:
+        whole = "must be whole numbers from 0 to 255"
+        rule = Rule(whole, whole, lambda a: (a >= 0) & (a <= 255))
+        refusal.check_rows("particle", "color", particles.color, rule)
     for name, about in PARTICLE_PROPERTIES.items():
         refusal.check_shape("particle", name, getattr(particles, name), (n,))
         refusal.check_rows("particle", name, getattr(particles, name), about.rule)

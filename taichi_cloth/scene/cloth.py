@@ -77,19 +77,17 @@ def grid(
     start = accepted.numbers("grid: origin", origin)
     if start.shape not in ((2,), (3,)):
         raise InputError(f"grid: origin must be 2 or 3 numbers, has shape {start.shape}")
-    step_across = spacing * _direction("across", across, 0, len(start))
-    step_down = spacing * _direction("down", down, 1, len(start))
-    if np.linalg.matrix_rank(np.stack([step_across, step_down]), tol=1e-9 * spacing) < 2:
-        raise InputError("across and down must not be parallel")
+    step_across, step_down = (spacing * of for of in _directions(across, down, len(start)))
     fixed = np.zeros((rows, columns), bool)
     fixed[_pinned_rows_and_columns(pinned, columns, rows)] = True
+    links = _kinds(links)
     of_kinds = _values_by_kind(links, per_kind)
     defaults: Any = SpringDefaults() if spring_defaults is None else spring_defaults
     if not isinstance(defaults, SpringDefaults):
         shown = accepted.shown(defaults)
         raise InputError(f"grid: spring_defaults must be of type SpringDefaults, is {shown}")
 
-    of = Material() if material is None else material.checked(links, of_kinds)
+    of = Material.given("grid", material, links, of_kinds)
     if of != Material() and min(columns, rows) < 2:
         raise InputError("columns and rows: a cloth of a material needs at least two of both")
     row, column = np.divmod(np.arange(rows * columns), columns)
@@ -198,8 +196,12 @@ def grid_stencils(
     stiff = accepted.as_float(bending)
     if stiff is None or not (np.isfinite(stiff) and stiff >= 0):
         raise InputError(f"bending must be at least 0, is {accepted.shown(bending)}")
-    dim = next((len(given) for given in (across, down) if given is not None), 2)
-    cosine = _direction("across", across, 0, dim) @ _direction("down", down, 1, dim)
+    given = across if across is not None else down
+    dim = 2 if given is None else accepted.numbers(f"{what}: across, down", given).size
+    if dim not in (2, 3):
+        raise InputError(f"{what}: across and down must be 2 or 3 numbers, are {dim}")
+    along, beside = _directions(across, down, dim)
+    cosine = along @ beside
     apart = math.sqrt(max(1.0 - float(cosine) ** 2, 0.0))  # of rows, in spacings
     at = first + np.arange(rows * columns, dtype=np.int64).reshape(rows, columns)
     found = Stencils.none()
@@ -242,6 +244,11 @@ def _check_size(columns: int, rows: int, spacing: float) -> None:
         raise InputError(f"spacing must be positive and finite, is {spacing:g}")
 
 
+def _kinds(links: Any) -> list[Any]:
+    """The kinds of links as a list, which is gone through more than once."""
+    return accepted.listed("grid: links", links, "a list of kinds")
+
+
 def _values_by_kind(
     links: Sequence[str], per_kind: Mapping[str, Mapping[str, Any] | float | str | None]
 ) -> dict[str, Mapping[str, Any]]:
@@ -249,9 +256,6 @@ def _values_by_kind(
     for name in per_kind:
         if name not in SPRING_PROPERTIES:
             raise TypeError(f"grid() got an unexpected keyword argument '{name}'")
-    listed: Any = links
-    if isinstance(listed, str) or not isinstance(listed, Iterable):
-        raise InputError(f"grid: links must be a list of kinds, is {accepted.shown(listed)}")
     of_kinds: dict[str, Mapping[str, Any]] = {}
     for name in SPRING_PROPERTIES:
         given = per_kind.get(name)
@@ -273,6 +277,10 @@ def _values_by_kind(
 def _of_kinds(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """A property's values by kind of link, numbers as floats; None stands for what is absent."""
     if SPRING_PROPERTIES[name].words:
+        for kind, value in given.items():
+            if not (value is None or isinstance(value, str)):
+                shown = accepted.shown(value)
+                raise InputError(f"grid: {name} of {kind} links must be a word, is {shown}")
         return dict(given)
     numbers = {kind: accepted.as_float(value) for kind, value in given.items()}
     for kind, value in given.items():
@@ -280,6 +288,16 @@ def _of_kinds(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
             shown = accepted.shown(value)
             raise InputError(f"grid: {name} of {kind} links must be a number, is {shown}")
     return numbers
+
+
+def _directions(
+    across: Sequence[float] | None, down: Sequence[float] | None, dim: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The directions of a row and of a column at length 1, (dim,) each, which are not parallel."""
+    along, beside = _direction("across", across, 0, dim), _direction("down", down, 1, dim)
+    if np.linalg.matrix_rank(np.stack([along, beside]), tol=1e-9) < 2:
+        raise InputError("across and down must not be parallel")
+    return along, beside
 
 
 def _direction(name: str, vector: Sequence[float] | None, axis: int, dim: int) -> np.ndarray:
@@ -300,11 +318,7 @@ def _direction(name: str, vector: Sequence[float] | None, axis: int, dim: int) -
 def _pinned_rows_and_columns(
     pinned: Iterable[Sequence[int]], columns: int, rows: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    try:
-        listed = list(pinned)
-    except TypeError:
-        must = "must be a list of pairs (column, row)"
-        raise InputError(f"grid: pinned {must}, is {accepted.shown(pinned)}") from None
+    listed = accepted.listed("grid: pinned", pinned, "a list of pairs (column, row)")
     pairs = accepted.pairs("grid: pinned", listed)
     column, row = pairs.T
     inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)

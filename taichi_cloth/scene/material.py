@@ -50,6 +50,20 @@ class Material:
     damping_time: float | None = None
     strength: float | None = None
 
+    @classmethod
+    def given(
+        cls,
+        what: str,
+        material: Material | None,
+        links: Collection[str],
+        given: Mapping[str, Mapping[str, Any]],
+    ) -> Material:
+        """What was given as the material of `what`, checked; None: nothing is said of it."""
+        of: Any = cls() if material is None else material
+        if not isinstance(of, cls):
+            raise InputError(f"{what}: material must be a Material, is {accepted.shown(of)}")
+        return of if material is None else of.checked(links, given)
+
     def checked(self, links: Collection[str], given: Mapping[str, Mapping[str, Any]]) -> Material:
         """This material, if a cloth with these kinds of link can have it; else InputError.
 

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 # The numbers of springs that a mesh gives itself: from its edges, and from `stretch`.
 OF_THE_MESH = ("stiffness", "rest_length")
+SMALLEST_MESH = 1e-100  # length of a mesh whose squares are numbers
 # A quad's springs are no softer than this part of what its triangles would make them.
 SOFTEST = 0.1
 # Corners of a quad at the ends of its springs: edges, then diagonals.
@@ -75,11 +76,15 @@ def mesh(
         if name not in SPRING_PROPERTIES or name in OF_THE_MESH:
             raise TypeError(f"mesh() got an unexpected keyword argument '{name}'")
     path = accepted.path("mesh: file", file)
+    if parts is not None:
+        parts = accepted.whole_number("mesh: parts", parts, 1)
+    if accepted.whole_number("mesh: up", up, None) not in (1, -1):
+        raise InputError(f"mesh: up must be 1 or -1, is {up}")
     surface = meshes.read(path)
     if parts is not None and surface.parts() != parts:
         has = counted(surface.parts(), "part")
         raise InputError(f"parts: {path} has {has}, not {parts}, that nothing joins")
-    of = Material() if material is None else material.checked(("structural",), _given(numbers))
+    of = Material.given("mesh", material, ("structural",), _given(numbers))
     position = placed(surface.vertices, scale, turn, move)
     fixed = _pinned(pinned, position, up, path)
     mass = None if of.density is None else of.density * masses_by_shape(surface, position)
@@ -129,6 +134,8 @@ def placed(vertices: np.ndarray, scale: float, turn: ArrayLike, move: ArrayLike)
     if not farthest <= LARGEST_COORDINATE:
         most = f"beyond {LARGEST_COORDINATE:g}"
         raise InputError(f"scale, turn and move take the mesh to {farthest:g}, {most}")
+    if not np.ptp(turned, axis=0).max() > SMALLEST_MESH:
+        raise InputError(f"scale: the mesh is smaller than {SMALLEST_MESH:g}; use other units")
     return turned
 
 
@@ -150,7 +157,8 @@ def _pinned(
         if up_there.all():
             raise InputError(f"pinned: every vertex of {path} is above {height:g}")
         return up_there
-    numbers = accepted.numbers("mesh: pinned", list(pinned))
+    listed = accepted.listed("mesh: pinned", pinned, "a list of vertices, or {'above': h}")
+    numbers = accepted.numbers("mesh: pinned", listed)
     fixed = np.zeros(count, bool)
     for value in numbers.ravel().tolist():
         if value != int(value) or not 0 <= value < count:

@@ -100,6 +100,12 @@ class World:
     tools: bool = False
     held: Hold | None = field(default=None, compare=False)
 
+    def __post_init__(self) -> None:
+        """Have it in Python's types, which are compared, asked whether they are, and written."""
+        for name, value in vars(self).items():
+            if name != "held":
+                object.__setattr__(self, name, accepted.plain(value))
+
     @property
     def takes_clicks(self) -> bool:
         """Whether clicks may add particles and springs."""
@@ -172,9 +178,14 @@ def _columns(
     for name in given:
         if name not in properties:
             raise TypeError(f"{owner}() got an unexpected keyword argument '{name}'")
-        if given[name] is not None and not properties[name].words:
-            column = accepted.numbers(f"{owner}: {name}", given[name], finite=False)
-            given[name] = accepted.fitted(f"{owner}: {name}", column, (count,), things)
+        if given[name] is not None:
+            words, what = properties[name].words, f"{owner}: {name}"
+            column = (
+                accepted.texts(what, given[name])
+                if words
+                else accepted.numbers(what, given[name], finite=False)
+            )
+            given[name] = accepted.fitted(what, column, (count,), things)
     kind = ParticleDefaults if things == "particles" else SpringDefaults
     if not isinstance(defaults, kind):
         must = f"must be of type {kind.__name__}"
@@ -230,6 +241,12 @@ class Particles(ParticleProperties[np.ndarray], _Motion):
 
     def __post_init__(self) -> None:
         _refuse_single_values(self, PARTICLE_PROPERTIES)
+        numbers = dict.fromkeys(PARTICLE_PROPERTIES, np.float64)
+        accepted.take_types(self, position=np.float64, velocity=np.float64, **numbers)
+        color: Any = self.color
+        whole = isinstance(color, np.ndarray) and color.dtype.kind in "iu"
+        if whole and ((color >= 0) & (color <= 255)).all():
+            object.__setattr__(self, "color", color.astype(np.uint8, copy=False))
 
     def __len__(self) -> int:
         return len(self.position)
@@ -293,6 +310,7 @@ class Springs(SpringProperties[np.ndarray, np.ndarray, np.ndarray], _Ends):
 
     def __post_init__(self) -> None:
         _refuse_single_values(self, SPRING_PROPERTIES)
+        accepted.take_types(self, between=np.int64, **dict.fromkeys(SPRING_PROPERTIES, np.float64))
 
     def __len__(self) -> int:
         return len(self.between)
@@ -378,6 +396,10 @@ class Scene:
     triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     obstacles: tuple[Obstacle, ...] = ()
     stencils: Stencils = field(default_factory=Stencils.none)
+
+    def __post_init__(self) -> None:
+        accepted.take_types(self, triangles=np.int64)
+        object.__setattr__(self, "spring_color", accepted.plain(self.spring_color))
 
     @property
     def thick(self) -> bool:

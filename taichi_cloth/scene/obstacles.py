@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taichi_cloth.errors import nearest
+from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene import toml
 from taichi_cloth.settings import accepted
 
@@ -30,18 +30,22 @@ NEWER = frozenset({"up", "ground", "friction", "air", "obstacles", "meshes"})
 class Obstacle:
     """One obstacle: the name of its shape, and values of its keys, which are those of scene files.
 
-    Points are tuples of numbers, lists of them tuples of tuples. What is absent has its default.
+    Points are tuples of numbers, lists of them tuples of tuples, whatever they were given as. What
+    is absent has its default.
     """
 
     shape: str
     values: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", accepted.plain(self.values))
 
     @classmethod
     def build(cls, shape: str, **values: Any) -> Obstacle:
         """An obstacle from numbers, lists and arrays, such as build("sphere", centre=[0, 1, 0],
         radius=0.3, friction=0.4); `checks.validate` says what is wrong with them.
         """
-        return cls(shape, {name: _plain(value) for name, value in values.items()})
+        return cls(shape, values)
 
     def with_file(self, folder: Path) -> Obstacle:
         """This obstacle with what its file has, in the place of the file's name.
@@ -61,15 +65,6 @@ class Obstacle:
     def value(self, name: str) -> Any:
         """The value of a key, its default where it is absent."""
         return self.values.get(name, keys_of(self.shape)[name].default)
-
-
-def _plain(value: Any) -> Any:
-    """Lists and arrays as tuples."""
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    if isinstance(value, (list, tuple)):
-        return tuple(_plain(v) for v in value)
-    return value
 
 
 def shapes() -> tuple[str, ...]:
@@ -108,6 +103,9 @@ def fault(obstacle: Any, dim: int) -> tuple[str | None, str] | None:
             "shape",
             f"unknown shape {obstacle.shape!r}; {nearest(str(obstacle.shape), shapes())}",
         )
+    given: Any = obstacle.values
+    if not isinstance(given, Mapping):
+        return None, f"values must be a mapping of keys to values, is {accepted.shown(given)}"
     shape, known = obstacles.load(obstacle.shape), keys_of(obstacle.shape)
     if dim not in shape.dims:
         lengths = "three" if dim == 2 else "two"
@@ -149,10 +147,10 @@ def _fault_of_value(key: Key, value: Any, dim: int) -> str | None:
         if key.kind == contract.FACES:
             must = "a list of three whole numbers each"
     try:
-        numbers = np.asarray(value, np.float64)
-    except (TypeError, ValueError, OverflowError):
+        numbers = accepted.numbers("", value, finite=False)
+    except InputError:
         return f"must be {must}, is {toml.describe(value)}"
-    if _has_truth(value) or isinstance(value, str) or numbers.shape != shape:
+    if _has_truth(value) or numbers.shape != shape:
         return f"must be {must}, is {toml.describe(value)}"
     if not np.isfinite(numbers).all():
         return f"must be finite, is {toml.describe(value)}"

@@ -59,6 +59,10 @@ class Stencils:
     weight: np.ndarray
     bending: np.ndarray
 
+    def __post_init__(self) -> None:
+        whole = {"start": np.int64, "particle": np.int64}
+        accepted.take_types(self, **whole, weight=np.float64, bending=np.float64)
+
     def __len__(self) -> int:
         return len(self.bending)
 
@@ -68,16 +72,26 @@ class Stencils:
         return cls.build(np.zeros((0, IN_ROW), np.int64), np.zeros((0, IN_ROW)), 0.0)
 
     @classmethod
-    def build(cls, particle: np.ndarray, weight: np.ndarray, bending: ArrayLike) -> Stencils:
+    def build(cls, particle: ArrayLike, weight: ArrayLike, bending: ArrayLike) -> Stencils:
         """Stencils of equally many particles, and their weights, both (m, size); bending: one for
         all or one each.
+
+        Raises InputError for what are no numbers of that shape; `checks` knows their limits.
         """
-        m, size = particle.shape
+        what = "Stencils.build"
+        ends = accepted.whole_numbers(f"{what}: particle", particle)
+        if ends.ndim != 2:
+            raise InputError(f"{what}: particle must have shape (m, size), has {ends.shape}")
+        m, size = ends.shape
+        given = accepted.numbers(f"{what}: weight", weight, finite=False)
+        if given.shape != ends.shape:
+            raise InputError(f"{what}: weight must have shape {ends.shape}, has {given.shape}")
+        stiff = accepted.numbers(f"{what}: bending", bending, finite=False)
         return cls(
             np.arange(m + 1, dtype=np.int64) * size,
-            particle.ravel().astype(np.int64),
-            weight.ravel().astype(np.float64),
-            np.array(np.broadcast_to(bending, (m,)), np.float64),
+            ends.ravel(),
+            given.ravel(),
+            accepted.fitted(f"{what}: bending", stiff, (m,), "stencils"),
         )
 
     @property
@@ -202,7 +216,11 @@ def mesh_stencils(position: ArrayLike, triangles: ArrayLike, bending: float) -> 
     """
     what = "mesh_stencils"
     x = accepted.numbers(f"{what}: position", position)
-    corners = np.asarray(triangles, np.int64).reshape(-1, 3)
+    corners = accepted.whole_numbers(f"{what}: triangles", triangles)
+    if corners.size == 0:
+        corners = np.zeros((0, 3), np.int64)
+    if corners.ndim != 2 or corners.shape[1] != 3:
+        raise InputError(f"{what}: triangles must have shape (t, 3), has {corners.shape}")
     if x.ndim != 2:
         raise InputError(f"{what}: position must have shape (n, dim), has {x.shape}")
     stiff = accepted.number(f"{what}: bending", bending)

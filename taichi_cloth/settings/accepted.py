@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 import operator
 import os
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,16 @@ def word(name: str, value: Any, known: Collection[str]) -> str:
     if value not in known:
         raise InputError(f"{name} {value}: unknown; {nearest(value, known)}")
     return value
+
+
+def texts(name: str, value: Any) -> np.ndarray:
+    """An array of words of any shape, whichever they are."""
+    given = _as_array(name, value)
+    if given.size == 0:
+        return np.zeros(given.shape, "U1")
+    if given.dtype.kind != "U":
+        raise InputError(f"{name} must be words, is {_first(given)}")
+    return given
 
 
 def words(name: str, value: Any, known: Collection[str], count: int, of: str) -> np.ndarray:
@@ -93,6 +104,36 @@ def power_of_two(name: str, value: Any, maximum: int) -> int:
 def _short(whole: int) -> str:
     """A whole number in a message: Python refuses to write more than some thousand digits."""
     return str(whole) if abs(whole) < 10**30 else f"{'-' * (whole < 0)}10^30 or beyond"
+
+
+def listed(name: str, value: Any, must: str) -> list[Any]:
+    """What may be gone through but once, as a list; must: what it must be, in words."""
+    if not isinstance(value, (str, bytes)):
+        with suppress(TypeError):
+            return list(value)
+    raise InputError(f"{name} must be {must}, is {shown(value)}")
+
+
+def plain(value: Any) -> Any:
+    """A value as Python has it: scalars of NumPy's as its own, arrays and lists as tuples."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {name: plain(inner) for name, inner in value.items()}
+    return tuple(map(plain, value)) if isinstance(value, (list, tuple)) else value
+
+
+def take_types(table: Any, **wanted: type[np.generic]) -> None:
+    """Have columns of a frozen table in the types that are worked with: np.float64, np.int64.
+
+    Narrower whole numbers would overflow where pairs of them are made one number. What is no array
+    of such numbers is left as it is, for who checks it.
+    """
+    for name, kind in wanted.items():
+        column = getattr(table, name)
+        kinds = "iu" if kind is np.int64 else "iuf"
+        if isinstance(column, np.ndarray) and column.dtype.kind in kinds:
+            object.__setattr__(table, name, column.astype(kind, copy=False))
 
 
 def names(what: str, given: Iterable[str], known: Collection[str]) -> list[str]:
@@ -215,11 +256,17 @@ def colors(name: str, value: Any, count: int, of: str) -> np.ndarray:
 
 def pairs(name: str, value: Any) -> np.ndarray:
     """Pairs of whole numbers, (s, 2) int64; an empty list is no pair."""
-    given = numbers(name, value)
+    given = whole_numbers(name, value)
     if given.size == 0:
         return np.zeros((0, 2), np.int64)
     if given.ndim != 2 or given.shape[1] != 2:
         raise InputError(f"{name} must have shape (springs, 2), has {_shape(given)}")
+    return given
+
+
+def whole_numbers(name: str, value: Any) -> np.ndarray:
+    """An array of whole numbers of any shape, as int64; 2.0 is one here."""
+    given = numbers(name, value)
     good = (given == np.floor(given)) & (np.abs(given) <= 2**53)
     require(name, given, good, "must be whole numbers")
     return given.astype(np.int64)

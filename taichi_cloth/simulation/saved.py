@@ -19,6 +19,7 @@ from taichi_cloth.scene.holding import Hold
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.stencils import Stencils
+from taichi_cloth.settings import accepted
 from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.storage.kept import Kept
 
@@ -138,19 +139,16 @@ def _parts(meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any
     scene = Scene(
         meta["name"],
         replace(
-            World(**{name: _plain(value) for name, value in meta["world"].items()}),
+            World(**meta["world"]),
             held=Hold(**under("held")) if under("held") else None,
         ),
         triangles=arrays["triangles"],
-        obstacles=tuple(
-            Obstacle(of["shape"], {k: _plain(v) for k, v in of["values"].items()})
-            for of in meta["obstacles"]
-        ),
+        obstacles=tuple(Obstacle(of["shape"], of["values"]) for of in meta["obstacles"]),
         **{name: table(**under(name)) for name, table in TABLES.items()},
     )
     x, v = scene.particles.position, scene.particles.velocity  # overwritten by what is kept
     named = {field.name for field in fields(Specialization)}
-    spec = {name: _plain(value) for name, value in meta["spec"].items() if name in named}
+    spec = {name: accepted.plain(value) for name, value in meta["spec"].items() if name in named}
     settings = dict(meta["settings"]) | {"_work": arrays["work"]}
     settings["_unsettled"] = arrays.get("unsettled", np.zeros(2, np.int64))  # older files have none
     settings.setdefault("_first", 0)
@@ -171,10 +169,3 @@ def _parts(meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any
             **meta["kept"],
         ),
     }
-
-
-def _plain(value: Any) -> Any:
-    """Lists as tuples, at any depth."""
-    if isinstance(value, dict):
-        return {name: _plain(inner) for name, inner in value.items()}
-    return tuple(map(_plain, value)) if isinstance(value, list) else value
