@@ -1,5 +1,8 @@
 """What is changed in a simulation while it runs, and what its public functions refuse."""
 
+import gc
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -214,6 +217,38 @@ def test_a_trajectory_does_not_go_on_without_particles(pool, tmp_path):
     with pytest.raises(InputError, match="of 48 particles cannot go on with 47"):
         trajectory.record(sim)
     trajectory.discard()
+
+
+def test_what_is_noted_beside_a_run_is_written_or_refused_in_a_line(pool, tmp_path):
+    """And a refusal loses nothing of what was recorded, nor leaves a file."""
+    sim, trajectory = pool(cloth()), Trajectory(tmp_path / "t.npz")
+    sim.advance()
+    trajectory.record(sim)
+    bad = ({"a": object()}, {(1, 2): 3}, [1], "words")
+    for noted in bad:
+        with pytest.raises(InputError, match="Trajectory.save: meta"):
+            trajectory.save(noted)
+        with pytest.raises(InputError, match="Checkpoint.save: about"):
+            sim.checkpoint().save(tmp_path / "c.npz", about=noted)
+    with pytest.raises(InputError, match="rewind: frame must be a whole number"):
+        trajectory.rewind(None)
+    trajectory.save({"seed": np.int64(3), "at": np.array([1.0, 2.0])})
+    sim.checkpoint().save(tmp_path / "c.npz", {"seed": np.int64(3)})
+    assert tc.load_trajectory(tmp_path / "t.npz").meta == {"seed": 3, "at": [1.0, 2.0]}
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["c.npz", "t.npz"]
+
+
+def test_a_trajectory_that_is_never_saved_leaves_nothing(tmp_path):
+    """Also where a program ends by an error."""
+    trajectory = Trajectory(tmp_path / "t.npz")
+    assert list(tmp_path.iterdir())
+    del trajectory
+    gc.collect()
+    assert not list(tmp_path.iterdir())
+    program = "import taichi_cloth as tc; t = tc.Trajectory('t.npz'); 1 / 0"
+    ended = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True)
+    assert b"ZeroDivisionError" in ended.stderr
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_is_read_is_a_copy(pool):

@@ -1,15 +1,18 @@
-"""Reading a NumPy archive (``.npz``) that a user names."""
+"""NumPy archives (``.npz``) that a user names: how they are read, and what is noted in them."""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import stat
 import struct
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +24,26 @@ _UNREADABLE = (
     *(RuntimeError, SyntaxError, LookupError, tokenize.TokenError),
     *(zipfile.BadZipFile, zlib.error, struct.error),
 )
+
+
+def noted(name: str, given: Any) -> str:
+    """What is noted in an archive beside its arrays, as a text in JSON; None: nothing is.
+
+    NumPy's numbers are written as Python's. name: what it is called where it is refused.
+    """
+    given = {} if given is None else given
+    try:
+        if isinstance(given, Mapping):
+            return json.dumps(dict(given), default=_of_numpy)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise InputError(f"{name} cannot be written as JSON: {error}") from None
+    raise InputError(f"{name} must be a mapping, is of type {type(given).__name__}")
+
+
+def _of_numpy(value: Any) -> Any:
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    raise TypeError(f"it has a value of type {type(value).__name__}")
 
 
 def read(path: Path, what: str) -> dict[str, np.ndarray]:

@@ -7,6 +7,7 @@ import errno
 import os
 import shutil
 import tempfile
+import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
@@ -19,6 +20,8 @@ class PendingFile:
 
     Made before a long run, it shows at once whether the path can be written: raises InputError
     if not. file: binary, open for reading and writing.
+
+    What nobody commits, because a program forgets it or ends by an error, leaves nothing behind.
     """
 
     def __init__(self, path: str | os.PathLike[str]):
@@ -51,6 +54,7 @@ class PendingFile:
         except (OSError, ValueError) as error:
             raise refusal(self.path, error) from None
         self.file = os.fdopen(handle, "w+b")
+        self._forgotten = weakref.finalize(self, _remove, self.file, self._temporary, os.getpid())
 
     def write(self, content: bytes) -> None:
         """Append to the file; a disk that is full raises InputError."""
@@ -76,6 +80,7 @@ class PendingFile:
             # Temporary files are private; this one gets what any new file would get.
             os.chmod(self._temporary, 0o666 & ~creation_mask())
             os.replace(self._temporary, self._target)
+            self._forgotten.detach()
         except OSError as error:
             self.discard()
             raise refusal(self.path, error) from None
@@ -94,11 +99,21 @@ class PendingFile:
 
     def discard(self) -> None:
         """Leave nothing behind, unless already committed."""
-        with contextlib.suppress(OSError):  # a full device refuses what was not written yet
-            self.file.close()
         if self._temporary is not None:
-            with contextlib.suppress(OSError):
-                os.unlink(self._temporary)
+            self._forgotten()
+            return
+        with contextlib.suppress(OSError):
+            self.file.close()
+
+
+def _remove(file: BinaryIO, path: str, process: int) -> None:
+    """Close and remove a file of this process: a copy of it, as of a fork, removes none."""
+    if os.getpid() != process:
+        return
+    with contextlib.suppress(OSError):  # a full device refuses what was not written yet
+        file.close()
+    with contextlib.suppress(OSError):
+        os.unlink(path)
 
 
 def refusal(path: str | os.PathLike[str], error: Exception) -> InputError:

@@ -148,6 +148,10 @@ class Trajectory:
 
     def rewind(self, frame: int) -> None:
         """Forget the frames after `frame`, from which the simulation goes on another way."""
+        try:
+            frame = operator.index(frame)
+        except TypeError:
+            raise InputError("Trajectory.rewind: frame must be a whole number") from None
         self._frames = [noted for noted in self._frames if noted.number <= frame]
         last = self._frames[-1] if self._frames else None
         # Particles that came since then are no part of it.
@@ -158,7 +162,10 @@ class Trajectory:
         """Write the file. May be called twice; only the first call writes.
 
         Particles and springs that came later have NaN rows, and False, in earlier frames.
+        meta: what to note beside them. InputError where that cannot be written as JSON; what was
+        recorded can be saved all the same then.
         """
+        about = archives.noted("Trajectory.save: meta", meta)
         k, (particles, dim) = len(self._frames), self._shape
         position = np.full((k, particles, dim), np.nan)
         velocity = np.full((k, particles, dim), np.nan)
@@ -184,7 +191,7 @@ class Trajectory:
                 velocity=velocity,
                 spring=np.asarray(self._springs, np.int64).reshape(-1, 2),
                 spring_alive=alive,
-                meta=np.array(json.dumps(meta or {})),
+                meta=np.array(about),
                 start=start,
                 fixed=fixed,
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.errors import InputError
+from taichi_cloth.files import archives
 from taichi_cloth.runtime import current_device
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings import accepted
@@ -53,9 +55,10 @@ class Checkpoint:
         """Write it to a file ``.npz``, which appears whole or not at all.
 
         about: what else to note, such as the command's words. InputError where it cannot be
-        written.
+        written, in JSON.
         """
-        saved.write(accepted.path("Checkpoint.save: path", path), vars(self), about or {})
+        noted = json.loads(archives.noted("Checkpoint.save: about", about))
+        saved.write(accepted.path("Checkpoint.save: path", path), vars(self), noted)
 
     @classmethod
     def load(cls, path: str | Path) -> Checkpoint:

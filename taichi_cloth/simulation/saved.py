@@ -72,7 +72,12 @@ def joined(given: Scene, saved: Scene) -> Scene:
 
 def write(path: Path, parts: Mapping[str, Any], about: Mapping[str, Any]) -> None:
     """Write a checkpoint's parts to a file, which appears whole or not at all."""
-    into(PendingFile(path), parts, about)
+    file = PendingFile(path)
+    try:
+        into(file, parts, about)
+    except BaseException:
+        file.discard()
+        raise
 
 
 def into(file: PendingFile, parts: Mapping[str, Any], about: Mapping[str, Any]) -> None:
