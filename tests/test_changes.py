@@ -406,6 +406,17 @@ def test_wrong_arguments_are_refused_in_one_line_and_change_nothing(pool):
             lambda: tc.scenes.build("cloth", columns=np.inf),
             "columns must be a (whole|finite) number",
         ),
+        (lambda: tc.compare("x", "x", scene=True), "compare: scene must be a Scene, is True"),
+        (lambda: tc.picture(Simulation(cloth()), parts=np.ones(())), "parts: must be some of"),
+        (
+            lambda: tc.picture(Simulation(cloth()), camera=tc.Camera((1.0, 1.0, 1.0))),
+            "picture: camera: 'cloth' is 2-D",
+        ),
+        (lambda: tc.show(Simulation(cloth()), view=np.ones(2)), "unknown view"),
+        (
+            lambda: Simulation(cloth()).report("x.html", pictures=1),
+            "pictures must be True or False, is 1",
+        ),
         (lambda: tc.scenes.build(None), "a scene's name is a word, not None"),
     ],
 )

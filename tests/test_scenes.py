@@ -179,6 +179,7 @@ def test_the_cloths_pins_gravity_and_springs_are_parameters():
         return library.build("cloth", **values)
 
     assert pinned(cloth(pins=2)) == [0, 15] and pinned(cloth(pins=1)) == [8]
+    assert pinned(cloth(pins=None)) == pinned(cloth())  # its default, given
     assert pinned(cloth(pins=0)) == [] and pinned(cloth(pins=16)) == list(range(16))
     with pytest.raises(InputError, match="pins must be at most the columns, 16, is 17"):
         cloth(pins=17)

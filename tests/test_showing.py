@@ -1,6 +1,7 @@
 """What Python programs and notebooks see of a simulation."""
 
 import io
+import subprocess
 import sys
 import types
 
@@ -131,3 +132,10 @@ def test_a_notebook_gets_a_picture_or_a_film(pool, notebook):
     assert Image.open(io.BytesIO(sim._repr_png_())).format == "PNG"
     del notebook.kernel  # a terminal's IPython
     assert sim.show(frames=1, view="none").frames == 1
+
+
+def test_to_import_the_package_imports_no_numpy():
+    """It says first how NumPy's threads wait, which that reads once."""
+    program = "import sys, taichi_cloth; print('numpy' in sys.modules)"
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert answer.stdout.strip() == "False", answer.stderr

@@ -145,6 +145,9 @@ def compare(
     or without a frame at the same time.
     """
     limit, relative = read_limit("within", within)
+    of: Any = scene
+    if not (of is None or isinstance(of, Scene)):
+        raise InputError(f"compare: scene must be a Scene, is {accepted.shown(of)}")
     pair = Pair.of(Recording.read(a, "A"), Recording.read(b, "B"))
     of_a, of_b = pair.samples()
     free = ~(pair.a.fixed & pair.b.fixed)

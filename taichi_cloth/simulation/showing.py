@@ -114,6 +114,9 @@ class Showing:
         InputError where the file cannot be written.
         """
         assert _examiner is not None, "the package's __init__ says who examines"
+        from taichi_cloth.settings import accepted  # NumPy, which to import the package does not
+
+        pictures = accepted.flag("report: pictures", pictures)
         draw = partial(_called().picture, self) if pictures else None
         return _examiner().report(self, path, draw, seconds)
 

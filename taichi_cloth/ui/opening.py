@@ -64,8 +64,8 @@ def open_view(
 
     Raises InputError where the kind that was asked for cannot be had.
     """
-    if kind not in VIEWS:
-        raise InputError(f"unknown view '{kind}'; {nearest(str(kind), VIEWS)}")
+    if not isinstance(kind, str) or kind not in VIEWS:
+        raise InputError(f"unknown view '{kind}'; {nearest(kind, VIEWS)}")
     kinds = views.load_all()
     chosen = _best(kinds) if kind == "auto" else kinds[kind]
     lack = chosen.lack()

@@ -24,6 +24,7 @@ from taichi_cloth.ui.summary import Summary
 from taichi_cloth.ui.views.contract import View
 
 if TYPE_CHECKING:
+    from taichi_cloth.scene.model import Scene
     from taichi_cloth.simulation.simulation import Simulation
 
 MOST_PIXELS = 8192  # of a picture's side
@@ -181,6 +182,9 @@ def _check(
         raise InputError(f"{says}; Simulation(scene) makes one of a scene")
     if camera is not None and not isinstance(camera, Camera):
         raise InputError(f"{name}: camera must be a Camera, is {accepted.shown(camera)}")
+    scene: Scene = vars(sim)["scene"]
+    if camera is not None and scene.world.dim == 2:
+        raise InputError(f"{name}: camera: '{scene.name}' is 2-D, and is seen without one")
     if on_frame is not None and not callable(on_frame):
         raise InputError(f"{name}: on_frame must be a function, is {accepted.shown(on_frame)}")
     accepted.flag(f"{name}: status", status)
@@ -215,8 +219,8 @@ def _checked_size(size: tuple[int, int] | None) -> tuple[int, int] | None:
 def _parts(parts: str | Iterable[str] | None) -> frozenset[str] | None:
     if parts is None:
         return None
-    words = parts.split(",") if isinstance(parts, str) else parts
-    words = list(words) if isinstance(words, Iterable) else []
+    must = f"some of {', '.join(SHOWN)}"
+    words = accepted.listed("parts:", parts.split(",") if isinstance(parts, str) else parts, must)
     if not words or not all(isinstance(word, str) for word in words):
-        raise InputError(f"parts: must be some of {', '.join(SHOWN)}")
+        raise InputError(f"parts: must be {must}")
     return shown_parts(",".join(words))

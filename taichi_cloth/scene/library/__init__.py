@@ -88,6 +88,8 @@ def build(name: str, **values: Any) -> Scene:
                 else f"scene '{name}' has no parameters"
             )
         declared[key].check(key, value)
-        if declared[key].type is int and value not in declared[key].choices:
+        # None, where it is the default, follows from the others.
+        whole = declared[key].type is int and value is not None
+        if whole and value not in declared[key].choices:
             values[key] = int(value)  # also of a float or a NumPy scalar that is whole
     return validate(function(name)(**values))
