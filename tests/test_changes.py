@@ -313,6 +313,7 @@ REFUSED = [
     (lambda sim: sim.grab([0], (1, 2), stiffness=-1), "grab: stiffness must not be negative"),
     (lambda sim: sim.begin_from(None, 1.0, 1), "begin_from: takes what `start` returned, not None"),
     (lambda sim: sim.go_on_from([1]), r"go_on_from: takes a Simulation, not \[1\]"),
+    (lambda sim: sim.describe_convergence(), "symplectic_euler solves no equations to a tolerance"),
     (lambda sim: sim.topology_of([]), "--method must be one of"),
     (lambda sim: sim.obstacles("now"), "obstacles: time must be a number, is 'now'"),
 ]

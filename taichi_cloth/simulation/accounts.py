@@ -44,9 +44,12 @@ class Accounts(Part):
             raise RunFailure(self.describe_convergence())
 
     def describe_convergence(self) -> str:
-        """How many steps missed their tolerance, how the last one did, and what to change."""
-        work, tolerance = self.work(), self.solver["tolerance"]
+        """How many steps missed their tolerance, how the last one did, and what to change.
+
+        InputError where the method has no tolerance to meet.
+        """
         last = self.solution()
+        work, tolerance = self.work(), self.solver["tolerance"]
         ended = "" if last.converged else f" (the last one: {last.outcome})"
         remedy = "use softer springs, more --substeps or a larger --tolerance"
         if last.outcome == OUTCOMES[HIDDEN]:  # which no step and no tolerance changes

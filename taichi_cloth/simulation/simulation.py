@@ -56,8 +56,9 @@ MOST_LANES = 64  # more fill no vector, and take minutes to compile
 class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engine, Showing):
     """One scene, integrated by one method on the device that `runtime.start` started.
 
-    scene: validated here (InputError), against the device's precision, too. method: a name out of
-    `kernels.methods.METHODS`.
+    scene: validated here (InputError), against the device's precision, too. Its arrays are not
+    copied: leave them as they are, and make other scenes of it by `with_parts`, `with_world` or
+    `dataclasses.replace`. method: a name out of `kernels.methods.METHODS`.
     dt: time of a frame, the scene's own when absent; substeps: steps a frame is cut into. With
     dt "auto" a frame is the scene's, cut into as many as its springs need (`auto_substeps.py`).
     execution: "serial" (on one thread) or "parallel" (on all threads, or a GPU).
