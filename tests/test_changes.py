@@ -313,6 +313,10 @@ REFUSED = [
     (lambda sim: sim.grab([0], (1, 2), stiffness=-1), "grab: stiffness must not be negative"),
     (lambda sim: sim.begin_from(None, 1.0, 1), "begin_from: takes what `start` returned, not None"),
     (lambda sim: sim.go_on_from([1]), r"go_on_from: takes a Simulation, not \[1\]"),
+    (lambda sim: tc.picture(sim, parts=np.ones(())), "parts: must be some of"),
+    (lambda sim: tc.picture(sim, camera=tc.Camera((1.0, 1.0, 1.0))), "camera: 'cloth' is 2-D"),
+    (lambda sim: tc.show(sim, view=np.ones(2)), "unknown view"),
+    (lambda sim: sim.report("x.html", pictures=1), "pictures must be True or False, is 1"),
     (lambda sim: sim.describe_convergence(), "symplectic_euler solves no equations to a tolerance"),
     (lambda sim: sim.topology_of([]), "--method must be one of"),
     (lambda sim: sim.obstacles("now"), "obstacles: time must be a number, is 'now'"),
@@ -408,16 +412,6 @@ def test_wrong_arguments_are_refused_in_one_line_and_change_nothing(pool):
             "columns must be a (whole|finite) number",
         ),
         (lambda: tc.compare("x", "x", scene=True), "compare: scene must be a Scene, is True"),
-        (lambda: tc.picture(Simulation(cloth()), parts=np.ones(())), "parts: must be some of"),
-        (
-            lambda: tc.picture(Simulation(cloth()), camera=tc.Camera((1.0, 1.0, 1.0))),
-            "picture: camera: 'cloth' is 2-D",
-        ),
-        (lambda: tc.show(Simulation(cloth()), view=np.ones(2)), "unknown view"),
-        (
-            lambda: Simulation(cloth()).report("x.html", pictures=1),
-            "pictures must be True or False, is 1",
-        ),
         (lambda: tc.scenes.build(None), "a scene's name is a word, not None"),
     ],
 )

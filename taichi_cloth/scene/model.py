@@ -12,7 +12,7 @@ world says so.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -64,6 +64,12 @@ COLOR_CYCLE = (  # colours of spawned particles, in turn
 )
 
 
+def _take_plain(of: World | ParticleDefaults | SpringDefaults, names: Iterable[str]) -> None:
+    """Have values in Python's types, which are compared, asked whether they are, and written."""
+    for name in names:
+        object.__setattr__(of, name, accepted.plain(getattr(of, name)))
+
+
 @dataclass(frozen=True)
 class World:
     """The space of a scene.
@@ -101,10 +107,7 @@ class World:
     held: Hold | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        """Have it in Python's types, which are compared, asked whether they are, and written."""
-        for name, value in vars(self).items():
-            if name != "held":
-                object.__setattr__(self, name, accepted.plain(value))
+        _take_plain(self, [name for name in vars(self) if name != "held"])
 
     @property
     def takes_clicks(self) -> bool:
@@ -142,6 +145,9 @@ class World:
 class ParticleDefaults(ParticleProperties[float]):
     """What a particle has when nothing else is said (also: what a click spawns)."""
 
+    def __post_init__(self) -> None:
+        _take_plain(self, PARTICLE_PROPERTIES)
+
 
 @dataclass(frozen=True)
 class SpringDefaults(SpringProperties[float, "float | None", str]):
@@ -149,6 +155,9 @@ class SpringDefaults(SpringProperties[float, "float | None", str]):
 
     An absent rest length is the distance at the start; an absent break force: unbreakable.
     """
+
+    def __post_init__(self) -> None:
+        _take_plain(self, SPRING_PROPERTIES)
 
 
 _Rows = TypeVar("_Rows", "Particles", "Springs")
