@@ -339,6 +339,26 @@ def test_wrong_arguments_are_refused_in_one_line_and_change_nothing(pool):
     np.testing.assert_array_equal(sim.positions(), x)
 
 
+def test_what_the_precision_cannot_hold_of_the_pointer_changes_nothing(pool, monkeypatch):
+    sim = pool(cloth())
+    sim.advance(2)
+    sim.grab([5], sim.positions()[5])
+    had, place = sim.held(), sim.held().place.copy()
+    weight = sim.storage.scene.particles.mass[5]
+    monkeypatch.setattr(sim.storage, "real", np.float32)  # as in a run in f32
+    for call in (
+        lambda: sim.drag((1e300, 0.0)),
+        lambda: sim.grab([6], (0.0, 0.0), stiffness=1e300),
+        lambda: sim.blow((0.0, 0.0), (1e300, 0.0)),
+    ):
+        with pytest.raises(InputError, match="too large or too small for float32"):
+            call()
+        np.testing.assert_array_equal(sim.held().particles, had.particles)
+        np.testing.assert_array_equal(sim.held().place, place)
+        assert sim.storage.scene.particles.mass[5] == weight
+        assert sim.storage.held() is None  # no blow
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [

@@ -176,16 +176,20 @@ class Changes(Part):
                 numbers = accepted.numbers(f"grab: {name}", value)
                 accepted.require(f"grab: {name}", numbers, numbers >= 0, "must not be negative")
                 given[which] = accepted.fitted(f"grab: {name}", numbers, (len(chosen),), "held")
-        # Nothing is refused from here on: what is held stays held until then.
         self.prepare_tools()
-        pulls = list(self.hold_strength(chosen))
+        before, pulls = self.held(), list(self.hold_strength(chosen))
         self.let_go()
         for which, numbers in given.items():
             pulls[which] = numbers
         k, c = pulls
         offset = self.storage.positions()[chosen] - at
         mass = self.storage.scene.particles.mass[chosen]
-        self._hold_by(Hold(chosen, offset, at, k, c, mass))
+        try:
+            self._hold_by(Hold(chosen, offset, at, k, c, mass))
+        except InputError:  # the precision cannot hold it
+            if before is not None:
+                self._hold_by(before)
+            raise
         return k, c
 
     def weigh_hold(self) -> None:
@@ -220,8 +224,8 @@ class Changes(Part):
         place = accepted.array("drag: place", place, (dim,), "one a dimension")
         held = self.held()
         if held is not None:
+            self.storage.drag(place)  # which refuses what the precision cannot hold
             held.place[:] = place
-            self.storage.drag(place)
 
     @act
     def let_go(self) -> None:

@@ -20,7 +20,7 @@ class Handling(DeviceState):
 
     def push(self, numbers: np.ndarray) -> None:
         """Push the particles near a line until the frame's end (`blow.compute_push`)."""
-        self._launch(blow.compute_push, numbers.astype(self.real))
+        self._launch(blow.compute_push, as_real(self.real, "pointer", numbers[None])[0])
         self.pushed = self._held = self._altered = True
 
     def hold(self, force: np.ndarray) -> None:
