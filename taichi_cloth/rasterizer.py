@@ -17,6 +17,7 @@ from taichi_cloth.kernels import raster
 
 NO_VECTORS = np.zeros((0, 3), np.float32)
 NO_NUMBERS = np.zeros(0, np.float32)
+NO_SHADE = np.zeros((1, 1), np.float32)
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,8 @@ class Floor:
     in the camera's axes. eye, middle: where the eye is along these two, and what is looked at.
     side: of a tile. reach: from the middle to where it ends, all in world units.
     colors: of both kinds of tile, floats 0..1.
+    dark: (k, k) float32, the part of the light that is lacking at the corners of the cells of a
+    grid along both axes. dark_low: its first corner. dark_cell: the side of a cell, world units.
     """
 
     above: float
@@ -87,11 +90,47 @@ class Floor:
     side: float
     reach: float
     colors: tuple[np.ndarray, np.ndarray]
+    dark: np.ndarray = field(default_factory=NO_SHADE.copy)
+    dark_low: tuple[float, float] = (0.0, 0.0)
+    dark_cell: float = 1.0
 
     def numbers(self) -> np.ndarray:
         """As `kernels/raster.py` takes them."""
         given = (*self.axes, self.eye, self.middle, (self.side, self.reach), *self.colors)
         return np.concatenate([[self.above], *given]).astype(np.float32)
+
+    def shading(self, lens: np.ndarray, h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
+        """The homography and the room of `kernels/raster.py`, of its shade.
+
+        lens: (3,) or more, as there, for the picture's own pixels. h, w: of the picture.
+        """
+        up, along, across = self.axes
+        sight = np.array(
+            [[1, 0, 0.5 - lens[1]], [0, 1, 0.5 - lens[2]], [0, 0, lens[0]]], np.float64
+        )
+        aside = (np.array(self.eye) - self.dark_low) / self.dark_cell
+        place = self.above / self.dark_cell * np.stack([along, across]) - aside[:, None] * up
+        homography = np.sign(self.above) * np.stack([*place, -up]) @ sight
+        return homography.astype(np.float32).reshape(-1), self._room(homography, h, w)
+
+    def _room(self, homography: np.ndarray, h: int, w: int) -> np.ndarray:
+        """The rows and columns of a picture, from and to, in which shade may be: (4,) int32."""
+        rows, columns = np.nonzero(self.dark > 0)
+        if len(rows) == 0:
+            return np.zeros(4, np.int32)
+        cells = np.array([(i, j, 1) for i in _ends(rows) for j in _ends(columns)])
+        seen = cells @ np.linalg.inv(homography).T
+        if not (seen[:, 2] > 0).all():  # some of it is behind us
+            return np.array([0, h, 0, w], np.int32)
+        pixel = seen[:, [1, 0]] / seen[:, 2:]
+        low, high = np.floor(pixel.min(axis=0)), np.ceil(pixel.max(axis=0)) + 1
+        room: np.ndarray = np.stack([low, high], axis=1).clip(0, [[h], [w]]).astype(np.int32)
+        return room.reshape(-1)
+
+
+def _ends(numbers: np.ndarray) -> tuple[int, int]:
+    """Beyond the least and the largest of some numbers."""
+    return int(numbers.min()) - 1, int(numbers.max()) + 1
 
 
 class Image(ScalarNdarray):  # type: ignore[misc]  # Taichi says nothing of its types
@@ -151,8 +190,13 @@ class Rasterizer:
         )
         self._lay(lens, lights, np.array(background, np.float32), floor, still)
         self._put(lens, lights, meshes, balls, lines)
+        homography, dark, room = np.zeros(9, np.float32), NO_SHADE, np.zeros(4, np.int32)
+        if floor is not None:
+            homography, room = floor.shading(lens / fine, *picture.shape)
+            dark = floor.dark
         raster.resolve(
-            self._samples, *self._drawn, *self._behind, self._laid, picture.view(np.int32)
+            *(self._samples, *self._drawn, *self._behind, self._laid, picture.view(np.int32)),
+            *(homography, dark, room),
         )
 
     def _put(

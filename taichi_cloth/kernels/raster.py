@@ -9,8 +9,8 @@ Places are in the camera's axes: x right, y down, z away from the eye, which is 
 (4,) is pixels per unit of slope, the pixel (x right, y down) at which the camera looks, the least
 depth that is drawn. Pictures (h, w) have a row at a time from the top down. Colours are floats
 0..1; in the picture they are 0xRRGGBB, and c of what lies behind everything is -1 - c, so that
-whatever is drawn is larger. Lights (k + 1, 4): unit direction to each light and its strength; in
-the last row the ambient one's.
+whatever is drawn is larger; that of the floor, which is shaded last, has one more bit. Lights (k +
+1, 4): unit direction to each light and its strength; in the last row the ambient one's.
 
 `touched` marks the tiles of `TILE` pixels in which something may have been drawn: only these are
 taken from the pixels drawn, and emptied again; all others are what lies behind everything.
@@ -21,11 +21,13 @@ import taichi as ti
 FARTHEST = 0x7F000000  # the bits of a depth that nothing has
 SAME_DEPTH = 1.0 + 4e-6  # both stages compute a depth, which compilers may round in two ways
 TILE = (16, 64)  # rows and columns of a tile, in the pixels that are drawn
+OF_FLOOR = 0x1000000  # a bit of the colours of what lies behind everything: it is the floor's
 EDGE = -1e-5  # so far outside a triangle, in its own heights, pixels still belong to it
 
 image = ti.types.ndarray(dtype=ti.i32, ndim=2)
 rows = ti.types.ndarray(dtype=ti.f32, ndim=2)
 numbers = ti.types.ndarray(dtype=ti.f32, ndim=1)
+spans = ti.types.ndarray(dtype=ti.i32, ndim=1)
 indices = ti.types.ndarray(dtype=ti.i32, ndim=2)
 
 
@@ -327,7 +329,8 @@ def lay_floor(depth: image, color: image, lens: numbers, background: numbers, fl
                         u, v = ti.floor(x * by_side), ti.floor(y * by_side)
                         odd = (ti.cast(u, ti.i32) + ti.cast(v, ti.i32)) & 1
                         tile = ti.select(odd == 1, other, one)
-                        color[j, i] = -1 - _packed(none + share * (tile - none))
+                        rgb = _packed(none + share * (tile - none))
+                        color[j, i] = -1 - (rgb | ti.static(OF_FLOOR))
                         if share > 0.5:
                             depth[j, i] = _depth_bits(z)
 
@@ -364,17 +367,75 @@ def see_through(color: image, touched: image, under: image):
 
 
 @ti.func
-def _mean(samples: ti.template(), color: ti.template(), j, i):
-    """The mean colour 0xRRGGBB of samples x samples pixels, the pixel (j, i) of a picture."""
-    total = ti.Vector([0, 0, 0])
+def _between(values: ti.template(), u, v):
+    """What is given at the corners of a grid's cells, (k, k), at a place between; 0 beyond it."""
+    found, most = 0.0, values.shape[0] - 1.0
+    if u >= 0.0 and v >= 0.0 and u < most and v < most:
+        i, j = ti.cast(u, ti.i32), ti.cast(v, ti.i32)
+        a, b = u - i, v - j
+        found = (1.0 - b) * ((1.0 - a) * values[i, j] + a * values[i + 1, j])
+        found += b * ((1.0 - a) * values[i, j + 1] + a * values[i + 1, j + 1])
+    return found
+
+
+@ti.func
+def _lit_at(to_cells: ti.template(), dark: ti.template(), j, i):
+    """The part of its light that the floor has in the pixel (j, i) of a picture: see `resolve`."""
+    w = to_cells[6] * i + to_cells[7] * j + to_cells[8]
+    lit = 1.0
+    if w > 0.0:
+        u = (to_cells[0] * i + to_cells[1] * j + to_cells[2]) / w
+        v = (to_cells[3] * i + to_cells[4] * j + to_cells[5]) / w
+        lit -= _between(dark, u, v)
+    return lit
+
+
+@ti.func
+def _mean(samples: ti.template(), color: ti.template(), j, i, lit):
+    """The mean colour 0xRRGGBB of samples x samples pixels, the pixel (j, i) of a picture.
+
+    lit: the part of its light that the floor has there.
+    """
+    total = ti.Vector([0.0, 0.0, 0.0])
     for p in ti.static(range(samples)):
         for q in ti.static(range(samples)):
             code = color[j * samples + p, i * samples + q]
             code = ti.max(code, -1 - code)
-            total += ti.Vector([code >> 16, (code >> 8) & 255, code & 255])
-    count = ti.static(samples * samples)
-    mean = (total + count // 2) // count
+            part = ti.select((code & ti.static(OF_FLOOR)) != 0, lit, 1.0)
+            total += part * ti.Vector([(code >> 16) & 255, (code >> 8) & 255, code & 255])
+    mean = ti.cast(total / ti.static(samples * samples) + 0.5, ti.i32)
     return (mean[0] << 16) | (mean[1] << 8) | mean[2]
+
+
+@ti.func
+def _is_of_floor(samples: ti.template(), color: ti.template(), j, i):
+    """Whether all of the pixel (j, i) of a picture is the floor's."""
+    found = 0 + ti.static(OF_FLOOR)
+    for p in ti.static(range(samples)):
+        for q in ti.static(range(samples)):
+            found = found & ti.max(-1 - color[j * samples + p, i * samples + q], 0)
+    return found != 0
+
+
+@ti.func
+def _darker(code, lit):
+    """A colour, with or without the floor's bit, that has a part of its light."""
+    part = ti.Vector([(code >> 16) & 255, (code >> 8) & 255, code & 255])
+    rgb = ti.cast(lit * part + 0.5, ti.i32)
+    return (rgb[0] << 16) | (rgb[1] << 8) | rgb[2]
+
+
+@ti.func
+def _resolved(samples: ti.template(), color: ti.template(), j, i, lit):
+    """The colour of a pixel; of the floor's alone it is rounded before it gets darker, as where
+    the floor is kept (`resolve`).
+    """
+    code = 0
+    if lit < 1.0 and _is_of_floor(samples, color, j, i):
+        code = _darker(_mean(samples, color, j, i, 1.0), lit)
+    else:
+        code = _mean(samples, color, j, i, lit)
+    return code
 
 
 @ti.kernel
@@ -389,7 +450,7 @@ def lay(
 ):
     """Take what is drawn now as what lies behind everything: its depths, its colours.
 
-    laid: (h, w), the picture of it.
+    laid: (h, w), the picture of it; with one more bit where all of a pixel is the floor's.
     """
     for tile_j, tile_i in touched:
         touched[tile_j, tile_i] = 0
@@ -400,7 +461,9 @@ def lay(
             color[j, i] = code
     for j in range(laid.shape[0]):
         for i in range(laid.shape[1]):
-            laid[j, i] = _mean(samples, colored, j, i)
+            laid[j, i] = _mean(samples, colored, j, i, 1.0)
+            if _is_of_floor(samples, colored, j, i):
+                laid[j, i] = laid[j, i] | ti.static(OF_FLOOR)
 
 
 @ti.kernel
@@ -413,26 +476,45 @@ def resolve(
     colored: image,
     laid: image,
     out: image,
+    homography: numbers,
+    dark: rows,
+    room: spans,
 ):
     """Compute the picture `out` (h, w), each pixel the mean of samples x samples.
 
     What was drawn is gone then; what lies behind everything is as `lay` took it.
+
+    dark: (k, k), the part of its light that the floor lacks at the corners of the cells of a shade.
+    homography: (9,), by rows, takes (column, row, 1) of a pixel to w times its place there, in
+    cells, and w, which is positive before us. room: (4,), the rows and columns of the picture, from
+    and to, in which that is looked at; other pixels of the floor have all of their light.
     """
     tall, wide = ti.static(TILE[0] // samples), ti.static(TILE[1] // samples)
     h, w, across = out.shape[0], out.shape[1], touched.shape[1]
     for tile in range(touched.shape[0] * across):
+        to_cells = ti.Vector([homography[k] for k in range(9)])
         tile_j, tile_i = tile // across, tile % across
         j0, i0 = tile_j * tall, tile_i * wide
         j1, i1 = ti.min(j0 + tall, h), ti.min(i0 + wide, w)
         if touched[tile_j, tile_i] == 0:
             for j in range(j0, j1):
                 for i in range(i0, i1):
-                    out[j, i] = laid[j, i]
+                    out[j, i] = laid[j, i] & 0xFFFFFF
+            for j in range(ti.max(j0, room[0]), ti.min(j1, room[1])):
+                for i in range(ti.max(i0, room[2]), ti.min(i1, room[3])):
+                    lit = _lit_at(to_cells, dark, j, i)
+                    if lit < 1.0 and laid[j, i] >= ti.static(OF_FLOOR):
+                        out[j, i] = _darker(laid[j, i], lit)
+                    elif lit < 1.0:
+                        out[j, i] = _resolved(samples, colored, j, i, lit)
         else:
             touched[tile_j, tile_i] = 0
             for j in range(j0, j1):
                 for i in range(i0, i1):
-                    out[j, i] = _mean(samples, color, j, i)
+                    lit = 1.0
+                    if j >= room[0] and j < room[1] and i >= room[2] and i < room[3]:
+                        lit = _lit_at(to_cells, dark, j, i)
+                    out[j, i] = _resolved(samples, color, j, i, lit)
             for j in range(j0 * samples, j1 * samples):
                 for i in range(i0 * samples, i1 * samples):
                     depth[j, i] = behind[j, i]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui import drawing, pointer, style
+from taichi_cloth.ui import drawing, pointer, shade, style
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.pointer import Pointer
@@ -271,7 +271,7 @@ class Composer:
         focal = camera.focal_length * self._map.scale
         bright = float(brightness(style.LIGHT)) if picture.has_surfaces else 1.0
         if picture.ground is not None and camera.is_above(picture.ground):
-            self._floor_3d(picture.ground, camera)
+            self._floor_3d(picture, picture.ground, camera)
         ends, color = drawing.scenery(self._world, camera)
         ends = self._seen(camera, ends.reshape(-1, 3)).reshape(-1, 2, 3)
         front = (ends[..., 2] + camera.distance > camera.nearest_drawn).all(axis=1)
@@ -389,9 +389,12 @@ class Composer:
         if len(corners):
             self._mesh_3d(mesh.vertex, corners)
 
-    def _floor_3d(self, height: float, camera: Camera) -> None:
+    def _floor_3d(self, picture: Picture, height: float, camera: Camera) -> None:
         up = camera.rotation()[:, 1] * (1 if camera.y_up else -1)
         corner, color, opacity = floor(height, camera.centre, camera.radius)
+        dark = shade.of(picture, camera)
+        if dark is not None:
+            corner, color, opacity = shade.laid(dark, corner, color, opacity)
         place = self._seen(camera, corner.reshape(-1, 3)).reshape(-1, 4, 3)
         front = (place[:, :, 2] + camera.distance > camera.nearest_drawn).all(axis=1)
         self._mesh_3d(*floor_vertices(place[front], color[front], opacity[front], up))
