@@ -245,6 +245,7 @@ EDITS = [
     (22, "columns = 0", "[[cloths]] 0: columns and rows must be at least 1"),
     (22, "columns = 100000000", "[[cloths]] 0: 100000000 columns x 2 rows"),
     (24, "spacing = 0", "[[cloths]] 0: spacing must be positive"),
+    (24, "spacing = nan", "[[cloths]] 0: spacing must be finite, is nan"),
     (25, "pinned = [[3, 0]]", "[[cloths]] 0: pinned [3, 0] is outside the grid"),
     (25, "pinned = [[0, -1]]", "[[cloths]] 0: pinned [0, -1] is outside the grid"),
     (25, "pinned = [0, 0]", "[[cloths]] 0: pinned must be a list of [column, row] pairs"),
@@ -252,6 +253,8 @@ EDITS = [
     (26, "stiffness = { shear = 1 }", "[[cloths]] 0: stiffness: this cloth has no shear links"),
     (26, "stiffness = { strucural = 1 }", "[[cloths]] 0: unknown kind 'strucural'; did you mean"),
     (26, "damping = { structural = -1 }", "[[cloths]] 0: damping of structural links must be"),
+    (26, "bending = inf", "[[cloths]] 0: bending must be finite, is inf"),
+    (26, "bending = -1", "[[cloths]] 0: bending must be at least 0, is -1"),
     (26, "across = [0.0, 2.0]", "[[cloths]] 0: across and down must not be parallel"),
     (26, "down = [0.0, 0.0]", "[[cloths]] 0: down must be a finite direction"),
 ]

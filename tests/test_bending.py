@@ -358,7 +358,7 @@ def test_stencils_of_files_come_back_as_they_were():
     ("wrong", "says"),
     [
         (("bending = 2e-3", "bending = -1.0"), "line 9: .*at least 0"),
-        (("bending = 2e-3", "bending = nan"), "line 9: .*at least 0"),
+        (("bending = 2e-3", "bending = nan"), "line 9: .*bending must be finite, is nan"),
         (("[5, 0, 11]", "[5, 0, 77]"), "line 11: .*particles 0 to 19"),
         (("[5, 0, 11]", "[5, 0, 0]"), "line 11: .*twice"),
         (("[5, 0, 11]", "[5, 0]"), "line 12: .*one for each"),

@@ -360,6 +360,7 @@ def test_meshes_in_a_scene_file(tmp_path):
     [
         ("scale = 0.0", "line 14: [[meshes]] 0: scale must be positive and finite, is 0"),
         ("scale = -2.0", "line 14: [[meshes]] 0: scale must be positive"),
+        ("scale = nan", "line 14: [[meshes]] 0: scale must be finite, is nan"),
         (
             "scale = 1e300",
             "line 14: [[meshes]] 0: scale, turn and move take the mesh to 1e+300, bey",
@@ -383,6 +384,7 @@ def test_meshes_in_a_scene_file(tmp_path):
         ("pinned = { below = 1 }", "pinned must be a list of vertices"),
         ("pinned = { above = 5.5 }", "is above 5.5; its highest is at 5"),
         ("pinned = { above = 1.0 }", "every vertex of"),
+        ("pinned = { above = inf }", "line 13: [[meshes]] 0: pinned.above must be finite, is inf"),
         ("file = 'missing.obj'", "line 11: [[meshes]] 0: "),
         ("file = 'fin.obj'", "fin.obj line 8: face 2 is the third at the edge"),
         ("move = [9.0, 4.0, 0.0]", "[[meshes]] 0 particle 1: position (10, 4, 0) is outside the"),

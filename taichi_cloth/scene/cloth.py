@@ -193,9 +193,7 @@ def grid_stencils(
     spacing = accepted.number(f"{what}: spacing", spacing)
     first = accepted.whole_number(f"{what}: first", first)
     _check_size(columns, rows, spacing)
-    stiff = accepted.as_float(bending)
-    if stiff is None or not (np.isfinite(stiff) and stiff >= 0):
-        raise InputError(f"bending must be at least 0, is {accepted.shown(bending)}")
+    stiff = accepted.number("bending", bending, minimum=0)
     given = across if across is not None else down
     dim = 2 if given is None else accepted.numbers(f"{what}: across, down", given).size
     if dim not in (2, 3):

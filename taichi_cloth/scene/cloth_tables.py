@@ -35,7 +35,7 @@ def read(reader: TableReader, entry: Table, index: int, common: Common) -> Sheet
             reader.vector(entry, path, "origin", dim) or [],
             columns,
             rows,
-            reader.required(entry, path, "spacing", toml.number),
+            reader.finite(path, "spacing", reader.required(entry, path, "spacing", toml.number)),
             pinned=reader.value(entry, path, "pinned", toml.pairs, []),
             links=links,
             across=reader.vector(entry, path, "across", dim),
@@ -51,7 +51,7 @@ def read(reader: TableReader, entry: Table, index: int, common: Common) -> Sheet
 
 def _stencils(reader: TableReader, entry: Table, path: Keys, dim: int) -> Stencils:
     """What resists bending in a cloth, whose first particle has the number 0."""
-    bending = reader.value(entry, path, "bending", toml.number)
+    bending = reader.finite(path, "bending", reader.value(entry, path, "bending", toml.number))
     if bending is None:
         return Stencils.none()
     across, down = (reader.vector(entry, path, key, dim) for key in ("across", "down"))

@@ -41,10 +41,11 @@ def read(reader: TableReader, entry: Table, index: int, common: Common) -> Sheet
     bending = reader.finite(path, "bending", reader.value(entry, path, "bending", toml.number))
     if bending is not None and not NOT_NEGATIVE.holds(bending):
         reader.refuse((*path, "bending"), f"bending {NOT_NEGATIVE.says}, is {bending:g}")
+    scale = reader.finite(path, "scale", reader.value(entry, path, "scale", toml.number, 1.0))
     with reader.blaming(path, entry, file):
         particles, springs, triangles = mesh(
             file,
-            scale=reader.value(entry, path, "scale", toml.number, 1.0),
+            scale=scale,
             turn=reader.vector(entry, path, "turn", 3) or (0.0, 0.0, 0.0),
             move=reader.vector(entry, path, "move", 3) or (0.0, 0.0, 0.0),
             pinned=_pins(reader, entry, path),
@@ -72,5 +73,7 @@ def _pins(reader: TableReader, entry: Table, path: Keys) -> list[int] | Mapping[
 
     found = reader.value(entry, path, "pinned", read, [])
     if isinstance(found, dict):
-        return {"above": reader.required(found, (*path, "pinned"), "above", toml.number)}
+        inside = (*path, "pinned")
+        above = reader.required(found, inside, "above", toml.number)
+        return {"above": reader.finite(inside, "above", above)}
     return found
