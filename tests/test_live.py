@@ -85,6 +85,8 @@ def test_what_is_refused_leaves_the_run_as_it_was():
         ("substeps", 1.5, "must be a whole number"),
         ("dt", "auto", "must be a number"),
         ("method", "eulr", "unknown 'eulr'"),
+        ("method", 3, "method must be one of explicit_euler, .*, is 3"),
+        ("method", None, "method must be one of .*, is None"),
         ("stiffness", -1.0, "must not be negative"),
         ("collisions", 1, "must be true or false"),
         ("sitffness", 1.0, "did you mean 'stiffness'"),

@@ -261,6 +261,19 @@ def indices(name: str, value: Any) -> tuple[int, ...]:
     return tuple(whole_number(name, one) for one in given)
 
 
+def so_many_indices(fewest: int, most: int) -> Reader:
+    """The reader of `indices` of which there are at least and at most so many."""
+
+    def read(name: str, value: Any) -> tuple[int, ...]:
+        found = indices(name, value)
+        if not fewest <= len(found) <= most:
+            count = f"{most}" if fewest == most else f"{fewest} to {most}"
+            raise InputError(f"{name} must be a list of {count} whole numbers, is {show(value)}")
+        return found
+
+    return read
+
+
 def flag(name: str, value: Any) -> bool:
     """True or false."""
     if not isinstance(value, bool):

@@ -71,6 +71,9 @@ class Setting:
         if value is None and self.optional:
             return None
         if self.kind == WORD:
+            if not isinstance(value, str):
+                words = ", ".join(self.words)
+                raise InputError(f"{self.name} must be one of {words}, is {value}")
             if value not in self.words:
                 raise InputError(f"{self.name}: unknown '{value}'; {nearest(value, self.words)}")
         elif self.kind == FLAG:

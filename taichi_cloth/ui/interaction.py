@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,8 +27,18 @@ Log = events.Log[LogEvent]
 
 def load(path: str | Path) -> Log:
     """The interaction log at `path`. Raises InputError naming the first line that is wrong."""
-    kinds: list[Kind[LogEvent]] = [*inputs.KINDS, *_tool_kinds().values()]
+    kinds: list[Kind[LogEvent]] = [*map(_with_tools, inputs.KINDS), *_tool_kinds().values()]
     return events.load(accepted.path("load_events: path", path), kinds)
+
+
+def _with_tools(kind: Kind[Event]) -> Kind[Event]:
+    """The kind; that of a tool in hand knows which there are: for any other the scene's own would
+    be taken.
+    """
+    if kind.name != "tool":
+        return kind
+    known = tuple(tools.load_all())
+    return replace(kind, required={"name": events.word_of(("", *known), known)})
 
 
 def as_logged(event: ToolEvent) -> ToolEvent:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taichi_cloth.files.events import flag, indices, numbers
+from taichi_cloth.files.events import flag, numbers, so_many_indices
 from taichi_cloth.scene.model import COLOR_CYCLE, FIXED_COLOR, Scene
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.tools.contract import (
@@ -102,7 +102,9 @@ TOOL = Tool(
     prepare=prepared,
     draw=_draw,
     events=(
-        LoggedEvent("link", {"pos": numbers(), "fixed": flag, "tied_to": indices}, _link),
-        LoggedEvent("tie", {"particles": indices}, _tie),
+        LoggedEvent(
+            "link", {"pos": numbers(), "fixed": flag, "tied_to": so_many_indices(0, 1)}, _link
+        ),
+        LoggedEvent("tie", {"particles": so_many_indices(2, 2)}, _tie),
     ),
 )
