@@ -377,6 +377,29 @@ def test_a_recorded_log_replays_to_the_same_bits(cli, tmp_path):
     assert not a["spring_alive"][-1].all(), "the log should tear springs"
 
 
+def test_a_replay_says_what_of_its_log_was_refused(cli, tmp_path):
+    """Which is left out; all else is done, and that is no error."""
+    log, saved = tmp_path / "log.jsonl", tmp_path / "run.npz"
+    cut = {"frame": 1, "event": "cut", "springs": [0]}
+    wrong = {"frame": 2, "event": "set", "name": "gravty.y", "value": 0.5}
+    more = [{"frame": 3, "event": "cut", "springs": [10**6]}, {"frame": 3, "event": "let_go"}]
+    about = "'set' in frame 2: set: 'cloth' has no setting 'gravty.y'; did you mean 'gravity.y'?"
+    for events, says in (
+        ([cut], ""),
+        ([cut, wrong], f"taichi-cloth: note: 1 event of the log was refused: {about}\n"),
+        (
+            [cut, wrong, *more],
+            f"taichi-cloth: note: 2 events of the log were refused: the first, {about}\n",
+        ),
+    ):
+        log.write_text("".join(json.dumps(event) + "\n" for event in events))
+        words = ("run", *ON_GRAPH, "--frames", 5, "--events", log, "--save", saved)
+        _, said = cli(*words)
+        assert "".join(line for line in said.splitlines(True) if "compiling" not in line) == says
+        assert np.flatnonzero(~np.load(saved)["spring_alive"][-1]).tolist() == [0]
+        assert "refused" not in cli(*words, "--quiet")[1]
+
+
 def test_a_run_says_once_that_it_compiles(capsys):
     """Whichever of two beside each other does first."""
     tell = run_notes.compiling(library.build("cloth"), RunOptions())

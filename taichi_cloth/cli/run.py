@@ -169,6 +169,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
         seconds = time.perf_counter() - begin
         along = beside.twin.later[1] if beside else 0.0
         print(run_notes.last_line(sim, summary, seconds, errors.waited + along), flush=True)
+        run_notes.note_refused(summary.refused)
         for line in beside.findings(summary.frames) if beside else ():
             print(line, flush=True)
     return summary.frames

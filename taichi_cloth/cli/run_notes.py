@@ -18,7 +18,7 @@ from taichi_cloth.settings.options import PROGRAM, SOLVER_SETTINGS, RunOptions
 if TYPE_CHECKING:
     from taichi_cloth.runtime import Device
     from taichi_cloth.simulation.simulation import Simulation
-    from taichi_cloth.ui.summary import Summary
+    from taichi_cloth.ui.summary import Refused, Summary
     from taichi_cloth.ui.views.contract import View
 
 # What of a log's header is compared with a run that replays it.
@@ -170,6 +170,19 @@ def note_held_up(sim: Simulation) -> None:
             f"note: another program wants the cores: a frame took {together:.3g} ms on all "
             f"threads, where one would take about {alone:.3g} ms; --execution parallel keeps "
             "them, without it the run gives way"
+        )
+
+
+def note_refused(refused: Refused) -> None:
+    """Say on standard error what of a log could not be done. That is no error: a window's log has
+    what was refused there, too.
+    """
+    if refused.count:
+        were = "was" if refused.count == 1 else "were"
+        first = "" if refused.count == 1 else "the first, "
+        say(
+            f"note: {counted(refused.count, 'event')} of the log {were} refused: "
+            f"{first}{refused.first}"
         )
 
 

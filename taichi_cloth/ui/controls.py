@@ -63,6 +63,7 @@ class Controls:
         self._by_key = {tool.key: tool for tool in tools.load_all().values() if tool.key}
         self._waiting: Callable[[], None] | None = None
         self.pressed = False  # whether a button of the mouse is down
+        self.refusal = ""  # why what the last event asked of the simulation was refused; "": done
 
     @property
     def notice(self) -> str | None:
@@ -102,6 +103,7 @@ class Controls:
         What is not the simulation's or the camera's is returned for the app to do: "pause",
         "step", "reset", "status", "show", "picture", "film", "help" or "quit".
         """
+        self.refusal = ""
         if not isinstance(event, Event):
             self._replay(event)
         elif event.kind == "move":
@@ -279,7 +281,7 @@ class Controls:
         try:
             action()
         except InputError as error:
-            self._hand.notice = str(error)
+            self._hand.notice = self.refusal = str(error)
             return False
         return True
 

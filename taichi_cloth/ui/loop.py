@@ -263,6 +263,9 @@ class Loop:
             self._note(logged)
             # Pauses and steps only say when frames were made; a log says that itself.
             command = self._controls.apply(logged, replayed=True)
+            if self._controls.refusal:
+                said = f"'{logged.kind}' in frame {state.frames}: {self._controls.refusal}"
+                state.refused = state.refused.with_one(said)
             if command == "quit":
                 state.quit = True  # whatever is open here
             elif command in ("reset", "status", "show", "strain", "meters", "help"):
@@ -438,4 +441,4 @@ class Loop:
         """What the run did so far."""
         seconds = time.perf_counter() - self._started if self._started is not None else 0.0
         parts = self._simulate, self._draw, self._schedule.waited_in_all
-        return Summary(self.state.frames, seconds, *parts, self.state.quit)
+        return Summary(self.state.frames, seconds, *parts, self.state.quit, self.state.refused)

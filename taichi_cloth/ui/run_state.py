@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from taichi_cloth.errors import SimulationFailure
 from taichi_cloth.ui import style
+from taichi_cloth.ui.summary import Refused
 from taichi_cloth.ui.text import Word
 from taichi_cloth.ui.timeline import Pace
 
@@ -20,8 +21,8 @@ class RunState:
     quit: whether the user ended it. left: whether another scene goes on in the window.
     compiling: whether a window stands still for a compiler. opening: the name of the scene that is
     made ready ("": none). exporting: whether it stands still while the last seconds are written.
-    failure: for which a window stands still until r. examining: what is being found out of it
-    ("": nothing).
+    refused: events of the log that the simulation refused. failure: for which a window stands still
+    until r. examining: what is being found out of it ("": nothing).
     """
 
     paused: bool = False
@@ -33,6 +34,7 @@ class RunState:
     compiling: bool = False
     opening: str = ""
     exporting: bool = False
+    refused: Refused = field(default_factory=Refused)
     failure: SimulationFailure | None = None
     examining: str = ""
     pace: Pace = field(default_factory=Pace)
