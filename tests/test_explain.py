@@ -169,6 +169,18 @@ def test_cloths_of_more_links_are_set_beside_the_first(device):
     assert other.bytes > 1.3 * one.bytes
 
 
+def test_what_fails_as_it_runs_leaves_the_race_by_itself():
+    """As a scene without a feature may: here a pinned particle that gravity pulls off once free."""
+    world = World(size=(4.0, 3.0), gravity=(0.0, 20.0))
+    place = np.array([[2.0, 1.0]])
+    held, free = (Scene("one", world, Particles.build(place, fixed=f)) for f in (True, False))
+    how = {"topology": "graph", "execution": "serial"}
+    running = [costs.Candidate(scene, how) for scene in (held, held, free, held)]
+    costs.race(running, Clock(20.0), lambda *_: None)
+    assert [bool(one.failed) for one in running] == [False, False, True, False]
+    assert "particle 0" in running[2].failed and all(len(running[k].seconds) for k in (0, 1, 3))
+
+
 @thorough
 def test_the_command_says_it_in_json(cli):
     out, _ = cli("explain", "oscillator", "--within", "110s", "--json", "--threads", 1)

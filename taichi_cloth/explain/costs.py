@@ -115,7 +115,7 @@ class Explanation:
     left_out: list[str] = field(default_factory=list)
 
 
-@dataclass
+@dataclass(eq=False)  # each is itself alone: arrays of scenes have no truth to be compared by
 class Candidate:
     """A scene that takes turns with others.
 
