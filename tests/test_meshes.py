@@ -120,9 +120,12 @@ MALFORMED = [
     ("form.ply", ply(form="morse"), "line 2: is not of a PLY header"),
     ("plane.ply", ply().replace("property float z\n", ""), "is no 'vertex': '0 0 0'"),
     ("cut.stl", stl()[:-20], "is cut short, or not an STL file: its header says 2 triangles, and "),
+    ("more.stl", stl() + b"z", "goes on past its end, or not an STL file: its header says 2 "
+     "triangles, and there is room for 2 and 1 byte"),
     ("cut-text.stl", "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n", "no 'endsolid'"),
     ("word.stl", "solid a\nfacet\nvertex 0 0\n", "line 3: a vertex has three numbers"),
     ("cut.glb", glb(np.eye(4))[:-20], "is cut short: it says"),
+    ("begun.glb", b"glTF\x02", "is cut short: it has 5 bytes"),
     ("version.glb", b"glTF\x01\0\0\0\x0c\0\0\0", "is of glTF version 1"),
     ("broken.glb", b"glTF\x02\0\0\0\x20\0\0\0" + b"{" * 20, "is damaged, or not a GLB file"),
     ("many.stl", stl(said=2**31), f"its header says {2**31} triangles, and there is room for 2"),
@@ -174,6 +177,8 @@ def test_files_that_are_none_or_too_large_are_refused_unread(tmp_path):
     [
         ("slashes.obj", SQUARE + "vt 0 0\nvn 0 0 1\nusemtl a\ng one\nf 1/1/1 2//1 3/1 -1/1/1\n"),
         ("split.obj", "# a\r\n" + SQUARE + "f 1 2 \\\n3 4\r\n"),
+        ("noted.obj", "# of C:\\meshes\\\n" + SQUARE.replace("\n", " # a corner\n") + "f 1 2 3 4#"),
+        ("last.obj", SQUARE + "f 1 2 3 4 \\"),
         ("marked.obj", "\ufeff" + SQUARE + "f 1 2 3 4\n"),
         ("text.ply", ply()),
         ("marked.ply", "\ufeff" + ply()),

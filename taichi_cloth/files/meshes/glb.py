@@ -16,12 +16,16 @@ import numpy as np
 from taichi_cloth.errors import InputError, clipped
 from taichi_cloth.files.meshes.surface import Polygons, check_counts, merged
 
+HEADER = 12
+
 
 def read(path: Path, data: bytes) -> Polygons:
     """The triangles of a GLB file's bytes. Raises InputError."""
-    if data[:4] != b"glTF" or len(data) < 12:
+    if data[:4] != b"glTF":
         raise InputError(f"{path}: is not a GLB file: it does not begin with 'glTF'")
-    version, length = struct.unpack("<II", data[4:12])
+    if len(data) < HEADER:
+        raise InputError(f"{path}: is cut short: it has {len(data)} bytes")
+    version, length = struct.unpack("<II", data[4:HEADER])
     if version != 2:
         raise InputError(f"{path}: is of glTF version {version}; export it as version 2")
     if length > len(data):

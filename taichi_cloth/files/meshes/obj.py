@@ -2,8 +2,8 @@
 
 Read here and not by a library: a refusal names the line, polygons stay whole, and a vertex keeps
 its number, also where textures or normals part the corners that meet in it. Lines of other kinds
-(textures, normals, groups, materials, comments) are passed over. Wavefront, "Advanced Visualizer
-Manual", appendix B1.
+(textures, normals, groups, materials) are passed over, and so is what follows a '#'. Wavefront,
+"Advanced Visualizer Manual", appendix B1.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from taichi_cloth.files.meshes.surface import Polygons, check_counts
 # Beginnings of lines that say nothing about positions and faces.
 PASSED_OVER = {
     *("vt", "vn", "vp", "g", "o", "s", "mg", "usemtl", "mtllib", "usemap", "maplib", "l", "p"),
-    *("bevel", "c_interp", "d_interp", "lod", "shadow_obj", "trace_obj", "#"),
+    *("bevel", "c_interp", "d_interp", "lod", "shadow_obj", "trace_obj"),
 }
 
 
@@ -29,12 +29,14 @@ def read(path: Path, data: bytes) -> Polygons:
     reader = _Reader(path)
     joined = ""
     for number, line in enumerate(data.decode("utf-8-sig", "replace").splitlines(), start=1):
-        text = joined + line
+        text = joined + line.partition("#")[0]  # a comment that ends in '\' joins nothing
         joined = ""
         if text.endswith("\\"):
             joined = text[:-1] + " "
         elif words := text.split():
             reader.line(number, words)
+    if words := joined.split():  # of a last line that says that another one follows
+        reader.line(number, words)
     if not reader.known:
         raise InputError(f"{path}: is not an OBJ file: it has no line of vertices or faces")
     return reader.polygons()
@@ -59,7 +61,7 @@ class _Reader:
         elif kind == "f":
             self.known = True
             self.face(number, words)
-        elif kind not in PASSED_OVER and not kind.startswith("#"):
+        elif kind not in PASSED_OVER:
             shown = clipped(kind)
             raise InputError(
                 f"{self.path} line {number}: is not of an OBJ file of polygons: '{shown}'"

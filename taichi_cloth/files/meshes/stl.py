@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from taichi_cloth.errors import InputError, clipped
+from taichi_cloth.errors import InputError, clipped, counted
 from taichi_cloth.files.meshes.surface import Polygons, check_counts, merged
 
 HEADER = 84
@@ -32,10 +32,12 @@ def read(path: Path, data: bytes) -> Polygons:
         return _text(path, data)
     if said < 0:
         raise InputError(f"{path}: is not an STL file: it has {len(data)} bytes")
-    has = (len(data) - HEADER) // FACET.itemsize
+    has, more = divmod(len(data) - HEADER, FACET.itemsize)
+    amiss = "is cut short" if has < said else "goes on past its end"
+    after = f" and {counted(more, 'byte')}" if has >= said and more else ""
     raise InputError(
-        f"{path}: is cut short, or not an STL file: its header says {said} triangles, and there "
-        f"is room for {has}"
+        f"{path}: {amiss}, or not an STL file: its header says {said} triangles, and there "
+        f"is room for {has}{after}"
     )
 
 
