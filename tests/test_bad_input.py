@@ -16,7 +16,7 @@ from taichi_cloth.errors import InputError, RunFailure
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.limits.precision import refuse_unholdable, unresolved
-from taichi_cloth.scene import library, scenefile
+from taichi_cloth.scene import assignments, library, scenefile
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import grid
 from taichi_cloth.scene.model import Particles, Scene, SpringDefaults, Springs, World
@@ -282,6 +282,20 @@ def test_a_value_that_came_from_the_defaults_is_blamed_on_them():
     text = SCENE.replace("radius = 2.0", "radius = -2.0")
     with pytest.raises(InputError, match=r"line 9: \[particle\]: radius"):
         scenefile.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ("world.wind.velocity=[1,0,0]", "world.wind.velocity: wind does nothing without air"),
+        ("world.air.drag=1", "world.air.drag: air: 'density' is missing"),
+        ("spring.stiffness=-1", "spring.stiffness: stiffness must not be negative"),
+    ],
+)
+def test_an_assignment_that_makes_a_table_is_blamed_for_it(given, says):
+    text = "[world]\nsize = [1.0, 1.0, 1.0]\ngravity = [0.0, 1.0, 0.0]\n[spring]\nstiffness = 2.0\n"
+    with pytest.raises(InputError, match=re.escape(f"--set {says}")):
+        scenefile.parse(text, assignments=[assignments.read(given)])
 
 
 def test_duplicate_springs_are_found_in_both_directions():

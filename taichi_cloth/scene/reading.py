@@ -71,9 +71,9 @@ class TableReader:
     def place(self, *path: Any) -> str:
         """'box.toml line 12: [[particles]] 3' for ("particles", 3, "mass"), as far as known."""
         ways = [path[:n] for n in range(len(path), 0, -1)]
+        if path and path not in self.lines:  # perhaps a table that an assignment made
+            ways[1:1] = [keys for keys in self.assigned if keys[: len(path)] == path]
         found = next((way for way in ways if way in self.lines or way in self.assigned), None)
-        if not found and path:  # a table that an assignment made
-            found = next((keys for keys in self.assigned if keys[: len(path)] == path), None)
         if found in self.assigned:
             return f"--set {toml.dotted(found)}"
         where = f"{self.name} line {self.lines[found]}" if found else self.name
