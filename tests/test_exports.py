@@ -239,6 +239,17 @@ class Clicked(Moving):
         return np.ones(len(self.springs()), bool)
 
 
+def test_an_archive_has_no_springs_of_particles_that_it_leaves_out(tmp_path):
+    sim, path = Clicked(), tmp_path / "run.npz"
+    export = Export(path, sim.dt)
+    for sim.frame, sim.more in ((1, 0), (2, 2)):
+        export.record(sim)
+    export.save()
+    found = np.load(path)
+    np.testing.assert_array_equal(found["springs"], SPRINGS)
+    assert found["spring_held"].shape == (2, len(SPRINGS)) and export.left_out == 2
+
+
 def test_a_trajectory_that_goes_back_to_before_a_click_has_nothing_of_what_was_clicked(tmp_path):
     """Neither its particles nor its springs, whose ends would be none of the file's."""
     sim, made, kept = Clicked(), Trajectory(tmp_path / "run.npz"), []

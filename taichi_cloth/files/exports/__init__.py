@@ -85,9 +85,10 @@ class Export:
         kept = position[: self._points]
         points[: len(kept), : position.shape[1]] = kept  # of a plane's, z is 0
         edges, faces = sim.springs(), sim.triangles()
-        held = sim.springs_alive() & (edges < self._points).all(axis=1)
-        whole = sim.triangles_alive() & (faces < self._points).all(axis=1)
-        return Frame(sim.frame, sim.time, points, faces, whole, edges, held)
+        # What ends at a particle that is left out would have an end that no file has.
+        tied, spanned = ((ends < self._points).all(axis=1) for ends in (edges, faces))
+        held, whole = sim.springs_alive()[tied], sim.triangles_alive()[spanned]
+        return Frame(sim.frame, sim.time, points, faces[spanned], whole, edges[tied], held)
 
     def save(self) -> None:
         """Write what is not yet written, and give the files their names. Once only."""
