@@ -409,6 +409,27 @@ def test_keys_of_meshes_are_refused_by_their_line(tmp_path, key, says):
     assert says in str(refused.value) and "scene.toml" in str(refused.value)
 
 
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (SQUARE + "f 1 2 3 4\n", "open.obj: the mesh is not closed: it has 1 face at the edge"),
+        ("v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\nf 3 2 1\n", "open.obj line 5: face 1 is face 0"),
+    ],
+)
+def test_an_obstacle_that_is_no_body_is_refused_by_its_file(tmp_path, content, says):
+    (tmp_path / "open.obj").write_text(content)
+    world = "[world]\nsize = [1.0, 1.0, 1.0]\n[[obstacles]]\nshape = 'mesh'\ncell = 0.1\n"
+    scene = tmp_path / "scene.toml"
+    scene.write_text(f"{world}file = 'open.obj'\n")
+    with pytest.raises(InputError) as refused:
+        scenefile.load(scene)
+    place = f"scene.toml line 6: [[obstacles]] 0: {tmp_path}/"
+    assert str(refused.value).startswith(place + says)
+    scene.write_text(f"{world}file = 'open.obj'\nfaces = [[0, 1, 2]]\n")
+    with pytest.raises(InputError, match="line 7: .* 0: faces and file exclude each other"):
+        scenefile.load(scene)
+
+
 def test_a_mesh_hangs_from_its_highest_points(tmp_path):
     """By itself, as a scene: in the air, y up, held at the top; assignments reach its keys."""
     ball = trimesh.creation.icosphere(subdivisions=3)

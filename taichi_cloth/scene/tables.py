@@ -92,11 +92,13 @@ class SceneReader(TableReader):
     """Turns parsed TOML into a Scene.
 
     sources: where particles, springs and stencils come from, in the order of their numbers.
+    files: those that have the vertices and faces of obstacles, by the obstacle's number.
     """
 
     def __init__(self, name: str, text: str, default_scene_name: str, folder: Path):
         super().__init__(name, text, folder, TABLES)
         self.default_scene_name = default_scene_name
+        self.files: dict[int, Path] = {}
         self.sources: dict[str, list[_Source]] = {"particle": [], "spring": [], "stencil": []}
 
     def scene(self, table: Table) -> Scene:
@@ -223,6 +225,8 @@ class SceneReader(TableReader):
             if isinstance(file := values.get("file"), str):
                 with self.blaming(path, entry, self.folder / file):
                     obstacle = obstacle.with_file(self.folder)
+                if "file" not in obstacle.values:
+                    self.files[index] = self.folder / file
             found.append(obstacle)
         return tuple(found)
 
@@ -321,6 +325,8 @@ class SceneReader(TableReader):
         if index is None:
             return self.place(kind)
         if kind == "obstacle":
+            if field_name in ("vertices", "faces") and index in self.files:
+                return f"{self.place('obstacles', index, 'file')}: {self.files[index]}"
             return self.place("obstacles", index, field_name)
         if kind == "triangle":
             return f"{self.place('triangles')}: triangle {index}"
