@@ -400,6 +400,15 @@ def test_a_replay_says_what_of_its_log_was_refused(cli, tmp_path):
         assert "refused" not in cli(*words, "--quiet")[1]
 
 
+@pytest.mark.parametrize(("frames", "says"), [(3, "the first that --every 5 keeps"), (5, "")])
+def test_a_run_that_keeps_no_frame_says_so(cli, tmp_path, frames, says):
+    """A folder of an export is not even made."""
+    words = ("run", "oscillator", *ON_GRAPH, "--frames", frames, "--every", 5, "--export")
+    _, said = cli(*words, tmp_path / "frames")
+    assert says in said and ("nothing is saved" in said) == bool(says)
+    assert (tmp_path / "frames").exists() == (not says)
+
+
 def test_a_run_says_once_that_it_compiles(capsys):
     """Whichever of two beside each other does first."""
     tell = run_notes.compiling(library.build("cloth"), RunOptions())

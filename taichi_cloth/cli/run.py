@@ -196,6 +196,7 @@ def _ended(run: Run) -> RunFailure | None:
         return failure
     if not run.of.options.quiet:
         run_notes.note_held_up(run.sim)
+        run_notes.note_empty(run.of.files.recordings, run.of.options.every)
         run_notes.note_left_out(run.of.files.recordings)
         run_notes.note_unsettled(run.sim)
     return None

@@ -186,6 +186,15 @@ def note_refused(refused: Refused) -> None:
         )
 
 
+def note_empty(recordings: Recordings, every: int) -> None:
+    """Say on standard error that what is saved has no frame, as the run ended before the first."""
+    if recordings and recordings.frames == 0 and every > 1:
+        say(
+            "note: nothing is saved of this run's frames: it ended before the first that --every "
+            f"{every} keeps; give a smaller one, or more --frames"
+        )
+
+
 def note_left_out(recordings: Recordings) -> None:
     """Say on standard error that an export lacks particles, which came after its first frame."""
     left_out = recordings.export.left_out if recordings.export else 0
