@@ -123,7 +123,7 @@ class Checkpoints(Part):
         names = ("scene", "_auto", *self.SETTINGS, *Engine.ENGINE)
         before = {name: getattr(self, name) for name in names}
         engine = checkpoint.engine if self._is_own(checkpoint) else None
-        if engine and engine["storage"] is not self.storage:
+        if engine and engine["_storage"] is not self._storage:
             for name in Engine.ENGINE:
                 setattr(self, name, engine[name])
         for name in self.SETTINGS:

@@ -41,7 +41,7 @@ class Engine(Part):
 
     # All that is the method's, or was chosen for it; a checkpoint goes back to it.
     ENGINE = (
-        *("method", "_module", "claims", "_launcher", "storage", "execution", "topology"),
+        *("method", "_module", "claims", "_launcher", "_storage", "execution", "topology"),
         *("_preferred", "_requested", "_watch", "held_up", "_unprepared"),
     )
 
@@ -139,7 +139,7 @@ class Engine(Part):
         lanes = self._lanes_for(module)
         # A run in sixteen lanes may go on with a method that takes but eight.
         lanes = min(lanes, module.most_lanes(now.scene.world.dim) or lanes)
-        self.storage = Storage(module, lanes, self._launcher, now, accounts)
+        self._storage = Storage(module, lanes, self._launcher, now, accounts)
         self.execution = self.topology = ""  # `_store` chooses them
         self._watch = self.held_up = self._unprepared = None
         if topology not in self.storage.topologies():

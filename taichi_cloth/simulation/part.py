@@ -86,10 +86,6 @@ class Part(ABC):
             )
         return self._storage
 
-    @storage.setter
-    def storage(self, storage: Storage) -> None:
-        self._storage = storage
-
     @property
     @abstractmethod
     def steps(self) -> int:

@@ -126,7 +126,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         self._launcher = Launcher(self._module, device, compiling, soon)
         start = Snapshot.at_start(self.scene)
         lanes = self._lanes_for(self._module)
-        self.storage = Storage(self._module, lanes, self._launcher, start, accounts_contacts)
+        self._storage = Storage(self._module, lanes, self._launcher, start, accounts_contacts)
         self._auto = AutoSubsteps(method, self._module, self.dt) if follows else None
         self._requested = (
             accepted.word("--topology", topology, (*TOPOLOGIES, "auto")),
@@ -376,7 +376,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         wide = Storage(self._module, sixteen.LANES, self._launcher, start, accounts)
         pays = sixteen.pays(wide, self.method)
         if pays and sixteen.are_compiled(wide, what, self.execution):
-            self._lanes, self.storage = sixteen.LANES, wide
+            self._lanes, self._storage = sixteen.LANES, wide
 
     @act
     def load_as(self, topology: str, path: str, x: np.ndarray, v: np.ndarray) -> None:
