@@ -85,6 +85,34 @@ def test_a_bounce_rises_as_its_closed_form_says(device):
     assert np.diff(energies).max() < 1e-12 and abs(energies[-1]) < 1e-12
 
 
+@pytest.mark.parametrize("method", mostly_thorough(methods.METHODS, default=["verlet"]))
+def test_both_walls_of_a_corner_met_in_a_step_are_as_one_after_the_other(device, method):
+    """What the friction of the first takes from the way into the second is no acceleration."""
+    world = World(
+        size=(10.0, 10.0),
+        gravity=(0.0, 0.0),
+        dt=0.01,
+        walls=("right", "bottom"),
+        friction=0.4,
+        contact="resting",
+    )
+    for part in (1.0, 0.6):
+        at_once, in_turn = (
+            Particles.build([[5.0, y]], [[1.0, 1.0]], radius=0.5, restitution=part)
+            for y in (5.0, 4.8)
+        )
+        ends = []
+        for ball in (at_once, in_turn):
+            sim = Simulation(Scene("corner", world, ball), method, execution="serial")
+            sim.advance(600)
+            ends.append(sim.velocities()[0])
+        friction = 0.4 * (1.0 + part)  # of what each wall turns round
+        came = max(1.0 - friction, 0.0)
+        slowed = part - min(0.4 * (1.0 + part) * came, part)
+        np.testing.assert_allclose(ends[1], [-slowed, -part * came], atol=1e-9)
+        np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("method", "fall"), [("verlet", 1.25), ("symplectic_euler", 1.25 * 33 / 32)]
 )

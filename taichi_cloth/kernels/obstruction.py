@@ -135,6 +135,7 @@ def _settle_particle(spec: ti.template(), state: ti.template(), slot):
     x_low, v_low = owed_at(spec, state, slot)
     radius = slot_number(spec, state.radius, slot)
     touched, changing, steady, last = 0, 1, 1, -1
+    free_v = 1.0 * v
     for _ in range(ROUNDS):
         if changing == 1:
             changing = 0
@@ -142,7 +143,7 @@ def _settle_particle(spec: ti.template(), state: ti.template(), slot):
                 # The one that it was just put onto has nothing to say before another one has.
                 if o != last and is_near(spec, state, o, slot, x, radius):
                     new_x, new_x_low, new_v, new_v_low, changed, steady = obstructed(
-                        spec, state, o, slot, x, x_low, v, v_low, radius, steady
+                        spec, state, o, slot, x, x_low, v, v_low, radius, steady, free_v, touched
                     )
                     if changed == 1:
                         x, x_low, v, v_low = new_x, new_x_low, new_v, new_v_low
@@ -168,13 +169,25 @@ def is_near(spec: ti.template(), state: ti.template(), o, slot, x, radius):
 
 @ti.func
 def obstructed(
-    spec: ti.template(), state: ti.template(), o, slot, x, x_low, v, v_low, radius, steady
+    spec: ti.template(),
+    state: ti.template(),
+    o,
+    slot,
+    x,
+    x_low,
+    v,
+    v_low,
+    radius,
+    steady,
+    free_v,
+    touched,
 ):
     """What obstacle o leaves of a particle's free end: x, x_low, v, v_low.
 
     Then come 1 if it changed them, and `steady`: 1 while all that the particle has touched in this
     step is at rest. slot: where the particle is; x_low, v_low: what is to be added to x and v
-    (`compensated.py`).
+    (`compensated.py`). free_v: the velocity of the free end; touched: whether other contacts have
+    changed it since.
     """
     new_x, new_x_low, new_v, new_v_low, changed, still = x, x_low, v, v_low, 0, steady
     began = slot_value(spec, state.begun_x, slot)
@@ -203,6 +216,8 @@ def obstructed(
             if u < 0.0:
                 weight = weight_of_meeting(weight, u_before, u, part, dt)
             if e > 0.0:
+                if touched == 1:  # what other contacts gave is no acceleration: it came with that
+                    u_before += (v - free_v).dot(n)
                 new_u, lift = bounce(u_before, u, part, e, state.position_weight, dt)
                 push += lift
         slide = relative - u * n
