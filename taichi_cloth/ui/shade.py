@@ -30,6 +30,7 @@ CELLS = 64  # of the grid, along each side
 IN_A_TILE = 8  # cells along a tile's side
 LAYERS = 13  # at heights of 1, 2 ** 0.5, 2, ... 64 cells
 DARKEST = 0.72  # part of the floor's light that a sky has
+UNEVEN = 0.15  # so much darker is one place of a tile than another where it is cut into cells
 FAINT = 0.01  # of what is lacking: nobody sees it
 MOST = 20_000  # parts of triangles that are looked at, of more triangles some
 # Where a ball is cut into parts, as its projection: unit vectors, spread evenly (Vogel, 1979).
@@ -67,7 +68,8 @@ def of(picture: Picture, camera: Camera) -> Shade | None:
 def laid(
     shade: Shade, corner: np.ndarray, color: np.ndarray, opacity: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Tiles of a floor with the shade on them: those that have any are cut into cells.
+    """Tiles of a floor with the shade on them: those that have any are cut into cells, those in
+    which it is much the same into four parts.
 
     corner (t, 4, 3), color (t, 4, 3) and opacity (t, 4): as `surfaces.floor` returns them, and
     returned likewise.
@@ -77,21 +79,22 @@ def laid(
     there = ((first >= 0) & (first <= CELLS - n)).all(axis=1)
     at = np.where(there[:, None], first, 0)[:, :, None] + np.arange(n + 1)
     dark = shade.dark[at[:, 0, :, None], at[:, 1, None, :]]  # (t, n + 1, n + 1)
-    cut = there & dark.any(axis=(1, 2))
-    lit = 1 - dark[cut, :, :, None]
-    cells = _over_cells(corner[cut]), _over_cells(color[cut]) * lit, _over_cells(opacity[cut])
-    corner, color, opacity = (
-        np.concatenate([of_tiles[~cut], _quads(of_cells)])
-        for of_tiles, of_cells in zip((corner, color, opacity), cells, strict=True)
-    )
+    shaded, fine = there & dark.any(axis=(1, 2)), np.ptp(dark, axis=(1, 2)) > UNEVEN
+    tiles = corner, color, opacity
+    found = [[values[~shaded] for values in tiles]]
+    for cut, step in ((shaded & fine, 1), (shaded & ~fine, n // 2)):
+        over = [_over_cells(values[cut], n // step) for values in tiles]
+        over[1] *= 1 - dark[cut, ::step, ::step, None]
+        found.append([_quads(values) for values in over])
+    corner, color, opacity = (np.concatenate(values) for values in zip(*found, strict=True))
     return corner, color, opacity
 
 
-def _over_cells(values: np.ndarray) -> np.ndarray:
-    """What is given at the corners of tiles, (t, 4, ...), at those of their cells: (t, n + 1,
-    n + 1, ...), by x and z.
+def _over_cells(values: np.ndarray, count: int) -> np.ndarray:
+    """What is given at the corners of tiles, (t, 4, ...), at those of count^2 parts of each:
+    (t, count + 1, count + 1, ...), by x and z.
     """
-    part = np.linspace(0, 1, IN_A_TILE + 1)
+    part = np.linspace(0, 1, count + 1)
     x, z = np.meshgrid(part, part, indexing="ij")
     weight = np.stack([(1 - x) * (1 - z), x * (1 - z), x * z, (1 - x) * z])
     found: np.ndarray = np.einsum("kxz,tk...->txz...", weight, values)
@@ -99,7 +102,7 @@ def _over_cells(values: np.ndarray) -> np.ndarray:
 
 
 def _quads(values: np.ndarray) -> np.ndarray:
-    """What is given at the corners of cells, at the four of each cell, (cells, 4, ...)."""
+    """What is given at the corners of parts, at the four of each part, (parts, 4, ...)."""
     around = values[:, :-1, :-1], values[:, 1:, :-1], values[:, 1:, 1:], values[:, :-1, 1:]
     return np.stack(around, axis=3).reshape(-1, 4, *values.shape[3:])
 
