@@ -121,8 +121,6 @@ def test_settings_of_a_solver_end_where_their_flags_do():
         live.apply(sweeps, "iterations", 10**8)
     with pytest.raises(InputError, match="--iterations must be at most 1000000"):
         sweeps.set_solver(iterations=10**8)
-    with pytest.raises(InputError, match="--substeps must be at most 1000000"):
-        sweeps.set_step(substeps=10**8)
 
 
 def test_stiffness_by_kind_is_that_of_its_links_alone():

@@ -13,7 +13,6 @@ from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import (
     MOST_ITERATIONS,
-    MOST_SUBSTEPS,
     MOST_TOLERANCE,
     SOLVER_SETTINGS,
 )
@@ -40,7 +39,7 @@ class Numbers:
 def checked_step(dt: float | str, substeps: int) -> tuple[float, int]:
     """(dt, substeps), if there can be such steps; else InputError."""
     checked = accepted.number("--dt", dt, above=0.0)
-    return checked, accepted.whole_number("--substeps", substeps, 1, MOST_SUBSTEPS)
+    return checked, accepted.whole_number("--substeps", substeps, 1)
 
 
 def runaway_speed(scene: Scene, dt: float) -> float:
