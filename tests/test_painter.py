@@ -1,7 +1,14 @@
 """Flat shapes in a picture: how much of each pixel they cover, and what lies upon what."""
 
+import json
+import subprocess
+import sys
+import textwrap
+
 import numpy as np
 import pytest
+from lacking import needs_vulkan
+from selection import thorough
 
 from taichi_cloth import painter
 
@@ -131,3 +138,32 @@ def test_what_is_far_away_costs_nothing_and_harms_nothing():
     assert (painted(painter.triangles(over, 7, WHITE)) == WHITE).all()
     flat = np.array([[[5.0, 5.0], [50.0, 50.0], [20.0, 20.0]]])
     assert not painted(painter.triangles(flat, 7, WHITE)).any()
+
+
+ON_BOTH = """
+    import json
+    import numpy as np
+    import taichi_cloth as tc
+    away = []
+    for name in ("cloth", "drape"):
+        drawn = {}
+        for arch in ("cpu", "vulkan"):
+            tc.start(arch, "f32")
+            sim = tc.Simulation(tc.scenes.build(name))
+            drawn[arch] = tc.picture(sim, size=(320, 240)).astype(int)
+        away.append([int(np.abs(drawn["cpu"] - drawn["vulkan"]).max()), float(drawn["cpu"].std())])
+    print(json.dumps(away))
+"""
+
+
+@thorough
+@needs_vulkan
+def test_a_graphics_driver_draws_the_same_pictures(tmp_path):
+    """Of a plane and of space. Some drivers have room for 65535 blocks, and no more."""
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(ON_BOTH)],
+        cwd=tmp_path, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    for away, contrast in json.loads(done.stdout.splitlines()[-1]):
+        assert away <= 1 and contrast > 10

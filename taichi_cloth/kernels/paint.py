@@ -136,7 +136,9 @@ def paint(frame: image, tall: ti.i32, wide: ti.i32, number: rows, what: indices)
     """Paint shapes, each upon those before it, tile by tile of `tall` x `wide` pixels."""
     h, w = frame.shape[0], frame.shape[1]
     down, across = (h + tall - 1) // tall, (w + wide - 1) // wide
-    ti.loop_config(block_dim=1)
+    # A tile is a thread, and on CPUs a task. Of a loop whose end is not known when it is compiled
+    # Taichi asks a GPU for 65536 blocks and more of one or two threads; some take 65535.
+    ti.loop_config(block_dim=ti.static(1 if ti.cfg.arch == ti.cpu else 8))
     for tile in range(down * across):
         top, left = tile // across * tall, tile % across * wide
         bottom, right = ti.min(top + tall, h), ti.min(left + wide, w)
