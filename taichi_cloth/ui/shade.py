@@ -58,9 +58,10 @@ def of(picture: Picture, camera: Camera) -> Shade | None:
         return None
     side, _ = floor_tiles(camera.radius)
     cell = side / IN_A_TILE
-    area, place, height = _parts(picture, 1.0 if camera.y_up else -1.0, cell)
     low = side * (np.round(camera.centre[[0, 2]] / side) - CELLS // IN_A_TILE // 2)
-    lacking = on_grid(area, (place - low) / cell, height / cell, cell)
+    with np.errstate(all="ignore"):  # of a run that flies apart
+        area, place, height = _parts(picture, 1.0 if camera.y_up else -1.0, cell)
+        lacking = on_grid(area, (place - low) / cell, height / cell, cell)
     dark = DARKEST * np.maximum(lacking - FAINT, 0.0)
     return Shade(low, cell, dark) if dark.any() else None
 
@@ -180,8 +181,7 @@ def _of_triangles(
     some = max(1, -(-len(triangles) // MOST))
     corner = position[triangles[::some]].astype(np.float64)
     first, second = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    with np.errstate(all="ignore"):
-        area = 0.5 * np.abs(first[:, 0] * second[:, 2] - first[:, 2] * second[:, 0])
+    area = 0.5 * np.abs(first[:, 0] * second[:, 2] - first[:, 2] * second[:, 0])
     largest = float(np.max(area, initial=0.0, where=np.isfinite(area)))
     fine = int(np.ceil(np.sqrt(largest) / cell))
     fine = min(max(fine, 1), max(int(np.sqrt(MOST / max(len(corner), 1))), 1))
