@@ -17,7 +17,8 @@ from taichi_cloth.kernels import raster
 
 NO_VECTORS = np.zeros((0, 3), np.float32)
 NO_NUMBERS = np.zeros(0, np.float32)
-NO_SHADE = np.zeros((1, 1), np.float32)
+# The homography, the shade and its room of a picture without one (`kernels/raster.py`).
+UNSHADED = np.zeros(9, np.float32), np.zeros((1, 1), np.float32), np.zeros(4, np.int32)
 
 
 @dataclass(frozen=True)
@@ -71,53 +72,30 @@ class Still:
     lines: list[Lines]
 
 
-@dataclass(frozen=True)
-class Floor:
-    """A floor of tiles in two colours, which fades out.
+def _ends(numbers: np.ndarray) -> tuple[int, int]:
+    """Beyond the least and the largest of some numbers."""
+    return int(numbers.min()) - 1, int(numbers.max()) + 1
 
-    above: how far the eye is above it. axes: its unit normal and its two axes, (3,) each, as seen
-    in the camera's axes. eye, middle: where the eye is along these two, and what is looked at.
-    side: of a tile. reach: from the middle to where it ends, all in world units.
-    colors: of both kinds of tile, floats 0..1.
-    dark: (k, k) float32, the part of the light that is lacking at the corners of the cells of a
-    grid along both axes. dark_low: its first corner. dark_cell: the side of a cell, world units.
+
+@dataclass(frozen=True)
+class Shade:
+    """How dark a floor is in places.
+
+    low: (2,), the floor's coordinates of the first corner of a grid. cell: the side of its cells,
+    world units. dark: (k, k) float32, along both axes, at the corners of cells: the part of the
+    floor's light that is lacking there, which somewhere is more than 0.
     """
 
-    above: float
-    axes: tuple[np.ndarray, np.ndarray, np.ndarray]
-    eye: tuple[float, float]
-    middle: tuple[float, float]
-    side: float
-    reach: float
-    colors: tuple[np.ndarray, np.ndarray]
-    dark: np.ndarray = field(default_factory=NO_SHADE.copy)
-    dark_low: tuple[float, float] = (0.0, 0.0)
-    dark_cell: float = 1.0
+    low: np.ndarray
+    cell: float
+    dark: np.ndarray
 
-    def numbers(self) -> np.ndarray:
-        """As `kernels/raster.py` takes them."""
-        given = (*self.axes, self.eye, self.middle, (self.side, self.reach), *self.colors)
-        return np.concatenate([[self.above], *given]).astype(np.float32)
+    def room(self, homography: np.ndarray, h: int, w: int) -> np.ndarray:
+        """The rows and columns of a picture, from and to, in which it may be seen: (4,) int32.
 
-    def shading(self, lens: np.ndarray, h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
-        """The homography and the room of `kernels/raster.py`, of its shade.
-
-        lens: (3,) or more, as there, for the picture's own pixels. h, w: of the picture.
+        homography: (3, 3), from pixels to cells. h, w: of the picture.
         """
-        up, along, across = self.axes
-        sight = np.array(
-            [[1, 0, 0.5 - lens[1]], [0, 1, 0.5 - lens[2]], [0, 0, lens[0]]], np.float64
-        )
-        aside = (np.array(self.eye) - self.dark_low) / self.dark_cell
-        place = self.above / self.dark_cell * np.stack([along, across]) - aside[:, None] * up
-        homography = np.sign(self.above) * np.stack([*place, -up]) @ sight
-        return homography.astype(np.float32).reshape(-1), self._room(homography, h, w)
-
-    def _room(self, homography: np.ndarray, h: int, w: int) -> np.ndarray:
-        """The rows and columns of a picture, from and to, in which shade may be: (4,) int32."""
         rows, columns = np.nonzero(self.dark > 0)
-        if len(rows) == 0:
-            return np.zeros(4, np.int32)
         cells = np.array([(i, j, 1) for i in _ends(rows) for j in _ends(columns)])
         seen = cells @ np.linalg.inv(homography).T
         if not (seen[:, 2] > 0).all():  # some of it is behind us
@@ -128,9 +106,50 @@ class Floor:
         return room.reshape(-1)
 
 
-def _ends(numbers: np.ndarray) -> tuple[int, int]:
-    """Beyond the least and the largest of some numbers."""
-    return int(numbers.min()) - 1, int(numbers.max()) + 1
+@dataclass(frozen=True)
+class Floor:
+    """A floor of tiles in two colours, which fades out.
+
+    above: how far the eye is above it. axes: its unit normal and its two axes, (3,) each, as seen
+    in the camera's axes. eye, middle: where the eye is along these two, and what is looked at.
+    side: of a tile. reach: from the middle to where it ends, all in world units.
+    colors: of both kinds of tile, floats 0..1.
+    shade: on it; None: it has all of its light.
+    """
+
+    above: float
+    axes: tuple[np.ndarray, np.ndarray, np.ndarray]
+    eye: tuple[float, float]
+    middle: tuple[float, float]
+    side: float
+    reach: float
+    colors: tuple[np.ndarray, np.ndarray]
+    shade: Shade | None = None
+
+    def numbers(self) -> np.ndarray:
+        """As `kernels/raster.py` takes them."""
+        given = (*self.axes, self.eye, self.middle, (self.side, self.reach), *self.colors)
+        return np.concatenate([[self.above], *given]).astype(np.float32)
+
+    def shading(
+        self, lens: np.ndarray, h: int, w: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The homography, the shade and its room, as `kernels/raster.py` takes them.
+
+        lens: (3,) or more, as there, for the picture's own pixels. h, w: of the picture.
+        """
+        shade = self.shade
+        if shade is None:
+            return UNSHADED
+        up, along, across = self.axes
+        sight = np.array(
+            [[1, 0, 0.5 - lens[1]], [0, 1, 0.5 - lens[2]], [0, 0, lens[0]]], np.float64
+        )
+        aside = (np.array(self.eye) - shade.low) / shade.cell
+        place = self.above / shade.cell * np.stack([along, across]) - aside[:, None] * up
+        homography = np.sign(self.above) * np.stack([*place, -up]) @ sight
+        room = shade.room(homography, h, w)
+        return homography.astype(np.float32).reshape(-1), shade.dark, room
 
 
 class Image(ScalarNdarray):  # type: ignore[misc]  # Taichi says nothing of its types
@@ -190,14 +209,9 @@ class Rasterizer:
         )
         self._lay(lens, lights, np.array(background, np.float32), floor, still)
         self._put(lens, lights, meshes, balls, lines)
-        homography, dark, room = np.zeros(9, np.float32), NO_SHADE, np.zeros(4, np.int32)
-        if floor is not None:
-            homography, room = floor.shading(lens / fine, *picture.shape)
-            dark = floor.dark
-        raster.resolve(
-            *(self._samples, *self._drawn, *self._behind, self._laid, picture.view(np.int32)),
-            *(homography, dark, room),
-        )
+        shading = UNSHADED if floor is None else floor.shading(lens / fine, *picture.shape)
+        image = picture.view(np.int32)
+        raster.resolve(self._samples, *self._drawn, *self._behind, self._laid, image, *shading)
 
     def _put(
         self,

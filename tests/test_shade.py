@@ -14,9 +14,10 @@ from lacking import needs_vulkan
 from selection import thorough
 
 import taichi_cloth as tc
+from taichi_cloth.rasterizer import Shade
 from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.model import ParticleDefaults, Scene, World
-from taichi_cloth.ui import shade, surfaces
+from taichi_cloth.ui import in_space, shade, surfaces
 from taichi_cloth.ui.framing import camera_of
 
 MIDDLE = shade.CELLS // 2
@@ -69,7 +70,7 @@ def test_pictures_have_the_floor_as_dark_as_the_sum_over_the_sheet_says(device, 
     size = np.array([640, 480])
     sim = tc.Simulation(scene)
     with_shade = tc.picture(sim, size=tuple(size), camera=camera, parts="surface").astype(float)
-    monkeypatch.setattr(shade, "of", lambda picture, camera: None)
+    monkeypatch.setattr(shade, "of", lambda picture, ground, camera: None)
     without = tc.picture(sim, size=tuple(size), camera=camera, parts="surface").astype(float)
 
     middle, h = np.array([1.0, 0.0]), 0.7  # of the sheet, and its height above the floor
@@ -107,7 +108,7 @@ BOTH = """
     sim, camera, real, pixels = tc.Simulation(scene), camera_of(scene), shade.of, {{}}
     view = open_view("none", scene.world, pictures=True, size=size, camera=camera)
     assert view.name == "ggui"
-    for shaded, of in ((True, real), (False, lambda picture, camera: None)):
+    for shaded, of in ((True, real), (False, lambda picture, ground, camera: None)):
         shade.of = of
         pixels["ggui", shaded] = app.pixels_of(sim, view, status=False, show=None)
         pixels["gui", shaded] = tc.picture(sim, size=size, camera=camera)
@@ -139,25 +140,25 @@ def test_what_is_below_the_floor_or_nowhere_darkens_nothing(device):
     camera, pictures = camera_of(scene), []
     real = shade.of
 
-    def noting(picture, camera):
+    def noting(picture, ground, camera):
         pictures.append(picture)
-        return real(picture, camera)
+        return real(picture, ground, camera)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(shade, "of", noting)
         tc.picture(tc.Simulation(scene), size=(64, 48), camera=camera)
     picture = pictures[0]
-    dark = real(picture, camera).dark
+    dark = real(picture, 0.1, camera).dark
     assert 0.1 < dark.max() < shade.DARKEST
     x = picture.position.astype(np.float64)
     x[:, 1] = -1.0
-    assert real(replace(picture, position=x), camera) is None
+    assert real(replace(picture, position=x), 0.1, camera) is None
     for lost in (np.nan, np.inf, 1e308, -1e308):  # of a run that flies apart
         x[:] = lost
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            assert real(replace(picture, position=x), camera) is None
-    assert real(replace(picture, ground=None), camera) is None
+            assert real(replace(picture, position=x), 0.1, camera) is None
+    assert in_space.floor(replace(picture, ground=None), camera) is None
 
 
 def test_tiles_of_a_floor_are_cut_where_there_is_shade_and_cover_what_they_did():
@@ -166,7 +167,7 @@ def test_tiles_of_a_floor_are_cut_where_there_is_shade_and_cover_what_they_did()
     dark = np.zeros((shade.CELLS + 1,) * 2, np.float32)
     dark[30:40, 33:35] = 0.5
     low = side * (np.round(np.array([1.0, 0.2]) / side) - 4)
-    laid = shade.laid(shade.Shade(low, side / shade.IN_A_TILE, dark), corner, color, opacity)
+    laid = shade.laid(Shade(low, side / shade.IN_A_TILE, dark), corner, color, opacity)
 
     def areas(corner):
         a, b = corner[:, 1] - corner[:, 0], corner[:, 3] - corner[:, 0]

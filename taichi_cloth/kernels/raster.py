@@ -9,8 +9,8 @@ Places are in the camera's axes: x right, y down, z away from the eye, which is 
 (4,) is pixels per unit of slope, the pixel (x right, y down) at which the camera looks, the least
 depth that is drawn. Pictures (h, w) have a row at a time from the top down. Colours are floats
 0..1; in the picture they are 0xRRGGBB, and c of what lies behind everything is -1 - c, so that
-whatever is drawn is larger; that of the floor, which is shaded last, has one more bit. Lights (k +
-1, 4): unit direction to each light and its strength; in the last row the ambient one's.
+whatever is drawn is larger; that of the floor, which is shaded last, has one more bit. Lights
+(k + 1, 4): unit direction to each light and its strength; in the last row the ambient one's.
 
 `touched` marks the tiles of `TILE` pixels in which something may have been drawn: only these are
 taken from the pixels drawn, and emptied again; all others are what lies behind everything.

@@ -80,7 +80,7 @@ def grid(
     step_across, step_down = (spacing * of for of in _directions(across, down, len(start)))
     fixed = np.zeros((rows, columns), bool)
     fixed[_pinned_rows_and_columns(pinned, columns, rows)] = True
-    links = _kinds(links)
+    links = accepted.listed("grid: links", links, "a list of kinds")
     of_kinds = _values_by_kind(links, per_kind)
     defaults: Any = SpringDefaults() if spring_defaults is None else spring_defaults
     if not isinstance(defaults, SpringDefaults):
@@ -240,11 +240,6 @@ def _check_size(columns: int, rows: int, spacing: float) -> None:
         )
     if not (np.isfinite(spacing) and spacing > 0):
         raise InputError(f"spacing must be positive and finite, is {spacing:g}")
-
-
-def _kinds(links: Any) -> list[Any]:
-    """The kinds of links as a list, which is gone through more than once."""
-    return accepted.listed("grid: links", links, "a list of kinds")
 
 
 def _values_by_kind(

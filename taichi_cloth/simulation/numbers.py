@@ -11,11 +11,7 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.methods.contract import Claims
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings import accepted
-from taichi_cloth.settings.options import (
-    MOST_ITERATIONS,
-    MOST_TOLERANCE,
-    SOLVER_SETTINGS,
-)
+from taichi_cloth.settings.options import MOST_ITERATIONS, MOST_TOLERANCE, SOLVER_SETTINGS
 
 # A particle that would cross the world this many times in one frame is lost, not fast.
 RUNAWAY_CROSSINGS = 100.0

@@ -392,7 +392,7 @@ class Composer:
     def _floor_3d(self, picture: Picture, height: float, camera: Camera) -> None:
         up = camera.rotation()[:, 1] * (1 if camera.y_up else -1)
         corner, color, opacity = floor(height, camera.centre, camera.radius)
-        dark = shade.of(picture, camera)
+        dark = shade.of(picture, height, camera)
         if dark is not None:
             corner, color, opacity = shade.laid(dark, corner, color, opacity)
         place = self._seen(camera, corner.reshape(-1, 3)).reshape(-1, 4, 3)

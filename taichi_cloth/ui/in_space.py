@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from taichi_cloth.rasterizer import Floor, Mesh
-from taichi_cloth.ui import style, surfaces
+from taichi_cloth.ui import shade, style, surfaces
 from taichi_cloth.ui.camera import Camera
-from taichi_cloth.ui.shade import Shade
 from taichi_cloth.ui.surfaces import Topology
+from taichi_cloth.ui.views.contract import Picture
 
 
 def mesh(
@@ -40,8 +38,9 @@ def lights(count: int) -> np.ndarray:
     return np.array([*lights, [0.0, 0.0, 0.0, style.AMBIENT]], np.float32)
 
 
-def floor(height: float | None, camera: Camera, shade: Shade | None = None) -> Floor | None:
-    """The floor at this height, as it is drawn; None: there is none to be seen."""
+def floor(picture: Picture, camera: Camera) -> Floor | None:
+    """The floor of a picture, as it is drawn; None: there is none to be seen."""
+    height = picture.ground
     if height is None or not camera.is_above(height):
         return None
     side, reach = surfaces.floor_tiles(camera.radius)
@@ -59,13 +58,8 @@ def floor(height: float | None, camera: Camera, shade: Shade | None = None) -> F
             bright * np.array(style.unit(style.TILES[0])),
             bright * np.array(style.unit(style.TILES[1])),
         ),
-        **({} if shade is None else _dark(shade)),
+        shade=shade.of(picture, height, camera),
     )
-
-
-def _dark(shade: Shade) -> dict[str, Any]:
-    low = (float(shade.low[0]), float(shade.low[1]))
-    return {"dark": shade.dark, "dark_low": low, "dark_cell": shade.cell}
 
 
 def cut(ends: np.ndarray, parts: int) -> np.ndarray:

@@ -16,11 +16,11 @@ millisecond or two however many triangles there are. Heights between two layers 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
+from taichi_cloth.rasterizer import Shade
 from taichi_cloth.ui import drawing
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.surfaces import floor_tiles
@@ -34,33 +34,20 @@ UNEVEN = 0.15  # so much darker is one place of a tile than another where it is 
 FAINT = 0.01  # of what is lacking: nobody sees it
 MOST = 20_000  # parts of triangles that are looked at, of more triangles some
 # Where a ball is cut into parts, as its projection: unit vectors, spread evenly (Vogel, 1979).
-_TURN = np.arange(12) * np.pi * (3 - np.sqrt(5))
-DISC = np.sqrt((np.arange(12) + 0.5) / 12)[:, None] * np.stack([np.cos(_TURN), np.sin(_TURN)], 1)
+_PART = np.arange(12)
+_TURN = np.pi * (3 - np.sqrt(5)) * _PART
+DISC = np.sqrt((_PART + 0.5) / len(_PART))[:, None] * np.stack([np.cos(_TURN), np.sin(_TURN)], 1)
 
 
-@dataclass(frozen=True)
-class Shade:
-    """The shade on a floor.
-
-    low: (2,), the floor's coordinates (x, z) of the grid's first corner. cell: the side of a cell.
-    dark: (CELLS + 1, CELLS + 1) float32, by x and z, at the corners of cells: the part of the
-    floor's light that is lacking there.
+def of(picture: Picture, ground: float, camera: Camera) -> Shade | None:
+    """The shade of what a picture has above its floor, at the height `ground`, by x and z, of CELLS
+    cells along each side; None: it is nowhere dark.
     """
-
-    low: np.ndarray
-    cell: float
-    dark: np.ndarray
-
-
-def of(picture: Picture, camera: Camera) -> Shade | None:
-    """The shade of what a picture has above its floor; None: there is no floor, or nothing dark."""
-    if picture.ground is None:
-        return None
     side, _ = floor_tiles(camera.radius)
     cell = side / IN_A_TILE
     low = side * (np.round(camera.centre[[0, 2]] / side) - CELLS // IN_A_TILE // 2)
     with np.errstate(all="ignore"):  # of a run that flies apart
-        area, place, height = _parts(picture, 1.0 if camera.y_up else -1.0, cell)
+        area, place, height = _parts(picture, ground, 1.0 if camera.y_up else -1.0, cell)
         lacking = on_grid(area, (place - low) / cell, height / cell, cell)
     dark = DARKEST * np.maximum(lacking - FAINT, 0.0)
     return Shade(low, cell, dark) if dark.any() else None
@@ -151,11 +138,12 @@ def _blurs() -> np.ndarray:
     return np.array(found)
 
 
-def _parts(picture: Picture, up: float, cell: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _parts(
+    picture: Picture, ground: float, up: float, cell: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Parts, about as small as a cell, of what a picture has above its floor: the areas of their
     projections (k,), where these are (k, 2), and their heights (k,).
     """
-    ground = picture.ground or 0.0
     parts = [_of_triangles(picture.position, picture.triangles, 1.0, cell)]
     if picture.solids is not None:  # closed, so each is above a point twice
         parts.append(_of_triangles(picture.solids.vertex, picture.solids.triangles, 0.5, cell))

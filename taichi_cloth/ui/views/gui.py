@@ -17,7 +17,7 @@ from taichi_cloth import painter
 from taichi_cloth.painter import Shapes
 from taichi_cloth.rasterizer import Balls, Lines, Mesh, Rasterizer, Still
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui import drawing, in_space, pointer, shade, style, surfaces, veiled, x11
+from taichi_cloth.ui import drawing, in_space, pointer, style, surfaces, veiled, x11
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.drawing import Cached
@@ -329,7 +329,7 @@ class GuiView:
             meshes=meshes if keep else [*still.meshes, *meshes],
             balls=balls,
             lines=lines,
-            floor=in_space.floor(picture.ground, camera, shade.of(picture, camera)),
+            floor=in_space.floor(picture, camera),
             still=still if keep else None,
         )
         painter.draw(self._frame, _pointer(picture.pointer))
