@@ -13,7 +13,8 @@ gravity to rounding in f32. Forces on triangles depend on where particles go, an
 velocities: they are computed anew before every sweep, at the state that the sweeps have so far, and
 goal_v follows. Between sweeps they count as -damping*(change of velocity), with a bound on their
 damping that stays the same through a step; where the sweeps converge, that is to backward Euler's
-solution whatever the bound.
+solution whatever the bound. How a triangle turns into the wind is not in that bound: where in a
+step the air passes many triangles, sweeps do not converge (`docs/stability.md`).
 
 In the precision `compensated` state.v is, until the step ends, only
 what the sweeps add to goal_v, which is far less.
