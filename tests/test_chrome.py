@@ -356,6 +356,23 @@ def test_escape_closes_what_was_opened_last_and_quits_where_nothing_is_open(sim)
     assert result.quit and len(window.turns) == 10
 
 
+def test_the_key_list_lies_over_panels_and_legends_where_there_is_no_room_beside_them(sim):
+    """In letters as large as without them, up to its end or the line that says there is more."""
+    lists = []
+    for size in (640, 480), (320, 240):
+        for opened in ["o", "m", "e"], []:
+            window = Pressed(sim.scene.world, (opened, ["tab"], []))
+            window.size = size
+            window.draw = lambda picture: lists.append(picture.overlay[-1])
+            app.run(sim, window, quiet=True, device="test")
+    found = [lists[2::3][n] for n in range(4)]
+    assert ["this list" in one.words for one in found] == [True, True, False, False]
+    assert "larger window" in found[2].words
+    for beside, alone in (found[:2], found[2:]):
+        assert beside.words == alone.words
+        np.testing.assert_array_equal(beside.tile.pixels, alone.tile.pixels)
+
+
 def test_keys_write_a_checkpoint_and_export_the_last_seconds(sim, tmp_path):
     """Pressed after 3 frames and after 5: what is read back is the run as it was then."""
 

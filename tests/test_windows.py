@@ -773,7 +773,7 @@ def test_a_key_list_is_drawn_once_in_the_largest_letters_that_fit(monkeypatch):
     for room, height, count in (
         (Rect(0, 40, 800, 640), 15, 1), (Rect(0, 60, 1280, 700), 90, 2), (low, 12, 2),
     ):  # fmt: skip
-        panel = messages.keys(lines, room, height)
+        panel = messages.keys(lines, height, room)
         (size,) = {size for _, size in drawn}
         blocks = [block for block, _ in drawn]
         assert len(blocks) == count and sum(blocks, ()) == lines and panel.words.endswith(lines[-1])
@@ -782,7 +782,7 @@ def test_a_key_list_is_drawn_once_in_the_largest_letters_that_fit(monkeypatch):
             assert size == height or not fits(others, size + 1, room)
         drawn.clear()
     room = Rect(0, 25, 320, 190)
-    panel = messages.keys(lines, room, 12)
+    panel = messages.keys(lines, 12, room)
     ((block, size),) = drawn
     assert fits([block], size, room) and len(block) > 10 and "larger window" in block[-1]
     assert panel.words == "\n".join(block)

@@ -13,8 +13,7 @@ from taichi_cloth import runtime
 from taichi_cloth.errors import printable
 from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.ui import hud
-from taichi_cloth.ui.chrome import messages
-from taichi_cloth.ui.chrome.chrome import Chrome, Contents
+from taichi_cloth.ui.chrome.chrome import Chrome, Contents, key_list
 from taichi_cloth.ui.chrome.contract import Part
 from taichi_cloth.ui.chrome.layout import Layout, Rect
 from taichi_cloth.ui.chrome.meters import Meters
@@ -164,7 +163,7 @@ class Presentation:
 
     def _key_list(self, layout: Layout) -> Rect:
         """Where the key list is."""
-        panel = messages.keys(self._keys(), layout.world, layout.text)
+        panel = key_list(self._keys(), layout)
         tall, wide = panel.tile.pixels.shape[:2]
         return Rect(panel.x, panel.y, wide, tall)
 
@@ -200,11 +199,8 @@ class Presentation:
         picture = self.depiction.picture(self._controls.marks(), part)
         layout = self.arranged()
         around = self.chrome.overlay(layout, self._contents())
-        legends = messages.legends(self.depiction.legends(), layout.world, layout.text)
         plain = self._budget is not None and self._budget.plain
-        picture = replace(
-            picture, overlay=(*around, *legends), pointer=self._pointer(), plain=plain
-        )
+        picture = replace(picture, overlay=around, pointer=self._pointer(), plain=plain)
         return self._with_second(picture, layout, part) if self.pair else picture
 
     def _with_second(self, picture: Picture, layout: Layout, part: float) -> Picture:
@@ -280,7 +276,7 @@ class Presentation:
         )
         if self._takes.of_world:  # over which these two lie
             keys, banner = (), None
-        return Contents(rows, self._buttons, keys, banner)
+        return Contents(rows, self._buttons, keys, banner, self.depiction.legends())
 
     def _faster(self) -> Word | None:
         """What would make late frames shorter; a script has no flags, and no budget."""

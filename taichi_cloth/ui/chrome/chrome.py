@@ -21,13 +21,19 @@ class Contents:
 
     rows: of the status, of which as many are shown as are open. buttons: of the tool bar.
     keys: lines of the key list (empty: closed), "key<tab>action" for two columns.
-    banner: a message across the top (None: none).
+    banner: a message across the top (None: none). legends: what colours mean.
     """
 
     rows: tuple[Row, ...] = ()
     buttons: tuple[Button, ...] = ()
     keys: tuple[str, ...] = ()
     banner: str | None = None
+    legends: Sequence[messages.Meanings] = ()
+
+
+def key_list(lines: tuple[str, ...], layout: Layout) -> Panel:
+    """The key list: beside what is open, or over it where there is too little room."""
+    return messages.keys(lines, layout.text, layout.world, layout.within)
 
 
 class Chrome:
@@ -103,10 +109,11 @@ class Chrome:
             rows = contents.rows[: self._open.strip]
             found += self._strip(rows, layout.strip, layout.text)
         found += [part.panel(rect, layout.text) for part, rect in self._placed(layout)]
-        if contents.keys:
-            found.append(messages.keys(contents.keys, layout.world, layout.text))
+        found += messages.legends(contents.legends, layout.world, layout.text)
         if contents.banner:
             found.append(messages.banner(contents.banner, layout.world, layout.text))
+        if contents.keys:  # over all else
+            found.append(key_list(contents.keys, layout))
         return tuple(found)
 
     def buttons(self) -> tuple[Button, ...]:

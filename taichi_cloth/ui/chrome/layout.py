@@ -74,6 +74,12 @@ class Layout:
     row: Rect | None
     columns: dict[str, Rect]
 
+    @property
+    def within(self) -> Rect:
+        """What is between the bar and the status: the world, and all that is open beside it."""
+        below = self.strip.y if self.strip else self.size[1]
+        return Rect(0, self.world.y, self.size[0], below - self.world.y)
+
 
 def text_height(window_height: int) -> int:
     """Height of the text in pixels, readable in small windows and large."""

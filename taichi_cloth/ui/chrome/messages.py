@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -18,16 +19,19 @@ SMALLEST = 8  # pixels of text that is shrunk to fit
 
 
 @lru_cache(maxsize=4)
-def keys(lines: tuple[str, ...], room: Rect, height: int) -> Panel:
-    """The list of keys, "key<tab>action", in the middle of the world's room.
+def keys(lines: tuple[str, ...], height: int, *rooms: Rect) -> Panel:
+    """The list of keys, "key<tab>action", in the middle of the first of some rooms, each wider than
+    the one before, in which it is the easiest to read.
 
     height: of the text, pixels; less where the list would not fit, in one block or in two beside
-    each other: whichever is easier to read. Where neither fits, its end says that there is more.
+    each other. Where neither fits, its end says that there is more.
     """
-    blocks = max(([lines], _halved(lines)), key=lambda blocks: _fitting(blocks, room, height))
+    ways = [(room, blocks) for room in rooms for blocks in ([lines], _halved(lines))]
+    room, blocks = max(ways, key=lambda way: _fitting(way[1], way[0], height))
     fitting = _fitting(blocks, room, height)
     if not fitting:
-        fitting, lines = SMALLEST, _begun(lines, room)
+        fitting, room = SMALLEST, rooms[-1]
+        lines = _begun(lines, room)
         blocks = [lines]
     tall = max(text.extent(block, fitting)[1] for block in blocks)
     inks = style.KEY_INK, style.INK
@@ -82,7 +86,7 @@ def _begun(lines: tuple[str, ...], room: Rect) -> tuple[str, ...]:
     return *lines[: count - 1], f"{text.ELLIPSIS}\tmore in a larger window"
 
 
-def legends(rows: list[Meanings], room: Rect, height: int) -> tuple[Panel, ...]:
+def legends(rows: Sequence[Meanings], room: Rect, height: int) -> tuple[Panel, ...]:
     """What colours mean, at the lower left of the world's room, a row above the other."""
     panels: list[Panel] = []
     for row in rows:
