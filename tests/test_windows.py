@@ -912,6 +912,17 @@ def test_buttons_of_the_bar_never_meet_and_keys_are_offered_as_long_as_one_fits(
     assert len(placed) == len(buttons), "where there is room all are there"
 
 
+def test_the_bar_keeps_the_key_list_then_tools_then_pause_where_there_is_little_room():
+    buttons = [Button(key, "blow") for key in "bc"]
+    buttons += [Button(key, "a part", right=True) for key in "pomht"]
+    said, height = [], 18
+    for width in range(20, 400):
+        placed = toolbar.placed(buttons, Rect(0, 0, width, bar_height(height)), height)
+        said.append("".join(button.key for button, _, _ in placed))
+    kept = list(dict.fromkeys(said))
+    assert kept == ["", "t", "bt", "bct", "bcpt", "bcpot", "bcpomt", "bcpomht"]
+
+
 def test_the_bar_has_labels_as_far_as_there_is_room():
     """The tools', then those at the right, from that of the key list on."""
     buttons = [Button("b", "blow"), *(Button(key, "a part", right=True) for key in "pomh")]

@@ -31,8 +31,8 @@ def placed(buttons: Sequence[Button], rect: Rect, height: int) -> list[tuple[But
 
     Where there is too little room, labels are written as far as it goes: of those in use, of the
     tools, and then one by one of those at the right, first of the last, which says what the keys
-    do; where there is none for all keys, buttons are left out: first those at the right but for
-    the last. height: of the text, pixels.
+    do; where there is none for all keys, buttons at the right are left out: the last but one
+    first, then tools. height: of the text, pixels.
     """
     labelled = [False] * len(buttons)
     widths = [_width(b, False, height) for b in buttons]
@@ -42,22 +42,25 @@ def placed(buttons: Sequence[Button], rect: Rect, height: int) -> list[tuple[But
         if sum(wide) + _gap(height) * (len(buttons) + 2) <= rect.width:
             labelled, widths = more, wide
     gap, margin = _gap(height), round(0.2 * height)
-    found, x, end = [], rect.x + gap, rect.x + rect.width - gap
     each = list(zip(buttons, labelled, widths, strict=True))
-    last = [one for one in each if one[0].right][-1:]
-    rest = [one for one in each if not one[0].right]
-    rest += [one for one in reversed(each) if one[0].right and one not in last]
-    for button, shown, width in last + rest:
-        if end - x < width:
-            continue  # of those at the right a narrower one may fit
-        left = end - width if button.right else x
-        box = Rect(left, rect.y + margin, width, rect.height - 2 * margin)
-        found.append((button, box, shown))
+    tools = [one for one in each if not one[0].right]
+    right = [one for one in each if one[0].right]
+    kept, room = [], rect.width - gap
+    for one in right[-1:] + tools + right[:-1]:
+        if one[2] + gap > room:
+            break
+        kept.append(one)
+        room -= one[2] + gap
+    found, x = [], rect.x + gap
+    for one in each:
+        if one not in kept:
+            continue
+        button, shown, width = one
         if button.right:
-            end -= width + gap
-        else:
-            x += width + gap
-    return sorted(found, key=lambda one: one[1].x)
+            x, room = x + room, 0
+        found.append((button, Rect(x, rect.y + margin, width, rect.height - 2 * margin), shown))
+        x += width + gap
+    return found
 
 
 def panel(buttons: Sequence[Button], rect: Rect, height: int) -> Panel:
