@@ -1,5 +1,7 @@
 """Settings that are changed while a run goes on: read back, restored, logged, another method."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cloths import cloth
@@ -75,6 +77,30 @@ def test_every_setting_is_read_back_and_restored(name):
         np.testing.assert_array_equal(sim.positions(), x)
         live.setting(sim, setting.name).set(sim, setting.own)
         assert live.setting(sim, setting.name).read(sim) == pytest.approx(setting.own)
+    sim.advance(2)
+
+
+@pytest.mark.parametrize("break_force", [5.0, None])
+def test_what_was_clicked_into_an_empty_scene_has_settings(break_force):
+    """They read what clicks give, restore that, and cost what settings of other scenes do."""
+    scene = build("sandbox")
+    ties = replace(scene.spring_defaults, break_force=break_force)
+    sim = Simulation(replace(scene, spring_defaults=ties), **HOW)
+    assert not {"drag", "stiffness", "fracture"} & {one.label for one in live.settings_of(sim)}
+    sim.spawn((100.0, 100.0))
+    sim.spawn((120.0, 100.0), tied_to=0)
+    costs, known = RunningCosts(), live.settings_of(sim)
+    names = {"drag", "stiffness", "damping", "break force", "fracture"}
+    assert names <= {one.label for one in known}
+    for one in [one for one in known if one.label in names]:
+        assert one.read(sim) == one.own and one.low < one.high, one.name
+        SettingCosts(sim, costs).of(one, one.read(sim))
+        value = another(one, one.own)
+        one.set(sim, value)
+        assert live.setting(sim, one.name).read(sim) == pytest.approx(value), one.name
+        live.setting(sim, one.name).set(sim, one.own)
+        assert live.setting(sim, one.name).read(sim) == one.own, one.name
+    assert live.setting(sim, "fracture").own == (break_force is not None)
     sim.advance(2)
 
 

@@ -230,11 +230,12 @@ class _Column:
 
 def _column(sim: Simulation, table: str, name: str, kind: str | None = None) -> _Column | None:
     """A column of the springs or particles that the scene came with, or of all, where it has others
-    now; None: there are none.
+    now, or came with none; None: there are none.
     """
     now, own = getattr(sim.storage.scene, table), getattr(sim.scene, table)
     key = "between" if table == "springs" else "position"
-    same = len(now) >= len(own) and np.array_equal(getattr(now, key)[: len(own)], getattr(own, key))
+    count = len(own)
+    same = 0 < count <= len(now) and np.array_equal(getattr(now, key)[:count], getattr(own, key))
     chosen = np.arange(len(own) if same else len(now))
     if kind is not None:
         mine = layouts.springs_of_kind(kind, now.between, len(sim.storage.scene.particles))
@@ -242,7 +243,17 @@ def _column(sim: Simulation, table: str, name: str, kind: str | None = None) -> 
     if len(chosen) == 0:
         return None
     values = getattr(now, name)[chosen]
+    if count == 0:
+        return _Column(values, _clicked(sim.scene, table, name, len(chosen)), chosen)
     return _Column(values, getattr(own, name)[chosen] if same else values, chosen)
+
+
+def _clicked(scene: Scene, table: str, name: str, count: int) -> np.ndarray:
+    """What springs or particles that are added to a scene have, (count,)."""
+    springs = table == "springs"
+    about = (SPRING_PROPERTIES if springs else PARTICLE_PROPERTIES)[name]
+    default = getattr(scene.spring_defaults if springs else scene.particle_defaults, name)
+    return about.column(about.off if default is None else default, count)
 
 
 def _of_springs(sim: Simulation) -> Iterator[Setting]:
@@ -317,9 +328,10 @@ def _column_setting(
 def _typical(scene: Scene, name: str) -> float:
     """A number of a size that shows in the scene, where it has 0 or none."""
     springs, particles = scene.springs, scene.particles
-    k = float(np.median(springs.stiffness)) if len(springs) else 1.0
-    length = float(np.median(springs.rest_length)) if len(springs) else 1.0
-    mass = float(np.median(particles.mass)) if len(particles) else 1.0
+    ties = springs if len(springs) else scene.spring_defaults
+    k = float(np.median(ties.stiffness))
+    length = 1.0 if ties.rest_length is None else float(np.median(ties.rest_length))
+    mass = float(np.median((particles if len(particles) else scene.particle_defaults).mass))
     by_name = {
         "damping": 0.2 * float(np.sqrt(k * mass)),
         "viscous": 0.1 * mass / (60 * scene.world.dt),
@@ -425,7 +437,7 @@ def _features(sim: Simulation) -> Iterator[Setting]:
     if len(now.springs):
         yield _feature(
             sim, "fracture", "springs break beyond their break force",
-            lambda of: bool(np.isfinite(of.springs.break_force).any()),
+            _breaks,
             lambda s, on: _back(s, "springs", "break_force", on),
         )  # fmt: skip
     if scene.world.dim == 3 and len(now.triangles):
@@ -456,6 +468,13 @@ def _feature(
         name, "features", name.replace("_", " "), "", about, FLAG,
         lambda s: has(s.storage.scene), has(sim.scene), changes=changes,
     )  # fmt: skip
+
+
+def _breaks(scene: Scene) -> bool:
+    """Whether any of a scene's springs breaks; where it has none, any that is added."""
+    springs = scene.springs
+    limits = springs.break_force if len(springs) else _clicked(scene, "springs", "break_force", 1)
+    return bool(np.isfinite(limits).any())
 
 
 def _back(sim: Simulation, table: str, name: str, on: bool) -> dict[str, Any]:
