@@ -473,6 +473,18 @@ def test_strain_has_colours_only_where_there_are_springs():
         assert ["pulled" in words(picture) for picture in view.pictures[1:]] == expected
 
 
+def test_strain_is_offered_as_soon_as_a_spring_was_clicked_in():
+    sim, help_, click = simulation("spawn"), press(key="f1"), press("left", (300, 600))
+    view = Script([help_], [help_, press(key="space")], [click], [click], [help_], [])
+    view.size = (1400, 900)
+    app.run(sim, view, device="test")
+    said = [words(picture) for picture in view.pictures]
+    assert len(sim.pairs) == 1
+    assert ["e strain" in one for one in said] == [False] * 4 + [True] * 2
+    assert ["colours of strain" in one for one in said] == [False] * 5 + [True]
+    assert "this list" in said[1]
+
+
 def test_pictures_of_the_world_have_no_key_list_over_it_and_films_neither(tmp_path):
     keys = "f1", "s", None, "v", None, "p", "p", "v", None
     view = Script(*([press(key=key)] if key else [] for key in keys), [], size=(900, 500))

@@ -151,10 +151,14 @@ def buttons(
     opens: Sequence[Button] = (),
     *,
     paused: bool,
+    tied: bool = False,
     strain: bool = False,
     ghost: bool = False,
 ) -> tuple[Button, ...]:
-    """The tool bar's: tools that have a key, then at the right end `opens`, what can be opened."""
+    """The tool bar's: tools that have a key, then at the right end `opens`, what can be opened.
+
+    tied: whether there are springs now, also in a scene that came with none.
+    """
     found = [
         Button(other.key, other.name, chosen=other is tool)
         for other in tools.load_all().values()
@@ -164,7 +168,7 @@ def buttons(
     found += opens
     if len(scene.triangles):
         found.append(Button("d", "draw", right=True))
-    if len(scene.springs):
+    if tied or len(scene.springs):
         found.append(Button("e", "strain", chosen=strain, right=True))
     found.append(Button("y", "ghost", chosen=ghost, right=True))
     found += [Button("h", "status", right=True), Button("tab", "keys", right=True)]
@@ -252,12 +256,18 @@ def _drags(tool: Tool[Any] | None, *, space: bool) -> list[str]:
 
 
 def help_lines(
-    scene: Scene, has_wheel: bool, tool: Tool[Any] | None = None, *, saves: bool = False
+    scene: Scene,
+    has_wheel: bool,
+    tool: Tool[Any] | None = None,
+    *,
+    saves: bool = False,
+    tied: bool = False,
 ) -> tuple[str, ...]:
     """Every key and mouse action of this scene, as "key<tab>action".
 
     tool: the one in hand; None: the one that the pointer is from the start.
     saves: whether the run keeps a trajectory, which a reset shortens.
+    tied: whether there are springs now, also in a scene that came with none.
     """
     tool = tool or tools.for_mouse(scene.world.mouse)
     lines = list(tool.actions(scene)) if tool else []
@@ -277,7 +287,7 @@ def help_lines(
         "q\tslow motion: half as fast, down to 1/16",
         "r\tback to the start" + ("; --save begins anew" if saves else ""),
         *(["d\tdraw surface, springs, particles"] if len(scene.triangles) else []),
-        *(["e\tcolours of strain"] if len(scene.springs) else []),
+        *(["e\tcolours of strain"] if tied or len(scene.springs) else []),
         "m\tmeters: the last 10 seconds",
         "a\thow wrong the last second was",
         "k\twhy a run stopped; u: go on with what survives",

@@ -159,7 +159,8 @@ class Presentation:
     def _keys(self) -> tuple[str, ...]:
         """The lines of the key list."""
         tool, saves = self._controls.tool, self._saves
-        return hud.help_lines(self._sim.scene, self._view.has_wheel, tool, saves=saves)
+        scene, tied = self._sim.scene, self._sim.spring_count > 0
+        return hud.help_lines(scene, self._view.has_wheel, tool, saves=saves, tied=tied)
 
     def _key_list(self, layout: Layout) -> Rect:
         """Where the key list is."""
@@ -256,8 +257,8 @@ class Presentation:
             keys = self._keys()
         opens = self.chrome.buttons()
         self._buttons = hud.buttons(
-            sim.scene, tool, opens, paused=state.paused, strain=self.depiction.strain,
-            ghost=self.depiction.ghostly,
+            sim.scene, tool, opens, paused=state.paused, tied=sim.spring_count > 0,
+            strain=self.depiction.strain, ghost=self.depiction.ghostly,
         )  # fmt: skip
         urgent, notice = shutter.notice, self._controls.notice
         if state.exporting or state.opening:  # nothing is told before that
