@@ -261,6 +261,20 @@ def test_ctrl_turns_and_never_spawns():
     assert not calls(sim, "spawn")
 
 
+@pytest.mark.parametrize("y_up", [False, True])
+@pytest.mark.parametrize("begin", [press(key="ctrl"), press("left", (300, 200))])
+def test_the_side_that_faces_us_follows_the_pointer_also_beyond_the_poles(y_up, begin):
+    for rot_x in (0.0, 40.0, -80.0, 100.0, -120.0, 170.0):
+        camera = Camera((600, 400, 500), rot_x=rot_x, rot_y=30.0, y_up=y_up)
+        _, away = camera.ray(camera.middle)
+        place = camera.centre - 100 * away
+        tools = Controls(simulation("blow", 3), camera, (600, 400))
+        for event in (Event("move", pos=(300, 200)), begin, Event("move", pos=(310, 190))):
+            tools.apply(event)
+        right, down = camera.project([place])[0][0] - camera.middle
+        assert right > 0 > down, rot_x
+
+
 def test_wheel_and_keys_change_the_distance():
     camera = Camera((600, 400, 500))
     tools = Controls(simulation("spawn", 3), camera, (600, 400))

@@ -115,6 +115,11 @@ class Camera:
         return above > 0 if self.y_up else above < 0
 
     @property
+    def upright(self) -> bool:
+        """Whether what it sees does not stand on its head, as it does beyond a pole."""
+        return math.cos(math.radians(self.rot_x)) >= 0
+
+    @property
     def nearest_drawn(self) -> float:
         """The depth from which on things are drawn, world units."""
         return self.distance / 50

@@ -55,8 +55,7 @@ class CameraMoves:
     def turn(self, pixels: np.ndarray) -> None:
         """Turn so that the side that faces us follows the pointer, which moved by pixels (2,)."""
         self._note("turn")
-        dx, dy = pixels * DEGREES_A_PIXEL
-        self._camera.rotate(-dx, dy)
+        self._turn(pixels * DEGREES_A_PIXEL)
 
     def begin(self, drag: str) -> None:
         """A drag begins: "orbit" or "pan"."""
@@ -69,8 +68,12 @@ class CameraMoves:
         if self.drags == "pan":
             self._camera.pan(pixels / scale)
         else:
-            dx, dy = pixels * DEGREES_A_DRAG
-            self._camera.rotate(-dx, dy)
+            self._turn(pixels * DEGREES_A_DRAG)
+
+    def _turn(self, degrees: np.ndarray) -> None:
+        # What stands on its head is turned the other way about its own axis.
+        across = -1 if self._camera.upright else 1
+        self._camera.rotate(across * degrees[0], degrees[1])
 
     def end(self) -> None:
         """The drag is over, or the zoom: what comes next is another move."""
