@@ -854,6 +854,15 @@ def test_letters_that_the_font_lacks_are_written_by_those_that_it_has():
     assert (seen("h·omega")[:, :20] != seen("h?omega")[:, :20]).any()  # which it has
 
 
+@pytest.mark.parametrize("height", [12, 15, 18, 30])
+def test_the_hyphens_of_a_flag_are_two(height):
+    """The font makes one dash of them."""
+    inked = np.flatnonzero(text._ink("--", height).max(axis=(0, 2)) > 0)
+    assert len(inked) < np.ptp(inked) + 1
+    assert text._ink("--", height).shape[1] <= text.length("--", height) + 4
+    assert text.length("a--b", height) > text.length("a-", height) + text.length("-b", height)
+
+
 def test_planes_are_zoomed_and_moved_and_logs_need_not_know_it():
     """What is under the pointer stays there; a click then puts a particle where it is seen."""
     sim, recorded = simulation("spawn"), Recorded()

@@ -5,6 +5,7 @@ Taichi's windows cannot blend, so text is rasterised here against its own paper.
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +34,19 @@ def _font(height: int) -> ImageFont | FreeTypeFont:
 
 @lru_cache(maxsize=2048)
 def _advance(word: str, height: int) -> float:
-    return float(_font(height).getlength(_in_font(word)))
+    pieces = _pieces(word)
+    wide = sum(_font(height).getlength(piece) for piece in pieces)
+    return float(wide + (len(pieces) - 1) * _apart(height))
+
+
+def _pieces(word: str) -> list[str]:
+    """A word cut between hyphens, of which the font would make one dash: "--view"."""
+    return re.split("(?<=-)(?=-)", _in_font(word))
+
+
+def _apart(height: int) -> int:
+    """Pixels between the pieces of a word."""
+    return max(round(height / 12), 1)
 
 
 def _in_font(word: str) -> str:
@@ -61,10 +74,13 @@ def _ink(word: str, height: int) -> np.ndarray:
     """
     from PIL import Image, ImageDraw
 
-    font, word = _font(height), _in_font(word)
-    _, _, right, bottom = font.getbbox(word)
+    font, pieces, x = _font(height), _pieces(word), 1.0
+    _, _, right, bottom = font.getbbox("".join(pieces))
+    right += (len(pieces) - 1) * _apart(height)
     image = Image.new("L", (int(right) + 3, int(bottom) + 1), 0)
-    ImageDraw.Draw(image).text((1, 0), word, fill=255, font=font)
+    for piece in pieces:
+        ImageDraw.Draw(image).text((x, 0), piece, fill=255, font=font)
+        x += font.getlength(piece) + _apart(height)
     share = np.asarray(image, np.float32)[:, :, None] / 255
     # A light gamma keeps thin strokes of bright letters from fading into dark paper.
     inked: np.ndarray = np.round(share**0.8 * (SHADES - 1)) / (SHADES - 1)

@@ -210,7 +210,7 @@ def energy(of: Source) -> Meter | None:
     if touching:  # what contacts take is no error
         color = style.INK
     unsure = abs(doubt[-1]) > max(abs(now), 1e-3 * scale)
-    said = f"+-{number(abs(doubt[-1]))}" if unsure else signed(now)
+    said = f"±{number(abs(doubt[-1]))}" if unsure else signed(now)
     details = [(f"{drifts} {said}", color), (f"work {signed(float(work[-1]))}", WORK)]
     curves = [Curve(age, change, CHANGE), Curve(age, work, WORK), Curve(age, drift, color)]
     if by_hand.any():
