@@ -273,6 +273,20 @@ def test_a_panel_that_is_too_long_is_scrolled_and_draws_inside(sim):
     assert "method" in first.words and "method" not in last.words and "fracture" in last.words
 
 
+@pytest.mark.parametrize(("size", "text_size"), [((320, 240), 1.0), ((640, 400), 2.0)])
+def test_a_low_panel_has_settings_beside_its_foot(sim, size, text_size):
+    """Where meters are open, too: of what the foot says it has whole lines."""
+    opened = Parts(bar=True, strip=1, columns=("settings", "meters"), text=text_size)
+    layout = arrange(size, opened)
+    rect, hands = layout.columns["settings"], Hands(sim)
+    words = hands.panel.panel(rect, layout.text).words
+    assert "scene" in words.splitlines()[0]
+    room = hands.panel._room(rect)
+    assert room >= rect.height / 2 - 1.5 * layout.text
+    foot = hands.panel.panel(rect, layout.text).tile.pixels[room:]
+    assert (foot[-2:] == style.SURROUND).all() and not (foot == style.SURROUND).all()
+
+
 def test_a_panel_that_fits_again_is_scrolled_back(sim):
     """A list was scrolled and closed, or the window is higher: there is no bar to scroll it by."""
     hands = Hands(sim)

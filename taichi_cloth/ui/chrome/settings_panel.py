@@ -95,7 +95,9 @@ class SettingsPanel:
         self._read(rect.width, height)
         note = self._note()
         lines = [_lines(words, rect.width - 2 * rows.pad(height), height) for words in note]
-        self._foot = round((1.3 * max(sum(map(len, lines)), FOOT) + 0.8) * height)
+        most = max(int((rect.height / (2 * height) - 0.8) / 1.3), 1)  # half is the settings'
+        self._foot = round((1.3 * min(max(sum(map(len, lines)), FOOT), most) + 0.8) * height)
+        lines = [lines[0][:most], lines[1][: max(most - len(lines[0]), 0)]]
         self._scroll(0, rect)  # of what was there before a list was closed, less may be left
         state = (rect, height, tuple(self._rows), note, self._chosen, self._typed, self._first)
         if self._drawn is None or self._drawn[0] != state:
