@@ -353,6 +353,18 @@ def test_what_a_key_closed_gets_nothing_of_the_same_turn(sim):
     app.run(sim, Pressed(sim.scene.world, turns), quiet=True, device="test")
 
 
+def test_what_a_window_has_no_room_for_is_said_where_its_key_is_pressed(sim):
+    for key, name in {"m": "meters", "o": "settings", "k": "why", "l": "timeline"}.items():
+        window = Pressed(sim.scene.world, ([key], [key], []))
+        window.size, window.text_size = (320, 240 if key != "l" else 170), 1.5
+        app.run(sim, window, quiet=True, device="test")
+        told = [f"{name}: no room here" in said for said in window.said]
+        assert told == [False, True, False]
+        window = Pressed(sim.scene.world, ([key], []))
+        app.run(sim, window, quiet=True, device="test")
+        assert not any("no room" in said for said in window.said)
+
+
 def test_escape_closes_what_was_opened_last_and_quits_where_nothing_is_open(sim):
     """The key list lies over a row of the settings that takes keys, and goes before it."""
     window = Pressed(sim.scene.world, ())

@@ -146,6 +146,11 @@ class Presentation:
         elif self.chrome.toggle(command):
             if command == self.meters.name:
                 self.meters.restart()
+            small = f"{command}: no room here, a larger window has it"
+            if self.chrome.lacks_room(command, self.arranged()):
+                self._controls.tell(small)
+            elif self._controls.notice == small:
+                self._controls.tell(None)
         else:
             return False
         return True
