@@ -369,8 +369,11 @@ def test_a_log_is_that_of_the_run_one_kept(tmp_path):
 
 
 @pytest.mark.usefixtures("device")
-def test_the_tool_and_the_keys_stay_the_users_as_one_goes_back():
-    """Also where the tool of then held something, which it lets go; the log knows of it."""
+@pytest.mark.parametrize("after", ["i", "g"])
+def test_the_tool_and_what_is_down_stay_the_users_as_one_goes_back(after):
+    """Also where the tool of then held something, which it lets go, be it the one in hand with its
+    button up; the log knows of it.
+    """
     scene = build("cloth", columns=12, rows=9).with_world(tools=True)
     sim = Simulation(scene, topology="graph", execution="serial")
     size, at = tuple(map(int, scene.world.size)), scene.particles.position[100]
@@ -402,18 +405,22 @@ def test_the_tool_and_the_keys_stay_the_users_as_one_goes_back():
     do(*press("g"), Event("move", pos=tuple(at)), Event("press", pos=tuple(at), button="left"))
     advance(4)
     assert sim.held() is not None
-    do(Event("release", pos=tuple(at), button="left"), *press("i"))
+    do(Event("release", pos=tuple(at), button="left"), *press("i") * (after == "i"))
     advance(2)
+    name = controls.tool.name
     do(Event("press", key="ctrl"))
     for frame in (4, 3, 4, 0, 3):
         frames = travel.go(frame)
-        assert (controls.tool.name, controls.held, sim.held()) == ("pin", {"ctrl"}, None)
+        assert (controls.tool.name, controls.held, sim.held()) == (name, {"ctrl"}, None)
+        assert not controls.pressed
         assert not travel.timeline.touched and travel.timeline.frames.stop == 8
     do(Event("release", key="ctrl"))
     frames = travel.go(7)
-    assert controls.tool.name == "pin" and not controls.held and len(log) < 20
+    assert controls.tool.name == name and not controls.held and len(log) < 20
     frames = travel.go(3)
-    advance(5)
+    advance(2)
+    do(Event("move", pos=tuple(at + 30)))
+    advance(3)
     by_frame = {frame: [e for f, e in log if f == frame] for frame, _ in log}
     again = Simulation(scene, topology="graph", execution="serial")
     replay = SimpleNamespace(by_frame=by_frame, header={"window": size, "seed": 0})

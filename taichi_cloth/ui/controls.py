@@ -62,7 +62,7 @@ class Controls:
         self._first = self.tool = tools.for_mouse(world.mouse)
         self._by_key = {tool.key: tool for tool in tools.load_all().values() if tool.key}
         self._waiting: Callable[[], None] | None = None
-        self.pressed = False  # whether a button of the mouse is down
+        self.pressed = ""  # the button of the mouse that is down
         self.refusal = ""  # why what the last event asked of the simulation was refused; "": done
 
     @property
@@ -212,7 +212,7 @@ class Controls:
 
     def _click(self, event: Event, replayed: bool) -> None:
         tool, button = self.tool, event.button
-        self.pressed = event.kind == "press"
+        self.pressed = (button or "") if event.kind == "press" else ""
         if event.kind == "release":
             if self._moves and self._moves.drags == DRAGS.get(button or ""):
                 self._moves.end()

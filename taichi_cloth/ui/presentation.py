@@ -321,5 +321,5 @@ class Presentation:
         if ring is not None:
             nearness = camera.focal_length / camera.distance if camera else 1.0
             ring *= self._window.here.scale * nearness
-        cross = self._controls.pressed or self._state.replaying or not self._view.visible
+        cross = bool(self._controls.pressed) or self._state.replaying or not self._view.visible
         return Pointer(place, ring, cross) if cross or ring is not None else None

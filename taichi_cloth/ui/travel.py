@@ -81,7 +81,7 @@ class Travel:
     def go(self, frame: int) -> int:
         """Go to a frame, or to the nearest that there is; return which."""
         timeline, pose = self.timeline, self._camera.pose if self._camera else None
-        tool, held = self._controls.tool, self._controls.held
+        tool, held, pressed = self._controls.tool, self._controls.held, self._controls.pressed
         if timeline.touched:
             self.go_on()
         before = timeline.frame
@@ -91,7 +91,12 @@ class Travel:
         self._looked = []
         if self._camera and pose is not None and pose != self._camera.pose:
             self._keep(frame, Event("view", pose=pose))
-        if tool is not self._controls.tool:
+        button, place = self._controls.pressed, self._controls.pointer
+        let_go = bool(button) and not pressed
+        if let_go:
+            at = (0.0, 0.0) if place is None else (float(place[0]), float(place[1]))
+            self._keep(frame, Event("release", pos=at, button=button))
+        if let_go or tool is not self._controls.tool:
             said = self._controls.notice
             self._keep(frame, Event("tool", name=tool.name if tool else ""))
             if tool is self._controls.tool:  # else it is told why it cannot be in hand
