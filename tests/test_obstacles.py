@@ -465,6 +465,28 @@ def test_a_cloth_lies_on_what_would_pass_between_its_particles(device, name):
     assert sim.unsettled_faces() == 0
 
 
+@pytest.mark.parametrize("topology", mostly_thorough(["graph", "lanes"], default=["graph"]))
+def test_threads_of_a_torn_cloth_lie_on_what_would_pass_between_their_particles(device, topology):
+    """No triangle of it is whole, and of each only the side across the rod holds."""
+    scene = loose_sheet(SHARP["rod"], break_force=1e3)
+    near, far = scene.springs.between.T
+    crosses = scene.particles.position[near, 0] != scene.particles.position[far, 0]
+    how = {"topology": topology, "execution": "serial", "lanes": 2}
+    sim = Simulation(scene, "symplectic_euler", substeps=8, **how)
+    sim.cut(crosses)
+    assert not sim.triangles_alive().any()
+    along = np.linspace(0.0, 1.0, 21)[:, None, None]
+    near, far = near[~crosses], far[~crosses]
+    for _ in range(4):
+        sim.advance(8)
+        x = sim.positions()
+        points = (x[near] + along * (x[far] - x[near])).reshape(-1, 3)
+        assert depths(sim.storage.solids, points, np.full(len(points), 0.002), 0.0).max() < 2e-5
+    tops = sim.positions().reshape(9, 9, 3)[..., 1].max(axis=0)
+    assert tops.min() > 0.955  # each thread hangs over it
+    assert sim.unsettled_faces() == 0
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("speed", [5.0, 20.0, 100.0])
 def test_a_small_fast_sphere_takes_the_cloth_along(device, speed):

@@ -1,13 +1,14 @@
 """Faces and edges of a cloth against obstacles that would pass between its particles.
 
 Where an obstacle is sharper than twice the sides of a scene's triangles (`scene/solids.py`), each
-triangle (in 2-D each of its sides, and everywhere the springs of ropes) is tested against it: the
-point of the triangle with the least distance is put onto the obstacle's surface, with what contact,
-restitution and friction leave of that point's velocity (`obstruction.py`). Its corners move by
-their shares of that point and their inverse masses (Bridson, Fedkiw, Anderson, "Robust treatment of
-collisions, contact and friction for cloth animation", 2002, 6.2). All triangles act at once, by
-mass splitting, as resting pairs do: a corner in m contacts takes part in each with 1/m of its mass
-and goes on with the mean, so energy never grows. This is repeated until all are outside.
+triangle (in 2-D each of its sides, and everywhere the springs of ropes, and of a torn triangle the
+sides that hold) is tested against it: the point of the triangle with the least distance is put onto
+the obstacle's surface, with what contact, restitution and friction leave of that point's velocity
+(`obstruction.py`). Its corners move by their shares of that point and their inverse masses
+(Bridson, Fedkiw, Anderson, "Robust treatment of collisions, contact and friction for cloth
+animation", 2002, 6.2). All triangles act at once, by mass splitting, as resting pairs do: a corner
+in m contacts takes part in each with 1/m of its mass and goes on with the mean, so energy never
+grows. This is repeated until all are outside.
 
 `face_distance.py` finds that point; who need not be looked at, `face_clearance.py` says. Where a
 step is longer than the obstacle is sharp, its whole path is looked at, by steps of the distance, as
@@ -48,7 +49,7 @@ from taichi_cloth.kernels.poses import (
     to_world,
     velocity_at,
 )
-from taichi_cloth.kernels.surfaces import is_whole
+from taichi_cloth.kernels.surfaces import holds, is_whole
 from taichi_cloth.kernels.watchdog import note_fault
 
 FINDS = 8  # searches for contacts in a step, at most
@@ -71,6 +72,8 @@ def needed(spec):
     """Whether a specialization has triangles or edges with sharp obstacles in their way."""
     return bool(spec.obstacles) and spec.faces
 
+
+WHOLE = 0  # piece of a triangle; further ones are its sides, in their order
 
 # Phases (`phases.py`): contacts are searched for, counted, swept until they are at rest, and
 # searched for again.
@@ -180,25 +183,46 @@ def _look(spec: ti.template(), state: ti.template(), m):
     """Find where triangle m has entered an obstacle: the deepest place of all.
 
     What earlier searches of the step have found stays: so a face that lies on an edge does not
-    turn about one point of it.
+    turn about one point of it. Of a torn triangle those sides are looked at that still hold: as
+    threads they are in the way, too.
     """
     if state.face_finds[None] == 1:
         state.face_hits[m] = 0
-    if not face_clearance.is_clear(spec, state, m) and is_whole(spec, state, state.elements, m):
+    if not face_clearance.is_clear(spec, state, m):
         deepest, clear = 0.0 * state.dt[None], FAR + 0.0 * state.dt[None]
-        for o in range(state.n_obstacles[None]):
-            if state.obstacle_numbers[o, FACES_TOO] > 0.0:
-                free, near = _is_near(spec, state, o, m)
-                if near:
-                    gap, gap_before, part, share, n, room, slack, own = _meet(spec, state, o, m)
-                    free = own
-                    least = ti.select(state.face_finds[None] == 1, slack, slack + SETTLED * room)
-                    if -1.0 * gap > ti.max(deepest, least):
-                        deepest = -1.0 * gap
-                        state.face[_now(state, m), ROOM] = room
-                        _note_contact(spec, state, o, m, gap, gap_before > slack, part, share, n)
-                clear = ti.min(clear, free)
+        first, last = WHOLE, WHOLE + 1
+        if ti.static(spec.fracture):
+            if not is_whole(spec, state, state.elements, m):
+                first, last = WHOLE + 1, WHOLE + 4
+        for piece in range(first, last):
+            there = True
+            if ti.static(spec.fracture):
+                there = piece == WHOLE or holds(spec, state, state.elements, m, piece - 1)
+            if there:
+                for o in range(state.n_obstacles[None]):
+                    if state.obstacle_numbers[o, FACES_TOO] > 0.0:
+                        deepest, free = _look_at(spec, state, o, m, piece, deepest)
+                        clear = ti.min(clear, free)
         state.face_clear[m] = clear
+
+
+@ti.func
+def _look_at(spec: ti.template(), state: ti.template(), o, m, piece, deepest):
+    """Note where a piece of triangle m (`_piece`) has entered obstacle o, if deeper than `deepest`.
+
+    Returns the deepest place then, and its clearance (`face_clearance.py`).
+    """
+    reached = deepest
+    free, near = _is_near(spec, state, o, m)
+    if near:
+        gap, gap_before, part, share, n, room, slack, own = _meet(spec, state, o, m, piece)
+        free = own
+        least = ti.select(state.face_finds[None] == 1, slack, slack + SETTLED * room)
+        if -1.0 * gap > ti.max(deepest, least):
+            reached = -1.0 * gap
+            state.face[_now(state, m), ROOM] = room
+            _note_contact(spec, state, o, m, gap, gap_before > slack, part, share, n)
+    return reached, free
 
 
 @ti.func
@@ -210,6 +234,31 @@ def _now(state: ti.template(), m):
 @ti.func
 def _corner(state: ti.template(), m, k: ti.template()):
     return state.elements.corner[m, k]
+
+
+@ti.func
+def _piece(spec: ti.template(), state: ti.template(), m, piece):
+    """The three corners of a piece of triangle m: all of it (WHOLE), or side piece - 1, as a
+    triangle whose last corners are one."""
+    i, j, k = _corner(state, m, 0), _corner(state, m, 1), _corner(state, m, 2)
+    if ti.static(spec.fracture):
+        if piece > WHOLE:
+            i = state.elements.corner[m, piece - 1]
+            j = state.elements.corner[m, piece % 3]
+            k = j
+    return i, j, k
+
+
+@ti.func
+def _shares(spec: ti.template(), piece, share):
+    """The shares of a triangle's corners, from those of the corners of its piece."""
+    of = 1.0 * share
+    if ti.static(spec.fracture):
+        if piece > WHOLE:
+            for corner in ti.static(range(3)):
+                ahead = ti.select(piece % 3 == corner, share[1] + share[2], 0.0 * share[0])
+                of[corner] = ti.select(piece - 1 == corner, share[0], ahead)
+    return of
 
 
 @ti.func
@@ -244,13 +293,14 @@ def _ends(spec: ti.template(), state: ti.template(), o, slot):
 
 
 @ti.func
-def _meet(spec: ti.template(), state: ti.template(), o, m):
-    """How the step of triangle m meets obstacle o, as `obstruction.meet` has it of a particle.
+def _meet(spec: ti.template(), state: ti.template(), o, m, piece):
+    """How the step of a piece of triangle m meets obstacle o, as `obstruction.meet` has it of a
+    particle.
 
-    Returns gap, gap_before, part, the shares (3,) of the corners in its nearest point, the normal
-    there, of the world, what `_room` says, and its clearance (`face_clearance.py`).
+    Returns gap, gap_before, part, the shares (3,) of the triangle's corners in its nearest point,
+    the normal there, of the world, what `_room` says, and its clearance (`face_clearance.py`).
     """
-    i, j, k = _corner(state, m, 0), _corner(state, m, 1), _corner(state, m, 2)
+    i, j, k = _piece(spec, state, m, piece)
     a0, a1 = _ends(spec, state, o, i)
     b0, b1 = _ends(spec, state, o, j)
     c0, c1 = _ends(spec, state, o, k)
@@ -288,7 +338,7 @@ def _meet(spec: ti.template(), state: ti.template(), o, m):
         looks += 1
     part = part_before(met, gap, gap_before)
     n = to_world(spec, state, o, END, best_n)
-    return gap, gap_before, part, best_share, n, room, slack, clear
+    return gap, gap_before, part, _shares(spec, piece, best_share), n, room, slack, clear
 
 
 @ti.func

@@ -46,14 +46,29 @@ def is_whole(spec: ti.template(), state: ti.template(), surface: ti.template(), 
     gone = 0
     if ti.static(spec.fracture):
         for k in ti.static(range(3)):
-            s = surface.side[m, k]
-            if ti.static(spec.springs):
-                if s >= 0 and state.status[s] == GONE:
-                    gone = 1
-            if ti.static(spec.kinds > 0):
-                if s < -1 and slot_number(spec, state.link_status, -2 - s) == GONE:
-                    gone = 1
+            if _is_gone(spec, state, surface.side[m, k]):
+                gone = 1
     return gone == 0
+
+
+@ti.func
+def holds(spec: ti.template(), state: ti.template(), surface: ti.template(), m, k):
+    """Whether there is a spring along side k of triangle m that is not gone."""
+    s = surface.side[m, k]
+    return s != -1 and not _is_gone(spec, state, s)
+
+
+@ti.func
+def _is_gone(spec: ti.template(), state: ti.template(), s):
+    """Whether the spring of a side is gone; s: as `surface.side` has it, -1 where there is none."""
+    gone = False
+    if ti.static(spec.springs):
+        if s >= 0 and state.status[s] == GONE:
+            gone = True
+    if ti.static(spec.kinds > 0):
+        if s < -1 and slot_number(spec, state.link_status, -2 - s) == GONE:
+            gone = True
+    return gone
 
 
 @ti.func
