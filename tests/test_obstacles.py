@@ -113,6 +113,47 @@ def test_both_walls_of_a_corner_met_in_a_step_are_as_one_after_the_other(device,
         np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
 
 
+@pytest.mark.parametrize("method", mostly_thorough(methods.METHODS, default=["verlet"]))
+def test_what_impulses_give_is_no_acceleration_of_a_bounce_in_the_same_step(device, method):
+    """Walls and pairs act at its start: what meets an obstacle later came with that."""
+    world = World(size=(10.0, 10.0), gravity=(0.0, 0.0), dt=0.01, walls=("left",), collisions=True)
+    sim = None
+    for height in (1.101, 1.11):
+        for normal, x, v in (
+            ([0.0, 1.0], [[5.0, height], [5.05, height + 0.19]], [[0.0, -1.0], [0.0, -3.0]]),
+            ([0.3, 1.0], [[0.0999, height - 0.02], [5.0, 5.0]], [[-2.0, -1.0], [0.0, 0.0]]),
+        ):
+            floor = Obstacle.build("plane", point=[0.0, 1.0], normal=normal, restitution=1.0)
+            balls = Particles.build(x, v, radius=0.1)
+            scene = Scene("at once", world, balls, obstacles=(floor,))
+            if sim is None:
+                sim = Simulation(scene, method, execution="serial", topology="graph")
+            sim.load_scene(scene)
+            sim.advance(4)
+            assert (sim.velocities() ** 2).sum() == pytest.approx(np.square(v).sum(), rel=1e-12)
+
+
+@pytest.mark.parametrize("method", mostly_thorough(methods.METHODS, default=["verlet"]))
+def test_what_an_edge_gives_is_no_acceleration_of_a_bounce_in_the_same_step(device, method):
+    """A rod meets a small disc by its side, and turns with its far end onto the floor."""
+    disc = Obstacle.build("sphere", centre=[9.7, 9.95], radius=0.05, restitution=1.0)
+    floor = Obstacle.build("plane", point=[0.0, 10.0], normal=[0.0, 1.0], restitution=1.0)
+    world = World(size=(40.0, 40.0), gravity=(0.0, 0.0), dt=1e-3)
+    share = np.array([0.8, 0.2])
+    one = -1.0 + 2.0 * share / (share**2).sum()  # what the disc makes of -1
+    sim = None
+    for gap in (2e-4, 8e-4):
+        x = np.array([[9.5, 10.02 + gap], [10.5, 10.02 + gap]])
+        rod = Particles.build(x, [[0.0, -1.0]] * 2, radius=0.02)
+        tie = Springs.build([[0, 1]], x, stiffness=1.0)
+        scene = Scene("rod", world, rod, tie, obstacles=(disc, floor))
+        if sim is None:
+            sim = Simulation(scene, method, execution="serial", topology="graph")
+        sim.load_scene(scene)
+        sim.advance()
+        np.testing.assert_allclose(sim.velocities()[:, 1], np.abs(one), rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("method", "fall"), [("verlet", 1.25), ("symplectic_euler", 1.25 * 33 / 32)]
 )

@@ -89,6 +89,11 @@ def compute_pair_bounces(spec: ti.template(), state: ti.template(), t):
     each(spec, state, t, state.n[None], _bounce_particle)
 
 
+def has_impulses(spec):
+    """Whether walls or pairs act by impulses at a step's start."""
+    return bool(spec.walls or (spec.collisions and not spec.resting))
+
+
 @ti.func
 def compute_contacts(spec: ti.template(), state: ti.template(), t):
     """Compute the collisions of a step at its start; it does nothing in a scene without them."""

@@ -18,7 +18,7 @@ way, by Simpson's rule: exact for what is linear, and no rounding of a large sum
 import taichi as ti
 
 from taichi_cloth.kernels.compensated import difference
-from taichi_cloth.kernels.contact import velocity_jump
+from taichi_cloth.kernels.contact import has_impulses, velocity_jump
 from taichi_cloth.kernels.copies import keep
 from taichi_cloth.kernels.forces import load
 from taichi_cloth.kernels.forces.contract import ACCELERATION, has
@@ -39,11 +39,6 @@ from taichi_cloth.kernels.springs import accumulate, pull
 NEVER = 2147483647
 TINY = 1e-30  # no inverse mass
 PARTS = 3  # of the way along which forces are looked at: its ends and its middle
-
-
-def has_impulses(spec):
-    """Whether walls or pairs act by impulses at a step's start."""
-    return bool(spec.walls or (spec.collisions and not spec.resting))
 
 
 def is_elastic(spec):

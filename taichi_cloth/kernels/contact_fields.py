@@ -56,8 +56,9 @@ class ContactFields(Fields):
         held_by, held_at: what each particle goes with, 1 + its row, and where (`grips.py`).
         elements, face, face_hits, face_left, face_row, face_count, face_finds, face_sweeps,
         faces_unsettled (faces): a `Surface` of what is tested against sharp obstacles, and what
-        comes of that (`faces.py`); face_clear, face_seen, face_way, face_unseen: what need not be
-        looked at (`face_clearance.py`).
+        comes of that (`faces.py`); face_kick: what they have changed of each particle's velocity in
+        a step in which any met something; face_clear, face_seen, face_way, face_unseen: what need
+        not be looked at (`face_clearance.py`).
         obstacle_low, obstacle_nodes, obstacle_grid: of its grid of distances, where it has one.
     The account of contacts (`contact_account.py`): accounting: whether it is kept; opened_x,
         opened_v, free_x, free_v, ended_x: the step's start, free end and end; held_x, held_v: what
@@ -154,7 +155,7 @@ class ContactFields(Fields):
         self.contact_balance = placed(tree, ti.field(self.wide))
         self.wide_tree = tree.finalize()
 
-    def _place_faces(self, dim):
+    def _place_faces(self, spec):
         m, n = max(self.capacity.elements, 1), self.capacity.particles
         self.elements = Surface(self.real, m, n, self._reals, self._integers)
         self.face = self._scalars(FACE_CONTACTS * m, FACE_COLUMNS)
@@ -164,5 +165,6 @@ class ContactFields(Fields):
         self.faces_unsettled = self._counts()
         self.face_hits, self.face_clear = self._counts(m), self._scalars(m)
         rows = max(min(n, 3 * m), 1)
-        self.face_seen, self.face_way = self._scalars(rows, dim), self._scalars(rows)
+        self.face_seen, self.face_way = self._scalars(rows, spec.dim), self._scalars(rows)
+        self.face_kick = self._pack_vectors(spec)
         self.face_unseen = self._counts()

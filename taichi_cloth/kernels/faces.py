@@ -19,6 +19,7 @@ import taichi as ti
 
 from taichi_cloth.kernels import face_clearance, laws
 from taichi_cloth.kernels.compensated import joined, owed_at, put_at
+from taichi_cloth.kernels.contact import has_impulses
 from taichi_cloth.kernels.contact_fields import FACE_COLUMNS, FACE_CONTACTS
 from taichi_cloth.kernels.face_distance import nearest, point_of
 from taichi_cloth.kernels.loops import each, each_pack_moving, leave, raise_to
@@ -34,11 +35,12 @@ from taichi_cloth.kernels.obstruction import (
     BOUND_MARGIN,
     bounce,
     judge_look,
+    jump_of,
     part_before,
     slack_of,
     weight_of_meeting,
 )
-from taichi_cloth.kernels.packs import slot_number, slot_value
+from taichi_cloth.kernels.packs import set_slot_value, slot_number, slot_value
 from taichi_cloth.kernels.phases import DONE, go_to, set_alone, stepping
 from taichi_cloth.kernels.poses import (
     END,
@@ -382,6 +384,8 @@ def _note_contact(spec: ti.template(), state: ti.template(), o, m, gap, meets, p
         p += share[k] * _position(spec, state, slot)
         v += share[k] * _velocity(spec, state, slot)
         begun_v += share[k] * slot_value(spec, state.begun_v, slot)
+        if ti.static(has_impulses(spec)):  # it came with these
+            begun_v += share[k] * jump_of(spec, state, slot)
         mobility += slot_number(spec, state.w, slot) * share[k] * share[k]
     if mobility > 0.0:
         r = p - centre_of(spec, state, o, END) - gap * n
@@ -417,7 +421,10 @@ def _has(state: ti.template(), c):
 
 @ti.func
 def _count_of(spec: ti.template(), state: ti.template(), p):
-    """Count the contacts of the particle of row p."""
+    """Count the contacts of the particle of row p, which have not kicked it before the first."""
+    if state.face_finds[None] == 1:
+        slot = state.elements.row_slot[p]
+        set_slot_value(spec, state.face_kick, slot, 0.0 * slot_value(spec, state.begun_v, slot))
     count = 0
     for h in range(state.elements.row_start[p], state.elements.row_start[p + 1]):
         m = state.elements.row_triangle[h]
@@ -483,3 +490,5 @@ def _give(spec: ti.template(), state: ti.template(), p):
         new_v, new_v_low = joined(spec, state, v, v_low, dv)
         put_at(spec, state, slot, new_x, new_x_low, new_v, new_v_low)
         note_fault(spec, state, slot)
+        kick = slot_value(spec, state.face_kick, slot)
+        set_slot_value(spec, state.face_kick, slot, kick + dv)  # for `obstruction.py`

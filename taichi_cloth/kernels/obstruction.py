@@ -22,13 +22,16 @@ import taichi as ti
 
 from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.compensated import joined, owed_at, put_at
+from taichi_cloth.kernels.contact import has_impulses, velocity_jump
 from taichi_cloth.kernels.loops import each_pack_moving
 from taichi_cloth.kernels.obstacles import load
 from taichi_cloth.kernels.obstacles.contract import BOUND, FAR, FRICTION, RESTITUTION, SCALE, THIN
 from taichi_cloth.kernels.packs import (
     epsilon,
+    read,
     slot_number,
     slot_value,
+    vector_of_lane,
 )
 from taichi_cloth.kernels.poses import (
     END,
@@ -135,7 +138,12 @@ def _settle_particle(spec: ti.template(), state: ti.template(), slot):
     x_low, v_low = owed_at(spec, state, slot)
     radius = slot_number(spec, state.radius, slot)
     touched, changing, steady, last = 0, 1, 1, -1
-    free_v = 1.0 * v
+    free_v, kicked = 1.0 * v, 0
+    if ti.static(has_impulses(spec)):
+        free_v, kicked = free_v - jump_of(spec, state, slot), 1
+    if ti.static(spec.faces):
+        if state.face_finds[None] > 1:  # faces have met something in this step
+            free_v, kicked = free_v - slot_value(spec, state.face_kick, slot), 1
     for _ in range(ROUNDS):
         if changing == 1:
             changing = 0
@@ -143,11 +151,11 @@ def _settle_particle(spec: ti.template(), state: ti.template(), slot):
                 # The one that it was just put onto has nothing to say before another one has.
                 if o != last and is_near(spec, state, o, slot, x, radius):
                     new_x, new_x_low, new_v, new_v_low, changed, steady = obstructed(
-                        spec, state, o, slot, x, x_low, v, v_low, radius, steady, free_v, touched
+                        spec, state, o, slot, x, x_low, v, v_low, radius, steady, free_v, kicked
                     )
                     if changed == 1:
                         x, x_low, v, v_low = new_x, new_x_low, new_v, new_v_low
-                        changing, touched = 1, 1
+                        changing, touched, kicked = 1, 1, 1
                         if ti.static(_are_convex(spec.obstacles)):
                             last = o
     if touched == 1:
@@ -155,6 +163,18 @@ def _settle_particle(spec: ti.template(), state: ti.template(), slot):
         note_fault(spec, state, slot)
     elif ti.static(keeps_balls(spec)):
         _keep_ball(spec, state, slot, x, radius)
+
+
+@ti.func
+def jump_of(spec: ti.template(), state: ti.template(), slot):
+    """What walls and pairs changed of a particle's velocity at the step's start, (dim,)."""
+    pack = slot // spec.lanes
+    x, v = read(spec, state.begun_x, pack), read(spec, state.begun_v, pack)
+    jump = velocity_jump(spec, state, pack, x, v)
+    if ti.static(spec.lanes == 1):
+        return jump
+    else:
+        return vector_of_lane(jump, slot % spec.lanes)
 
 
 @ti.func
@@ -180,14 +200,14 @@ def obstructed(
     radius,
     steady,
     free_v,
-    touched,
+    kicked,
 ):
     """What obstacle o leaves of a particle's free end: x, x_low, v, v_low.
 
     Then come 1 if it changed them, and `steady`: 1 while all that the particle has touched in this
     step is at rest. slot: where the particle is; x_low, v_low: what is to be added to x and v
-    (`compensated.py`). free_v: the velocity of the free end; touched: whether other contacts have
-    changed it since.
+    (`compensated.py`). free_v: the velocity of the free end without any other contact; kicked:
+    whether there may have been one.
     """
     new_x, new_x_low, new_v, new_v_low, changed, still = x, x_low, v, v_low, 0, steady
     began = slot_value(spec, state.begun_x, slot)
@@ -216,7 +236,7 @@ def obstructed(
             if u < 0.0:
                 weight = weight_of_meeting(weight, u_before, u, part, dt)
             if e > 0.0:
-                if touched == 1:  # what other contacts gave is no acceleration: it came with that
+                if kicked == 1:  # what other contacts gave is no acceleration: it came with that
                     u_before += (v - free_v).dot(n)
                 new_u, lift = bounce(u_before, u, part, e, state.position_weight, dt)
                 push += lift

@@ -160,7 +160,7 @@ class State(ContactFields):
         if spec.accounts_contacts:
             self._place_account(spec)
         if spec.faces:
-            self._place_faces(spec.dim)
+            self._place_faces(spec)
         self.trees = self._finalize(spec.lanes)
         if spec.accounts_contacts:
             self.trees.append(self.wide_tree)

@@ -33,6 +33,7 @@ class SurfaceFilling(Filling):
         slots = self.placement.layout.slot[elements]
         self._to.put(state.face_row, np.searchsorted(np.unique(slots), slots))
         self._to.put(state.faces_unsettled, 0)
+        self._of_particle(state.face_kick, np.zeros(self.snapshot.x.shape))
         self._to.put(state.face_unseen, 1)
 
     def surface_alone(self, surface: Any, triangles: np.ndarray) -> None:
