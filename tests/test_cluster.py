@@ -38,6 +38,7 @@ from taichi_cloth.sweeps import tasks
 from taichi_cloth.sweeps.journal import Journal, key_of
 from taichi_cloth.sweeps.tasks import Elsewhere, Task, TaskLost, fill
 from taichi_cloth.trade import command, elsewhere
+from taichi_cloth.trade.outcomes import StudyFailure
 from taichi_cloth.trade.rows import rows_of
 
 HOST = platform.node()
@@ -76,7 +77,7 @@ def test_tasks_run_in_processes_of_their_own_and_one_that_is_lost_loses_no_other
     with ThreadPoolExecutor(2) as executor:
         lost = fill(journal, wanted, executor, done.append, stop.is_set)
         assert len(done) == 3 and len(lost) == 2
-        assert any("killed: TaskLost: its process on" in why and "-9" in why for why in lost)
+        assert any("killed: its process on" in why and "-9" in why for why in lost)
         assert "wrong: ValueError: no half" in lost
         assert journal.get("half 3").result == 1.5
         assert journal.get("half 1").file.read_bytes() == b"of the task"
@@ -283,6 +284,29 @@ def test_errors_come_from_any_process_and_times_from_one_place():
     )
     assert {row.timed_on for row in rows} == {HOST} and all(row.wall_seconds for row in rows)
     assert set(anywhere.functions) == {"samples"} and set(one.functions) == {"times"}
+
+
+@thorough
+def test_times_of_a_machine_that_is_lost_are_taken_nowhere_else():
+    """The study says so, and what to do: its scheduler went while errors had come."""
+
+    class Left:
+        def run(self, *_, **__):
+            raise AttributeError("'NoneType' object has no attribute 'broadcast'")  # as Dask's does
+
+    source = SceneSource("oscillator")
+    asked = {"methods": "verlet", "substeps": "1,2", "precisions": "f64", "frames": 5}
+    options = TradeOptions.from_given(asked | {"quick": True})
+    of = source, options, *command.prepare(source, options)
+    with Asked() as anywhere:
+        there = Elsewhere(anywhere, dask._Workers(Left(), "node7"), "node7")
+        with command.measured(*of, elsewhere=there, quiet=True) as found:
+            assert {outcome.lost for outcome in found.outcomes} == {True}
+            says = r"2 of 2 settings were lost, the first because no time came from node7 "
+            says += r"\(verlet, cpu f64: the scheduler does not answer any more\); see that the "
+            says += "scheduler and a worker there answer, and --resume"
+            with pytest.raises(StudyFailure, match=says):
+                found.check_whole()
 
 
 @thorough

@@ -123,21 +123,31 @@ class _Workers(Executor):
         self._looked = self._seen = time.monotonic()
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Have a function run there, which takes `wanted` besides (`tasks.run`)."""
-        if self._host is None:
-            there = self._client.get_executor(pure=False)
-        else:
-            # Asked each time: a worker that was started again has another address.
-            said = self._client.run(place, on_error="ignore")
-            self._at = {worker for worker, (host, _) in said.items() if host == self._host}
-            if not self._at:
-                raise TaskLost(self._nobody())
-            there = self._client.get_executor(
-                pure=False, workers=sorted(self._at), allow_other_workers=False
-            )
+        """Have a function run there, which takes `wanted` besides (`tasks.run`).
+
+        Raises TaskLost where nobody is there any more.
+        """
+        try:
+            where = self._where()
+            there = self._client.get_executor(pure=False, **where)
+            made: Future[Any] = there.submit(_while_wanted, fn, *args, **kwargs)
+        except TaskLost:
+            raise
+        except Exception:  # many kinds, by what a client without a scheduler was about to do
+            raise TaskLost("the scheduler does not answer any more") from None
         self._seen = time.monotonic()
-        made: Future[Any] = there.submit(_while_wanted, fn, *args, **kwargs)
         return made
+
+    def _where(self) -> dict[str, Any]:
+        """Which workers may do it, as a client's executor takes it; nothing: all."""
+        if self._host is None:
+            return {}
+        # Asked each time: a worker that was started again has another address.
+        said = self._client.run(place, on_error="ignore")
+        self._at = {worker for worker, (host, _) in said.items() if host == self._host}
+        if not self._at:
+            raise TaskLost(self._nobody())
+        return {"workers": sorted(self._at), "allow_other_workers": False}
 
     def gone(self) -> str:
         """Why nobody will do what was submitted; nothing while somebody may."""

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from taichi_cloth.errors import InputError, counted, one_line
+from taichi_cloth.errors import InputError, clipped, counted, one_line
 from taichi_cloth.measuring import machine
 from taichi_cloth.sweeps.identity import PACKAGES
 from taichi_cloth.sweeps.journal import Journal
@@ -114,7 +114,7 @@ def fill(
         try:
             waiting[executor.submit(run, _payload(task))] = task
         except Exception as error:  # of an executor that has ended
-            lost.append(f"{task.name}: {one_line(error)}")
+            lost.append(f"{task.name}: {_said(error)}")
     try:
         while waiting and not stop():
             for future in wait(waiting, timeout=TURN, return_when=FIRST_COMPLETED).done:
@@ -140,7 +140,7 @@ def _take(journal: Journal, task: Task, future: Future[bytes]) -> str:
     try:
         kind, answer = pickle.loads(future.result())
     except Exception as error:  # whatever an executor says of a worker that it lost
-        return one_line(error)
+        return _said(error)
     if kind == "refused":
         raise InputError(answer)
     if kind == "failed":
@@ -153,6 +153,11 @@ def _take(journal: Journal, task: Task, future: Future[bytes]) -> str:
         journal.add(finished.key, finished.result, file)
     lacking = sum(journal.get(key) is None for key in task.keys)
     return f"{lacking} of {counted(len(task.keys), 'result')} did not come" if lacking else ""
+
+
+def _said(error: Exception) -> str:
+    """Why a task was lost, in a line; our own words say it without the name of an exception."""
+    return clipped(str(error), 300) if isinstance(error, TaskLost) else one_line(error)
 
 
 def said_of_lost(lost: Sequence[str]) -> str:

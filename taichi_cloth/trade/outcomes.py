@@ -15,9 +15,11 @@ from taichi_cloth.trade.errors import Samples
 from taichi_cloth.trade.settings import Setting
 
 REFUSED = "InputError: "  # how a worker says that
-# How it says that the machine was at fault, and not the setting: a full disk, a killed process.
-LOST = (ENDED, "OSError: ", "MemoryError: ")
+UNTIMED = "no time came from "  # how a study says so of the machine that is timed alone
+# How one says that the machine was at fault, and not the setting: a full disk, a killed process.
+LOST = (ENDED, UNTIMED, "OSError: ", "MemoryError: ")
 LOST_REMEDY = "see that there is memory, and room for temporary files (TMPDIR), and start again"
+UNTIMED_REMEDY = "see that the scheduler and a worker there answer, and --resume"
 
 
 @dataclass
@@ -80,9 +82,10 @@ class Result:
         lost = [outcome for outcome in self.outcomes if outcome.lost]
         if lost:
             why = lost[0].status.removeprefix("failed: ")
+            remedy = UNTIMED_REMEDY if why.startswith(UNTIMED) else LOST_REMEDY
             raise StudyFailure(
                 f"{len(lost)} of {len(self.outcomes)} settings were lost, the first because {why}; "
-                f"{LOST_REMEDY}"
+                f"{remedy}"
             )
 
 

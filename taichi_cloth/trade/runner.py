@@ -21,7 +21,7 @@ from taichi_cloth import runtime
 from taichi_cloth.console import Tell, tell_nobody
 from taichi_cloth.errors import InputError
 from taichi_cloth.measuring.timing import Quiet
-from taichi_cloth.measuring.worker import ENDED, WorkerFailed
+from taichi_cloth.measuring.worker import WorkerFailed
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.sweeps.journal import Journal
 from taichi_cloth.sweeps.tasks import Elsewhere, Task, fill
@@ -31,6 +31,7 @@ from taichi_cloth.trade.elsewhere import Sender
 from taichi_cloth.trade.errors import Samples
 from taichi_cloth.trade.outcomes import (
     LOST_REMEDY,
+    UNTIMED,
     Outcome,
     Result,
     StudyFailure,
@@ -481,7 +482,7 @@ class Study:
                 break
         for outcome in outcomes:
             if not self._records.timed(scene, outcome, frames):
-                failed_by(outcome, WorkerFailed(f"{ENDED}: {''.join(lost)}"))
+                failed_by(outcome, WorkerFailed(f"{UNTIMED}{there.timed_on} ({''.join(lost)})"))
 
     def _finish(self, course: _Course, outcome: Outcome) -> None:
         """Keep an outcome: of a setting that is compared, of a converged solver, or of both."""
