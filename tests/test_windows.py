@@ -915,6 +915,16 @@ def test_a_window_says_that_nothing_is_in_view_and_f_frames_it():
         assert room.shows(pixels, np.ones(3)).tolist() == [True, False, False]
 
 
+def test_a_surface_between_whose_particles_one_looks_is_in_view():
+    corners = Particles.build([[300.0, 90.0], [100.0, 390.0], [500.0, 390.0]])
+    wheel = [Event("wheel", pos=(300.0, 250.0), delta=60.0)]
+    for triangles, lost in ([[0, 1, 2]], False), (np.zeros((0, 3), int), True):
+        scene = Scene("fake", world("blow"), corners, triangles=triangles)
+        view = Script(wheel, [press(key="tab")], [])
+        app.run(FakeSimulation(scene), view, device="test")
+        assert view.look.zoom > 200 and (hud.LOST in words(view.pictures[-1])) == lost
+
+
 def test_a_click_on_a_button_is_its_key_and_the_bar_is_no_world():
     """A click on the button at the right end; then one beside all, which puts no particle."""
     sim = simulation("spawn")

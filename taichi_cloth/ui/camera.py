@@ -66,12 +66,11 @@ class Camera:
         self.middle = np.array([w / 2, h / 2])  # the pixel of what it looks at
         middle = [w / 2, h / 2, 0.0] if centre is None else centre
         self.centre: np.ndarray = accepted.array("Camera: centre", middle, (3,))
-        # The eye stays outside the sphere around the world (with 5% to spare), so that a corner
-        # turned towards it never passes through it, and near enough that the world is visible.
+        # As far as the world is visible, and as near as single knots of a large net are.
         if radius is None:
             radius = _half_diagonal(self.world_size)
         self.radius = accepted.number("Camera: radius", radius, above=0)
-        self.nearest, self.farthest = 1.05 * self.radius, 40.0 * self.radius
+        self.nearest, self.farthest = 0.1 * self.radius, 40.0 * self.radius
 
     @classmethod
     def original(cls, world_size: Sequence[float]) -> Camera | None:
@@ -223,8 +222,8 @@ class Camera:
     def zoom(self, factor: float) -> None:
         """Come nearer by `factor` (2: half the distance; below 1: farther), within limits.
 
-        The eye stays outside the world and closer than 40 of its radii. An eye that was put
-        beyond a limit by hand stays there until it is moved.
+        What is looked at stays between a tenth and 40 of the world's radii away, so the eye may
+        go into the world. One that was put beyond a limit by hand stays there until it is moved.
         """
         wanted = self.distance / accepted.number("the zoom factor", factor, above=0)
         low, high = min(self.nearest, self.distance), max(self.farthest, self.distance)

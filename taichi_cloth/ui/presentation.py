@@ -293,19 +293,22 @@ class Presentation:
         )
 
     def _in_view(self) -> bool:
-        """Whether any particle is in the picture, or there is none at all."""
+        """Whether any particle or triangle is in the picture, or there is none at all."""
         place, radius, camera = self._sim.drawn_positions(), self._sim.radii(), self._view.camera
         few = slice(None, None, 1 + len(place) // SAMPLE)  # nearly always one of them is
-        here = self._window.here
+        here, near = self._window.here, camera.nearest_drawn if camera else -np.inf
         for some in few, slice(None):
-            points, reach, near = place[some], radius[some], -np.inf
-            depth = np.zeros(len(points))
+            points, reach, depth = place[some], radius[some], np.zeros(len(place[some]))
             if camera:
-                near = camera.nearest_drawn
                 points, reach, depth = camera.project(points, reach)
             if (here.shows(points, reach) & (depth > near)).any():
                 return True
-        return not len(place)
+        triangles = self._sim.drawn_triangles()  # of which one may fill the picture
+        corners = points[triangles]
+        middle = corners.mean(axis=1)
+        reach = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1, initial=0.0)
+        before_us = (depth[triangles] > near).all(axis=1)
+        return not len(place) or bool((here.shows(middle, reach) & before_us).any())
 
     def _pointer(self) -> Pointer | None:
         """The pointer, where a log or a film shows it, and a window's cursor does not.
