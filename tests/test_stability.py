@@ -155,6 +155,27 @@ def test_limits_of_oscillator_and_chain_are_their_closed_forms():
         assert around == pytest.approx(2 / omega, rel=1e-4)
 
 
+@pytest.mark.parametrize("seconds", [1e-14, 1e-5, 1e6])
+@pytest.mark.parametrize("method", LIMITED)
+def test_the_limit_is_as_long_in_every_unit_of_time(method, seconds):
+    """Springs between atoms in SI units and ropes in years have that of any others."""
+    scene = experiment.at_rest(tangle())
+    springs, particles = scene.springs, scene.particles
+    other = replace(
+        scene,
+        springs=replace(
+            springs,
+            stiffness=springs.stiffness / seconds**2,
+            damping=springs.damping / seconds,
+            break_force=springs.break_force / seconds**2,
+        ),
+        particles=replace(particles, viscous=particles.viscous / seconds),
+    )
+    here, there = (stable_step(methods.load(method), Network.from_scene(s)) for s in (scene, other))
+    assert there.dt == pytest.approx(seconds * here.dt, rel=1e-6)
+    assert there.spring == here.spring and there.particle == here.particle
+
+
 def test_bounds_hold_in_every_geometry_and_each_is_closer_than_the_last():
     scene, rng = stretched_cloth(), np.random.default_rng(2)
     euler = methods.load("symplectic_euler")

@@ -143,7 +143,11 @@ def _damped_modes(method: Method, stiffness: csr_matrix, damping: csr_matrix) ->
     from scipy.sparse.linalg import ArpackNoConvergence, eigs
 
     n = stiffness.shape[0]
-    system = sparse.bmat([[None, sparse.identity(n)], [-stiffness, -damping]], format="csr")
+    # In units of time in which the fastest rate is about 1: else u of a vector (u, mu u) is lost.
+    rates = math.sqrt(abs(stiffness).max()), float(abs(damping).max())
+    unit = 2.0 ** -round(math.log2(max(rates)))  # no digit of K and C is lost
+    swings, decays = -unit * unit * stiffness, -unit * damping
+    system = sparse.bmat([[None, sparse.identity(n)], [swings, decays]], format="csr")
     if n <= DENSE:
         vectors = [np.linalg.eig(system.toarray())[1]]
     else:
