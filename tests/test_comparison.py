@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import taichi_cloth as tc
+from taichi_cloth import console
 from taichi_cloth.comparison import picture as pictures
+from taichi_cloth.comparison import report
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.trajectory import Saved, Trajectory
 from taichi_cloth.scene import library
@@ -107,6 +109,16 @@ def test_a_file_s_name_is_no_formula_in_a_picture(swings):
     """Nor does it make the picture no picture, whatever is in it."""
     found = replace(tc.compare(swings[1.0], swings[0.5]), a="$\\x$", b="\0 $")
     assert ElementTree.fromstring(pictures.draw(found, "svg")).tag.endswith("svg")
+
+
+def test_columns_that_have_no_room_are_named(swings, monkeypatch, capsys):
+    said = {}
+    for width in (44, 80):
+        monkeypatch.setenv("COLUMNS", str(width))
+        report.show(tc.compare(swings[1.0], swings[0.5]), console.output())
+        said[width] = " ".join(capsys.readouterr().out.split())
+    assert "- left out, for the terminal is narrow: rms, farthest, max" in said[44]
+    assert "left out" not in said[80] and "farthest" in said[80]
 
 
 def test_identical_runs_are_identical(swings, cli):

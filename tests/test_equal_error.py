@@ -429,7 +429,7 @@ def test_a_search_that_was_killed_goes_on_and_measures_nothing_twice(monkeypatch
             searched(folder, resume=True)
     with monkeypatch.context() as patch:
         patch.setattr(machine, "versions", lambda packages: "newton 99")
-        with pytest.raises(InputError, match="its versions is '.*', here it is 'newton 99'"):
+        with pytest.raises(InputError, match="its versions are '.*', here they are 'newton 99'"):
             searched(folder, resume=True)
     with monkeypatch.context() as patch:
         second = count_runs(patch, 5, kill_worker)

@@ -102,7 +102,7 @@ def test_a_line_that_is_nested_deeply_is_none_of_a_journal(tmp_path):
     ("identity", "says"),
     [
         ({**OF, "scene": "box"}, "its scene is 'cloth', here it is 'box'"),
-        ({**OF, "settings": "--quick"}, "its settings is 'None', here it is '--quick'"),
+        ({**OF, "settings": "--quick"}, "its settings are 'None', here they are '--quick'"),
         ({"command": "trade"}, "its scene is 'cloth', here it is 'None'"),
     ],
 )

@@ -77,7 +77,12 @@ def _show_distances(found: Comparison, to: Console) -> None:
         del headers[2]
         lines = [[*line[:2], *line[3:]] for line in lines]
     title = f"How far apart they are: {counted(found.particles, 'particle')} at the ends of frames"
-    console.print_table(to, title, headers, lines, ("what happens",), spared=SPARED, styles=styles)
+    left_out = console.print_table(
+        to, title, headers, lines, ("what happens",), spared=SPARED, styles=styles
+    )
+    if left_out:
+        names = ", ".join(reversed(left_out))
+        console.say(to, f"- left out, for the terminal is narrow: {names}", hang=2)
 
 
 def happenings(found: Comparison) -> dict[int, list[str]]:

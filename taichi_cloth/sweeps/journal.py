@@ -223,9 +223,11 @@ class Journal:
         for name in dict.fromkeys([*mine, *header]):
             if header.get(name) != mine.get(name):
                 was, wanted = (clipped(str(of.get(name)), 200) for of in (header, mine))
+                there, here = ("are", "they are") if name.endswith("s") else ("is", "it is")
                 raise InputError(
-                    f"--resume {self.path}: is another sweep's: its {name} is '{was}', here it is "
-                    f"'{wanted}'; ask for what it was begun with, or start anew without --resume"
+                    f"--resume {self.path}: is another sweep's: its {name} {there} '{was}', here "
+                    f"{here} '{wanted}'; ask for what it was begun with, or start anew without "
+                    "--resume"
                 )
 
 
