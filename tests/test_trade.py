@@ -134,6 +134,39 @@ def test_closed_forms_of_scenes_solve_their_equations():
         np.testing.assert_allclose(v, solved.v, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize(("length", "time"), [(1e-9, 1e9), (1e-9, 1e-12), (1e9, 1.0)])
+def test_the_equation_is_solved_as_well_in_every_unit(length, time):
+    """A cloth of atoms, or of planets, moves as any other."""
+    scene = library.build("cloth", columns=3, rows=2, pins=1)
+    world, particles, springs = scene.world, scene.particles, scene.springs
+    acceleration = length / time**2
+    scaled = replace(
+        scene,
+        world=replace(
+            world,
+            size=tuple(length * side for side in world.size),
+            gravity=tuple(acceleration * g for g in world.gravity),
+        ),
+        particles=replace(
+            particles,
+            position=length * particles.position,
+            radius=length * particles.radius,
+            viscous=particles.viscous / time,
+        ),
+        springs=replace(
+            springs,
+            rest_length=length * springs.rest_length,
+            stiffness=springs.stiffness / time**2,
+            break_force=acceleration * springs.break_force,
+        ),
+    )
+    times = np.linspace(0.0, 20.0, 21)
+    here, there = ode.solve(scene, times), ode.solve(scaled, time * times, budget=2.0)
+    assert not there.given_up and there.event is None
+    np.testing.assert_allclose(there.x / length, here.x, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(there.v * time / length, here.v, rtol=0, atol=1e-10)
+
+
 def test_two_independent_references_agree(pool):
     """Springs of all kinds, dashpots and drag, in 3-D too, by SciPy and by our kernels."""
     flat = library.build("cloth", columns=5, rows=4, shear=0.2, bend=0.1, damping=0.05)

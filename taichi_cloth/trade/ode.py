@@ -23,7 +23,7 @@ from taichi_cloth.scene.triangles import corner_shares
 if TYPE_CHECKING:
     from scipy.integrate import DOP853
 
-TOLERANCE = 1e-13  # relative and absolute, of one step
+TOLERANCE = 1e-13  # of one step: relative, and in parts of the lengths that `_absolute` takes
 MOST_MOMENTS = 64  # of a step, at which collisions are looked for
 
 
@@ -191,7 +191,7 @@ def solve(
         end,
         max_step=float(np.diff(times).max()),  # what is between frames could go unseen
         rtol=TOLERANCE,
-        atol=TOLERANCE,
+        atol=_absolute(scene, end),
     )
     until = 0.0
     while solver.status == "running":
@@ -207,6 +207,17 @@ def solve(
         if time.perf_counter() - begin > budget:
             return ended(until, given_up=True)
     return ended(until)
+
+
+def _absolute(scene: Scene, end: float) -> np.ndarray:
+    """The absolute tolerance of y = (x, v), flat: alike in every unit of length and time.
+
+    Of x a tenth of what the relative one is of the farthest coordinate; of v what adds up to that.
+    """
+    x = scene.particles.position
+    length = float(np.abs(x).max()) or float(np.linalg.norm(scene.world.size))
+    of_x = np.full(x.size, 0.1 * TOLERANCE * length)
+    return np.concatenate([of_x, of_x / end])
 
 
 def _keep_states(solver: DOP853, times: np.ndarray, out: np.ndarray) -> None:
