@@ -197,6 +197,10 @@ def test_advice_is_good_cheap_and_lasts():
     assert trade_report.advised(front[:1])[0] is front[0]  # there is nothing else
     rough = [made_row("rk4", "f32", 1, 0.2, 0.1), made_row("rk4", "f32", 2, 0.1, 0.3)]
     assert trade_report.advised(rough) == (rough[1], "the most accurate there is")
+    # An error that the reference cannot tell from 3 % is not known to be at most 1 %.
+    hidden = replace(front[1], below_floor=True, floor=0.03, scale=1.0)
+    assert trade_report.advised([hidden, front[2]]) == (front[2], why)
+    assert trade_report.advised([hidden]) == (hidden, "the most accurate there is")
 
 
 def test_tune_fits(width, capsys):

@@ -75,7 +75,7 @@ def advised(front: Sequence[Row]) -> tuple[Row, str]:
     """
     from taichi_cloth.kernels import methods
 
-    good = [row for row in front if (row.error_trajectory_relative or 0.0) <= GOOD]
+    good = [row for row in front if (row.told()[1] or 0.0) <= GOOD]
     lasting = [row for row in good if methods.load(row.setting.method).claims.stability_limit > 0]
     if lasting or good:
         taken = min(lasting or good, key=_by_cost)

@@ -94,6 +94,14 @@ class Row:
         """Seconds of a frame, of those of the whole horizon."""
         return seconds / self.frames if seconds is not None and self.frames else None
 
+    def told(self) -> tuple[float | None, float | None]:
+        """The trajectory error, in world units and in parts of the scale, or the least that the
+        reference can tell from none.
+        """
+        if self.below_floor and self.floor is not None and self.scale:
+            return self.floor, self.floor / self.scale
+        return self.error_trajectory, self.error_trajectory_relative
+
     def record(self) -> dict[str, Any]:
         """Its values by `COLUMNS`, as files have them: what overflowed is None."""
         of_setting = vars(self.setting) | {"step": self.step}

@@ -108,9 +108,7 @@ class Figures:
     @classmethod
     def of(cls, row: Row) -> Figures:
         """The figures of a row that was timed and has an error."""
-        error, relative = row.error_trajectory, row.error_trajectory_relative
-        if row.below_floor and row.floor is not None and row.scale:
-            error, relative = row.floor, row.floor / row.scale
+        error, relative = row.told()
         frame_seconds = row.a_frame(row.wall_seconds)
         assert error is not None and relative is not None and frame_seconds is not None
         return cls(error, relative, frame_seconds, row.penetration_max)
