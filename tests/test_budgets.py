@@ -626,7 +626,7 @@ def test_an_error_that_was_held_is_counted_by_the_frames_that_were_measured(pool
     budget = HeldBudget(sim, errors, windowed=False, told=False)
     budget.choose("1%")
     budget.after_frame(1e-3, 0.0)
-    assert "held in no frame that was measured" in budget.summary()
+    assert "hold 1%: no frame was measured, by " in budget.summary()
     good = Verdict(0, 60, error=0.5, scale=100.0, size=1.0, by_frame=[0.5] * 60, judged=60)
     half = replace(good, error=9.0, by_frame=[0.5, 12.0] * 30)
     unsure, still = replace(half, trouble="two references differ"), replace(half, size=1e9)

@@ -141,8 +141,8 @@ def test_windows_end_where_another_run_begins(torn):
         torn.advance(FRAMES + 1)
         assert [(w.first, w.frames, w.substeps[0]) for w in meter.windows] == [
             (1, 29, 2),
-            (31, 19, 4),
-            (51, FRAMES, 4),
+            (30, 20, 4),
+            (50, FRAMES, 4),
         ]
     finally:
         meter.close()

@@ -227,18 +227,19 @@ class HeldBudget:
             if self._windowed:
                 how += f", to compile {self._compiled:.2g} s"
         if goal.seconds is not None:
-            held = f"{100 * self._in_time / self._frames:.3g} % of {self._frames} frames"
+            held = f"held in {100 * self._in_time / self._frames:.3g} % of {self._frames} frames"
         else:
             since = self._errors.verdicts[self._earlier :]
             known = [v for v in since if v.known and not (v.resting or v.trouble)]
             aim = goal.error or 0.0
             kept, frames = sum(v.relative <= aim for v in known), sum(v.judged for v in known)
-            held = "no frame that was measured"
+            held = "no frame was measured"
             if known:
                 within = sum(v.frames_within(aim) for v in known)
-                held = f"{100 * within / frames:.3g} % of {frames} frames that were measured, "
+                held = f"held in {100 * within / frames:.3g} % of {frames} frames that were "
+                held += "measured, "
                 held += f"and over {kept} of {counted(len(known), 'window')} as a whole"
-        return f"hold {goal.words}: held in {held}, by {how}; now {self.why}"
+        return f"hold {goal.words}: {held}, by {how}; now {self.why}"
 
 
 @contextlib.contextmanager

@@ -154,6 +154,8 @@ class ErrorMeter(Listener):
         """Note what was done."""
         if self._window is not None:
             self._window.note_act(name, args, given)
+        elif name in ENDS - LEAVES and not (self.busy or self.resting):
+            self._open()  # so that the next frame counts, too
 
     def after_frame(self) -> None:
         """Note a frame; a whole window is handed on, and another one begins."""
