@@ -249,6 +249,10 @@ def test_explain_fits(width, capsys):
     shown = capsys.readouterr().out
     texts = (text for cost in costs for text in (cost.feature, cost.about))
     assert_fits(shown, width, *texts, "half_springs_of_each", "pointer_strength", "cost a step")
+    # Where there was time for none there is no table without a line.
+    explain.show(replace(e, costs=[]), console.output())
+    shown = capsys.readouterr().out
+    assert "a step" not in shown.partition("compiled:")[2] and "half_springs_of_each" in shown
 
 
 def test_bench_fits(width, capsys):

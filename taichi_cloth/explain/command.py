@@ -182,12 +182,14 @@ def show(explanation: Explanation, to: Console) -> None:
     say(f"  on: {', '.join(_switches(compiled.plan, True)) or 'nothing'}")
     say(f"  off: {', '.join(_switches(compiled.plan, False)) or 'nothing'}")
     to.print()
-    _show_table("what each feature costs", *_table_of_costs(e), to)
-    for cost in e.costs:
-        if cost.note or cost.failed:
-            say(f"{cost.feature}: {'without it ' * cost.used}{cost.failed or cost.note}")
-    say("What a scene does without a feature is part of its cost: below zero, the rest is cheaper.")
-    to.print()
+    if e.costs:  # else there was no time for any
+        _show_table("what each feature costs", *_table_of_costs(e), to)
+        for cost in e.costs:
+            if cost.note or cost.failed:
+                say(f"{cost.feature}: {'without it ' * cost.used}{cost.failed or cost.note}")
+        less = "What a scene does without a feature is part of its cost"
+        say(f"{less}: below zero, the rest is cheaper.")
+        to.print()
     _show_table("fields on the device", *_table_of_fields(e), to)
 
 
