@@ -904,6 +904,14 @@ def test_tune_does_not_promise_what_the_reference_cannot_tell():
         tune.meeting([row], tune.Target(error=0.009))
 
 
+def test_tune_says_why_no_setting_could_be_measured():
+    made = made_up(np.random.default_rng(0), 1)[0]
+    row = replace(made, status="failed: frame 12, particle 3 runs away", wall_seconds=None)
+    why = f"no setting could be measured; the first: {row.setting.describe()}: {row.status}"
+    with pytest.raises(InputError, match=re.escape(why) + "$"):
+        tune.meeting([row, row], tune.Target(error=0.01))
+
+
 def test_tune_keeps_to_a_penetration_alone_and_beside_the_rest():
     """Against a search through all rows."""
     rng = np.random.default_rng(3)

@@ -362,7 +362,9 @@ def meeting(made: Sequence[Row], target: Target) -> list[Row]:
     """
     usable = [row for row in made if is_measured(row)]
     if not usable:
-        raise InputError(f"{target.describe()}: no setting could be measured")
+        why = next((f"{r.setting.describe()}: {r.status}" for r in made if not r.ok), "")
+        first = f"; the first: {why}" if why else ""
+        raise InputError(f"{target.describe()}: no setting could be measured{first}")
     found = [row for row in usable if target.met_by(Figures.of(row))]
     by_time = target.frame_seconds is not None
     if by_time:
