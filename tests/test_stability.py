@@ -45,6 +45,7 @@ from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.stability import experiment, report
+from taichi_cloth.sweeps.journal import Journal
 
 LIMITED = [m for m in methods.METHODS if methods.load(m).claims.stability_limit < math.inf]
 
@@ -654,6 +655,18 @@ def test_the_command_finds_the_chain_s_limit_and_writes_its_files(cli, tmp_path)
     assert {p["stable"] for p in points} == {"yes", "no"}
     assert (folder / "stability.png").read_bytes().startswith(b"\x89PNG")
     assert b"<svg" in (folder / "stability.svg").read_bytes()
+
+
+def test_a_limit_is_measured_in_every_unit_of_time(tmp_path):
+    """Also where 1e-11, which is nothing in seconds, is many times the limit."""
+    scene = build("chain", particles=4)
+    scene.springs.stiffness[:] /= 1e-14**2
+    scene = experiment.at_rest(scene)
+    limits = experiment.computed("symplectic_euler", Network.from_scene(scene))
+    runs = experiment.Started(scene, "symplectic_euler")
+    experiment.measure_limit(runs, limits, lambda *_: None, Journal(tmp_path, {}))
+    assert limits.status == "measured"
+    assert limits.dt_measured == pytest.approx(limits.limit.dt, rel=5e-3)
 
 
 def test_a_title_is_no_formula(tmp_path):

@@ -216,10 +216,10 @@ class Runs:
         size = float(np.median(lengths)) if len(lengths) else min(scene.world.size) / 100
         self._disturbance = DISTURBANCE * size
 
-    def seconds_a_step(self) -> float:
-        """How long a step takes here."""
+    def seconds_a_step(self, limit: Limit) -> float:
+        """How long a step takes here, in which nothing moves; limit: says how fast things are."""
         sim = self._sim
-        sim.set_step(1e-9, 100)
+        sim.set_step(1e-9 / _rate(limit), 100)
         sim.advance()  # compiles
         begin = time.perf_counter()
         sim.advance()
@@ -251,7 +251,7 @@ class Runs:
     def _disturbed(self, limit: Limit, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities (n, dim) of the disturbed state."""
         position = self._scene.particles.position
-        rate = math.sqrt(limit.omega2) or limit.damping or 1.0
+        rate = _rate(limit)
         x, v = np.zeros_like(position), np.zeros_like(position)
         if limit.mode is not None and limit.velocity is not None:
             largest = max(np.abs(limit.mode).max(), np.abs(limit.velocity).max() / rate)
@@ -267,6 +267,11 @@ class Runs:
         q = (self._mass * x[self._free]).ravel()
         p = (self._mass * self._sim.velocities()[self._free]).ravel()
         return float(q @ (self._stiffness @ q) + p @ p)
+
+
+def _rate(limit: Limit) -> float:
+    """That of the first mode that grows."""
+    return math.sqrt(limit.omega2) or limit.damping or 1.0
 
 
 def measure(
@@ -387,7 +392,7 @@ MEASURED = ("dt_measured", "status", "runs", "steps")  # of a method's limits, b
 
 def _bisect_runs(limits: StepLimits, runs: Runs, tell: TellRun) -> float:
     """Bisect; what is found is kept in `limits`, the seconds that a step takes are returned."""
-    seconds = runs.seconds_a_step()
+    seconds = runs.seconds_a_step(limits.limit)
     look = _long_enough(methods.load(limits.method), limits.limit, seconds)
     try:
         limits.dt_measured, limits.status = bisect(
