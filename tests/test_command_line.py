@@ -229,6 +229,7 @@ def test_flags_are_written_out(word):
         (["run", "drape", "--spinn", "3"], "did you mean '--spin'?", ""),
         (["run", "--colums=3"], "did you mean '--columns'?", ""),
         (["explain", "--sets", "3"], "did you mean '--set'?", ""),
+        (["explain", "--resume"], "", "--set"),  # dashes alone make no likeness
     ],
 )
 def test_a_hint_names_no_flag_of_another_scene(words, right, wrong):

@@ -116,7 +116,8 @@ class CommandParser(argparse.ArgumentParser):
 
     def _refuse_flag(self, name: str, taken: Iterable[str] | None = None) -> NoReturn:
         flags = self._option_string_actions if taken is None else [*map(flag, taken), "--help"]
-        hint = nearest(name, flags)
+        hint = nearest(name.lstrip("-"), (word[2:] for word in flags if word != "-h"))
+        hint = hint.replace("'", "'--", 1)
         if not hint.startswith("did"):
             hint = f"'{PROGRAM} {self._command} --help' shows all flags"
         raise InputError(f"unknown flag '{clipped(name)}'; {hint}")
