@@ -90,6 +90,20 @@ def test_zoom_goes_into_the_world_and_never_out_of_sight_of_it(factors):
     assert camera.distance < 0.11 * corner
 
 
+@given(cameras, pixels, st.floats(0.2, 3), st.floats(0.05, 20))
+def test_what_one_comes_nearer_to_stays_where_it_is_in_the_picture(camera, pixel, far, factor):
+    """And what is as deep as it grows by the factor, within the limits of the distance."""
+    eye, direction = camera.ray(pixel)
+    there = eye + far * camera.distance * direction
+    before = camera.project([there], 1.0)
+    shrinks = camera.distance
+    camera.zoom(factor, there)
+    shrinks /= camera.distance
+    after = camera.project([there], 1.0)
+    np.testing.assert_allclose(after[0], before[0], atol=1e-4)
+    np.testing.assert_allclose(after[1], before[1] * shrinks, rtol=1e-9)
+
+
 def test_an_eye_that_was_put_too_near_goes_from_there():
     """No nearer, and out by the factor alone, not at once to where it might have been."""
     camera = Camera((600, 400, 500))

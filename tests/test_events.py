@@ -25,7 +25,13 @@ any_event = st.one_of(
         st.none() | pos,
         key=st.sampled_from(sorted(inputs.KEYS)),
     ),
-    st.builds(Event, st.just("wheel"), st.none() | pos, delta=finite),
+    st.builds(
+        Event,
+        st.just("wheel"),
+        st.none() | pos,
+        delta=finite,
+        about=st.none() | st.tuples(finite, finite, finite),
+    ),
 )
 header = st.none() | st.fixed_dictionaries({"seed": st.integers(0, 2**63 - 1)})
 

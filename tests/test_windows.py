@@ -286,6 +286,30 @@ def test_wheel_and_keys_change_the_distance():
     assert camera.distance == pytest.approx(2000)
 
 
+def test_the_wheel_comes_nearer_to_what_is_under_the_pointer_and_its_log_says_to_what():
+    """To the particle in front there, where one is; a log of old has no such place."""
+    near = np.array([300.0, 200.0, -150.0])
+    scene = Scene("fake", world("blow", 3), Particles.build([near, near + [60.0, 40.0, 300.0]]))
+    camera, recorded = camera_of_world(scene.world), Recorded()
+    at = tuple(camera.project([near])[0][0] + [3.0, -2.0])
+    wheel = [Event("wheel", pos=at, delta=1.0)] * 3
+    view = Script(wheel, wheel, [])
+    view.camera = camera
+    app.run(FakeSimulation(scene), view, recorder=recorded, status=False, device="test")
+    (about,) = {event.about for _, event in recorded}
+    pixel, _, depth = camera_of_world(scene.world).project([about, near])
+    np.testing.assert_allclose(pixel[0], at, atol=1e-9)
+    assert depth[0] == pytest.approx(depth[1])
+    np.testing.assert_allclose(camera.project([about])[0][0], at, atol=1e-9)
+    again = camera_of_world(scene.world)
+    tools = Controls(FakeSimulation(scene), again, (600, 400))
+    for _, event in recorded:
+        tools.apply(event, replayed=True)
+    assert again.pose == camera.pose
+    tools.apply(Event("wheel", pos=(5.0, 5.0), delta=1.0), replayed=True)
+    np.testing.assert_allclose(again.centre, camera.centre)
+
+
 def test_a_click_outside_the_world_is_said_and_ignored():
     sim = simulation("spawn")
     tools = Controls(sim, None, (1200, 1000))

@@ -219,15 +219,20 @@ class Camera:
         middle = (float(number) for number in centre)
         return (*middle, max(fits, 1.05 * radius), self.rot_x, self.rot_y)
 
-    def zoom(self, factor: float) -> None:
+    def zoom(self, factor: float, about: ArrayLike | None = None) -> None:
         """Come nearer by `factor` (2: half the distance; below 1: farther), within limits.
 
+        about: the point (3,) that it comes nearer to, and that keeps its pixel, world units; None:
+        what is looked at.
         What is looked at stays between a tenth and 40 of the world's radii away, so the eye may
         go into the world. One that was put beyond a limit by hand stays there until it is moved.
         """
         wanted = self.distance / accepted.number("the zoom factor", factor, above=0)
         low, high = min(self.nearest, self.distance), max(self.farthest, self.distance)
-        self.distance = min(max(wanted, low), high)
+        before, self.distance = self.distance, min(max(wanted, low), high)
+        if about is not None:
+            point = accepted.array("the zoom's point", about, (3,))
+            self.centre = point + (self.centre - point) * (self.distance / before)
 
 
 def _pixel(value: ArrayLike) -> np.ndarray:

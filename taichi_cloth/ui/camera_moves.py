@@ -47,10 +47,15 @@ class CameraMoves:
             self._poses = [*self._poses[-MOST_POSES:], self._camera.pose]
         self._last = move
 
-    def zoom(self, notches: float) -> None:
-        """Come nearer by so many notches."""
+    @property
+    def zooms(self) -> bool:
+        """Whether what was done last was to come nearer, or farther."""
+        return self._last == "zoom"
+
+    def zoom(self, notches: float, about: tuple[float, ...] | None = None) -> None:
+        """Come nearer by so many notches. about: to which point (3,); None: what is looked at."""
         self._note("zoom")
-        self._camera.zoom(ZOOM_STEP ** float(np.clip(notches, -100, 100)))
+        self._camera.zoom(ZOOM_STEP ** float(np.clip(notches, -100, 100)), about)
 
     def turn(self, pixels: np.ndarray) -> None:
         """Turn so that the side that faces us follows the pointer, which moved by pixels (2,)."""

@@ -23,6 +23,7 @@ from taichi_cloth.ui.inputs import (
     Event,
 )
 from taichi_cloth.ui.interaction import LogEvent
+from taichi_cloth.ui.picking import particle_at
 from taichi_cloth.ui.tools.contract import Events, Hand, Marks, Tool, ToolEvent
 from taichi_cloth.ui.window_map import WindowMap
 
@@ -57,6 +58,7 @@ class Controls:
         self._seed, self._note = seed, note
         self._hand = Hand(sim, camera, WindowMap.of(world, window))
         self._moves = CameraMoves(camera) if camera else None
+        self._aim: Event | None = None  # of the wheel, when it began to turn
         self._before: np.ndarray | None = None  # [window pixels] when the last frame began
         self._memory: dict[str, Any] = {}  # what each tool remembers, by name
         self._first = self.tool = tools.for_mouse(world.mouse)
@@ -95,6 +97,22 @@ class Controls:
         """Tell the user something; None: what was told is no longer so."""
         self._hand.notice = notice
 
+    def aimed(self, event: Event) -> Event:
+        """The event that is to be applied and noted: the wheel's says which point it is about.
+
+        That is what is under the pointer, at the depth of the particle that a click would mean,
+        else of what the camera looks at; and the same one while the wheel goes on turning there.
+        """
+        hand, moves = self._hand, self._moves
+        if event.kind != "wheel" or moves is None or event.pos is None:
+            return event
+        if self._aim is None or self._aim.pos != event.pos or not moves.zooms:
+            pixel, seen = np.array(event.pos, np.float64), hand.seen
+            meant = particle_at(seen, hand.camera, hand.window, pixel)
+            about = hand.place(pixel, None if meant is None else seen.positions()[meant])
+            self._aim = replace(event, about=tuple(map(float, about)))
+        return replace(event, about=self._aim.about)
+
     def apply(self, event: LogEvent, *, replayed: bool = False) -> str | None:
         """Do what `event` asks for.
 
@@ -110,7 +128,7 @@ class Controls:
             self._move(np.array(event.pos, np.float64))
         elif event.kind == "wheel":
             if self._moves:
-                self._moves.zoom(event.delta)
+                self._moves.zoom(event.delta, event.about)
         elif event.kind == "tool":
             self._take_up(event.name or "")
         elif event.kind == "view":
@@ -307,7 +325,7 @@ class Controls:
         self._memory = copy.deepcopy(memory["tools"])
         hand.pointer, self._before, self.pressed = memory["pointer"]
         hand.held = set(memory["keys"])
-        self._waiting = None
+        self._waiting = self._aim = None
         if self._moves:
             self._moves.recall(memory["camera"])
 

@@ -117,6 +117,8 @@ class Event:
     button: "left", "middle" or "right".
     key: lower-case name out of `KEYS` ("space", "ctrl", "f1", ".", "a").
     delta: wheel notches, positive away from the user.
+    about: the point (3,) of a world in space that the wheel comes nearer to, which was under the
+        pointer; None: what the camera looks at.
     name: of the tool that is in hand from now on; "": none.
     drag: out of `DRAGS`, what the button that went down last does while it is held.
     pose: the camera's from now on (`Camera.pose`).
@@ -127,6 +129,7 @@ class Event:
     button: str | None = None
     key: str | None = None
     delta: float = 0.0
+    about: tuple[float, ...] | None = None
     name: str | None = None
     drag: str | None = None
     pose: tuple[float, ...] | None = None
@@ -145,8 +148,9 @@ class Event:
         for word in ("name", "drag"):
             if getattr(self, word) is not None:
                 said[word] = getattr(self, word)
-        if self.pose is not None:
-            said["pose"] = [float(number) for number in self.pose]
+        for word in ("about", "pose"):
+            if getattr(self, word) is not None:
+                said[word] = [float(number) for number in getattr(self, word)]
         return said
 
 
@@ -189,11 +193,12 @@ def _kinds() -> tuple[Kind[Event], ...]:
         "button": word_of(BUTTONS, BUTTONS),
         "key": word_of(KEYS, NAMED_KEYS),
     }
+    aimed = {"pos": pair, "about": numbers(3)}
     return (
         Kind("move", {"pos": pair}, {}, lambda values: Event("move", **values)),
         Kind("press", {}, pressed, partial(_press_or_release, "press")),
         Kind("release", {}, pressed, partial(_press_or_release, "release")),
-        Kind("wheel", {"delta": number}, {"pos": pair}, lambda values: Event("wheel", **values)),
+        Kind("wheel", {"delta": number}, aimed, lambda values: Event("wheel", **values)),
         Kind("tool", {"name": text}, {}, lambda values: Event("tool", **values)),
         Kind("view", {}, {"drag": word_of(DRAGS.values()), "pose": numbers(POSE)}, _view),
     )

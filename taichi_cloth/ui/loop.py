@@ -295,6 +295,7 @@ class Loop:
             self.view.look = self._looks.look
             if taken:
                 return
+        logged = self._controls.aimed(logged)
         # What no log has a name for, nothing reacts to.
         if (logged.key is None or logged.key in KEYS - {"escape"}) and not self.state.quit:
             self._note(logged)
