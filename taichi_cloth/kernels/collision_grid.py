@@ -5,7 +5,9 @@ Simulation using CUDA", 2010). Cells follow each other along the first axis, so 
 particle lies in a few ranges of places, one a row of cells. Cells are narrow along the rows, which
 costs nothing, and wide across them, so that few rows are read. The grid wraps around at its edges
 and needs no bounds: its sizes are powers of two, and what is far away but in the same cell costs a
-comparison. Few particles share a single cell: then all pairs are compared.
+comparison. Few particles share a single cell: then all pairs are compared. A few that are much
+larger than all others, as a ball that is thrown into a net, share a cell of their own after all
+others, in which everybody looks: else everybody would look as far around as the largest reaches.
 
 c in this file: a cell, by its integer coordinates (dim,) or by its index.
 """
@@ -30,6 +32,8 @@ MOST_BINS = 512
 MOST_NEAR = 16  # particles that one keeps in a list, where pairs rest; others search the grid again
 MOST_KEPT = 64  # likewise, from step to step, where cloths have a thickness
 ALONE = 48  # so many particles share a single cell
+MOST_LARGE = 64  # particles that share the cell of large ones
+LARGER = 2.0  # at least so many times as large as all others
 
 
 def most_cells(particles, thick=False):
@@ -73,8 +77,26 @@ def _cell_at(spec: ti.template(), state: ti.template(), x):
 
 
 @ti.func
+def _cell_of(spec: ti.template(), state: ti.template(), slot):
+    """The index of the cell of the particle at a slot."""
+    c = _cell_at(spec, state, slot_value(spec, state.x, slot))
+    if _radius(spec, state, slot) > state.largest_radius[None]:
+        c = cell_count(spec, state)
+    return c
+
+
+@ti.func
+def _radius(spec: ti.template(), state: ti.template(), slot):
+    """The radius with which the particle at a slot meets others."""
+    if ti.static(spec.thick):
+        return slot_number(spec, state.pair_radius, slot)
+    else:
+        return slot_number(spec, state.radius, slot)
+
+
+@ti.func
 def cell_count(spec: ti.template(), state: ti.template()):
-    """How many cells the grid has."""
+    """How many cells the grid has; the cell with this index is that of large particles."""
     bits = 0
     for axis in ti.static(range(spec.dim)):
         bits += state.grid_bits[axis]
@@ -99,13 +121,13 @@ def sort_into_cells(spec: ti.template(), state: ti.template(), t):
 @ti.func
 def _sort_into_bins(spec: ti.template(), state: ti.template(), t):
     """Sort the particles by bin, and by index in each: thread t those of its share."""
-    bins, bits = state.bins[None], state.bin_bits[None]
+    bins, bits = state.bins[None] + 1, state.bin_bits[None]  # the last one: of large particles
     begin, end = share(spec, state.n[None], t), share(spec, state.n[None], t + 1)
-    mine = t * MOST_BINS
+    mine = t * ti.static(MOST_BINS + 1)
     for b in range(bins):
         state.bin_fill[mine + b] = 0
     for i in range(begin, end):
-        c = _cell_at(spec, state, slot_value(spec, state.x, slot_of(spec, state, i)))
+        c = _cell_of(spec, state, slot_of(spec, state, i))
         state.cell_of[i] = c
         at = mine + (c >> bits)
         state.bin_fill[at] = state.bin_fill[at] + 1  # += would be atomic, and slower
@@ -114,8 +136,9 @@ def _sort_into_bins(spec: ti.template(), state: ti.template(), t):
     for b in range(share(spec, bins, t), share(spec, bins, t + 1)):
         total = 0
         for other in range(spec.threads):
-            count = state.bin_fill[other * MOST_BINS + b]
-            state.bin_fill[other * MOST_BINS + b] = total
+            at = other * ti.static(MOST_BINS + 1) + b
+            count = state.bin_fill[at]
+            state.bin_fill[at] = total
             total += count
         state.bin_size[b] = total
     barrier(spec, state, t)
@@ -146,6 +169,11 @@ def _sort_bins(spec: ti.template(), state: ti.template(), t):
         before = state.bin_start[b] / ti.cast(ti.max(n, 1), ti.f32) + b / ti.cast(bins, ti.f32)
         if ti.min(ti.cast(0.5 * spec.threads * before, ti.i32), spec.threads - 1) == t:
             _sort_bin(spec, state, b)
+    if t == 0:
+        cells = cell_count(spec, state)
+        state.cell_end[cells + 1] = n
+        for at in range(state.bin_start[bins], n):  # as they are: they share one cell
+            _take_from_bin(spec, state, at, at)
     barrier(spec, state, t)
 
 
@@ -169,9 +197,15 @@ def _sort_bin(spec: ti.template(), state: ti.template(), b):
         c = state.binned_cell[at]
         place = state.cell_end[c + 1]
         state.cell_end[c + 1] = place + 1
-        state.sorted_index[place] = state.binned_index[at]
-        for k in ti.static(range(2 * spec.dim + 2)):
-            state.sorted[place, k] = state.sorted[ti.static(state.sorted_half) + at, k]
+        _take_from_bin(spec, state, at, place)
+
+
+@ti.func
+def _take_from_bin(spec: ti.template(), state: ti.template(), at, place):
+    """Take a particle from its place in the order by bins to that in the order by cells."""
+    state.sorted_index[place] = state.binned_index[at]
+    for k in ti.static(range(2 * spec.dim + 2)):
+        state.sorted[place, k] = state.sorted[ti.static(state.sorted_half) + at, k]
 
 
 @ti.func
@@ -183,24 +217,21 @@ def _copy_particle(spec: ti.template(), state: ti.template(), slot, at):
     x, v = slot_value(spec, state.x, slot), slot_value(spec, state.v, slot)
     for axis in ti.static(range(spec.dim)):
         state.sorted[at, axis], state.sorted[at, ti.static(spec.dim + 1 + axis)] = x[axis], v[axis]
-    if ti.static(spec.thick):
-        state.sorted[at, ti.static(spec.dim)] = slot_number(spec, state.pair_radius, slot)
-    else:
-        state.sorted[at, ti.static(spec.dim)] = slot_number(spec, state.radius, slot)
+    state.sorted[at, ti.static(spec.dim)] = _radius(spec, state, slot)
     state.sorted[at, ti.static(2 * spec.dim + 1)] = slot_number(spec, state.w, slot)
 
 
 @ti.func
 def _sort_on_gpu(spec: ti.template(), state: ti.template(), t):
     """Sort the particles by cell on very many threads."""
-    each(spec, state, t, cell_count(spec, state) + 1, _clear_cell)
+    each(spec, state, t, cell_count(spec, state) + 2, _clear_cell)
     each(spec, state, t, state.n[None], _count_in_cell)
     # An exclusive prefix sum in blocks: first over each block, then over these, then inside each.
     each(spec, state, t, _block_count(spec, state), _sum_block)
     each(spec, state, t, 1, _begin_blocks)
     each(spec, state, t, _block_count(spec, state), _begin_cells)
     each(spec, state, t, state.n[None], _put_in_cell)
-    each(spec, state, t, cell_count(spec, state), _order_cell)
+    each(spec, state, t, cell_count(spec, state) + 1, _order_cell)
     each(spec, state, t, state.n[None], _copy_to_place)
 
 
@@ -211,7 +242,7 @@ def _clear_cell(spec: ti.template(), state: ti.template(), c):
 
 @ti.func
 def _count_in_cell(spec: ti.template(), state: ti.template(), i):
-    c = _cell_at(spec, state, slot_value(spec, state.x, slot_of(spec, state, i)))
+    c = _cell_of(spec, state, slot_of(spec, state, i))
     state.cell_of[i] = c
     ti.atomic_add(state.cell_end[c + 1], 1)
 
@@ -236,6 +267,7 @@ def _begin_blocks(spec: ti.template(), state: ti.template(), _):
         count = state.block_start[b]
         state.block_start[b] = total
         total += count
+    state.cell_end[cell_count(spec, state) + 1] = total  # that of large particles begins there
 
 
 @ti.func
@@ -363,8 +395,8 @@ def sum_over_near(
 ):
     """The sum of term(spec, state, at, other), vectors (size,), over the places near x.
 
-    They are those of all particles within `reach` of x (dim,), and of some that are farther away;
-    their order is the same for every number of threads.
+    They are those of all particles within `reach` of x (dim,), of large ones, and of some that are
+    farther away; their order is the same for every number of threads.
     """
     total = ti.Vector.zero(state.real, size)
     along, width = _span(state, x[0], reach, 0)
@@ -377,9 +409,12 @@ def sum_over_near(
     end = ti.min(begin + width, cells)
     beyond = begin + width - cells  # cells after the row's last one, which wrap around
     bits_1, bits_2 = state.grid_bits[0], state.grid_bits[0] + state.grid_bits[1]
-    # Mostly there are at most two by two rows.
-    for block_2 in range((count_2 + 1) >> 1):
-        for block_1 in range((count_1 + 1) >> 1):
+    blocks_1, blocks_2 = (count_1 + 1) >> 1, (count_2 + 1) >> 1  # mostly two by two rows are one
+    of_large = cell_count(spec, state)
+    large = ti.cast(state.cell_end[of_large + 1] > state.cell_end[of_large], ti.i32)
+    for block_2 in range(blocks_2 + large):
+        last = block_2 == blocks_2  # the cell of large particles
+        for block_1 in range(ti.select(last, 1, blocks_1)):
             n_rows = ti.static(2 ** (spec.dim - 1))
             rows, read = ti.Vector([0] * n_rows), ti.Vector([0] * n_rows)
             for k in ti.static(range(n_rows)):
@@ -390,9 +425,13 @@ def sum_over_near(
                     )
                     row, there = row + layer, there * here
                 rows[k], read[k] = row, there
-            for part in range(ti.select(beyond > 0, 2, 1)):
+                if last:
+                    rows[k], read[k] = of_large, ti.static(1 if k == 0 else 0)
+            for part in range(ti.select((beyond > 0) & (not last), 2, 1)):
                 first, past = begin, end
                 if part == 1:
                     first, past = 0, beyond
+                if last:
+                    first, past = 0, 1
                 total += _sum_over_block(spec, state, at, rows, read, first, past, size, term)
     return total

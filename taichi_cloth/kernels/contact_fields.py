@@ -77,7 +77,7 @@ class ContactFields(Fields):
         self.count_names += ["grid_bits", "bins", "bin_bits"]
         self.number_names += ["per_cell", "largest_radius"]
         self.cell_end, self.cell_of, self.sorted_index = (
-            self._counts(count) for count in (cells + 1, n, n)
+            self._counts(count) for count in (cells + 2, n, n)
         )
         # In two halves: what is being sorted, or goes from iteration to iteration, changes sides.
         self.sorted_half, self.sorted = n, self._scalars(2 * n, 2 * spec.dim + 2)
@@ -92,8 +92,8 @@ class ContactFields(Fields):
         if spec.thick:
             self._place_kept_pairs(spec)
         self.block_start = self._counts(cells // BLOCK + 1)
-        self.bin_fill = self._counts(spec.threads * MOST_BINS)
-        self.bin_start, self.bin_size = self._counts(MOST_BINS), self._counts(MOST_BINS)
+        self.bin_fill = self._counts(spec.threads * (MOST_BINS + 1))
+        self.bin_start, self.bin_size = self._counts(MOST_BINS + 1), self._counts(MOST_BINS + 1)
         self.binned_cell, self.binned_index = self._counts(n), self._counts(n)
 
     def _place_kept_pairs(self, spec):

@@ -6,24 +6,25 @@ from typing import Any
 
 import numpy as np
 
-from taichi_cloth.kernels.collision_grid import ALONE, MOST_BINS
+from taichi_cloth.kernels.collision_grid import ALONE, LARGER, MOST_BINS, MOST_LARGE, most_cells
 from taichi_cloth.scene.model import Particles, World
 
 Real = type[np.floating]  # the device's precision: np.float32 or np.float64
 
 
-def collision_grid(world: World, radii: np.ndarray, most: int) -> dict[str, Any]:
+def collision_grid(world: World, radii: np.ndarray, thick: bool = False) -> dict[str, Any]:
     """The numbers of the collision grid (`kernels.collision_grid`), by the names of their fields.
 
-    most: cells that it may have. Along rows a cell is at least as wide as the largest particle,
-    across them twice that: then few rows lie near a particle. The grid wraps around, so where the
-    world has more cells than the container holds, it is made smaller: far particles then share a
-    cell, at the cost of comparisons. Cells are wide enough that their coordinates are whole numbers
-    of 32 bits.
+    thick: whether a cloth has a thickness. Along rows a cell is at least as wide as the largest
+    particle but for those few that are far larger, across them twice that: then few rows lie near
+    a particle. The grid wraps around, so where the world has more cells than the container holds,
+    it is made smaller: far particles then share a cell, at the cost of comparisons. Cells are wide
+    enough that their coordinates are whole numbers of 32 bits.
     """
-    size, count = np.array(world.size), len(radii)
+    size, count, most = np.array(world.size), len(radii), most_cells(len(radii), thick)
     largest = float(size.max())
-    radius = float(radii.max(initial=0.0))
+    # Lists that are kept from step to step go by the largest of all.
+    radius = float(radii.max(initial=0.0)) if thick or count <= ALONE else _usual(radii)
     # Points never meet: of cells as many as there may be.
     width = max(2.0 * radius or largest / most ** (1 / world.dim), largest / 2**24)
     widths = np.full(world.dim, 2.01 * width)
@@ -44,6 +45,14 @@ def collision_grid(world: World, radii: np.ndarray, most: int) -> dict[str, Any]
         "bin_bits": cells - bins,
         "largest_radius": radius,
     }
+
+
+def _usual(radii: np.ndarray) -> float:
+    """The largest radius but for a few that are much larger than it."""
+    most = min(MOST_LARGE + 1, len(radii))
+    top = np.sort(np.partition(radii, len(radii) - most)[-most:])[::-1]
+    falls = np.flatnonzero(top[1:] * LARGER <= top[:-1])
+    return float(top[falls[-1] + 1] if len(falls) else top[0])
 
 
 def inner_box(world: World, particles: Particles, real: Real) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.kernels import clock, loops
-from taichi_cloth.kernels.collision_grid import most_cells
 from taichi_cloth.kernels.forces import device_fields, has_tractions
 from taichi_cloth.kernels.watchdog import NO_FAULT
 from taichi_cloth.scene.solids import held
@@ -50,7 +49,7 @@ class Upload(SpringFilling, SurfaceFilling):
         if self.spec.thick:
             spheres = self.snapshot.scene.spheres
             radius, values["skin"] = spheres.radius, min(spheres.skin, np.finfo(self.real).max)
-        values |= collision_grid(world, radius, most_cells(len(radius), self.spec.thick))
+        values |= collision_grid(world, radius, self.spec.thick)
         for name in (*self.state.count_names, *self.state.number_names):
             self._to.put(getattr(self.state, name), values[name])
         self._bring()
