@@ -101,6 +101,10 @@ GOOD = '{"frame": 3, "event": "move", "pos": [1, 2]}'
         ('{"frame": 4, "event": "press", "button": "left"}', "'pos' is missing"),
         ('{"frame": 4, "event": "press", "key": "spcae"}', "did you mean 'space'?"),
         ('{"frame": 4, "event": "press", "key": 5}', "unknown key 5"),
+        (
+            '{"frame": 4, "event": "press", "key": "a", "about": [1, 2, 3]}',
+            "'about' goes with a key",
+        ),
         ('{"frame": 4, "event": "wheel"}', "'delta' is missing"),
         ('{"frame": 4, "event": "view"}', "a view event needs either 'drag' or 'pose'"),
         ('{"frame": 4, "event": "view", "pose": [1, 2, 3, 0, 5, 6]}', "distance must be positive"),

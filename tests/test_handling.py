@@ -482,7 +482,7 @@ def test_drags_on_empty_space_move_the_camera_and_z_goes_back():
     assert camera.centre == pytest.approx([300, 200, 0])
     _, radius, _ = camera.project(sim.positions(), 20.0)
     assert radius[0] > 100, "it fills the picture"
-    assert [event.drag for event in noted if event.kind == "view"] == ["orbit", "pan", None]
+    assert [event.drag for event in noted if event.kind == "view"] == ["turn", "pan", None]
     move("left", (300.0, 200.0), (320.0, 200.0))
     assert [event.kind for event in noted][-2:] == ["grab", "let_go"]  # no drag of the camera
     for pose in reversed(poses):

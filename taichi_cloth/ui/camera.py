@@ -66,11 +66,13 @@ class Camera:
         self.middle = np.array([w / 2, h / 2])  # the pixel of what it looks at
         middle = [w / 2, h / 2, 0.0] if centre is None else centre
         self.centre: np.ndarray = accepted.array("Camera: centre", middle, (3,))
-        # As far as the world is visible, and as near as single knots of a large net are.
+        # As far as the world is visible; outside the sphere around it, with 5 % to spare, and, to a
+        # point of one's choice, as near as the knots of a large net ask for.
         if radius is None:
             radius = _half_diagonal(self.world_size)
         self.radius = accepted.number("Camera: radius", radius, above=0)
-        self.nearest, self.farthest = 0.1 * self.radius, 40.0 * self.radius
+        self.nearest, self.farthest = 1.05 * self.radius, 40.0 * self.radius
+        self.nearest_to_point = 0.1 * self.radius
 
     @classmethod
     def original(cls, world_size: Sequence[float]) -> Camera | None:
@@ -223,12 +225,13 @@ class Camera:
         """Come nearer by `factor` (2: half the distance; below 1: farther), within limits.
 
         about: the point (3,) that it comes nearer to, and that keeps its pixel, world units; None:
-        what is looked at.
-        What is looked at stays between a tenth and 40 of the world's radii away, so the eye may
-        go into the world. One that was put beyond a limit by hand stays there until it is moved.
+        what is looked at, and no nearer than the eye is outside the world, as in logs of old.
+        What is looked at stays within 40 of the world's radii; to a point one comes as near as a
+        tenth. An eye that was put beyond a limit by hand stays there until it is moved.
         """
         wanted = self.distance / accepted.number("the zoom factor", factor, above=0)
-        low, high = min(self.nearest, self.distance), max(self.farthest, self.distance)
+        nearest = self.nearest if about is None else self.nearest_to_point
+        low, high = min(nearest, self.distance), max(self.farthest, self.distance)
         before, self.distance = self.distance, min(max(wanted, low), high)
         if about is not None:
             point = accepted.array("the zoom's point", about, (3,))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.inputs import ORBIT
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
@@ -22,7 +23,7 @@ MOST_POSES = 100  # that one can go back
 class CameraMoves:
     """Moves a camera, and knows its poses before each move.
 
-    drags: what the button that is down does, "orbit" or "pan"; None: nothing.
+    drags: what the button that is down does (`inputs.DRAGS`, `ORBIT`); None: nothing.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -58,12 +59,15 @@ class CameraMoves:
         self._camera.zoom(ZOOM_STEP ** float(np.clip(notches, -100, 100)), about)
 
     def turn(self, pixels: np.ndarray) -> None:
-        """Turn so that the side that faces us follows the pointer, which moved by pixels (2,)."""
+        """Turn so that the side that faces us follows the pointer, which moved by pixels (2,).
+
+        Beyond a pole it goes against it to the side, as in the original program and its logs.
+        """
         self._note("turn")
         self._turn(pixels * DEGREES_A_PIXEL)
 
     def begin(self, drag: str) -> None:
-        """A drag begins: "orbit" or "pan"."""
+        """A drag begins, as `drags` has it."""
         self.end()
         self.drags = drag
 
@@ -72,12 +76,11 @@ class CameraMoves:
         self._note("drag")
         if self.drags == "pan":
             self._camera.pan(pixels / scale)
-        else:
-            self._turn(pixels * DEGREES_A_DRAG)
+        else:  # what stands on its head is turned the other way about its own axis
+            across = -1 if self._camera.upright or self.drags == ORBIT else 1
+            self._turn(pixels * DEGREES_A_DRAG, across)
 
-    def _turn(self, degrees: np.ndarray) -> None:
-        # What stands on its head is turned the other way about its own axis.
-        across = -1 if self._camera.upright else 1
+    def _turn(self, degrees: np.ndarray, across: int = -1) -> None:
         self._camera.rotate(across * degrees[0], degrees[1])
 
     def end(self) -> None:

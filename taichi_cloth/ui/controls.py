@@ -98,13 +98,18 @@ class Controls:
         self._hand.notice = notice
 
     def aimed(self, event: Event) -> Event:
-        """The event that is to be applied and noted: the wheel's says which point it is about.
+        """The event that is to be applied and noted: one that zooms says which point it is about.
 
-        That is what is under the pointer, at the depth of the particle that a click would mean,
-        else of what the camera looks at; and the same one while the wheel goes on turning there.
+        That of the wheel is what is under the pointer, at the depth of the particle that a click
+        would mean, else of what the camera looks at; and the same one while the wheel goes on
+        turning there. That of a key is what the camera looks at.
         """
         hand, moves = self._hand, self._moves
-        if event.kind != "wheel" or moves is None or event.pos is None:
+        if hand.camera is None or moves is None:
+            return event
+        if event.kind == "press" and event.key in (*NEARER_KEYS, *FARTHER_KEYS):
+            return replace(event, about=tuple(map(float, hand.camera.centre)))
+        if event.kind != "wheel" or event.pos is None:
             return event
         if self._aim is None or self._aim.pos != event.pos or not moves.zooms:
             pixel, seen = np.array(event.pos, np.float64), hand.seen
@@ -136,7 +141,7 @@ class Controls:
         elif event.button is not None:
             self._click(event, replayed)
         elif event.key is not None:
-            return self._key(event.kind, event.key, replayed)
+            return self._key(event, event.key, replayed)
         return None
 
     def choose(self, name: str) -> None:
@@ -162,14 +167,14 @@ class Controls:
             self._note(event)
         self.apply(event)
 
-    def _key(self, kind: str, key: str, replayed: bool) -> str | None:
+    def _key(self, event: Event, key: str, replayed: bool) -> str | None:
         held, moves = self._hand.held, self._moves
-        if kind == "release":
+        if event.kind == "release":
             held.discard(key)
         elif key == "ctrl" or (self.tool and key in self.tool.modifiers):
             held.add(key)
         elif key in (*NEARER_KEYS, *FARTHER_KEYS) and moves:
-            moves.zoom(1 if key in NEARER_KEYS else -1)
+            moves.zoom(1 if key in NEARER_KEYS else -1, event.about)
         elif key == BACK_KEY and moves:
             moves.back()
         elif key == FRAME_KEY and moves:

@@ -95,7 +95,8 @@ COMMANDS = {
 # Those that act on the window alone: they work while a log is replayed, too.
 WINDOW_KEYS = COMMANDS.keys() - {"space", "r", "u"}
 FRAME_KEY, BACK_KEY = "f", "z"  # of the camera: what there is fills the picture; its pose before
-DRAGS = {"left": "orbit", "right": "pan"}  # what moves the camera by which button
+DRAGS = {"left": "turn", "right": "pan"}  # what moves the camera by which button
+ORBIT = "orbit"  # what "turn" was in logs of old, and still is there
 NEARER_KEYS, FARTHER_KEYS = ("+", "=", "up"), ("-", "down")
 
 
@@ -117,10 +118,10 @@ class Event:
     button: "left", "middle" or "right".
     key: lower-case name out of `KEYS` ("space", "ctrl", "f1", ".", "a").
     delta: wheel notches, positive away from the user.
-    about: the point (3,) of a world in space that the wheel comes nearer to, which was under the
-        pointer; None: what the camera looks at.
+    about: the point (3,) of a world in space that the wheel, or a key, comes nearer to; None: what
+        the camera looks at, and not into the world.
     name: of the tool that is in hand from now on; "": none.
-    drag: out of `DRAGS`, what the button that went down last does while it is held.
+    drag: out of `DRAGS`, or `ORBIT`, what the button that went down last does while it is held.
     pose: the camera's from now on (`Camera.pose`).
     """
 
@@ -174,6 +175,8 @@ def released(held: set[str]) -> list[Event]:
 def _press_or_release(kind: str, values: dict[str, Any]) -> Event:
     if ("button" in values) == ("key" in values):
         raise InputError(f"a {kind} event needs either 'button' or 'key'")
+    if "about" in values and values.get("key") not in (*NEARER_KEYS, *FARTHER_KEYS):
+        raise InputError(f"'about' goes with a key that comes nearer, as '{NEARER_KEYS[0]}' does")
     if "button" in values and "pos" not in values:
         raise InputError(f"'pos' is missing; a {kind} of a button needs it")
     return Event(kind, **values)
@@ -196,11 +199,11 @@ def _kinds() -> tuple[Kind[Event], ...]:
     aimed = {"pos": pair, "about": numbers(3)}
     return (
         Kind("move", {"pos": pair}, {}, lambda values: Event("move", **values)),
-        Kind("press", {}, pressed, partial(_press_or_release, "press")),
+        Kind("press", {}, pressed | aimed, partial(_press_or_release, "press")),
         Kind("release", {}, pressed, partial(_press_or_release, "release")),
         Kind("wheel", {"delta": number}, aimed, lambda values: Event("wheel", **values)),
         Kind("tool", {"name": text}, {}, lambda values: Event("tool", **values)),
-        Kind("view", {}, {"drag": word_of(DRAGS.values()), "pose": numbers(POSE)}, _view),
+        Kind("view", {}, {"drag": word_of([*DRAGS.values(), ORBIT]), "pose": numbers(POSE)}, _view),
     )
 
 
