@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.solids import Solids
 from taichi_cloth.ui.window_map import WindowMap
 
 if TYPE_CHECKING:
@@ -32,6 +33,50 @@ def seen(
     return places, np.where(depth > 0, depth, np.inf)
 
 
+class Front:
+    """What is in front in a 3-D scene, as a camera sees it: surfaces, spheres, obstacles.
+
+    places: (n, 2) pixels and depth: (n,) of the particles (`seen`); radius: (n,), in pixels.
+    """
+
+    def __init__(self, sim: Simulation, camera: Camera, window: WindowMap) -> None:
+        self._sim = sim
+        self.places, self.depth = seen(sim.positions(), camera, window)
+        self._radii = sim.radii()
+        self.radius = self._radii * window.scale * camera.focal_length / self.depth
+        self._solid = Solids().of(sim, sim.time)
+        if self._solid is not None:
+            self._solid_seen = seen(self._solid.vertex, camera, window)
+
+    def triangle(self, pixel: np.ndarray) -> tuple[np.ndarray | None, float]:
+        """The corners (3,) of the triangle in front at a pixel (2,), and how deep it is there."""
+        return _in_front(self._sim.drawn_triangles(), self.places, self.depth, pixel)
+
+    def sphere(self, pixel: np.ndarray, *, loose: bool) -> tuple[int | None, float]:
+        """The sphere in front, and how deep it is there. loose: only those in no surface."""
+        away = np.linalg.norm(self.places - pixel, axis=1)
+        inside = away <= self.radius
+        if loose:
+            inside[self._sim.drawn_triangles()] = False
+        found = np.flatnonzero(inside)
+        if len(found) == 0:
+            return None, np.inf
+        high = np.sqrt(1 - (away[found] / self.radius[found]) ** 2)
+        top = self.depth[found] - high * self._radii[found]
+        return int(found[top.argmin()]), float(top.min())
+
+    def solid(self, pixel: np.ndarray) -> tuple[np.ndarray | None, float]:
+        """The corners (3,) of an obstacle's triangle in front, and how deep it is there."""
+        if self._solid is None:
+            return None, np.inf
+        return _in_front(self._solid.triangles, *self._solid_seen, pixel, outside=True)
+
+    def hides(self, particle: int) -> bool:
+        """Whether an obstacle is before all of a particle."""
+        top = self.depth[particle] - self._radii[particle]
+        return bool(self.solid(self.places[particle])[1] < top)
+
+
 def particle_at(
     sim: Simulation,
     camera: Camera | None,
@@ -40,49 +85,70 @@ def particle_at(
     among: np.ndarray | None = None,
     near: float = NEAR,
 ) -> int | None:
-    """The particle that a click at a pixel (2,) means; None: it means empty space.
+    """The particle that a click at a pixel (2,) means; None: it means none.
 
-    Where the pixel is in a surface, it is the nearest corner of the triangle in front. Else it is
-    the nearest of those whose disc the pixel is in, or which are `near`; of discs the one in front.
+    In space it is what is in front: the nearest corner of a surface's triangle, or a sphere. Else,
+    and in a plane, it is the nearest of those whose disc the pixel is in, or which are `near`.
+    What an obstacle hides is not meant.
     among: (n,) bool, those that may be meant; None: all. near: pixels.
     """
-    x = sim.positions()
-    if len(x) == 0:
+    if sim.particle_count == 0:
         return None
-    places, depth = seen(x, camera, window)
-    corners = _triangle_at(sim, places, depth, pixel) if camera else None
-    away = np.linalg.norm(places - pixel, axis=1)
-    away[~np.isfinite(away)] = np.inf
-    if among is not None:
-        away[~among] = np.inf
-    if corners is not None and np.isfinite(away[corners]).any():
-        return int(corners[away[corners].argmin()])
-    radius = sim.radii() * window.scale
-    if camera:
-        radius = radius * camera.focal_length / depth
-    inside = away <= radius
-    if inside.any() and camera:
-        return int(np.where(inside, depth, np.inf).argmin())
-    nearest = int(away.argmin())
-    return nearest if away[nearest] <= max(near, radius[nearest]) else None
+    mine = np.ones(sim.particle_count, bool) if among is None else among
+    if camera is None:
+        away = np.linalg.norm(seen(sim.positions(), None, window)[0] - pixel, axis=1)
+        away[~(np.isfinite(away) & mine)] = np.inf
+        nearest = int(away.argmin())
+        return nearest if away[nearest] <= max(near, sim.radii()[nearest] * window.scale) else None
+    front = Front(sim, camera, window)
+    corners, deep = front.triangle(pixel)
+    ball, top = front.sphere(pixel, loose=corners is not None)
+    behind = front.solid(pixel)[1]
+    away = np.linalg.norm(front.places - pixel, axis=1)
+    if ball is not None and top < min(deep, behind):
+        if mine[ball]:
+            return ball
+        if front.radius[ball] > near:  # which hides what is behind it
+            return None
+    elif corners is not None and deep <= behind:
+        free = corners[mine[corners]]
+        if len(free):
+            return int(free[away[free].argmin()])
+    close = np.flatnonzero(mine & (away <= np.maximum(near, front.radius)))
+    for particle in close[away[close].argsort()]:
+        if not front.hides(particle):
+            return int(particle)
+    return None
 
 
-def _triangle_at(
-    sim: Simulation, places: np.ndarray, depth: np.ndarray, pixel: np.ndarray
-) -> np.ndarray | None:
-    """The corners (3,) of the triangle in front at a pixel; None: there is none."""
-    triangles = sim.drawn_triangles()
+def _in_front(
+    triangles: np.ndarray,
+    places: np.ndarray,
+    depth: np.ndarray,
+    pixel: np.ndarray,
+    *,
+    outside: bool = False,
+) -> tuple[np.ndarray | None, float]:
+    """The corners (3,) of the triangle in front at a pixel, and its depth there; None, inf: none.
+
+    outside: whether those that are seen from behind are left out.
+    """
     if len(triangles) == 0:
-        return None
+        return None, np.inf
     a, b, c = places[triangles].transpose(1, 0, 2)
-    sides = np.stack([_side(a, b, pixel), _side(b, c, pixel), _side(c, a, pixel)])
+    sides = np.stack([_side(b, c, pixel), _side(c, a, pixel), _side(a, b, pixel)])
     with np.errstate(invalid="ignore"):
-        inside = (sides >= 0).all(axis=0) | (sides <= 0).all(axis=0)
+        inside = (sides <= 0).all(axis=0)
+        if not outside:
+            inside |= (sides >= 0).all(axis=0)
+        inside &= sides.sum(axis=0) != 0
     hit = np.flatnonzero(inside)
     if len(hit) == 0:
-        return None
-    front: np.ndarray = triangles[hit[depth[triangles[hit]].mean(axis=1).argmin()]]
-    return front
+        return None, np.inf
+    weight = sides[:, hit] / sides[:, hit].sum(axis=0)
+    deep = 1 / (weight / depth[triangles[hit]].T).sum(axis=0)
+    front: np.ndarray = triangles[hit[deep.argmin()]]
+    return front, float(deep.min())
 
 
 def _side(a: np.ndarray, b: np.ndarray, point: np.ndarray) -> np.ndarray:

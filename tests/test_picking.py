@@ -1,0 +1,113 @@
+"""What a click in space means: what rays that are traced one by one meet first."""
+
+import numpy as np
+import pytest
+
+from taichi_cloth.scene.model import Obstacle, Particles, Scene, World
+from taichi_cloth.scene.solids import Drawn, solids, surface
+from taichi_cloth.ui import picking
+from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.window_map import WindowMap
+
+WINDOW = (600, 400)
+BALLS, SHEETS, GRID = 6, 3, 5  # sheets of GRID x GRID particles
+TABLE = Obstacle("box", {"centre": (1.0, 0.8, 1.0), "half": (0.5, 0.15, 0.35)})
+
+
+class Seen:
+    """What picking asks of a simulation: sheets and balls at random, around a table."""
+
+    def __init__(self, rng):
+        i, j = (part.ravel() for part in np.mgrid[:GRID, :GRID] / (GRID - 1.0))
+        self.x = rng.uniform(0.2, 1.8, (BALLS, 3))
+        self.faces = np.zeros((0, 3), int)
+        cell = np.arange(GRID**2).reshape(GRID, GRID)
+        a, b, c, d = (
+            part.ravel() for part in (cell[:-1, :-1], cell[1:, :-1], cell[1:, 1:], cell[:-1, 1:])
+        )
+        for _ in range(SHEETS):
+            begin, along, across = rng.uniform(0.2, 1.8, 3), *rng.uniform(-0.8, 0.8, (2, 3))
+            new = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]) + len(self.x)
+            self.faces = np.concatenate([self.faces, new])
+            self.x = np.concatenate([self.x, begin + np.outer(i, along) + np.outer(j, across)])
+        self.scene = Scene(
+            "seen",
+            World((2.0, 2.0, 2.0), (0.0,) * 3, up="y", ground=0.0),
+            Particles.build(self.x, radius=0.01),
+            triangles=self.faces,
+            obstacles=(TABLE,),
+        )
+        self.r = np.where(np.arange(len(self.x)) < BALLS, 0.12, 0.01)
+        self.time, self.particle_count = 0.0, len(self.x)
+
+    def positions(self):
+        return self.x
+
+    def radii(self):
+        return self.r
+
+    def drawn_triangles(self):
+        return self.faces
+
+    def obstacles(self, time):
+        return [Drawn(s.name, s.shape, *surface(s, 1.0), *s.pose(time)) for s in solids(self.scene)]
+
+
+def to_triangle(eye, along, corners):
+    """How far along a ray a triangle is: Möller and Trumbore, 1997; inf: it misses it."""
+    a, b, c = corners
+    p = np.cross(along, c - a)
+    det = p @ (b - a)
+    u, q = p @ (eye - a) / det, np.cross(eye - a, b - a)
+    v, t = q @ along / det, q @ (c - a) / det
+    return t if min(u, v, 1 - u - v, t) >= 0 else np.inf
+
+
+def to_ball(eye, along, middle, radius):
+    half = along @ (middle - eye)
+    rest = radius**2 - (middle - eye) @ (middle - eye) + half**2
+    return half - np.sqrt(rest) if rest >= 0 else np.inf
+
+
+def to_table(eye, along):
+    middle, half = np.array(TABLE.values["centre"]), np.array(TABLE.values["half"])
+    ends = np.sort([(middle - half - eye) / along, (middle + half - eye) / along], axis=0)
+    first, last = ends[0].max(), ends[1].min()
+    return first if 0 < first <= last else np.inf
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_click_means_what_its_line_of_sight_meets_first(seed):
+    rng = np.random.default_rng(seed)
+    sim, met = Seen(rng), set()
+    window = WindowMap.of(sim.scene.world, WINDOW)
+    camera = Camera.framing(sim.scene.world.size, [0] * 3, [2] * 3, y_up=True)
+    camera.rotate(rng.uniform(-180, 180), rng.uniform(-40, 40))
+    camera.zoom(rng.uniform(0.7, 2.0), about=rng.uniform(0.5, 1.5, 3))
+    camera.pan(rng.uniform(-0.2, 0.2, 2))
+    places = picking.seen(sim.x, camera, window)[0]
+    for pixel in rng.uniform([0, 0], WINDOW, (120, 2)):
+        eye, along = camera.ray(window.to_world(pixel))
+        balls = [
+            [to_ball(eye, along, sim.x[n], f * 0.12) for n in range(BALLS)] for f in (0.9, 1.1)
+        ]
+        if not np.array_equal(*np.isfinite(balls)):
+            continue  # at a rim, where discs are not quite what is seen of spheres
+        balls = [to_ball(eye, along, sim.x[n], 0.12) for n in range(BALLS)]
+        faces = [to_triangle(eye, along, sim.x[face]) for face in sim.faces]
+        first = {"ball": min(balls), "face": min(faces), "table": to_table(eye, along)}
+        kind = min(first, key=first.get)
+        found = picking.particle_at(sim, camera, window, pixel, near=0.0)
+        if not np.isfinite(first[kind]):
+            kind, expected = "nothing", None
+        elif kind == "ball":
+            expected = int(np.argmin(balls))
+        elif kind == "face":
+            corners = sim.faces[int(np.argmin(faces))]
+            away = np.linalg.norm(places[corners] - pixel, axis=1)
+            expected = int(corners[np.argmin(away)])
+        else:
+            expected = None
+        met.add(kind)
+        assert found == expected, (kind, pixel)
+    assert len(met) >= 3
