@@ -21,6 +21,13 @@ any_event = st.one_of(
     ),
     st.builds(
         Event,
+        st.just("press"),
+        pos,
+        button=st.sampled_from(inputs.BUTTONS),
+        about=st.tuples(finite, finite, finite),
+    ),
+    st.builds(
+        Event,
         st.sampled_from(("press", "release")),
         st.none() | pos,
         key=st.sampled_from(sorted(inputs.KEYS)),
@@ -103,7 +110,7 @@ GOOD = '{"frame": 3, "event": "move", "pos": [1, 2]}'
         ('{"frame": 4, "event": "press", "key": 5}', "unknown key 5"),
         (
             '{"frame": 4, "event": "press", "key": "a", "about": [1, 2, 3]}',
-            "'about' goes with a key",
+            "'about' goes with a button",
         ),
         ('{"frame": 4, "event": "wheel"}', "'delta' is missing"),
         ('{"frame": 4, "event": "view"}', "a view event needs either 'drag' or 'pose'"),

@@ -1,12 +1,17 @@
-"""What a click in space means: what rays that are traced one by one meet first."""
+"""What a click in space means, and where it puts things: what rays meet first."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_windows import FakeSimulation, Recorded, Script, calls, camera_of_world, press, world
 
 from taichi_cloth.scene.model import Obstacle, Particles, Scene, World
 from taichi_cloth.scene.solids import Drawn, solids, surface
-from taichi_cloth.ui import picking
+from taichi_cloth.ui import app, picking
 from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.controls import Controls
+from taichi_cloth.ui.tools.contract import Hand
 from taichi_cloth.ui.window_map import WindowMap
 
 WINDOW = (600, 400)
@@ -76,17 +81,23 @@ def to_table(eye, along):
     return first if 0 < first <= last else np.inf
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_a_click_means_what_its_line_of_sight_meets_first(seed):
+def views(seed):
+    """Such a simulation from somewhere, and pixels: sim, camera, window, pixels."""
     rng = np.random.default_rng(seed)
-    sim, met = Seen(rng), set()
+    sim = Seen(rng)
     window = WindowMap.of(sim.scene.world, WINDOW)
     camera = Camera.framing(sim.scene.world.size, [0] * 3, [2] * 3, y_up=True)
     camera.rotate(rng.uniform(-180, 180), rng.uniform(-40, 40))
     camera.zoom(rng.uniform(0.7, 2.0), about=rng.uniform(0.5, 1.5, 3))
     camera.pan(rng.uniform(-0.2, 0.2, 2))
+    return sim, camera, window, rng.uniform([0, 0], WINDOW, (120, 2))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_click_means_what_its_line_of_sight_meets_first(seed):
+    (sim, camera, window, pixels), met = views(seed), set()
     places = picking.seen(sim.x, camera, window)[0]
-    for pixel in rng.uniform([0, 0], WINDOW, (120, 2)):
+    for pixel in pixels:
         eye, along = camera.ray(window.to_world(pixel))
         balls = [
             [to_ball(eye, along, sim.x[n], f * 0.12) for n in range(BALLS)] for f in (0.9, 1.1)
@@ -111,3 +122,50 @@ def test_a_click_means_what_its_line_of_sight_meets_first(seed):
         met.add(kind)
         assert found == expected, (kind, pixel)
     assert len(met) >= 3
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_put_into_space_lies_before_what_is_seen_there_and_touches_it(seed):
+    """A cloth, a ball, the table, or the floor; where nothing is, it is where one looks at."""
+    sim, camera, window, pixels = views(seed)
+    hand, radius, met = Hand(sim, camera, window), 0.03, 0
+    for pixel in pixels:
+        eye, along = camera.ray(window.to_world(pixel))
+        ways = [
+            *(to_triangle(eye, along, sim.x[face]) for face in sim.faces),
+            *(to_ball(eye, along, sim.x[n], 0.12) for n in range(BALLS)),
+            to_table(eye, along),
+            eye[1] / -along[1] if eye[1] > 0 > along[1] else np.inf,
+        ]
+        place, first = hand.put(pixel, radius), min(ways)
+        if not np.isfinite(first):
+            np.testing.assert_allclose(place, hand.place(pixel))
+            continue
+        towards = eye + first * along - place
+        if abs(np.linalg.norm(towards) - radius) > 1e-6:
+            rim = [to_ball(eye, along, x, f * 0.12) for x in sim.x[:BALLS] for f in (0.8, 1.1)]
+            assert np.isfinite(rim).any()  # of which discs are not quite what is seen
+            continue
+        assert towards @ along > 0
+        met += 1
+    assert met > 20
+
+
+def test_what_was_put_before_a_ball_is_there_again_in_a_replay_and_a_log_of_old_replays_as_it_did():
+    ball = np.array([300.0, 200.0, -150.0])
+    scene = Scene("fake", world("spawn", 3), Particles.build([ball]))
+    camera, recorded, sim = camera_of_world(scene.world), Recorded(), FakeSimulation(scene)
+    view = Script([press("left", tuple(camera.project([ball])[0][0] + [3.0, -2.0]))], [])
+    view.camera = camera
+    app.run(sim, view, recorder=recorded, status=False, device="test")
+    ((_, put, *_),) = calls(sim, "spawn")
+    touching = sim.radii()[0] + scene.particle_defaults.radius
+    assert np.linalg.norm(put - ball) == pytest.approx(touching) and put[2] < ball[2]
+    (event,) = [event for _, event in recorded if event.kind == "press"]
+    assert event.about == put
+    for logged, expected in ((event, put), (replace(event, about=None), None)):
+        again, camera = FakeSimulation(scene), camera_of_world(scene.world)
+        tools = Controls(again, camera, (600, 400))
+        tools.apply(logged, replayed=True)
+        ((_, found, *_),) = calls(again, "spawn")
+        assert found == (expected or tuple(camera.unproject(event.pos)))

@@ -98,18 +98,25 @@ class Controls:
         self._hand.notice = notice
 
     def aimed(self, event: Event) -> Event:
-        """The event that is to be applied and noted: one that zooms says which point it is about.
+        """The event that is to be applied and noted, which says what point of space it is about.
 
-        That of the wheel is what is under the pointer, at the depth of the particle that a click
-        would mean, else of what the camera looks at; and the same one while the wheel goes on
-        turning there. That of a key is what the camera looks at.
+        A press of a button is about the one that the tool in hand aims at. The wheel is about what
+        is under the pointer, at the depth of the particle that a click would mean, else of what the
+        camera looks at; and about the same one while it goes on turning there. A key that zooms is
+        about what the camera looks at.
         """
-        hand, moves = self._hand, self._moves
+        hand, moves, tool = self._hand, self._moves, self.tool
         if hand.camera is None or moves is None:
             return event
         if event.kind == "press" and event.key in (*NEARER_KEYS, *FARTHER_KEYS):
             return replace(event, about=tuple(map(float, hand.camera.centre)))
-        if event.kind != "wheel" or event.pos is None:
+        if event.pos is None:
+            return event
+        if event.kind == "press" and "ctrl" not in hand.held:
+            if tool is None or tool.aim is None or not self.takes(event):
+                return event
+            return replace(event, about=tuple(map(float, tool.aim(hand, event))))
+        if event.kind != "wheel":
             return event
         if self._aim is None or self._aim.pos != event.pos or not moves.zooms:
             pixel, seen = np.array(event.pos, np.float64), hand.seen

@@ -118,8 +118,8 @@ class Event:
     button: "left", "middle" or "right".
     key: lower-case name out of `KEYS` ("space", "ctrl", "f1", ".", "a").
     delta: wheel notches, positive away from the user.
-    about: the point (3,) of a world in space that the wheel, or a key, comes nearer to; None: what
-        the camera looks at, and not into the world.
+    about: the point (3,) of a world in space that the wheel, or a key, comes nearer to, or that a
+        tool's press means; None: that of what the camera looks at, and not into the world.
     name: of the tool that is in hand from now on; "": none.
     drag: out of `DRAGS`, or `ORBIT`, what the button that went down last does while it is held.
     pose: the camera's from now on (`Camera.pose`).
@@ -175,8 +175,8 @@ def released(held: set[str]) -> list[Event]:
 def _press_or_release(kind: str, values: dict[str, Any]) -> Event:
     if ("button" in values) == ("key" in values):
         raise InputError(f"a {kind} event needs either 'button' or 'key'")
-    if "about" in values and values.get("key") not in (*NEARER_KEYS, *FARTHER_KEYS):
-        raise InputError(f"'about' goes with a key that comes nearer, as '{NEARER_KEYS[0]}' does")
+    if "about" in values and values.get("key", "+") not in (*NEARER_KEYS, *FARTHER_KEYS):
+        raise InputError("'about' goes with a button, or a key that comes nearer, as '+' does")
     if "button" in values and "pos" not in values:
         raise InputError(f"'pos' is missing; a {kind} of a button needs it")
     return Event(kind, **values)
@@ -199,7 +199,7 @@ def _kinds() -> tuple[Kind[Event], ...]:
     aimed = {"pos": pair, "about": numbers(3)}
     return (
         Kind("move", {"pos": pair}, {}, lambda values: Event("move", **values)),
-        Kind("press", {}, pressed | aimed, partial(_press_or_release, "press")),
+        Kind("press", {}, {**pressed, "about": numbers(3)}, partial(_press_or_release, "press")),
         Kind("release", {}, pressed, partial(_press_or_release, "release")),
         Kind("wheel", {"delta": number}, aimed, lambda values: Event("wheel", **values)),
         Kind("tool", {"name": text}, {}, lambda values: Event("tool", **values)),

@@ -34,13 +34,13 @@ def seen(
 
 
 class Front:
-    """What is in front in a 3-D scene, as a camera sees it: surfaces, spheres, obstacles.
+    """What is in front in a 3-D scene, as a camera sees it: surfaces, spheres, obstacles, a floor.
 
     places: (n, 2) pixels and depth: (n,) of the particles (`seen`); radius: (n,), in pixels.
     """
 
     def __init__(self, sim: Simulation, camera: Camera, window: WindowMap) -> None:
-        self._sim = sim
+        self._sim, self._camera, self._window = sim, camera, window
         self.places, self.depth = seen(sim.positions(), camera, window)
         self._radii = sim.radii()
         self.radius = self._radii * window.scale * camera.focal_length / self.depth
@@ -75,6 +75,35 @@ class Front:
         """Whether an obstacle is before all of a particle."""
         top = self.depth[particle] - self._radii[particle]
         return bool(self.solid(self.places[particle])[1] < top)
+
+    def at(self, pixel: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """The point (3,) that is seen at a pixel, and the unit normal (3,) of its surface, on our
+        side; None: nothing is.
+        """
+        eye, along = self._camera.ray(self._window.to_world(pixel))
+        ahead = float(along @ self._camera.rotation()[2])
+        corners, deep = self.triangle(pixel)
+        ball, top = self.sphere(pixel, loose=corners is not None)
+        faces, behind = self.solid(pixel)
+        height = self._sim.scene.world.ground
+        below = np.inf
+        if height is not None and self._camera.is_above(height):
+            away = (height - eye[1]) / along[1] if along[1] else -1.0
+            below = ahead * away if away > 0 else np.inf
+        nearest = min(deep, top, behind, below)
+        if not np.isfinite(nearest):
+            return None
+        point, x = eye + along * (nearest / ahead), self._sim.positions()
+        if nearest == below:
+            return point, np.array([0.0, -np.sign(along[1]), 0.0])
+        if nearest == top:  # which is that of a disc, and nearly on the sphere
+            normal = (point - x[ball]) / np.linalg.norm(point - x[ball])
+            return x[ball] + self._radii[ball] * normal, normal
+        solid = self._solid
+        a, b, c = x[corners] if nearest == deep or solid is None else solid.vertex[faces]
+        normal = np.cross(b - a, c - a)
+        normal = normal / np.linalg.norm(normal)
+        return point, -normal if normal @ along > 0 else normal
 
 
 def particle_at(

@@ -21,6 +21,7 @@ from taichi_cloth.ui.tools.contract import (
     ToolEvent,
     prepared,
     usual,
+    usual_radius,
 )
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def _press(hand: Hand, memory: _Memory, event: Event) -> Events:
             return None
         return [ToolEvent("tie", {"particles": [before, hit]})]
     through = None if begins else hand.seen.positions()[before]
-    place = hand.place(event.pos, through)
+    place = hand.put(event.pos, usual_radius(sim), through)
     if not np.all((place >= world.low) & (place <= world.high)):
         hand.notice = OUTSIDE
         return None

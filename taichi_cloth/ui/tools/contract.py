@@ -117,6 +117,28 @@ class Hand:
         ahead = self.camera.rotation()[2]
         return eye + along * (float((through - eye) @ ahead) / float(along @ ahead))
 
+    def put(
+        self,
+        pixel: tuple[float, float] | np.ndarray,
+        radius: float,
+        through: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Where a new sphere goes, (dim,): in space it lies before what is seen at the pixel.
+
+        Where nothing is, or nothing before a point (3,) that is given, it is `place`.
+        """
+        place = self.place(pixel, through)
+        if self.camera is None:
+            return place
+        at = picking.Front(self.seen, self.camera, self.window).at(np.array(pixel, np.float64))
+        if at is None:
+            return place
+        before: np.ndarray = at[0] + radius * at[1]
+        eye = self.camera.eye
+        if through is not None and np.linalg.norm(place - eye) < np.linalg.norm(before - eye):
+            return place
+        return before
+
     def particle_at(
         self, pixel: tuple[float, float], among: np.ndarray | None = None
     ) -> int | None:
@@ -199,6 +221,8 @@ class Tool(Generic[M]):
     buttons: the mouse's buttons that it uses; dragging others moves a 3-D scene's camera.
     hits: whether a press of one of these, at a place in the window, is meant for it, too; else the
         camera takes it. None: each is.
+    aim: in space, the point (3,) that a press means, which its event then says (`about`), so that
+        replays need not look for it.
     press, release: called when a mouse button goes down (but not while ctrl is held) and up.
     prepare: called when it is taken up: what has to be compiled before it can be used, as a
         function to call; None: nothing. It raises InputError where the scene cannot have it.
@@ -218,6 +242,7 @@ class Tool(Generic[M]):
     motion: Callable[[Hand, M, np.ndarray, np.ndarray], Events] | None = None
     buttons: tuple[str, ...]
     hits: Callable[[Hand, Event], bool] | None = None
+    aim: Callable[[Hand, Event], np.ndarray] | None = None
     press: Callable[[Hand, M, Event], Events] | None = None
     release: Callable[[Hand, M, Event], Events] | None = None
     prepare: Callable[[Simulation], Callable[[], None] | None] | None
@@ -253,7 +278,7 @@ class Tool(Generic[M]):
         for key in self.modifiers:
             if key not in KEYS - {"ctrl"} or COMMANDS.get(key, "pause") != "pause":
                 raise ValueError(f"modifiers: {key!r} is no key, or has another meaning")
-        slots = ("motion", "hits", "press", "release", "prepare", "ring", "draw")
+        slots = ("motion", "hits", "aim", "press", "release", "prepare", "ring", "draw")
         for part in ("actions", "remember", *slots):
             slot = getattr(self, part)
             if not callable(slot) and (slot is not None or part in ("actions", "remember")):
@@ -263,6 +288,11 @@ class Tool(Generic[M]):
 def prepared(sim: Simulation) -> Callable[[], None] | None:
     """What makes a simulation ready for tools that hold, cut and add: compiling, where needed."""
     return None if sim.scene.world.tools else sim.prepare_tools
+
+
+def usual_radius(sim: Simulation) -> float:
+    """The radius of such a particle."""
+    return usual(sim).get("radius", sim.scene.particle_defaults.radius)
 
 
 def usual(sim: Simulation) -> dict[str, float]:

@@ -9,7 +9,7 @@ import numpy as np
 from taichi_cloth.scene.model import COLOR_CYCLE, FIXED_COLOR, Scene
 from taichi_cloth.scene.scatter import VELOCITY_HIGH, VELOCITY_LOW
 from taichi_cloth.ui.inputs import Event
-from taichi_cloth.ui.tools.contract import OUTSIDE, Hand, Tool, prepared, usual
+from taichi_cloth.ui.tools.contract import OUTSIDE, Hand, Tool, prepared, usual, usual_radius
 
 
 @dataclass
@@ -37,11 +37,18 @@ def _remember(seed: int) -> _Memory:
     return _Memory(np.random.default_rng(seed))
 
 
+def _aim(hand: Hand, event: Event) -> np.ndarray:
+    assert event.pos is not None
+    return hand.put(event.pos, usual_radius(hand.sim))
+
+
 def _press(hand: Hand, memory: _Memory, event: Event) -> None:
     if event.button not in TOOL.buttons or event.pos is None:
         return
     world = hand.sim.scene.world
-    place = hand.place(event.pos)
+    # Logs of old do not say what was under the pointer.
+    aimed = hand.camera is not None and event.about is not None
+    place = np.array(event.about) if aimed else hand.place(event.pos)
     hand.notice = None
     if not np.all((place >= world.low) & (place <= world.high)):
         hand.notice = OUTSIDE
@@ -70,6 +77,7 @@ TOOL = Tool(
     actions=_actions,
     remember=_remember,
     buttons=("left", "right"),
+    aim=_aim,
     press=_press,
     prepare=lambda sim: None if sim.scene.world.mouse == "spawn" else prepared(sim),
     events=(),  # clicks, keys and the run's seed say it all
