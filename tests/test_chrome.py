@@ -208,6 +208,19 @@ def test_nothing_written_in_the_panel_is_cut_or_meets_something_else(sim, size):
             assert label_end(placed, height) < settings_rows.value_start(words, rect.width, height)
 
 
+def test_a_name_under_its_label_has_the_room_of_both_columns(sim):
+    size = (640, 480)
+    rect = arrange(size, Parts(bar=True, strip=1, columns=("settings",)))
+    height, rect = rect.text, rect.columns["settings"]
+    hands = Hands(sim)
+    hands.panel.panel(rect, height)
+    (placed,) = (one for one in hands.panel._rows if one.row.name == "method")
+    assert placed.under and placed.words == settings_rows.marked(sim.method)
+    _, end = settings_rows.cost_column(rect.width, height)
+    pixels, _ = settings_rows.draw(placed, rect.width, height, False, "")
+    assert (pixels[:, end + 2 :] == style.PAPER).all()
+
+
 def test_a_step_of_any_length_leaves_its_cost_room_in_the_panel(sim):
     hands, said = Hands(sim), set()
     for dt in (9.0, 90.0, 1e9):

@@ -92,8 +92,8 @@ def _fitted(row: Row, width: int, height: int) -> tuple[str, bool]:
     for words in (row.value, row.value.split(" ")[0]) if row.has_slider else (row.value,):
         if not words or text.length(row.label, height) + text.length(words, height) <= room:
             return words, False
-    first, end = _left(width, height)
-    return _within(row.value, end - first, height), True
+    # What it costs stands above that line, which has the room of both columns.
+    return _within(row.value, cost_column(width, height)[1] - pad(height), height), True
 
 
 def _within(words: str, room: int, height: int) -> str:
