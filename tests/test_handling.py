@@ -314,6 +314,11 @@ class Still:
     def __init__(self, rng, dim):
         self.x, self.pairs = rng.uniform(0.2, 1.8, (40, dim)), rng.integers(0, 40, (120, 2))
         self.alive = rng.random(120) < 0.8
+        world = World((2.0, 2.0, 2.0)[:dim], (0.0,) * dim, up="y")
+        self.scene, self.time = Scene("still", world, Particles.build(self.x)), 0.0
+
+    def radii(self):
+        return np.zeros(40)
 
     def positions(self):
         return self.x

@@ -81,6 +81,23 @@ def to_table(eye, along):
     return first if 0 < first <= last else np.inf
 
 
+def test_what_the_table_hides_is_not_cut():
+    """Of two sheets, before and behind it, a path over the table cuts the one before alone."""
+    sim = Seen(np.random.default_rng(0))
+    across = [[x, y, z] for z in (0.2, 1.8) for y in (0.1, 1.5) for x in np.linspace(0.6, 1.4, 5)]
+    sim.x, sim.r, sim.particle_count = np.array(across), np.full(20, 0.01), 20
+    pairs = np.array([(n + s, n + s + 5) for s in (0, 10) for n in range(5)])
+    sim.springs, sim.springs_alive = lambda: pairs, lambda: np.ones(10, bool)
+    window = WindowMap.of(sim.scene.world, WINDOW)
+    camera = Camera.framing(sim.scene.world.size, [0] * 3, [2] * 3, y_up=True)
+    for rot_y, seen in ((0.0, range(5, 10)), (180.0, range(5))):
+        camera.rot_x, camera.rot_y = 0.0, rot_y
+        for height, cut in ((0.8, seen), (1.2, range(10))):
+            (level,) = window.to_window(camera.project([[1.0, height, 1.0]])[0])[:, 1]
+            path = np.array([[20.0, level], [580.0, level]])
+            assert picking.springs_across(sim, camera, window, *path).tolist() == list(cut)
+
+
 def views(seed):
     """Such a simulation from somewhere, and pixels: sim, camera, window, pixels."""
     rng = np.random.default_rng(seed)

@@ -76,6 +76,18 @@ class Front:
         top = self.depth[particle] - self._radii[particle]
         return bool(self.solid(self.places[particle])[1] < top)
 
+    def hides_spring(self, ends: np.ndarray, start: np.ndarray, end: np.ndarray) -> bool:
+        """Whether an obstacle is before a spring where a way between pixels (2,) crosses it.
+
+        ends: (2,), its particles.
+        """
+        a, b = self.places[ends]
+        one, other = abs(_side(start, end, a)), abs(_side(start, end, b))
+        part = float(one / (one + other)) if one + other else 0.5
+        deep = 1 / float((1 - part) / self.depth[ends[0]] + part / self.depth[ends[1]])
+        top = deep - float(self._radii[ends].max())
+        return bool(self.solid(a + part * (b - a))[1] < top)
+
     def at(self, pixel: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """The point (3,) that is seen at a pixel, and the unit normal (3,) of its surface, on our
         side; None: nothing is.
@@ -209,7 +221,10 @@ def springs_across(
     start: np.ndarray,
     end: np.ndarray,
 ) -> np.ndarray:
-    """Numbers of the springs that hold and cross the way from one pixel (2,) to another."""
+    """Numbers of the springs that hold and cross the way from one pixel (2,) to another.
+
+    In space those that an obstacle hides there are left out.
+    """
     mine = np.flatnonzero(sim.springs_alive())
     if len(mine) == 0 or (start == end).all():
         return mine[:0]
@@ -221,4 +236,7 @@ def springs_across(
     touches = (np.minimum(a, b) <= np.maximum(start, end)).all(axis=1)
     touches &= (np.maximum(a, b) >= np.minimum(start, end)).all(axis=1)
     crossed: np.ndarray = mine[apart & touches]
-    return crossed
+    if camera is None or len(crossed) == 0:
+        return crossed
+    front = Front(sim, camera, window)
+    return crossed[[not front.hides_spring(ends, start, end) for ends in sim.springs()[crossed]]]
