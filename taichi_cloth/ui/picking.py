@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -75,6 +76,16 @@ class Front:
         """Whether an obstacle is before all of a particle."""
         top = self.depth[particle] - self._radii[particle]
         return bool(self.solid(self.places[particle])[1] < top)
+
+    def narrow(self, start: np.ndarray, end: np.ndarray) -> None:
+        """Leave out obstacles' triangles that are away from the box of two pixels (2,)."""
+        if self._solid is not None:
+            corner = self._solid_seen[0][self._solid.triangles]
+            with np.errstate(invalid="ignore"):
+                inside = corner.min(axis=1) <= np.maximum(start, end) + 1
+                inside &= corner.max(axis=1) >= np.minimum(start, end) - 1
+            triangles = self._solid.triangles[inside.all(axis=1)]
+            self._solid = replace(self._solid, triangles=triangles)
 
     def hides_spring(self, ends: np.ndarray, start: np.ndarray, end: np.ndarray) -> bool:
         """Whether an obstacle is before a spring where a way between pixels (2,) crosses it.
@@ -239,4 +250,5 @@ def springs_across(
     if camera is None or len(crossed) == 0:
         return crossed
     front = Front(sim, camera, window)
+    front.narrow(start, end)
     return crossed[[not front.hides_spring(ends, start, end) for ends in sim.springs()[crossed]]]
