@@ -283,11 +283,23 @@ def test_a_window_stays_and_goes_on_with_what_survives():
         def draw(self, picture):
             seen.append("\n".join(panel.words for panel in picture.overlay))
 
-    turns = [*[[]] * 60, press("."), press("space"), press("left"), [], press("u"), *[[]] * 60]
+    turns = [
+        *[[]] * 60,
+        press("k"),
+        press("k"),
+        press("."),
+        press("space"),
+        press("left"),
+        [],
+        press("u"),
+        *[[]] * 60,
+    ]
     log = Log(by_frame={500: [Event("move", pos=(1.0, 1.0))]})
     view, examiner = Seen(scene.world, turns), Examining(sim, ["cloth"])
     app.run(sim, view, quiet=True, examiner=examiner, replay=log)
     assert any("Numerics: the step is too long" in words for words in seen)
+    closed = [words for words in seen if "Stopped: " in words and "Numerics: " not in words]
+    assert closed and "u goes on with what survives" in closed[-1].replace("\n", " ")
     assert sum(hud.STOPPED in words for words in seen) == 2  # until the key back
     assert sim.substeps > 1 and sim.dt == 1.9 and sim.frame > 40
     assert np.isfinite(sim.positions()).all() and sim.springs_alive().all()

@@ -255,9 +255,12 @@ class Presentation:
         banner: str | None = None
         keys: tuple[str, ...] = ()
         if state.failure is not None:
-            banner = f"Stopped: {state.failure}\nr goes back to the start, escape quits"
-            if self.why.finding is not None and self.chrome.is_open(self.why.name):
-                banner = f"Stopped: {self.why.finding.title}"
+            finding = self.why.finding
+            onward = "u goes on with what survives, " if finding and finding.settings else ""
+            keys_said = f"{onward}r goes back to the start, escape quits"
+            banner = f"Stopped: {state.failure}\n{keys_said}"
+            if finding is not None and self.chrome.is_open(self.why.name):
+                banner = f"Stopped: {finding.title}"
         if self._show_help:
             keys = self._keys()
         opens = self.chrome.buttons()
