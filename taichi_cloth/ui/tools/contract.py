@@ -125,7 +125,8 @@ class Hand:
     ) -> np.ndarray:
         """Where a new sphere goes, (dim,): in space it lies before what is seen at the pixel.
 
-        Where nothing is, or nothing before a point (3,) that is given, it is `place`.
+        Where nothing is, or nothing before a point (3,) that is given, it is `place`; and where
+        only what is outside the world is seen, as the floor is up to the horizon.
         """
         place = self.place(pixel, through)
         if self.camera is None:
@@ -134,7 +135,9 @@ class Hand:
         if at is None:
             return place
         before: np.ndarray = at[0] + radius * at[1]
-        eye = self.camera.eye
+        eye, world = self.camera.eye, self.sim.scene.world
+        if not np.all((before >= world.low) & (before <= world.high)):
+            return place
         if through is not None and np.linalg.norm(place - eye) < np.linalg.norm(before - eye):
             return place
         return before
