@@ -11,6 +11,7 @@ from taichi_cloth.scene.solids import Drawn, solids, surface
 from taichi_cloth.ui import app, picking
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.controls import Controls
+from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.tools.contract import Hand
 from taichi_cloth.ui.window_map import WindowMap
 
@@ -198,3 +199,20 @@ def test_what_was_put_before_a_ball_is_there_again_in_a_replay_and_a_log_of_old_
         tools.apply(logged, replayed=True)
         ((_, found, *_),) = calls(again, "spawn")
         assert found == (expected or tuple(camera.unproject(event.pos)))
+
+
+def test_the_wheel_comes_nearer_to_the_obstacle_that_is_under_the_pointer():
+    met = 0
+    for sim, camera, window, pixels in map(views, range(3)):
+        controls = Controls(sim, camera, WINDOW)
+        for pixel in pixels:
+            eye, along = camera.ray(window.to_world(pixel))
+            table = to_table(eye, along)
+            faces = [to_triangle(eye, along, sim.x[face]) for face in sim.faces]
+            balls = [to_ball(eye, along, x, 0.14) for x in sim.x[:BALLS]]
+            near = np.linalg.norm(picking.seen(sim.x, camera, window)[0] - pixel, axis=1).min()
+            if np.isfinite(table) and table < min(*faces, *balls) and near > 2 * picking.NEAR:
+                event = controls.aimed(Event("wheel", pos=tuple(pixel), delta=1.0))
+                np.testing.assert_allclose(event.about, eye + table * along, atol=1e-9)
+                met += 1
+    assert met > 3

@@ -101,9 +101,9 @@ class Controls:
         """The event that is to be applied and noted, which says what point of space it is about.
 
         A press of a button is about the one that the tool in hand aims at. The wheel is about what
-        is under the pointer, at the depth of the particle that a click would mean, else of what the
-        camera looks at; and about the same one while it goes on turning there. A key that zooms is
-        about what the camera looks at.
+        is under the pointer, at the depth of the particle that a click would mean, else of an
+        obstacle or of a floor, else of what the camera looks at; and about the same one while it
+        turns on there. A key that zooms is about what the camera looks at.
         """
         hand, moves, tool = self._hand, self._moves, self.tool
         if hand.camera is None or moves is None:
@@ -121,7 +121,8 @@ class Controls:
         if self._aim is None or self._aim.pos != event.pos or not moves.zooms:
             pixel, seen = np.array(event.pos, np.float64), hand.seen
             meant = particle_at(seen, hand.camera, hand.window, pixel)
-            about = hand.place(pixel, None if meant is None else seen.positions()[meant])
+            through = hand.put(pixel, 0.0) if meant is None else seen.positions()[meant]
+            about = hand.place(pixel, through)
             self._aim = replace(event, about=tuple(map(float, about)))
         return replace(event, about=self._aim.about)
 
