@@ -58,7 +58,7 @@ class Controls:
         self._seed, self._note = seed, note
         self._hand = Hand(sim, camera, WindowMap.of(world, window))
         self._moves = CameraMoves(camera) if camera else None
-        self._aim: Event | None = None  # of the wheel, when it began to turn
+        self._aim: tuple[tuple[float, float], np.ndarray] | None = None  # of the wheel that turns
         self._before: np.ndarray | None = None  # [window pixels] when the last frame began
         self._memory: dict[str, Any] = {}  # what each tool remembers, by name
         self._first = self.tool = tools.for_mouse(world.mouse)
@@ -105,26 +105,29 @@ class Controls:
         obstacle or of a floor, else of what the camera looks at; and about the same one while it
         turns on there. A key that zooms is about what the camera looks at.
         """
-        hand, moves, tool = self._hand, self._moves, self.tool
-        if hand.camera is None or moves is None:
+        hand, tool, point = self._hand, self.tool, None
+        if hand.camera is None:
             return event
         if event.kind == "press" and event.key in (*NEARER_KEYS, *FARTHER_KEYS):
-            return replace(event, about=tuple(map(float, hand.camera.centre)))
-        if event.pos is None:
+            point, self._aim = hand.camera.centre, None
+        elif event.pos is None:
             return event
-        if event.kind == "press" and "ctrl" not in hand.held:
-            if tool is None or tool.aim is None or not self.takes(event):
-                return event
-            return replace(event, about=tuple(map(float, tool.aim(hand, event))))
-        if event.kind != "wheel":
-            return event
-        if self._aim is None or self._aim.pos != event.pos or not moves.zooms:
-            pixel, seen = np.array(event.pos, np.float64), hand.seen
+        elif event.kind == "wheel":
+            point = self._under(event.pos)
+        elif event.kind == "press" and tool is not None and tool.aim is not None:
+            if self.takes(event) and "ctrl" not in hand.held:
+                point = tool.aim(hand, event)
+        return event if point is None else replace(event, about=tuple(map(float, point)))
+
+    def _under(self, pos: tuple[float, float]) -> np.ndarray:
+        """The point (3,) that the wheel comes nearer to with the pointer at a pixel."""
+        hand, moves = self._hand, self._moves
+        if self._aim is None or self._aim[0] != pos or moves is None or not moves.zooms:
+            pixel, seen = np.array(pos, np.float64), hand.seen
             meant = particle_at(seen, hand.camera, hand.window, pixel)
             through = hand.put(pixel, 0.0) if meant is None else seen.positions()[meant]
-            about = hand.place(pixel, through)
-            self._aim = replace(event, about=tuple(map(float, about)))
-        return replace(event, about=self._aim.about)
+            self._aim = pos, hand.place(pixel, through)
+        return self._aim[1]
 
     def apply(self, event: LogEvent, *, replayed: bool = False) -> str | None:
         """Do what `event` asks for.
