@@ -309,6 +309,31 @@ def test_contacts_keep_momentum_and_give_no_energy(pool):
     assert touched > 2
 
 
+def test_sheets_that_a_step_takes_into_each_other_do_not_pass(pool):
+    """The last one falls by one to three reaches a step, and ends some in the plane of another."""
+    size, dt = 9, 1 / 240
+    for heights in ([1.9, 2.4], [1.7, 1.86, 2.4]):
+        for way, turn in ((0.25, 0.0), (0.17, 0.1), (0.25, 0.1), (0.4, 0.1)):
+            scene = sheets(size, heights, gravity=(0.0, 0.0, 0.0))
+            x, last = scene.particles.position.copy(), slice((len(heights) - 1) * size**2, None)
+            c, s, middle = np.cos(turn), np.sin(turn), x[last].mean(axis=0)
+            x[last] = (x[last] - middle) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + middle
+            v = np.zeros_like(x)
+            v[last] = np.array([0.1, -1.0, 0.0]) * way / dt
+            scene = replace(scene, particles=replace(scene.particles, position=x, velocity=v))
+            sim, deep = pool(scene, dt=dt), 0.1 * 2 * scene.spheres.radius.max()
+            momentum, energy = sim.momentum(), sim.energy().total
+            for _ in range(6):
+                counted = sim.unsettled()
+                sim.advance()
+                assert len(intersecting_pairs(sim.positions(), scene.triangles)) == 0
+                assert sim.penetration() <= deep or sim.unsettled() > counted
+                assert sim.energy().total < energy * (1 + 1e-3)
+            size_of = np.abs(momentum).max()
+            np.testing.assert_allclose(sim.momentum(), momentum, rtol=0, atol=1e-12 * size_of)
+            assert sim.energy().total < 0.8 * energy  # they met
+
+
 def test_triangles_whose_corners_keep_apart_do_not_meet():
     """The proof's bound, on random pairs of triangles: it is held, and it is sharp."""
     rng, count = np.random.default_rng(1), 2000

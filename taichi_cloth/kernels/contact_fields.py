@@ -42,8 +42,10 @@ class ContactFields(Fields):
         went far; closer_start, closer_other, closer_reach: `scene.spheres`.
         What is swept (`pair_colours.py`, `swept_pairs.py`): near_from, near, near_reach: pairs by
         colour; colour_size: how many; colours_at: the colours of a particle, as bits; changed: the
-        sweep that changed it last, and one more. With one launch per step: near_start: the
-        first row of those near a place; active, n_active: who has any; visited: the last iteration
+        sweep that changed it last, and one more; pushed_far: whether they pushed somebody farther
+        than what was found allows for; pair_round: of how many rounds, 0 between steps. With one
+        launch per step: near_start: the first row of those near a place; active, n_active: who has
+        any; visited: the last iteration
         in which they are visited; touch, touch_normal, touch_count: the pairs that touch in one,
         with normals and gaps.
 
@@ -115,6 +117,7 @@ class ContactFields(Fields):
         self.near, self.near_reach = self._counts(n * MOST_KEPT), self._scalars(n * MOST_KEPT)
         self.near_from, self.colour_size = self._counts(n * MOST_KEPT), self._counts(COLOURS + 1)
         self.colours_at, self.changed = self._counts(n), self._counts(n)
+        self.pushed_far, self.pair_round = self._counts(), self._counts()
         if pairs_act_at_once():
             self.active, self.n_active = self._counts(n), self._counts()
             self.visited, self.near_start = self._counts(n), self._counts(n)

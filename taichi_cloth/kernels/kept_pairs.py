@@ -53,6 +53,7 @@ from taichi_cloth.kernels.patches import (
 CLOSER_SKIN = 0.35  # of the skin: for neighbours in a cloth, whose springs keep them apart
 LATER, CODE_BITS = 31, 5
 PASSED, NEAR_BITS = 1, 1
+TURNED = 0.5**0.5  # cosine of the angle from which on a pair inside each other has passed
 
 
 def finding(spec):
@@ -339,8 +340,7 @@ def _narrow(spec: ti.template(), state: ti.template(), at, start):
         before = vector(spec, state.listed_begun, other) - begun
         now = sorted_x(spec, state, other) - x
         # Without branches, which are mostly guessed wrong here: the next pair takes its row.
-        passed = ti.cast(before.dot(now) < 0.0, ti.i32)
-        state.found[start + count] = (other << NEAR_BITS) + passed * PASSED
+        state.found[start + count] = (other << NEAR_BITS) + _passed(before, now, reach) * PASSED
         state.found_reach[start + count] = reach
         count += ti.cast(_within(_shortest2(before, now), (1.0 + CLOTH_MARGIN) * reach), ti.i32)
     for k in range(start + 1, start + count):
@@ -418,6 +418,19 @@ def _begin_iterations(spec: ti.template(), state: ti.template(), at):
 @ti.func
 def _within(distance2, reach):
     return distance2 <= reach * reach
+
+
+@ti.func
+def _passed(before, now, reach):
+    """Whether a pair has passed through each other on the way from `before` to `now`, as 1 or 0.
+
+    So has one that is inside each other and more beside than before where it came from: of sheets
+    that a step takes into each other it would push particles along the sheets, and not apart.
+    """
+    along, now2 = before.dot(now), now.dot(now)
+    turned = along * along < ti.static(TURNED * TURNED) * before.dot(before) * now2
+    inside = now2 < reach * reach
+    return ti.cast(along < 0.0, ti.i32) | (ti.cast(turned, ti.i32) & ti.cast(inside, ti.i32))
 
 
 @ti.func

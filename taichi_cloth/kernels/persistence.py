@@ -53,7 +53,7 @@ WITHIN_STEP = _names(
     cell_end cell_of sorted_index sorted block_start bin_fill bin_start bin_size binned_cell
     binned_index near near_count near_start near_reach touching
     found found_start found_count found_reach near_from colour_size colours_at changed
-    touch touch_count touch_normal active n_active visited
+    pushed_far pair_round touch touch_count touch_normal active n_active visited
     listed_begun pair_residual pair_iteration
     face face_hits face_left face_row face_count face_finds face_sweeps face_kick
     free_ball face_clear face_seen face_way face_unseen

@@ -101,11 +101,22 @@ def _end(spec: ti.template(), state: ti.template(), t):
     """Store what came of it."""
     if ti.static(is_swept(spec)):
         each(spec, state, t, state.n[None], _store)
+        each(spec, state, t, 1, _count_round)
     else:
         _each_active(spec, state, t, _store)
-    each(spec, state, t, 1, _judge)
+        each(spec, state, t, 1, _judge)
     if ti.static(spec.halo > 0):
         each_pack_moving(spec, state, t, leave)
+
+
+@ti.func
+def _count_round(spec: ti.template(), state: ti.template(), i):
+    """Begin another round of sweeps where these pushed somebody far, or judge what they left."""
+    if state.pushed_far[None] == 1:
+        state.pair_round[None] = state.pair_round[None] + 1
+    else:
+        state.pair_round[None] = 0
+        _judge(spec, state, i)
 
 
 @ti.func

@@ -13,9 +13,18 @@ part, have several such functions in place of one: acts(spec). Where the step be
 state.begun_x and begun_v, with begun_x_low, if spec.keeps_begun says so.
 """
 
+import functools
+
 import taichi as ti
 
-from taichi_cloth.kernels import contact_account, faces, grips, obstruction, resting_pairs
+from taichi_cloth.kernels import (
+    contact_account,
+    faces,
+    grips,
+    obstruction,
+    resting_pairs,
+    swept_pairs,
+)
 from taichi_cloth.kernels.copies import keep
 from taichi_cloth.kernels.loops import each_pack
 
@@ -38,17 +47,58 @@ def ends_step(spec):
 
 
 def acts_of(spec, state):
-    """What is run one after the other at the end of a step, as ti.funcs."""
-    acts = [] if in_launches(spec) else _acts_before_pairs(spec)
+    """What is run one after the other at the end of a step, as ti.funcs.
+
+    Where pairs of cloth are swept, all of them are run until no round is to come
+    (`goes_on`), and what is no part of a round in the first or in the last one alone.
+    """
+    acts, pairs, after = [] if in_launches(spec) else _acts_before_pairs(spec), [], []
     if resting_pairs.needed(spec):
-        acts += resting_pairs.acts(spec)
+        pairs = resting_pairs.acts(spec)
     if spec.accounts_contacts:
-        acts.append(contact_account.close_step)
+        after.append(contact_account.close_step)
     if spec.keeps_begun:
-        acts.append(_keep_begun)
+        after.append(_keep_begun)
     if settles(spec) and state.begin:
-        acts.append(state.begin)
-    return tuple(acts)
+        after.append(state.begin)
+    if has_rounds(spec):
+        acts, after = map(in_first_round, acts), map(_after_rounds, after)
+    return (*acts, *pairs, *after)
+
+
+def has_rounds(spec):
+    """Whether what ends a step goes on in rounds."""
+    return resting_pairs.needed(spec) and swept_pairs.is_swept(spec)
+
+
+@ti.func
+def goes_on(state: ti.template()):
+    """Whether a round of what ends a step is to come, as 1 or 0."""
+    return ti.cast(state.pair_round[None] > 0, ti.i32)
+
+
+@functools.cache
+def in_first_round(act):
+    """An act that is run in the first round alone."""
+
+    @ti.func
+    def first(spec: ti.template(), state: ti.template(), t):
+        if state.pair_round[None] == 0:
+            act(spec, state, t)
+
+    return first
+
+
+@functools.cache
+def _after_rounds(act):
+    """An act that is run once no round is to come."""
+
+    @ti.func
+    def last(spec: ti.template(), state: ti.template(), t):
+        if state.pair_round[None] == 0:
+            act(spec, state, t)
+
+    return last
 
 
 def _acts_before_pairs(spec):
@@ -97,5 +147,16 @@ def settle(spec: ti.template(), state: ti.template(), t):
 
     What the method keeps of forces from step to step is then computed anew.
     """
+    if ti.static(has_rounds(spec)):
+        going = 1
+        while going == 1:
+            _settle_round(spec, state, t)
+            going = goes_on(state)
+    else:
+        _settle_round(spec, state, t)
+
+
+@ti.func
+def _settle_round(spec: ti.template(), state: ti.template(), t):
     for act in ti.static(acts_of(spec, state)):
         act(spec, state, t)

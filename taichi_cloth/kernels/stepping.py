@@ -18,13 +18,19 @@ from taichi_cloth.kernels.loops import BLOCK, COUNTER, PIECE, barrier, in_blocks
 from taichi_cloth.kernels.near_pairs import find_pairs
 from taichi_cloth.kernels.parts import has_parts, in_turn
 from taichi_cloth.kernels.resting_pairs import iterate
-from taichi_cloth.kernels.settling import acts_of, ends_step, settle
+from taichi_cloth.kernels.settling import (
+    acts_of,
+    ends_step,
+    goes_on,
+    in_first_round,
+    settle,
+)
 from taichi_cloth.kernels.watchdog import all_well, begin_step, checkpoint
 
 
 def _parts(method, spec, state):
     """The method's step and the acts of contacts at its end, as ti.funcs(spec, state, t)."""
-    return method, *acts_of(spec, state)
+    return in_first_round(method), *acts_of(spec, state)
 
 
 @ti.func
@@ -32,7 +38,10 @@ def substep(method: ti.template(), spec: ti.template(), state: ti.template(), t,
     """Run step number `step` of a method, then break springs by the positions that it reached."""
     begin_step(state, step)
     if ti.static(has_parts(spec)):
-        ti.static(in_turn(state, _parts(method, spec, state)))(spec, state, t)
+        going = 1
+        while going == 1:
+            ti.static(in_turn(state, _parts(method, spec, state)))(spec, state, t)
+            going = goes_on(state)
     else:
         method(spec, state, t)
         settle(spec, state, t)
