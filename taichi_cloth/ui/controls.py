@@ -114,10 +114,13 @@ class Controls:
             return event
         elif event.kind == "wheel":
             point = self._under(event.pos)
-        elif event.kind == "press" and tool is not None and tool.aim is not None:
-            if self.takes(event) and "ctrl" not in hand.held:
-                point = tool.aim(hand, event)
+        elif tool is not None and tool.aim is not None and self._presses(event):
+            point = tool.aim(hand, event)
         return event if point is None else replace(event, about=tuple(map(float, point)))
+
+    def _presses(self, event: Event) -> bool:
+        """Whether it is a press that the tool in hand takes: with ctrl it turns the scene."""
+        return event.kind == "press" and self.takes(event) and "ctrl" not in self._hand.held
 
     def _under(self, pos: tuple[float, float]) -> np.ndarray:
         """The point (3,) that the wheel comes nearer to with the pointer at a pixel."""
