@@ -1,5 +1,10 @@
 """Contacts that end a step: obstacles, the ground and resting walls, against closed forms."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from cloths import ROD, loose_sheet
@@ -526,6 +531,29 @@ def test_threads_of_a_torn_cloth_lie_on_what_would_pass_between_their_particles(
     tops = sim.positions().reshape(9, 9, 3)[..., 1].max(axis=0)
     assert tops.min() > 0.955  # each thread hangs over it
     assert sim.unsettled_faces() == 0
+
+
+IN_BOUNDS = """
+from test_obstacles import SHARP, Simulation, loose_sheet
+
+from taichi_cloth import runtime
+
+runtime.start("cpu")
+scene = loose_sheet(SHARP["rod"], break_force=1e3)
+sim = Simulation(scene, substeps=8, topology="graph", execution="serial")
+sim.advance()
+sim.cut([0, 1])
+sim.advance()
+"""
+
+
+def test_the_search_for_faces_of_what_may_tear_reads_no_field_outside_of_it():
+    """Taichi looks only where it debugs, which is known when a process starts it."""
+    paths = os.pathsep.join(map(str, (Path(__file__).parent, Path(__file__).parents[1])))
+    environment = os.environ | {"TI_DEBUG": "1", "PYTHONPATH": paths}
+    ran = [sys.executable, "-c", IN_BOUNDS]
+    done = subprocess.run(ran, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.thorough

@@ -199,7 +199,8 @@ def _look(spec: ti.template(), state: ti.template(), m):
         for piece in range(first, last):
             there = True
             if ti.static(spec.fracture):
-                there = piece == WHOLE or holds(spec, state, state.elements, m, piece - 1)
+                if piece > WHOLE:  # no `or`, both sides of which read their fields: there is no -1
+                    there = holds(spec, state, state.elements, m, piece - 1)
             if there:
                 for o in range(state.n_obstacles[None]):
                     if state.obstacle_numbers[o, FACES_TOO] > 0.0:
