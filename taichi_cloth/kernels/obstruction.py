@@ -138,12 +138,7 @@ def _settle_particle(spec: ti.template(), state: ti.template(), slot):
     x_low, v_low = owed_at(spec, state, slot)
     radius = slot_number(spec, state.radius, slot)
     touched, changing, steady, last = 0, 1, 1, -1
-    free_v, kicked = 1.0 * v, 0
-    if ti.static(has_impulses(spec)):
-        free_v, kicked = free_v - jump_of(spec, state, slot), 1
-    if ti.static(spec.faces):
-        if state.face_finds[None] > 1:  # faces have met something in this step
-            free_v, kicked = free_v - slot_value(spec, state.face_kick, slot), 1
+    came_v = 1.0 * v
     for _ in range(ROUNDS):
         if changing == 1:
             changing = 0
@@ -151,11 +146,11 @@ def _settle_particle(spec: ti.template(), state: ti.template(), slot):
                 # The one that it was just put onto has nothing to say before another one has.
                 if o != last and is_near(spec, state, o, slot, x, radius):
                     new_x, new_x_low, new_v, new_v_low, changed, steady = obstructed(
-                        spec, state, o, slot, x, x_low, v, v_low, radius, steady, free_v, kicked
+                        spec, state, o, slot, x, x_low, v, v_low, radius, steady, came_v, touched
                     )
                     if changed == 1:
                         x, x_low, v, v_low = new_x, new_x_low, new_v, new_v_low
-                        changing, touched, kicked = 1, 1, 1
+                        changing, touched = 1, 1
                         if ti.static(_are_convex(spec.obstacles)):
                             last = o
     if touched == 1:
@@ -163,6 +158,21 @@ def _settle_particle(spec: ti.template(), state: ti.template(), slot):
         note_fault(spec, state, slot)
     elif ti.static(keeps_balls(spec)):
         _keep_ball(spec, state, slot, x, radius)
+
+
+@ti.func
+def given_before(spec: ti.template(), state: ti.template(), slot):
+    """What walls, pairs and faces changed of a particle's velocity before obstacles, (dim,).
+
+    It is asked for where something bounces, and not of each particle, for which lanes take long.
+    """
+    given = 0.0 * slot_value(spec, state.begun_v, slot)
+    if ti.static(has_impulses(spec)):
+        given += jump_of(spec, state, slot)
+    if ti.static(spec.faces):
+        if state.face_finds[None] > 1:  # they have met something in this step
+            given += slot_value(spec, state.face_kick, slot)
+    return given
 
 
 @ti.func
@@ -199,15 +209,15 @@ def obstructed(
     v_low,
     radius,
     steady,
-    free_v,
-    kicked,
+    came_v,
+    touched,
 ):
     """What obstacle o leaves of a particle's free end: x, x_low, v, v_low.
 
     Then come 1 if it changed them, and `steady`: 1 while all that the particle has touched in this
     step is at rest. slot: where the particle is; x_low, v_low: what is to be added to x and v
-    (`compensated.py`). free_v: the velocity of the free end without any other contact; kicked:
-    whether there may have been one.
+    (`compensated.py`). came_v: the velocity before any obstacle; touched: whether others have
+    changed it since.
     """
     new_x, new_x_low, new_v, new_v_low, changed, still = x, x_low, v, v_low, 0, steady
     began = slot_value(spec, state.begun_x, slot)
@@ -236,8 +246,10 @@ def obstructed(
             if u < 0.0:
                 weight = weight_of_meeting(weight, u_before, u, part, dt)
             if e > 0.0:
-                if kicked == 1:  # what other contacts gave is no acceleration: it came with that
-                    u_before += (v - free_v).dot(n)
+                # What other contacts gave is no acceleration: it came with that.
+                if touched == 1:
+                    u_before += (v - came_v).dot(n)
+                u_before += given_before(spec, state, slot).dot(n)
                 new_u, lift = bounce(u_before, u, part, e, state.position_weight, dt)
                 push += lift
         slide = relative - u * n
