@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -136,6 +137,22 @@ def test_what_impulses_give_is_no_acceleration_of_a_bounce_in_the_same_step(devi
             sim.load_scene(scene)
             sim.advance(4)
             assert (sim.velocities() ** 2).sum() == pytest.approx(np.square(v).sum(), rel=1e-12)
+
+
+@pytest.mark.usefixtures("device", "few_lanes")
+def test_in_lanes_each_particle_bounces_with_what_walls_gave_itself():
+    """All of a small cloth meet a wall and a floor in one step, at speeds of their own."""
+    world = World(size=(10.0, 10.0), gravity=(0.0, 0.0), dt=0.01, walls=("left",))
+    ties = SpringDefaults(stiffness=1.0)
+    balls, *rest = grid([0.099, 1.0773], 4, 3, 1e-4, spring_defaults=ties)
+    v = np.stack([-1.0 - 0.05 * np.arange(12.0), np.full(12, -1.0)], axis=1)
+    balls = replace(balls, velocity=v, radius=np.full(12, 0.1))
+    floor = Obstacle.build("plane", point=[0.0, 1.0], normal=[0.3, 1.0], restitution=1.0)
+    scene = Scene("at once", world, balls, *rest, obstacles=(floor,))
+    for topology in ("graph", "lanes"):
+        sim = Simulation(scene, "verlet", execution="serial", topology=topology, lanes=2)
+        sim.advance()
+        np.testing.assert_allclose((sim.velocities() ** 2).sum(1), (v**2).sum(1), rtol=1e-3)
 
 
 @pytest.mark.parametrize("method", mostly_thorough(methods.METHODS, default=["verlet"]))
