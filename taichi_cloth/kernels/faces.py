@@ -69,13 +69,13 @@ MOST_LOOKS = 64  # along the path of a step
 OFFSET, TARGET, MU, WEIGHT, ROOM = range(5)
 SHARE, NORMAL, SURFACE_V, DX, DV = range(5, FACE_COLUMNS, 3)
 
+WHOLE = 0  # piece of a triangle that is all of it; 1 to 3 are its sides, in their order
+
 
 def needed(spec):
     """Whether a specialization has triangles or edges with sharp obstacles in their way."""
     return bool(spec.obstacles) and spec.faces
 
-
-WHOLE = 0  # piece of a triangle; further ones are its sides, in their order
 
 # Phases (`phases.py`): contacts are searched for, counted, swept until they are at rest, and
 # searched for again.
