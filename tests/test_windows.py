@@ -321,6 +321,18 @@ def test_the_wheel_comes_nearer_to_what_is_under_the_pointer_and_its_log_says_to
     assert old.distance == old.nearest
 
 
+def test_the_wheel_looks_again_at_what_is_under_the_pointer_after_a_key_came_nearer():
+    """For a key comes nearer to the middle, and what was under the pointer no longer is."""
+    camera = Camera((600, 400, 500))
+    tools = Controls(simulation("blow", 3), camera, (600, 400))
+    wheel = Event("wheel", pos=(500.0, 80.0), delta=1.0)
+    for _ in range(2):
+        aimed = tools.aimed(wheel)
+        np.testing.assert_allclose(camera.project([aimed.about])[0][0], wheel.pos, atol=1e-9)
+        tools.apply(aimed)
+        tools.apply(tools.aimed(press(key="+")))
+
+
 def test_a_click_outside_the_world_is_said_and_ignored():
     sim = simulation("spawn")
     tools = Controls(sim, None, (1200, 1000))
