@@ -241,8 +241,10 @@ def _corner(state: ti.template(), m, k: ti.template()):
 
 @ti.func
 def _piece(spec: ti.template(), state: ti.template(), m, piece):
-    """The three corners of a piece of triangle m: all of it (WHOLE), or side piece - 1, as a
-    triangle whose last corners are one."""
+    """The three corners of a piece of triangle m: all of it (WHOLE), or side piece - 1.
+
+    A side is a triangle whose last corners are one.
+    """
     i, j, k = _corner(state, m, 0), _corner(state, m, 1), _corner(state, m, 2)
     if ti.static(spec.fracture):
         if piece > WHOLE:

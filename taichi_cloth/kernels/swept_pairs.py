@@ -140,8 +140,10 @@ def _sweep_colour(spec: ti.template(), state: ti.template(), t, colour, sweep, s
 
 @ti.func
 def _settle_pair(spec: ti.template(), state: ti.template(), row, a, b, sweep, looks):
-    """Take a pair apart, but for one that is only looked at; its overlap before, and its approach
-    in a step, in parts of its reach."""
+    """Take a pair apart, but for one that is only looked at.
+
+    Returns its overlap before, and its approach in a step, in parts of its reach.
+    """
     left = ti.Vector.zero(state.real, 2)
     x, reach, passed = sorted_x(spec, state, a), state.near_reach[row], has_passed(state, row)
     d = sorted_x(spec, state, b) - x
