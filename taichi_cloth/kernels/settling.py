@@ -62,7 +62,7 @@ def acts_of(spec, state):
     if settles(spec) and state.begin:
         after.append(state.begin)
     if has_rounds(spec):
-        acts, after = map(in_first_round, acts), map(_after_rounds, after)
+        acts, after = map(once_a_step, acts), map(once_a_step, after)
     return (*acts, *pairs, *after)
 
 
@@ -78,27 +78,15 @@ def goes_on(state: ti.template()):
 
 
 @functools.cache
-def in_first_round(act):
-    """An act that is run in the first round alone."""
+def once_a_step(act):
+    """An act that rounds do not repeat: before the first one, or once none is to come."""
 
     @ti.func
-    def first(spec: ti.template(), state: ti.template(), t):
+    def once(spec: ti.template(), state: ti.template(), t):
         if state.pair_round[None] == 0:
             act(spec, state, t)
 
-    return first
-
-
-@functools.cache
-def _after_rounds(act):
-    """An act that is run once no round is to come."""
-
-    @ti.func
-    def last(spec: ti.template(), state: ti.template(), t):
-        if state.pair_round[None] == 0:
-            act(spec, state, t)
-
-    return last
+    return once
 
 
 def _acts_before_pairs(spec):

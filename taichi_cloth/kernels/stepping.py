@@ -18,19 +18,13 @@ from taichi_cloth.kernels.loops import BLOCK, COUNTER, PIECE, barrier, in_blocks
 from taichi_cloth.kernels.near_pairs import find_pairs
 from taichi_cloth.kernels.parts import has_parts, in_turn
 from taichi_cloth.kernels.resting_pairs import iterate
-from taichi_cloth.kernels.settling import (
-    acts_of,
-    ends_step,
-    goes_on,
-    in_first_round,
-    settle,
-)
+from taichi_cloth.kernels.settling import acts_of, ends_step, goes_on, once_a_step, settle
 from taichi_cloth.kernels.watchdog import all_well, begin_step, checkpoint
 
 
 def _parts(method, spec, state):
     """The method's step and the acts of contacts at its end, as ti.funcs(spec, state, t)."""
-    return in_first_round(method), *acts_of(spec, state)
+    return once_a_step(method), *acts_of(spec, state)
 
 
 @ti.func
