@@ -24,8 +24,9 @@ class ContactFields(Fields):
 
     The collision grid (`collision_grid.py`): grid_bits: binary logarithms of the cells along each
         axis; per_cell: cells per length along each; largest_radius: of those that are not in the
-        cell of large ones; cell_end, sorted_index, sorted: the particles by cell; cell_of, block_start, bins, bin_bits (binary logarithm of the cells
-        in a bin), bin_fill, bin_start, bin_size, binned_cell, binned_index: the sort's.
+        cell of large ones; cell_end, sorted_index, sorted: the particles by cell; cell_of,
+        block_start, bins, bin_bits (binary logarithm of the cells in a bin), bin_fill, bin_start,
+        bin_size, binned_cell, binned_index: the sort's.
     Resting pairs (`resting_pairs.py`): near, near_count, touching, pair_friction,
         pair_residual, pair_iteration; unsettled: steps that ended before all pairs were apart.
     With thickness (`kept_pairs.py`, `patches.py`): pair_radius, pair_restitution: of particles for
