@@ -128,6 +128,7 @@ def answered(answer):
     ("words", "says"),
     [
         (["--on", "10.0.0.1"], "--on must be a Dask scheduler's address, such as tcp://"),
+        (["--on", "tcp://10.0.0.1:99999"], "is 'tcp://10.0.0.1:99999'"),
         (["--times-on", "a"], "give --on, too"),
     ],
 )

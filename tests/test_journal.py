@@ -165,6 +165,10 @@ def test_a_sweep_that_comes_to_its_end_leaves_no_journal_and_one_that_fails_says
         assert journal.once("a", lambda: 1) == journal.once("a", lambda: 2) == 1
         raise KeyboardInterrupt
     assert "--resume goes on with 1 finished result in" in capsys.readouterr().err
+    with pytest.raises(KeyboardInterrupt), kept(tmp_path, OF, resume=True, quiet=True):
+        raise KeyboardInterrupt
+    error = capsys.readouterr().err  # what is left, and no more than that
+    assert error.startswith("--resume goes on with 1 finished result in") and error.count("\n") == 1
     with kept(tmp_path, OF, resume=True) as journal:
         assert journal.once("a", lambda: 2) == 1
     assert "goes on with 1 finished result" in capsys.readouterr().err

@@ -19,7 +19,8 @@ from taichi_cloth.sweeps.tasks import Elsewhere, TaskLost, place, refusal
 PATIENCE = 2.0  # seconds in which a scheduler has to answer, and then to have a worker
 ENTRY = 10.0  # seconds in which a scheduler that answered lets a client in, however busy it is
 ABSENCE = 30.0  # seconds without a worker after which none is waited for
-ADDRESS = re.compile(r"(tcp|tls|ws|wss|ucx)://[^\s/]+:\d+")
+ADDRESS = re.compile(r"(?:tcp|tls|ws|wss|ucx)://[^\s/]+:(\d+)")
+LAST_PORT = 65535
 
 
 @contextlib.contextmanager
@@ -34,7 +35,8 @@ def connected(address: str | None, times_on: str | None = None) -> Iterator[Else
             raise InputError("--times-on names a worker's machine: give --on, too")
         yield None
         return
-    if not ADDRESS.fullmatch(address):
+    parts = ADDRESS.fullmatch(address)
+    if parts is None or int(parts[1][:9]) > LAST_PORT:
         says = "--on must be a Dask scheduler's address, such as tcp://10.0.0.1:8786"
         raise InputError(f"{says}; is '{clipped(address)}'")
     with warnings.catch_warnings():

@@ -290,7 +290,8 @@ def kept(
 ) -> Iterator[Journal]:
     """A sweep's journal, as long as the context lasts: what ends that early leaves it there.
 
-    Standard error says with what it goes on, unless `quiet`, and what is left.
+    Standard error says with what it goes on, unless `quiet`, and always what is left: who ended it
+    has to know.
     """
     journal = Journal(folder, identity, resume, within)
     if resume and not quiet:
@@ -304,7 +305,7 @@ def kept(
         yield journal
     except BaseException:
         journal.close()
-        if (count := len(journal.finished())) and not quiet:
+        if count := len(journal.finished()):
             left = f"{counted(count, 'finished result')} in {journal.path}"
             print(f"--resume goes on with {left}", file=sys.stderr, flush=True)
         raise
