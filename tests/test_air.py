@@ -315,6 +315,18 @@ def test_every_method_keeps_its_order_in_gusts(method, device):
     assert np.abs(orders - claims.order).max() < 0.1 and sim.work().unconverged == 0
 
 
+@pytest.mark.parametrize("method", mostly_thorough(["vbd", "xpbd"], ["vbd"]))
+def test_sweeps_in_gusts_end_at_backward_eulers_step(method, device):
+    """Forces on triangles follow the sweeps, and what bounds them meanwhile is gone at the end."""
+    ends = []
+    for name, solver in ((method, {"iterations": 400}), ("implicit_euler", {"tolerance": 1e-13})):
+        sim = Simulation(flag(), name, substeps=1, topology="graph", execution="serial", **solver)
+        sim.advance()
+        ends.append((sim.positions(), sim.velocities()))
+    for found, exact in zip(*ends, strict=True):
+        np.testing.assert_allclose(found, exact, rtol=0, atol=1e-11)
+
+
 def streaming(columns=16):
     """A flag in wind of 10 m/s with gusts, in frames of a sixtieth of a second."""
     scene = library.build("flag", columns=columns, wind=10.0)
