@@ -104,6 +104,46 @@ def test_gravity_does_vanish_in_plain_f32(tmp_path, cli):
     assert abs(fall(cli, tmp_path, "f32", 40000) - 1.0) > 0.5
 
 
+AT_A_WALL = """
+[world]
+size = [10.0, 10.0]
+gravity = [{gravity}, 0.0]
+dt = 0.016
+walls = ["right"]
+[particle]
+radius = 0.3
+restitution = {restitution}
+[[particles]]
+position = [9.6871, 1.45]
+velocity = [{speed}, 0.0]
+"""
+
+
+def at_a_wall(cli, folder, substeps, frames, **numbers):
+    """Positions and velocities of a body that comes to a wall on its right."""
+    (folder / "wall.toml").write_text(AT_A_WALL.format(**numbers))
+    flags = ("--headless", "--quiet", "--execution", "serial", "--precision", "compensated")
+    how = ("--frames", frames, "--substeps", substeps, "--save", folder / "wall.npz")
+    cli("run", folder / "wall.toml", *flags, *how)
+    with np.load(folder / "wall.npz") as file:
+        return file["position"][:, 0, 0], file["velocity"][:, 0, 0]
+
+
+def test_what_a_wall_stops_is_at_the_wall_and_at_rest_to_the_last_bit(tmp_path, cli):
+    """No low part is left of the way there, and what a step is too short to show is held."""
+    x, v = at_a_wall(cli, tmp_path, 99, 12, gravity=3.0, restitution=0.0, speed=0.0)
+    on_its_way = x < 9.7 - 1e-6
+    assert on_its_way.any() and (x[on_its_way] != x[on_its_way].astype(np.float32)).any()
+    assert set(x[~on_its_way]) == {float(np.float32(10.0) - np.float32(0.3))}
+    assert set(v[~on_its_way]) == {0.0} and v[on_its_way].max() > 0.1
+
+
+def test_what_comes_to_a_wall_bounces_however_short_the_steps(tmp_path, cli):
+    """Also where a step takes it less far than rounding leaves of its distance from the wall."""
+    x, v = at_a_wall(cli, tmp_path, 30000, 1, gravity=0.0, restitution=1.0, speed=3.0)
+    assert v[-1] == -3.0 and x[-1] == pytest.approx(9.7 - (0.048 - 0.0129), abs=1e-5)
+
+
 def test_fast_math_is_refused():
     with pytest.raises(InputError, match="--fast-math: --precision compensated excludes it"):
         runtime.start("cpu", "compensated", fast_math=True)

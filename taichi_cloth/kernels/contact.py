@@ -211,13 +211,18 @@ def _is_floor(spec, axis, side):
     return spec.floor and (axis, side) == (1, 1)
 
 
-def _rounding_of_gaps(spec, state, axis, side):
-    """How far short of a wall, in parts of the lengths in a gap, counts as past it.
+@ti.func
+def _rounding_of_gap(
+    spec: ti.template(), state: ti.template(), radius, axis: ti.template(), side: ti.template()
+):
+    """How far short of a wall counts as past it, of what lies there.
 
     What was put onto a wall counts as past it, whatever rounding makes of its gap; on the floor it
     does not, in the original.
     """
-    return 0.0 if _is_floor(spec, axis, side) else 8.0 * epsilon(state)
+    bound = state.high[axis] if ti.static(side > 0) else state.low[axis]
+    parts = 0.0 if ti.static(_is_floor(spec, axis, side)) else ti.static(8.0 * epsilon(state))
+    return parts * (ti.abs(bound) + radius)
 
 
 @ti.func
@@ -229,7 +234,8 @@ def _held_by_walls(spec: ti.template(), state: ti.template(), slot, x, v, new_x,
     kept_x, kept_v = new_x, new_v
     radius = slot_number(spec, state.radius, slot)
     for axis, side in ti.static(spec.walls):
-        if wall_gap(state, kept_x, radius, axis, side) < 0.0:
+        gap = wall_gap(state, kept_x, radius, axis, side)
+        if gap - _rounding_of_gap(spec, state, radius, axis, side) < 0.0:
             kept_x, kept_v = _held_by_wall(
                 spec, state, slot, x, v, kept_x, kept_v, radius, axis, side
             )
@@ -269,7 +275,9 @@ def _held_by_wall(
     new_gap = wall_gap(state, new_x, radius, axis, side)
     vn, new_vn = float(side) * v[axis], float(side) * new_v[axis]
     no_nearer = vn >= 0.0 and new_vn >= 0.0 and vn + new_vn > 0.0
-    slack = ti.static(_rounding_of_gaps(spec, state, axis, side)) * (ti.abs(bound) + radius)
+    slack = _rounding_of_gap(spec, state, radius, axis, side)
+    if vn - (new_vn - vn) > 0.0:  # it comes with more than what a step gives to what lies there
+        slack = 0.0 * slack
     pressed = no_nearer and slack - gap - state.dt[None] * vn > 0.0
     if ti.static(_is_floor(spec, axis, side)):
         pressed = pressed or (gap < 0.0 and vn > 0.0 and new_vn > 0.0)
