@@ -503,7 +503,8 @@ def test_a_window_says_it_in_a_row_of_its_meters(torn):
     reading = measured.reading()
     assert reading.value == "3 % (0.3)"
     assert reading.details[:3] == ("solver 0.1 %", "f32 0.01 %", "holds 1.7 s")
-    np.testing.assert_allclose(reading.relative, 0.03)
+    np.testing.assert_allclose(reading.relative, 2 * [0.03, 0.03, np.nan])
+    np.testing.assert_allclose(reading.age, 2 * [1.0, 0.0, 0.0], atol=1e-4)
     resting = replace(known, scale=1e-4, error=1e-6)
     assert resting.describe(False) == "error over the last second: 1e-06; nothing moves"
     torn.reset()

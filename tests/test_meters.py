@@ -78,6 +78,13 @@ def test_a_graph_shows_newest_values_at_its_right_edge():
     rows = np.where(lit.any(axis=0), lit.argmax(axis=0), -1)
     assert (rows[2:50] == 48).all() and rows[-1] <= 1 and (np.diff(rows[50:]) <= 0).all()
     assert (block[0, 10] == [0, 0, 200]).all()
+    # Between readings nothing is known of, and after the last, it is not on a line.
+    value = np.array([1.0, 1.0, np.nan, 0.0, 0.0, np.nan])
+    curve = graphs.Curve(np.array([8.0, 6.0, 5.9, 4.0, 2.0, 1.9]), value, (200, 0, 0))
+    graphs.draw(block, [curve], [], (0.0, 1.0), 10.0, 2)
+    lit = (block == color).all(axis=2)
+    assert lit[0, 22:38].all() and lit[48, 62:78].all() and lit[:, :18].sum() == 0
+    assert not (lit[:, 44:58].any() or lit[:, 84:].any())
     for low, high in ((0.0, 3.3), (-2.0, 7.0), (0.96, 1.0), (-3e-4, 0.0), (5.0, 5.0)):
         bottom, top = graphs.scale(low, high)
         assert bottom <= low <= high <= top and top - bottom <= 2 * max(high - low, high)

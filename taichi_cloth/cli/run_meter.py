@@ -147,14 +147,21 @@ class MeasuredErrors:
         if not last.known:
             return ErrorReading("not known", (age, last.trouble), style.WARN)
         shown = [verdict for verdict in meter.shown[-MOST_SHOWN:] if verdict.known]
-        ends = np.array([verdict.end for verdict in shown])
-        begins = np.array([verdict.first for verdict in shown])
-        now = self._sim.frame
-        ages = np.column_stack([now - begins, now - ends - 1e-3]).ravel() / SECOND
-        relative = np.repeat([math.nan if v.resting else v.relative for v in shown], 2)
+        ages, relative = _curve(shown, self._sim.frame)
         value, details = last.in_short(self._in_metres)
         state = style.WARN if last.trouble else style.INK
         return ErrorReading(value, (*details, age), state, ages, relative)
+
+
+def _curve(verdicts: Sequence[Verdict], now: int) -> tuple[np.ndarray, np.ndarray]:
+    """Ages and relative errors of seconds, as of `ErrorReading`: level over each, and nothing
+    between them, after the last, and where nothing moved.
+
+    now: the frame that is seen.
+    """
+    spans = np.array([(v.first, v.end - 1e-3, v.end - 5e-4) for v in verdicts])
+    errors = [math.nan if v.resting else v.relative for v in verdicts]
+    return (now - spans.ravel()) / SECOND, np.array([(e, e, math.nan) for e in errors]).ravel()
 
 
 def of(sim: Simulation) -> MeasuredErrors:

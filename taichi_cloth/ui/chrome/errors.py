@@ -17,7 +17,7 @@ class ErrorReading:
 
     value: now; details: what it comes from, and how old it is; state: the colour of both that says
     whether it is sure. age, relative: of the ends of each second [s], the oldest first, and its
-    error in parts of the motion, (k,).
+    error in parts of the motion, (k,); NaN where none is known.
     """
 
     value: str

@@ -21,7 +21,8 @@ PARTS = 4  # of a scale: as fine as its ends are rounded
 class Curve:
     """Values (k,) by their ages in seconds (k,), the oldest first.
 
-    filled: whether all below is painted, too.
+    A value that is NaN parts the curve: between its neighbours nothing is known. filled: whether
+    all below is painted, too.
     """
 
     age: np.ndarray
@@ -108,9 +109,10 @@ def _columns(
 ) -> tuple[np.ndarray, np.ndarray, int] | None:
     """The least and largest value in columns of pixels, and how wide a column is.
 
-    NaN where there is nothing yet. What lies between two readings is on a line between them.
+    NaN where there is nothing. What lies between two readings is on a line between them, and is
+    nothing where one of them is NaN.
     """
-    good = np.isfinite(value)
+    good = ~np.isinf(value)
     age, value = age[good], value[good]
     if not len(value):
         return None

@@ -140,7 +140,7 @@ def error(of: Source) -> Meter | None:
         return None
     details = tuple((words, style.MUTED) for words in found.details)
     curve = Curve(found.age, 100 * found.relative, ERROR)
-    least = 0.0 if found.relative.any() else 0.01  # no error is below 0 %
+    least = 0.0 if (found.relative > 0).any() else 0.01  # no error is below 0 %
     return Meter(
         "error", found.value, found.state, details, (curve,), (), (0.0, least),
         label=lambda value: f"{value:.3g} %",
