@@ -108,21 +108,24 @@ class Meters:
 
         A window's are drawn anew now and then; between, it is the same object.
         """
-        now, state = time.perf_counter(), (rect, height, self._now)
-        if self._drawn is not None:
-            drawn_of, panel = self._drawn
-            early = self._windowed and now < self._due and _fits(panel, rect)
-            if drawn_of == state or early:
-                return panel
+        now = time.perf_counter()
+        if self._drawn and self._windowed and now < self._due and _fits(self._drawn[1], rect):
+            return self._drawn[1]
+        error = self._errors.reading() if self.measures and self._errors else None
+        apart = self._beside.reading() if self._beside else None
+        # Those go on, and back, while a run stands still.
+        said = tuple((found.value, found.details) for found in (error, apart) if found)
+        state = rect, height, self._now, said
+        self._due = now + REDRAWN
+        if self._drawn and self._drawn[0] == state:
+            return self._drawn[1]
         gauges = self._reading()
         if gauges.state is None:
             gauges.after_frame(self._now)
-        error = self._errors.reading() if self._errors and self._errors.on else None
-        apart = self._beside.reading() if self._beside else None
         source = Source(self._sim, gauges, self._times, self._now, error, apart)
         made = [meter for meter in (make(source) for make in instruments.ALL) if meter]
         panel = drawn(made, rect, height)
-        self._drawn, self._due = (state, panel), now + REDRAWN
+        self._drawn = state, panel
         return panel
 
     def take(self, event: Event, rect: Rect, height: int) -> bool:
