@@ -401,6 +401,20 @@ def test_a_replay_says_what_of_its_log_was_refused(cli, tmp_path):
         assert "refused" not in cli(*words, "--quiet")[1]
 
 
+def test_a_replay_that_ends_before_its_log_says_so(cli, tmp_path):
+    """Without a window, where it was not told how many frames to make."""
+    log = tmp_path / "log.jsonl"
+    words = ("run", "oscillator", *ON_GRAPH, "--events", log)
+    for frame, given, says in (
+        (600, (), "note: the log goes on beyond these 600 frames; --frames 601 makes all"),
+        (599, (), ""),
+        (600, ("--frames", 2), ""),
+    ):
+        log.write_text(json.dumps({"frame": frame, "event": "press", "key": "g"}) + "\n")
+        _, said = cli(*words, *given)
+        assert says in said and ("goes on" in said) == bool(says)
+
+
 @pytest.mark.parametrize(("frames", "says"), [(3, "the first that --every 5 keeps"), (5, "")])
 def test_a_run_that_keeps_no_frame_says_so(cli, tmp_path, frames, says):
     """A folder of an export is not even made."""

@@ -170,6 +170,8 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
         along = beside.twin.later[1] if beside else 0.0
         print(run_notes.last_line(sim, summary, seconds, errors.waited + along), flush=True)
         run_notes.note_refused(summary.refused)
+        if log and options.frames is None and not view.visible:
+            run_notes.note_unreplayed(log, summary.frames)
         for line in beside.findings(summary.frames) if beside else ():
             print(line, flush=True)
     return summary.frames

@@ -18,6 +18,7 @@ from taichi_cloth.settings.options import PROGRAM, SOLVER_SETTINGS, RunOptions
 if TYPE_CHECKING:
     from taichi_cloth.runtime import Device
     from taichi_cloth.simulation.simulation import Simulation
+    from taichi_cloth.ui.interaction import Log
     from taichi_cloth.ui.summary import Refused, Summary
     from taichi_cloth.ui.views.contract import View
 
@@ -183,6 +184,15 @@ def note_refused(refused: Refused) -> None:
         say(
             f"note: {counted(refused.count, 'event')} of the log {were} refused: "
             f"{first}{refused.first}"
+        )
+
+
+def note_unreplayed(log: Log, frames: int) -> None:
+    """Say on standard error that a replay that was not told its frames ended before its log."""
+    if log.last_frame >= frames:
+        say(
+            f"note: the log goes on beyond these {counted(frames, 'frame')}; "
+            f"--frames {log.last_frame + 1} makes all that it has"
         )
 
 
