@@ -17,6 +17,7 @@ from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.library import build
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app
+from taichi_cloth.ui.chrome import instruments, meters
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.depiction import Depiction
 from taichi_cloth.ui.inputs import Event
@@ -366,6 +367,32 @@ def test_a_log_is_that_of_the_run_one_kept(tmp_path):
     np.testing.assert_array_equal(again.positions(), sim.positions())
     np.testing.assert_array_equal(again.springs_alive(), sim.springs_alive())
     assert not sim.springs_alive().all()
+
+
+@pytest.mark.usefixtures("device")
+def test_meters_say_what_the_frame_that_was_gone_back_to_is_like(monkeypatch):
+    """To look there notes nothing, and does nothing to the frame: one can go on to the last."""
+    monkeypatch.setattr(meters, "REDRAWN", 0.0)
+    scene = build("cloth", columns=12, rows=9)
+    sim = Simulation(scene, topology="graph", execution="serial")
+    seen = {}
+
+    class Seen(Script):
+        size = 900, 900
+
+        def draw(self, picture):
+            words = "".join(panel.words + "\n" for panel in picture.overlay)
+            energy = f"energy\n{instruments.number(sim.energy().total)}\n"
+            broken = f"broken\n{int((~sim.springs_alive()).sum())} of "
+            seen.setdefault(sim.frame, []).append(energy in words and broken in words)
+
+    turns = [gust(k) for k in range(12)] + [press("space")]
+    turns += [press("left") for _ in range(6)] + [press(".") for _ in range(6)]
+    app.run(sim, Seen(scene.world, turns), quiet=True, meters=True)
+    last = max(seen)
+    for frame in range(last - 6, last):
+        assert seen[frame][1:] == [True] * (1 + (frame > last - 6))
+    assert last == sim.frame and seen[last][-2]
 
 
 @pytest.mark.usefixtures("device")

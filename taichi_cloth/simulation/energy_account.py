@@ -86,12 +86,7 @@ class EnergyAccount:
 
     def read(self, now: Moment) -> Booked:
         """Book what happened since the last reading."""
-        network = now.network
-        held = network.springs, network.stencils
-        energy = energy_of(
-            network.position, network.velocity, network.world, network.particles, *held
-        )
-        power = power_of(network, now.time)
+        energy, power = energy_in(now.network), power_of(now.network, now.time)
         if self._first is None or self._last is None:
             self._first = energy.total
         else:
@@ -124,6 +119,12 @@ class EnergyAccount:
         self._fine += self._since_coarse
         self._coarse += (end - start) * (first + power) / 2
         self._before_last, self._since_coarse = None, 0.0
+
+
+def energy_in(network: Network) -> Energy:
+    """The kinetic and potential energy there is."""
+    motion = network.position, network.velocity, network.world, network.particles
+    return energy_of(*motion, network.springs, network.stencils)
 
 
 def power_of(network: Network, time: float) -> float:

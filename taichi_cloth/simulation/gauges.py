@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,7 @@ from taichi_cloth.limits.network import Network
 from taichi_cloth.limits.tracking import FastestMode
 from taichi_cloth.scene.holding import Hold
 from taichi_cloth.simulation import diagnostics, strain
-from taichi_cloth.simulation.energy_account import Booked, EnergyAccount
+from taichi_cloth.simulation.energy_account import Booked, EnergyAccount, energy_in
 from taichi_cloth.simulation.history import ROWS, SECONDS, History
 from taichi_cloth.simulation.moment import Moment, Moments
 
@@ -219,38 +219,60 @@ class Gauges:
             self._moment = self._frames, self._moments.now()
         return self._moment[1]
 
+    def look(self) -> None:
+        """Read a state that the run went back to, or on, without noting it: what was noted before
+        stays, and where its energy came from.
+        """
+        if self.state is None or self.margin is None:
+            return
+        if methods.load(self._sim.method) is not self._method:
+            self._take_method()
+        moment = Moments(self._sim, accounts=False).now()
+        booked = replace(self.state.booked, energy=energy_in(moment.network))
+        self.state = _state(moment, booked, self._full)
+        self.margin = self._margin(moment.network, IMPROVEMENTS)
+        if self.depth is not None:
+            self.depth = self._sim.penetration()
+
     def _read_state(self, now: float) -> None:
         moment = self._present()
-        network = moment.network
         booked = self._account.read(moment)
-        particles = network.particles
-        momentum = diagnostics.momentum(network.velocity, particles.mass, particles.fixed)
-        length = strain.lengths(network.position, network.springs.between)
-        strained = strain.strains(length, network.springs)
-        most, spring, ends, breaks, bears, borne = 0.0, -1, (-1, -1), False, 0.0, 0.0
-        if len(strained):
-            at = int(np.abs(strained).argmax())
-            most, spring = float(strained[at]), int(network.number[at])
-            ends = int(network.springs.between[at, 0]), int(network.springs.between[at, 1])
-            breaks = bool(np.isfinite(network.springs.break_force[at]))
-            parts = np.abs(strain.borne(length, network.springs, self._full))
-            bears, borne = float(parts[at]), float(parts.max())
-        self.state = State(
-            booked, momentum, most, spring, ends, breaks, bears, borne, self._full, moment.broken
-        )
+        self.state = state = _state(moment, booked, self._full)
         energy = booked.energy
         self.states.note(
             now, energy.total, booked.change, booked.work, booked.by_hand, booked.doubt,
-            energy.kinetic + energy.elastic, float(np.linalg.norm(momentum)), *momentum,
-            most, borne, moment.broken,
+            energy.kinetic + energy.elastic, float(np.linalg.norm(state.momentum)),
+            *state.momentum, state.strain, state.borne, state.broken,
         )  # fmt: skip
 
     def _read_margin(self, now: float) -> None:
+        more = AT_FIRST if self.margin is None else IMPROVEMENTS
+        self.margin = self._margin(self._present().network, more)
+        self.margins.note(now, self.margin.reach, self.margin.used)
+
+    def _margin(self, network: Network, more: int) -> Margin:
+        """How far the step is from the limit after so many more products for the fastest mode."""
         sim = self._sim
         step, stable = sim.dt / sim.substeps, sim.claims.stability_limit
-        more = AT_FIRST if self.margin is None else IMPROVEMENTS
-        found = self.mode.follow(self._present().network, step, more)
+        found = self.mode.follow(network, step, more)
         limit = Limit(math.inf) if found is None else found.limit
         error = 0.0 if found is None else found.error
-        self.margin = Margin(step, limit, error, math.isinf(stable), limit.dt == 0)
-        self.margins.note(now, self.margin.reach, self.margin.used)
+        return Margin(step, limit, error, math.isinf(stable), limit.dt == 0)
+
+
+def _state(moment: Moment, booked: Booked, full: float) -> State:
+    """What there is to say of a moment. full: the strain that counts as full."""
+    network = moment.network
+    particles = network.particles
+    momentum = diagnostics.momentum(network.velocity, particles.mass, particles.fixed)
+    length = strain.lengths(network.position, network.springs.between)
+    strained = strain.strains(length, network.springs)
+    most, spring, ends, breaks, bears, borne = 0.0, -1, (-1, -1), False, 0.0, 0.0
+    if len(strained):
+        at = int(np.abs(strained).argmax())
+        most, spring = float(strained[at]), int(network.number[at])
+        ends = int(network.springs.between[at, 0]), int(network.springs.between[at, 1])
+        breaks = bool(np.isfinite(network.springs.break_force[at]))
+        parts = np.abs(strain.borne(length, network.springs, full))
+        bears, borne = float(parts[at]), float(parts.max())
+    return State(booked, momentum, most, spring, ends, breaks, bears, borne, full, moment.broken)

@@ -254,6 +254,7 @@ class Loop:
             self._controls.tell(None)
         self.state.paused, self.state.failure = True, None
         self._shown.meter.interrupt()
+        self._shown.meters.went()
 
     # Events
 

@@ -56,6 +56,9 @@ class Meters:
         self._now = 0.0  # seconds that frames took, pauses left out
         self._drawn: tuple[object, Panel] | None = None
         self._due = 0.0
+        self._gone = self._looked = (
+            0  # how often the run went elsewhere, and until which it was read
+        )
 
     def restart(self) -> None:
         """Begin anew, after a reset, or where nobody looked for a while."""
@@ -103,6 +106,12 @@ class Meters:
             self._times.note(self._now, simulate, draw, wait)
         self._gauges.after_frame(self._now)
 
+    def went(self) -> None:
+        """The run went back to a frame, or on to one: values are that one's from now on, and the
+        graphs those of the last seconds until the run goes on.
+        """
+        self._gone += 1
+
     def panel(self, rect: Rect, height: int) -> Panel:
         """The meters in a rectangle of the window; height: of the text, pixels.
 
@@ -115,13 +124,16 @@ class Meters:
         apart = self._beside.reading() if self._beside else None
         # Those go on, and back, while a run stands still.
         said = tuple((found.value, found.details) for found in (error, apart) if found)
-        state = rect, height, self._now, said
+        state = rect, height, self._now, self._gone, said
         self._due = now + REDRAWN
         if self._drawn and self._drawn[0] == state:
             return self._drawn[1]
         gauges = self._reading()
         if gauges.state is None:
             gauges.after_frame(self._now)
+        elif self._looked != self._gone:
+            gauges.look()
+        self._looked = self._gone
         source = Source(self._sim, gauges, self._times, self._now, error, apart)
         made = [meter for meter in (make(source) for make in instruments.ALL) if meter]
         panel = drawn(made, rect, height)
