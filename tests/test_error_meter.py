@@ -505,6 +505,9 @@ def test_a_window_says_it_in_a_row_of_its_meters(torn):
     assert reading.details[:3] == ("solver 0.1 %", "f32 0.01 %", "holds 1.7 s")
     np.testing.assert_allclose(reading.relative, 2 * [0.03, 0.03, np.nan])
     np.testing.assert_allclose(reading.age, 2 * [1.0, 0.0, 0.0], atol=1e-4)
+    # What is older than a graph reaches back sets no scale of it.
+    meter.recent.insert(0, replace(known, first=now - 10 * FRAMES, error=3.0))
+    np.testing.assert_allclose(measured.reading().relative, 2 * [0.03, 0.03, np.nan])
     # Also where the run stands still.
     assert "error\n3 % (0.3)" in shown.panel(rect, 16).words
     resting = replace(known, scale=1e-4, error=1e-6)

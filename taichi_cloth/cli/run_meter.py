@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.settings.options import RunOptions
+from taichi_cloth.simulation import history
 from taichi_cloth.ui import style, timeline
 from taichi_cloth.ui.chrome.errors import ErrorReading, GhostReading
 
@@ -27,7 +28,7 @@ APART, UNSEEN = 0.06, 0.002
 # What is smaller than the last one shows is nothing that one should look at.
 TIMES = [n * 10.0**power for power in range(3) for n in (1, 2, 5)] + [1e3]
 OLDEST = 3.0  # seconds after the end of a reference, in which it says something of what is seen
-MOST_SHOWN = 20  # seconds that were measured, in a graph of ten
+GRAPH = history.SECONDS * SECOND  # frames that it shows
 
 
 class MeasuredErrors:
@@ -146,8 +147,9 @@ class MeasuredErrors:
         age = f"{meter.age / SECOND:.0f} s old"
         if not last.known:
             return ErrorReading("not known", (age, last.trouble), style.WARN)
-        shown = [verdict for verdict in meter.shown[-MOST_SHOWN:] if verdict.known]
-        ages, relative = _curve(shown, self._sim.frame)
+        now = self._sim.frame
+        shown = [verdict for verdict in meter.shown if verdict.known and now - verdict.end < GRAPH]
+        ages, relative = _curve(shown, now)
         value, details = last.in_short(self._in_metres)
         state = style.WARN if last.trouble else style.INK
         return ErrorReading(value, (*details, age), state, ages, relative)
