@@ -56,9 +56,8 @@ class Meters:
         self._now = 0.0  # seconds that frames took, pauses left out
         self._drawn: tuple[object, Panel] | None = None
         self._due = 0.0
-        self._gone = self._looked = (
-            0  # how often the run went elsewhere, and until which it was read
-        )
+        # How often the run went elsewhere, and how often it had when that was last read.
+        self._gone = self._looked = 0
 
     def restart(self) -> None:
         """Begin anew, after a reset, or where nobody looked for a while."""
