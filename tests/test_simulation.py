@@ -2,6 +2,7 @@
 
 import gc
 import pickle
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
+from taichi_cloth.simulation.interrupts import HeldBack
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui.showing import picture
 
@@ -357,6 +359,41 @@ def test_watchdog_names_particle_frame_and_cause_and_keeps_the_last_good_frame(p
     with pytest.raises(SimulationFailure) as second:
         sim.advance()
     assert (second.value.particle, second.value.frame) == (error.particle, error.frame)
+
+
+def test_an_interrupt_comes_between_two_frames(monkeypatch):
+    """It ended `advance` with frames on the device that nobody had counted."""
+    scene = build("oscillator")
+    straight, sim = (Simulation(scene, topology="graph", execution="serial") for _ in range(2))
+    advance, handler = sim._launcher.advance, signal.getsignal(signal.SIGINT)
+
+    def interrupted(*arguments):
+        passed = advance(*arguments)
+        signal.raise_signal(signal.SIGINT)
+        return passed
+
+    straight.advance(3)
+    monkeypatch.setattr(sim._launcher, "advance", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        sim.advance(3)
+    assert sim.frame == 3 and np.array_equal(sim.positions(), straight.positions())
+    assert signal.getsignal(signal.SIGINT) is handler
+    monkeypatch.undo()
+    sim.advance(2)
+    straight.advance(2)
+    assert sim.frame == 5 and np.array_equal(sim.positions(), straight.positions())
+
+
+def test_who_interrupts_twice_is_not_held_back():
+    done = []
+    with pytest.raises(KeyboardInterrupt), HeldBack():
+        signal.raise_signal(signal.SIGINT)
+        done.append("went on")
+        signal.raise_signal(signal.SIGINT)
+        done.append("and on")
+    assert done == ["went on"]
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
 
 
 def test_a_failure_goes_from_process_to_process():

@@ -31,6 +31,7 @@ from taichi_cloth.simulation.changes import Changes
 from taichi_cloth.simulation.checkpoint import Checkpoints
 from taichi_cloth.simulation.editing import same
 from taichi_cloth.simulation.engine import Engine
+from taichi_cloth.simulation.interrupts import HeldBack
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import (
     Numbers,
@@ -194,28 +195,34 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         """Advance by whole frames, at least 0.
 
         Raises SimulationFailure when a particle is no longer finite or runs away; the state is
-        then that of the last good frame, and can be read, drawn and saved.
+        then that of the last good frame, and can be read, drawn and saved. What a signal's handler
+        raises, as KeyboardInterrupt, comes between two frames, from which the run can go on.
         """
         frames = accepted.whole_number("advance: frames", frames)
         while frames > 0:
-            # A push lasts one frame, and what breaks may change the next; else they share a launch.
-            follows = self._auto is not None and self._auto.follows(self.storage)
-            single = self.storage.pushed or follows or bool(self.listeners)
-            batch = 1 if single else min(frames, self._frames_per_launch())
-            passed = self._advance_together(batch)
-            self.frame += passed
-            if passed < batch:
-                self._fail()
-            self.storage.end_push()
-            if self.past is not None:
-                self.past.after_frames(self)
-            for listener in self.listeners:
-                listener.after_frame()
-            if self._auto and follows:
-                chosen = self._auto.after_frame(self.storage, self.substeps)
-                if self._take_substeps(chosen):
-                    self.storage.set_numbers(self._numbers())
-            frames -= batch
+            with HeldBack():
+                frames -= self._advance_batch(frames)
+
+    def _advance_batch(self, frames: int) -> int:
+        """Advance by those of some frames that share a launch; return how many they are."""
+        # A push lasts one frame, and what breaks may change the next; else they share a launch.
+        follows = self._auto is not None and self._auto.follows(self.storage)
+        single = self.storage.pushed or follows or bool(self.listeners)
+        batch = 1 if single else min(frames, self._frames_per_launch())
+        passed = self._advance_together(batch)
+        self.frame += passed
+        if passed < batch:
+            self._fail()
+        self.storage.end_push()
+        if self.past is not None:
+            self.past.after_frames(self)
+        for listener in self.listeners:
+            listener.after_frame()
+        if self._auto and follows:
+            chosen = self._auto.after_frame(self.storage, self.substeps)
+            if self._take_substeps(chosen):
+                self.storage.set_numbers(self._numbers())
+        return batch
 
     def _advance_together(self, frames: int) -> int:
         """Advance frames that share a launch, and return how many passed the watchdog."""
