@@ -10,11 +10,13 @@ import io
 import os
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator
+import weakref
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from taichi_cloth import vulkan
 from taichi_cloth.errors import InputError
@@ -64,7 +66,18 @@ class Device:
         return f"{self.arch} {self.precision}{threads}"
 
 
+class _Start(NamedTuple):
+    """What a start has left. program: Taichi's own, as long as that is there. runtime: has the one
+    that runs now. thread: in which it was.
+    """
+
+    program: Callable[[], Any]
+    runtime: Callable[[], Any]
+    thread: int
+
+
 _device: Device | None = None
+_start: _Start | None = None  # the last one
 # Connections to X servers by name, never closed: a server whose only client leaves starts anew,
 # and a window that opens meanwhile would fail.
 _displays: dict[str, int] = {}
@@ -78,13 +91,45 @@ def available_cores() -> int:
 
 
 def current_device() -> Device:
-    """The device of the last `start`. Starts the default one where there was none."""
+    """The device of the last `start`. Starts the default one where there was none.
+
+    InputError where the program has called `ti.init` since, which ended it.
+    """
+    if _device and not _is_ours():
+        raise InputError(
+            "Taichi was started anew by ti.init, with settings of its own; call `start` again, "
+            "which ends what that began"
+        )
     return _device or start()
 
 
 def still_runs(device: Device) -> bool:
-    """Whether `device` is of the last `start`: what an earlier one allocated is gone already."""
-    return _device is device
+    """Whether `device` is of the last `start`: what an earlier one allocated is gone already, also
+    where Taichi was started by another one since.
+    """
+    return _device is device and _is_ours()
+
+
+def _is_ours() -> bool:
+    """Whether Taichi's program is that of the last `start`."""
+    program = _start.program() if _start else None
+    return _start is not None and program is not None and program is _start.runtime().prog
+
+
+def in_its_thread() -> bool:
+    """Whether this is the thread that has started Taichi."""
+    return _start is None or threading.get_ident() == _start.thread
+
+
+def refuse_other_threads() -> None:
+    """InputError in a thread that has not started Taichi: it makes memory only in the one that has,
+    and where another one compiles a kernel, it may end the process.
+    """
+    if not in_its_thread():
+        raise InputError(
+            "Taichi makes memory and compiles in the thread that started it alone; do in that one "
+            "what is done for the first time, or call `start` and make the simulation in this one"
+        )
 
 
 def display_available() -> bool:
@@ -139,8 +184,10 @@ def start(
 
     threads: CPU worker threads, all cores when absent. fast_math: by default on in f32 and off
     in f64, the reference precision, and in compensated sums, which it would undo. cache: whether
-    kernels compiled by earlier processes are used. Fields of an earlier start are gone, and so are
-    the simulations that were made on it: their methods raise InputError.
+    kernels compiled by earlier processes are used. Fields of an earlier start, or of a `ti.init`,
+    are gone, and so are the simulations that were made on it: their methods raise InputError.
+    What makes or compiles anything, as a new simulation and the first call of nearly all that it
+    can do, is for the thread that called `start`: others, which may call the rest, get InputError.
 
     Raises InputError where the backend or precision is unknown or not usable here (it is never
     replaced by another one), and for compensated sums with fast_math.
@@ -168,7 +215,7 @@ def start(
         arch = best
     if arch == "metal" and precision == "f64":
         raise InputError("--precision f64: Metal has no f64; use --precision f32 or --arch cpu")
-    global _device
+    global _device, _start
     # From here on what was made before is gone: to give it back would be to take what comes.
     _device = None
     if not _initialize(arch, precision, threads, fast_math, cache):
@@ -176,6 +223,10 @@ def start(
         raise InputError(
             f"--arch {arch}: not usable here (it needs {_need(arch)}); usable: {', '.join(usable)}"
         )
+    from taichi.lang import impl
+
+    program = weakref.ref(impl.get_runtime().prog)
+    _start = _Start(program, impl.get_runtime, threading.get_ident())
     multiprocessors = _multiprocessors() if arch == "cuda" else 0
     threads = threads if arch == "cpu" else 1
     _device = Device(arch, precision, threads, fast_math, multiprocessors)

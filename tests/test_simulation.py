@@ -3,6 +3,7 @@
 import gc
 import pickle
 import signal
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -477,3 +478,54 @@ def test_a_simulation_of_an_earlier_start_is_refused(device, monkeypatch):
             call()
     monkeypatch.undo()
     sim.advance()
+
+
+def test_a_simulation_is_refused_once_the_program_has_called_ti_init(device, monkeypatch):
+    """It ended the process, and a new one computed in the precision of that call."""
+    sim = Simulation(build("oscillator"), soon=True)
+    reset = runtime._start._replace(program=lambda: None)  # as Taichi's own leaves it
+    monkeypatch.setattr(runtime, "_start", reset)
+    with pytest.raises(InputError, match="'oscillator' is gone with the start of Taichi"):
+        sim.positions()
+    with pytest.raises(InputError, match="started anew by ti.init, .* call `start` again"):
+        Simulation(build("oscillator"))
+
+
+def in_another_thread(call):
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(call).result()
+
+
+def test_another_thread_runs_what_is_there_and_is_refused_what_is_to_be_made():
+    """Taichi asserted that it is in its own thread, and left a run without its state, or it ended
+    the process where it compiled.
+    """
+    scene = build("chain")
+    sim, straight = (Simulation(scene, topology="graph", execution="serial") for _ in range(2))
+    sim.advance(2)
+    straight.advance(5)
+    for call in (
+        lambda: Simulation(scene),
+        lambda: sim.set(damping=0.1),
+        lambda: sim.set_method("verlet"),
+        lambda: sim.load_scene(build("box")),
+        lambda: picture(sim),
+    ):
+        with pytest.raises(InputError, match="compiles in the thread that started it alone"):
+            in_another_thread(call)
+    in_another_thread(lambda: sim.advance(3))
+    assert (sim.frame, sim.method, sim.scene) == (5, "symplectic_euler", scene)
+    np.testing.assert_array_equal(in_another_thread(sim.positions), straight.positions())
+
+
+def test_a_scene_that_is_refused_leaves_the_one_before():
+    chain = build("chain")
+    springs = replace(chain.springs, stiffness=chain.springs.stiffness * 1e30)
+    sim, straight = (Simulation(chain, dt="auto", topology="graph") for _ in range(2))
+    sim.advance(2)
+    with pytest.raises(InputError, match="--dt auto"):
+        sim.load_scene(replace(chain, springs=springs))
+    sim.advance()
+    straight.advance(3)
+    assert (sim.frame, sim.substeps) == (3, straight.substeps) and sim.scene is chain
+    np.testing.assert_array_equal(sim.positions(), straight.positions())

@@ -23,12 +23,14 @@ from taichi_cloth.runtime import (
     Device,
     compilation_time,
     compiled_soon,
+    in_its_thread,
     nothing_kept_over_calls,
+    refuse_other_threads,
     sums_in_order,
     whole_vectors,
 )
 from taichi_cloth.simulation import compiled
-from taichi_cloth.simulation.prepared import PreparedLaunches
+from taichi_cloth.simulation.prepared import PreparedLaunches, was_launched
 
 # Particles and springs times steps in one launch: some tenths of a second, so that Ctrl-C is heard.
 LAUNCH_WORK = 20_000_000
@@ -155,6 +157,8 @@ class Launcher:
         prepared = self._prepared.find(kernel, arguments)
         if prepared is not None:
             return prepared(arguments)
+        if not (in_its_thread() or was_launched(kernel, arguments)):
+            refuse_other_threads()
         spec = next((one for one in arguments if isinstance(one, Specialization)), None)
         with self._settings(spec), compiled_soon() if soon else contextlib.nullcontext():
             result = kernel(*arguments)

@@ -67,6 +67,13 @@ class PreparedLaunches:
         known[_key(kernel, signature, arguments)] = _Prepared(kernel, signature, arguments)
 
 
+def was_launched(kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> bool:
+    """Whether a kernel is compiled for such arguments already, also one that is not prepared."""
+    primal = _primal(kernel)
+    instance, _ = primal.mapper.lookup(arguments)
+    return (primal.func, instance, primal.autodiff_mode) in primal.compiled_kernels
+
+
 class _Prepared:
     """A kernel, compiled for some arguments, and how it gets the others."""
 

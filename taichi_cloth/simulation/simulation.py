@@ -159,14 +159,27 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         grids, without features, particles or springs beyond those there were. What it lacks of
         these features stays compiled, without effect.
         dt, substeps: as in the constructor, but chosen by the simulation with dt "auto".
+        InputError where the constructor raises it; all is then as it was.
         """
         if self.follows and not (dt is None and substeps == 1):
             raise InputError("--dt auto chooses the step; it cannot be set")
         validate(scene)
         step = checked_step(scene.world.dt if dt is None else dt, substeps)
         refuse_unholdable(scene, current_device().precision)
+        names = ("scene", "_given", "began", "frame", "_work", "_counted", "_first", "_engines")
+        before = {name: getattr(self, name) for name in names}
+        with self._all_or_nothing(self.storage.snapshot()):
+            try:
+                self._begin_anew(scene, step)
+            except InputError:
+                for name, value in before.items():
+                    setattr(self, name, value)
+                raise
+
+    def _begin_anew(self, scene: Scene, step: tuple[float, int]) -> None:
+        """Take a scene that was checked, with frames and steps of `step`, from its start."""
         self.scene = self._given = scene
-        self._engines.clear()
+        self._engines = {}
         self.dt, self.substeps = step
         if self.follows:
             self._auto = AutoSubsteps(self.method, self._module, self.dt)

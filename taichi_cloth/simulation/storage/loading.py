@@ -11,6 +11,7 @@ from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.fields import Capacity
 from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.specialization import Specialization
+from taichi_cloth.runtime import refuse_other_threads
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.solids import solids
 from taichi_cloth.simulation.numbers import Numbers
@@ -151,9 +152,11 @@ class Loading(DeviceState):
             fits = old.fits(spec, topology) and (like is None or old.spec == spec)
             if fits and old.state.capacity.holds(needed):
                 return old
+            refuse_other_threads()  # while there is something to go back to
             factor = 2 if fits else 1
             self._loaded = None  # its memory goes with `old`, unless a checkpoint holds it
             del old
+        refuse_other_threads()
         capacity = self._capacity(placement, spec, factor)
         return Container.make(spec, topology, capacity, self._method, self.device, self.real)
 

@@ -16,6 +16,7 @@ import numpy as np
 from taichi_cloth import painter
 from taichi_cloth.painter import Shapes
 from taichi_cloth.rasterizer import Balls, Lines, Mesh, Rasterizer, Still
+from taichi_cloth.runtime import refuse_other_threads
 from taichi_cloth.scene.model import World
 from taichi_cloth.ui import drawing, in_space, pointer, style, surfaces, veiled, x11
 from taichi_cloth.ui.camera import Camera
@@ -204,6 +205,7 @@ class GuiView:
         """Draw and present one frame."""
         if self.closed:
             return
+        refuse_other_threads()  # kernels draw it
         if picture.beside is not None:
             self._draw_halves(picture, picture.beside)
         elif self.camera:
