@@ -16,7 +16,8 @@ from taichi_cloth.version import __version__
 # be quick if more comes: 2**4 ticks of the clock have to do. It reads this once NumPy is imported.
 os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
 
-_HOMES = {  # public name: (module, name in it; None: the module itself)
+# Public name: (module, name in it; None: the module itself). `__init__.pyi` tells type checkers.
+_HOMES = {
     "InputError": ("errors", "InputError"),
     "SimulationFailure": ("errors", "SimulationFailure"),
     "Scene": ("scene.model", "Scene"),

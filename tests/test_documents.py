@@ -84,6 +84,24 @@ def test_every_public_name_says_what_it_is():
     assert not silent and seen > 100
 
 
+def test_type_checkers_know_every_public_name(tmp_path):
+    """To them all was `Any`, as `__getattr__` of the package says."""
+    for name in ("py.typed", "__init__.pyi"):
+        assert (Path(tc.__file__).parent / name).is_file()
+    program = tmp_path / "program.py"
+    asked = [f"reveal_type(tc.{name})" for name in tc.__all__]
+    program.write_text("\n".join(["import taichi_cloth as tc", *asked]))
+    words = ["--strict", "--cache-dir", str(ROOT / ".mypy_cache"), "--no-error-summary"]
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", *words, program],
+        **{"cwd": ROOT, "capture_output": True, "text": True, "timeout": 300},
+        check=False,
+    )
+    told = done.stdout.splitlines()
+    assert done.returncode == 0 and len(told) == len(asked), done.stdout + done.stderr
+    assert not [line for line in told if '"Any"' in line]
+
+
 @thorough
 @needs_mkdocs
 def test_the_site_builds_strictly_and_its_reference_has_every_name(tmp_path):
