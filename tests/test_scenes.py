@@ -1,6 +1,9 @@
 """The built-in scenes say what they are, and move as their closed forms say (CPU, f64)."""
 
+import copy
 import inspect
+import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +12,9 @@ from selection import as_thorough
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene import library
+from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.solids import held, solids
 
 # What takes long to compile: `test_space_scenes.py` runs it, for seconds.
@@ -24,6 +29,47 @@ def test_every_scene_declares_itself(name):
     assert library.build(name).name == name
     signature = inspect.signature(library.function(name))
     assert all(p.kind is p.KEYWORD_ONLY for p in signature.parameters.values())
+
+
+def test_scenes_are_equal_where_all_of_their_numbers_are():
+    """NumPy raised at the first table: "The truth value of an array ... is ambiguous"."""
+    scene, again = (library.build("flag", columns=6) for _ in range(2))
+    assert scene == again and scene in [again] and scene.springs == again.springs
+    assert scene == copy.deepcopy(scene) == pickle.loads(pickle.dumps(scene))
+    stiff = replace(scene.springs, stiffness=2 * scene.springs.stiffness)
+    corner = scene.particles.position.copy()
+    corner[0, 0] += 1e-9
+    for other in (
+        replace(scene, name="banner"),
+        replace(scene, springs=stiff),
+        replace(scene, particles=replace(scene.particles, position=corner)),
+        replace(scene, triangles=scene.triangles[1:]),
+        library.build("flag", columns=7),
+    ):
+        assert scene != other
+    assert scene != "flag" and scene.particles != scene.springs
+    assert scene.stencils == again.stencils
+
+
+def test_lists_of_obstacles_and_triangles_are_taken():
+    """They were refused: obstacles "must be a tuple", triangles "must be an array"."""
+    scene, ball = (
+        library.build("flag", columns=6),
+        Obstacle.build("sphere", centre=3 * [0], radius=1),
+    )
+    for given in ([ball], (ball,), iter([ball]), np.array([ball])):
+        assert validate(replace(scene, obstacles=given)).obstacles == (ball,)
+    assert validate(replace(scene, obstacles=[])).obstacles == ()
+    listed = replace(scene, triangles=scene.triangles.tolist())
+    assert validate(listed) == scene and listed.triangles.dtype == np.int64
+    assert validate(replace(scene, triangles=[])).triangles.shape == (0, 3)
+    for name, wrong, says in (
+        ("obstacles", ball, "must be a list of Obstacle"),
+        ("obstacles", [1], "obstacle 0: must be an Obstacle, is 1"),
+        ("triangles", [[0, 1], [2]], "must be an array of whole numbers"),
+    ):
+        with pytest.raises(InputError, match=says):
+            validate(replace(scene, **{name: wrong}))
 
 
 @pytest.mark.parametrize("name", [name for name in library.names() if name not in LONG])

@@ -333,7 +333,7 @@ def _check_obstacles(scene: Scene, refusal: _Refusal) -> None:
     listed: Any = scene.obstacles
     if not isinstance(listed, tuple):
         shown = accepted.shown(listed)
-        raise InputError(f"scene: obstacles must be a tuple of Obstacle, is {shown}")
+        raise InputError(f"scene: obstacles must be a list of Obstacle, is {shown}")
     for index, obstacle in enumerate(scene.obstacles):
         found = fault(obstacle, scene.world.dim)
         if found:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -20,6 +21,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from taichi_cloth.errors import InputError
+from taichi_cloth.scene.equality import ByValue
 from taichi_cloth.scene.features import Features
 from taichi_cloth.scene.holding import Hold
 from taichi_cloth.scene.obstacles import CONTACTS, Obstacle
@@ -236,8 +238,8 @@ class _Motion:
     velocity: np.ndarray
 
 
-@dataclass(frozen=True)
-class Particles(ParticleProperties[np.ndarray], _Motion):
+@dataclass(frozen=True, eq=False)
+class Particles(ByValue, ParticleProperties[np.ndarray], _Motion):
     """State and properties of n particles, one row each; lengths in world units.
 
     position, velocity: (n, dim) float64; mass, radius and the other numbers of
@@ -310,8 +312,8 @@ class _Ends:
     between: np.ndarray
 
 
-@dataclass(frozen=True)
-class Springs(SpringProperties[np.ndarray, np.ndarray, np.ndarray], _Ends):
+@dataclass(frozen=True, eq=False)
+class Springs(ByValue, SpringProperties[np.ndarray, np.ndarray, np.ndarray], _Ends):
     """Springs between pairs of particles: between (s, 2) int64, the numbers (s,) float64.
 
     break_force is inf for an unbreakable spring. break_in: (s,) str, "both" or "tension".
@@ -383,8 +385,8 @@ class Springs(SpringProperties[np.ndarray, np.ndarray, np.ndarray], _Ends):
         return _joined(self, other)
 
 
-@dataclass(frozen=True)
-class Scene:
+@dataclass(frozen=True, eq=False)
+class Scene(ByValue):
     """A whole scene: world, particles, springs, and what clicks and files default to.
 
     spring_color: in which all springs are drawn, red, green, blue, 0..255; None: each has that of
@@ -393,6 +395,8 @@ class Scene:
         their normal points to, the corners of each go round counterclockwise.
     obstacles: what particles rest on, slide along and bounce off.
     stencils: where they resist being bent.
+
+    Lists of triangles and obstacles are taken, too. Two scenes are equal where all of this is.
     """
 
     name: str
@@ -407,7 +411,14 @@ class Scene:
     stencils: Stencils = field(default_factory=Stencils.none)
 
     def __post_init__(self) -> None:
+        triangles: Any = self.triangles
+        if isinstance(triangles, (list, tuple)):
+            with suppress(ValueError):  # rows of different lengths, which `checks` refuses
+                array = np.array(triangles) if len(triangles) else np.zeros((0, 3), np.int64)
+                object.__setattr__(self, "triangles", array)
         accepted.take_types(self, triangles=np.int64)
+        with suppress(TypeError):  # what is no list is refused there, too
+            object.__setattr__(self, "obstacles", tuple(self.obstacles))
         object.__setattr__(self, "spring_color", accepted.plain(self.spring_color))
 
     @property

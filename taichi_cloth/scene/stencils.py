@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.errors import InputError
+from taichi_cloth.scene.equality import ByValue
 from taichi_cloth.scene.triangles import springs_tying
 from taichi_cloth.settings import accepted
 
@@ -43,8 +44,8 @@ SMALLEST = 1e-300  # area of a triangle whose inverse is a number
 LEAST_RECOVERED = 0.3
 
 
-@dataclass(frozen=True)
-class Stencils:
+@dataclass(frozen=True, eq=False)
+class Stencils(ByValue):
     """m stencils, of any number of particles each.
 
     start: (m + 1,) int64, where each stencil's particles begin.

@@ -24,7 +24,7 @@ from taichi_cloth.simulation.part import Part
 from taichi_cloth.simulation.storage.kept import Kept
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Checkpoint:
     """All that later frames of a run depend on, on the host; `Simulation.restore` takes it.
 
@@ -35,7 +35,8 @@ class Checkpoint:
     prepared: what tools had switched on in its world by then (`Checkpoints.PREPARED`).
     engine: what ran it then, for the simulation that it is of: that may have another method since.
 
-    The arrays are nobody's to change: checkpoints share those that are equal.
+    The arrays are nobody's to change: checkpoints share those that are equal. So it is its own
+    copy, and equal to itself alone. Pickled it is as one from a file: for a run of its own method.
     """
 
     frame: int
@@ -50,6 +51,15 @@ class Checkpoint:
     digest: str = ""
     prepared: Mapping[str, Any] = field(default_factory=dict)
     engine: Mapping[str, Any] | None = None
+
+    def __copy__(self) -> Checkpoint:
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Checkpoint:
+        return self
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"engine": None}
 
     def save(self, path: str | Path, about: Mapping[str, Any] | None = None) -> None:
         """Write it to a file ``.npz``, which appears whole or not at all.

@@ -38,6 +38,10 @@ class Kept:
     altered: bool
     loaded: Any = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: the load is in the memory of this process."""
+        return vars(self) | {"loaded": None}
+
 
 class KeptFields:
     """Copies what is kept of one container's fields to NumPy and back.
