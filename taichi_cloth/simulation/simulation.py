@@ -168,7 +168,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         refuse_unholdable(scene, current_device().precision)
         names = ("scene", "_given", "began", "frame", "_work", "_counted", "_first", "_engines")
         before = {name: getattr(self, name) for name in names}
-        with self._all_or_nothing(self.storage.snapshot()):
+        with self._undone_if_refused(self.storage.snapshot()):
             try:
                 self._begin_anew(scene, step)
             except InputError:
@@ -504,6 +504,14 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
 
         A push that acts goes on; left: on which of the particles, all where absent.
         """
+        pushed, held = self.storage.pushed, self.storage.held()
+        with self._undone_if_refused(now):
+            yield
+        self.storage.hold_again(held if held is None or left is None else held[left], pushed)
+
+    @contextmanager
+    def _undone_if_refused(self, now: Snapshot) -> Iterator[None]:
+        """All is as it was, with the state `now`, where what is done within raises InputError."""
         clock = self._since, self.dt, self.substeps, self.speed_limit
         auto, preferred = copy.copy(self._auto), self._preferred
         pushed, held = self.storage.pushed, self.storage.held()
@@ -515,4 +523,3 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             self._store(now)
             self.storage.hold_again(held, pushed)
             raise
-        self.storage.hold_again(held if held is None or left is None else held[left], pushed)
