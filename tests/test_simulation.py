@@ -439,6 +439,8 @@ def test_who_fails_in_the_first_step_is_named_and_not_whom_a_later_one_loses(poo
         ({"method": "symplectic"}, "did you mean 'symplectic_euler'"),
         ({"dt": 0.0}, "--dt"),
         ({"dt": float("nan")}, "--dt"),
+        ({"dt": 1e-310}, "step of 1e-310 is less than 2.23e-308, the least that f64 holds"),
+        ({"dt": 1e-306, "substeps": 1000}, "--dt: a step of 1e-306 / 1000 is less than"),
         ({"substeps": 0}, "--substeps"),
         ({"execution": "paralel"}, "did you mean 'parallel'"),
         ({"topology": "graf"}, "did you mean 'graph'"),

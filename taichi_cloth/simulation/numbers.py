@@ -9,6 +9,7 @@ import numpy as np
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.methods.contract import Claims
+from taichi_cloth.runtime import current_device
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import MOST_ITERATIONS, MOST_TOLERANCE, SOLVER_SETTINGS
@@ -33,9 +34,24 @@ class Numbers:
 
 
 def checked_step(dt: float | str, substeps: int) -> tuple[float, int]:
-    """(dt, substeps), if there can be such steps; else InputError."""
+    """(dt, substeps), if there can be such steps; else InputError.
+
+    Also where the device's precision takes one for zero or for infinite: the clock would go on, and
+    nothing move.
+    """
     checked = accepted.number("--dt", dt, above=0.0)
-    return checked, accepted.whole_number("--substeps", substeps, 1)
+    substeps = accepted.whole_number("--substeps", substeps, 1)
+    device, step = current_device(), checked / substeps
+    limits = np.finfo(np.float64 if device.real == "f64" else np.float32)
+    least, most = float(limits.tiny), float(limits.max)
+    if step < least or checked > most:
+        short = f"{checked:g}" + f" / {substeps}" * (
+            substeps > 1
+        )  # the quotient may be taken for 0
+        small = f"a step of {short} is less than {least:.3g}, the least"
+        beyond = small if step < least else f"{checked:.3g} is more than {most:.3g}, the most"
+        raise InputError(f"--dt: {beyond} that {device.precision} holds; use other units of time")
+    return checked, substeps
 
 
 def runaway_speed(scene: Scene, dt: float) -> float:
