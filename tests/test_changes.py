@@ -313,6 +313,10 @@ REFUSED = [
     (lambda sim: sim.grab([0], (1, 2), stiffness=-1), "grab: stiffness must not be negative"),
     (lambda sim: sim.begin_from(None, 1.0, 1), "begin_from: takes what `start` returned, not None"),
     (lambda sim: sim.go_on_from([1]), r"go_on_from: takes a Simulation, not \[1\]"),
+    (
+        lambda sim: sim.go_on_from(Simulation(build("oscillator"), topology="graph")),
+        "go_on_from: that run is of 'oscillator' in 2-D, this one of",
+    ),
     (lambda sim: tc.picture(sim, parts=np.ones(())), "parts: must be some of"),
     (lambda sim: tc.picture(sim, camera=tc.Camera((1.0, 1.0, 1.0))), "camera: 'cloth' is 2-D"),
     (lambda sim: tc.show(sim, view=np.ones(2)), "unknown view"),

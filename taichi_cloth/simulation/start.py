@@ -66,10 +66,18 @@ class Starts(Part):
         """Go on from where another run of the same scene stands, with this one's step and method.
 
         `reset` then goes to where this one began, with what tools have switched on in the other's
-        world for good. InputError where dt "auto" finds no step.
+        world for good. InputError for a run of a scene of another name or dimension, and where dt
+        "auto" finds no step.
         """
         if not isinstance(other, Starts):
             raise InputError(f"go_on_from: takes a Simulation, not {accepted.shown(other)}")
+        there, here = ((of.scene.name, of.scene.world.dim) for of in (other, self))
+        if there != here:
+            (name, dim), (own, mine) = there, here
+            raise InputError(
+                f"go_on_from: that run is of '{name}' in {dim}-D, this one of '{own}' in {mine}-D; "
+                "give it one of the same scene"
+            )
         start, world = other.start(), other.scene.world
         if self._auto:
             self.substeps = self._auto.at_start(start.snapshot)
