@@ -452,6 +452,24 @@ def test_wrong_settings_are_refused(arguments, message):
         Simulation(build("oscillator"), **arguments)
 
 
+def test_the_arrays_of_a_scene_that_runs_are_read_only():
+    """What was written there was in energies, and not in the run, until a reset."""
+    x = np.array([[300.0, 100.0], [300.0, 150.0]])
+    particles = Particles(**{**vars(Particles.build(x)), "position": x})
+    scene = Scene("pair", build("chain").world, particles, Springs.build([[0, 1]], x))
+    scene.particles.mass[:] = 2.0  # not yet
+    sim = Simulation(scene, topology="graph")
+    for array in (scene.particles.position, scene.springs.stiffness, scene.triangles):
+        with pytest.raises(ValueError, match="read-only"):
+            array[:] = 0
+    assert x.flags.writeable and sim.energy().kinetic == 0
+    heavier = replace(particles, mass=2 * particles.mass)
+    sim.load_scene(replace(scene, particles=heavier))
+    with pytest.raises(ValueError, match="read-only"):
+        heavier.mass[:] = 0.0
+    assert sim.positions().flags.writeable
+
+
 def test_a_simulation_that_is_gone_gives_its_fields_back(monkeypatch):
     """Taichi has room for 512 trees of fields, two of which a simulation takes."""
     freed, free = [], State.free

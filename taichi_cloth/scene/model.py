@@ -522,6 +522,18 @@ class Scene(ByValue):
         missing = np.bincount(of, ~pulling[spring], len(self.stencils))
         return self.stencils.select(missing == 0)
 
+    def close(self) -> Scene:
+        """Return it with arrays that nobody can write to any more: what was worked out of them, and
+        what a run has of them elsewhere, would be outdated, and say nothing.
+        """
+        for table in (self, self.particles, self.springs, self.stencils):
+            for name, column in list(vars(table).items()):
+                if isinstance(column, np.ndarray) and column.flags.writeable:
+                    shown = column.view()  # whose array it was, may write to that
+                    shown.flags.writeable = False
+                    object.__setattr__(table, name, shown)
+        return self
+
     def _uniform_springs(self) -> bool:
         """Whether all springs, also those that clicks add, have the same numbers."""
         return self._uniform(self.springs, self.spring_defaults, SPRING_PROPERTIES)

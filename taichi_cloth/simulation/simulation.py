@@ -58,8 +58,9 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
     """One scene, integrated by one method on the device that `runtime.start` started.
 
     scene: validated here (InputError), against the device's precision, too. Its arrays are not
-    copied: leave them as they are, and make other scenes of it by `with_parts`, `with_world` or
-    `dataclasses.replace`. method: a name out of `kernels.methods.METHODS`.
+    copied, and from here on read-only (NumPy raises ValueError): make other scenes of it by
+    `with_parts`, `with_world` or `dataclasses.replace`, and change a run by `set`.
+    method: a name out of `kernels.methods.METHODS`.
     dt: time of a frame, the scene's own when absent; substeps: steps a frame is cut into. With
     dt "auto" a frame is the scene's, cut into as many as its springs need (`auto_substeps.py`).
     execution: "serial" (on one thread) or "parallel" (on all threads, or a GPU).
@@ -112,7 +113,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             lanes = accepted.power_of_two("lanes", lanes, MOST_LANES)
         if follows and substeps != 1:
             raise InputError("--substeps: --dt auto chooses them; give one of the two")
-        self.scene = self._given = validate(scene)
+        self.scene = self._given = validate(scene).close()
         self.method = method
         refuse_unholdable(scene, current_device().precision)
         step = checked_step(scene.world.dt if dt is None or follows else dt, substeps)
@@ -178,7 +179,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
 
     def _begin_anew(self, scene: Scene, step: tuple[float, int]) -> None:
         """Take a scene that was checked, with frames and steps of `step`, from its start."""
-        self.scene = self._given = scene
+        self.scene = self._given = scene.close()
         self._engines = {}
         self.dt, self.substeps = step
         if self.follows:
