@@ -13,7 +13,7 @@ from selection import as_thorough
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene import library
 from taichi_cloth.scene.checks import validate
-from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.model import Particles, Scene
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.solids import held, solids
 
@@ -49,6 +49,14 @@ def test_scenes_are_equal_where_all_of_their_numbers_are():
         assert scene != other
     assert scene != "flag" and scene.particles != scene.springs
     assert scene.stencils == again.stencils
+
+
+def test_particles_at_no_position_are_refused():
+    """No position, and a single number, were one particle in 0 and in 1 dimension."""
+    for given, says in (([], r"has \(0,\); Particles.none\(dim\) are none"), (1.0, r"has \(\)")):
+        with pytest.raises(InputError, match=r"must have shape \(n, dim\), " + says):
+            Particles.build(given)
+    assert len(Particles.build(np.zeros((0, 3)))) == 0 and len(Particles.build([1.0, 2.0])) == 1
 
 
 def test_lists_of_obstacles_and_triangles_are_taken():

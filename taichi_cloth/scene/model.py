@@ -278,9 +278,11 @@ class Particles(ByValue, ParticleProperties[np.ndarray], _Motion):
         numbers: mass, radius and the others of `ParticleProperties`; absent: those of `defaults`.
         """
         what = "Particles.build"
-        position = np.atleast_2d(accepted.numbers(f"{what}: position", position, finite=False))
-        if position.ndim != 2:
-            raise InputError(f"{what}: position must have shape (n, dim), has {position.shape}")
+        given = accepted.numbers(f"{what}: position", position, finite=False)
+        position = np.atleast_2d(given)
+        if position.ndim != 2 or given.shape in ((), (0,)):
+            none = "; Particles.none(dim) are none" if given.size == 0 else ""
+            raise InputError(f"{what}: position must have shape (n, dim), has {given.shape}{none}")
         n = len(position)
         fixed = accepted.flags(f"{what}: fixed", fixed, (n,), "particles")
         if color is None:
