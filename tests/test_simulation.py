@@ -1,5 +1,6 @@
 """Spawning, growth, fracture, the pointer, the two paths, the watchdog."""
 
+import copy
 import gc
 import pickle
 import signal
@@ -468,6 +469,13 @@ def test_the_arrays_of_a_scene_that_runs_are_read_only():
     with pytest.raises(ValueError, match="read-only"):
         heavier.mass[:] = 0.0
     assert sim.positions().flags.writeable
+
+
+@pytest.mark.parametrize("make", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_simulation_is_not_copied(pool, make):
+    """A shallow copy shared the state on the device, and counted frames by itself."""
+    with pytest.raises(TypeError, match="of 'chain' is on the device, .* `checkpoint"):
+        make(pool(build("chain"), topology="graph"))
 
 
 def test_a_simulation_that_is_gone_gives_its_fields_back(monkeypatch):

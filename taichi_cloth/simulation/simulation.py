@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -82,6 +83,8 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
     held_up: seconds a frame on one thread, as estimated, and on all of them, where the execution
     "parallel" was asked for and threads only wait, because other programs want the cores.
     storage: the state on the device, to look at. speed_limit: above it a particle runs away.
+    It is neither copied nor pickled (TypeError): its scene and its checkpoints are. Taichi keeps
+    what it compiled for each; for many runs in a row make one, and have it `load_scene`.
     Arrays are returned as float64 copies, one row per particle in the order of creation.
     """
 
@@ -144,6 +147,12 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         self._work, self._unsettled = np.zeros(len(WORK), np.int64), np.zeros(2, np.int64)
         self.past = Past()
         self.reset()
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError(
+            f"the simulation of '{self.scene.name}' is on the device, and cannot be copied or "
+            "pickled; its `scene` can, and where it stands, `checkpoint()`"
+        )
 
     def _lanes_for(self, module: Method) -> int:
         """How many particles a pack has under a method."""
