@@ -524,7 +524,7 @@ class Scene(ByValue):
         missing = np.bincount(of, ~pulling[spring], len(self.stencils))
         return self.stencils.select(missing == 0)
 
-    def close(self) -> Scene:
+    def seal(self) -> Scene:
         """Return it with arrays that nobody can write to any more: what was worked out of them, and
         what a run has of them elsewhere, would be outdated, and say nothing.
         """

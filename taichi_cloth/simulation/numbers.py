@@ -45,9 +45,8 @@ def checked_step(dt: float | str, substeps: int) -> tuple[float, int]:
     limits = np.finfo(np.float64 if device.real == "f64" else np.float32)
     least, most = float(limits.tiny), float(limits.max)
     if step < least or checked > most:
-        short = f"{checked:g}" + f" / {substeps}" * (
-            substeps > 1
-        )  # the quotient may be taken for 0
+        # Their quotient may be taken for 0.
+        short = f"{checked:g}" if substeps == 1 else f"{checked:g} / {substeps}"
         small = f"a step of {short} is less than {least:.3g}, the least"
         beyond = small if step < least else f"{checked:.3g} is more than {most:.3g}, the most"
         raise InputError(f"--dt: {beyond} that {device.precision} holds; use other units of time")

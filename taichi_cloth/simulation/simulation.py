@@ -116,7 +116,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             lanes = accepted.power_of_two("lanes", lanes, MOST_LANES)
         if follows and substeps != 1:
             raise InputError("--substeps: --dt auto chooses them; give one of the two")
-        self.scene = self._given = validate(scene).close()
+        self.scene = self._given = validate(scene).seal()
         self.method = method
         refuse_unholdable(scene, current_device().precision)
         step = checked_step(scene.world.dt if dt is None or follows else dt, substeps)
@@ -188,7 +188,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
 
     def _begin_anew(self, scene: Scene, step: tuple[float, int]) -> None:
         """Take a scene that was checked, with frames and steps of `step`, from its start."""
-        self.scene = self._given = scene.close()
+        self.scene = self._given = scene.seal()
         self._engines = {}
         self.dt, self.substeps = step
         if self.follows:
