@@ -139,20 +139,49 @@ def test_what_impulses_give_is_no_acceleration_of_a_bounce_in_the_same_step(devi
             assert (sim.velocities() ** 2).sum() == pytest.approx(np.square(v).sum(), rel=1e-12)
 
 
+@pytest.mark.parametrize("method", mostly_thorough(methods.METHODS, default=["verlet"]))
+def test_a_wall_that_ends_a_step_is_no_acceleration_of_a_bounce_in_it(device, method):
+    """What crosses more than its diameter past a wall is put onto it, and may be in a floor there:
+    it leaves as if it had met one after the other, or, led away by the wall, as that one has it."""
+    world = World(size=(10.0, 10.0), gravity=(0.0, 0.0), dt=0.01, walls=("left",))
+    floor = Obstacle.build("plane", point=[0.0, 1.0], normal=[0.3, 1.0], restitution=1.0)
+    speeds = np.stack(np.meshgrid(np.arange(30.0, 70.0, 5.0), np.arange(3.0, 60.0, 3.0)), -1)
+    v = -1.0 * np.concatenate([speeds.reshape(-1, 2), [[55.13, 14.81]]])
+    x = np.array([0.2045, 1.0 - 0.3 * 0.2045 + 0.1 * np.hypot(0.3, 1.0)])
+    heights = np.linspace(0.002, 0.4, 7)
+    starts = np.concatenate([x + [0.0, height] for height in heights for _ in v]).reshape(-1, 2)
+    v = np.tile(v, (len(heights), 1))
+    balls = Particles.build(starts, v, radius=0.1)
+    scene = Scene("at once", world, balls, obstacles=(floor,))
+    sim = Simulation(scene, method, execution="serial", topology="graph")
+    for _ in range(3):
+        sim.advance()
+        np.testing.assert_allclose((sim.velocities() ** 2).sum(1), (v**2).sum(1), rtol=1e-12)
+
+
 @pytest.mark.usefixtures("device", "few_lanes")
 def test_in_lanes_each_particle_bounces_with_what_walls_gave_itself():
-    """All of a small cloth meet a wall and a floor in one step, at speeds of their own."""
+    """All of a small cloth meet a wall and a floor in one step, at speeds of their own; then so
+    fast that the wall holds them at the step's end."""
     world = World(size=(10.0, 10.0), gravity=(0.0, 0.0), dt=0.01, walls=("left",))
     ties = SpringDefaults(stiffness=1.0)
     balls, *rest = grid([0.099, 1.0773], 4, 3, 1e-4, spring_defaults=ties)
-    v = np.stack([-1.0 - 0.05 * np.arange(12.0), np.full(12, -1.0)], axis=1)
-    balls = replace(balls, velocity=v, radius=np.full(12, 0.1))
+    slow = np.stack([-1.0 - 0.05 * np.arange(12.0), np.full(12, -1.0)], axis=1)
+    fast = np.stack([-50.0 - np.arange(12.0), np.full(12, -15.0)], axis=1)
     floor = Obstacle.build("plane", point=[0.0, 1.0], normal=[0.3, 1.0], restitution=1.0)
-    scene = Scene("at once", world, balls, *rest, obstacles=(floor,))
-    for topology in ("graph", "lanes"):
-        sim = Simulation(scene, "verlet", execution="serial", topology=topology, lanes=2)
-        sim.advance()
-        np.testing.assert_allclose((sim.velocities() ** 2).sum(1), (v**2).sum(1), rtol=1e-3)
+    sims = {}
+    for move, v in (([0.0, 0.0], slow), ([0.1, 0.0], fast)):
+        cloth = replace(balls, position=balls.position + move, velocity=v, radius=np.full(12, 0.1))
+        scene = Scene("at once", world, cloth, *rest, obstacles=(floor,))
+        for topology in ("graph", "lanes"):
+            if topology not in sims:
+                sims[topology] = Simulation(
+                    scene, "verlet", execution="serial", topology=topology, lanes=2
+                )
+            sim = sims[topology]
+            sim.load_scene(scene)
+            sim.advance()
+            np.testing.assert_allclose((sim.velocities() ** 2).sum(1), (v**2).sum(1), rtol=1e-3)
 
 
 @pytest.mark.parametrize("method", mostly_thorough(methods.METHODS, default=["verlet"]))

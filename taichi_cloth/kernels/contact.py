@@ -113,6 +113,14 @@ def wall_gap(state: ti.template(), x, radius, axis: ti.template(), side: ti.temp
 
 
 @ti.func
+def place_on_wall(state: ti.template(), radius, axis: ti.template(), side: ti.template()):
+    """Where along its axis a wall holds a particle; one wider than the world is in its middle."""
+    low, high = state.low[axis], state.high[axis]
+    bound = high if ti.static(side > 0) else low
+    return bound - float(side) * ti.min(radius, 0.5 * (high - low))
+
+
+@ti.func
 def _outside_inner_box(state: ti.template(), x, axis: ti.template(), side: ti.template()):
     """How far positions x are past the face of the inner box that is before a wall [length]."""
     if ti.static(side > 0):
@@ -199,6 +207,21 @@ def store_held_by_walls(
 
 
 @ti.func
+def turned_by_walls(spec: ti.template(), state: ti.template(), slot, x, v, new_x, new_v, jump):
+    """The change of a particle's velocity by walls at both ends of a step, and by pairs, (dim,).
+
+    x, v: where the step began; new_x, new_v: what walls left of its end; jump: `velocity_jump`.
+    What came to a wall and was put onto it has all of its change along the normal from there.
+    """
+    turned, radius = 1.0 * jump, slot_number(spec, state.radius, slot)
+    for axis, side in ti.static(spec.walls):
+        if new_x[axis] == place_on_wall(state, radius, axis, side):
+            if wall_gap(state, x, radius, axis, side) > 0.0:
+                turned[axis] = new_v[axis] - v[axis]
+    return turned
+
+
+@ti.func
 def _note_held(spec: ti.template(), state: ti.template(), i, dx, dv):
     """Note for the account of contacts what walls change of where pack i would end a step."""
     if state.accounting[None] == 1:
@@ -269,8 +292,6 @@ def _held_by_wall(
     """
     low, high = state.low[axis], state.high[axis]
     bound = high if ti.static(side > 0) else low
-    # On the wall; in a world that is narrower than the particle in its middle.
-    on_wall = bound - float(side) * ti.min(radius, 0.5 * (high - low))
     gap = wall_gap(state, x, radius, axis, side)
     new_gap = wall_gap(state, new_x, radius, axis, side)
     vn, new_vn = float(side) * v[axis], float(side) * new_v[axis]
@@ -292,7 +313,7 @@ def _held_by_wall(
             far = False
     kept_x, kept_v = new_x, new_v
     if pressed or far:
-        kept_x[axis] = on_wall
+        kept_x[axis] = place_on_wall(state, radius, axis, side)
         if ti.static(spec.compensated):
             forget_low(spec, state.x_low, slot, axis)
         normal_v = new_vn

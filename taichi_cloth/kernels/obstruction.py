@@ -22,7 +22,7 @@ import taichi as ti
 
 from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.compensated import joined, owed_at, put_at
-from taichi_cloth.kernels.contact import has_impulses, velocity_jump
+from taichi_cloth.kernels.contact import has_impulses, turned_by_walls, velocity_jump
 from taichi_cloth.kernels.loops import each_pack_moving
 from taichi_cloth.kernels.obstacles import load
 from taichi_cloth.kernels.obstacles.contract import BOUND, FAR, FRICTION, RESTITUTION, SCALE, THIN
@@ -166,25 +166,49 @@ def given_before(spec: ti.template(), state: ti.template(), slot):
 
     It is asked for where something bounces, and not of each particle, for which lanes take long.
     """
-    given = 0.0 * slot_value(spec, state.begun_v, slot)
+    given = _kick_of(spec, state, slot)
     if ti.static(has_impulses(spec)):
         given += jump_of(spec, state, slot)
-    if ti.static(spec.faces):
-        if state.face_finds[None] > 1:  # they have met something in this step
-            given += slot_value(spec, state.face_kick, slot)
     return given
 
 
 @ti.func
+def _kick_of(spec: ti.template(), state: ti.template(), slot):
+    """What faces have changed of a particle's velocity in the step so far, (dim,)."""
+    kick = 0.0 * slot_value(spec, state.begun_v, slot)
+    if ti.static(spec.faces):
+        if state.face_finds[None] > 1:  # they have met something in this step
+            kick += slot_value(spec, state.face_kick, slot)
+    return kick
+
+
+@ti.func
 def jump_of(spec: ti.template(), state: ti.template(), slot):
-    """What walls and pairs changed of a particle's velocity at the step's start, (dim,)."""
+    """What walls and pairs changed of a particle's velocity in the step, (dim,)."""
     pack = slot // spec.lanes
     x, v = read(spec, state.begun_x, pack), read(spec, state.begun_v, pack)
-    jump = velocity_jump(spec, state, pack, x, v)
+    jump = _of_slot(spec, velocity_jump(spec, state, pack, x, v), slot)
+    if ti.static(len(spec.walls) > 0):
+        jump = turned_by_walls(
+            spec,
+            state,
+            slot,
+            slot_value(spec, state.begun_x, slot),
+            slot_value(spec, state.begun_v, slot),
+            slot_value(spec, state.x, slot),
+            slot_value(spec, state.v, slot) - _kick_of(spec, state, slot),
+            jump,
+        )
+    return jump
+
+
+@ti.func
+def _of_slot(spec: ti.template(), value: ti.template(), slot):
+    """The vector (dim,) at a slot out of that of its pack."""
     if ti.static(spec.lanes == 1):
-        return jump
+        return value
     else:
-        return vector_of_lane(jump, slot % spec.lanes)
+        return vector_of_lane(value, slot % spec.lanes)
 
 
 @ti.func
@@ -333,7 +357,7 @@ def bounce(u_before, u, part, e, position_weight: ti.template(), dt):
     lift = (1.0 - part) * dt * (0.5 * rest - e * met)
     if new_u <= 0.0 or lift < 0.0:
         new_u, lift = ti.max(u, 0.0), 0.0 * lift
-    return new_u, lift
+    return ti.max(new_u, u), lift  # a surface only pushes: what a wall has turned away leaves so
 
 
 @ti.func
