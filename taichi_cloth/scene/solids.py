@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 ROUNDING = 1e-6  # of a particle's coordinates: a depth at the start that f32 may make of none
 PUSHES = 64  # by which a particle that begins inside finds a place outside of all obstacles
 SHARP = 2.0  # sides: what is rounder is at most a 23rd of its radius inside an unstretched one
+THROUGH = 0.25  # of its side: what a triangle is inside by then that goes through an obstacle
 STUCK = 0.01  # of its radius or depth: what it may then be inside, where pushes converge slowly
 
 
@@ -206,12 +207,13 @@ class Inside:
     """Which free particles begin inside a solid: all of them, (k,), in ascending order.
 
     solid: (k,) the name of the one in which each is deepest. stuck: those of them that are inside
-    of some solid wherever they are pushed.
+    of some solid wherever they are pushed. pushed: (k, dim), where that leaves them.
     """
 
     particles: np.ndarray
     solid: list[str]
     stuck: np.ndarray
+    pushed: np.ndarray
 
 
 def inside_at_start(scene: Scene, solids: Sequence[Solid]) -> Inside:
@@ -227,16 +229,50 @@ def inside_at_start(scene: Scene, solids: Sequence[Solid]) -> Inside:
     depth = deep(x, radius)
     found = np.flatnonzero((depth > allowed).any(axis=0) & ~particles.fixed)
     deepest = depth[:, found].argmax(axis=0) if len(found) else np.zeros(0, np.int64)
-    x, radius = x[found], radius[found]
-    for _ in range(PUSHES if len(found) else 0):
-        for solid in solids:
-            distance, normal = solid.distances(x, 0.0)
-            x -= np.minimum(distance - radius, 0.0)[:, None] * normal
+    radius = radius[found]
+    x = _pushed_out(x[found], radius, solids)
     left = deep(x, radius).max(axis=0, initial=0.0)
     stuck = found[
         left > allowed[found] + STUCK * np.maximum(depth[:, found].max(axis=0, initial=0.0), radius)
     ]
-    return Inside(found, [solids[s].name for s in deepest], stuck)
+    return Inside(found, [solids[s].name for s in deepest], stuck, x)
+
+
+def _pushed_out(x: np.ndarray, radius: np.ndarray, solids: Sequence[Solid]) -> np.ndarray:
+    """Where balls of radius (n,) at x (n, dim) are once all solids, by turns, have pushed them."""
+    x = x.copy()
+    for _ in range(PUSHES if len(x) else 0):
+        for solid in solids:
+            distance, normal = solid.distances(x, 0.0)
+            x -= np.minimum(distance - radius, 0.0)[:, None] * normal
+    return x
+
+
+def through_at_start(scene: Scene, solids: Sequence[Solid]) -> np.ndarray:
+    """Which of a scene's `elements` go through a sharp solid once their corners are pushed out of
+    where they begin, (m,) bool: these are then on several of its sides.
+
+    No push would take such a face out: pushes would go on for ever, and throw the cloth. What is
+    less deep in it than THROUGH of its longest side, as on an edge, is none of them, and what has a
+    fixed corner neither.
+    """
+    elements, start = scene.elements, scene.particles.position
+    through, is_inside = np.zeros(len(elements), bool), np.zeros(len(start), bool)
+    sharp = [solid for solid in solids if solid.name in met_by_faces(scene, solids)]
+    if not sharp:
+        return through
+    inside, x = inside_at_start(scene, solids), start.copy()
+    x[inside.particles], is_inside[inside.particles] = inside.pushed, True
+    asked = is_inside[elements].any(axis=1) & ~scene.particles.fixed[elements].any(axis=1)
+    began, corners = start[elements[asked]], x[elements[asked]]
+    side = np.linalg.norm(began - np.roll(began, 1, axis=1), axis=2).max(axis=1, initial=0.0)
+    depth = np.full(len(corners), -np.inf)
+    for shares in ((1, 1, 1), (1, 1, 0), (0, 1, 1), (1, 0, 1)):
+        point = np.einsum("k,mkd->md", np.array(shares) / sum(shares), corners)
+        for solid in sharp:
+            depth = np.maximum(depth, -1.0 * solid.distances(point, 0.0)[0])
+    through[asked] = depth > THROUGH * side
+    return through
 
 
 def depths(solids: Sequence[Solid], x: np.ndarray, radius: np.ndarray, time: float) -> np.ndarray:
