@@ -258,10 +258,13 @@ def through_at_start(scene: Scene, solids: Sequence[Solid]) -> np.ndarray:
     """
     elements, start = scene.elements, scene.particles.position
     through, is_inside = np.zeros(len(elements), bool), np.zeros(len(start), bool)
-    sharp = [solid for solid in solids if solid.name in met_by_faces(scene, solids)]
+    inside, x = inside_at_start(scene, solids), start.copy()
+    if not len(inside.particles):
+        return through
+    met = met_by_faces(scene, solids)
+    sharp = [solid for solid in solids if solid.name in met]
     if not sharp:
         return through
-    inside, x = inside_at_start(scene, solids), start.copy()
     x[inside.particles], is_inside[inside.particles] = inside.pushed, True
     asked = is_inside[elements].any(axis=1) & ~scene.particles.fixed[elements].any(axis=1)
     began, corners = start[elements[asked]], x[elements[asked]]
