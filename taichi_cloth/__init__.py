@@ -16,6 +16,12 @@ from taichi_cloth.version import __version__
 # be quick if more comes: 2**4 ticks of the clock have to do. It reads this once NumPy is imported.
 os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
 
+# Services and containers may name no home, and users there may have none: Taichi ends the process
+# then, while it is imported.
+if os.name == "posix":
+    _home = os.path.expanduser("~")
+    os.environ.setdefault("HOME", _home if os.path.isabs(_home) else os.sep)
+
 # Public name: (module, name in it; None: the module itself). `__init__.pyi` tells type checkers.
 _HOMES = {
     "InputError": ("errors", "InputError"),

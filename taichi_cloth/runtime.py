@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import ctypes.util
 import gc
 import io
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import weakref
@@ -81,6 +84,7 @@ _start: _Start | None = None  # the last one
 # Connections to X servers by name, never closed: a server whose only client leaves starts anew,
 # and a window that opens meanwhile would fail.
 _displays: dict[str, int] = {}
+_passing_caches: list[str] = []  # the folder of `_passing_cache`, once it is needed
 
 
 def available_cores() -> int:
@@ -262,6 +266,7 @@ def _initialize(
             cpu_max_num_threads=threads,
             fast_math=fast_math,
             **({} if cache else {"offline_cache": False}),
+            **_cache_that_works(),
             # LLVM does the same again: without it kernels are as fast, and compile in a third of
             # the time.
             cfg_optimization=False,
@@ -281,6 +286,37 @@ def _initialize(
     if arch == "cpu":
         _pin(sorted(_own_threads() - before)[-threads:], threads)
     return ti.cfg.arch in ((ti.x64, ti.arm64) if arch == "cpu" else (getattr(ti, arch),))
+
+
+def _cache_that_works() -> dict[str, str]:
+    """A folder for compiled kernels, where Taichi's own one cannot be made, or not be read.
+
+    It makes and reads that also where it is to keep none, and ends the process where it cannot
+    (1.7.4), as in a home of somebody else.
+    """
+    from taichi.lang import impl
+
+    named = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH")
+    folder = named or impl.default_cfg().offline_cache_file_path
+    with contextlib.suppress(OSError):
+        os.makedirs(folder, exist_ok=True)
+    if os.path.isdir(folder) and os.access(folder, os.R_OK | os.X_OK):
+        return {}
+    return {"offline_cache_file_path": _passing_cache()}
+
+
+def _passing_cache() -> str:
+    """A folder for compiled kernels that is there as long as this process."""
+    if not _passing_caches:
+        _passing_caches.append(tempfile.mkdtemp(prefix="taichi-cloth-kernels-"))
+        atexit.register(_remove_caches)
+    return _passing_caches[0]
+
+
+def _remove_caches() -> None:
+    stop()  # Taichi writes to it at its end
+    for folder in _passing_caches:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _block_size(arch: str) -> dict[str, int]:
@@ -333,6 +369,12 @@ def kernel_cache() -> Path:
     from taichi.lang import impl
 
     return Path(impl.default_cfg().offline_cache_file_path)
+
+
+def keeps_kernels() -> bool:
+    """Whether later processes find what this one compiles, since `start`."""
+    folder = str(kernel_cache())
+    return folder not in _passing_caches and os.access(folder, os.W_OK)
 
 
 def compilation_time() -> float:

@@ -648,6 +648,20 @@ def test_streams_that_are_closed_from_the_start_are_no_error(tmp_path, streams):
     assert subprocess.run(["sh", "-c", line], capture_output=True).returncode == 2
 
 
+@pytest.mark.skipif(os.name == "nt", reason="homes of a POSIX system")
+@pytest.mark.parametrize("home", [None, f"{os.devnull}/home"])
+def test_a_home_that_is_none_is_no_error(tmp_path, home):
+    """Taichi makes a folder there: it ended the process where it could not, or knew of no home."""
+    away = ("HOME", "XDG_CACHE_HOME", "TI_OFFLINE_CACHE_FILE_PATH")
+    env = {name: value for name, value in os.environ.items() if name not in away}
+    env |= {"TMPDIR": str(tmp_path), **({"HOME": home} if home else {})}
+    words = ["run", "oscillator", *ON_GRAPH, "--frames", "2", "--headless"]
+    done = subprocess.run([*PROGRAM, *words], env=env, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.splitlines()[1].startswith("2 frames")
+    assert after_start(done.stderr) == "" and list(tmp_path.iterdir()) == []
+    assert not home or "there is no cache to keep them" in done.stderr
+
+
 def test_an_unusable_backend_is_refused_with_those_that_are(tmp_path):
     arch = "metal" if sys.platform != "darwin" else "cuda"
     out, error = command("run", "--arch", arch, "--headless", "--save", tmp_path / "x", check=2)

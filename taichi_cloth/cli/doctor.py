@@ -8,7 +8,6 @@ import platform
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taichi_cloth import console, runtime, vulkan
@@ -136,10 +135,7 @@ def _cache_folders() -> Iterator[Finding]:
         ("cache of compiled kernels", runtime.kernel_cache()),
         ("cache of measured speeds", autotune.cache_file().parent),
     ):
-        there = folder if folder.exists() else _first_existing(folder)
+        # `Path.exists` ends with an error in a folder of somebody else.
+        there = next((p for p in (folder, *folder.parents) if os.path.exists(p)), folder)
         writable = os.access(there, os.W_OK)
         yield Finding(name, f"{folder}" + ("" if writable else " needs to be writable"), writable)
-
-
-def _first_existing(folder: Path) -> Path:
-    return next(parent for parent in folder.parents if parent.exists())

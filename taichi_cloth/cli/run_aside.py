@@ -70,6 +70,8 @@ def _compiler(sim: Simulation, options: RunOptions) -> Compiler | None:
     """What compiles for runs like this one; None: nothing does."""
     from taichi_cloth.simulation import aside
 
+    if not runtime.keeps_kernels():
+        return None
     faster = _faster(sim, options)
     if faster is None or aside.tried(faster.what).failed >= aside.TRIES:
         return None

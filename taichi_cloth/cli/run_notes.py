@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy
 
+from taichi_cloth import runtime
 from taichi_cloth.errors import InputError, RunFailure, counted, printable
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.scene.model import Scene
@@ -43,7 +44,8 @@ def compiling(scene: Scene, options: RunOptions) -> Callable[[], None] | None:
         return None
     touches = scene.obstacles or scene.features().resting
     takes = "up to half a minute" if touches else "some seconds"
-    lines = [f"compiling kernels for this run: {takes}, once; later runs find them"]
+    later = "later runs find them" if runtime.keeps_kernels() else "there is no cache to keep them"
+    lines = [f"compiling kernels for this run: {takes}, once; {later}"]
 
     def tell() -> None:
         while lines:
