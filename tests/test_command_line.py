@@ -606,6 +606,36 @@ def test_an_interrupted_run_keeps_its_files(tmp_path, number, status):
     assert sorted(p.name for p in tmp_path.glob("a.*")) == ["a.html", "a.jsonl", "a.npz"]
 
 
+@pytest.mark.skipif(os.name == "nt", reason="sends itself POSIX signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "meets",
+    [
+        "exec('signal.raise_signal(number)')",  # as in the standard library's named tuples
+        "try: signal.raise_signal(number)\n"
+        "    except BaseException as e: raise ImportError('initialization failed') from e",
+    ],
+)
+def test_an_interrupt_of_what_is_being_imported_is_one(tmp_path, number, meets):
+    """Python ended by SIGINT after the first; of the second, NumPy's, there was a traceback."""
+    (tmp_path / "interrupted.py").write_text(
+        "import signal, sys\n"
+        "from taichi_cloth.cli import listing, main\n"
+        f"def interrupted(number={int(number)}):\n"
+        f"    {meets}\n"
+        "listing.main = interrupted\n"
+        "sys.exit(main.main(['list']))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "interrupted"],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, sys.path)])},
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
+    )
+    assert (done.returncode, done.stderr) == (128 + number, "taichi-cloth: interrupted\n")
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("full", ["save", "record", "image", "video"])
 def test_a_full_disk_ends_in_one_line_and_spoils_no_other_file(tmp_path, full):

@@ -48,8 +48,17 @@ OWN_WORDS = {"bench": "taichi_cloth.cli.bench", "compare": "taichi_cloth.cli.com
 PLAIN_COMMANDS = {"list": "taichi_cloth.cli.listing", "doctor": "taichi_cloth.cli.doctor"}
 
 
-# Signals that end a run as Ctrl-C does; of a terminal that is closed, where there are such.
-_ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+# Signals that end a run as Ctrl-C does, and that one; of a terminal that is closed, where there are
+# such.
+_ENDING = [
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+]
+
+
+class _Ended(KeyboardInterrupt):
+    """One of these signals came. Of a plain one that meets an `exec`, as libraries have it, Python
+    keeps that it has to end by SIGINT, whatever it is told later.
+    """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -76,9 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _say_error(str(error))
         return error.exit_status
     except KeyboardInterrupt as interrupt:
-        print(f"{PROGRAM}: interrupted", file=sys.stderr)
-        number = interrupt.args[0] if interrupt.args else signal.SIGINT
-        return 128 + int(number)
+        return _interrupted(interrupt)
     except BrokenPipeError:
         # The reader went away (`| head`). Python would complain once more at exit.
         _abandon_output()
@@ -89,6 +96,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with contextlib.suppress(OSError):
             _abandon_output()
         return 3
+    except Exception as error:
+        # While a library's compiled part is imported, an interrupt comes as that one's failure.
+        if (behind := _interrupt_behind(error)) is None:
+            raise
+        return _interrupted(behind)
 
 
 def _open_closed_streams() -> None:
@@ -114,8 +126,22 @@ def _abandon_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def _interrupted(interrupt: KeyboardInterrupt) -> int:
+    """Say that it was; the exit status."""
+    with contextlib.suppress(OSError):
+        print(f"{PROGRAM}: interrupted", file=sys.stderr)
+    return 128 + int(interrupt.args[0] if interrupt.args else signal.SIGINT)
+
+
+def _interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
+    """The interrupt from which an error follows, if one does."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error
+
+
 def _interrupt(number: int, _: object) -> NoReturn:
-    raise KeyboardInterrupt(number)
+    raise _Ended(number)
 
 
 def _dispatch(arguments: Sequence[str]) -> int:
