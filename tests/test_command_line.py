@@ -23,7 +23,7 @@ from taichi_cloth.cli.main import main
 from taichi_cloth.comparison.compare import compare
 from taichi_cloth.errors import InputError, RunFailure
 from taichi_cloth.files import trajectory as trajectories
-from taichi_cloth.files.pending import write_whole
+from taichi_cloth.files.pending import PendingFile, write_whole
 from taichi_cloth.kernels import methods
 from taichi_cloth.scene import checks, library
 from taichi_cloth.scene.source import SceneSource
@@ -763,3 +763,37 @@ def test_a_link_and_a_device_are_written_through(tmp_path):
     if os.path.exists(os.devnull) and os.name == "posix":
         trajectories.Trajectory(os.devnull).save()
         assert not os.path.isfile(os.devnull)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links and permissions of a POSIX system")
+def test_a_file_that_is_replaced_keeps_its_permissions(tmp_path):
+    write_whole(tmp_path / "own", b"before")
+    (tmp_path / "own").chmod(0o600)
+    write_whole(tmp_path / "own", b"after")
+    assert (tmp_path / "own").read_bytes() == b"after"
+    assert (tmp_path / "own").stat().st_mode & 0o777 == 0o600
+
+
+def test_what_cannot_get_its_name_at_the_end_is_kept(tmp_path):
+    """As where the file is one of a container's mounts: it was lost with the run that made it."""
+    pending = PendingFile(tmp_path / "a")
+    pending.write(b"all of it")
+    (tmp_path / "a").mkdir()
+    with pytest.raises(InputError, match="a: cannot be written: .*; all of it is in ") as refused:
+        pending.commit()
+    pending.discard()
+    kept = Path(str(refused.value).rpartition(" in ")[2])
+    assert kept.parent == tmp_path and kept.read_bytes() == b"all of it"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links of a POSIX system")
+def test_what_cannot_be_written_is_said_of_the_file_that_a_link_names(tmp_path):
+    (tmp_path / "link").symlink_to("lacking/a")
+    with pytest.raises(InputError, match=rf"link: .* no folder '{tmp_path / 'lacking'}'"):
+        PendingFile(tmp_path / "link")
+
+
+def test_a_name_that_the_system_refuses_is_refused(cli):
+    """As in a folder that the user may not look into, it was status 3, of no word of writing."""
+    out, err = cli("run", "oscillator", "--headless", "--save", "a" * 300, check=2)
+    assert out == "" and "aaa: cannot be written: " in err

@@ -222,7 +222,7 @@ def _folder(keep: str | None) -> Iterator[Path]:
                 f"--keep {keep}: '{name}' is there already, and would be written over; name "
                 "another folder"
             )
-    there = folder.exists()
+    there = os.path.exists(folder)
     make_folder("--keep", folder)
     try:
         yield folder

@@ -6,6 +6,7 @@ import contextlib
 import errno
 import os
 import shutil
+import stat
 import tempfile
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -36,23 +37,25 @@ class PendingFile:
                 self._target = self.path
             if self._target.is_dir():
                 raise IsADirectoryError
-            if self._target.exists() and not os.access(self._target, os.W_OK):
-                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-            if self._target.exists() and not self._target.is_file():
-                self.file: BinaryIO = tempfile.TemporaryFile()  # noqa: SIM115
-                return
-            # Beside the target, so that both are on one disk and the last step is one renaming.
-            handle, self._temporary = tempfile.mkstemp(
-                prefix=f"{self._target.name}.", suffix=".part", dir=self._target.parent
-            )
+            if self._target.exists():
+                _refuse_kept(self._target)
+            if not is_device(self._target):
+                # Beside the target, so that both are on one disk and the last step is one renaming.
+                handle, self._temporary = tempfile.mkstemp(
+                    prefix=f"{self._target.name}.", suffix=".part", dir=self._target.parent
+                )
         except IsADirectoryError:
             raise InputError(f"{self.path}: is a folder; name a file in it") from None
         except FileNotFoundError:
+            of = self._target if self.path.is_symlink() else self.path
             raise InputError(
-                f"{self.path}: cannot be written: there is no folder '{self.path.parent}'"
+                f"{self.path}: cannot be written: there is no folder '{of.parent}'"
             ) from None
         except (OSError, ValueError) as error:
             raise refusal(self.path, error) from None
+        if self._temporary is None:
+            self.file: BinaryIO = _nameless(self.path)
+            return
         self.file = os.fdopen(handle, "w+b")
         self._forgotten = weakref.finalize(self, _remove, self.file, self._temporary, os.getpid())
 
@@ -77,13 +80,18 @@ class PendingFile:
                 return
             self.file.flush()
             self.file.close()
-            # Temporary files are private; this one gets what any new file would get.
-            os.chmod(self._temporary, 0o666 & ~creation_mask())
-            os.replace(self._temporary, self._target)
-            self._forgotten.detach()
         except OSError as error:
             self.discard()
             raise refusal(self.path, error) from None
+        with contextlib.suppress(OSError):  # not every kind of disk has them
+            os.chmod(self._temporary, _permissions(self._target))
+        try:
+            os.replace(self._temporary, self._target)
+        except OSError as error:  # the target became a folder, or is one of a container's mounts
+            self._forgotten.detach()
+            reason = f"{error.strerror}; all of it is in {self._temporary}"
+            raise InputError(f"{self.path}: cannot be written: {reason}") from None
+        self._forgotten.detach()
 
     def fill(self, write: Callable[[BinaryIO], object]) -> None:
         """Let `write` write the file, then commit; a disk that is full raises InputError."""
@@ -116,6 +124,38 @@ def _remove(file: BinaryIO, path: str, process: int) -> None:
         os.unlink(path)
 
 
+def _refuse_kept(target: Path) -> None:
+    """Raise PermissionError where a file that is there is not to be replaced by this user."""
+    if not os.access(target, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    if is_device(target) or not hasattr(os, "geteuid"):
+        return
+    # In a folder such as /tmp nobody replaces files of others, also such that all may write to.
+    folder = target.parent.stat()
+    may = os.geteuid() in (0, target.stat().st_uid, folder.st_uid)
+    if folder.st_mode & stat.S_ISVTX and not may:
+        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+
+def _nameless(path: Path) -> BinaryIO:
+    """A temporary file for what `path` is to get; InputError where no folder takes one."""
+    try:
+        return tempfile.TemporaryFile()
+    except OSError as error:
+        raise refusal(path, error) from None
+
+
+def _permissions(target: Path) -> int:
+    """Those that a file written there gets: what the one has that it replaces, else a new file's.
+
+    Temporary files are private.
+    """
+    try:
+        return stat.S_IMODE(target.stat().st_mode)
+    except OSError:
+        return 0o666 & ~creation_mask()
+
+
 def refusal(path: str | os.PathLike[str], error: Exception) -> InputError:
     """What to raise where a path cannot be written, with the system's reason."""
     reason = getattr(error, "strerror", None) or error
@@ -131,7 +171,11 @@ def creation_mask() -> int:
 
 def is_device(path: Path) -> bool:
     """Whether it is neither a file nor a folder, such as /dev/null: it takes all that comes."""
-    return path.exists() and not (path.is_file() or path.is_dir())
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):  # what cannot be looked at is refused where it is written
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
 def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
@@ -159,7 +203,7 @@ def write_all(contents: Mapping[Path, bytes]) -> None:
 @contextlib.contextmanager
 def folder_of_results(folder: Path, names: Iterable[str]) -> Iterator[None]:
     """A folder that `prepare_folder` made, for as long as the context lasts; empty, it goes."""
-    there = folder.exists()
+    there = os.path.exists(folder)
     try:
         prepare_folder(folder, names)
         yield

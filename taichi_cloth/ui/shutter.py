@@ -130,7 +130,7 @@ class Shutter:
         number = 1
         while True:
             path = (folder / f"{self._name}-{number}{kind}").absolute()
-            if not path.exists() and not any(folder.glob(f"{path.name}.*.part")):
+            if not os.path.exists(path) and not any(folder.glob(f"{path.name}.*.part")):
                 return path
             number += 1
 

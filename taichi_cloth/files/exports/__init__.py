@@ -7,6 +7,7 @@ path says it by its suffix. Each file appears whole or not at all.
 from __future__ import annotations
 
 import operator
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -102,7 +103,7 @@ class Export:
 def open_export(path: Path, clock: Clock) -> Writer:
     """The writer of the format that a path names. Raises InputError where there is none."""
     suffix = path.suffix.lower()
-    if path.is_dir() or not suffix:
+    if os.path.isdir(path) or not suffix:
         return sequence.Sequence(path / "frame.ply", clock)
     if suffix not in WRITERS:
         hint = nearest(suffix, WRITERS)

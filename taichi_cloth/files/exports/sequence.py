@@ -33,12 +33,12 @@ class Sequence:
         self._text = {".ply": ply, ".obj": obj}[path.suffix.lower()]
         folder = Path(os.path.realpath(path.parent))
         self._target, self._done = folder, False
-        if folder.exists() and not folder.is_dir():
+        if os.path.exists(folder) and not os.path.isdir(folder):
             raise InputError(f"--export {path}: '{path.parent}' is a file, not a folder")
-        if folder.is_dir() and not os.access(folder, os.W_OK):
+        if os.path.isdir(folder) and not os.access(folder, os.W_OK):
             self._refuse(PermissionError(13, os.strerror(13)))
         # Inside a folder that there is, which may stand in one that cannot be written to.
-        beside = folder if folder.is_dir() else folder.parent
+        beside = folder if os.path.isdir(folder) else folder.parent
         try:
             self._folder = Path(
                 tempfile.mkdtemp(prefix=f"{path.stem}.", suffix=".part", dir=beside)
@@ -74,7 +74,8 @@ class Sequence:
         try:
             written = sorted(self._folder.iterdir())
             if not self._target.is_dir() and written:
-                os.chmod(self._folder, 0o777 & ~creation_mask())
+                with contextlib.suppress(OSError):  # not every kind of disk has permissions
+                    os.chmod(self._folder, 0o777 & ~creation_mask())
                 os.rename(self._folder, self._target)
             elif written:
                 new = {file.name for file in written}
