@@ -54,7 +54,9 @@ def draw(found: Comparison, kind: str) -> bytes:
     low = max(min(seen.min(initial=limit), limit) / 3, LEAST)
     top = 2 * max(seen.max(initial=limit), limit)
     top *= (top / low) ** 0.3  # room for words
-    axes.set(yscale="log", ylim=(low, top))
+    # In this order: a scale alone would first fit what there is, of the same bits a single value.
+    axes.set_ylim(low, top)
+    axes.set_yscale("log")
     span = (min(0.0, float(found.time[0])), float(found.time[-1]))
     axes.set_xlim(*span)
     axes.set_xlabel("time (the scene's)")

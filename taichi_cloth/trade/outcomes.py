@@ -18,7 +18,10 @@ REFUSED = "InputError: "  # how a worker says that
 UNTIMED = "no time came from "  # how a study says so of the machine that is timed alone
 # How one says that the machine was at fault, and not the setting: a full disk, a killed process.
 LOST = (ENDED, UNTIMED, "OSError: ", "MemoryError: ")
-LOST_REMEDY = "see that there is memory, and room for temporary files (TMPDIR), and start again"
+LOST_REMEDY = (
+    "see that there is memory, and room for temporary files (TMPDIR) and in the folder of "
+    "--output, and start again"
+)
 UNTIMED_REMEDY = "see that the scheduler and a worker there answer, and --resume"
 
 
