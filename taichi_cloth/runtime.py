@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from taichi_cloth import vulkan
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, RunFailure
 from taichi_cloth.front_end import mending
 from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import ARCHS, PRECISIONS, default_fast_math
@@ -194,7 +194,8 @@ def start(
     can do, is for the thread that called `start`: others, which may call the rest, get InputError.
 
     Raises InputError where the backend or precision is unknown or not usable here (it is never
-    replaced by another one), and for compensated sums with fast_math.
+    replaced by another one), and for compensated sums with fast_math. RunFailure where the system
+    refuses the memory, or the threads.
     """
     accepted.word("--arch", arch, ARCHS)
     accepted.word("--precision", precision, PRECISIONS)
@@ -222,7 +223,15 @@ def start(
     global _device, _start
     # From here on what was made before is gone: to give it back would be to take what comes.
     _device = None
-    if not _initialize(arch, precision, threads, fast_math, cache):
+    try:
+        started = _initialize(arch, precision, threads, fast_math, cache)
+    except RuntimeError as error:  # Taichi's, with where in its source
+        why = " ".join(str(error).rpartition("] ")[2].split()).rstrip(".")
+        raise RunFailure(
+            f"--arch {arch}: Taichi cannot start: {why}; see that this process may have more "
+            f"memory (ulimit -v), and {threads} more threads (ulimit -u)"
+        ) from None
+    if not started:
         usable = [name for name, lack in usable_backends().items() if lack is None]
         raise InputError(
             f"--arch {arch}: not usable here (it needs {_need(arch)}); usable: {', '.join(usable)}"

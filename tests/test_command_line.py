@@ -692,6 +692,42 @@ def test_a_home_that_is_none_is_no_error(tmp_path, home):
     assert not home or "there is no cache to keep them" in done.stderr
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits as Linux has them")
+@pytest.mark.parametrize(
+    ("most", "words", "says"),
+    [
+        (10**9, ["oscillator"], "Taichi cannot start: Virtual memory allocation"),
+        (2 * 10**9, ["net", "--side", "2048"], "there is not enough memory (Unable to allocate"),
+    ],
+)
+def test_memory_that_the_system_refuses_ends_in_one_line(most, words, says):
+    import resource
+
+    done = subprocess.run(
+        [*PROGRAM, "run", *words, "--headless", "--frames", "1"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (most, most)),
+    )
+    assert (done.returncode, done.stdout.strip()) == (3, "")
+    assert says in done.stderr and done.stderr.strip().count("\n") == 0
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here")
+def test_an_error_that_cannot_be_told_has_its_status():
+    """Python tries once more at exit what it has not written, and ended with 120 then."""
+    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([*PROGRAM, "--version"], stdout=full, stderr=full, env=buffered)
+        assert done.returncode == 3
+        note = "from taichi_cloth.cli import listing, main, run_notes\nimport sys\n"
+        note += "listing.main = lambda: run_notes.say('it takes a while') or 0\n"
+        note += "sys.exit(main.main(['list']))"
+        done = subprocess.run([sys.executable, "-c", note], stderr=full, env=buffered)
+        assert done.returncode == 0
+
+
 def test_an_unusable_backend_is_refused_with_those_that_are(tmp_path):
     arch = "metal" if sys.platform != "darwin" else "cuda"
     out, error = command("run", "--arch", arch, "--headless", "--save", tmp_path / "x", check=2)

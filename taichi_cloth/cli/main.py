@@ -13,7 +13,7 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import NoReturn, TextIO
 
 from taichi_cloth import imports
 from taichi_cloth.errors import InputError, RunFailure, nearest
@@ -88,19 +88,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _interrupted(interrupt)
     except BrokenPipeError:
         # The reader went away (`| head`). Python would complain once more at exit.
-        _abandon_output()
+        _abandon(sys.stdout)
         return 141
     except OSError as error:  # a full disk, mostly
         where = error.filename or "standard output, a file or a temporary one (TMPDIR)"
         _say_error(f"{where}: {error.strerror or error}")
         with contextlib.suppress(OSError):
-            _abandon_output()
+            _abandon(sys.stdout)
         return 3
     except Exception as error:
         # While a library's compiled part is imported, an interrupt comes as that one's failure.
-        if (behind := _interrupt_behind(error)) is None:
+        if (behind := _interrupt_behind(error)) is not None:
+            return _interrupted(behind)
+        if not _lacks_memory(error):
             raise
-        return _interrupted(behind)
+        _say_error(f"there is not enough memory ({error}); take fewer particles, or less beside it")
+        return 3
+    finally:
+        try:
+            sys.stderr.flush()
+        except OSError:  # what could not be said there changes no status
+            with contextlib.suppress(OSError):
+                _abandon(sys.stderr)
 
 
 def _open_closed_streams() -> None:
@@ -121,9 +130,16 @@ def _say_error(text: str) -> None:
         print(f"{PROGRAM}: error: {' '.join(text.split())}", file=sys.stderr, flush=True)
 
 
-def _abandon_output() -> None:
-    """Let what could not be written go; Python would complain once more at exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def _abandon(stream: TextIO) -> None:
+    """Let go what could not be written to a stream; Python would complain once more at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def _lacks_memory(error: Exception) -> bool:
+    """Whether the system refused memory, to Python or to Taichi, which has an error for all."""
+    words = "memory allocation", "out of memory", "OUT_OF_MEMORY"
+    of_taichi = isinstance(error, RuntimeError) and any(word in str(error) for word in words)
+    return isinstance(error, MemoryError) or of_taichi
 
 
 def _interrupted(interrupt: KeyboardInterrupt) -> int:

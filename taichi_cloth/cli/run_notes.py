@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 import sys
 from collections.abc import Callable, Mapping
@@ -32,8 +33,9 @@ MOST_NOTES = 4  # sentences on spheres wider than the thickness, before a run
 
 
 def say(text: str) -> None:
-    """Say something on standard error, in a line."""
-    print(f"{PROGRAM}: {text}", file=sys.stderr, flush=True)
+    """Say something on standard error, in a line; where nothing can be said, the run goes on."""
+    with contextlib.suppress(OSError):
+        print(f"{PROGRAM}: {text}", file=sys.stderr, flush=True)
 
 
 def compiling(scene: Scene, options: RunOptions) -> Callable[[], None] | None:
