@@ -714,6 +714,13 @@ def test_memory_that_the_system_refuses_ends_in_one_line(most, words, says):
     assert says in done.stderr and done.stderr.strip().count("\n") == 0
 
 
+@pytest.mark.skipif(os.name == "nt", reason="removes a folder that is in use")
+def test_a_current_folder_that_was_removed_is_named(tmp_path):
+    line = f"mkdir gone; cd gone; rmdir ../gone; {shlex.join([*PROGRAM, 'run', '--headless'])}"
+    done = subprocess.run(["sh", "-c", line], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 3 and "error: the current folder, which was removed" in done.stderr
+
+
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here")
 def test_an_error_that_cannot_be_told_has_its_status():
     """Python tries once more at exit what it has not written, and ended with 120 then."""
@@ -827,6 +834,14 @@ def test_what_cannot_be_written_is_said_of_the_file_that_a_link_names(tmp_path):
     (tmp_path / "link").symlink_to("lacking/a")
     with pytest.raises(InputError, match=rf"link: .* no folder '{tmp_path / 'lacking'}'"):
         PendingFile(tmp_path / "link")
+
+
+def test_a_name_that_is_none_is_refused():
+    with pytest.raises(InputError, match="a.x00: cannot be written: embedded null"):
+        PendingFile("a\0")
+    if Path("/proc/self").exists():
+        with pytest.raises(InputError, match="^/proc/a: cannot be written: No such file"):
+            PendingFile("/proc/a")
 
 
 def test_a_name_that_the_system_refuses_is_refused(cli):

@@ -91,8 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _abandon(sys.stdout)
         return 141
     except OSError as error:  # a full disk, mostly
-        where = error.filename or "standard output, a file or a temporary one (TMPDIR)"
-        _say_error(f"{where}: {error.strerror or error}")
+        _say_error(f"{error.filename or _somewhere()}: {error.strerror or error}")
         with contextlib.suppress(OSError):
             _abandon(sys.stdout)
         return 3
@@ -128,6 +127,15 @@ def _say_error(text: str) -> None:
     """One line on standard error, if that can be written to."""
     with contextlib.suppress(OSError):
         print(f"{PROGRAM}: error: {' '.join(text.split())}", file=sys.stderr, flush=True)
+
+
+def _somewhere() -> str:
+    """Where an error of the system may have been that does not say it."""
+    try:
+        os.getcwd()
+    except OSError:
+        return "the current folder, which was removed; change to another one"
+    return "standard output, a file or a temporary one (TMPDIR)"
 
 
 def _abandon(stream: TextIO) -> None:

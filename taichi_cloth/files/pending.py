@@ -26,15 +26,14 @@ class PendingFile:
     """
 
     def __init__(self, path: str | os.PathLike[str]):
-        self.path = Path(path)
-        # What a link points to is replaced, not the link.
-        self._target = Path(os.path.realpath(self.path))
+        self.path = self._target = Path(path)
         # None for a device or a pipe, such as /dev/null: that is written to at the end, and never
         # replaced.
         self._temporary: str | None = None
         try:
-            if is_device(self.path):  # a pipe's link, such as /dev/stdout, names nothing
-                self._target = self.path
+            if not is_device(self.path):  # a pipe's link, such as /dev/stdout, names nothing
+                # What a link points to is replaced, not the link.
+                self._target = Path(os.path.realpath(self.path))
             if self._target.is_dir():
                 raise IsADirectoryError
             if self._target.exists():
@@ -46,8 +45,10 @@ class PendingFile:
                 )
         except IsADirectoryError:
             raise InputError(f"{self.path}: is a folder; name a file in it") from None
-        except FileNotFoundError:
+        except FileNotFoundError as error:
             of = self._target if self.path.is_symlink() else self.path
+            if of.parent.is_dir():  # as /proc is, in which nobody makes files
+                raise refusal(self.path, error) from None
             raise InputError(
                 f"{self.path}: cannot be written: there is no folder '{of.parent}'"
             ) from None
