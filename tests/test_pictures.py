@@ -1,8 +1,10 @@
 """Pictures and films taken by keys, by Python, and in notebooks: what they hold, where they go."""
 
 import numpy as np
+import pytest
 from PIL import Image
 
+from taichi_cloth.errors import InputError
 from taichi_cloth.scene import library
 from taichi_cloth.ui import app, film
 from taichi_cloth.ui.inputs import Event
@@ -81,3 +83,19 @@ def test_what_cannot_be_saved_is_told_and_ends_nothing(tmp_path, capsys, monkeyp
     there.save()
     assert [path.name for path in tmp_path.iterdir()] == ["a-b-scene-1.gif"]
     assert not capsys.readouterr().out
+
+
+@pytest.mark.skipif(not film.has_ffmpeg(), reason="needs ffmpeg")
+def test_a_film_that_ffmpeg_cannot_write_is_refused_in_one_line(tmp_path, capfd):
+    """ffmpeg said so itself, in up to seven lines, as of a full disk."""
+    made = film.Film(tmp_path / "a.mp4")
+    made._raw.symlink_to("missing/a.mp4")
+
+    def make():
+        for _ in range(5):
+            made.add(np.zeros((64, 64, 3), np.uint8))
+        made.save()
+
+    with pytest.raises(InputError, match="a.mp4: cannot be written: ffmpeg failed"):
+        make()
+    assert capfd.readouterr() == ("", "") and list(tmp_path.iterdir()) == []

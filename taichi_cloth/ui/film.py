@@ -133,7 +133,7 @@ class Film:
         if self._writer is None:
             self._writer = self._imageio.get_writer(
                 self._raw, format="FFMPEG", mode="I", fps=FILM_RATE, codec="libx264", quality=8,
-                macro_block_size=1, ffmpeg_log_level="error",
+                macro_block_size=1, ffmpeg_log_level="quiet",  # `_refuse` says it
             )  # fmt: skip
         # H.264 with the usual colour sampling takes even sizes only.
         h, w = pixels.shape[:2]
