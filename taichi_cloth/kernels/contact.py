@@ -291,7 +291,6 @@ def _held_by_wall(
     into one place flies apart at any speed, by impulses that act at once, and is held.
     """
     low, high = state.low[axis], state.high[axis]
-    bound = high if ti.static(side > 0) else low
     gap = wall_gap(state, x, radius, axis, side)
     new_gap = wall_gap(state, new_x, radius, axis, side)
     vn, new_vn = float(side) * v[axis], float(side) * new_v[axis]
