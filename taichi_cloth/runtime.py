@@ -76,7 +76,7 @@ class _Start(NamedTuple):
 
     program: Callable[[], Any]
     runtime: Callable[[], Any]
-    thread: int
+    thread: Callable[[], threading.Thread | None]
 
 
 _device: Device | None = None
@@ -122,7 +122,7 @@ def _is_ours() -> bool:
 
 def in_its_thread() -> bool:
     """Whether this is the thread that has started Taichi."""
-    return _start is None or threading.get_ident() == _start.thread
+    return _start is None or threading.current_thread() is _start.thread()
 
 
 def refuse_other_threads() -> None:
@@ -239,7 +239,7 @@ def start(
     from taichi.lang import impl
 
     program = weakref.ref(impl.get_runtime().prog)
-    _start = _Start(program, impl.get_runtime, threading.get_ident())
+    _start = _Start(program, impl.get_runtime, weakref.ref(threading.current_thread()))
     multiprocessors = _multiprocessors() if arch == "cuda" else 0
     threads = threads if arch == "cpu" else 1
     _device = Device(arch, precision, threads, fast_math, multiprocessors)

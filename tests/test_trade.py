@@ -701,7 +701,7 @@ def test_what_ends_a_sweep_is_one_line_and_status_3(failure, monkeypatch, capsys
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("taichi_cloth.trade.command.measured", measured)
-    monkeypatch.setattr("taichi_cloth.cli.main._abandon_output", lambda: None)
+    monkeypatch.setattr("taichi_cloth.cli.main._abandon", lambda stream: None)
     for command in (["trade", "oscillator"], ["tune", "oscillator", "--error", "1%"]):
         assert main(command) == 3
         error = capsys.readouterr().err

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 import signal
 import sys
 from collections.abc import Sequence
@@ -53,6 +54,10 @@ PLAIN_COMMANDS = {"list": "taichi_cloth.cli.listing", "doctor": "taichi_cloth.cl
 _ENDING = [
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 ]
+
+
+# Of Taichi 1.7.4, CUDA and Vulkan.
+_REFUSED_MEMORY = re.compile(r"memory allocation (\(\d+ B\) |has )?failed|OUT_OF_(\w+_)?MEMORY")
 
 
 class _Ended(KeyboardInterrupt):
@@ -145,9 +150,8 @@ def _abandon(stream: TextIO) -> None:
 
 def _lacks_memory(error: Exception) -> bool:
     """Whether the system refused memory, to Python or to Taichi, which has an error for all."""
-    words = "memory allocation", "out of memory", "OUT_OF_MEMORY"
-    of_taichi = isinstance(error, RuntimeError) and any(word in str(error) for word in words)
-    return isinstance(error, MemoryError) or of_taichi
+    of_taichi = isinstance(error, RuntimeError) and _REFUSED_MEMORY.search(str(error))
+    return isinstance(error, MemoryError) or bool(of_taichi)
 
 
 def _interrupted(interrupt: KeyboardInterrupt) -> int:
@@ -158,7 +162,9 @@ def _interrupted(interrupt: KeyboardInterrupt) -> int:
 
 
 def _interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
-    """The interrupt from which an error follows, if one does."""
+    """The interrupt that an import has made an error of, if one has."""
+    if not isinstance(error, (ImportError, SystemError)):
+        return None
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error

@@ -158,15 +158,24 @@ class ErrorMeter(Listener):
             self._open()  # so that the next frame counts, too
 
     def after_frame(self) -> None:
-        """Note a frame; a whole window is handed on, and another one begins."""
+        """Note a frame; a whole window is handed on, and another one begins, once it is told."""
         if self._returned:
             self._follow()
         if self._window is not None:
             self._window.note_frame(self._sim)
-            if self._window.frames >= FRAMES:
-                self._end()
         elif self.busy or self.resting:
             self.skipped += 1
+        if not self._waits:
+            self._turn()
+
+    def between_frames(self) -> None:
+        """Wait for the verdict of a whole window, where the run is to."""
+        if self._waits:
+            self._turn()
+
+    def _turn(self) -> None:
+        if self._window is not None and self._window.frames >= FRAMES:
+            self._end()
         if self._window is None and not (self.busy or self.resting):
             self._open()
 

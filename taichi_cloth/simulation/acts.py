@@ -30,7 +30,10 @@ class Listener:
         """It did not, although this one let it: it, or who was asked after this one, refused."""
 
     def after_frame(self) -> None:
-        """A frame was made, and the state is that of its end."""
+        """A frame was made, and the state is that of its end. An interrupt waits until all know."""
+
+    def between_frames(self) -> None:
+        """All know of the last frame: here is time for what takes long, which interrupts end."""
 
 
 def act(method: Method) -> Method:

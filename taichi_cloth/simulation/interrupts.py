@@ -22,14 +22,15 @@ _NUMBERS = tuple(int(getattr(signal, name)) for name in _NAMES if hasattr(signal
 class HeldBack:
     """While the context lasts, what Python's handlers do for a signal waits for its end.
 
-    A second one of the same kind waits no more: who sends it will not. In threads but the main one
-    there is nothing to do: handlers run in that.
+    A second signal waits no more, be it another one: who sends it will not. In threads but the main
+    one there is nothing to do: handlers run in that.
     """
 
     def __enter__(self) -> None:
+        self._own = self._note  # one object, by which it is known again
         self._handlers: dict[int, Callable[[int, FrameType | None], Any]] = {}
         self._held: list[int] = []  # whose handlers are to be put back
-        self._came: list[int] = []
+        self._came: tuple[int, FrameType | None] | None = None
         if threading.current_thread() is not threading.main_thread():
             return
         try:
@@ -38,29 +39,33 @@ class HeldBack:
                 if callable(handler):
                     self._handlers[number] = handler
                     self._held.append(number)
-                    _signal.signal(number, self._note)
+                    _signal.signal(number, self._own)
         except BaseException:  # of a signal that is not held back yet
             self._put_back()
             raise
 
     def __exit__(self, *error: object) -> None:
         self._put_back()
-        while self._came:
-            number = self._came.pop()
-            self._handlers[number](number, None)
+        if self._came is not None:
+            number, frame = self._came
+            self._handlers[number](number, frame)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
-        if number in self._came:
-            self._handlers[number](number, frame)
+        if self._came is None:
+            self._came = number, frame
         else:
-            self._came.append(number)
+            self._handlers[number](number, frame)
 
     def _put_back(self) -> None:
-        """Have all handlers as they were, also where one of them raises meanwhile."""
+        """Have all handlers as they were, also where one of them raises meanwhile, which it may as
+        soon as it is back. What was set in the context by somebody else stays.
+        """
         try:
             while self._held:
-                number = self._held.pop()
-                _signal.signal(number, self._handlers[number])
+                number = self._held[-1]
+                if _signal.getsignal(number) is self._own:
+                    _signal.signal(number, self._handlers[number])
+                self._held.pop()
         finally:
             if self._held:
                 self._put_back()

@@ -32,7 +32,8 @@ from taichi_cloth.runtime import (
 from taichi_cloth.simulation import compiled
 from taichi_cloth.simulation.prepared import PreparedLaunches, was_launched
 
-# Particles and springs times steps in one launch: some tenths of a second, so that Ctrl-C is heard.
+# Particles and springs times steps in one launch: some tenths of a second, so that Ctrl-C is heard,
+# after a frame, or if it comes twice.
 LAUNCH_WORK = 20_000_000
 # Iterations of a loop in a shader: Mesa's drivers leave one after 65535, and say nothing.
 MOST_ITERATIONS = 65_000

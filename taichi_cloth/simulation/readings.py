@@ -6,14 +6,7 @@ import numpy as np
 
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.penetration import deepest, touches
-from taichi_cloth.scene.solids import (
-    Drawn,
-    Inside,
-    depths,
-    inside_at_start,
-    surface,
-    through_at_start,
-)
+from taichi_cloth.scene.solids import Drawn, Inside, depths, inside_at_start, surface
 from taichi_cloth.scene.spheres import too_near
 from taichi_cloth.settings import accepted
 from taichi_cloth.simulation import diagnostics, sixteen
@@ -183,7 +176,7 @@ class Readings(Part):
     def through_at_start(self) -> int:
         """How many faces and edges begin so far inside a sharp obstacle that its pushes leave them
         through it: there it keeps out their particles alone."""
-        return int(through_at_start(self.storage.scene, self.storage.solids).sum())
+        return int(self.storage.through_at_start().sum())
 
     def unsettled(self) -> int:
         """How many steps ended with resting pairs that overlap by more than a hundredth of their

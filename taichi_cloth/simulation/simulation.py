@@ -116,7 +116,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             lanes = accepted.power_of_two("lanes", lanes, MOST_LANES)
         if follows and substeps != 1:
             raise InputError("--substeps: --dt auto chooses them; give one of the two")
-        self.scene = self._given = validate(scene).seal()
+        self.scene = self._given = validate(scene)
         self.method = method
         refuse_unholdable(scene, current_device().precision)
         step = checked_step(scene.world.dt if dt is None or follows else dt, substeps)
@@ -129,7 +129,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         self._lanes = lanes
         self._engines = {}
         self._launcher = Launcher(self._module, device, compiling, soon)
-        start = Snapshot.at_start(self.scene)
+        start = Snapshot.at_start(self.scene.seal())
         lanes = self._lanes_for(self._module)
         self._storage = Storage(self._module, lanes, self._launcher, start, accounts_contacts)
         self._auto = AutoSubsteps(method, self._module, self.dt) if follows else None
@@ -219,12 +219,15 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
 
         Raises SimulationFailure when a particle is no longer finite or runs away; the state is
         then that of the last good frame, and can be read, drawn and saved. What a signal's handler
-        raises, as KeyboardInterrupt, comes between two frames, from which the run can go on.
+        raises, as KeyboardInterrupt, comes between two frames, from which the run can go on; what a
+        second one raises, at once.
         """
         frames = accepted.whole_number("advance: frames", frames)
         while frames > 0:
             with HeldBack():
                 frames -= self._advance_batch(frames)
+            for listener in self.listeners:
+                listener.between_frames()
 
     def _advance_batch(self, frames: int) -> int:
         """Advance by those of some frames that share a launch; return how many they are."""

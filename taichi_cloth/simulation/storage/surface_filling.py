@@ -9,7 +9,7 @@ import numpy as np
 from taichi_cloth.kernels import poses
 from taichi_cloth.kernels.obstacles import contract
 from taichi_cloth.kernels.transfer import Transfer
-from taichi_cloth.scene.solids import met_by_faces, through_at_start
+from taichi_cloth.scene.solids import met_by_faces
 from taichi_cloth.scene.triangles import corner_shares, springs_of_sides
 from taichi_cloth.simulation.storage.filling import Filling, as_real
 
@@ -28,8 +28,8 @@ class SurfaceFilling(Filling):
 
     def _faces(self) -> None:
         """The triangles that meet obstacles, and that nothing is known of them yet."""
-        state, scene = self.state, self.snapshot.scene
-        elements = scene.elements[~through_at_start(scene, self.solids)]
+        state = self.state
+        elements = self.snapshot.scene.elements[~self.through()]
         self._surface(state.elements, elements, self._to)
         slots = self.placement.layout.slot[elements]
         self._to.put(state.face_row, np.searchsorted(np.unique(slots), slots))
