@@ -1,5 +1,7 @@
 """Cloth from mesh files: what is read, what is refused, what its springs and masses are."""
 
+import base64
+import json
 import struct
 import time
 from dataclasses import replace
@@ -72,6 +74,46 @@ def glb(*placements):
     return scene.export(file_type="glb")
 
 
+# A square's two triangles in glTF: its accessors and what its nodes show.
+GLTF = {
+    "accessors": [
+        {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
+        {"bufferView": 1, "componentType": 5123, "count": 6, "type": "SCALAR"},
+    ],
+    "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+    "nodes": [{"mesh": 0}],
+    "scenes": [{"nodes": [0]}],
+}
+SQUARE_GLTF = (CORNERS.astype("<f4"), np.array([0, 1, 2, 0, 2, 3], "<u2"))
+
+
+def gltf(tables=SQUARE_GLTF, **about):
+    """A GLB file by hand: a view for each table, and what is said in another way than in `GLTF`."""
+    about = {**GLTF, **about}
+    begin = np.cumsum([0, *(-(-t.nbytes // 4) * 4 for t in tables)]).tolist()
+    body = b"".join(t.tobytes().ljust(-(-t.nbytes // 4) * 4, b"\0") for t in tables)
+    views = [
+        {"buffer": 0, "byteOffset": at, "byteLength": t.nbytes}
+        for at, t in zip(begin[:-1], tables, strict=True)
+    ]
+    about = {"bufferViews": views, "buffers": [{"byteLength": len(body)}], **about}
+    text = json.dumps(about).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
+    chunks += struct.pack("<II", len(body), 0x004E4942) + body
+    return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
+
+
+def accessor(number, **about):
+    """The accessors of `GLTF`, one of them said otherwise."""
+    return [{**a, **(about if n == number else {})} for n, a in enumerate(GLTF["accessors"])]
+
+
+def primitive(**about):
+    """The meshes of `GLTF`, its primitive said otherwise."""
+    return [{"primitives": [{**GLTF["meshes"][0]["primitives"][0], **about}]}]
+
+
 # name of the file, its content, what the refusal says
 MALFORMED = [
     ("empty.obj", "", "is empty"),
@@ -128,6 +170,17 @@ MALFORMED = [
     ("begun.glb", b"glTF\x02", "is cut short: it has 5 bytes"),
     ("version.glb", b"glTF\x01\0\0\0\x0c\0\0\0", "is of glTF version 1"),
     ("broken.glb", b"glTF\x02\0\0\0\x20\0\0\0" + b"{" * 20, "is damaged, or not a GLB file"),
+    ("packed.glb", gltf(extensionsRequired=["KHR_draco_mesh_compression"]),
+     "needs glTF's extension 'KHR_draco_mesh_compression', which is not read here"),
+    ("copies.glb", gltf(nodes=[{"mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {}}}]),
+     "needs glTF's extension 'EXT_mesh_gpu_instancing'"),
+    ("beside.glb", gltf(buffers=[{"byteLength": 60, "uri": "square.bin"}]), "is in another file"),
+    ("view.glb", gltf(accessors=accessor(1, count=9)), "is damaged, or not a GLB file: "),
+    ("index.glb", gltf((SQUARE_GLTF[0], SQUARE_GLTF[1] + 9)), "a corner is vertex 12 of 4"),
+    ("loop.glb", gltf(nodes=[{"mesh": 0, "children": [0]}]), "node 0 is in two places"),
+    ("mesh.glb", gltf(nodes=[{"mesh": -1}]), "it has 1 meshes, and none of number -1"),
+    ("points.glb", gltf(meshes=primitive(mode=0)), "has no faces"),
+    ("many.glb", gltf(accessors=accessor(0, count=2**40)), "vertices, more than 8388608"),
     ("many.stl", stl(said=2**31), f"its header says {2**31} triangles, and there is room for 2"),
     ("many.ply", ply(n=2**40, form="binary_little_endian"), "vertices, more than 8388608"),
     ("shirt.txt", SQUARE, "is no mesh that can be read, by its suffix; "),
@@ -189,6 +242,74 @@ def test_files_that_are_none_or_too_large_are_refused_unread(tmp_path):
         ("binary.stl", stl()),
         ("marked.stl", b"\xef\xbb\xbf" + SQUARE_STL),
         ("one.glb", glb(np.eye(4))),
+        ("plain.glb", gltf()),
+        ("scene.glb", gltf(scenes=[{"nodes": []}, {"nodes": [0]}], scene=1)),
+        (
+            "fractions.glb",
+            gltf(  # KHR_mesh_quantization, with room between vertices
+                (np.pad(CORNERS * 32767, ((0, 0), (0, 1))).astype("<i2"), SQUARE_GLTF[1]),
+                extensionsRequired=["KHR_mesh_quantization"],
+                accessors=accessor(0, componentType=5122, normalized=True),
+                bufferViews=[
+                    {"buffer": 0, "byteLength": 32, "byteStride": 8},
+                    {"buffer": 0, "byteOffset": 32, "byteLength": 12},
+                ],
+            ),
+        ),
+        (
+            "sparse.glb",
+            gltf(
+                (
+                    (CORNERS * [1, 0, 1]).astype("<f4"),
+                    SQUARE_GLTF[1],
+                    np.array([2, 3], "<u2"),
+                    CORNERS[2:].astype("<f4"),
+                ),
+                accessors=accessor(
+                    0,
+                    sparse={
+                        "count": 2,
+                        "indices": {"bufferView": 2, "componentType": 5123},
+                        "values": {"bufferView": 3},
+                    },
+                ),
+            ),
+        ),
+        (
+            "strip.glb",
+            gltf(
+                (SQUARE_GLTF[0], np.array([0, 1, 3, 2, 2], "<u2")),
+                accessors=accessor(1, count=5),
+                meshes=primitive(mode=5),
+            ),
+        ),
+        (
+            "fan.glb",
+            gltf(
+                (SQUARE_GLTF[0], np.array([0, 1, 2, 3], "<u2")),
+                accessors=accessor(1, count=4),
+                meshes=primitive(mode=6),
+            ),
+        ),
+        (
+            "mirror.glb",
+            gltf(
+                ((CORNERS * [-1, 1, 1]).astype("<f4"), SQUARE_GLTF[1][::-1].copy()),
+                nodes=[{"mesh": 0, "scale": [-1, 1, 1]}],
+            ),
+        ),
+        (
+            "uri.glb",
+            gltf(
+                buffers=[
+                    {
+                        "byteLength": 60,
+                        "uri": "data:;base64,"
+                        + base64.b64encode(b"".join(t.tobytes() for t in SQUARE_GLTF)).decode(),
+                    }
+                ]
+            ),
+        ),
     ],
 )
 def test_every_format_gives_the_square(tmp_path, name, content):
@@ -210,6 +331,29 @@ def test_meshes_of_a_glb_are_joined_where_its_scene_has_them(tmp_path):
     surface = meshes.read(tmp_path / "two.glb")
     assert surface.parts() == 2 and len(surface.vertices) == 6 + 4  # an edge of two is shared
     np.testing.assert_array_equal(surface.vertices.max(axis=0), [5, 2, 0])
+
+
+def test_parts_of_a_glb_have_one_order(tmp_path):
+    """Nodes by their names, of each the primitives of its materials: numbers that pin vertices."""
+    there = {**GLTF["accessors"][0], "bufferView": 2}
+    content = gltf(
+        (*SQUARE_GLTF, (CORNERS + [5, 0, 0]).astype("<f4")),
+        accessors=[*GLTF["accessors"], there],
+        meshes=[{"primitives": [
+            *primitive()[0]["primitives"], *primitive(attributes={"POSITION": 2})[0]["primitives"]
+        ]}],
+        nodes=[
+            {"name": "b", "mesh": 0},
+            {"name": "up", "children": [2], "translation": [0, 0, 9], "scale": [2, 2, 2]},
+            {"name": "a", "mesh": 0, "rotation": [0, 0, 1, 1]},
+        ],
+        scenes=[{"nodes": [0, 1]}],
+    )  # fmt: skip
+    (tmp_path / "parts.glb").write_bytes(content)
+    found = meshes.read(tmp_path / "parts.glb")
+    first = [[0, 0, 9], [0, 10, 9], [0, 0, 0], [5, 0, 0]]
+    np.testing.assert_allclose(found.vertices[::4], first, atol=1e-12)
+    assert found.parts() == 4
 
 
 def test_faces_are_cut_inside_and_wound_alike(tmp_path):
