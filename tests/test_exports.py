@@ -127,6 +127,19 @@ def test_what_is_read_back_is_what_the_simulation_had(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", FORMATS)
+def test_the_last_frame_of_a_run_that_failed_stands_where_it_was(tmp_path, name):
+    """A point cache, whose samples are equally far apart, would play it later, and goes without."""
+    export, kept = recorded(tmp_path / name, 5, every=2)
+    sim = Moving()
+    sim.frame = 5
+    export.record(sim, last=True)
+    export.save()
+    points = read_back(tmp_path / name, name)[0]
+    assert list(points) == ([2, 4] if name == "a.pc2" else [2, 4, 5])
+    np.testing.assert_allclose(points[4], kept[4], atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("name", FORMATS)
 def test_an_export_appears_whole_or_not_at_all(tmp_path, name):
     """A run that is given up leaves what was there; after a reset it begins anew."""
     first, _ = recorded(tmp_path / name, 5)

@@ -42,6 +42,8 @@ class PointCache:
     def add(self, frame: Frame) -> None:
         if self._samples == 0:
             self._points, self._first = len(frame.position), frame.number
+        if frame.number != self._first + self._samples * self._clock.every:
+            return  # the last of a run that failed, where no sample is: it would be played later
         self._file.write(frame.position.astype("<f4").tobytes())
         self._samples += 1
 
