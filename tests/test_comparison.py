@@ -289,6 +289,23 @@ def test_what_touches_is_seen_in_positions():
     }
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", ["<f4", ">f8", "<f2"])
+def test_files_of_other_programs_are_read_in_our_types(swings, tmp_path, kind):
+    """What they have written with fewer digits, or in another order of bytes; f16 goes to 65504."""
+    saved = dict(np.load(swings[1.0]))
+    for name, array in saved.items():
+        if array.dtype.kind == "f" and name != "time":
+            saved[name] = array.astype(kind)
+        elif array.dtype.kind == "i":
+            saved[name] = array.astype(">u2")
+    np.savez(tmp_path / "other.npz", **saved)
+    read = tc.load_trajectory(tmp_path / "other.npz")
+    assert read.position.dtype == read.start.dtype == np.float64 and read.spring.dtype == np.int64
+    rounding = 2 * np.finfo(kind).eps * np.abs(saved["position"]).max()
+    assert tc.compare(swings[1.0], read).rms.max() <= rounding
+
+
 # ------------------------------------------------------------------------------------------
 # What cannot be compared
 
@@ -302,6 +319,7 @@ def test_what_cannot_be_compared_is_refused_in_a_line(swings, pool, cli, tmp_pat
     np.savez(tmp_path / "short.npz", **{**saved, "time": saved["time"][:5]})
     np.savez(tmp_path / "back.npz", **{**saved, "time": saved["time"][::-1]})
     np.savez(tmp_path / "ends.npz", **{**saved, "spring": saved["spring"] + 5})
+    np.savez(tmp_path / "export.npz", position=saved["position"], triangle_whole=np.ones((8, 0)))
     os.mkfifo(tmp_path / "pipe.npz")
     Trajectory(tmp_path / "empty.npz").save()
     for name, words in {
@@ -309,6 +327,7 @@ def test_what_cannot_be_compared_is_refused_in_a_line(swings, pool, cli, tmp_pat
         "odd.npz": "no frame at the same time",
         "cut.npz": "cut.npz: is no saved trajectory",
         "foreign.npz": "foreign.npz: is no saved trajectory: it has no 'frame'",
+        "export.npz": "is no saved trajectory but an export, for other programs; use --save",
         "short.npz": "its 'time' is float64 (5,)",
         "back.npz": "its times do not grow",
         "ends.npz": "a spring's end is none of its 2 particles",

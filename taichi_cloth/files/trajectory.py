@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import operator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -213,6 +213,8 @@ def load(path: str | Path) -> Saved:
     path = _checked(path)
     arrays = archives.read(path, _WHAT)
     missing = [name for name in _ARRAYS if name not in arrays]
+    if "triangle_whole" in arrays:
+        raise InputError(f"{path}: is no {_WHAT} but an export, for other programs; use --save")
     if missing:
         raise InputError(f"{path}: is no {_WHAT}: it has no '{missing[0]}'")
     parts: dict[str, Any] = {n: arrays[n] for n in (*_ARRAYS, *_LATER) if n in arrays}
@@ -220,7 +222,18 @@ def load(path: str | Path) -> Saved:
         parts["meta"] = json.loads(str(arrays["meta"]))
     except (ValueError, RecursionError):
         raise InputError(f"{path}: is no {_WHAT}: its 'meta' is no JSON") from None
-    return _whole(Saved(**parts), path)
+    return _as_documented(_whole(Saved(**parts), path))
+
+
+def _as_documented(saved: Saved) -> Saved:
+    """The same numbers in the types of `Saved`, whichever another program wrote them in."""
+    types: dict[str, Any] = {"f": np.float64, "i": np.int64, "b": np.bool_}
+    read: dict[str, Any] = {}
+    for name in (*_ARRAYS, *_LATER):
+        array = getattr(saved, name)
+        if name != "meta" and array is not None:
+            read[name] = np.asarray(array, types[_KINDS.get(name, "f")[0]])
+    return replace(saved, **read)
 
 
 def _whole(saved: Saved, path: Path) -> Saved:
