@@ -12,6 +12,7 @@ import trimesh
 from scipy.spatial import Delaunay
 from shirt import shirt
 
+from taichi_cloth.cli import run_notes
 from taichi_cloth.errors import InputError
 from taichi_cloth.files import meshes
 from taichi_cloth.kernels import methods
@@ -24,6 +25,7 @@ from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.mesh import mesh, placed
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.scene.stencils import Stencils, mesh_stencils
+from taichi_cloth.scene.triangles import parted
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
@@ -476,6 +478,22 @@ def test_a_mesh_file_by_itself_keeps_off_itself(tmp_path, monkeypatch):
     assert not hanging.keeps_off_itself(uneven, np.vstack([small, [[62, 63, 64]]]))
     monkeypatch.setattr(hanging, "MOST_THICK", 3)
     assert not source.build().features().thick
+
+
+def test_a_surface_that_lies_in_parts_on_itself_is_noted(tmp_path, capsys):
+    """With the first such vertex: OBJ and PLY files keep seams that a program parted."""
+    seam = SQUARE + "v -0 0 0\nv 1 1 0\nf 1 2 3\nf 5 6 4\n"
+    sewn = SQUARE + "f 1 2 3\nf 1 3 4\n"
+    for text, says in (
+        (seam, "note: 2 particles of surfaces lie exactly where another one does, and nothing joins"
+               " the two: the first is 4, on 0; where"),
+        (sewn, ""),
+    ):  # fmt: skip
+        (tmp_path / "seam.obj").write_text(text)
+        run_notes.note_parted(SceneSource(str(tmp_path / "seam.obj")).build())
+        assert says in (said := capsys.readouterr().err) and bool(said) == bool(says)
+    tied = parted(np.zeros((3, 2)), np.array([[0, 1, 2]]), np.array([[2, 0]]))
+    np.testing.assert_array_equal(tied, [[0, 1]])
 
 
 def test_meshes_in_a_scene_file(tmp_path):

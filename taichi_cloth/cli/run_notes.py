@@ -15,6 +15,7 @@ from taichi_cloth.errors import InputError, RunFailure, counted, printable
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
+from taichi_cloth.scene.triangles import parted
 from taichi_cloth.settings.options import PROGRAM, SOLVER_SETTINGS, RunOptions
 
 if TYPE_CHECKING:
@@ -88,6 +89,22 @@ def note_passing(source: SceneSource, scene: Scene) -> None:
         say(
             "note: the mesh passes through itself: it is so large or so uneven that its steps "
             "would take far longer; --set meshes[0].thickness=0.01 keeps it from that"
+        )
+
+
+def note_parted(scene: Scene) -> None:
+    """Say on standard error where cloth lies on cloth without being joined to it, as at seams that
+    a program parted for its textures: it would come apart there.
+    """
+    pairs = parted(scene.particles.position, scene.triangles, scene.springs.between)
+    if len(pairs):
+        first, other = pairs[0]
+        lie = "lies" if len(pairs) == 1 else "lie"
+        such = "" if len(pairs) == 1 else "the first is "
+        say(
+            f"note: {counted(len(pairs), 'particle')} of surfaces {lie} exactly where another one "
+            f"does, and nothing joins the two: {such}{other}, on {first}; where that is no seam "
+            "that is to open, merge the mesh's vertices by distance"
         )
 
 

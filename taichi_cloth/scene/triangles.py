@@ -74,6 +74,30 @@ def springs_tying(pairs: np.ndarray, between: np.ndarray) -> np.ndarray:
     return np.where(keys[spring] == wanted, spring, found)
 
 
+def parted(position: np.ndarray, triangles: np.ndarray, between: np.ndarray) -> np.ndarray:
+    """Corners of triangles at exactly the same place that no spring ties, (p, 2): the first that
+    stands there, and another. position: (n, dim); between: (s, 2).
+    """
+    in_triangle = np.zeros(len(position), bool)
+    in_triangle[triangles.ravel()] = True
+    # Sums are equal where places are, and hardly ever elsewhere: few are left to be sorted.
+    sums = (position * np.sqrt([2.0, 3.0, 5.0])[: position.shape[1]]).sum(axis=1)
+    corners = np.flatnonzero(in_triangle)
+    ranked = np.sort(sums[corners])
+    twice = ranked[1:][ranked[1:] == ranked[:-1]]
+    corners = corners[np.isin(sums[corners], twice)]
+    at = position[corners] + 0.0  # makes 0 of -0
+    order = np.lexsort((corners, *at.T))
+    same = (at[order[1:]] == at[order[:-1]]).all(axis=1)
+    begins = np.flatnonzero(~np.concatenate([[False], same]))
+    first = np.repeat(begins, np.diff([*begins, len(order)]))
+    pairs = np.stack([corners[order[first]], corners[order]], axis=1)[
+        first != np.arange(len(order))
+    ]
+    apart: np.ndarray = pairs[springs_tying(pairs, between) < 0]
+    return apart[np.argsort(apart[:, 1])]
+
+
 def masses(position: np.ndarray, triangles: np.ndarray, density: float) -> np.ndarray:
     """The mass of each particle, (n,): density times its share of the triangles at it.
 
