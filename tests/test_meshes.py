@@ -28,6 +28,7 @@ from taichi_cloth.scene.stencils import Stencils, mesh_stencils
 from taichi_cloth.scene.triangles import parted
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+SOLID = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 0 1\n"  # corners of a tetrahedron
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
 
 
@@ -576,8 +577,10 @@ def test_keys_of_meshes_are_refused_by_their_line(tmp_path, key, says):
     [
         (SQUARE + "f 1 2 3 4\n", "open.obj: the mesh is not closed: it has 1 face at the edge"),
         ("v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\nf 3 2 1\n", "open.obj line 5: face 1 is face 0"),
+        (2 * (SOLID + "f -4 -3 -2\nf -4 -3 -1\nf -3 -2 -1\nf -2 -4 -1\n"),
+         "open.obj: the mesh has no inside: each face lies on another one"),
     ],
-)
+)  # fmt: skip
 def test_an_obstacle_that_is_no_body_is_refused_by_its_file(tmp_path, content, says):
     (tmp_path / "open.obj").write_text(content)
     world = "[world]\nsize = [1.0, 1.0, 1.0]\n[[obstacles]]\nshape = 'mesh'\ncell = 0.1\n"

@@ -106,7 +106,18 @@ def refusal(values):
             )
     if not size.min() > 0:
         return "vertices", "the mesh is flat: it has no inside"
+    if _covers_itself(vertices, faces):
+        return "faces", "the mesh has no inside: each face lies on another one; remove the doubles"
     return None
+
+
+def _covers_itself(vertices, faces):
+    """Whether each face lies on others, so that a line crosses the mesh an even number of times."""
+    places, place = np.unique(vertices + 0.0, axis=0, return_inverse=True)
+    if 2 * len(places) > len(vertices):
+        return False
+    rows = np.sort(place.ravel()[faces], axis=1)
+    return (np.unique(rows, axis=0, return_counts=True)[1] % 2 == 0).all()
 
 
 def place(values, dim, margin):
