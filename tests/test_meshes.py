@@ -234,6 +234,7 @@ def test_files_that_are_none_or_too_large_are_refused_unread(tmp_path):
         ("slashes.obj", SQUARE + "vt 0 0\nvn 0 0 1\nusemtl a\ng one\nf 1/1/1 2//1 3/1 -1/1/1\n"),
         ("split.obj", "# a\r\n" + SQUARE + "f 1 2 \\\n3 4\r\n"),
         ("noted.obj", "# of C:\\meshes\\\n" + SQUARE.replace("\n", " # a corner\n") + "f 1 2 3 4#"),
+        ("feed.obj", "# a\x0cb\n# c\u2028d\n" + SQUARE + "f 1 2 3 4\n"),
         ("last.obj", SQUARE + "f 1 2 3 4 \\"),
         ("marked.obj", "\ufeff" + SQUARE + "f 1 2 3 4\n"),
         ("text.ply", ply()),

@@ -8,6 +8,7 @@ its number, also where textures or normals part the corners that meet in it. Lin
 
 from __future__ import annotations
 
+import codecs
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,9 @@ def read(path: Path, data: bytes) -> Polygons:
         raise InputError(f"{path}: is not an OBJ file: it is binary")
     reader = _Reader(path)
     joined = ""
-    for number, line in enumerate(data.decode("utf-8-sig", "replace").splitlines(), start=1):
+    # Of bytes: a text's lines would end at form feeds and U+2028, too, in the midst of comments.
+    for number, read_line in enumerate(data.removeprefix(codecs.BOM_UTF8).splitlines(), start=1):
+        line = read_line.decode("utf-8", "replace")
         text = joined + line.partition("#")[0]  # a comment that ends in '\' joins nothing
         joined = ""
         if text.endswith("\\"):
