@@ -18,7 +18,7 @@ from taichi_cloth.kernels import methods, obstruction
 from taichi_cloth.kernels.obstacles import SHAPES, load
 from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.checks import validate
-from taichi_cloth.scene.cloth import grid
+from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.model import (
     ParticleDefaults,
     Particles,
@@ -189,6 +189,50 @@ def test_in_lanes_each_particle_bounces_with_what_walls_gave_itself():
             sim.load_scene(scene)
             sim.advance()
             np.testing.assert_allclose((sim.velocities() ** 2).sum(1), (v**2).sum(1), rtol=1e-3)
+
+
+def lone_triangles(rng):
+    """Triangles of no springs, fast and slow, some of which meet a rod and the wall in one step."""
+    x = rng.uniform(-0.05, 0.05, (1000, 1, 3)) + rng.uniform(-0.15, 0.15, (1000, 3, 3))
+    x = np.maximum(x + [0.2, 1.24, 0.0], [0.011, 0.0, -1.0])
+    v = rng.uniform(-30, 30, (1000, 1, 3)) + rng.uniform(-3, 3, x.shape)
+    return x, v, np.arange(3).reshape(1, 3)
+
+
+def small_sheets(rng):
+    """Sheets of 4 x 4 particles and no springs that fall flat onto a rod, each as it lies."""
+    x = np.stack(np.meshgrid(np.arange(4), [0.0], np.arange(4), indexing="ij"), -1).reshape(-1, 3)
+    moves = np.stack([rng.uniform(0.0, 0.3, 60), rng.uniform(1.04, 1.06, 60), np.zeros(60)], -1)
+    x = moves[:, None] + 0.1 * x
+    v = rng.uniform(-3, 3, (60, 1, 3)) * [1, 0, 1] - [0.0, 3.0, 0.0] + np.zeros_like(x)
+    return x, v, grid_triangles(4, 4)
+
+
+@pytest.mark.parametrize("method", mostly_thorough(methods.METHODS, default=["verlet"]))
+def test_faces_bounce_off_an_edge_with_the_energy_that_they_came_with(device, method):
+    """Also those that several places of it meet, that share corners, and that a wall turns."""
+    world = World(size=(10.0, 10.0, 10.0), gravity=(0.0, 0.0, 0.0), dt=0.01, walls=("left",))
+    rod = Obstacle.build(
+        "capsule", ends=[[0.2, 1.0, -2.0], [0.2, 1.0, 2.0]], radius=0.02, restitution=1.0
+    )
+    sim = None
+    for thrown in (lone_triangles, small_sheets):
+        x, v, corners = thrown(np.random.default_rng(3))
+        triangles = corners + x.shape[1] * np.arange(len(x))[:, None, None]
+        scene = Scene(
+            *("thrown", world, Particles.build(x.reshape(-1, 3), v.reshape(-1, 3), radius=0.01)),
+            triangles=triangles.reshape(-1, 3),
+            obstacles=(rod,),
+        )
+        if sim is None:
+            sim = Simulation(scene, method, execution="serial", topology="graph")
+        sim.load_scene(scene)
+        sim.advance(3)
+        after = sim.velocities().reshape(x.shape)
+        hit = (np.abs(after) != np.abs(v)).any((1, 2))
+        part = (after**2).sum((1, 2)) / (v**2).sum((1, 2))
+        assert hit.sum() > 20 and part.max() < 1.005
+        assert np.quantile(part[hit], 0.1) > 0.98
 
 
 @pytest.mark.parametrize("method", mostly_thorough(methods.METHODS, default=["verlet"]))

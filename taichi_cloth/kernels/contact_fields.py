@@ -10,7 +10,7 @@ from taichi_cloth.kernels.pair_colours import COLOURS
 from taichi_cloth.kernels.patches import ANCHOR_ROWS
 from taichi_cloth.kernels.patches import BLOCK as PATCH_BLOCK
 
-FACE_COLUMNS = 20  # of state.face (`faces.py`)
+FACE_COLUMNS = 21  # of state.face (`faces.py`)
 FACE_CONTACTS = 4  # that a triangle may have at once
 
 
@@ -60,8 +60,8 @@ class ContactFields(Fields):
         elements, face, face_hits, face_left, face_row, face_count, face_finds, face_sweeps,
         faces_unsettled (faces): a `Surface` of what is tested against sharp obstacles, and what
         comes of that (`faces.py`); face_kick: what they have changed of each particle's velocity in
-        a step in which any met something; face_clear, face_seen, face_way, face_unseen: what need
-        not be looked at (`face_clearance.py`).
+        a step in which any met something, face_jump: what walls and pairs had before; face_clear,
+        face_seen, face_way, face_unseen: what need not be looked at (`face_clearance.py`).
         obstacle_low, obstacle_nodes, obstacle_grid: of its grid of distances, where it has one.
     The account of contacts (`contact_account.py`): accounting: whether it is kept; opened_x,
         opened_v, free_x, free_v, ended_x: the step's start, free end and end; held_x, held_v: what
@@ -171,4 +171,5 @@ class ContactFields(Fields):
         rows = max(min(n, 3 * m), 1)
         self.face_seen, self.face_way = self._scalars(rows, spec.dim), self._scalars(rows)
         self.face_kick = self._pack_vectors(spec)
+        self.face_jump = self._pack_vectors(spec)
         self.face_unseen = self._counts()

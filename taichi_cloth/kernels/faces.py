@@ -8,7 +8,10 @@ the obstacle's surface, with what contact, restitution and friction leave of tha
 (Bridson, Fedkiw, Anderson, "Robust treatment of collisions, contact and friction for cloth
 animation", 2002, 6.2). All triangles act at once, by mass splitting, as resting pairs do: a corner
 in m contacts takes part in each with 1/m of its mass and goes on with the mean, so energy never
-grows. This is repeated until all are outside.
+grows. This is repeated until all are outside. What bounces does so all at once, by the velocities
+that all came with; a contact only pushes, but takes back what is too much once others have pushed
+(Moreau, "Unilateral contact and dry friction in finite freedom dynamics", 1988): so there, too,
+energy does not grow, but for what sweeps leave.
 
 `face_distance.py` finds that point; who need not be looked at, `face_clearance.py` says. Where a
 step is longer than the obstacle is sharp, its whole path is looked at, by steps of the distance, as
@@ -36,6 +39,7 @@ from taichi_cloth.kernels.obstruction import (
     bounce,
     judge_look,
     jump_of,
+    kick_of,
     part_before,
     slack_of,
     weight_of_meeting,
@@ -64,10 +68,11 @@ MOST_LOOKS = 64  # along the path of a step
 
 # Columns of state.face: what was found for a triangle, then what it does to its corners.
 # OFFSET: where along the normal its point is to be; TARGET: velocity there; WEIGHT: of what
-# friction changes, in the position [time]; ROOM: radius and roundness [length]. Which of a
-# triangle's rows have a contact, the bits of state.face_hits say.
-OFFSET, TARGET, MU, WEIGHT, ROOM = range(5)
-SHARE, NORMAL, SURFACE_V, DX, DV = range(5, FACE_COLUMNS, 3)
+# friction changes, in the position [time]; ROOM: radius and roundness [length]; GIVEN: the impulse
+# along the normal so far, of what bounces. Which of a triangle's rows have a contact, the bits of
+# state.face_hits say.
+OFFSET, TARGET, MU, WEIGHT, ROOM, GIVEN = range(6)
+SHARE, NORMAL, SURFACE_V, DX, DV = range(6, FACE_COLUMNS, 3)
 
 WHOLE = 0  # piece of a triangle that is all of it; 1 to 3 are its sides, in their order
 
@@ -376,37 +381,49 @@ def _position(spec: ti.template(), state: ti.template(), slot):
 
 
 @ti.func
+def _jump(spec: ti.template(), state: ti.template(), slot):
+    """What walls and pairs changed of a corner's velocity in the step, (dim,)."""
+    jump = slot_value(spec, state.face_jump, slot)
+    if state.face_finds[None] == 1:
+        jump = jump_of(spec, state, slot)
+    return jump
+
+
+@ti.func
 def _note_contact(spec: ti.template(), state: ti.template(), o, m, gap, meets, part, share, n):
     """Note where the point of triangle m is to be, and how fast, by obstacle o.
 
     meets: whether it came to the obstacle in this step, after `part` of it.
     """
-    p, v, begun_v, mobility = 0.0 * n, 0.0 * n, 0.0 * n, 0.0 * gap
+    p, v, begun_v, kick, mobility = 0.0 * n, 0.0 * n, 0.0 * n, 0.0 * n, 0.0 * gap
     for k in ti.static(range(3)):
         slot = _corner(state, m, k)
         p += share[k] * _position(spec, state, slot)
         v += share[k] * _velocity(spec, state, slot)
         begun_v += share[k] * slot_value(spec, state.begun_v, slot)
         if ti.static(has_impulses(spec)):  # it came with these
-            begun_v += share[k] * jump_of(spec, state, slot)
+            begun_v += share[k] * _jump(spec, state, slot)
+        kick += share[k] * kick_of(spec, state, slot)
         mobility += slot_number(spec, state.w, slot) * share[k] * share[k]
     if mobility > 0.0:
         r = p - centre_of(spec, state, o, END) - gap * n
         surface_v = velocity_at(spec, state, o, r)
         dt, u = state.dt[None], (v - surface_v).dot(n)
         push, target, weight = -1.0 * gap, 0.0 * gap, ti.static(state.position_weight) * dt
+        u_before = (begun_v - surface_v).dot(n)
         if meets and state.face_finds[None] == 1 and u < 0.0:
-            u_before = (begun_v - surface_v).dot(n)
             weight = weight_of_meeting(weight, u_before, u, part, dt)
-            e = state.obstacle_numbers[o, RESTITUTION]
-            if e > 0.0:
-                new_u, lift = bounce(u_before, u, part, e, state.position_weight, dt)
-                target = new_u
-                push += lift
+        e = state.obstacle_numbers[o, RESTITUTION]
+        free_u = u - kick.dot(n)  # as if it were alone: all bounce at once
+        if meets and e > 0.0 and free_u < 0.0:
+            new_u, lift = bounce(u_before, free_u, part, e, state.position_weight, dt)
+            target = new_u
+            push += lift
         c = _now(state, m)
         state.face_hits[m] = state.face_hits[m] | (1 << (c - m * FACE_CONTACTS))
         state.face[c, OFFSET] = n.dot(p) + push
         state.face[c, TARGET], state.face[c, WEIGHT] = target, weight
+        state.face[c, GIVEN] = 0.0
         state.face[c, MU] = state.obstacle_numbers[o, FRICTION]
         for k in ti.static(range(3)):
             state.face[c, SHARE + k] = share[k]
@@ -428,6 +445,8 @@ def _count_of(spec: ti.template(), state: ti.template(), p):
     if state.face_finds[None] == 1:
         slot = state.elements.row_slot[p]
         set_slot_value(spec, state.face_kick, slot, 0.0 * slot_value(spec, state.begun_v, slot))
+        if ti.static(has_impulses(spec)):  # before it is pushed off the wall that holds it
+            set_slot_value(spec, state.face_jump, slot, jump_of(spec, state, slot))
     count = 0
     for h in range(state.elements.row_start[p], state.elements.row_start[p + 1]):
         m = state.elements.row_triangle[h]
@@ -461,13 +480,19 @@ def _want(spec: ti.template(), state: ti.template(), c):
         lost = 0.0 * u
         if depth >= -1.0 * SETTLED * state.face[c, ROOM]:  # it touches
             lost = ti.max(state.face[c, TARGET] - u, 0.0)
-        taken, _ = laws.friction(relative - u * n, lost, state.face[c, MU])
+        given = state.face[c, GIVEN]
+        if state.face[c, TARGET] > 0.0:
+            # What others then send away faster gives back what was too much: else energy grows.
+            if given > 0.0:
+                lost = ti.max(state.face[c, TARGET] - u, -1.0 * given * mobility)
+            state.face[c, GIVEN] = given + lost / mobility
+        taken, _ = laws.friction(relative - u * n, ti.max(lost, 0.0), state.face[c, MU])
         push = ti.max(depth, 0.0)
         dx, dv = push * n + state.face[c, WEIGHT] * taken, lost * n + taken
         for axis in ti.static(range(spec.dim)):
             state.face[c, DX + axis] = dx[axis] / mobility
             state.face[c, DV + axis] = dv[axis] / mobility
-        left = ti.max(push, lost * state.dt[None]) / state.face[c, ROOM]
+        left = ti.max(push, ti.abs(lost) * state.dt[None]) / state.face[c, ROOM]
         raise_to(state, state.face_left[None], left)
 
 

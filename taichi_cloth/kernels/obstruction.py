@@ -166,14 +166,18 @@ def given_before(spec: ti.template(), state: ti.template(), slot):
 
     It is asked for where something bounces, and not of each particle, for which lanes take long.
     """
-    given = _kick_of(spec, state, slot)
+    given = kick_of(spec, state, slot)
     if ti.static(has_impulses(spec)):
-        given += jump_of(spec, state, slot)
+        jump = jump_of(spec, state, slot)
+        if ti.static(spec.faces):  # which may have pushed it off the wall that holds it
+            if given.dot(given) > 0.0:
+                jump = slot_value(spec, state.face_jump, slot)
+        given += jump
     return given
 
 
 @ti.func
-def _kick_of(spec: ti.template(), state: ti.template(), slot):
+def kick_of(spec: ti.template(), state: ti.template(), slot):
     """What faces have changed of a particle's velocity in the step so far, (dim,)."""
     kick = 0.0 * slot_value(spec, state.begun_v, slot)
     if ti.static(spec.faces):
@@ -196,7 +200,7 @@ def jump_of(spec: ti.template(), state: ti.template(), slot):
             slot_value(spec, state.begun_x, slot),
             slot_value(spec, state.begun_v, slot),
             slot_value(spec, state.x, slot),
-            slot_value(spec, state.v, slot) - _kick_of(spec, state, slot),
+            slot_value(spec, state.v, slot) - kick_of(spec, state, slot),
             jump,
         )
     return jump
