@@ -23,6 +23,8 @@ ROUNDING = 1e-6  # of a particle's coordinates: a depth at the start that f32 ma
 PUSHES = 64  # by which a particle that begins inside finds a place outside of all obstacles
 SHARP = 2.0  # sides: what is rounder is at most a 23rd of its radius inside an unstretched one
 THROUGH = 0.25  # of its side: what a triangle is inside by then that goes through an obstacle
+OPPOSED = -0.5  # cosine between normals: more than that lets both ends of an edge out on one side
+SECTIONS, GOLDEN = 48, 0.381966  # of a search along an edge
 STUCK = 0.01  # of its radius or depth: what it may then be inside, where pushes converge slowly
 
 
@@ -253,8 +255,8 @@ def through_at_start(scene: Scene, solids: Sequence[Solid]) -> np.ndarray:
     where they begin, (m,) bool: these are then on several of its sides.
 
     No push would take such a face out: pushes would go on for ever, and throw the cloth. What is
-    less deep in it than THROUGH of its longest side, as on an edge, is none of them, and what has a
-    fixed corner neither.
+    less deep in it than THROUGH of its longest side, as on an edge, and does not go through its
+    middle (`_is_split`) is none of them, and what has a fixed corner neither.
     """
     elements, start = scene.elements, scene.particles.position
     through, is_inside = np.zeros(len(elements), bool), np.zeros(len(start), bool)
@@ -274,8 +276,45 @@ def through_at_start(scene: Scene, solids: Sequence[Solid]) -> np.ndarray:
         point = np.einsum("k,mkd->md", np.array(shares) / sum(shares), corners)
         for solid in sharp:
             depth = np.maximum(depth, -1.0 * solid.distances(point, 0.0)[0])
-    through[asked] = depth > THROUGH * side
+    split = np.zeros(len(corners), bool)
+    for k in range(3):
+        ends = corners[:, k], corners[:, (k + 1) % 3]
+        for solid in sharp:
+            split |= _is_split(solid, *ends)
+    through[asked] = (depth > THROUGH * side) | split
     return through
+
+
+def _is_split(solid: Solid, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Whether edges from a to b, (m, dim) each, go through the middle of a solid, (m,) bool: what
+    pushes their one part out of it would push the other the opposite way, as in a plate thinner
+    than they are long.
+    """
+
+    def look(part: np.ndarray, aside: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        return solid.distances(a + part[:, None] * (b - a) + aside, 0.0)
+
+    low, high = np.zeros(len(a)), np.ones(len(a))
+    for _ in range(SECTIONS):  # of where it is deepest: there is one such place
+        third = GOLDEN * (high - low)
+        left, right = low + third, high - third
+        nearer = look(left)[0] <= look(right)[0]
+        low, high = np.where(nearer, low, left), np.where(nearer, right, high)
+    middle = (low + high) / 2
+    depth = np.maximum(-1.0 * look(middle)[0], 0.0)
+    length = np.linalg.norm(b - a, axis=1)
+    before, after = (
+        middle + side * depth / np.where(length > 0, length, 1.0) for side in (-0.25, 0.25)
+    )
+    split: np.ndarray = depth > ROUNDING * length
+    # Also beside it: a rod has an axis, by whose side an edge gets out, and no such middle.
+    normal = look(before)[1]
+    for axis in np.eye(a.shape[1]):
+        aside = 0.5 * depth[:, None] * (axis - (normal @ axis)[:, None] * normal)
+        for shift in (aside, -1.0 * aside):
+            facing = (look(before, shift)[1] * look(after, shift)[1]).sum(axis=1)
+            split &= facing < OPPOSED
+    return split
 
 
 def depths(solids: Sequence[Solid], x: np.ndarray, radius: np.ndarray, time: float) -> np.ndarray:
