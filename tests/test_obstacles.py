@@ -673,6 +673,12 @@ def test_a_cloth_that_begins_through_a_box_is_not_thrown(device, capsys):
         assert not through_at_start(near, solids(near)).any()
     held = replace(scene, particles=replace(scene.particles, fixed=np.ones(81, bool)))
     assert not through_at_start(held, solids(held)).any()
+    through, elements = through_at_start(scene, solids(scene)), scene.elements
+    fixed = np.arange(81) == elements[through][0, 0]  # of one particle that is fixed: its faces
+    held = replace(scene, particles=replace(scene.particles, fixed=fixed))
+    np.testing.assert_array_equal(
+        through_at_start(held, solids(held)), through & ~fixed[elements].any(axis=1)
+    )
 
 
 def test_the_search_for_faces_of_what_may_tear_reads_no_field_outside_of_it():
