@@ -12,8 +12,10 @@ from test_stability import tangle
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.forces import bending
 from taichi_cloth.limits.eigenmodes import stable_step
+from taichi_cloth.limits.matrices import stiffness_and_damping
 from taichi_cloth.limits.network import Network
 from taichi_cloth.limits.tracking import FastestMode
+from taichi_cloth.scene.holding import Hold
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.scene.obstacles import Obstacle
@@ -276,6 +278,43 @@ def test_the_mode_that_is_followed_is_that_of_the_exact_limit(damping):
             # With dashpots two springs are nearly even, and rk4's modes are no common ones.
             assert found.limit.spring == exact.spring or damping
             assert found.error < 0.01
+
+
+def test_the_mode_that_is_followed_is_made_of_springs_bending_holds_and_drag():
+    """Its eigenvalue of h^2 K + 2 h C, and each part of it, are those of the whole matrices."""
+    rng = np.random.default_rng(3)
+    scene = tangle(damping=0.1, drag=0.0)
+    particles = replace(scene.particles, viscous=rng.uniform(0.1, 1.0, 6))
+    weight = np.array([[-2.0, 1.0, 1.0], [-3.0, 2.0, 1.0]])
+    rows = Stencils.build([[2, 1, 3], [4, 3, 5]], weight, [0.1, 0.2])
+    who, two = np.array([2, 4]), np.zeros((2, 2))
+    hold = Hold(who, two, two[0], np.array([0.7, 0.4]), np.array([0.3, 0.1]), np.ones(2))
+    world = replace(scene.world, tools=True, held=hold)
+    network = Network.from_scene(replace(scene, world=world, particles=particles, stencils=rows))
+    matrices = [of.toarray() for of in stiffness_and_damping(network)]
+    for h in (0.1, 2.0):  # mostly C, mostly K
+        mode = FastestMode(methods.load("symplectic_euler"))
+        for _ in range(6):
+            mode.follow(network, h, 40)
+        made = mode.shares
+        values, vectors = np.linalg.eigh(h * h * matrices[0] + 2 * h * matrices[1])
+        assert h * h * made.omega2 + 2 * h * made.d == pytest.approx(values[-1], rel=1e-4)
+        u = np.zeros((6, 2))
+        u[1:] = vectors[:, -1].reshape(5, 2) / np.sqrt(particles.mass[1:, None])
+        square = (u**2).sum(axis=1)
+        expected = {
+            "held": (hold.stiffness * square[who]).sum(),
+            "drag": (particles.viscous * square).sum() + (hold.damping * square[who]).sum(),
+            "bending": (rows.bending * (rows.curvature(u) ** 2).sum(axis=1)).sum(),
+            "air": 0.0,
+        }
+        of_u = [vectors[:, -1] @ matrix @ vectors[:, -1] for matrix in matrices]
+        sums = made.stiffness.sum(), made.damping.sum()
+        expected["springs"] = of_u[0] - expected["held"] - expected["bending"]
+        expected["dashpots"] = of_u[1] - expected["drag"]
+        found = vars(made) | dict(zip(("springs", "dashpots"), sums, strict=True))
+        for name, value in expected.items():
+            assert found[name] == pytest.approx(value, rel=0.03, abs=1e-3 * sum(of_u)), (h, name)
 
 
 def test_reading_changes_no_bit_and_names_the_strained_spring(device, pool):
