@@ -12,6 +12,7 @@ from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
 from taichi_cloth.files import exports
 from taichi_cloth.files.exports import Export
+from taichi_cloth.files.exports.frame import Clock
 from taichi_cloth.files.trajectory import Trajectory, load
 
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -124,6 +125,15 @@ def test_what_is_read_back_is_what_the_simulation_had(tmp_path, name):
         assert [len(f) for f in faces.values()] == [2, 1, 1] and rate == 24
         np.testing.assert_array_equal(faces[2], TRIANGLES)
     assert not list(tmp_path.rglob("*.part"))
+
+
+def test_a_rate_is_whole_but_for_rounding_in_every_unit_of_time():
+    """Also of scenes in microseconds; that of film which is slowed for television is not whole."""
+    rates = (24.0, 49.0, 60.0, 24000 / 1001, 60e6, 483e6)
+    assert any(1 / (1 / rate) != rate for rate in rates if rate > 1e6)
+    for rate in rates:
+        assert Clock(1 / rate, 1).rate == pytest.approx(rate, rel=1e-15)
+        assert Clock(1 / rate, 1).rate.is_integer() == (rate != 24000 / 1001)
 
 
 @pytest.mark.parametrize("name", FORMATS)
