@@ -205,6 +205,11 @@ def test_contacts_and_breaks_end_the_smooth_solution():
     pair = Particles.build([[20.0, 50.0], [60.0, 50.0]], [[1.0, 0.0], [0.0, 0.0]], radius=5.0)
     still = World(size=(100.0, 100.0), gravity=(0.0, 0.0), collisions=True)
     assert "collide" in ode.solve(Scene("pair", still, pair), times).event
+    # So does one that passes the other between two moments of the solution.
+    for speed in (37.0, 61.0, 89.0):
+        quick = replace(pair, velocity=np.array([[speed, 0.0], [0.0, 0.0]]), radius=np.full(2, 0.5))
+        solved = ode.solve(Scene("quick", still, quick), times)
+        assert "collide" in solved.event and solved.until <= 39.0 / speed
 
     x = [[50.0, 10.0], [50.0, 20.0]]
     hung = Particles.build(x, fixed=[True, False])
