@@ -214,6 +214,32 @@ def test_bounds_hold_for_every_triangle_in_every_wind():
         assert (np.linalg.norm(by_x, 2, axis=(1, 2)) <= k * (1 + 1e-6)).all()
 
 
+@pytest.mark.parametrize(("drag", "lift"), [(1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
+def test_bounds_of_particles_hold_for_the_whole_matrices_of_triangles_and_are_close(drag, lift):
+    """Diagonals, and no matrix of a triangle's nine coordinates is more beside them than 1."""
+    rng, count = np.random.default_rng(2), 500
+    more = {"air": {"density": 30.0, "drag": drag, "lift": lift}, "wind": {"velocity": (2.0, 0, 1)}}
+    world = World((40.0,) * 3, gravity=(0.0,) * 3, dt=0.1, up="y", more=more)
+    x, v = rng.normal(size=(2, 3 * count, 3))
+    v = np.repeat(v[:count], 3, axis=0) * 4.0
+    triangles = np.arange(3 * count).reshape(-1, 3)
+    shares, h = corner_shares(x, triangles), 1e-5
+    bounds = tractions.bounds(x, v, world, triangles, shares)
+    nearest = []
+    for by_velocity, bound in zip((False, True), bounds, strict=True):
+        columns = []
+        for unit in np.eye(9).reshape(9, 3, 3):
+            way, pair = h * np.tile(unit, (count, 1)), []
+            for sign in (1, -1):
+                to = (x, v + sign * way) if by_velocity else (x + sign * way, v)
+                pair.append(tractions.forces_on_particles(*to, 0.0, world, triangles, shares))
+            columns.append(((pair[1] - pair[0]) / (2 * h)).reshape(count, 9))
+        scale = np.repeat(bound.reshape(count, 3), 3, axis=1) ** -0.5
+        matrices = scale[:, :, None] * np.stack(columns, axis=2) * scale[:, None, :]
+        nearest.append(np.linalg.norm(matrices, 2, axis=(1, 2)).max())
+    assert max(nearest) <= 1 + 1e-6 and nearest[0] > 0.3 * drag and nearest[1] > 0.6
+
+
 def test_gusts_are_of_their_size_seeded_and_smooth():
     world = flag().world
     t = np.linspace(0, 40, 20001)
