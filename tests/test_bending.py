@@ -371,6 +371,13 @@ def test_what_is_no_stencil_is_refused_by_its_line(wrong, says):
         scenefile.parse(CLOTH.replace(*wrong))
 
 
+def test_one_triangle_without_an_area_among_others_is_refused():
+    x = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [2.0, 0.0, 0.0]]
+    assert len(mesh_stencils(x, [[0, 1, 2], [1, 3, 2]], 1.0)) == 2
+    with pytest.raises(InputError, match="triangle 1 has no area"):
+        mesh_stencils(x, [[0, 1, 2], [0, 1, 3]], 1.0)
+
+
 # --- on the device ---------------------------------------------------------------------------
 
 
