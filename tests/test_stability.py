@@ -26,11 +26,13 @@ from taichi_cloth.limits.bounds import (
     step_within,
 )
 from taichi_cloth.limits.eigenmodes import stable_step
+from taichi_cloth.limits.holding import EAGER, added_mass, strength
 from taichi_cloth.limits.laplacian import Laplacian
 from taichi_cloth.limits.matrices import laplacian, stiffness_and_damping
 from taichi_cloth.limits.network import Network, Networks
 from taichi_cloth.limits.rounding import stall as stall_of
 from taichi_cloth.limits.tracking import FastestMode
+from taichi_cloth.scene.holding import Hold
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import (
     ParticleDefaults,
@@ -416,6 +418,55 @@ def test_substeps_in_motion_are_those_of_twice_the_speed():
         SubstepController("symplectic_euler", euler, 0.1).choose(of) for of in (network, twice)
     )
     assert in_motion == doubled > here
+    # While it grows faster, what was chosen last is enough until another is: also where air adds to
+    # damping alone, beside stiff springs, and to stiffness alone, beside drag.
+    ties = [(0, 1), (1, 2), (0, 2)]
+    damped = sail(corners, ties, 1e5, 5e3, [[0.0, 0.0, 1.0]] * 3)
+    turned = sail(corners, ties, 0.01, 0.03, [[0.0, 0.0, 400.0]] * 3, viscous=150.0)
+    for at_first in (network, Network.from_scene(damped), Network.from_scene(turned)):
+        kept, controller = 0, SubstepController("symplectic_euler", euler, 0.1)
+        chosen = controller.choose_in_motion(at_first)
+        for faster in 1.02 ** np.arange(1, 60):
+            now = at_first.moved(at_first.position, faster * at_first.velocity)
+            before, chosen = chosen, controller.choose_in_motion(now)
+            kept += chosen == before
+            twice = now.moved(now.position, 2.0 * now.velocity)
+            assert 0.1 / chosen <= step_within(euler, any_geometry(twice))
+        assert 0 < kept < 59
+
+
+def test_a_hold_is_like_the_stiffest_spring_and_leaves_the_stable_step_as_it_was():
+    scene = tangle(damping=0.0, drag=0.0)
+    springs, particles, who = scene.springs, scene.particles, np.array([2, 4])
+    network = Network.from_scene(scene)
+    stiffness, damping = strength(network, 0.1, who)
+    stiffest = [springs.stiffness[(springs.between == n).any(axis=1)].max() for n in who]
+    np.testing.assert_array_equal(stiffness, stiffest)
+    np.testing.assert_allclose(damping, 2 * np.sqrt(stiffness * particles.mass[who]))  # critical
+    alone = network.from_scene(replace(scene, springs=Springs.none()))
+    for frame in (0.1, 3.0):  # omega times a frame
+        free, _ = strength(alone, frame, who)
+        np.testing.assert_allclose(np.sqrt(free / particles.mass[who]) * frame, EAGER)
+
+    method = methods.load("symplectic_euler")
+    limit = stable_step(method, network).dt
+
+    def limit_held(added):
+        hold = Hold(who, np.zeros((2, 2)), np.zeros(2), stiffness, damping, added)
+        mass = particles.mass.copy()
+        mass[who] += added
+        world = replace(scene.world, tools=True, held=hold)
+        held = replace(scene, world=world, particles=replace(particles, mass=mass))
+        return stable_step(method, Network.from_scene(held)).dt
+
+    for step in (limit, 0.8 * limit):
+        added = added_mass(method, network, step, who, stiffness, damping)
+        # (h / 2)^2 K + (h / 2) C <= M is what symplectic Euler needs.
+        np.testing.assert_allclose(added, step**2 / 4 * stiffness + step / 2 * damping)
+        assert limit_held(added) >= step * (1 - 1e-9) and limit_held(0.0) < limit
+    assert not added_mass(method, network, 0.1 * limit, who, stiffness, damping).any()
+    implicit = methods.load("implicit_euler")
+    assert not added_mass(implicit, network, limit, who, stiffness, damping).any()
 
 
 @pytest.mark.parametrize(
