@@ -42,6 +42,7 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
+from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.simulation import diagnosis, diagnostics
 from taichi_cloth.simulation.auto_substeps import AutoSubsteps
 from taichi_cloth.simulation.simulation import Simulation
@@ -404,6 +405,14 @@ def sail(x, between, stiffness, density, velocity=None, **particles):
     )
 
 
+def test_a_triangle_that_lost_a_side_is_in_no_wind():
+    corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    scene = sail(corners, [(0, 1), (1, 2), (0, 2)], 1.0, 2.0, [[0.0, 0.0, 3.0]] * 3)
+    assert Network.from_scene(scene, holds=np.ones(3, bool)).by_triangles[1].min() > 0
+    for torn in ~np.eye(3, dtype=bool):
+        assert not Network.from_scene(scene, holds=torn).by_triangles[1].any()
+
+
 def test_substeps_in_motion_are_those_of_twice_the_speed():
     """Air damps in proportion to speed, which may double within the frame: what is chosen at v is
     what would be chosen for good at 2 v, and more than at v.
@@ -467,6 +476,24 @@ def test_a_hold_is_like_the_stiffest_spring_and_leaves_the_stable_step_as_it_was
     assert not added_mass(method, network, 0.1 * limit, who, stiffness, damping).any()
     implicit = methods.load("implicit_euler")
     assert not added_mass(implicit, network, limit, who, stiffness, damping).any()
+
+
+def test_what_bounds_cannot_fall_below_is_all_of_them_until_something_breaks():
+    """Springs, bending, holds and drag count; with fewer springs it is below their bounds."""
+    scene, who, two = tangle(damping=0.3, drag=0.2), np.array([2, 4]), np.zeros((2, 2))
+    rows = Stencils.build([[2, 1, 3], [4, 3, 5]], [[-2.0, 1.0, 1.0], [-3.0, 2.0, 1.0]], [0.1, 0.2])
+    hold = Hold(who, two, two[0], np.array([0.7, 0.4]), np.array([0.3, 0.1]), np.ones(2))
+    world = replace(scene.world, tools=True, held=hold)
+    scene = replace(scene, world=world, stencils=rows)
+    network, geometry = Network.from_scene(scene), AnyGeometry()
+    bounds, least = geometry.bounds(network), geometry.at_least(network)
+    assert least.omega2 == pytest.approx(bounds.omega2, rel=1e-9)
+    assert least.damping == pytest.approx(bounds.damping, rel=1e-9)
+    for broken in range(len(scene.springs)):
+        fewer = Network.from_scene(scene, holds=np.arange(len(scene.springs)) != broken)
+        less, true = geometry.at_least(fewer), any_geometry(fewer)
+        assert less.omega2 <= true.omega2 * (1 + 1e-9) and less.omega2 <= bounds.omega2 * (1 + 1e-9)
+        assert less.damping <= true.damping * (1 + 1e-9)
 
 
 @pytest.mark.parametrize(
