@@ -614,6 +614,15 @@ def test_a_mesh_hangs_from_its_highest_points(tmp_path):
         np.ptp(lying.particles.position[:, 1]) == pytest.approx(1)
         and lying.particles.fixed.sum() == 2
     )
+    for hung, size in ((scene, 2.0), (lying, 1.0)):  # in the middle, its lowest point a size up
+        low, high = hung.particles.position.min(axis=0), hung.particles.position.max(axis=0)
+        np.testing.assert_allclose(low[1], size, rtol=1e-6)
+        middle = (hung.world.low + hung.world.high) / 2
+        np.testing.assert_allclose((low + high)[[0, 2]] / 2, middle[[0, 2]], atol=1e-6)
+    # Air slows it down within two seconds; under its own weight it is a 50th longer.
+    assert scene.particles.viscous.sum() == pytest.approx(0.5 * scene.particles.mass.sum())
+    keys = hanging.table(tmp_path / "ball.ply", meshes.read(tmp_path / "ball.ply"))["meshes"][0]
+    assert keys["stretch"] == pytest.approx(0.15 * 9.81 * 2.0 / 0.02, rel=1e-6)
     thin = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0.5 0.5001 0\nf 1 2 3 5\nf 1 5 4\nf 5 3 4\n"
     (tmp_path / "sliver.obj").write_text(thin.replace("f 1 2 3 5", "f 1 2 3\nf 1 3 5"))
     sliver = SceneSource(str(tmp_path / "sliver.obj")).build()
