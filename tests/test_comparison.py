@@ -266,6 +266,9 @@ def test_the_first_touch_is_named(cli, tmp_path):
     assert (event["thing"], event["particles"], event["others"]) == ("ground", [0], 1)
     assert event["a"] == pytest.approx(at[0.2]) and event["b"] == pytest.approx(at[0.5])
     assert said["touch_a"] == pytest.approx(at[0.2])
+    alike = json.loads(cli("compare", "a.npz", "a.npz", "--json", cwd=tmp_path)[0])
+    assert alike["first_touch"] is None
+    assert alike["touch_a"] == alike["touch_b"] == pytest.approx(at[0.2])
     # One that is wholly new there; and what cannot be known, is said.
     out, _ = cli("compare", "a.npz", "b.npz", cwd=tmp_path, check=1)
     assert "particle 0 touches ground" in out and "in that frame" in " ".join(out.split())
