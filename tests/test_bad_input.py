@@ -401,6 +401,15 @@ def test_what_a_precision_cannot_hold_is_refused(scene, precision, says):
         refuse_unholdable(scene, "f64")
 
 
+def test_lengths_of_nothing_are_held_by_every_precision():
+    """Points that collide, and a spring whose ends are in one place, at rest and at the start."""
+    points = Particles.build([[1.0, 1.0], [1.0, 1.0]], radius=0.0)
+    spring = Springs.build([(0, 1)], points.position, stiffness=1.0, rest_length=0.0)
+    world = World((2.0, 2.0), (0.0, 0.0), collisions=True)
+    for precision in ("f32", "compensated", "f64"):
+        refuse_unholdable(Scene("points", world, points, spring), precision)
+
+
 @pytest.mark.parametrize(
     ("scene", "substeps", "precision", "says"),
     [
