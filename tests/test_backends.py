@@ -1,5 +1,6 @@
 """The same run on every backend, thread count and precision, through the command line."""
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -158,7 +159,11 @@ def test_a_later_run_compiles_and_measures_nothing(scene, runs, tmp_path):
         command("run", *scene, "--headless", "--frames", 30, env=env)
         known = {p.name: p.read_text() for p in (tmp_path / "taichi-cloth").iterdir()}
         made.append((kernels_in(tmp_path / "ti"), known))
-    assert made == [made[0]] * runs and made[0][0] and "compiled.json" in made[0][1]
+    assert made[0][0] and "compiled.json" in made[0][1]
+    for (kernels, known), (again, later) in itertools.pairwise(made):
+        assert again == kernels and later["compiled.json"] == known["compiled.json"]
+        # Speeds are told by the least disturbed of few launches, and may be by a later run first.
+        assert "execution.json" not in known or later["execution.json"] == known["execution.json"]
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,8 @@ def test_type_checkers_know_every_public_name(tmp_path):
     program = tmp_path / "program.py"
     asked = [f"reveal_type(tc.{name})" for name in tc.__all__]
     program.write_text("\n".join(["import taichi_cloth as tc", *asked]))
-    words = ["--strict", "--cache-dir", str(ROOT / ".mypy_cache"), "--no-error-summary"]
+    # What is not strict in the package is no fault of the program: what is installed is not judged.
+    words = ["--strict", "--follow-imports", "silent", "--no-error-summary"]
     done = subprocess.run(
         [sys.executable, "-m", "mypy", *words, program],
         **{"cwd": ROOT, "capture_output": True, "text": True, "timeout": 300},

@@ -548,6 +548,7 @@ def test_a_simulation_is_not_copied(pool, make):
 
 def test_a_simulation_that_is_gone_gives_its_fields_back(monkeypatch):
     """Taichi has room for 512 trees of fields, two of which a simulation takes."""
+    gc.collect()  # of what tests before have left
     freed, free = [], State.free
     monkeypatch.setattr(State, "free", lambda state: freed.append(free(state)))
     for gone in range(2):

@@ -27,7 +27,8 @@ class HeldBack:
     """
 
     def __enter__(self) -> None:
-        self._own = self._note  # one object, by which it is known again
+        # One object, by which it is known again.
+        self._own: Callable[[int, FrameType | None], None] | None = self._note
         self._handlers: dict[int, Callable[[int, FrameType | None], Any]] = {}
         self._held: list[int] = []  # whose handlers are to be put back
         self._came: tuple[int, FrameType | None] | None = None
@@ -46,9 +47,10 @@ class HeldBack:
 
     def __exit__(self, *error: object) -> None:
         self._put_back()
-        if self._came is not None:
-            number, frame = self._came
-            self._handlers[number](number, frame)
+        # Not kept, nor is this by its own method: a frame holds all that it works with, as long.
+        (came, self._came), self._own = (self._came, None), None
+        if came is not None:
+            self._handlers[came[0]](*came)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if self._came is None:
