@@ -25,6 +25,7 @@ if os.name == "posix":
 # Public name: (module, name in it; None: the module itself). `__init__.pyi` tells type checkers.
 _HOMES = {
     "InputError": ("errors", "InputError"),
+    "RunFailure": ("errors", "RunFailure"),
     "SimulationFailure": ("errors", "SimulationFailure"),
     "Scene": ("scene.model", "Scene"),
     "World": ("scene.model", "World"),

@@ -3,6 +3,7 @@
 from taichi_cloth.comparison.compare import Comparison as Comparison
 from taichi_cloth.comparison.compare import compare as compare
 from taichi_cloth.errors import InputError as InputError
+from taichi_cloth.errors import RunFailure as RunFailure
 from taichi_cloth.errors import SimulationFailure as SimulationFailure
 from taichi_cloth.files import trajectory as _trajectory
 from taichi_cloth.files.trajectory import Trajectory as Trajectory

@@ -1,5 +1,6 @@
 """The documents: every link leads somewhere, every public name says what it is, the site builds."""
 
+import builtins
 import dataclasses
 import inspect
 import re
@@ -16,6 +17,7 @@ import taichi_cloth as tc
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 FENCE = re.compile(r"^( *)(```+).*?^\1\2\n", re.M | re.S)
+PUBLIC = re.compile(r"\btc\.(\w+)")
 LINK = re.compile(r"\]\(([^)\s]+)\)|<img [^>]*src=\"([^\"]+)\"")
 
 
@@ -68,20 +70,39 @@ def documented(value):
     return bool(said) and not generated
 
 
-def test_every_public_name_says_what_it_is():
-    silent, seen = [], 0
+def public_parts():
+    """All that the reference has: (name, value), and members of classes and of modules."""
     for name in (name for name in tc.__all__ if name != "__version__"):
         value = getattr(tc, name)
-        parts = [(name, value), *(members(value) if inspect.isclass(value) else ())]
+        yield name, value
+        if inspect.isclass(value):
+            yield from members(value)
         if inspect.ismodule(value):
-            parts += [
-                (f"{name}.{part}", made)
-                for part, made in inspect.getmembers(value, inspect.isfunction)
-                if made.__module__ == value.__name__ and not part.startswith("_")
-            ]
-        silent += [part for part, what in parts if not documented(what)]
-        seen += len(parts)
-    assert not silent and seen > 100
+            for part, made in inspect.getmembers(value, inspect.isfunction):
+                if made.__module__ == value.__name__ and not part.startswith("_"):
+                    yield f"{name}.{part}", made
+
+
+def test_every_public_name_says_what_it_is():
+    parts = list(public_parts())
+    assert not [part for part, what in parts if not documented(what)] and len(parts) > 100
+
+
+def test_whatever_is_raised_by_its_words_can_be_caught_by_a_public_name():
+    """`RunFailure` was not: a program could only look for it among the package's files."""
+    known = {*dir(builtins), *tc.__all__}
+    said = [
+        (part, word)
+        for part, what in public_parts()
+        for word in re.findall(r"\b[A-Z]\w*(?:Error|Failure)\b", inspect.getdoc(what) or "")
+    ]
+    assert not [found for found in said if found[1] not in known] and len(said) > 50
+    assert {"RunFailure", "InputError"} <= {word for _, word in said}
+
+
+def test_every_public_name_in_the_documents_is_one():
+    used = [(path.name, name) for path in DOCUMENTS for name in PUBLIC.findall(path.read_text())]
+    assert not [found for found in used if found[1] not in tc.__all__] and len(used) > 20
 
 
 def test_type_checkers_know_every_public_name(tmp_path):
