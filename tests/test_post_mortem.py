@@ -27,6 +27,7 @@ from taichi_cloth.post_mortem.sample import Sample
 from taichi_cloth.post_mortem.trace import traced
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.simulation.checkpoint import Checkpoint
 from taichi_cloth.simulation.past import APART, Past, Settings
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app, hud
@@ -101,6 +102,28 @@ def test_a_report_has_all_in_one_file(tmp_path):
     assert "nothing went wrong" in sim.report(tmp_path / "b.html", pictures=False).cause.says
     with pytest.raises(InputError):
         sim.report(tmp_path / "nowhere" / "c.html")
+
+
+def test_a_run_that_began_at_a_saved_checkpoint_is_made_again_under_any_method(tmp_path):
+    """It was refused, as the file was of another method than the run, or a trial, had by then."""
+    sim = Simulation(build("oscillator"), topology="graph", execution="serial")
+    sim.advance(5)
+    sim.checkpoint().save(tmp_path / "there.npz")
+    sim.restore(Checkpoint.load(tmp_path / "there.npz"))
+    sim.set_method("verlet")
+    sim.set_step(dt=40.0)
+    with pytest.raises(SimulationFailure):
+        sim.advance(200)
+    before = sim.positions(), sim.frame, sim.method
+    found = sim.report(tmp_path / "a.html", pictures=False, seconds=5.0)
+    assert found.cause.kind == STEP and found.search.best is not None
+    assert repr(found) == f"<PostMortem: {found.line}>"
+    tries = survivors._Tries(sim, sim.past, sim.past.origin, sim.frame + 1)
+    with sim.past.resting(sim):
+        for method in ("verlet", "xpbd", "verlet"):
+            assert tries.run(Settings(method, 1.0, 1)).survived
+    np.testing.assert_array_equal(sim.positions(), before[0])
+    assert (sim.frame, sim.method) == before[1:]
 
 
 def test_a_step_just_over_its_limit_is_not_sound(tmp_path):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 SECONDS = 20.0  # that the trials may take; going back, as many
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PostMortem:
     """What was found out.
 
@@ -32,6 +32,10 @@ class PostMortem:
     cause: Cause
     search: Search
     words: Sequence[str]
+
+    def __repr__(self) -> str:
+        """What a prompt or a notebook's cell shows of it: its readings are 176 000 letters."""
+        return f"<PostMortem: {self.line}>"
 
     @property
     def line(self) -> str:

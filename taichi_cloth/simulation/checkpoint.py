@@ -75,6 +75,10 @@ class Checkpoint:
         """The checkpoint saved at `path`. InputError where there is none that can be read."""
         return cls(**saved.read(accepted.path("Checkpoint.load: path", path)).parts)
 
+    def is_of(self, sim: object) -> bool:
+        """Whether this very simulation made it, which may have another method since."""
+        return self.engine is not None and self.engine["_owner"] is sim
+
     def arrays(self) -> list[np.ndarray]:
         """The arrays of its state on the device, some of which others share."""
         return list(self.kept.fields.values())
@@ -132,7 +136,7 @@ class Checkpoints(Part):
         self._take_unsettled()  # the fields that are left may serve again
         names = ("scene", "_auto", *self.SETTINGS, *Engine.ENGINE)
         before = {name: getattr(self, name) for name in names}
-        engine = checkpoint.engine if self._is_own(checkpoint) else None
+        engine = checkpoint.engine if checkpoint.is_of(self) else None
         if engine and engine["_storage"] is not self._storage:
             for name in Engine.ENGINE:
                 setattr(self, name, engine[name])
@@ -152,15 +156,11 @@ class Checkpoints(Part):
         self.topology = self.storage.topology
         self._unprepared = [] if self._unprepared else self._unprepared
 
-    def _is_own(self, checkpoint: Checkpoint) -> bool:
-        """Whether it is of this simulation itself, whatever method it had."""
-        return checkpoint.engine is not None and checkpoint.engine["_owner"] is self
-
     def _refuse_others(self, checkpoint: Any) -> None:
         if not isinstance(checkpoint, Checkpoint):
             what = accepted.shown(checkpoint)
             raise InputError(f"restore: takes a Checkpoint, not {what}")
-        method = checkpoint.method if self._is_own(checkpoint) else self.method
+        method = checkpoint.method if checkpoint.is_of(self) else self.method
         pairs = (
             ("method", checkpoint.method, method),
             ("precision", checkpoint.precision, current_device().precision),

@@ -190,10 +190,11 @@ def _bytes(ring: list[Place]) -> int:
 
 def go_to(sim: Any, place: Place, settings: Settings | None = None) -> None:
     """Put a simulation at a place of its past, with the settings of then or others."""
+    if place.checkpoint is None or not place.checkpoint.is_of(sim):  # whose method it needs
+        sim.set_method(place.settings.method)
     if place.checkpoint is not None:
         sim.restore(place.checkpoint)
     else:
-        sim.set_method(place.settings.method)
         sim.reset()
     set_to(sim, settings or place.settings)
 
