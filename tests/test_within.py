@@ -91,7 +91,7 @@ def test_quick_is_a_minute_and_times_have_units():
         (["--within", "60s", "--quick"], "--quick means --within 60s: give one of them"),
     ],
 )
-@pytest.mark.parametrize("name", ["trade", "explain"])
+@pytest.mark.parametrize("name", ["trade", "explain", "stability"])
 def test_what_is_no_time_is_refused_in_one_line(name, words, says, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main([name, "oscillator", *words]) == 2

@@ -9,6 +9,7 @@ from another start (`tune.kicked`).
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -55,7 +56,10 @@ class Count:
 def main(arguments: Sequence[str]) -> int:
     """Measure and print the two rates."""
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
-    wanted = int(arguments[0]) if arguments else VARIANTS
+    parser = argparse.ArgumentParser(prog="python -m taichi_cloth.benchmarks.confirmation")
+    parser.description = "How often a setting that `tune` chooses holds where it was not chosen."
+    parser.add_argument("variants", nargs="?", type=int, default=VARIANTS, help="of all scenes")
+    wanted = parser.parse_args(arguments).variants
     errors, times, variants = Count(), Count(), 0
     for number, (name, parameters) in enumerate(BASES):
         each = [wanted // len(BASES) + (k < wanted % len(BASES)) for k in range(len(BASES))]

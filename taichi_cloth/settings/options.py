@@ -287,6 +287,11 @@ def within_setting() -> Any:
     )
 
 
+def quick_setting() -> Any:
+    """The setting beside it that says a minute in a word."""
+    return setting(False, "the same as --within 60s")
+
+
 def resume_setting() -> Any:
     """The setting of a sweep that goes on where an earlier run of it ended."""
     return setting(False, "go on with what an earlier run of the same command has finished")
@@ -351,7 +356,7 @@ class ExplainOptions(Options):
         None, "CPU threads (default: all)", int, minimum=1, maximum=1024, metavar="N"
     )
     within: str | None = within_setting()
-    quick: bool = setting(False, "the same as --within 60s")
+    quick: bool = quick_setting()
     json: bool = setting(False, "print JSON instead of tables")
     all: bool = setting(False, "explain all built-in scenes, and what a cloth's links cost")
     tables: str | None = setting(

@@ -9,6 +9,7 @@ from taichi_cloth.settings.options import (
     PATHS,
     TOPOLOGIES,
     Options,
+    quick_setting,
     resume_setting,
     setting,
     within_setting,
@@ -33,6 +34,7 @@ class StabilityOptions(Options):
         None, "only this method (default: all that have a limit)", str, metavar="NAME"
     )
     within: str | None = within_setting()
+    quick: bool = quick_setting()
     resume: bool = resume_setting()
     on: str | None = _on()
     quiet: bool = setting(False, "print nothing but errors")
@@ -75,7 +77,7 @@ class ComparisonOptions(Options):
         metavar="N",
     )
     within: str | None = within_setting()
-    quick: bool = setting(False, "the same as --within 60s")
+    quick: bool = quick_setting()
     execution: str = setting("auto", "one thread, or all of them", choices=("auto", *PATHS))
     topology: str = setting("auto", "how springs are stored", choices=("auto", *TOPOLOGIES))
     threads: int | None = setting(

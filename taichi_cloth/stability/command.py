@@ -36,7 +36,7 @@ WEIGHT = 14
 
 def main(source: SceneSource, options: StabilityOptions) -> int:
     """Do what the command asks for; the exit status. Ctrl-C keeps what is finished."""
-    names, end = _methods(options.method), clock(options.within)
+    names, end = _methods(options.method), clock(options.within, options.quick)
     scene = source.build()
     with np.errstate(all="ignore"):  # what overflows is refused
         prepared = experiment.at_rest(scene)
