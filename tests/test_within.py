@@ -1,5 +1,6 @@
 """Sweeps that fit a time: what is left out, told with a clock that is made up, and said."""
 
+import contextlib
 import csv
 import json
 import signal
@@ -23,7 +24,7 @@ from taichi_cloth.sweeps.identity import of_scene
 from taichi_cloth.sweeps.journal import Journal, kept
 from taichi_cloth.sweeps.within import Clock, TimeIsUp, clock, ending, said_of_left_out
 from taichi_cloth.trade import command, runner
-from taichi_cloth.trade.outcomes import Outcome
+from taichi_cloth.trade.outcomes import Outcome, Result
 from taichi_cloth.trade.pace import FEWEST_FRAMES, PAST, Pace, Share, left_out
 from taichi_cloth.trade.process import Stopped
 from taichi_cloth.trade.settings import Setting
@@ -250,6 +251,21 @@ def test_a_minute_has_rows_wherever_a_reference_and_a_timing_fit(compiling, tmp_
         named = "\n".join(result.left_out)
         for method, (arch, precision, _) in of - whole:
             assert f"{method}, {arch} {precision}: all of it" in named
+
+
+@pytest.mark.parametrize("words", [["trade"], ["tune", "--error", "1%"]])
+def test_what_has_nothing_in_time_asks_for_more(words, tmp_path, monkeypatch, capsys):
+    """`tune` said that there is no reference, and to use fewer frames, as one that has failed."""
+
+    @contextlib.contextmanager
+    def nothing(source, *_, **__):
+        yield Result(source.build(), [], {}, None, None)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "measured", nothing)
+    assert main([*words, "oscillator", "--quick"]) == 2
+    says = "--within 60 s: not one setting was finished by then; give more time, or fewer --frames"
+    assert capsys.readouterr().err == f"taichi-cloth: error: {says}\n"
 
 
 @pytest.mark.parametrize(("begun", "then"), [(20.0, 600.0), (20.0, None), (None, 60.0)])

@@ -44,11 +44,7 @@ def main(source: SceneSource, options: TradeOptions) -> int:
     ):
         chosen, how = planned(scene, options, chosen, how, journal)
         with measured(source, options, scene, chosen, how, journal, elsewhere) as result:
-            if not result.outcomes and not result.interrupted and how.clock.limited:
-                raise InputError(
-                    f"--within {how.clock.describe()}: not one setting was finished by then; "
-                    "give more time, or fewer --frames"
-                )
+            result.check_some(how.clock)
             if not result.outcomes:
                 # Before anything was finished.
                 raise result.interrupted or KeyboardInterrupt

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from taichi_cloth.errors import RunFailure
+from taichi_cloth.errors import InputError, RunFailure
 from taichi_cloth.measuring.worker import ENDED, WorkerFailed
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.sweeps.within import Clock
@@ -79,6 +79,14 @@ class Result:
     interrupted: KeyboardInterrupt | None = None
     clock: Clock = field(default_factory=Clock)
     left_out: list[str] = field(default_factory=list)
+
+    def check_some(self, asked: Clock) -> None:
+        """Raise InputError where the time that was asked for was over before there was anything."""
+        if not self.outcomes and not self.interrupted and asked.limited:
+            raise InputError(
+                f"--within {asked.describe()}: not one setting was finished by then; "
+                "give more time, or fewer --frames"
+            )
 
     def check_whole(self) -> None:
         """Raise StudyFailure where the machine lost settings: the others are no fair choice."""

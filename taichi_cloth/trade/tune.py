@@ -200,6 +200,7 @@ def _tried(
         if result.interrupted:
             raise result.interrupted
         result.check_whole()
+        result.check_some(how.clock)
         if not (result.reference and result.horizon):
             raise RunFailure(
                 f"{scene.name}: there is no reference to compare with; use fewer --frames"
