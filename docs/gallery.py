@@ -83,6 +83,9 @@ and made smaller where that is large.
 `taichi-cloth run SCENE` alone opens it in one, where the mouse takes part:
 [the first ten minutes](tour.md) say how. `taichi-cloth run SCENE --help` says what it takes.
 
+Compilers take the instructions that a processor has, so last digits differ from one kind to
+another: in `box` and `sandbox`, where chance grows with each bounce, some balls then lie elsewhere.
+
 The pictures are made anew, and this page with them, by `python docs/gallery.py`.
 """
 
