@@ -241,6 +241,7 @@ def test_checkpoints_share_what_is_equal(pool):
     sim = pool(cloth(20, 20, LINKS, walls=SIDES[:4], break_force=1e9))
     sim.advance()
     one = sim.checkpoint()
+    assert repr(one) == "<Checkpoint: 'cloth' after 1 frame of symplectic_euler in f64>"
     sim.advance()
     two = sim.checkpoint()
     shared = {id(a) for a in one.arrays()} & {id(a) for a in two.arrays()}

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, counted
 from taichi_cloth.files import archives
 from taichi_cloth.runtime import current_device
 from taichi_cloth.scene.model import Scene
@@ -24,7 +24,7 @@ from taichi_cloth.simulation.part import Part
 from taichi_cloth.simulation.storage.kept import Kept
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Checkpoint:
     """All that later frames of a run depend on, on the host; `Simulation.restore` takes it.
 
@@ -51,6 +51,11 @@ class Checkpoint:
     digest: str = ""
     prepared: Mapping[str, Any] = field(default_factory=dict)
     engine: Mapping[str, Any] | None = None
+
+    def __repr__(self) -> str:
+        """What a prompt or a notebook's cell shows of it: not the state."""
+        run = f"{self.method} in {self.precision}"
+        return f"<Checkpoint: {self.name!r} after {counted(self.frame, 'frame')} of {run}>"
 
     def __copy__(self) -> Checkpoint:
         return self

@@ -465,7 +465,8 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
                 raise InputError(f"spawn: tied to particle {tied_to}, which does not exist")
         none = np.zeros((0, 3), np.int64)
         alone = replace(self.scene, particles=new, springs=Springs.none(), triangles=none)
-        validate(replace(alone, stencils=Stencils.none()))
+        # It is the first of its scene, but not of the run.
+        validate(replace(alone, stencils=Stencils.none()), place=lambda *_: "spawn")
         now = self.storage.snapshot()
         grown = now.with_particle(new, tied_to)
         with self._all_or_nothing(now):
